@@ -1,0 +1,161 @@
+"""RangeSensor and Run: the one data contract of a recording. Files are read and written elsewhere in `logs`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+PoseFrame = Literal["base_link", "laser"]
+
+
+def _empty(*shape: int) -> Floats:
+    return np.zeros(shape, dtype=np.float64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RangeSensor:
+    """Geometry, limits and timing of a planar range sensor."""
+
+    bearings: Floats
+    """(n_rays,) [rad] in the laser frame, increasing (counter-clockwise); ray 0 is the rightmost."""
+    range_min: float = 0.05
+    """[m] a nearer surface returns -inf."""
+    range_max: float = 8.0
+    """[m] beyond this the ray returns +inf."""
+    mount: Floats = field(default_factory=lambda: _empty(3))
+    """(3,) [m, m, rad] laser in base_link."""
+    sigma: float = 0.01
+    """[m] standard deviation of a return."""
+    resolution: float = 0.0
+    """[m] returns are multiples of this; 0: not rounded."""
+    rate: float = 10.0
+    """[Hz] scans per second."""
+    sweep_time: float = 0.0
+    """[s] from the first ray to the last (plus one); a scan's stamp is the time of its first ray."""
+    height: float = 0.0
+    """[m] of the scan plane above the floor."""
+
+    def __post_init__(self) -> None:
+        if self.bearings.ndim != 1 or len(self.bearings) < 1 or not (np.diff(self.bearings) > 0).all():
+            raise ValueError(f"bearings has shape {self.bearings.shape}, expected (n_rays,), increasing")
+        if self.mount.shape != (3,):
+            raise ValueError(f"mount has shape {self.mount.shape}, expected (3,): x, y, yaw")
+        if not 0 <= self.range_min < self.range_max:
+            raise ValueError(f"range limits are {self.range_min} to {self.range_max}, expected 0 <= min < max")
+
+    @property
+    def n_rays(self) -> int:
+        """Count of rays in a scan."""
+        return len(self.bearings)
+
+    @property
+    def is_evenly_spaced(self) -> bool:
+        """Tell whether all neighbouring bearings are equally far apart (to 1e-6 rad)."""
+        steps = np.diff(self.bearings)
+        return len(steps) == 0 or bool(np.ptp(steps) < 1e-6)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One recorded or simulated trip; every signal has its own stamps, in seconds from `epoch_ns`."""
+
+    sensor: RangeSensor
+    stamps: Floats
+    """(n_scans,) [s] time of each scan's first ray, not decreasing."""
+    ranges: Floats
+    """(n_scans, n_rays) [m]; +inf nothing seen, -inf too close, nan broken (REP-117)."""
+    pose_stamps: Floats = field(default_factory=lambda: _empty(0))
+    poses: Floats = field(default_factory=lambda: _empty(0, 3))
+    """(n_poses, 3) [m, m, rad] reference pose of `pose_frame` in map."""
+    odom_stamps: Floats = field(default_factory=lambda: _empty(0))
+    odometry: Floats = field(default_factory=lambda: _empty(0, 3))
+    """(n_odom, 3) [m, m, rad] base_link in odom (drifts)."""
+    odom_twists: Floats = field(default_factory=lambda: _empty(0, 2))
+    """(n_odom, 2) [m/s, rad/s] as the wheels measured it."""
+    cmd_stamps: Floats = field(default_factory=lambda: _empty(0))
+    commands: Floats = field(default_factory=lambda: _empty(0, 2))
+    """(n_commands, 2) [m/s, rad/s] commanded twist."""
+    pose_frame: PoseFrame = "base_link"
+    """Whose pose `poses` is: `laser` in CARMEN corrected logs."""
+    epoch_ns: int = 0
+    """[ns] absolute time of stamp 0 (Unix)."""
+    meta: Mapping[str, str] = field(default_factory=dict)
+    """Where it came from: `source`, `format`, `pose_source`, ...; plain text."""
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    """File name -> bytes: `arena.geojson`, `robot.yaml`, `plan.json`, ..."""
+
+    def __post_init__(self) -> None:
+        n_scans = len(self.stamps)
+        if self.ranges.shape != (n_scans, self.sensor.n_rays):
+            raise ValueError(f"ranges has shape {self.ranges.shape}, expected ({n_scans}, {self.sensor.n_rays})")
+        for name, stamps, data, width in (
+            ("poses", self.pose_stamps, self.poses, 3),
+            ("odometry", self.odom_stamps, self.odometry, 3),
+            ("odom_twists", self.odom_stamps, self.odom_twists, 2),
+            ("commands", self.cmd_stamps, self.commands, 2),
+        ):
+            if data.shape != (len(stamps), width):
+                raise ValueError(f"{name} has shape {data.shape}, expected ({len(stamps)}, {width})")
+        for name in ("stamps", "pose_stamps", "odom_stamps", "cmd_stamps"):
+            if not (np.diff(getattr(self, name)) >= 0).all():
+                raise ValueError(f"{name} goes back in time; sort the run by its stamps first")
+
+    @property
+    def n_scans(self) -> int:
+        """Count of scans."""
+        return len(self.stamps)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pairing:
+    """Which scans have a pose, and why the others have none."""
+
+    poses: Floats
+    """(n_scans, 3) [m, m, rad] reference pose at each scan's stamp; nan where not paired."""
+    paired: Bools
+    """(n_scans,) the scan has a pose."""
+    dropped: Mapping[str, int]
+    """Reason -> count of scans dropped for it."""
+
+    def __str__(self) -> str:
+        reasons = "".join(f", {count} {reason}" for reason, count in self.dropped.items())
+        return f"{int(self.paired.sum())} of {len(self.paired)} scans paired with poses{reasons}"
+
+
+def pair(run: Run, *, max_gap: float = 0.2) -> Pairing:
+    """Interpolate the reference pose at every scan's stamp; never across a gap above `max_gap` [s].
+
+    A scan whose stamp equals a pose's stamp is paired whatever the gaps around it.
+    """
+    n_scans = run.n_scans
+    poses = np.full((n_scans, 3), np.nan)
+    if len(run.pose_stamps) == 0:
+        return Pairing(poses=poses, paired=np.zeros(n_scans, dtype=np.bool_), dropped={"without any pose": n_scans})
+    right = np.clip(np.searchsorted(run.pose_stamps, run.stamps, side="left"), 0, len(run.pose_stamps) - 1)
+    left = np.clip(np.where(run.pose_stamps[right] > run.stamps, right - 1, right), 0, None)
+    before = run.stamps < run.pose_stamps[0]
+    after = run.stamps > run.pose_stamps[-1]
+    gap = (run.pose_stamps[right] - run.pose_stamps[left] > max_gap) & ~before & ~after
+    width = run.pose_stamps[right] - run.pose_stamps[left]
+    share = np.where(width > 0, (run.stamps - run.pose_stamps[left]) / np.where(width > 0, width, 1.0), 0.0)
+    turn = np.pi - (np.pi - (run.poses[right, 2] - run.poses[left, 2])) % (2 * np.pi)
+    poses[:, :2] = run.poses[left, :2] + share[:, None] * (run.poses[right, :2] - run.poses[left, :2])
+    phi = run.poses[left, 2] + share * turn
+    poses[:, 2] = np.pi - (np.pi - phi) % (2 * np.pi)
+    paired = ~(before | after | gap)
+    broken = paired & ~np.isfinite(poses).all(axis=1)
+    paired &= ~broken
+    poses[~paired] = np.nan
+    counts = {
+        "before the first pose": int(before.sum()),
+        "after the last pose": int(after.sum()),
+        f"in a gap of the poses above {max_gap:g} s": int(gap.sum()),
+        "at a pose that is not finite": int(broken.sum()),
+    }
+    return Pairing(poses=poses, paired=paired, dropped={k: v for k, v in counts.items() if v})

@@ -1,0 +1,1 @@
+"""Map formats -> Arena, one file each; registry MAPS."""

@@ -1,0 +1,57 @@
+"""Robot: what a planner must know of it. The robot.yaml file is read in `sensorgraph.world.robot_file`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+
+Drive = Literal["diff", "reeds_shepp", "dubins"]
+DRIVES: tuple[str, ...] = get_args(Drive)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What the drive can do."""
+
+    v: float = 0.4
+    """[m/s] largest forward speed (and backward, unless the drive is `dubins`)."""
+    omega: float = 1.0
+    """[rad/s] largest turn rate, either way."""
+    a: float = 0.5
+    """[m/s²] largest change of v."""
+    alpha: float = 2.0
+    """[rad/s²] largest change of omega."""
+    turning_radius: float = 0.0
+    """[m] least radius of a car's curve; 0 for a robot that turns in place."""
+
+    def __post_init__(self) -> None:
+        for name in ("v", "omega", "a", "alpha"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"limits.{name} is {value}, expected a positive number")
+        if not (np.isfinite(self.turning_radius) and self.turning_radius >= 0):
+            raise ValueError(f"limits.turning_radius is {self.turning_radius}, expected 0 or more")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """A disc that turns in place, or a car."""
+
+    name: str = "radix"
+    drive: Drive = "diff"
+    footprint_radius: float = 0.20
+    """[m] radius of the disc round `base_link` that must stay free."""
+    limits: Limits = field(default_factory=Limits)
+
+    def __post_init__(self) -> None:
+        if self.drive not in DRIVES:
+            raise ValueError(f"drive is {self.drive!r}, expected one of {', '.join(DRIVES)}")
+        if not (np.isfinite(self.footprint_radius) and self.footprint_radius > 0):
+            raise ValueError(f"footprint_radius is {self.footprint_radius}, expected a positive number")
+        if self.drive != "diff" and self.limits.turning_radius <= 0:
+            raise ValueError(
+                f"drive {self.drive!r} is a car and needs limits.turning_radius > 0, "
+                f"got {self.limits.turning_radius}"
+            )

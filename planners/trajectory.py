@@ -1,0 +1,86 @@
+"""Trajectory: where the robot should be, when, and how fast; CSV in and out."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.arena import Floats, wrap
+from planners.errors import PlanError
+
+COLUMNS = ("t", "x", "y", "phi", "v", "omega", "primitive")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory:
+    """A timed path, exact at its samples."""
+
+    stamps: Floats
+    """(n,) [s] from the start, strictly increasing."""
+    poses: Floats
+    """(n, 3) [m, m, rad] base_link in map, phi in (-pi, pi]."""
+    twists: Floats
+    """(n, 2) [m/s, rad/s] body velocity (v, omega) at the sample."""
+    primitives: NDArray[np.str_]
+    """(n,) what the robot is doing: `spin`, `lane`, `move`, `turn`, `wait`, ..."""
+
+    def __post_init__(self) -> None:
+        n = len(self.stamps)
+        shapes = (self.stamps.shape, self.poses.shape, self.twists.shape, self.primitives.shape)
+        if shapes != ((n,), (n, 3), (n, 2), (n,)):
+            raise ValueError(f"trajectory has shapes {shapes}, expected ({n},), ({n}, 3), ({n}, 2), ({n},)")
+        if n < 2 or not (np.diff(self.stamps) > 0).all():
+            raise ValueError("a trajectory needs at least two samples with strictly increasing stamps")
+
+    @property
+    def duration(self) -> float:
+        """[s] from the first sample to the last."""
+        return float(self.stamps[-1] - self.stamps[0])
+
+    @property
+    def length(self) -> float:
+        """[m] driven by base_link, forward and backward."""
+        return float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
+
+    def at(self, stamps: Floats) -> tuple[Floats, Floats]:
+        """Interpolate poses (m, 3) and twists (m, 2) at stamps (m,) [s]; the ends are held."""
+        phi = np.unwrap(self.poses[:, 2])
+        columns = [self.poses[:, 0], self.poses[:, 1], phi, self.twists[:, 0], self.twists[:, 1]]
+        out = np.stack([np.interp(stamps, self.stamps, c) for c in columns], axis=-1)  # (m, 5)
+        return np.concatenate([out[:, :2], wrap(out[:, 2:3])], axis=1), out[:, 3:]
+
+    def write_csv(self, path: Path) -> None:
+        """Write columns t,x,y,phi,v,omega,primitive."""
+        part = path.with_name(path.name + ".part")
+        with part.open("w", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(COLUMNS)
+            rows = np.column_stack([self.stamps, self.poses, self.twists])
+            for row, primitive in zip(rows.tolist(), self.primitives.tolist(), strict=True):
+                writer.writerow([f"{value:.6f}" for value in row] + [primitive])
+        part.replace(path)
+
+
+def read_csv(path: Path) -> Trajectory:
+    """Read a trajectory CSV; columns by name, `primitive` optional."""
+    with path.open(newline="") as file:
+        reader = csv.DictReader(file)
+        missing = [name for name in COLUMNS[:6] if name not in (reader.fieldnames or [])]
+        if missing:
+            raise PlanError(f"{path}: no column {', '.join(missing)}; expected {','.join(COLUMNS)}")
+        rows = list(reader)
+    try:
+        values = np.array([[float(row[name]) for name in COLUMNS[:6]] for row in rows], dtype=np.float64)
+    except (TypeError, ValueError) as exc:
+        raise PlanError(f"{path}: {exc}; expected numbers in {','.join(COLUMNS[:6])}") from exc
+    if len(values) < 2:
+        raise PlanError(f"{path}: {len(values)} rows, expected at least two")
+    if not np.isfinite(values).all() or not (np.diff(values[:, 0]) > 0).all():
+        raise PlanError(f"{path}: t must increase strictly and all numbers be finite")
+    primitives = np.array([row.get("primitive") or "move" for row in rows], dtype=np.str_)
+    values[:, 3] = wrap(values[:, 3])
+    return Trajectory(stamps=values[:, 0], poses=values[:, 1:4], twists=values[:, 4:6], primitives=primitives)

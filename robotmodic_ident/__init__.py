@@ -1,0 +1,1 @@
+"""Which law the numbers follow: polynomial, ARMAX and NARMAX identification; knows no robot."""

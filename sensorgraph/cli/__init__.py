@@ -1,0 +1,103 @@
+"""The command line: one file per command, each short: parse, call the library, save, say one line.
+
+Nothing heavy is imported here: a command imports what it needs when it runs.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from typing import Annotated
+
+import typer
+
+from sensorgraph.cli.inspect import inspect
+from sensorgraph.cli.recover import recover
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "inspect": inspect,
+    "recover": recover,
+}
+
+app = typer.Typer(
+    name="sensorgraph",
+    help="Drive an arena, log it, and get transparent equations of what its range sensor perceives.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for _name, _command in COMMANDS.items():
+    app.command(_name)(_command)
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        from sensorgraph import __version__
+
+        typer.echo(f"sensorgraph {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+def _one_line(exc: BaseException) -> str:
+    return " ".join(str(exc).split()) or type(exc).__name__
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run one command; return 0 done, 2 the user's input is at fault, 1 our fault, 130 interrupted."""
+    from logs.errors import LogError
+    from planners.errors import PlanError
+    from robotmodic_ident.errors import IdentError
+    from sensorgraph.errors import GapError
+
+    command = typer.main.get_command(app)
+    try:
+        code = command.main(args=arguments, prog_name="sensorgraph", standalone_mode=False)
+        return int(code or 0)
+    except (LogError, PlanError, IdentError, GapError) as exc:
+        _say(f"error: {_one_line(exc)}")
+        return 2
+    except OSError as exc:
+        if exc.filename is None:
+            raise
+        _say(f"error: {exc.filename}: {exc.strerror}; give a path that exists and can be read or written")
+        return 2
+    except (KeyboardInterrupt, typer.Abort):
+        _say("interrupted")
+        return 130
+    except Exception as exc:
+        if hasattr(exc, "format_message") and hasattr(exc, "exit_code"):  # a usage error of the command line
+            if type(exc).__name__ == "NoArgsIsHelpError":
+                typer.echo(exc.format_message())
+                return 0
+            _say(f"error: {' '.join(exc.format_message().split())}; see `sensorgraph --help`")
+            return int(exc.exit_code)
+        if os.environ.get("SENSORGRAPH_DEBUG"):
+            raise
+        _say(f"error: internal: {type(exc).__name__}: {_one_line(exc)}; this is our fault, please report it "
+             "with the traceback that SENSORGRAPH_DEBUG=1 prints")
+        return 1
+
+
+def _say(line: str) -> None:
+    sys.stderr.write(line + "\n")
+
+
+def main() -> None:
+    """Run as the console script `sensorgraph`."""
+    if hasattr(signal, "SIGPIPE"):
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `sensorgraph show ... | head` ends quietly
+    code = run()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)  # skip the interpreter's shutdown: OMPL's bindings print leak notes there

@@ -1,0 +1,5 @@
+"""`sensorgraph inspect`."""
+
+
+def inspect() -> None:
+    """Say what is in a file."""

@@ -1,0 +1,5 @@
+"""`sensorgraph recover`."""
+
+
+def recover() -> None:
+    """Save what can be saved."""

@@ -1,0 +1,1 @@
+"""Models of what each ray perceives; registry MODELS."""
