@@ -47,7 +47,9 @@ class RangeSensor:
         if self.mount.shape != (3,):
             raise ValueError(f"mount has shape {self.mount.shape}, expected (3,): x, y, yaw")
         if not 0 <= self.range_min < self.range_max:
-            raise ValueError(f"range limits are {self.range_min} to {self.range_max}, expected 0 <= min < max")
+            raise ValueError(
+                f"range limits are {self.range_min} to {self.range_max}, expected 0 <= min < max"
+            )
 
     @property
     def n_rays(self) -> int:
@@ -93,7 +95,9 @@ class Run:
     def __post_init__(self) -> None:
         n_scans = len(self.stamps)
         if self.ranges.shape != (n_scans, self.sensor.n_rays):
-            raise ValueError(f"ranges has shape {self.ranges.shape}, expected ({n_scans}, {self.sensor.n_rays})")
+            raise ValueError(
+                f"ranges has shape {self.ranges.shape}, expected ({n_scans}, {self.sensor.n_rays})"
+            )
         for name, stamps, data, width in (
             ("poses", self.pose_stamps, self.poses, 3),
             ("odometry", self.odom_stamps, self.odometry, 3),
@@ -136,7 +140,9 @@ def pair(run: Run, *, max_gap: float = 0.2) -> Pairing:
     n_scans = run.n_scans
     poses = np.full((n_scans, 3), np.nan)
     if len(run.pose_stamps) == 0:
-        return Pairing(poses=poses, paired=np.zeros(n_scans, dtype=np.bool_), dropped={"without any pose": n_scans})
+        return Pairing(
+            poses=poses, paired=np.zeros(n_scans, dtype=np.bool_), dropped={"without any pose": n_scans}
+        )
     right = np.clip(np.searchsorted(run.pose_stamps, run.stamps, side="left"), 0, len(run.pose_stamps) - 1)
     left = np.clip(np.where(run.pose_stamps[right] > run.stamps, right - 1, right), 0, None)
     before = run.stamps < run.pose_stamps[0]

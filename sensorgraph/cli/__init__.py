@@ -43,7 +43,8 @@ def _show_version(value: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and exit.")
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and exit."),
     ] = False,
 ) -> None:
     pass
@@ -84,8 +85,10 @@ def run(arguments: list[str] | None = None) -> int:
             return int(exc.exit_code)
         if os.environ.get("SENSORGRAPH_DEBUG"):
             raise
-        _say(f"error: internal: {type(exc).__name__}: {_one_line(exc)}; this is our fault, please report it "
-             "with the traceback that SENSORGRAPH_DEBUG=1 prints")
+        _say(
+            f"error: internal: {type(exc).__name__}: {_one_line(exc)}; this is our fault, please report it "
+            "with the traceback that SENSORGRAPH_DEBUG=1 prints"
+        )
         return 1
 
 
