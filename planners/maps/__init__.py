@@ -1,1 +1,28 @@
 """Map formats -> Arena, one file each; registry MAPS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from planners.arena import Arena
+from planners.errors import PlanError
+from planners.maps import geojson, ros_map
+
+MAPS: dict[str, Callable[[Path], Arena]] = {
+    ".geojson": geojson.read,
+    ".json": geojson.read,
+    ".yaml": ros_map.read,
+    ".yml": ros_map.read,
+}
+
+
+def load(path: Path) -> Arena:
+    """Read an arena in the format that its suffix names."""
+    path = Path(path)
+    reader = MAPS.get(path.suffix.lower())
+    if reader is None:
+        raise PlanError(f"{path}: no reader for '{path.suffix}'; expected one of {', '.join(MAPS)}")
+    if not path.is_file():
+        raise PlanError(f"{path}: no such file; expected an arena (*.geojson) or a map_server map (*.yaml)")
+    return reader(path)
