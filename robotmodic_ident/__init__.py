@@ -1,1 +1,28 @@
 """Which law the numbers follow: polynomial, ARMAX and NARMAX identification; knows no robot."""
+
+from robotmodic_ident.bases import BASES, fourier, polynomial
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.model import Narmax, fit
+from robotmodic_ident.moments import Moments
+from robotmodic_ident.records import Lagged, Record, lagged, lags
+from robotmodic_ident.scale import Scale
+from robotmodic_ident.select import Selection, select
+from robotmodic_ident.terms import Terms
+
+__all__ = [
+    "BASES",
+    "IdentError",
+    "Lagged",
+    "Moments",
+    "Narmax",
+    "Record",
+    "Scale",
+    "Selection",
+    "Terms",
+    "fit",
+    "fourier",
+    "lagged",
+    "lags",
+    "polynomial",
+    "select",
+]

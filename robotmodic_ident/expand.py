@@ -1,0 +1,62 @@
+"""Rewrite a polynomial of scaled variables as one of the user's variables, exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from math import comb
+
+import numpy as np
+
+from robotmodic_ident.scale import Scale
+from robotmodic_ident.terms import Factor, Floats, Term, Terms, canonical_key
+
+Polynomial = dict[Term, Fraction]
+
+
+def expand(terms: Terms, theta: Sequence[float] | Floats, scale: Scale) -> tuple[Terms, Floats, Floats]:
+    """Multiply out ((v - centre) / width)^power in every term and collect equal terms.
+
+    The arithmetic is rational, so each coefficient is right to the last bit; far from the origin
+    the expanded form still cancels when it is evaluated, which the scaled form does not.
+
+    Returns
+    -------
+    terms in the user's variables; theta (n,); map (n, len(terms)) from scaled to expanded coefficients.
+    Where every variable is only divided by its width, terms keep their places and the map is diagonal.
+    """
+    total: Polynomial = {}
+    names: dict[frozenset[Factor], Term] = {}
+    entries: list[tuple[Term, int, float]] = []
+    for j, (term, coefficient) in enumerate(zip(terms, theta, strict=True)):
+        for product, factor in _expand_term(term, scale).items():
+            key = names.setdefault(frozenset(product), product)
+            total[key] = total.get(key, Fraction(0)) + Fraction(float(coefficient)) * factor
+            entries.append((key, j, float(factor)))
+    ordered = list(total) if not any(scale.centres) else sorted(total, key=canonical_key)
+    place = {term: i for i, term in enumerate(ordered)}
+    linear = np.zeros((len(ordered), len(terms)))
+    for term, j, factor in entries:
+        linear[place[term], j] += factor
+    return Terms(tuple(ordered)), np.array([float(total[t]) for t in ordered]), linear
+
+
+def _expand_term(term: Term, scale: Scale) -> Polynomial:
+    result: Polynomial = {(): Fraction(1)}
+    for f in term:
+        centre, width = map(Fraction, scale.pair(f.variable))
+        if f.function or (centre == 0 and width == 1):
+            powers = {f.power: Fraction(1)}
+        else:
+            p = f.power
+            powers = {
+                i: Fraction(comb(p, i)) * Fraction((-centre) ** (p - i)) / Fraction(width**p)
+                for i in range(p + 1)
+            }
+        result = {
+            head + ((Factor(f.variable, f.lag, i, f.function, f.harmonic),) if i else ()): value * factor
+            for head, value in result.items()
+            for i, factor in powers.items()
+            if factor
+        }
+    return result

@@ -1,0 +1,227 @@
+"""Moments: Φ'Φ, Φ'Y and Y'Y of any amount of data; added, merged, subtracted, saved.
+
+All outputs share one Φ'Φ. An output with missing values (nan) keeps the Gram of the rows that it misses,
+which is subtracted when it is needed: the cost is proportional to what is missing (or present, if less).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.scale import Scale
+from robotmodic_ident.terms import Floats, Terms
+
+BLOCK = 4096
+"""Rows taken at a time: Φ of a block stays in the cache and memory stays bounded."""
+FORMAT = "robotmodic-moments-1"
+
+
+class Moments:
+    """Sums that every fit needs, for many outputs at once."""
+
+    def __init__(self, terms: Terms, n_outputs: int, *, scale: Scale | None = None) -> None:
+        if n_outputs < 1 or len(terms) < 1:
+            raise ValueError(f"moments of {len(terms)} terms and {n_outputs} outputs; expected 1 or more")
+        m = len(terms)
+        self.terms = terms
+        self.scale = scale
+        """None until the first data declare it: from their least to their largest value."""
+        self.gram: Floats = np.zeros((m, m))
+        """(n_terms, n_terms) Φ'Φ over all rows with at least one output."""
+        self.cross: Floats = np.zeros((m, n_outputs))
+        """(n_terms, n_outputs) Φ'Y over the rows where the output is known."""
+        self.power: Floats = np.zeros(n_outputs)
+        """(n_outputs,) Y'Y."""
+        self.count: NDArray[np.int64] = np.zeros(n_outputs, dtype=np.int64)
+        """(n_outputs,) rows where the output is known."""
+        self.missing: dict[int, Floats] = {}
+        """Output -> (n_terms, n_terms) Gram of the rows it misses."""
+
+    @property
+    def n_outputs(self) -> int:
+        """Count of outputs."""
+        return len(self.power)
+
+    def add(self, columns: Mapping[str, ArrayLike], y: ArrayLike) -> Moments:
+        """Add data in the user's units.
+
+        Parameters
+        ----------
+        columns : signal (`y(k-1)`, `x`) -> (n,); a row that is not finite is left out
+        y : (n, n_outputs) or (n,); nan: not known
+        """
+        data = {name: np.asarray(columns[name], dtype=np.float64) for name in columns}
+        y = _as_rows(y, self.n_outputs)
+        if wrong := {name: v.shape for name, v in data.items() if v.shape != (len(y),)}:
+            raise ValueError(f"columns have shapes {wrong}, expected ({len(y)},) as y has rows")
+        if self.scale is None:
+            self.scale = _scale_of(self.terms, data)
+        for start in range(0, len(y), BLOCK):
+            rows = slice(start, start + BLOCK)
+            block = {name: values[rows] for name, values in data.items()}
+            self.add_rows(self.terms.matrix(block, self.scale, n=len(y[rows])), y[rows])
+        return self
+
+    def add_rows(self, phi: Floats, y: ArrayLike) -> Moments:
+        """Add rows of an evaluated dictionary, phi (n, n_terms), as `terms.matrix` gives it."""
+        y = _as_rows(y, self.n_outputs)
+        if phi.shape != (len(y), len(self.terms)):
+            raise ValueError(f"phi has shape {phi.shape}, expected ({len(y)}, {len(self.terms)})")
+        known = ~np.isnan(y)
+        if np.isinf(y).any():
+            raise IdentError("y holds an infinite value; replace what was not measured by nan")
+        use = known.any(axis=1) & np.isfinite(phi).all(axis=1)
+        if not use.all():
+            phi, y, known = phi[use], y[use], known[use]
+        if len(y) == 0:
+            return self
+        block = phi.T @ phi
+        self.gram += block
+        n_known = known.sum(axis=0)
+        holed = np.flatnonzero(n_known < len(y))
+        if len(holed):
+            y = np.where(known, y, 0.0)
+        self.cross += phi.T @ y
+        self.power += np.einsum("ij,ij->j", y, y)
+        self.count += n_known
+        phi = np.ascontiguousarray(phi) if len(holed) else phi  # rows are gathered below
+        for i in holed.tolist():
+            if 2 * n_known[i] < len(y):
+                few = phi[known[:, i]]
+                hole = block - few.T @ few
+            else:
+                few = phi[~known[:, i]]
+                hole = few.T @ few
+            if i in self.missing:
+                self.missing[i] += hole
+            else:
+                self.missing[i] = hole
+        return self
+
+    def gram_of(self, output: int) -> Floats:
+        """Return Φ'Φ (n_terms, n_terms) over the rows where one output is known."""
+        return self.gram - self.missing[output] if output in self.missing else self.gram
+
+    def groups(self, *, limit: int = 1 << 24) -> Iterator[tuple[NDArray[np.intp], Floats]]:
+        """Yield (outputs, grams) with grams (1, m, m) where it is shared, else (len(outputs), m, m).
+
+        At most `limit` numbers are held in one stack of Grams.
+        """
+        shared = np.array([i for i in range(self.n_outputs) if i not in self.missing], dtype=np.intp)
+        if len(shared):
+            yield shared, self.gram[None]
+        own = np.array(sorted(self.missing), dtype=np.intp)
+        step = max(1, limit // self.gram.size)
+        for start in range(0, len(own), step):
+            some = own[start : start + step]
+            yield some, self.gram - np.stack([self.missing[int(i)] for i in some])
+
+    def pick(self, terms: ArrayLike | None = None, outputs: ArrayLike | None = None) -> Moments:
+        """Keep some terms and some outputs, given by index; no pass over the data is needed."""
+        t = np.arange(len(self.terms)) if terms is None else np.asarray(terms, dtype=np.intp)
+        o = np.arange(self.n_outputs) if outputs is None else np.asarray(outputs, dtype=np.intp)
+        out = Moments(self.terms[t.tolist()], len(o), scale=self.scale)
+        square = np.ix_(t, t)
+        out.gram, out.cross = self.gram[square], self.cross[np.ix_(t, o)]
+        out.power, out.count = self.power[o], self.count[o]
+        out.missing = {j: self.missing[i][square] for j, i in enumerate(o.tolist()) if i in self.missing}
+        return out
+
+    def __add__(self, other: Moments) -> Moments:
+        """Merge with moments of other data."""
+        return self._combined(other, 1.0)
+
+    def __sub__(self, other: Moments) -> Moments:
+        """Take away moments of data that these contain: a fold, an old stretch."""
+        out = self._combined(other, -1.0)
+        if (out.count < 0).any():
+            raise IdentError(
+                "the moments to subtract have more rows than these; subtract only what was added before"
+            )
+        return out
+
+    def _combined(self, other: Moments, sign: float) -> Moments:
+        if self.terms.names != other.terms.names or self.n_outputs != other.n_outputs:
+            raise IdentError(
+                f"moments of {len(self.terms)} terms and {self.n_outputs} outputs cannot be combined with "
+                f"{len(other.terms)} terms and {other.n_outputs} outputs; use the same terms and outputs"
+            )
+        if None not in (self.scale, other.scale) and self.scale != other.scale:
+            raise IdentError(
+                "moments with different scales cannot be combined; declare one scale for all of them: "
+                "Moments(terms, n_outputs, scale=Scale.between({...}))"
+            )
+        out = Moments(self.terms, self.n_outputs, scale=self.scale or other.scale)
+        out.gram = self.gram + sign * other.gram
+        out.cross = self.cross + sign * other.cross
+        out.power = self.power + sign * other.power
+        out.count = self.count + (other.count if sign > 0 else -other.count)
+        out.missing = {i: hole.copy() for i, hole in self.missing.items()}
+        for i, hole in other.missing.items():
+            out.missing[i] = out.missing[i] + sign * hole if i in out.missing else sign * hole
+        return out
+
+    def save(self, path: Path) -> None:
+        """Write one .npz file, without pickle."""
+        header = {
+            "format": FORMAT,
+            "terms": self.terms.names,
+            "scale": None if self.scale is None else self.scale.to_dict(),
+        }
+        own = sorted(self.missing)
+        part = path.with_name(path.name + ".part")
+        with part.open("wb") as file:
+            np.savez(
+                file,
+                header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
+                gram=self.gram,
+                cross=self.cross,
+                power=self.power,
+                count=self.count,
+                missing_outputs=np.array(own, dtype=np.int64),
+                missing=np.stack([self.missing[i] for i in own]) if own else np.empty((0, 0, 0)),
+            )
+        part.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> Moments:
+        """Read what `save` wrote."""
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                header = json.loads(bytes(data["header"]))
+                if header["format"] != FORMAT:
+                    raise IdentError(f"{path}: format {header['format']!r}, expected {FORMAT!r}")
+                scale = None if header["scale"] is None else Scale.from_dict(header["scale"])
+                out = cls(Terms.parse(*header["terms"]), len(data["power"]), scale=scale)
+                out.gram, out.cross = data["gram"], data["cross"]
+                out.power, out.count = data["power"], data["count"]
+                out.missing = dict(zip(data["missing_outputs"].tolist(), data["missing"], strict=True))
+        except (KeyError, TypeError, EOFError, ValueError) as exc:
+            if isinstance(exc, IdentError):
+                raise
+            raise IdentError(f"{path}: not a file of moments ({exc}); write one with Moments.save") from exc
+        return out
+
+
+def _as_rows(y: ArrayLike, n_outputs: int) -> Floats:
+    y = np.asarray(y, dtype=np.float64)
+    y = y[:, None] if y.ndim == 1 else y
+    if y.ndim != 2 or y.shape[1] != n_outputs:
+        raise ValueError(f"y has shape {y.shape}, expected (n, {n_outputs})")
+    return y
+
+
+def _scale_of(terms: Terms, columns: Mapping[str, Floats]) -> Scale:
+    """Take each variable's bounds over all its lags; variables only seen inside cos and sin stay as they are."""
+    values: dict[str, list[Floats]] = {}
+    for term in terms:
+        for f in term:
+            if not f.function and f.signal in columns:
+                values.setdefault(f.variable, []).append(columns[f.signal])
+    return Scale.of({name: np.concatenate(parts) for name, parts in values.items()})

@@ -1,0 +1,129 @@
+"""Records of signals over time, and the lagged columns taken from them; no lag crosses a record or a gap."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.terms import Floats, Terms, signal_name
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Record:
+    """Signals sampled together, without a break unless the stamps jump."""
+
+    signals: Mapping[str, Floats]
+    """Variable -> (n,) values; nan: not known."""
+    stamps: Floats | None = None
+    """(n,) [s] strictly increasing; None: evenly sampled without a gap."""
+    max_gap: float | None = None
+    """[s] a longer step is a gap; None: 1.5 times the median step."""
+
+    def __post_init__(self) -> None:
+        lengths = {name: np.shape(values) for name, values in self.signals.items()}
+        if (
+            not lengths
+            or any(len(shape) != 1 for shape in lengths.values())
+            or len(set(lengths.values())) > 1
+        ):
+            raise ValueError(f"signals have shapes {lengths}, expected one shape (n,)")
+        if self.stamps is not None and (
+            self.stamps.shape != (len(self),) or not (np.diff(self.stamps) > 0).all()
+        ):
+            raise ValueError(f"stamps has shape {self.stamps.shape}, expected ({len(self)},), increasing")
+
+    def __len__(self) -> int:
+        return len(next(iter(self.signals.values())))
+
+    def segments(self) -> list[slice]:
+        """Return the stretches without a time gap."""
+        n = len(self)
+        if self.stamps is None or n < 2:
+            return [slice(0, n)]
+        steps = np.diff(self.stamps)
+        max_gap = self.max_gap if self.max_gap is not None else 1.5 * float(np.median(steps))
+        cuts = [0, *(np.flatnonzero(steps > max_gap) + 1).tolist(), n]
+        return [slice(a, b) for a, b in pairwise(cuts)]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lagged:
+    """Rows of lagged signals with what is to be explained."""
+
+    columns: dict[str, Floats]
+    """Signal (`y(k-1)`, `u(k)`, `x`) -> (n,) values, all finite."""
+    targets: Floats
+    """(n, n_outputs) values at k; nan where not known."""
+    record: NDArray[np.intp]
+    """(n,) which record a row comes from."""
+    sample: NDArray[np.intp]
+    """(n,) which sample k of that record."""
+
+
+def lags(variable: str, first: int, last: int) -> list[str]:
+    """Name the signals of a variable from lag `first` to lag `last`: `u(k)`, `u(k-1)`, ..."""
+    if not 0 <= first <= last:
+        raise ValueError(f"lags are {first} to {last}, expected 0 <= first <= last")
+    return [signal_name(variable, lag) for lag in range(first, last + 1)]
+
+
+def as_records(
+    records: Record | Mapping[str, Floats] | Iterable[Record | Mapping[str, Floats]],
+) -> list[Record]:
+    """Accept one record or many, each a `Record` or plain signals by name."""
+    if isinstance(records, Record | Mapping):
+        records = [records]
+    return [r if isinstance(r, Record) else Record(signals=r) for r in records]
+
+
+def lagged(
+    records: Record | Mapping[str, Floats] | Iterable[Record | Mapping[str, Floats]],
+    terms: Terms,
+    outputs: Sequence[str],
+    *,
+    skip: int | None = None,
+) -> Lagged:
+    """Collect the lagged columns that `terms` read; rows with an unknown regressor are left out.
+
+    `skip` [samples] leaves out the start of every stretch (default: the largest lag, the least possible),
+    so that models of different lags can be judged on the same rows.
+    """
+    look_back = terms.max_lag if skip is None else skip
+    if look_back < terms.max_lag:
+        raise ValueError(f"skip is {skip}, but the terms look back {terms.max_lag} samples")
+    atoms = {f.signal: (f.variable, f.lag or 0) for term in terms for f in term}
+    parts: dict[str, list[Floats]] = {name: [] for name in atoms}
+    targets, owner, sample = [], [], []
+    for i, record in enumerate(as_records(records)):
+        unknown = {v for v, _ in atoms.values()} | set(outputs)
+        unknown -= set(record.signals)
+        if unknown:
+            names = ", ".join(sorted(unknown))
+            raise IdentError(f"record {i} has no signal {names}; it has {', '.join(record.signals)}")
+        data = {name: np.asarray(values, dtype=np.float64) for name, values in record.signals.items()}
+        for piece in record.segments():
+            k = np.arange(piece.start + look_back, piece.stop, dtype=np.intp)
+            if len(k) == 0:
+                continue
+            rows = {name: data[v][k - lag] for name, (v, lag) in atoms.items()}
+            known = np.ones(len(k), dtype=np.bool_)
+            for values in rows.values():
+                known &= np.isfinite(values)
+            for name, values in rows.items():
+                parts[name].append(values[known])
+            targets.append(np.stack([data[name][k[known]] for name in outputs], axis=1))
+            owner.append(np.full(int(known.sum()), i, dtype=np.intp))
+            sample.append(k[known])
+    if not targets or sum(map(len, targets)) == 0:
+        raise IdentError(f"no row is left after a look back of {look_back} samples; give longer records")
+    return Lagged(
+        columns={name: np.concatenate(values) for name, values in parts.items()},
+        targets=np.concatenate(targets),
+        record=np.concatenate(owner),
+        sample=np.concatenate(sample),
+    )

@@ -1,0 +1,85 @@
+"""Scale: centre and width of every variable, so that no coordinate offset spoils the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robotmodic_ident.errors import IdentError
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Maps a variable v to (v - centre) / width; a variable it does not name stays as it is."""
+
+    variables: tuple[str, ...] = ()
+    centres: tuple[float, ...] = ()
+    """[units of the variable]"""
+    widths: tuple[float, ...] = ()
+    """[units of the variable] half the span, positive."""
+
+    def __post_init__(self) -> None:
+        if not len(self.variables) == len(self.centres) == len(self.widths):
+            raise ValueError("a scale needs one centre and one width for each variable")
+        if not (np.isfinite(self.centres).all() and np.isfinite(self.widths).all()):
+            raise IdentError("a scale has a centre or width that is not finite; drop those samples first")
+        if not all(width > 0 for width in self.widths):
+            raise IdentError(f"widths are {self.widths}, expected positive numbers")
+
+    @classmethod
+    def between(cls, bounds: Mapping[str, tuple[float, float]], *, centre: bool = True) -> Scale:
+        """Map each variable's (low, high) to (-1, 1), or only divide by the larger size if not `centre`."""
+        centres, widths = [], []
+        for name, (low, high) in bounds.items():
+            if not low <= high:
+                raise IdentError(f"bounds of {name} are ({low}, {high}), expected low <= high")
+            centres.append((low + high) / 2 if centre else 0.0)
+            width = (high - low) / 2 if centre else max(abs(low), abs(high))
+            widths.append(width if width > 0 else 1.0)
+        return cls(tuple(bounds), tuple(map(float, centres)), tuple(map(float, widths)))
+
+    @classmethod
+    def of(cls, data: Mapping[str, ArrayLike], *, centre: bool = True) -> Scale:
+        """Take the bounds from data; values that are not finite do not count."""
+        bounds = {}
+        for name, values in data.items():
+            finite = np.asarray(values, dtype=np.float64)
+            finite = finite[np.isfinite(finite)]
+            if len(finite) == 0:
+                raise IdentError(f"variable {name} has no finite value to take a scale from")
+            bounds[name] = (float(finite.min()), float(finite.max()))
+        return cls.between(bounds, centre=centre)
+
+    def apply(self, variable: str, values: ArrayLike) -> Floats:
+        """Scale the values of one variable."""
+        values = np.asarray(values, dtype=np.float64)
+        if variable not in self.variables:
+            return values
+        centre, width = self.pair(variable)
+        return (values - centre) / width
+
+    def pair(self, variable: str) -> tuple[float, float]:
+        """Return (centre, width) of a variable; (0, 1) if it is not scaled."""
+        if variable not in self.variables:
+            return 0.0, 1.0
+        i = self.variables.index(variable)
+        return self.centres[i], self.widths[i]
+
+    def to_dict(self) -> dict[str, list[float]]:
+        """Return variable -> [centre, width], for JSON."""
+        rows = zip(self.variables, self.centres, self.widths, strict=True)
+        return {name: [centre, width] for name, centre, width in rows}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, tuple[float, float] | list[float]]) -> Scale:
+        """Restore what `to_dict` gave."""
+        pairs = [(float(centre), float(width)) for centre, width in data.values()]
+        return cls(tuple(data), tuple(c for c, _ in pairs), tuple(w for _, w in pairs))
+
+
+UNSCALED = Scale()
