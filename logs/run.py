@@ -117,6 +117,29 @@ class Run:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class OccupancyMap:
+    """A grid of what is free and what is taken."""
+
+    data: NDArray[np.int8]
+    """(ny, nx) -1 unknown, 0 free, 100 occupied; row 0 is the lowest y."""
+    resolution: float
+    """[m] side of a cell."""
+    origin: Floats
+    """(3,) [m, m, rad] pose in map of the lower left corner of cell (0, 0)."""
+
+    def __post_init__(self) -> None:
+        if self.data.ndim != 2 or self.data.dtype != np.int8 or self.data.min(initial=0) < -1:
+            raise ValueError(
+                f"data has shape {self.data.shape} and type {self.data.dtype}, expected (ny, nx) int8 from -1 to 100"
+            )
+        if self.origin.shape != (3,) or not self.resolution > 0:
+            raise ValueError(
+                f"origin has shape {self.origin.shape} and resolution is {self.resolution}, "
+                "expected (3,) and a positive number"
+            )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Pairing:
     """Which scans have a pose, and why the others have none."""
 

@@ -1,0 +1,136 @@
+"""Recorder: keep a run while it happens, message by message, so that a crash loses the open chunk at most."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from logs.errors import LogError
+from logs.mcap_file import (
+    RosFile,
+    command_messages,
+    latch,
+    odometry_messages,
+    pose_messages,
+    scan_messages,
+    to_ns,
+    transform_messages,
+)
+from logs.own_run import RECORD, facts
+from logs.ros_run import ODOMETRY, POSE, SCAN, TF, TWIST_STAMPED
+from logs.run import Floats, OccupancyMap, PoseFrame, RangeSensor
+from logs.transforms import Stamps, compose, invert
+
+logger = logging.getLogger(__name__)
+
+
+class Recorder:
+    """Write a run to `NAME.mcap` while it is driven.
+
+    While open, the file is `NAME.mcap.part`; leaving the `with` block gives it its name. An exception inside
+    the block (also Ctrl-C) finishes the file under `NAME.interrupted.mcap`, with the reason in its metadata,
+    and passes on. After `kill -9` or a power cut, `NAME.mcap.part` stays: `sensorgraph recover` saves all of it
+    but the chunk that was open, 64 KiB.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        sensor: RangeSensor,
+        epoch_ns: int = 0,
+        occupancy: OccupancyMap | None = None,
+        pose_frame: PoseFrame = "base_link",
+        meta: Mapping[str, str] | None = None,
+        attachments: Mapping[str, bytes] | None = None,
+    ) -> None:
+        if epoch_ns < 0:
+            raise ValueError(f"epoch_ns is {epoch_ns}, expected 0 or more: MCAP has no time before 1970")
+        self.path = Path(path)
+        self.sensor, self.epoch_ns, self.pose_frame = sensor, int(epoch_ns), pose_frame
+        self._odometry = np.zeros(3)
+        self._last = self.epoch_ns
+        self._file = RosFile(self.path)
+        try:
+            said = facts(
+                sensor, pose_frame=pose_frame, epoch_ns=epoch_ns, zero_ns=epoch_ns, meta=dict(meta or {})
+            )
+            self._file.describe(RECORD, said)
+            for name, data in (attachments or {}).items():
+                self.attach(name, data)
+            latch(self._file, self.epoch_ns, sensor, occupancy)
+        except BaseException:
+            self._file.abandon()
+            raise
+
+    def scan(self, stamp: float, ranges: ArrayLike) -> None:
+        """Write one scan: ranges (n_rays,) [m], the first ray at `stamp` [s]."""
+        row = _row(ranges, self.sensor.n_rays, "ranges")
+        at = self._ns(stamp)
+        self._put("/scan", SCAN, at, scan_messages(self.sensor, at, row))
+
+    def pose(self, stamp: float, pose: ArrayLike) -> None:
+        """Write one reference pose (3,) of `pose_frame` in map, and the transforms that agree with it."""
+        row = _row(pose, 3, "pose")
+        at = self._ns(stamp)
+        base = compose(row, invert(self.sensor.mount)) if self.pose_frame == "laser" else row
+        driven = self._odometry[None]
+        edges = (("map", "odom", compose(base, invert(driven))), ("odom", "base_link", driven))
+        self._put("/tf", TF, at, transform_messages(at, *edges))
+        self._put("/pose", POSE, at, pose_messages(at, row))
+
+    def odometry(self, stamp: float, pose: ArrayLike, twist: ArrayLike) -> None:
+        """Write one odometry pose (3,), base_link in odom, with its twist (2,)."""
+        row = _row(pose, 3, "odometry pose")
+        at = self._ns(stamp)
+        self._put("/odom", ODOMETRY, at, odometry_messages(at, row, _row(twist, 2, "twist")))
+        self._odometry = row[0]
+
+    def command(self, stamp: float, twist: ArrayLike) -> None:
+        """Write one commanded twist (2,)."""
+        at = self._ns(stamp)
+        self._put("/cmd_vel", TWIST_STAMPED, at, command_messages(at, _row(twist, 2, "twist")))
+
+    def attach(self, name: str, data: bytes) -> None:
+        """Put a file inside the file, at once."""
+        self._file.attach(name, data, self._last)
+
+    def close(self) -> Path:
+        """Finish the file under its name."""
+        return self._file.finish()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if exc is None:
+            self.close()
+            return
+        name = self.path.name.removesuffix(".mcap") + ".interrupted.mcap"
+        self._file.describe(f"{RECORD}.interrupted", {"reason": f"{type(exc).__name__}: {exc}"})
+        kept = self._file.finish(self.path.with_name(name))
+        logger.warning("the recording was interrupted; what was written is in %s", kept)
+
+    def _ns(self, stamp: float) -> Stamps:
+        at = to_ns(np.array([stamp], dtype=np.float64), self.epoch_ns)
+        if at[0] < 0:
+            raise LogError(f"stamp {stamp} is before 1970; give the recorder an epoch_ns")
+        self._last = int(at[0])
+        return at
+
+    def _put(self, topic: str, msgtype: str, at: Stamps, rows: np.ndarray) -> None:
+        self._file.put(self._file.channel(topic, msgtype), int(at[0]), rows.tobytes())
+
+
+def _row(values: ArrayLike, width: int, name: str) -> Floats:
+    row = np.asarray(values, dtype=np.float64)
+    if row.shape != (width,):
+        raise ValueError(f"{name} has shape {row.shape}, expected ({width},)")
+    return row[None]
