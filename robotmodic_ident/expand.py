@@ -29,15 +29,15 @@ def expand(terms: Terms, theta: Sequence[float] | Floats, scale: Scale) -> tuple
     names: dict[frozenset[Factor], Term] = {}
     entries: list[tuple[Term, int, float]] = []
     for j, (term, coefficient) in enumerate(zip(terms, theta, strict=True)):
-        for product, factor in _expand_term(term, scale).items():
+        for product, share in _expand_term(term, scale).items():
             key = names.setdefault(frozenset(product), product)
-            total[key] = total.get(key, Fraction(0)) + Fraction(float(coefficient)) * factor
-            entries.append((key, j, float(factor)))
+            total[key] = total.get(key, Fraction(0)) + Fraction(float(coefficient)) * share
+            entries.append((key, j, float(share)))
     ordered = list(total) if not any(scale.centres) else sorted(total, key=canonical_key)
     place = {term: i for i, term in enumerate(ordered)}
     linear = np.zeros((len(ordered), len(terms)))
-    for term, j, factor in entries:
-        linear[place[term], j] += factor
+    for key, j, value in entries:
+        linear[place[key], j] += value
     return Terms(tuple(ordered)), np.array([float(total[t]) for t in ordered]), linear
 
 
@@ -46,13 +46,16 @@ def _expand_term(term: Term, scale: Scale) -> Polynomial:
     for f in term:
         centre, width = map(Fraction, scale.pair(f.variable))
         if f.function or (centre == 0 and width == 1):
-            powers = {f.power: Fraction(1)}
+            powers: dict[int, Fraction] = {f.power: Fraction(1)}
         else:
             p = f.power
-            powers = {
-                i: Fraction(comb(p, i)) * Fraction((-centre) ** (p - i)) / Fraction(width**p)
-                for i in range(p + 1)
-            }
+            shift: list[Fraction] = [Fraction(1)]
+            for _ in range(p):
+                shift.append(-centre * shift[-1])
+            down = Fraction(1, 1)
+            for _ in range(p):
+                down /= width
+            powers = {i: comb(p, i) * shift[p - i] * down for i in range(p + 1)}
         result = {
             head + ((Factor(f.variable, f.lag, i, f.function, f.harmonic),) if i else ()): value * factor
             for head, value in result.items()

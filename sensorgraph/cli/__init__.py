@@ -13,12 +13,20 @@ from typing import Annotated
 
 import typer
 
+from sensorgraph.cli.build import build
+from sensorgraph.cli.evaluate import evaluate
 from sensorgraph.cli.inspect import inspect
+from sensorgraph.cli.predict import predict
 from sensorgraph.cli.recover import recover
+from sensorgraph.cli.show import show
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "inspect": inspect,
     "recover": recover,
+    "build": build,
+    "evaluate": evaluate,
+    "predict": predict,
+    "show": show,
 }
 
 app = typer.Typer(

@@ -1,1 +1,11 @@
 """Models of what each ray perceives; registry MODELS."""
+
+from __future__ import annotations
+
+from sensorgraph.models.base import Model
+from sensorgraph.models.polynomial import Polynomial
+
+MODELS: dict[str, type[Model]] = {
+    "polynomial": Polynomial,
+}
+"""Name -> class with `fit`, `predict`, `state`, `restore`."""

@@ -1,0 +1,88 @@
+"""`sensorgraph build`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sensorgraph.cli.progress import progress
+
+
+def build(
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN...", help="Recordings (MCAP, bag, CARMEN log) with poses.")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="GRAPH", help="File to write, *.sensorgraph.")
+    ],
+    arena: Annotated[
+        Path | None, typer.Option(help="Arena (GeoJSON, map yaml): its bounds set the scale.")
+    ] = None,
+    robot: Annotated[
+        Path | None, typer.Option(help="Robot yaml: its sensor must be the one that recorded.")
+    ] = None,
+    model: Annotated[str, typer.Option(help="What to fit: polynomial.")] = "polynomial",
+    split: Annotated[str | None, typer.Option(help="Hold scans out: every10 or block.")] = None,
+    degree: Annotated[str, typer.Option(help="Degree in x and y, or auto.")] = "auto",
+    harmonics: Annotated[str, typer.Option(help="Harmonics of the heading, or auto.")] = "auto",
+    terms: Annotated[str, typer.Option(help="Terms kept for each ray, or auto.")] = "auto",
+    topic: Annotated[
+        list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
+    ] = None,
+) -> None:
+    """Identify what every ray perceives at each (x, y, phi).
+
+    Examples:
+
+      sensorgraph build run.mcap -o square.sensorgraph
+
+      sensorgraph build intel.log.gz --split block -o intel.sensorgraph
+    """
+    from logs import read
+    from sensorgraph.build import build as build_graph
+    from sensorgraph.cli.inputs import check_output, read_arena, read_robot_sensor, topics
+    from sensorgraph.errors import GapError
+    from sensorgraph.models import MODELS
+
+    check_output(output)
+    if model not in MODELS:
+        raise GapError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
+    options = {
+        name: value
+        for name, text in (("degree", degree), ("harmonics", harmonics), ("n_terms", terms))
+        if (value := _number(name, text)) != "auto"
+    }
+    space = None if arena is None else read_arena(arena)
+    names = topics(topic)
+    loaded = []
+    for path in runs:
+        with progress("reading", "messages") as tick:
+            loaded.append(read(path, topics=names, progress=tick))
+    if robot is not None:
+        read_robot_sensor(robot, [(str(path), run.sensor) for path, run in zip(runs, loaded, strict=True)])
+    with progress("building", "blocks") as tick:
+        graph = build_graph(loaded, arena=space, model=model, split=split, progress=tick, **options)
+    graph.save(output)
+    for entry in graph.origin["inputs"]:
+        dropped = "".join(f", {count} {why}" for why, count in entry["dropped"].items())
+        held = f", {entry['held_out']} held out ({split})" if split else ""
+        typer.echo(
+            f"{entry['name']}: {entry['paired']} of {entry['n_scans']} scans paired with poses{dropped}{held}; "
+            f"{entry['trained']} fitted"
+        )
+    for label, text in graph.model.summary().items():
+        typer.echo(f"{label}: {text}")
+    typer.echo(f"wrote {output}: {graph.sensor.n_rays} rays, poses of {graph.pose_frame}")
+
+
+def _number(name: str, text: str) -> int | str:
+    from sensorgraph.errors import GapError
+
+    if text == "auto":
+        return text
+    try:
+        return int(text)
+    except ValueError:
+        raise GapError(f"{name} is {text!r}, expected a whole number or auto") from None

@@ -1,0 +1,96 @@
+"""What several commands read: arenas, topics, poses; every mistake becomes one line."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sensorgraph.errors import GapError
+
+if TYPE_CHECKING:
+    from logs.run import RangeSensor
+    from planners.arena import Arena
+    from sensorgraph.models.base import Floats
+
+
+def check_output(path: Path) -> None:
+    """Refuse an output path that cannot be written before any work is done."""
+    if path.is_dir():
+        raise GapError(f"{path} is a folder; give the name of a file to write")
+    if not path.parent.is_dir():
+        raise GapError(f"the folder {path.parent} does not exist; make it first, or write elsewhere")
+
+
+def topics(pairs: Sequence[str] | None) -> dict[str, str] | None:
+    """Read `ROLE=NAME` options."""
+    out: dict[str, str] = {}
+    for text in pairs or ():
+        role, sign, name = text.partition("=")
+        if not sign or not role or not name:
+            raise GapError(f"--topic {text!r} is not understood; expected ROLE=NAME, like scan=/front/scan")
+        out[role] = name
+    return out or None
+
+
+def read_arena(path: Path) -> Arena:
+    """Read an arena of any map format."""
+    from planners import maps
+
+    return maps.load(path)
+
+
+def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) -> None:
+    """Check that a robot file describes the sensor that recorded."""
+    from sensorgraph.build import is_same_sensor
+    from sensorgraph.world.robot_file import read
+
+    described = read(path).sensor
+    for name, sensor in sensors:
+        if not is_same_sensor(sensor.bearings, described.bearings):
+            raise GapError(
+                f"{name} has {sensor.n_rays} rays, {path} describes {described.n_rays} or other bearings; "
+                "give the robot that recorded the run"
+            )
+
+
+def read_poses(path: Path) -> Floats:
+    """Read columns x, y, phi of a CSV file; (n_poses, 3) [m, m, rad]."""
+    import numpy as np
+
+    rows: list[list[float]] = []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            names = [name.strip() for name in reader.fieldnames or []]
+            reader.fieldnames = names
+            missing = [name for name in ("x", "y", "phi") if name not in names]
+            if missing:
+                raise GapError(f"{path}: no column {', '.join(missing)}; expected a header line x,y,phi")
+            for row in reader:
+                try:
+                    rows.append([float(row[name]) for name in ("x", "y", "phi")])
+                except (TypeError, ValueError):
+                    raise GapError(
+                        f"{path}: line {reader.line_num}: cannot read numbers in {list(row.values())}; "
+                        "expected x,y,phi"
+                    ) from None
+    except (UnicodeDecodeError, csv.Error) as exc:
+        raise GapError(f"{path}: not a CSV file ({exc}); expected a header line x,y,phi") from exc
+    poses = np.array(rows, dtype=np.float64).reshape(-1, 3)
+    if len(poses) == 0:
+        raise GapError(f"{path}: no pose below the header; expected lines of x,y,phi")
+    if not np.isfinite(poses).all():
+        line = 2 + int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
+        raise GapError(f"{path}: line {line}: a number is not finite; leave such poses out")
+    return poses
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write JSON under a temporary name, then rename; a number that is not finite is refused."""
+    import json
+
+    part = path.with_name(path.name + ".part")
+    part.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
+    part.replace(path)

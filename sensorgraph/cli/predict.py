@@ -1,0 +1,46 @@
+"""`sensorgraph predict`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+ARRAYS = ("ranges", "median", "mode", "mean", "sigma", "p_no_return", "answered")
+
+
+def predict(
+    graph: Annotated[Path, typer.Argument(metavar="GRAPH", help="A *.sensorgraph file.")],
+    poses: Annotated[Path, typer.Option(help="CSV with columns x,y,phi [m, m, rad].")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="NPZ", help="File to write.")],
+    point: Annotated[str, typer.Option(help="Which value `ranges` is: mode, median or mean.")] = "mode",
+) -> None:
+    """Predict every ray at given poses.
+
+    Writes arrays ranges, median, mode, mean, sigma, p_no_return and answered, all (n_poses, n_rays).
+
+    Examples:
+
+      sensorgraph predict square.sensorgraph --poses poses.csv -o predicted.npz
+    """
+    from typing import cast
+
+    import numpy as np
+
+    from sensorgraph.cli.inputs import check_output, read_poses
+    from sensorgraph.graph import Sensorgraph
+    from sensorgraph.models.base import Point
+
+    check_output(output)
+    model = Sensorgraph.load(graph)
+    where = read_poses(poses)
+    result = model.predict(where, point=cast(Point, point))
+    part = output.with_name(output.name + ".part")
+    with part.open("wb") as file:
+        np.savez_compressed(file, **{name: getattr(result, name) for name in ARRAYS})
+    part.replace(output)
+    typer.echo(
+        f"wrote {output}: {len(where)} poses of {model.pose_frame} x {model.sensor.n_rays} rays, "
+        f"{100 * float(result.answered.mean()):.1f} % answered"
+    )

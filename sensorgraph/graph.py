@@ -1,0 +1,153 @@
+"""Sensorgraph: what the sensor perceives at every (x, y, phi), where it may be trusted, and its file."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.run import PoseFrame, RangeSensor
+from sensorgraph.errors import GapError
+from sensorgraph.models import MODELS
+from sensorgraph.models.base import POINTS, Floats, Model, Point, Prediction
+
+FORMAT = "sensorgraph"
+VERSION = 1
+"""Of the file; a reader refuses a newer one."""
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip's oldest date: the same graph gives the same bytes
+_SENSOR = ("range_min", "range_max", "sigma", "resolution", "rate", "sweep_time", "height")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sensorgraph:
+    """A fitted model of perception with its sensor and its origin."""
+
+    model: Model
+    sensor: RangeSensor
+    pose_frame: PoseFrame
+    """Whose poses `predict` takes: the frame of the training poses."""
+    origin: Mapping[str, Any]
+    """Where it came from: `version`, `inputs`, `options`, `split`, counts; plain data."""
+
+    def predict(
+        self, poses: Floats, *, rays: Sequence[int] | NDArray[np.integer] | None = None, point: Point = "mode"
+    ) -> Prediction:
+        """Predict what is seen.
+
+        Parameters
+        ----------
+        poses : (n_poses, 3) [m, m, rad] of `pose_frame` in map
+        rays : indices of the rays wanted; None: all
+        point : which value of the mixture `ranges` is
+
+        Returns
+        -------
+        Prediction with arrays (n_poses, n_rays)
+        """
+        poses = np.asarray(poses, dtype=np.float64)
+        if poses.ndim != 2 or poses.shape[1] != 3:
+            raise ValueError(f"poses has shape {poses.shape}, expected (n_poses, 3): x, y, phi")
+        if not np.isfinite(poses).all():
+            row = int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
+            raise GapError(f"pose {row} is not finite; leave such poses out")
+        if point not in POINTS:
+            raise GapError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
+        index = np.arange(self.sensor.n_rays) if rays is None else np.asarray(rays, dtype=np.intp)
+        self._check_rays(index)
+        return self.model.predict(poses, index, point)
+
+    def equation(self, ray: int) -> str:
+        """Print the explicit equation of one ray, given by index."""
+        self._check_rays(np.array([ray]))
+        return self.model.equation(ray)
+
+    def _check_rays(self, rays: NDArray[np.integer]) -> None:
+        n_rays = self.sensor.n_rays
+        if rays.ndim != 1 or len(rays) == 0 or rays.min() < 0 or rays.max() >= n_rays:
+            raise GapError(f"ray {rays.tolist()} does not exist; this sensor has rays 0 to {n_rays - 1}")
+
+    def save(self, path: Path) -> None:
+        """Write one file; the same graph gives the same bytes."""
+        header, arrays = self.model.state()
+        sensor = {name: getattr(self.sensor, name) for name in _SENSOR}
+        top = {
+            "format": FORMAT,
+            "version": VERSION,
+            "model": self.model.name,
+            "pose_frame": self.pose_frame,
+            "sensor": sensor,
+            "origin": dict(self.origin),
+            "state": header,
+        }
+        members = {"header.json": json.dumps(top, indent=1, sort_keys=True).encode()}
+        arrays = {**arrays, "sensor.bearings": self.sensor.bearings, "sensor.mount": self.sensor.mount}
+        for name in sorted(arrays):
+            buffer = io.BytesIO()
+            np.lib.format.write_array(buffer, np.ascontiguousarray(arrays[name]), allow_pickle=False)
+            members[f"{name}.npy"] = buffer.getvalue()
+        part = path.with_name(path.name + ".part")
+        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as file:
+            for name, data in members.items():
+                info = zipfile.ZipInfo(name, date_time=_EPOCH)
+                info.compress_type = zipfile.ZIP_DEFLATED
+                info.external_attr = 0o644 << 16
+                file.writestr(info, data)
+        part.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> Sensorgraph:
+        """Read what `save` wrote; nothing in the file is executed."""
+        top, arrays = _read(path)
+        if top.get("format") != FORMAT or not isinstance(top.get("version"), int):
+            raise GapError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
+        if top["version"] > VERSION:
+            raise GapError(
+                f"{path}: written as version {top['version']}, this software reads up to {VERSION}; "
+                "install a newer sensorgraph"
+            )
+        if top.get("model") not in MODELS:
+            raise GapError(f"{path}: model {top.get('model')!r} is not known; expected {', '.join(MODELS)}")
+        try:
+            sensor = RangeSensor(
+                bearings=arrays.pop("sensor.bearings"),
+                mount=arrays.pop("sensor.mount"),
+                **{name: float(top["sensor"][name]) for name in _SENSOR},
+            )
+            model = MODELS[top["model"]].restore(sensor, top["state"], arrays)
+            return cls(model=model, sensor=sensor, pose_frame=top["pose_frame"], origin=top["origin"])
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as exc:
+            detail = f"{type(exc).__name__}: {exc}"
+            raise GapError(f"{path}: the sensorgraph is damaged ({detail}); build it again") from exc
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    arrays: dict[str, NDArray[Any]] = {}
+    try:
+        with zipfile.ZipFile(path) as file:
+            if "header.json" not in file.namelist():
+                raise GapError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
+            top = json.loads(file.read("header.json"))
+            for name in file.namelist():
+                if name.endswith(".npy"):
+                    data = io.BytesIO(file.read(name))
+                    arrays[name.removesuffix(".npy")] = np.lib.format.read_array(data, allow_pickle=False)
+    except GapError:
+        raise
+    except (zipfile.BadZipFile, EOFError, ValueError, NotImplementedError, RuntimeError) as exc:
+        raise GapError(
+            f"{path}: not a sensorgraph, or cut short ({exc}); build it again with `sensorgraph build`"
+        ) from exc
+    except Exception as exc:  # zlib.error has no common base with the others
+        if type(exc).__name__ != "error":
+            raise
+        raise GapError(f"{path}: the sensorgraph is damaged ({exc}); build it again") from exc
+    if not isinstance(top, dict):
+        raise GapError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
+    return top, arrays

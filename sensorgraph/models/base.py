@@ -1,0 +1,104 @@
+"""What every model of perception takes and gives: Scans in, Prediction out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Protocol, Self, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.run import RangeSensor
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.intp]
+Point = Literal["mode", "median", "mean"]
+POINTS: tuple[str, ...] = get_args(Point)
+Progress = Callable[[int, int], None]
+OFF = 0.05
+"""[m] farther from the measured range than this, a prediction shows another surface: it is wrong."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scans:
+    """Scans with poses, from one or several runs, in the order of the log."""
+
+    sensor: RangeSensor
+    poses: Floats
+    """(n_scans, 3) [m, m, rad] finite."""
+    ranges: Floats
+    """(n_scans, n_rays) [m]; +inf nothing seen, -inf too close, nan broken."""
+    run: Ints
+    """(n_scans,) which run a scan comes from; neighbours in time stand beside each other."""
+    bounds: tuple[float, float, float, float] | None = None
+    """(x_min, y_min, x_max, y_max) [m] of the arena, if it is known."""
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prediction:
+    """What the sensor should see; every array is (n_poses, n_rays), lengths in m."""
+
+    ranges: Floats
+    """The chosen point value; +inf where no return is the likelier outcome."""
+    median: Floats
+    """Of the mixture given a return; so are mode and mean."""
+    mode: Floats
+    mean: Floats
+    sigma: Floats
+    """Standard deviation given a return, sensor noise included."""
+    p_no_return: Floats
+    """Chance that nothing is seen out to range_max."""
+    p_off: Floats
+    """Said chance that a measured return is more than `OFF` from the chosen point value."""
+    answered: Bools
+    """The training data support this answer."""
+
+    def __post_init__(self) -> None:
+        shapes = {name: np.shape(getattr(self, name)) for name in self.__dataclass_fields__}
+        if len(set(shapes.values())) != 1:
+            raise ValueError(f"a prediction has shapes {shapes}, expected one shape (n_poses, n_rays)")
+
+    def point(self, name: Point) -> Floats:
+        """Return one point value given a return."""
+        if name not in POINTS:
+            raise ValueError(f"point is {name!r}, expected one of {', '.join(POINTS)}")
+        return np.asarray(getattr(self, name), dtype=np.float64)
+
+
+class Model(Protocol):
+    """A fitted model; `restore(*model.state())` gives it back."""
+
+    name: ClassVar[str]
+
+    @classmethod
+    def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
+        """Identify the model from scans."""
+        ...
+
+    def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
+        """Predict rays (n_rays,) at poses (n_poses, 3)."""
+        ...
+
+    def equation(self, ray: int) -> str:
+        """Print what the model says of one ray, with its numbers."""
+        ...
+
+    def summary(self) -> Mapping[str, str]:
+        """Return what a reader wants to know first, label -> text."""
+        ...
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return plain data and arrays that hold the whole model."""
+        ...
+
+    @classmethod
+    def restore(
+        cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+    ) -> Self:
+        """Build the model from what `state` gave; a wrong shape is a ValueError."""
+        ...

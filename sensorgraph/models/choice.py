@@ -1,0 +1,146 @@
+"""How rich a polynomial the training scans allow: degree, harmonics and number of terms by blocked validation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from robotmodic_ident import Moments, Scale, Terms
+from robotmodic_ident.select import forward, invert_upper
+from sensorgraph.errors import GapError
+from sensorgraph.models.base import Floats, Ints, Scans
+
+Auto = int | Literal["auto"]
+
+N_FOLDS = 5
+N_BLOCKS = 50
+"""Contiguous stretches of the log; stretch b is validation in fold b mod N_FOLDS."""
+MAX_RAYS, MAX_SCANS = 16, 3000
+"""Rays and scans that the choice looks at, evenly spread."""
+MAX_DEGREE, MAX_HARMONICS, MAX_TERMS, MAX_CANDIDATES = 6, 8, 80, 260
+ROWS_A_CANDIDATE = 8
+"""Training scans needed for each candidate term."""
+BETTER = 0.99
+"""A richer form must bring the error below this share of the poorer one's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """The form that all rays share, and why."""
+
+    degree: int
+    harmonics: int
+    n_terms: int
+    how: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return asdict(self)
+
+
+def n_candidates(degree: int, harmonics: int) -> int:
+    """Count monomials of x, y up to a degree times 1, cos, sin up to a harmonic."""
+    return (degree + 1) * (degree + 2) // 2 * (2 * harmonics + 1)
+
+
+def choose(
+    scans: Scans,
+    scale: Scale,
+    dictionary: Callable[[int, int], Terms],
+    *,
+    degree: Auto = "auto",
+    harmonics: Auto = "auto",
+    n_terms: Auto = "auto",
+) -> Choice:
+    """Return the form with the least mean error on stretches of the training scans that its fit left out."""
+    for name, value, least in (("degree", degree, 0), ("harmonics", harmonics, 0), ("terms", n_terms, 1)):
+        if value != "auto" and value < least:
+            raise GapError(f"{name} is {value}, expected {least} or more, or auto")
+    if degree != "auto" and harmonics != "auto" and n_terms != "auto":
+        k = min(int(n_terms), n_candidates(degree, harmonics))
+        return Choice(degree=degree, harmonics=harmonics, n_terms=k, how="as asked")
+    forms = _forms(len(scans), degree, harmonics)
+    table = _Folds(scans, scale, dictionary(max(d for d, _ in forms), max(h for _, h in forms)))
+    best = (np.inf, 0, 0, 1)
+    for d, h in forms:  # from poor to rich
+        errors = table.errors(dictionary(d, h), None if n_terms == "auto" else n_terms)
+        k = int(np.argmin(errors)) + 1 if n_terms == "auto" else len(errors)
+        if errors[k - 1] < BETTER * best[0]:
+            best = (float(errors[k - 1]), d, h, k)
+    error, d, h, k = best
+    how = f"mean error {error:.3f} m on {N_FOLDS} x {N_BLOCKS // N_FOLDS} left-out stretches of the training scans"
+    return Choice(degree=d, harmonics=h, n_terms=k, how=how)
+
+
+def _forms(n: int, degree: Auto, harmonics: Auto) -> list[tuple[int, int]]:
+    """List (degree, harmonics) that n scans can carry, fewest candidates first."""
+    degrees = range(1, MAX_DEGREE + 1) if degree == "auto" else [degree]
+    waves = range(MAX_HARMONICS + 1) if harmonics == "auto" else [harmonics]
+    forms = sorted(((d, h) for d in degrees for h in waves), key=lambda f: (n_candidates(*f), f))
+    limit = min(MAX_CANDIDATES, n // ROWS_A_CANDIDATE)
+    return [f for f in forms if n_candidates(*f) <= limit] or forms[:1]
+
+
+class _Folds:
+    """Moments of a sample of rays and scans with each fold left out, for every sub-dictionary of one."""
+
+    def __init__(self, scans: Scans, scale: Scale, terms: Terms) -> None:
+        q = scans.sensor.n_rays
+        alive = np.flatnonzero(np.isfinite(scans.ranges).any(axis=0))
+        if len(alive) == 0:
+            raise GapError(
+                "no ray of any training scan returned a range; record where the sensor sees something"
+            )
+        rays = alive[np.unique(np.linspace(0, len(alive) - 1, min(MAX_RAYS, q)).round().astype(np.intp))]
+        some = np.unique(np.linspace(0, len(scans) - 1, min(MAX_SCANS, len(scans))).round().astype(np.intp))
+        poses, ranges = scans.poses[some], scans.ranges[np.ix_(some, rays)]
+        self.terms = terms
+        self.limits = (scans.sensor.range_min, scans.sensor.range_max)
+        self.y: Floats = np.where(np.isfinite(ranges), ranges, np.nan)
+        self.phi = terms.matrix({"x": poses[:, 0], "y": poses[:, 1], "phi": poses[:, 2]}, scale)
+        self.fold: Ints = np.arange(len(some)) * N_BLOCKS // len(some) % N_FOLDS
+        parts = [
+            Moments(terms, len(rays), scale=scale).add_rows(self.phi[self.fold == f], self.y[self.fold == f])
+            for f in range(N_FOLDS)
+        ]
+        total = parts[0]
+        for part in parts[1:]:
+            total = total + part
+        self.moments = [total - part for part in parts]
+
+    def errors(self, terms: Terms, n_terms: int | None) -> Floats:
+        """Return the mean size of the validation error after each number of terms (n_max,)."""
+        place = {name: i for i, name in enumerate(self.terms.names)}
+        index = np.array([place[name] for name in terms.names])
+        n_max = min(len(terms), MAX_TERMS if n_terms is None else n_terms)
+        total, count = np.zeros(n_max), 0
+        for f, moments in enumerate(self.moments):
+            held = self.fold == f
+            phi, y = self.phi[np.ix_(held, index)], self.y[held]
+            sub = moments.pick(terms=index)
+            first = [terms.names.index("1")]
+            for outputs, grams in sub.groups():
+                full = sub.count[outputs] > 0
+                rays = outputs[full]
+                if len(rays) == 0:
+                    continue
+                path = forward(
+                    grams if len(grams) != len(outputs) else grams[full],
+                    sub.cross[:, rays],
+                    sub.power[rays],
+                    n_max,
+                    terms.canonical_order,
+                    first,
+                )
+                T = invert_upper(path.factor)
+                for j, ray in enumerate(rays.tolist()):
+                    known = np.isfinite(y[:, ray])
+                    directions = phi[np.ix_(known, np.maximum(path.order[j], 0))] @ T[j]
+                    directions *= path.gain[j]
+                    value = np.clip(np.cumsum(directions, axis=1), *self.limits)
+                    total += np.abs(value - y[known, ray][:, None]).sum(axis=0)
+                    count += int(known.sum())
+        return total / max(count, 1)

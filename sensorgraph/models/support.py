@@ -1,0 +1,97 @@
+"""Support: where a model that is fitted to poses may be trusted, because the robot has been there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensorgraph.models.base import Bools, Floats
+
+Cells = NDArray[np.int64]
+
+CELLS = (0.25, 0.5, 1.0, 2.0)  # [m]
+SECTORS = 8
+ENOUGH = 0.95
+"""Share of the training poses that their neighbours must support, for a cell size to be large enough."""
+_SPAN = 1 << 28  # cells along an axis that a key can tell apart
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Support:
+    """Cells over (x, y, heading) that training poses lie in; a neighbouring cell counts as well."""
+
+    cell: float
+    """[m] side of a position cell."""
+    n_sectors: int
+    """Heading sectors; 1 where the sensor sees all around."""
+    origin: Floats
+    """(2,) [m] corner of cell (0, 0)."""
+    keys: Cells
+    """(n_cells,) sorted keys of the visited cells."""
+
+    @classmethod
+    def of(cls, poses: Floats, *, sees_around: bool) -> Support:
+        """Take the smallest cell at which the poses (n, 3) support each other."""
+        n_sectors = 1 if sees_around else SECTORS
+        origin = poses[:, :2].min(axis=0)
+        for cell in CELLS:
+            keys, counts = np.unique(_keys(_cells(poses, cell, origin, n_sectors)), return_counts=True)
+            support = cls(cell=cell, n_sectors=n_sectors, origin=origin, keys=keys)
+            near = support._near(poses, counts) > 1  # someone besides the pose itself
+            if near.mean() >= ENOUGH:
+                break
+        return support
+
+    def covers(self, poses: Floats) -> Bools:
+        """Tell which poses (n, 3) lie in a visited cell or beside one."""
+        return self._near(poses, np.ones(len(self.keys), dtype=np.int64)) > 0
+
+    def _near(self, poses: Floats, counts: Cells) -> Cells:
+        """Add up the counts of each pose's cell and its neighbours."""
+        home = _cells(poses, self.cell, self.origin, self.n_sectors)
+        total = np.zeros(len(poses), dtype=np.int64)
+        turns = (-1, 0, 1) if self.n_sectors >= 3 else (0,)
+        for dx, dy, turn in product((-1, 0, 1), (-1, 0, 1), turns):
+            cells = home + np.array([dx, dy, turn])
+            cells[:, 2] %= self.n_sectors
+            keys = _keys(cells)
+            place = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
+            total += np.where(self.keys[place] == keys, counts[place], 0)
+        return total
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return plain data and arrays."""
+        header = {"cell": self.cell, "n_sectors": self.n_sectors, "origin": self.origin.tolist()}
+        return header, {"visited": self.keys}
+
+    @classmethod
+    def restore(cls, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Support:
+        """Build from what `state` gave."""
+        keys = np.asarray(arrays["visited"], dtype=np.int64)
+        if keys.ndim != 1 or len(keys) == 0:
+            raise ValueError(f"visited has shape {keys.shape}, expected (n_cells,)")
+        return cls(
+            cell=float(header["cell"]),
+            n_sectors=int(header["n_sectors"]),
+            origin=np.array(header["origin"], dtype=np.float64),
+            keys=keys,
+        )
+
+
+def _cells(poses: Floats, cell: float, origin: Floats, n_sectors: int) -> Cells:
+    """Return (n, 3) cell numbers along x, y and heading; sectors are centred on multiples of their width."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        xy = np.floor((poses[:, :2] - origin) / cell)
+        sector = np.mod(np.round(poses[:, 2] / (2 * np.pi / n_sectors)), n_sectors)
+    table = np.column_stack([np.clip(xy, -_SPAN / 4, _SPAN / 4), sector])
+    return np.where(np.isfinite(table), table, -_SPAN / 4).astype(np.int64)
+
+
+def _keys(cells: Cells) -> Cells:
+    shifted = cells[:, :2] + _SPAN // 2
+    return np.asarray((shifted[:, 0] * _SPAN + shifted[:, 1]) * SECTORS + cells[:, 2], dtype=np.int64)
