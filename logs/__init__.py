@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +13,7 @@ from logs import carmen, mcap_file, rosbag, table, wean
 from logs.errors import LogError
 from logs.mcap_file import Progress
 from logs.recorder import Recorder
+from logs.ros_run import check_roles
 from logs.run import OccupancyMap, Pairing, RangeSensor, Run, pair
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "Recorder",
     "Run",
     "pair",
+    "parse_topics",
     "read",
     "write",
 ]
@@ -58,6 +60,18 @@ def read(
     """
     path = Path(path)
     return FORMATS[format_of(path)].read(path, topics, progress)
+
+
+def parse_topics(texts: Iterable[str]) -> dict[str, str]:
+    """Return role -> topic of texts like `scan=/front/scan`, as the command line takes them."""
+    topics = {}
+    for text in texts:
+        role, equals, name = text.partition("=")
+        if not equals or not name:
+            raise LogError(f"--topic {text} is no ROLE=NAME; expected for example scan=/front/scan")
+        topics[role.strip()] = name.strip()
+    check_roles(topics)
+    return topics
 
 
 def format_of(path: Path) -> str:

@@ -173,7 +173,10 @@ def _scan(word: str, values: list[str]) -> _Scan:
         end += 5  # laser_tv laser_rv forward_safety_dist side_safety_dist turn_axis
     if len(values) < end + 3:
         raise ValueError("no stamp")
-    return _Scan(ranges, geometry, poses[:3], poses[3:], (float(values[end]), float(values[end + 2])))
+    times = float(values[end]), float(values[end + 2])
+    if not np.isfinite(times).all():
+        raise ValueError("a stamp that is no number")
+    return _Scan(ranges, geometry, poses[:3], poses[3:], times)
 
 
 def _choose(path: Path, lines: _Lines, topics: Mapping[str, str] | None) -> str:
@@ -198,13 +201,15 @@ def _same_geometry(scans: list[_Scan]) -> list[_Scan]:
 
 def _times(scans: list[_Scan], notes: list[str]) -> tuple[Floats, NDArray[np.intp], int]:
     """Return stamps [s] in the order of the file, the order that sorts them, and the epoch [ns]."""
-    sensor, logger = np.array([scan.times for scan in scans]).T
-    stamps, which = (sensor, "sensor") if np.ptp(sensor) > 0 or len(sensor) == 1 else (logger, "logger")
-    if which == "logger":
-        notes.append("the sensor's clock stands still, the logger's was taken")
-    if len(stamps) > 1 and not (np.isfinite(stamps).all() and np.ptp(stamps) > 0):
-        stamps = PLAIN_STEP * np.arange(len(stamps))
-        notes[-1:] = [f"no clock runs: scans were taken to be {PLAIN_STEP:g} s apart"]
+    clocks = np.array([scan.times for scan in scans], dtype=np.float64)
+    n_levels = [len(np.unique(clock)) for clock in clocks.T]
+    stamps = clocks[:, 0]
+    if n_levels[1] > 2 * n_levels[0]:
+        stamps = clocks[:, 1]
+        notes.append(f"the sensor's clock shows {n_levels[0]} times only, the logger's was taken")
+    if len(stamps) > 1 and max(n_levels) == 1:
+        stamps = PLAIN_STEP * np.arange(len(stamps), dtype=np.float64)
+        notes.append(f"no clock runs: scans were taken to be {PLAIN_STEP:g} s apart")
     back, same = int((np.diff(stamps) < 0).sum()), int((np.diff(np.sort(stamps)) == 0).sum())
     if back:
         notes.append(f"scan stamps go back {back} times, sorted")
@@ -220,9 +225,9 @@ def _ranges(scans: list[_Scan], notes: list[str]) -> tuple[Floats, Floats, float
     first, step, said, _ = scans[0].geometry
     n = ranges.shape[1]
     if np.isfinite(first) and step > 0:
-        bearings = first + step * np.arange(n)
+        bearings: Floats = first + step * np.arange(n, dtype=np.float64)
     elif n in LAYOUTS:
-        bearings = np.radians(LAYOUTS[n][0] + LAYOUTS[n][1] * np.arange(n))
+        bearings = np.radians(LAYOUTS[n][0] + LAYOUTS[n][1] * np.arange(n, dtype=np.float64))
     else:
         bearings = np.linspace(-np.pi / 2, np.pi / 2, n) if n > 1 else np.zeros(1)
         notes.append(f"{n} rays is no count with a known layout: spread evenly from -90° to 90°")

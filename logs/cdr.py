@@ -132,7 +132,9 @@ def unpack(messages: Sequence[bytes], msgtype: str, topic: str) -> Iterator[Colu
         index = np.flatnonzero(sizes == size)
         if size < 4:
             raise LogError(_bad(topic, msgtype, int(index[0]), f"it has {size} bytes"))
-        rows = np.frombuffer(b"".join([messages[i] for i in index]), dtype=np.uint8).reshape(len(index), size)
+        rows = np.frombuffer(b"".join([messages[i] for i in index.tolist()]), dtype=np.uint8).reshape(
+            len(index), size
+        )
         while len(index):
             try:
                 layout = _walk(spec, rows[0].tobytes())

@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logs import cdr
 from logs.errors import LogError
@@ -82,7 +83,7 @@ class RosFile:
 
     def finish(self, path: Path | None = None) -> Path:
         """Write the index and give the file its name (or another)."""
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.close()
         return self.part.replace(path or self.path)
 
@@ -174,7 +175,8 @@ def command_messages(ns: Stamps, twists: Floats) -> cdr.Bytes:
 
 def transform_messages(ns: Stamps, *edges: tuple[str, str, Floats], z: float = 0.0) -> cdr.Bytes:
     """Pack TFMessage (n, size), each with one transform for every edge (parent, child, poses (n, 3))."""
-    strings, columns = {}, {}
+    strings: dict[str, str] = {}
+    columns: dict[str, NDArray[Any]] = {}
     for i, (parent, child, poses) in enumerate(edges):
         strings |= {f"{i}.frame_id": parent, f"{i}.child_frame_id": child}
         columns |= {f"{i}.{name}": values for name, values in header(ns).items()}

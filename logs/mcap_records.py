@@ -145,7 +145,7 @@ def inflate(compression: str, data: bytes) -> bytes:
 
             return zstandard.ZstdDecompressor().decompressobj().decompress(data)
         if compression == "lz4":
-            import lz4.frame
+            import lz4.frame  # type: ignore[import-untyped]
 
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
     except Exception as exc:  # each library has its own error, and they have no common root
@@ -310,7 +310,8 @@ class Walk:
             if end - body < _MESSAGE.size:
                 raise Damaged(f"a message record has {end - body} bytes")
             self.contents.n_messages += 1
-            self.on_message(*_MESSAGE.unpack_from(data, body), data[body + _MESSAGE.size : end])
+            channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, body)
+            self.on_message(channel, sequence, log_time, publish_time, data[body + _MESSAGE.size : end])
             return
         cursor = _Cursor(data, body, end)
         if opcode == SCHEMA:

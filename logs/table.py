@@ -71,29 +71,27 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
     except ValueError as exc:
         raise LogError(f"{path}: {exc}; see the comments above its header") from exc
     parts = {key: _part(names, values, key) for key in (POSE, ODOM, TWIST, COMMAND)}
-    poses, odometry, twists = parts[POSE], parts[ODOM], parts[TWIST]
+    odometry, twists = parts[ODOM], parts[TWIST]
     if odometry is None and twists is not None:
         odometry = dead_reckoning(stamps, twists)
-    if odometry is not None and twists is None:
-        twists = twists_of(stamps, odometry)
-    signals = {
-        POSE: _whole(stamps, poses, 3), ODOM: _whole(stamps, odometry, 3),
-        TWIST: _whole(stamps, None if odometry is None else np.column_stack([odometry, twists]), 5),
-        COMMAND: _whole(stamps, parts[COMMAND], 2),
-    }  # fmt: skip
+    if odometry is not None:
+        odometry = np.column_stack([odometry, twists_of(stamps, odometry) if twists is None else twists])
+    pose_stamps, poses = _whole(stamps, parts[POSE], 3)
+    odom_stamps, driven = _whole(stamps, odometry, 5)
+    cmd_stamps, commands = _whole(stamps, parts[COMMAND], 2)
     meta = {k.removeprefix("meta."): v for k, v in said.items() if k.startswith("meta.")}
-    source = {"source": path.name, "format": "table", "pose_source": "table" if poses is not None else "none"}
+    source = {"source": path.name, "format": "table", "pose_source": "table" if len(poses) else "none"}
     return Run(
         sensor=sensor,
         stamps=stamps,
         ranges=ranges,
-        pose_stamps=signals[POSE][0],
-        poses=signals[POSE][1],
-        odom_stamps=signals[TWIST][0],
-        odometry=signals[TWIST][1][:, :3],
-        odom_twists=signals[TWIST][1][:, 3:],
-        cmd_stamps=signals[COMMAND][0],
-        commands=signals[COMMAND][1],
+        pose_stamps=pose_stamps,
+        poses=poses,
+        odom_stamps=odom_stamps,
+        odometry=driven[:, :3],
+        odom_twists=driven[:, 3:],
+        cmd_stamps=cmd_stamps,
+        commands=commands,
         pose_frame="laser" if said.get("pose_frame") == "laser" else "base_link",
         epoch_ns=epoch,
         meta=meta if "version" in said else source,
