@@ -80,31 +80,37 @@ class Path:
 
 
 def forward(
-    grams: Floats, cross: Floats, power: Floats, n_max: int, order: NDArray[np.intp], keep: Sequence[int] = ()
+    grams: Floats,
+    cross: Floats,
+    power: Floats,
+    n_max: int,
+    order: NDArray[np.intp],
+    keep: Sequence[int] = (),
+    own: NDArray[np.intp] | None = None,
 ) -> Path:
     """Choose up to `n_max` terms for each output by what they explain.
 
     Parameters
     ----------
-    grams : (n, m, m), or (1, m, m) if shared
+    grams : (n_grams, m, m)
     cross : (m, n)
     power : (n,)
     order : (m,) canonical order, which decides ties
     keep : terms chosen first, in this order, whatever they explain
+    own : (n,) which Gram is whose; None: one for each, or one for all
     """
     n, m = cross.shape[1], cross.shape[0]
-    norms = np.sqrt(np.maximum(np.diagonal(grams, axis1=1, axis2=2), 0.0))  # (n or 1, m)
-    norms = np.where(norms > 0, norms, 1.0)
+    rows = np.arange(n)
+    if own is None:
+        own = rows if len(grams) == n else np.zeros(n, dtype=np.intp)
+    squares = np.maximum(np.diagonal(grams, axis1=1, axis2=2), 0.0)[own]  # (n, m)
+    norms = np.sqrt(np.where(squares > 0, squares, 1.0))
     canonical = order
     rank = np.empty(m, dtype=np.intp)
     rank[canonical] = np.arange(m)
     b = (cross.T / norms)[:, canonical]  # (n, m) what is left of φ'y
-    left = np.broadcast_to(
-        (np.diagonal(grams, axis1=1, axis2=2) / norms**2)[:, canonical], (n, m)
-    ).copy()  # remaining squared norms
-    scale = np.broadcast_to(norms[:, canonical], (n, m))
-    rows = np.arange(n)
-    own = rows if len(grams) == n else np.zeros(n, dtype=np.intp)
+    left = (squares / norms**2)[:, canonical]  # (n, m) remaining squared norms
+    scale = norms[:, canonical]
     basis = np.zeros((n, n_max, m))
     chosen = np.full((n, n_max), -1, dtype=np.intp)
     gain = np.zeros((n, n_max))
@@ -142,11 +148,11 @@ def _as_path(
     chosen: NDArray[np.intp], gain: Floats, basis: Floats, rank: NDArray[np.intp], norms: Floats
 ) -> Path:
     """Read R off the basis rows, in the user's column norms, with steps without a choice as unit rows."""
-    n, n_max = chosen.shape
+    n_max = chosen.shape[1]
     used = chosen >= 0
     columns = np.where(used, rank[np.maximum(chosen, 0)], 0)
     factor = np.take_along_axis(basis, columns[:, None, :], axis=2)  # (n, step, chosen)
-    size = np.take_along_axis(np.broadcast_to(norms, (n, norms.shape[1])), np.maximum(chosen, 0), axis=1)
+    size = np.take_along_axis(norms, np.maximum(chosen, 0), axis=1)
     factor = np.triu(factor) * np.where(used, size, 0.0)[:, None, :]
     diagonal = np.arange(n_max)
     factor[:, diagonal, diagonal] = np.where(used, factor[:, diagonal, diagonal], 1.0)

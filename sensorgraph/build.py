@@ -30,6 +30,7 @@ def build(
     arena: Arena | None = None,
     model: str = "polynomial",
     split: str | None = None,
+    names: Sequence[str] | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> Sensorgraph:
@@ -40,22 +41,24 @@ def build(
     runs : recordings of one sensor, with poses of one frame
     arena : its bounds give the scale of x and y, so that graphs of several runs share it
     model : a name in MODELS
+    names : what to call each run in messages and in the graph; None: the file it says it came from
     split : `every10` or `block` hold scans out of each run; the graph remembers it
     options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
     """
     if model not in MODELS:
         raise GapError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
-    _check_alike(runs)
+    names = [_name(run, i) for i, run in enumerate(runs)] if names is None else names
+    _check_alike(runs, names)
     inputs: list[dict[str, Any]] = []
     poses, ranges, owner = [], [], []
-    for i, run in enumerate(runs):
+    for i, (run, name) in enumerate(zip(runs, names, strict=True)):
         pairing = pair(run)
         held = held_out(run, split)
         empty = np.isnan(run.ranges).all(axis=1)
         use = pairing.paired & ~held & ~empty
         inputs.append(
             {
-                "name": _name(run, i),
+                "name": name,
                 "sha256": digest(run),
                 "n_scans": run.n_scans,
                 "paired": int(pairing.paired.sum()),
@@ -65,7 +68,7 @@ def build(
                 "trained": int(use.sum()),
             }
         )
-        logger.info("%s: %s", _name(run, i), pairing)
+        logger.info("%s: %s", name, pairing)
         poses.append(pairing.poses[use])
         ranges.append(run.ranges[use])
         owner.append(np.full(int(use.sum()), i, dtype=np.intp))
@@ -112,19 +115,19 @@ def training_scans(graph: Sensorgraph, run: Run) -> Bools | None:
     return None
 
 
-def _check_alike(runs: Sequence[Run]) -> None:
+def _check_alike(runs: Sequence[Run], names: Sequence[str]) -> None:
     if not runs:
         raise GapError("no run to build from; give at least one recording")
     first = runs[0]
-    for i, run in enumerate(runs[1:], 1):
+    for name, run in zip(names[1:], runs[1:], strict=True):
         if not is_same_sensor(run.sensor.bearings, first.sensor.bearings):
             raise GapError(
-                f"{_name(run, i)} has {run.sensor.n_rays} rays at other bearings than the {first.sensor.n_rays} of "
-                f"{_name(first, 0)}; build one graph for each sensor"
+                f"{name} has {run.sensor.n_rays} rays at other bearings than the {first.sensor.n_rays} of "
+                f"{names[0]}; build one graph for each sensor"
             )
         if run.pose_frame != first.pose_frame:
             raise GapError(
-                f"{_name(run, i)} has poses of {run.pose_frame}, {_name(first, 0)} of {first.pose_frame}; "
+                f"{name} has poses of {run.pose_frame}, {names[0]} of {first.pose_frame}; "
                 "build from runs whose poses are of one frame"
             )
 

@@ -63,7 +63,15 @@ def build(
     if robot is not None:
         read_robot_sensor(robot, [(str(path), run.sensor) for path, run in zip(runs, loaded, strict=True)])
     with progress("building", "blocks") as tick:
-        graph = build_graph(loaded, arena=space, model=model, split=split, progress=tick, **options)
+        graph = build_graph(
+            loaded,
+            arena=space,
+            model=model,
+            split=split,
+            names=[path.name for path in runs],
+            progress=tick,
+            **options,
+        )
     graph.save(output)
     for entry in graph.origin["inputs"]:
         dropped = "".join(f", {count} {why}" for why, count in entry["dropped"].items())

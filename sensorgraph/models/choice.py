@@ -66,10 +66,10 @@ def choose(
     table = _Folds(scans, scale, dictionary(max(d for d, _ in forms), max(h for _, h in forms)))
     best = (np.inf, 0, 0, 1)
     for d, h in forms:  # from poor to rich
-        errors = table.errors(dictionary(d, h), None if n_terms == "auto" else n_terms)
-        k = int(np.argmin(errors)) + 1 if n_terms == "auto" else len(errors)
-        if errors[k - 1] < BETTER * best[0]:
-            best = (float(errors[k - 1]), d, h, k)
+        sizes, errors = table.errors(dictionary(d, h), None if n_terms == "auto" else n_terms)
+        least = int(np.argmin(errors))
+        if errors[least] < BETTER * best[0]:
+            best = (float(errors[least]), d, h, int(sizes[least]))
     error, d, h, k = best
     how = f"mean error {error:.3f} m on {N_FOLDS} x {N_BLOCKS // N_FOLDS} left-out stretches of the training scans"
     return Choice(degree=d, harmonics=h, n_terms=k, how=how)
@@ -101,46 +101,57 @@ class _Folds:
         self.limits = (scans.sensor.range_min, scans.sensor.range_max)
         self.y: Floats = np.where(np.isfinite(ranges), ranges, np.nan)
         self.phi = terms.matrix({"x": poses[:, 0], "y": poses[:, 1], "phi": poses[:, 2]}, scale)
-        self.fold: Ints = np.arange(len(some)) * N_BLOCKS // len(some) % N_FOLDS
-        parts = [
-            Moments(terms, len(rays), scale=scale).add_rows(self.phi[self.fold == f], self.y[self.fold == f])
-            for f in range(N_FOLDS)
-        ]
+        fold = np.arange(len(some)) * N_BLOCKS // len(some) % N_FOLDS
+        self.held: list[Ints] = [np.flatnonzero(fold == f) for f in range(N_FOLDS)]
+        parts = [Moments(terms, len(rays), scale=scale).add_rows(self.phi[h], self.y[h]) for h in self.held]
         total = parts[0]
         for part in parts[1:]:
             total = total + part
         self.moments = [total - part for part in parts]
 
-    def errors(self, terms: Terms, n_terms: int | None) -> Floats:
-        """Return the mean size of the validation error after each number of terms (n_max,)."""
+    def errors(self, terms: Terms, n_terms: int | None) -> tuple[Ints, Floats]:
+        """Return numbers of terms (n_sizes,) and the mean size of the validation error after each."""
         place = {name: i for i, name in enumerate(self.terms.names)}
         index = np.array([place[name] for name in terms.names])
-        n_max = min(len(terms), MAX_TERMS if n_terms is None else n_terms)
-        total, count = np.zeros(n_max), 0
-        for f, moments in enumerate(self.moments):
-            held = self.fold == f
-            phi, y = self.phi[np.ix_(held, index)], self.y[held]
-            sub = moments.pick(terms=index)
-            first = [terms.names.index("1")]
-            for outputs, grams in sub.groups():
-                full = sub.count[outputs] > 0
-                rays = outputs[full]
-                if len(rays) == 0:
-                    continue
-                path = forward(
-                    grams if len(grams) != len(outputs) else grams[full],
-                    sub.cross[:, rays],
-                    sub.power[rays],
-                    n_max,
-                    terms.canonical_order,
-                    first,
-                )
-                T = invert_upper(path.factor)
-                for j, ray in enumerate(rays.tolist()):
-                    known = np.isfinite(y[:, ray])
-                    directions = phi[np.ix_(known, np.maximum(path.order[j], 0))] @ T[j]
-                    directions *= path.gain[j]
-                    value = np.clip(np.cumsum(directions, axis=1), *self.limits)
-                    total += np.abs(value - y[known, ray][:, None]).sum(axis=0)
-                    count += int(known.sum())
-        return total / max(count, 1)
+        sizes = (
+            _sizes(min(len(terms), MAX_TERMS)) if n_terms is None else np.array([min(n_terms, len(terms))])
+        )
+        grams, cross, power, fold, ray = self._stack(index)
+        own = np.arange(len(fold)) if len(grams) == len(fold) else fold
+        first = [terms.names.index("1")]
+        path = forward(grams, cross, power, int(sizes[-1]), terms.canonical_order, first, own)
+        T = invert_upper(path.factor)
+        upto = np.arange(sizes[-1])[:, None] < sizes  # (n_max, n_sizes)
+        theta = np.matmul(T, path.gain[:, :, None] * upto)  # (n, n_max, n_sizes)
+        total, count = np.zeros(len(sizes)), 0
+        for j, (f, r) in enumerate(zip(fold.tolist(), ray.tolist(), strict=True)):
+            rows = self.held[f][np.isfinite(self.y[self.held[f], r])]
+            used = path.order[j] >= 0
+            phi = self.phi[np.ix_(rows, index[path.order[j, used]])]
+            value = np.clip(phi @ theta[j, used], *self.limits)
+            total += np.abs(value - self.y[rows, r][:, None]).sum(axis=0)
+            count += len(rows)
+        return sizes, total / max(count, 1)
+
+    def _stack(self, index: Ints) -> tuple[Floats, Floats, Floats, Ints, Ints]:
+        """Stack all folds and rays: Grams (one a fold, or one a fold and ray), cross, power, fold, ray."""
+        square = np.ix_(index, index)
+        n_rays = self.y.shape[1]
+        fold, ray = np.repeat(np.arange(N_FOLDS), n_rays), np.tile(np.arange(n_rays), N_FOLDS)
+        cross = np.concatenate([m.cross[index] for m in self.moments], axis=1)
+        power = np.concatenate([m.power for m in self.moments])
+        known = np.concatenate([m.count for m in self.moments]) > 0
+        if any(m.missing for m in self.moments):
+            pairs = zip(fold[known].tolist(), ray[known].tolist(), strict=True)
+            grams = np.stack([self.moments[f].gram_of(r)[square] for f, r in pairs])
+        else:
+            grams = np.stack([m.gram[square] for m in self.moments])
+        return grams, cross[:, known], power[known], fold[known], ray[known]
+
+
+def _sizes(n_max: int) -> Ints:
+    """List the numbers of terms to look at: every one up to 12, then steps of a fifth."""
+    sizes = list(range(1, min(n_max, 12) + 1))
+    while sizes[-1] < n_max:
+        sizes.append(min(n_max, sizes[-1] + sizes[-1] // 5))
+    return np.array(sizes, dtype=np.intp)
