@@ -1,0 +1,163 @@
+"""What a user would pick instead: an occupancy grid with ray casting, beside our graph, on the same held-out scans.
+
+    OPENBLAS_NUM_THREADS=1 python benchmarks/occupancy_grid.py LOG.log.gz [LOG ...] [--split block|every10]
+
+The grid (5 cm) counts hits and passes of the training scans at their exact poses; a cell stops a ray where its
+share of hits reaches a threshold. The threshold is tuned on ten stretches of the training scans that the grid
+leaves out for this: once for the least MAE, once for the largest share within 10 cm. A ray that meets no such
+cell is given the cell with the largest share on its way, because errors are scored given a return.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs import Run, pair, read
+from sensorgraph.build import build
+from sensorgraph.evaluate import Evaluation, evaluate
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.base import Point, Prediction
+from sensorgraph.split import held_out
+
+Floats = NDArray[np.float64]
+CELL = 0.05  # [m]
+STEP = 0.025  # [m] of the march
+CAP = 10.0  # [m] longest return that counts as a hit; rays are followed up to here
+THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
+COLUMNS = ("mae_m", "median_m", "rmse_m", "within_0.1m", "within_0.5m", "pearson_r", "chamfer_m", "f_score")
+
+
+class Grid:
+    """Share of hits in each cell, and where along a ray it first reaches the threshold."""
+
+    name: ClassVar[str] = "occupancy grid"
+
+    def __init__(self, poses: Floats, ranges: Floats, bearings: Floats, threshold: float) -> None:
+        self.bearings, self.threshold = bearings, threshold
+        self.low = poses[:, :2].min(axis=0) - CAP - 2 * CELL
+        self.shape = np.ceil((poses[:, :2].max(axis=0) + CAP + 2 * CELL - self.low) / CELL).astype(np.int64)
+        n_cells = int(self.shape.prod())
+        hits, passes = np.zeros(n_cells), np.zeros(n_cells)
+        for start in range(0, len(poses), 32):
+            p, r = poses[start : start + 32], ranges[start : start + 32]
+            hit = np.isfinite(r) & (r > 0.1) & (r < CAP)
+            hits += np.bincount(self._cells(p, r[:, :, None])[hit].ravel(), minlength=n_cells)
+            reach = np.where(hit, r - CELL, np.where(r >= CAP, CAP, 0.0))  # +inf passes up to the cap
+            steps = np.arange(STEP / 2, CAP, STEP)
+            cells = self._cells(p, np.broadcast_to(steps, (*r.shape, len(steps))))
+            seen = steps < np.nan_to_num(reach, posinf=CAP)[:, :, None]
+            passes += np.bincount(cells[seen], minlength=n_cells) * (STEP / CELL)
+        self.share = np.where(hits > 0, hits / np.maximum(hits + passes, 1e-9), 0.0)
+
+    def _cells(self, poses: Floats, distance: Floats) -> NDArray[np.int64]:
+        """Return the cell at distances (n, n_rays, n_steps) along each ray."""
+        angle = (poses[:, 2:3] + self.bearings)[:, :, None]
+        distance = np.where(np.isfinite(distance), np.clip(distance, 0.0, CAP), 0.0)
+        i = ((poses[:, 0, None, None] + distance * np.cos(angle) - self.low[0]) / CELL).astype(np.int64)
+        j = ((poses[:, 1, None, None] + distance * np.sin(angle) - self.low[1]) / CELL).astype(np.int64)
+        inside = (i >= 0) & (j >= 0) & (i < self.shape[0]) & (j < self.shape[1])
+        return np.where(inside, i * self.shape[1] + j, 0)
+
+    def cast(self, poses: Floats, threshold: float) -> tuple[Floats, NDArray[np.bool_]]:
+        """March each ray; return ranges (n, n_rays) [m] and whether a cell reached the threshold."""
+        ranges, found = (
+            np.empty((len(poses), len(self.bearings))),
+            np.empty((len(poses), len(self.bearings)), bool),
+        )
+        steps = np.arange(STEP / 2, CAP, STEP)
+        for start in range(0, len(poses), 32):
+            p = poses[start : start + 32]
+            share = self.share[
+                self._cells(p, np.broadcast_to(steps, (len(p), len(self.bearings), len(steps))))
+            ]
+            stops = share >= threshold
+            hit = stops.any(axis=2)
+            first = np.where(hit, stops.argmax(axis=2), share.argmax(axis=2))
+            last = first + 1  # the middle of the stretch inside the cell: on average half a cell further
+            ranges[start : start + 32], found[start : start + 32] = (
+                steps[np.minimum(last, len(steps) - 1)],
+                hit,
+            )
+        return ranges, found
+
+    def predict(self, poses: Floats, rays: NDArray[np.intp], point: Point) -> Prediction:
+        """Predict as our models do, so that the same code scores both."""
+        ranges, found = self.cast(poses, self.threshold)
+        ranges, found = ranges[:, rays], found[:, rays]
+        constant: dict[str, Any] = {
+            "sigma": np.full(ranges.shape, CELL),
+            "p_no_return": np.where(found, 0.0, 1.0),
+            "p_off": np.full(ranges.shape, 0.5),
+            "answered": np.ones(ranges.shape, dtype=np.bool_),
+        }
+        seen = np.where(found, ranges, np.inf)
+        return Prediction(ranges=seen, median=ranges, mode=ranges, mean=ranges, **constant)
+
+
+def tuned(poses: Floats, ranges: Floats, bearings: Floats) -> dict[str, float]:
+    """Return the threshold with the least MAE, and that with the largest share within 10 cm."""
+    stretch = np.arange(len(poses)) * 50 // len(poses)  # fifty stretches of 2 %, every fifth left out
+    left_out = stretch % 5 == 2
+    grid = Grid(poses[~left_out], ranges[~left_out], bearings, 0.5)
+    measured = ranges[left_out]
+    scored = np.isfinite(measured) & (measured > 0.1) & (measured < CAP)
+    mae, near = {}, {}
+    for threshold in THRESHOLDS:
+        error = np.abs(grid.cast(poses[left_out], threshold)[0] - measured)[scored]
+        mae[threshold], near[threshold] = float(error.mean()), float((error <= 0.1).mean())
+    return {
+        "grid, least MAE": min(mae, key=mae.__getitem__),
+        "grid, most < 10 cm": max(near, key=near.__getitem__),
+    }
+
+
+def line(label: str, result: Evaluation, seconds: float) -> str:
+    """Format one row of the table."""
+    values = (result.all[name] for name in COLUMNS)
+    return (
+        f"{label:<34}"
+        + "".join(f"{value:>13.3f}" for value in values if value is not None)
+        + f"{seconds:>9.1f}"
+    )
+
+
+def compare(run: Run, name: str, split: str) -> None:
+    """Print our model and the grid on the scans that the split holds out."""
+    pairing = pair(run)
+    train = pairing.paired & ~held_out(run, split)
+    poses, ranges, bearings = pairing.poses[train], run.ranges[train], run.sensor.bearings
+    print(f"{name}, {split}: {int(train.sum())} scans to train, {run.sensor.n_rays} rays")
+    print(f"{'':<34}" + "".join(f"{column:>13}" for column in COLUMNS) + f"{'fit [s]':>9}")
+    start = time.perf_counter()
+    graph = build([run], split=split)
+    took = time.perf_counter() - start
+    print(line("polynomial", evaluate(graph, run, split=split, cap=CAP), took))
+    for label, threshold in tuned(poses, ranges, bearings).items():
+        start = time.perf_counter()
+        grid: Any = Grid(poses, ranges, bearings, threshold)
+        took = time.perf_counter() - start
+        origin = {"inputs": [], "split": split}
+        wrapped = Sensorgraph(model=grid, sensor=run.sensor, pose_frame=run.pose_frame, origin=origin)
+        print(line(f"{label} (threshold {threshold:g})", evaluate(wrapped, run, split=split, cap=CAP), took))
+
+
+def main() -> None:
+    """Compare on every log given."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("logs", nargs="+", type=Path)
+    parser.add_argument("--split", default="block", choices=["block", "every10"])
+    arguments = parser.parse_args()
+    for path in arguments.logs:
+        compare(read(path), path.name, arguments.split)
+
+
+if __name__ == "__main__":
+    main()
