@@ -134,7 +134,8 @@ def _parse(text: list[str], progress: Progress | None) -> _Lines:
             continue
         try:
             if word in SCANS:
-                lines.scans.setdefault(word, []).append(_scan(word, rest.split()))
+                scan = _scan(word, rest.split())
+                lines.scans.setdefault(word, []).append(scan)
             elif word == "ODOM":
                 values = rest.split()
                 lines.odom.append([float(value) for value in (*values[:5], values[6])])

@@ -26,6 +26,7 @@ logger = logging.getLogger(__name__)
 Progress = Callable[[int, int], None]
 
 CHUNK_SIZE = 64 * 1024  # [bytes] what a crash can lose; larger chunks save under 0.2 % of the file
+MAPPED = 1 << 30  # [bytes] larger files are mapped into memory, not read
 GRID = "nav_msgs/msg/OccupancyGrid"
 MEDIA_TYPES = {
     ".geojson": "application/geo+json",
@@ -342,10 +343,10 @@ def recovered_name(path: Path) -> str:
 
 
 def open_bytes(path: Path) -> bytes | mmap.mmap:
-    """Map a file into memory."""
+    """Return a file's bytes; a large file is mapped, and must not be cut by others while it is read."""
     with path.open("rb") as file:
-        if path.stat().st_size == 0:
-            return b""
+        if path.stat().st_size < MAPPED:
+            return file.read()
         return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
 

@@ -165,6 +165,8 @@ class Walk:
         self._pos = 0
         self._is_whole = True
         self._after_bad_chunk = False
+        self._has_chunks = True
+        self._in_summary = False
 
     def steps(self) -> Iterator[int]:
         """Walk to the end, yielding the position after each record."""
@@ -191,8 +193,11 @@ class Walk:
         try:
             opcode, body, end = self._frame(start)
         except Damaged as exc:
-            self._salvage_open_chunk(start)
-            self._resume(start, str(exc))
+            if self._salvage_open_chunk(start):
+                self._pos = self.size
+                self._damage(Loss(start, self.size, f"{exc}; what is whole at its start was kept"))
+            else:
+                self._resume(start, str(exc))
             return
         try:
             self._record(opcode, body, end)
@@ -229,6 +234,7 @@ class Walk:
         if opcode == CHUNK:
             self._chunk(cursor)
         elif opcode in (SCHEMA, CHANNEL, MESSAGE):
+            self._has_chunks &= self._in_summary
             self._content(opcode, self.data, body, end)
         elif opcode == MESSAGE_INDEX:
             self._message_index(cursor)
@@ -247,6 +253,7 @@ class Walk:
             crc = cursor.number(_U4)
             if crc and self._is_whole and crc != self._crc32(0, body - 9):
                 raise Damaged("the data section does not match its checksum")
+            self._in_summary = True
         elif opcode == FOOTER:
             self._footer(cursor, body)
         if opcode != MESSAGE_INDEX:
@@ -325,20 +332,21 @@ class Walk:
             cursor.finish()
             self.contents.channels.setdefault(key, channel)
 
-    def _salvage_open_chunk(self, pos: int) -> None:
-        """Take what is whole in a chunk that the end of the file cuts."""
+    def _salvage_open_chunk(self, pos: int) -> bool:
+        """Take what is whole in a chunk that the end of the file cuts; tell whether it is one."""
         if pos + 9 > self.size or self.data[pos] != CHUNK:
-            return
+            return False
         cursor = _Cursor(self.data, pos + 9, self.size)
         try:
             cursor.take(_CHUNK.size)
             compression = cursor.text()
             stored = cursor.number(_U8)
             if stored <= self.size - cursor.pos:
-                return  # not cut: its length is wrong
+                return False  # not cut: its length is wrong
             self._chunk_content(inflate(compression, self.data[cursor.pos : self.size]), complete=False)
         except Damaged:
-            return
+            return True
+        return True
 
     def _resync(self, pos: int) -> int:
         """Find the next place from pos on where a record stands that proves itself."""
@@ -368,7 +376,12 @@ class Walk:
             if opcode == FOOTER:
                 return self.data[end:] == MAGIC
             if opcode == MESSAGE:
-                if end - body < _MESSAGE.size or cursor.number(_U2) not in self.contents.channels:
+                # in a chunk whose framing is lost, what looks like a message may be cut by compression
+                if (
+                    self._has_chunks
+                    or end - body < _MESSAGE.size
+                    or cursor.number(_U2) not in self.contents.channels
+                ):
                     return False
             elif opcode == MESSAGE_INDEX and end - body != 6 + _U4.unpack_from(self.data, body + 2)[0]:
                 return False

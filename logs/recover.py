@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from mmap import mmap
 from pathlib import Path
 
+from logs.cdr import SPECS
 from logs.errors import LogError
 from logs.mcap_file import CHUNK_SIZE, open_bytes
 from logs.mcap_records import MAGIC, Channel, Contents, Loss, Walk
@@ -75,14 +77,11 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
     path, out = Path(path), Path(out)
     _check(path, out)
     data = open_bytes(path)
-    first = Walk(data, lambda *_: None, lambda _: None)  # a channel may be described after its messages
-    for _ in first.steps():
-        pass
-    known = first.contents
+    known = _first_look(data)
     if not (known.n_messages or known.attachments or known.metadata):
         raise LogError(f"{path} has no whole message, attachment or metadata left; there is nothing to save")
     losses: list[Loss] = []
-    part = out.with_name(out.name + ".part")
+    part = out.with_name(out.name + ".recovered.part")  # NAME.part may be the very file that is to be saved
     try:
         with part.open("wb") as stream:
             copy = _Copy(stream, known)
@@ -112,6 +111,27 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
         attachments=tuple(attachment.name for attachment in known.attachments),
         metadata=tuple(name for name, _ in known.metadata),
     )
+
+
+def _first_look(data: bytes | mmap) -> Contents:
+    """Learn all that the file says of itself; a channel may be described after its messages.
+
+    Header and definitions carry no checksum of their own: in a damaged file they are restored where they are known.
+    """
+    from logs.ros_types import definition
+
+    losses: list[Loss] = []
+    walk = Walk(data, lambda *_: None, losses.append)
+    for _ in walk.steps():
+        pass
+    known = walk.contents
+    if losses:
+        if any(channel.encoding == "cdr" for channel in known.channels.values()):
+            known.profile = "ros2"
+        for key, schema in known.schemas.items():
+            if schema.name in SPECS and schema.encoding == "ros2msg":
+                known.schemas[key] = replace(schema, data=definition(schema.name))
+    return known
 
 
 def _check(path: Path, out: Path) -> None:

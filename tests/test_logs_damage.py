@@ -1,0 +1,379 @@
+"""Damaged files of every kind: one clear sentence, never a traceback, never a silent loss."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from logs_samples import some_run
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+from rosbags.highlevel import AnyReader
+
+import logs
+from logs.mcap_records import MAGIC
+from logs.recover import recover
+from sensorgraph.cli import run as command
+
+N_SCANS = 60
+ORIGINAL = some_run(N_SCANS, 361, seed=3)  # several chunks
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("whole") / "run.mcap"
+    logs.write(ORIGINAL, path)
+    return path.read_bytes()
+
+
+def boundaries(data: bytes) -> list[int]:
+    """Where each record starts."""
+    at, pos = [], 8
+    while pos < len(data) - 8:
+        at.append(pos)
+        pos += 9 + struct.unpack_from("<Q", data, pos + 1)[0]
+    return at
+
+
+def assert_part_of_original(path: Path) -> int:
+    """Every scan in the file is one of the original's, unchanged; return how many there are."""
+    run = logs.read(path)
+    places = np.searchsorted(ORIGINAL.stamps, run.stamps - 1e-6)
+    np.testing.assert_allclose(run.stamps, ORIGINAL.stamps[places], atol=1e-9)
+    np.testing.assert_array_equal(run.ranges, ORIGINAL.ranges[places].astype(np.float32))
+    assert len(np.unique(places)) == run.n_scans
+    return run.n_scans
+
+
+def opens_elsewhere(path: Path) -> None:
+    """Other readers open the file and count the same messages."""
+    with path.open("rb") as file:
+        n_mcap = sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages())
+    with AnyReader([path]) as reader:
+        assert reader.message_count == n_mcap
+        assert sum(1 for _ in reader.messages()) == n_mcap
+
+
+def test_every_cut_is_refused_when_read_and_recovered_without_a_false_scan(
+    whole: bytes, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(5)
+    cuts = {c + d for c in boundaries(whole) for d in (-1, 0, 1, 9)} | set(
+        rng.integers(1, len(whole), 60).tolist()
+    )
+    cuts |= {1, 7, 8, 9, 40, len(whole) - 8, len(whole) - 1}
+    path, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    saved_before = 0
+    for cut in sorted(c for c in cuts if 0 < c < len(whole)):
+        path.write_bytes(whole[:cut])
+        with pytest.raises(logs.LogError) as caught:
+            logs.read(path)
+        assert "\n" not in str(caught.value)
+        try:
+            saved = recover(path, out)
+        except logs.LogError as exc:
+            assert "nothing to save" in str(exc) or cut < len(MAGIC)
+            assert saved_before == 0
+            continue
+        assert not saved.is_whole
+        n_scans = assert_part_of_original(out)
+        assert n_scans >= saved_before  # a longer piece never gives less
+        saved_before = n_scans
+    assert saved_before == N_SCANS
+
+
+def test_cut_at_a_chunk_boundary_keeps_every_scan_before(whole: bytes, tmp_path: Path) -> None:
+    path, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    chunks = [pos for pos in boundaries(whole) if whole[pos] == 0x06]
+    assert len(chunks) >= 2
+    path.write_bytes(whole[: chunks[-1]])
+    with path.open("rb") as file:
+        stream = StreamReader(file)
+        n_before = 0
+        with pytest.raises(Exception):  # noqa: B017 - what it raises at the cut is not ours
+            for record in stream.records:
+                n_before += type(record).__name__ == "Message"
+    assert sum(recover(path, out).written.values()) == n_before > 0
+    opens_elsewhere(out)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_flipped_bytes_are_noticed_and_recovery_gives_nothing_false(
+    whole: bytes, tmp_path: Path, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    data = bytearray(whole)
+    for pos in rng.integers(0, len(data), rng.integers(1, 4)).tolist():
+        data[pos] ^= int(rng.integers(1, 256))
+    path, out = tmp_path / "flipped.mcap", tmp_path / "out.mcap"
+    path.write_bytes(data)
+    with pytest.raises(logs.LogError) as caught:
+        logs.read(path)
+    assert "\n" not in str(caught.value)
+    saved = recover(path, out)
+    assert not saved.is_whole
+    if "sensorgraph" in saved.metadata:  # the metadata itself may be what was hit
+        try:
+            n_scans = assert_part_of_original(out)
+        except (logs.LogError, AssertionError):
+            assert saved.bad_chunks == 0 and whole[:1000] != bytes(data[:1000])
+            return
+        assert n_scans + saved.lost.get("/scan", 0) >= N_SCANS - 25  # at most a chunk or two
+    opens_elsewhere(out)
+
+
+def test_one_flip_inside_a_chunk_costs_that_chunk_only_and_is_counted(whole: bytes, tmp_path: Path) -> None:
+    chunks = [pos for pos in boundaries(whole) if whole[pos] == 0x06]
+    for pos in chunks:
+        data = bytearray(whole)
+        data[pos + 200] ^= 0x10
+        (tmp_path / "flipped.mcap").write_bytes(data)
+        saved = recover(tmp_path / "flipped.mcap", tmp_path / "out.mcap")
+        assert saved.bad_chunks == 1
+        assert saved.lost["/scan"] + saved.written["/scan"] == N_SCANS
+        assert saved.written["/scan"] > 0
+        assert_part_of_original(tmp_path / "out.mcap")
+        opens_elsewhere(tmp_path / "out.mcap")
+
+
+@pytest.mark.parametrize("byte", range(9))
+def test_damaged_framing_of_a_chunk_is_stepped_over(whole: bytes, tmp_path: Path, byte: int) -> None:
+    chunks = [pos for pos in boundaries(whole) if whole[pos] == 0x06]
+    data = bytearray(whole)
+    data[chunks[1] + byte] ^= 0x41
+    (tmp_path / "flipped.mcap").write_bytes(data)
+    with pytest.raises(logs.LogError, match="damaged at byte"):
+        logs.read(tmp_path / "flipped.mcap")
+    saved = recover(tmp_path / "flipped.mcap", tmp_path / "out.mcap")
+    assert saved.written["/scan"] >= N_SCANS - 60 * 1024 // (4 * 361)
+    assert_part_of_original(tmp_path / "out.mcap")
+    opens_elsewhere(tmp_path / "out.mcap")
+
+
+@pytest.mark.parametrize("part", ["head magic", "header", "summary", "footer", "end magic", "tail added"])
+def test_damage_outside_the_chunks_loses_no_message(whole: bytes, tmp_path: Path, part: str) -> None:
+    data = bytearray(whole)
+    at = boundaries(whole)
+    if part == "tail added":
+        data += b"something else"
+    else:
+        place = {
+            "head magic": 2, "header": at[0] + 10, "summary": at[-3] + 12, "footer": at[-1] + 12,
+            "end magic": len(data) - 3,
+        }[part]  # fmt: skip
+        data[place] ^= 0xFF
+    (tmp_path / "bad.mcap").write_bytes(data)
+    with pytest.raises(logs.LogError):
+        logs.read(tmp_path / "bad.mcap")
+    saved = recover(tmp_path / "bad.mcap", tmp_path / "out.mcap")
+    assert not saved.is_whole
+    assert assert_part_of_original(tmp_path / "out.mcap") == N_SCANS
+    opens_elsewhere(tmp_path / "out.mcap")
+
+
+@pytest.mark.parametrize("compression", CompressionType)
+@pytest.mark.parametrize("chunked", [True, False])
+def test_files_of_other_writers_are_recovered_too(
+    tmp_path: Path, compression: CompressionType, chunked: bool
+) -> None:
+    """One big chunk, cut in the middle: what is whole in it is kept, whatever its compression can give."""
+    path, out = tmp_path / "other.mcap", tmp_path / "out.mcap"
+    rng = np.random.default_rng(0)
+    payloads = [rng.bytes(700) for _ in range(2000)]
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1 << 30, compression=compression, use_chunking=chunked)
+        writer.start("ros2", "test")
+        schema = writer.register_schema("x/msg/Y", "ros2msg", b"")
+        channel = writer.register_channel("/x", "cdr", schema)
+        for i, payload in enumerate(payloads):
+            writer.add_message(channel, i, payload, i)
+        writer.finish()
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    saved = recover(path, out)
+    assert saved.written["/x"] > 700
+    with out.open("rb") as file:
+        got = [message.data for _, _, message in make_reader(file).iter_messages()]
+    assert got == payloads[: len(got)]
+
+
+def test_whole_file_is_recovered_whole(whole: bytes, tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_bytes(whole)
+    saved = recover(tmp_path / "run.mcap", tmp_path / "out.mcap")
+    assert saved.is_whole and saved.bytes_lost == 0
+    assert saved.lines()[-1] == "lost nothing: the file was whole"
+    assert logs.read(tmp_path / "out.mcap").attachments == ORIGINAL.attachments
+
+
+def _bag2(path: Path, storage: str) -> None:
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer2(path, version=8, storage_plugin=StoragePlugin[storage]) as writer:
+        connection = writer.add_connection("/scan", "sensor_msgs/msg/LaserScan", typestore=store)
+        rows = logs.mcap_file.scan_messages(
+            ORIGINAL.sensor, np.arange(60, dtype=np.int64) * 10**8 + 10**18, ORIGINAL.ranges
+        )
+        for i, row in enumerate(rows):
+            writer.write(connection, 10**18 + i * 10**8, row.tobytes())
+
+
+def _make_text(path: Path) -> None:
+    path.write_text("hello, this is no log\n" * 20)
+
+
+def _make_png(path: Path) -> None:
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(300))
+
+
+def _make_binary(path: Path) -> None:
+    path.write_bytes(np.random.default_rng(0).bytes(5000))
+
+
+def _make_folder(path: Path) -> None:
+    path.mkdir()
+    (path / "something.txt").write_text("x")
+
+
+def _make_bad_metadata(path: Path) -> None:
+    path.mkdir()
+    (path / "metadata.yaml").write_text("rosbag2_bagfile_information: [1, 2")
+
+
+def _make_foreign_metadata(path: Path) -> None:
+    path.mkdir()
+    (path / "metadata.yaml").write_text("name: x\n")
+
+
+def _make_lost_file(path: Path) -> None:
+    _bag2(path, "MCAP")
+    next(path.glob("*.mcap")).unlink()
+
+
+def _make_cut_sqlite(path: Path) -> None:
+    _bag2(path, "SQLITE3")
+    base = next(path.glob("*.db3"))
+    base.write_bytes(base.read_bytes()[:20000])
+
+
+def _make_cut_bag_mcap(path: Path) -> None:
+    _bag2(path, "MCAP")
+    file = next(path.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[:-3000])
+
+
+def _make_cut_ros1(path: Path) -> None:
+    path.write_bytes(b"#ROSBAG V2.0\n" + bytes(200))
+
+
+def _make_cut_gzip(path: Path) -> None:
+    line = "FLASER 3 1.00 2.00 3.00 0 0 0 0 0 0 1.0 host 1.0\n"
+    noise = "# " + np.random.default_rng(0).bytes(3000).hex() + "\n"
+    path.write_bytes(gzip.compress((line * 50 + noise + line * 50).encode(), mtime=0)[:-900])
+
+
+def _make_flipped_gzip(path: Path) -> None:
+    data = bytearray(gzip.compress(b"FLASER 3 1.00 2.00 3.00 0 0 0 0 0 0 1.0 host 1.0\n" * 50, mtime=0))
+    data[-6] ^= 0xFF
+    path.write_bytes(data)
+
+
+def _make_broken_carmen(path: Path) -> None:
+    path.write_text("FLASER 180 1.0 2.0\n" * 5)
+
+
+def _make_carmen_without_scans(path: Path) -> None:
+    path.write_text("PARAM a b\nODOM 0 0 0 0 0 0 1.0 h 1.0\n")
+
+
+def _make_cut_table(path: Path) -> None:
+    logs.write(some_run(), path.with_suffix(".csv"))
+    path.write_bytes(path.with_suffix(".csv").read_bytes()[:-40])
+
+
+def _make_short_table(path: Path) -> None:
+    logs.write(some_run(), path.with_suffix(".csv"))
+    lines = path.with_suffix(".csv").read_text().splitlines(keepends=True)
+    path.write_text("".join(lines[:-1]))
+
+
+def _make_unreadable_number(path: Path) -> None:
+    path.write_text("# bearings: -1 to 1 in 2\nt,r0,r1\n0.0,1.0,two\n")
+
+
+def _make_odd_json(path: Path) -> None:
+    path.write_text("{}")
+
+
+UNREADABLE: dict[str, Callable[[Path], object]] = {
+    "empty": lambda path: path.write_bytes(b""),
+    "text": _make_text,
+    "png": _make_png,
+    "random bytes": _make_binary,
+    "json": _make_odd_json,
+    "missing": lambda path: None,
+    "folder without metadata.yaml": _make_folder,
+    "folder with broken metadata.yaml": _make_bad_metadata,
+    "folder with other metadata.yaml": _make_foreign_metadata,
+    "bag whose file is gone": _make_lost_file,
+    "cut sqlite bag": _make_cut_sqlite,
+    "bag with cut mcap": _make_cut_bag_mcap,
+    "broken ROS 1 bag": _make_cut_ros1,
+    "cut gzip": _make_cut_gzip,
+    "flipped gzip": _make_flipped_gzip,
+    "one byte of gzip": lambda path: path.write_bytes(b"\x1f\x8b"),
+    "carmen with broken lines only": _make_broken_carmen,
+    "carmen without scans": _make_carmen_without_scans,
+    "table cut in a row": _make_cut_table,
+    "table that lacks a row": _make_short_table,
+    "table with a word": _make_unreadable_number,
+    "magic only": lambda path: path.write_bytes(MAGIC),
+    "magic twice": lambda path: path.write_bytes(MAGIC * 2),
+}
+
+
+def one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    code = command(arguments)
+    captured = capsys.readouterr()
+    assert code == 2, captured
+    assert captured.err.startswith("error: ") and captured.err.count("\n") == 1, captured.err
+    assert captured.out == ""
+    return captured.err
+
+
+@pytest.mark.parametrize("kind", UNREADABLE)
+def test_unreadable_file_gives_one_line_and_exit_2(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "log.mcap"
+    UNREADABLE[kind](path)
+    with pytest.raises((logs.LogError, FileNotFoundError)):
+        logs.read(path)
+    assert "log" in one_line(["inspect", str(path)], capsys)
+    out = tmp_path / "out.mcap"
+    one_line(["recover", str(path), "-o", str(out)], capsys)
+    assert not out.exists() and not list(tmp_path.glob("*.part"))
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read everything")
+def test_file_without_permission_gives_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "log.mcap"
+    path.write_bytes(MAGIC)
+    path.chmod(0)
+    one_line(["inspect", str(path)], capsys)
+
+
+def test_recovery_never_overwrites_the_damaged_file(whole: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole[:-100])
+    with pytest.raises(logs.LogError, match="damaged file itself"):
+        recover(path, path)
+    assert path.read_bytes() == whole[:-100]
