@@ -17,7 +17,9 @@ from sensorgraph.cli.build import build
 from sensorgraph.cli.evaluate import evaluate
 from sensorgraph.cli.inspect import inspect
 from sensorgraph.cli.predict import predict
+from sensorgraph.cli.record import record
 from sensorgraph.cli.recover import recover
+from sensorgraph.cli.review import review
 from sensorgraph.cli.show import show
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -27,6 +29,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "evaluate": evaluate,
     "predict": predict,
     "show": show,
+    "review": review,
+    "record": record,
 }
 
 app = typer.Typer(

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from logs.run import RangeSensor
     from planners.arena import Arena
     from sensorgraph.models.base import Floats
+    from sensorgraph.world.robot_file import RobotFile
 
 
 def check_output(path: Path) -> None:
@@ -94,3 +95,35 @@ def write_json(path: Path, data: Any) -> None:
     part = path.with_name(path.name + ".part")
     part.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
     part.replace(path)
+
+
+def named_arena(name: str) -> Arena:
+    """Read an arena from a file, or a shipped one by its name."""
+    from importlib.resources import as_file, files
+
+    from planners import maps
+
+    shipped = sorted(
+        p.name.removesuffix(".geojson")
+        for p in files("sensorgraph.data").iterdir()
+        if p.name.endswith(".geojson")
+    )
+    if name in shipped:
+        with as_file(files("sensorgraph.data") / f"{name}.geojson") as path:
+            return maps.load(path)
+    if not Path(name).exists():
+        raise GapError(
+            f"{name} does not exist; give a *.geojson, a map_server *.yaml, or one of {', '.join(shipped)}"
+        )
+    return maps.load(Path(name))
+
+
+def named_robot(path: Path | None) -> RobotFile:
+    """Read robot.yaml, or the shipped robot where none is named."""
+    from importlib.resources import files
+
+    from sensorgraph.world import robot_file
+
+    if path is None:
+        return robot_file.loads((files("sensorgraph.data") / "radix.yaml").read_text(), name="radix.yaml")
+    return robot_file.read(path)

@@ -1,0 +1,64 @@
+"""Progress of long work: a bar with rate and time left on a terminal, plain lines elsewhere, on stderr."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Tick = Callable[[int, int], None]
+
+PLAIN_EVERY = 5.0  # [s] between plain lines
+
+
+@contextmanager
+def progress(label: str, unit: str = "") -> Iterator[Tick]:
+    """Yield `tick(done, total)`, which draws how far the work is; nothing is drawn for work under 0.5 s."""
+    if sys.stderr.isatty():
+        with _bar(label, unit) as tick:
+            yield tick
+    else:
+        yield _plain(label, unit)
+
+
+@contextmanager
+def _bar(label: str, unit: str) -> Iterator[Tick]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(bar_width=32),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=None, rate="")
+        start = time.monotonic()
+
+        def tick(done: int, total: int) -> None:
+            rate = done / max(time.monotonic() - start, 1e-9)
+            bar.update(task, completed=done, total=total, rate=f"{rate:,.0f} {unit}/s".replace(" /", "/"))
+
+        yield tick
+
+
+def _plain(label: str, unit: str) -> Tick:
+    start = time.monotonic()
+    said = start
+
+    def tick(done: int, total: int) -> None:
+        nonlocal said
+        now = time.monotonic()
+        if now - said < PLAIN_EVERY or done <= 0:
+            return
+        said = now
+        rate = done / (now - start)
+        left = (total - done) / rate
+        counted = f"{done:,} of {total:,} {unit}".rstrip()
+        sys.stderr.write(f"{label}: {counted}, {rate:,.0f}/s, {left:.0f} s left\n")
+        sys.stderr.flush()
+
+    return tick

@@ -1,0 +1,274 @@
+"""The one file that knows rerun: a Review becomes an .rrd with its own layout. No viewer is needed to make it.
+
+Columns go in blocks (`send_columns`), strictly checked; nothing holds wall-clock time or a random id, so the
+same review gives the same recording. The .rrd can be made again at any time; the MCAP is the record.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from planners.arena import Floats
+from sensorgraph.errors import GapError
+from sensorgraph.review import HEADINGS, Review, report
+
+BLOCK = 500  # scans a chunk; below, a negative radius is in points of the screen, not in metres
+WHITE, ORANGE, GREEN = (235, 235, 240), (255, 150, 40), (90, 220, 140)
+WALL, DIM, PLANNED, EMPTY = (150, 150, 165), (80, 100, 135), (60, 75, 110), (40, 40, 46)
+VIRIDIS = np.array(
+    [(68, 1, 84), (71, 44, 122), (59, 81, 139), (44, 113, 142), (33, 144, 141), (39, 173, 129), (92, 200, 99),
+     (170, 220, 50), (253, 231, 37)], dtype=np.float64,
+)  # fmt: skip
+
+
+def write(seen: Review, path: Path, *, ray: int | None = None) -> None:
+    """Write a review as `path` (.rrd) with the 2 x 3 layout as its default blueprint.
+
+    Parameters
+    ----------
+    ray : whose series is shown; None: the one that looks straight ahead
+    """
+    ray = int(np.abs(seen.run.sensor.bearings).argmin()) if ray is None else ray
+    if not 0 <= ray < seen.run.sensor.n_rays:
+        raise GapError(f"ray {ray} does not exist; this sensor has rays 0 to {seen.run.sensor.n_rays - 1}")
+    part = path.with_name(path.name + ".part")
+    was_strict = rr.strict_mode()
+    rr.set_strict_mode(True)
+    try:
+        recording = rr.RecordingStream("sensorgraph", recording_id="review", send_properties=False)
+        top = _error_top(seen)
+        recording.save(part, default_blueprint=_layout(seen, ray, top))
+        _still(recording, seen, top)
+        for start in range(0, len(seen.shown), BLOCK):
+            _scans(recording, seen, slice(start, start + BLOCK), ray)
+        recording.disconnect()
+    finally:
+        rr.set_strict_mode(was_strict)
+    part.replace(path)
+
+
+def show(path: Path) -> None:
+    """Open a review in rerun's viewer, on this machine only."""
+    subprocess.Popen(["rerun", "--bind", "127.0.0.1", str(path)])
+
+
+def _still(recording: rr.RecordingStream, seen: Review, top: float) -> None:
+    """Log what does not change: walls, paths, maps, cells, bars, report."""
+    flip = rr.Transform3D(scale=[1, -1, 1])  # the 2-D view's y points down
+    recording.log("plan", flip, static=True)
+    if seen.arena is not None:
+        recording.log(
+            "plan/arena", rr.LineStrips2D(list(seen.arena.walls), colors=WALL, radii=-0.8), static=True
+        )
+        ends = np.concatenate([seen.arena.walls, np.zeros((seen.arena.n_walls, 2, 1))], axis=2)
+        recording.log("space/arena", rr.LineStrips3D(list(ends), colors=WALL, radii=-0.5), static=True)
+    else:
+        cloud = np.concatenate(seen.points(np.where(seen.measured < 20, seen.measured, np.nan)))
+        thin = cloud[:: max(1, len(cloud) // 60_000)]
+        recording.log("plan/arena", rr.Points2D(thin, colors=(95, 95, 110), radii=-0.7), static=True)
+    if seen.planned is not None:
+        recording.log(
+            "plan/planned", rr.LineStrips2D([seen.planned], colors=PLANNED, radii=-0.4), static=True
+        )
+    path = seen.pairing.poses[seen.pairing.paired, :2]
+    recording.log("plan/path", rr.LineStrips2D([path], colors=DIM, radii=-0.4), static=True)
+    _maps(recording, seen, top)
+    _voxels(recording, seen, top)
+    recording.log("report", rr.TextDocument(report(seen), media_type="text/markdown"), static=True)
+    if seen.evaluation is not None:
+        rmse = np.nan_to_num(seen.evaluation.rmse_per_ray) * 100
+        bars = rr.BarChart(rmse, abscissa=np.degrees(seen.run.sensor.bearings), color=ORANGE)
+        recording.log("error_per_ray", bars, static=True)
+    for name, colour in (("measured", WHITE), ("predicted", ORANGE)):
+        style = rr.SeriesLines(colors=colour, names=name, widths=1.2)
+        recording.log(f"ray/{name}", style, static=True)
+
+
+def _maps(recording: rr.RecordingStream, seen: Review, top: float) -> None:
+    cells = seen.cells
+    place = rr.Transform3D(translation=[*cells.origin, 0], scale=[cells.cell, cells.cell, 1])
+    share = (cells.counts > 0).mean(axis=2)
+    images = {"coverage": np.where(share > 0, share, np.nan)}
+    if cells.error is not None:
+        images["error"] = _mean(cells.error, axis=2) / top
+    for name, value in images.items():
+        recording.log(f"plan/{name}", place, static=True)
+        recording.log(f"plan/{name}/image", rr.Image(colours(value.T), draw_order=-10), static=True)
+
+
+def _voxels(recording: rr.RecordingStream, seen: Review, top: float) -> None:
+    """Log the (x, y, phi) cells over the floor; a full turn is half as high as the floor is wide."""
+    cells = seen.cells
+    nx, ny, _ = cells.counts.shape
+    high = 0.5 * max(nx, ny) * cells.cell / HEADINGS
+    if cells.error is not None:
+        chosen = np.isfinite(cells.error)
+        value = cells.error[chosen] / top
+    else:
+        chosen = cells.counts > 0
+        value = np.minimum(cells.counts[chosen] / 10, 1)
+    grid = rr.VoxelGridMap(
+        np.argwhere(chosen),
+        [cells.cell, cells.cell, high],
+        colors=colours(value),
+        translation=[*cells.origin, 0.05],
+    )
+    recording.log("space/cells", grid, static=True)
+    floor = np.where((cells.counts > 0).any(axis=2), 70, 40).astype(np.uint8).T  # (ny, nx)
+    image = np.repeat(floor[::-1, :, None], 3, axis=2)
+    recording.log(
+        "space/floor",
+        rr.GridMap(
+            data=image.tobytes(),
+            format=rr.components.ImageFormat(width=nx, height=ny, color_model="RGB", channel_datatype="U8"),
+            cell_size=cells.cell,
+            translation=[*cells.origin, 0],
+        ),
+        static=True,
+    )
+
+
+def _scans(recording: rr.RecordingStream, seen: Review, part: slice, ray: int) -> None:
+    """Send a block of scans, poses and the series of one ray."""
+    stamps = seen.run.stamps[seen.shown[part]]
+    time = [rr.TimeColumn("time", duration=stamps), rr.TimeColumn("scan", sequence=seen.shown[part])]
+    lasers = seen.lasers[part]
+    size = max(0.35, 0.03 * (_extent(seen)[2] - _extent(seen)[0]))
+    arrows = size * np.stack([np.cos(lasers[:, 2]), np.sin(lasers[:, 2])], axis=1)
+    recording.send_columns("plan/robot", time, rr.Arrows2D.columns(origins=lasers[:, :2], vectors=arrows))
+    for name, ranges, colour in (("measured", seen.measured, WHITE), ("predicted", seen.predicted, ORANGE)):
+        if ranges is None:
+            continue
+        points = _points(seen, ranges, part)
+        if part.start == 0:
+            radius = -2.2 if name == "measured" else -1.5
+            recording.log(f"plan/{name}", rr.Points2D.from_fields(colors=colour, radii=radius), static=True)
+        columns = rr.Points2D.columns(positions=np.concatenate(points)).partition([len(p) for p in points])
+        recording.send_columns(f"plan/{name}", time, columns)
+        series = np.where(np.isfinite(ranges[part, ray]), ranges[part, ray], np.nan)
+        recording.send_columns(f"ray/{name}", time, rr.Scalars.columns(scalars=series))
+    if part.start == 0:
+        recording.log("plan/robot", rr.Arrows2D.from_fields(colors=GREEN, radii=-2.0), static=True)
+
+
+def _points(seen: Review, ranges: Floats, part: slice) -> list[Floats]:
+    phi = seen.lasers[part, 2:] + seen.run.sensor.bearings
+    ends = seen.lasers[part, None, :2] + ranges[part, :, None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+    return [scan[hit] for scan, hit in zip(ends, np.isfinite(ranges[part]), strict=True)]
+
+
+def _layout(seen: Review, ray: int, top: float) -> rrb.Blueprint:
+    """Two rows of three: scan on arena, maps, cells; one ray, error per ray, report."""
+    x0, y0, x1, y1 = _extent(seen)
+    bounds = rrb.VisualBounds2D(x_range=[x0, x1], y_range=[-y1, -y0])
+    back = (18, 18, 22)
+    scan = rrb.Spatial2DView(
+        name="measured (white), predicted (orange)",
+        origin="/",
+        contents=[
+            "/plan/arena",
+            "/plan/planned",
+            "/plan/path",
+            "/plan/measured",
+            "/plan/predicted",
+            "/plan/robot",
+        ],
+        visual_bounds=bounds,
+        background=back,
+    )
+    maps = []
+    if seen.cells.error is not None:
+        maps.append(("error", f"error, 0 (dark) to {100 * top:.3g} cm (yellow)"))
+    maps.append(("coverage", f"coverage: share of {HEADINGS} headings visited"))
+    tabs = rrb.Tabs(
+        *[
+            rrb.Spatial2DView(
+                name=label,
+                origin="/",
+                contents=[f"/plan/{name}/**", "/plan/arena"],
+                visual_bounds=bounds,
+                background=back,
+            )
+            for name, label in maps
+        ],
+        name="maps",
+        active_tab=0,
+    )
+    coloured = f"error 0 to {100 * top:.3g} cm" if seen.cells.error is not None else "scans, 0 to 10"
+    nx, ny, _ = seen.cells.counts.shape
+    width, depth = nx * seen.cells.cell, ny * seen.cells.cell
+    x, y = seen.cells.origin
+    centre = [x + width / 2, y + depth / 2, 0.2 * max(width, depth)]
+    away = 1.25 * max(width, depth)
+    space = rrb.Spatial3DView(
+        name=f"(x, y, phi) cells: {coloured}",
+        origin="/space",
+        background=back,
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            position=[centre[0] - 0.55 * away, centre[1] - 0.95 * away, centre[2] + 0.8 * away],
+            look_target=centre,
+            eye_up=[0, 0, 1],
+        ),
+    )
+    far = float(np.nanquantile(np.where(np.isfinite(seen.measured), seen.measured, np.nan), 0.999))
+    degrees = np.degrees(seen.run.sensor.bearings[ray])
+    series = rrb.TimeSeriesView(
+        name=f"ray {ray} at {degrees:.0f} degrees [m]",
+        origin="/ray",
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.05 * far)),
+        plot_legend=rrb.Corner2D.LeftTop,
+    )
+    bars = rrb.BarChartView(
+        name="RMSE per ray [cm] over bearing [degrees]",
+        origin="/error_per_ray",
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
+    words = rrb.TextDocumentView(name="report", origin="/report")
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(scan, tabs, space),
+            rrb.Horizontal(series, bars, words),
+            row_shares=[3, 2],
+        ),
+        rrb.TimePanel(state="collapsed", timeline="time"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+def _extent(seen: Review) -> tuple[float, float, float, float]:
+    if seen.arena is not None:
+        x0, y0, x1, y1 = seen.arena.bounds
+    else:
+        points = np.concatenate(seen.points(np.where(seen.measured < 20, seen.measured, np.nan)))
+        (x0, y0), (x1, y1) = np.quantile(points, 0.002, axis=0), np.quantile(points, 0.998, axis=0)
+    margin = 0.04 * max(x1 - x0, y1 - y0)
+    return float(x0 - margin), float(y0 - margin), float(x1 + margin), float(y1 + margin)
+
+
+def _error_top(seen: Review) -> float:
+    """Return the error [m] at the upper end of the colours: 95 % of the cells lie below."""
+    if seen.cells.error is None or not np.isfinite(seen.cells.error).any():
+        return 1.0
+    return float(np.nanquantile(seen.cells.error, 0.95)) or 1e-3
+
+
+def _mean(values: Floats, *, axis: int) -> Floats:
+    seen = np.isfinite(values)
+    count = seen.sum(axis=axis)
+    return np.asarray(np.where(seen, values, 0.0).sum(axis=axis) / np.where(count > 0, count, np.nan))
+
+
+def colours(value: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    """Colour values in 0 ... 1 (any shape) as RGB uint8 (viridis); nan is dark grey, unlike any value."""
+    place = np.clip(np.nan_to_num(value), 0, 1) * (len(VIRIDIS) - 1)
+    low = np.minimum(place.astype(np.intp), len(VIRIDIS) - 2)
+    mixed = VIRIDIS[low] + (place - low)[..., None] * (VIRIDIS[low + 1] - VIRIDIS[low])
+    return np.where(np.isnan(value)[..., None], np.array(EMPTY), mixed.round()).astype(np.uint8)

@@ -1,0 +1,189 @@
+"""The embedded robot: it follows a trajectory (or replays commands) with its own limits, lag and wheels.
+
+The controller is Kanayama's tracking law on the noisy reference pose, its feed-forward shifted by the lag and
+the dead time of the motors (Kanayama, Kimura, Miyazaki and Noguchi 1990, eq. 6). The motors are first-order
+behind a dead time, with limited acceleration; the body stops at walls while the wheels go on turning.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from planners.arena import Floats, wrap
+from planners.trajectory import Trajectory
+from sensorgraph.world.robot_file import RobotFile
+
+STEP = 0.01  # [s] of the simulated truth
+SETTLE = 0.5  # [s] that the robot is recorded standing after the last command
+GAIN_X, GAIN_Y, GAIN_PHI = 1.2, 4.0, 2.0  # [1/s], [1/m²] and [1/m] of the tracking law
+Clearance = Callable[[float, float], float]
+Command = Callable[[float, float, float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Driven:
+    """What the robot truly did, on a fine grid of time, and what it was told."""
+
+    stamps: Floats
+    """(n,) [s], every STEP."""
+    poses: Floats
+    """(n, 3) [m, m, rad] true base_link in map, phi not wrapped."""
+    twists: Floats
+    """(n, 2) [m/s, rad/s] of the wheels (the body too, unless it is held by a wall)."""
+    cmd_stamps: Floats
+    """(n_commands,) [s]"""
+    commands: Floats
+    """(n_commands, 2) [m/s, rad/s]"""
+    contacts: int
+    """How often the body came to touch a wall."""
+
+    def at(self, stamps: Floats) -> Floats:
+        """Interpolate the true poses (..., 3) at stamps (...) [s]; phi not wrapped."""
+        return np.stack([np.interp(stamps, self.stamps, column) for column in self.poses.T], axis=-1)
+
+
+def follow(
+    trajectory: Trajectory,
+    robot: RobotFile,
+    *,
+    clearance: Clearance,
+    rng: np.random.Generator,
+    progress: Callable[[int, int], None] | None = None,
+) -> Driven:
+    """Drive along a trajectory, steering by the noisy reference pose."""
+    duration = trajectory.duration + SETTLE
+    period = 1.0 / robot.wheels.rate
+    n = _n_commands(duration, robot)
+    lead = robot.actuators.tau + robot.actuators.delay + period / 2  # a held command acts half a period late
+    stamps = trajectory.stamps[0] + period * np.arange(n)
+    want_pose, _ = trajectory.at(stamps)
+    _, feed = trajectory.at(stamps + lead)
+    feed[stamps + lead > trajectory.stamps[-1]] = 0.0
+    noise = rng.normal(size=(n, 3)) * [robot.pose.sigma_xy, robot.pose.sigma_xy, robot.pose.sigma_yaw]
+    want, forward, shake = want_pose.tolist(), feed.tolist(), noise.tolist()
+
+    def command(k: float, x: float, y: float, phi: float) -> tuple[float, float]:
+        (xr, yr, phi_r), (v_r, omega_r), (dx, dy, dphi) = want[int(k)], forward[int(k)], shake[int(k)]
+        x, y, phi = x + dx, y + dy, phi + dphi
+        c, s = math.cos(phi), math.sin(phi)
+        ahead = c * (xr - x) + s * (yr - y)
+        aside = -s * (xr - x) + c * (yr - y)
+        turn = math.remainder(phi_r - phi, 2 * math.pi)
+        v = v_r * math.cos(turn) + GAIN_X * ahead
+        return v, omega_r + GAIN_Y * v_r * aside + GAIN_PHI * math.sin(turn)
+
+    start = trajectory.poses[0]
+    return _drive(start, duration, command, robot, clearance=clearance, progress=progress)
+
+
+def replay(
+    cmd_stamps: Floats,
+    commands: Floats,
+    start: Floats,
+    robot: RobotFile,
+    *,
+    clearance: Clearance,
+    progress: Callable[[int, int], None] | None = None,
+) -> Driven:
+    """Drive open loop by recorded commands (n, 2), each held until the next, from `start` (3,)."""
+    stamps = cmd_stamps - cmd_stamps[0]
+    period = 1.0 / robot.wheels.rate
+    last = (
+        np.searchsorted(
+            stamps, period * np.arange(_n_commands(stamps[-1] + SETTLE, robot)) + 1e-9, side="right"
+        )
+        - 1
+    )
+    held = commands[np.maximum(last, 0)]
+    held[period * np.arange(len(held)) > stamps[-1] + SETTLE / 2] = 0.0
+    table = held.tolist()
+
+    def command(k: float, x: float, y: float, phi: float) -> tuple[float, float]:
+        v, omega = table[int(k)]
+        return v, omega
+
+    return _drive(start, float(stamps[-1]) + SETTLE, command, robot, clearance=clearance, progress=progress)
+
+
+def odometry(driven: Driven, robot: RobotFile, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
+    """Return stamps (n,), poses (n, 3) in odom and twists (n, 2) as the wheels measure and integrate them."""
+    stamps = np.arange(0.0, driven.stamps[-1] + 1e-9, 1.0 / robot.wheels.rate)
+    travelled = np.concatenate(
+        [np.zeros((1, 2)), np.cumsum((driven.twists[1:] + driven.twists[:-1]) / 2 * STEP, axis=0)]
+    )
+    at = np.stack([np.interp(stamps, driven.stamps, column) for column in travelled.T], axis=1)
+    twists = np.concatenate([driven.twists[:1], np.diff(at, axis=0) * robot.wheels.rate])
+    twists[1:] += rng.normal(size=(len(stamps) - 1, 2)) * [robot.wheels.sigma_v, robot.wheels.sigma_omega]
+    turn = twists[1:, 1] / robot.wheels.rate
+    phi = np.concatenate([[0.0], np.cumsum(turn)])
+    way = twists[1:, 0] / robot.wheels.rate * np.sinc(turn / (2 * np.pi))  # the chord of the arc
+    steps = way[:, None] * np.stack([np.cos(phi[:-1] + turn / 2), np.sin(phi[:-1] + turn / 2)], axis=1)
+    xy = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return stamps, np.concatenate([xy, wrap(phi)[:, None]], axis=1), twists
+
+
+def _n_commands(duration: float, robot: RobotFile) -> int:
+    return math.ceil(duration * robot.wheels.rate - 1e-9) + 1
+
+
+def _drive(
+    start: Floats,
+    duration: float,
+    command: Command,
+    robot: RobotFile,
+    *,
+    clearance: Clearance,
+    progress: Callable[[int, int], None] | None,
+) -> Driven:
+    """Integrate the robot; `command(k, x, y, phi)` is asked once per control period."""
+    limits, radius = robot.robot.limits, robot.robot.footprint_radius
+    backward = 0.0 if robot.robot.drive == "dubins" else -limits.v
+    n_commands, period = _n_commands(duration, robot), 1.0 / robot.wheels.rate
+    n_steps = round(duration / STEP)
+    keep = math.exp(-STEP / robot.actuators.tau) if robot.actuators.tau > 0 else 0.0
+    late = round(robot.actuators.delay / STEP)
+    dv, domega = limits.a * STEP, limits.alpha * STEP
+    x, y, phi = (float(value) for value in start)
+    v = omega = u_v = u_omega = 0.0
+    given: list[tuple[float, float]] = []
+    poses, twists = [(x, y, phi)], [(0.0, 0.0)]
+    waiting = [(0.0, 0.0)] * late
+    contacts, touching = 0, False
+    for k in range(n_steps):
+        if len(given) < n_commands and k * STEP >= len(given) * period - 1e-9:
+            w_v, w_omega = command(len(given), x, y, phi)
+            u_v = min(max(w_v, backward), limits.v)
+            u_omega = min(max(w_omega, -limits.omega), limits.omega)
+            given.append((u_v, u_omega))
+            if progress is not None and len(given) % 500 == 0:
+                progress(len(given), n_commands)
+        waiting.append((u_v, u_omega))
+        m_v, m_omega = waiting[k]
+        v_next = v + min(max((m_v - v) * (1 - keep), -dv), dv)
+        omega_next = omega + min(max((m_omega - omega) * (1 - keep), -domega), domega)
+        v_mid, turn = (v + v_next) / 2, (omega + omega_next) / 2 * STEP
+        x_next = x + v_mid * STEP * math.cos(phi + turn / 2)
+        y_next = y + v_mid * STEP * math.sin(phi + turn / 2)
+        phi += turn
+        free = clearance(x_next, y_next)
+        if free >= radius or free >= clearance(x, y):
+            x, y, touching = x_next, y_next, False
+        elif not touching:
+            contacts, touching = contacts + 1, True
+        v, omega = v_next, omega_next
+        poses.append((x, y, phi))
+        twists.append((v, omega))
+    if progress is not None:
+        progress(n_commands, n_commands)
+    return Driven(
+        stamps=np.arange(n_steps + 1) * np.float64(STEP),
+        poses=np.array(poses),
+        twists=np.array(twists),
+        cmd_stamps=np.arange(len(given)) * np.float64(period),
+        commands=np.array(given, dtype=np.float64).reshape(-1, 2),
+        contacts=contacts,
+    )

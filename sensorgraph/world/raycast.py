@@ -1,0 +1,415 @@
+"""Ray casting: exact ranges, incidence and wall index of every ray of every scan, in numpy.
+
+`cast` goes wall by wall: it asks which rays fall between the bearings of the wall's two ends and intersects
+only those (cost: walls + hits, not walls x rays). `cast_rays` is the plain form, every ray against every wall,
+for rays that share no origin (a sensor that sweeps while the robot moves).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.run import RangeSensor
+from planners.arena import Arena, Bools, Floats, wrap
+
+Ints = NDArray[np.intp]
+
+BATCH = 32  # poses at a time: the working set stays in the cache
+FEW_WALLS = 160  # up to here every pose meets every wall
+PER_CLUSTER = 6  # neighbouring walls under one bounding circle
+STAGES = (8, 24, 72)  # clusters met, nearest first; after each stage the hidden ones are left out
+SECTORS = 64  # of the full turn, in which it is noted how far the rays reach
+LEVELS = 5  # runs of 1, 2, 4, 8 and 16 sectors
+PAD = 1e-12  # [rad] a wall's window of bearings is widened by this, so that no ray slips through a shared corner
+GRAZING = 1e-3  # [rad] below this angle between ray and wall the hit is held inside the wall's ends
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hits:
+    """What an ideal sensor would measure."""
+
+    ranges: Floats
+    """(n_scans, n_rays) [m]; +inf nothing within range_max, -inf nearer than range_min (REP-117)."""
+    incidence: Floats
+    """(n_scans, n_rays) [rad] between ray and wall normal, 0 = head-on; nan where no wall is in range."""
+    wall: Ints
+    """(n_scans, n_rays) index of the wall in `Arena.walls`; -1 where no wall is in range."""
+
+
+def laser_poses(poses: Floats, mount: Floats) -> Floats:
+    """Move base_link poses (n, 3) to the laser mounted at `mount` (3,): T_map_base @ T_base_laser."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x = poses[:, 0] + c * mount[0] - s * mount[1]
+    y = poses[:, 1] + s * mount[0] + c * mount[1]
+    return np.stack([x, y, poses[:, 2] + mount[2]], axis=1)
+
+
+def cast(arena: Arena, poses: Floats, sensor: RangeSensor) -> Hits:
+    """Cast every ray of every scan against the walls.
+
+    Parameters
+    ----------
+    poses : (n_scans, 3) [m, m, rad], base_link in map
+
+    Returns
+    -------
+    Hits with arrays (n_scans, n_rays)
+    """
+    poses = np.asarray(poses, dtype=np.float64)
+    if poses.ndim != 2 or poses.shape[1] != 3:
+        raise ValueError(f"poses has shape {poses.shape}, expected (n_scans, 3)")
+    lasers = laser_poses(poses, sensor.mount)
+    ranges, wall = _Caster(_prepared(arena), sensor.bearings, sensor.range_max)(lasers)
+    return _finish(arena.walls, *directions(lasers[:, 2], sensor.bearings), ranges, wall, sensor)
+
+
+def directions(phi: Floats, bearings: Floats) -> tuple[Floats, Floats]:
+    """Return cos and sin of phi + bearing, (n_scans, n_rays), by the addition theorem (numpy's cos is slow)."""
+    c, s = np.cos(phi)[:, None], np.sin(phi)[:, None]
+    cb, sb = np.cos(bearings), np.sin(bearings)
+    return c * cb - s * sb, s * cb + c * sb
+
+
+def cast_rays(arena: Arena, origins: Floats, headings: Floats, sensor: RangeSensor) -> Hits:
+    """Cast rays that each have their own origin, every ray against every wall.
+
+    Parameters
+    ----------
+    origins : (n_scans, n_rays, 2) [m] in map
+    headings : (n_scans, n_rays) [rad] of the rays in map
+
+    Returns
+    -------
+    Hits with arrays (n_scans, n_rays)
+    """
+    shape = headings.shape
+    flat = origins.reshape(-1, 2)
+    ux, uy = np.cos(headings).ravel(), np.sin(headings).ravel()
+    ranges = np.full(len(flat), np.inf)
+    wall = np.full(len(flat), -1, dtype=np.intp)
+    step = max(1, 2_000_000 // max(arena.n_walls, 1))
+    for start in range(0, len(flat), step):
+        part = slice(start, start + step)
+        ranges[part], wall[part] = brute_force(arena.walls, flat[part], ux[part], uy[part])
+    return _finish(
+        arena.walls,
+        ux.reshape(shape),
+        uy.reshape(shape),
+        ranges.reshape(shape),
+        wall.reshape(shape),
+        sensor,
+    )
+
+
+def brute_force(walls: Floats, origins: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
+    """Intersect each ray (origin (n, 2), unit direction) with each wall; return range [m] and wall, (n,)."""
+    a = walls[:, 0]
+    d = walls[:, 1] - a
+    ax = a[:, 0] - origins[:, :1]  # (n, n_walls)
+    ay = a[:, 1] - origins[:, 1:]
+    across = ux[:, None] * d[:, 1] - uy[:, None] * d[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = (ax * d[:, 1] - ay * d[:, 0]) / across
+        share = (ax * uy[:, None] - ay * ux[:, None]) / across
+        r[~((share >= 0) & (share <= 1) & (r >= 0))] = np.inf  # nan (parallel) fails the comparison too
+    wall = r.argmin(axis=1)
+    nearest = r[np.arange(len(r)), wall]
+    return nearest, np.where(np.isfinite(nearest), wall, -1)
+
+
+def _finish(walls: Floats, ux: Floats, uy: Floats, ranges: Floats, wall: Ints, sensor: RangeSensor) -> Hits:
+    """Apply the sensor's range limits and add the incidence."""
+    out = ~(ranges <= sensor.range_max)
+    wall = np.where(out, -1, wall)
+    along = _unit(walls)
+    cosine = np.abs(ux * along[1][wall] - uy * along[0][wall])
+    incidence = np.where(out, np.nan, np.arccos(np.minimum(cosine, 1.0)))
+    limited = np.where(out, np.inf, np.where(ranges < sensor.range_min, -np.inf, ranges))
+    return Hits(ranges=limited, incidence=incidence, wall=wall)
+
+
+class _Scans:
+    """A batch of scans in the making: laser poses, directions of the rays, what they have met so far."""
+
+    def __init__(self, poses: Floats, bearings: Floats) -> None:
+        self.poses = poses  # (n_poses, 3)
+        self.turn = wrap(poses[:, 2] + bearings[0])  # (n_poses,) direction of ray 0
+        self.ux, self.uy = directions(poses[:, 2], bearings)  # (n_poses, n_rays)
+        self.ranges = np.full(self.ux.shape, np.inf)
+        self.wall = np.full(self.ux.shape, -1, dtype=np.intp)
+
+
+class _Caster:
+    """The angular-interval method: for each pose and wall, the run of rays between the wall's two ends.
+
+    With many walls, those near a pose go first; of the others only the clusters that could still shorten
+    some ray are looked at.
+    """
+
+    def __init__(self, walls: _Walls, bearings: Floats, range_max: float) -> None:
+        self.vertices, self.ends = walls.vertices, walls.ends
+        self.along = walls.along
+        self.bearings = bearings
+        self.n_rays = len(bearings)
+        self.range_max = range_max
+        step = np.diff(bearings)
+        even = (
+            len(step) > 0
+            and float(np.ptp(step)) < 1e-14 * max(1.0, float(np.abs(bearings).max())) * self.n_rays
+        )
+        self.step = float((bearings[-1] - bearings[0]) / (self.n_rays - 1)) if even else None
+        self.clusters = walls.clusters
+
+    def __call__(self, poses: Floats) -> tuple[Floats, Ints]:
+        """Return ranges [m] (inf: no wall) and wall (-1: none), both (n_poses, n_rays); poses of the laser."""
+        n_poses = len(poses)
+        ranges = np.full((n_poses, self.n_rays), np.inf)
+        wall = np.full((n_poses, self.n_rays), -1, dtype=np.intp)
+        if not len(self.along[0]):
+            return ranges, wall
+        for start in range(0, n_poses, BATCH):
+            part = slice(start, start + BATCH)
+            scans = _Scans(poses[part], self.bearings)
+            if self.clusters is None:
+                self._dense(scans)
+            else:
+                self._staged(scans, self.clusters)
+            ranges[part], wall[part] = scans.ranges, scans.wall
+        return ranges, wall
+
+    def _dense(self, scans: _Scans) -> None:
+        """Meet every wall with every pose; walls share their vertices."""
+        poses, n_walls = scans.poses, len(self.along[0])
+        x = self.vertices[0] - poses[:, :1]  # (n_poses, n_vertices)
+        y = self.vertices[1] - poses[:, 1:2]
+        angle = self._angle(x, y, scans.turn[:, None])
+        i, j = self.ends
+        ax, ay = x[:, i].ravel(), y[:, i].ravel()  # (n_poses * n_walls,)
+        pose, k = np.divmod(np.arange(len(poses) * n_walls), n_walls)
+        self._meet(scans, pose, k, (ax, ay), angle[:, i].ravel(), angle[:, j].ravel())
+
+    def _staged(self, scans: _Scans, clusters: _Clusters) -> None:
+        """Meet each pose with the clusters nearest to it, then with those that are not hidden behind these."""
+        view = _View(clusters, scans.poses, self.bearings)
+        n_poses, n_clusters = len(scans.poses), len(clusters.radius)
+        left = np.ones((n_poses, n_clusters), dtype=np.bool_)  # still to be met
+        stages = [n for n in STAGES if n < n_clusters]
+        borders = np.partition(view.distance, stages, axis=1)[:, stages] if stages else np.empty((n_poses, 0))
+        for border in (*borders.T, np.full(n_poses, np.inf)):
+            chosen = left & (view.distance < border[:, None])
+            self._sparse(scans, *clusters.pairs(chosen))
+            left &= ~chosen
+            if border[0] < np.inf:
+                left &= ~view.hidden(np.minimum(scans.ranges, self.range_max))
+
+    def _sparse(self, scans: _Scans, pose: Ints, walls: Ints) -> None:
+        """Meet some walls with some poses: pairs (pose, wall)."""
+        px, py, phi = scans.poses[:, 0][pose], scans.poses[:, 1][pose], scans.turn[pose]
+        i, j = self.ends[0][walls], self.ends[1][walls]
+        ax, ay = self.vertices[0][i] - px, self.vertices[1][i] - py
+        bx, by = self.vertices[0][j] - px, self.vertices[1][j] - py
+        self._meet(scans, pose, walls, (ax, ay), self._angle(ax, ay, phi), self._angle(bx, by, phi))
+
+    @staticmethod
+    def _angle(x: Floats, y: Floats, turn: Floats) -> Floats:
+        """Return the bearing of points counted counter-clockwise from ray 0, in [0, 2 pi]."""
+        angle = np.arctan2(y, x)
+        angle -= turn
+        angle += np.where(angle < 0, 2 * np.pi, 0.0)  # numpy's mod is ten times slower
+        return angle
+
+    def _meet(
+        self,
+        scans: _Scans,
+        pose: Ints,
+        walls: Ints,
+        end: tuple[Floats, Floats],
+        angle_i: Floats,
+        angle_j: Floats,
+    ) -> None:
+        """Intersect each wall of each pair with the rays between its ends.
+
+        `end` is the wall's first end as seen from the pose; the angles of both ends are counted from ray 0.
+        """
+        side = (
+            end[0] * self.along[1][walls] - end[1] * self.along[0][walls]
+        )  # signed distance of the wall's line
+        ahead = side > 0  # then the first end is the right one
+        right, left = np.where(ahead, angle_i, angle_j), np.where(ahead, angle_j, angle_i)
+        pair, at = self._runs(right, left, pose * self.n_rays)
+        k = walls[pair]
+        ux, uy = scans.ux.reshape(-1)[at], scans.uy.reshape(-1)[at]
+        dx, dy = self.along[0][k], self.along[1][k]
+        across = ux * dy - uy * dx  # cosine of the incidence
+        with np.errstate(divide="ignore", invalid="ignore"):
+            r = side[pair] / across
+        grazing = np.flatnonzero(np.abs(across) < GRAZING)
+        if len(grazing):
+            g, p = grazing, pair[grazing]
+            a, b = self.vertices[:, self.ends[0][k[g]]], self.vertices[:, self.ends[1][k[g]]]
+            r[g] = _inside(end[0][p], end[1][p], b[0] - a[0], b[1] - a[1], ux[g], uy[g])
+        _shorten(scans.ranges.reshape(-1), scans.wall.reshape(-1), at, r, k)
+
+    def _runs(self, right: Floats, left: Floats, base: Ints) -> tuple[Ints, Ints]:
+        """List every ray between the right and left end of each wall: (index of the pair, base of the pair + ray)."""
+        wraps = left < right - 2 * PAD  # the wall straddles the direction of ray 0: two runs
+        first, last = self._window(right, np.where(wraps, 2 * np.pi + PAD, left))
+        pair, at = _expand(first, last, base)
+        where = np.flatnonzero(wraps)
+        if len(where):
+            _, last = self._window(left[where], left[where])
+            more, more_at = _expand(np.zeros_like(last), last, base[where])
+            pair, at = np.concatenate([pair, where[more]]), np.concatenate([at, more_at])
+        return pair, at
+
+    def _window(self, right: Floats, left: Floats) -> tuple[Ints, Ints]:
+        """Return the first and last ray between two angles counted from ray 0."""
+        if self.step is None:
+            relative = self.bearings - self.bearings[0]
+            first = np.searchsorted(relative, right - PAD, side="left")
+            return first, np.searchsorted(relative, left + PAD, side="right") - 1
+        pad = PAD / self.step
+        first = np.ceil(right * (1 / self.step) - pad).astype(np.intp)
+        last = np.floor(left * (1 / self.step) + pad).astype(np.intp)
+        return first, np.minimum(last, self.n_rays - 1, out=last)
+
+
+class _Walls:
+    """What casting needs of an arena's walls, prepared once."""
+
+    def __init__(self, walls: Floats) -> None:
+        points, ends = np.unique(walls[..., 0] + 1j * walls[..., 1], return_inverse=True)
+        self.vertices = np.stack([points.real, points.imag])  # (2, n_vertices)
+        self.ends = np.ascontiguousarray(ends.reshape(-1, 2).T)  # (2, n_walls)
+        self.along = _unit(walls)  # (2, n_walls)
+        self.clusters = _Clusters(walls) if len(walls) > FEW_WALLS else None
+
+
+_PREPARED: WeakKeyDictionary[Arena, _Walls] = WeakKeyDictionary()
+
+
+def _prepared(arena: Arena) -> _Walls:
+    if arena not in _PREPARED:
+        _PREPARED[arena] = _Walls(arena.walls)
+    return _PREPARED[arena]
+
+
+class _Clusters:
+    """Walls in groups of neighbours, each under a bounding circle."""
+
+    def __init__(self, walls: Floats) -> None:
+        length = np.hypot(*(walls[:, 1] - walls[:, 0]).T)
+        is_long = length > 8 * np.median(length)  # a long wall would blow up its neighbours' circle
+        order = _morton(walls.mean(axis=1))
+        short, long = order[~is_long[order]], order[is_long[order]]
+        n_short = -(-len(short) // PER_CLUSTER)
+        self.members = np.full((n_short + len(long), PER_CLUSTER), -1, dtype=np.intp)  # walls; -1: none
+        self.members[:n_short].reshape(-1)[: len(short)] = short
+        self.members[n_short:, 0] = long
+        filler = (self.members < 0)[..., None, None]
+        corners = walls[self.members]  # (n_clusters, PER_CLUSTER, 2, 2)
+        lower = np.where(filler, np.inf, corners).min(axis=(1, 2))
+        upper = np.where(filler, -np.inf, corners).max(axis=(1, 2))
+        self.centre = (lower + upper) / 2  # (n_clusters, 2) [m]
+        self.radius = np.hypot(*(upper - lower).T) / 2 + 1e-9  # (n_clusters,) [m]
+
+    def pairs(self, chosen: Bools) -> tuple[Ints, Ints]:
+        """List (pose, wall) for the chosen clusters (n_poses, n_clusters)."""
+        pose, cluster = np.nonzero(chosen)
+        member = self.members[cluster]
+        is_wall = member >= 0
+        return np.repeat(pose, PER_CLUSTER)[is_wall.ravel()], member[is_wall]
+
+
+class _View:
+    """Clusters as seen from a batch of poses: how far, and in which sectors of the full turn."""
+
+    def __init__(self, clusters: _Clusters, poses: Floats, bearings: Floats) -> None:
+        x, y = clusters.centre[:, 0] - poses[:, :1], clusters.centre[:, 1] - poses[:, 1:2]
+        far = np.sqrt(x * x + y * y)
+        self.distance: Floats = (
+            far - clusters.radius
+        )  # (n_poses, n_clusters) [m] least; negative inside the circle
+        per_radian = SECTORS / (2 * np.pi)
+        middle = (np.arctan2(y, x) - (poses[:, 2:] + bearings[0])) * per_radian
+        half = np.arcsin(np.minimum(clusters.radius / np.maximum(far, 1e-12), 1.0)) * per_radian + 1e-6
+        first = np.floor(middle - half).astype(np.intp)
+        last = np.floor(middle + half).astype(np.intp)
+        self.level = np.minimum(np.frexp((last - first + 1).astype(np.float64))[1] - 1, LEVELS - 1)
+        width = np.left_shift(1, self.level)
+        self.is_narrow = (self.distance > 0) & (last - first + 1 <= 2 * width)
+        row = SECTORS * np.arange(len(poses))[:, None]
+        self.first = row + first % SECTORS
+        self.second = row + (last + 1 - width) % SECTORS
+        sector = ((bearings - bearings[0]) * per_radian).astype(np.intp)
+        self.sectors, self.starts = np.unique(np.minimum(sector, SECTORS - 1), return_index=True)
+
+    def hidden(self, reach: Floats) -> Bools:
+        """Tell which clusters lie beyond every ray that looks their way, (n_poses, n_clusters).
+
+        `reach` (n_poses, n_rays): what each ray has met so far. A sector without rays reaches nowhere; a cluster
+        as wide as a quarter turn is never called hidden.
+        """
+        sector = np.full((len(reach), SECTORS), -np.inf)
+        sector[:, self.sectors] = np.maximum.reduceat(reach, self.starts, axis=1)
+        table = [sector]
+        for level in range(LEVELS - 1):  # maximum over 1, 2, 4, ... sectors, round the circle
+            table.append(np.maximum(table[-1], np.roll(table[-1], -(1 << level), axis=1)))
+        stacked = np.stack(table).reshape(LEVELS, -1)
+        farthest = np.maximum(stacked[self.level, self.first], stacked[self.level, self.second])
+        return np.asarray(self.is_narrow & (self.distance > farthest + 1e-9), dtype=np.bool_)
+
+
+def _morton(points: Floats) -> Ints:
+    """Order points (n, 2) so that neighbours in the list are neighbours in the plane."""
+    if len(points) == 0:
+        return np.zeros(0, dtype=np.intp)
+    scale = max(float(np.ptp(points, axis=0).max()), 1e-9)
+    cell = ((points - points.min(axis=0)) / scale * 1023).astype(np.uint64)
+    code = np.zeros(len(points), dtype=np.uint64)
+    for bit in range(10):
+        for axis in (0, 1):
+            code |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(2 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
+def _shorten(ranges: Floats, wall: Ints, at: Ints, r: Floats, k: Ints) -> None:
+    """Take the least r per ray, and its wall; of walls equally far the first."""
+    before = ranges.copy()
+    np.minimum.at(ranges, at, r)
+    nearest = np.flatnonzero(r == ranges[at])[::-1]  # backwards: of equals the first is written last
+    at, k = at[nearest], k[nearest]
+    tied = (before[at] == ranges[at]) & (wall[at] >= 0)
+    wall[at] = np.where(tied, np.minimum(wall[at], k), k)
+
+
+def _expand(first: Ints, last: Ints, base: Ints) -> tuple[Ints, Ints]:
+    """List (index, base[index] + ray) for every ray of the runs first..last."""
+    count = last - first + 1
+    some = np.flatnonzero(count > 0)
+    count = count[some]
+    ends = np.cumsum(count)
+    total = int(ends[-1]) if len(ends) else 0
+    at = np.repeat(base[some] + first[some] - (ends - count), count)
+    at += np.arange(total)
+    return np.repeat(some, count), at
+
+
+def _unit(walls: Floats) -> Floats:
+    """Return the unit vector along each wall, (2, n_walls)."""
+    d = (walls[:, 1] - walls[:, 0]).T
+    return np.ascontiguousarray(d / np.maximum(np.hypot(*d), 1e-300))
+
+
+def _inside(ax: Floats, ay: Floats, dx: Floats, dy: Floats, ux: Floats, uy: Floats) -> Floats:
+    """Intersect nearly parallel rays and walls, the hit held between the wall's ends (a, a + d)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.clip((ax * uy - ay * ux) / (ux * dy - uy * dx), 0.0, 1.0)
+    near = np.hypot(ax, ay) <= np.hypot(ax + dx, ay + dy)
+    share = np.where(np.isfinite(share), share, np.where(near, 0.0, 1.0))
+    along = (ax + share * dx) * ux + (ay + share * dy) * uy
+    return np.where(along >= 0, along, np.inf)

@@ -1,0 +1,240 @@
+"""robot.yaml -> Robot, RangeSensor and the nominal noise of its reference, wheels and motors."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from logs.run import RangeSensor
+from planners.robot import DRIVES, Limits, Robot
+from sensorgraph.errors import GapError
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseReference:
+    """The external pose reference, e.g. an overhead camera."""
+
+    rate: float = 30.0
+    """[Hz]"""
+    sigma_xy: float = 0.002
+    """[m] white noise of x and of y."""
+    sigma_yaw: float = 0.0015
+    """[rad] white noise of phi."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wheels:
+    """A differential pair of wheels and what its odometry does."""
+
+    radius: float = 0.10
+    """[m]"""
+    base: float = 0.40
+    """[m] between the wheels."""
+    sigma_v: float = 0.004
+    """[m/s] white noise of the measured speed."""
+    sigma_omega: float = 0.006
+    """[rad/s] white noise of the measured turn rate."""
+    rate: float = 20.0
+    """[Hz] of odometry and of commands."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Actuators:
+    """First-order motors behind a dead time."""
+
+    tau: float = 0.10
+    """[s] time constant of v and omega after a step of the command."""
+    delay: float = 0.0
+    """[s] between a command and its first effect."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerances:
+    """What a careful set-up holds; a smaller difference is nuisance, not an effect."""
+
+    map: float = 0.0045
+    """[m] vertices of the map."""
+    mount_xy: float = 0.0018
+    """[m] laser in base_link."""
+    mount_yaw: float = 0.0006
+    """[rad]"""
+    pose_xy: float = 0.0022
+    """[m] reference pose."""
+    pose_yaw: float = 0.0015
+    """[rad]"""
+    stamp: float = 0.0035
+    """[s] clocks."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotFile:
+    """All of robot.yaml."""
+
+    robot: Robot
+    sensor: RangeSensor
+    pose: PoseReference = field(default_factory=PoseReference)
+    wheels: Wheels = field(default_factory=Wheels)
+    actuators: Actuators = field(default_factory=Actuators)
+    tolerances: Tolerances = field(default_factory=Tolerances)
+    text: str = ""
+    """The file as it came, kept for the record."""
+
+
+SENSOR_DEFAULTS: dict[str, Any] = {
+    "mount": [0.10, 0.0, 0.0],
+    "n_rays": 181,
+    "fov": 3.14159265,
+    "range_min": 0.05,
+    "range_max": 8.0,
+    "sigma": 0.01,
+    "resolution": 0.001,
+    "rate": 10.0,
+    "sweep_time": 0.0,
+    "height": 0.30,
+}
+SECTIONS: dict[str, dict[str, Any]] = {
+    "limits": asdict(Limits()),
+    "sensor": SENSOR_DEFAULTS,
+    "pose": asdict(PoseReference()),
+    "wheels": asdict(Wheels()),
+    "actuators": asdict(Actuators()),
+    "tolerances": asdict(Tolerances()),
+}
+TOP: dict[str, Any] = {f.name: f.default for f in fields(Robot) if f.name != "limits"}
+POSITIVE = {
+    "v",
+    "omega",
+    "a",
+    "alpha",
+    "n_rays",
+    "fov",
+    "range_max",
+    "rate",
+    "radius",
+    "base",
+    "footprint_radius",
+}
+
+
+def default() -> RobotFile:
+    """Return the robot that an empty file describes."""
+    return loads("")
+
+
+def read(path: Path | str) -> RobotFile:
+    """Read robot.yaml; raise GapError in one line for whatever is wrong with it."""
+    path = Path(path)
+    if path.is_dir():
+        raise GapError(f"{path} is a directory, expected a robot.yaml file")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as exc:
+        raise GapError(f"{path} is not a text file; expected a robot.yaml") from exc
+    return loads(text, name=str(path))
+
+
+def loads(text: str, *, name: str = "robot.yaml") -> RobotFile:
+    """Parse the text of a robot.yaml; missing keys take their defaults, an unknown key is refused."""
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as exc:
+        raise GapError(f"{name}: not YAML: {exc}") from exc
+    data = {} if data is None else data
+    if not isinstance(data, dict):
+        raise GapError(
+            f"{name}: holds a {type(data).__name__}, expected keys such as `name:`, `drive:`, `limits:`"
+        )
+    _refuse_unknown(name, "", data, [*TOP, *SECTIONS])
+    values = {key: _section(name, key, data.get(key), defaults) for key, defaults in SECTIONS.items()}
+    top = {key: _value(name, key, data.get(key, default), default) for key, default in TOP.items()}
+    if top["drive"] not in DRIVES:
+        raise GapError(f"{name}: drive is {top['drive']!r}, expected one of {', '.join(DRIVES)}")
+    try:
+        return RobotFile(
+            robot=Robot(limits=Limits(**values["limits"]), **top),
+            sensor=_sensor(values["sensor"]),
+            pose=PoseReference(**values["pose"]),
+            wheels=Wheels(**values["wheels"]),
+            actuators=Actuators(**values["actuators"]),
+            tolerances=Tolerances(**values["tolerances"]),
+            text=text,
+        )
+    except ValueError as exc:
+        raise GapError(f"{name}: {exc}") from exc
+
+
+def bearings(n_rays: int, fov: float) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return (n_rays,) [rad] evenly over `fov`, symmetric about straight ahead.
+
+    Both ends are rays, except for a full turn, where the last ray stops one step before the first.
+    """
+    if fov > 2 * np.pi - 1e-6:
+        return -np.pi + 2 * np.pi * np.arange(n_rays) / n_rays
+    return np.linspace(-fov / 2, fov / 2, n_rays) if n_rays > 1 else np.zeros(1)
+
+
+def _sensor(values: Mapping[str, Any]) -> RangeSensor:
+    n_rays, fov = values["n_rays"], values["fov"]
+    if fov > 2 * np.pi + 1e-6:
+        raise ValueError(f"sensor.fov is {fov} rad, expected at most 2 pi; degrees are not meant")
+    rest = {key: value for key, value in values.items() if key not in ("n_rays", "fov", "mount")}
+    return RangeSensor(
+        bearings=bearings(n_rays, fov), mount=np.array(values["mount"], dtype=np.float64), **rest
+    )
+
+
+def _refuse_unknown(name: str, where: str, data: Mapping[Any, Any], known: list[str]) -> None:
+    for key in data:
+        if key not in known:
+            near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.0)
+            raise GapError(f"{name}: unknown key `{where}{key}`; did you mean `{where}{near[0]}`?")
+
+
+def _section(name: str, key: str, data: Any, defaults: Mapping[str, Any]) -> dict[str, Any]:
+    data = {} if data is None else data
+    if not isinstance(data, dict):
+        raise GapError(f"{name}: `{key}` is {data!r}, expected keys {', '.join(defaults)}")
+    _refuse_unknown(name, f"{key}.", data, list(defaults))
+    return {k: _value(name, f"{key}.{k}", data.get(k, default), default) for k, default in defaults.items()}
+
+
+def _value(name: str, key: str, value: Any, default: Any) -> Any:
+    """Check one value against the type of its default; numbers are finite and, where it matters, positive."""
+    if isinstance(default, str):
+        if not isinstance(value, str):
+            raise GapError(f"{name}: `{key}` is {value!r}, expected a word such as {default!r}")
+        return value
+    if isinstance(default, list):
+        value = [_number(v) for v in value] if isinstance(value, list) else value
+        ok = isinstance(value, list) and len(value) == len(default) and all(_is_number(v) for v in value)
+        if not ok:
+            raise GapError(f"{name}: `{key}` is {value!r}, expected {len(default)} numbers such as {default}")
+        return [float(v) for v in value]
+    whole = isinstance(default, int)
+    value = _number(value)
+    if not _is_number(value) or (whole and value != int(value)):
+        raise GapError(
+            f"{name}: `{key}` is {value!r}, expected a {'whole ' if whole else ''}number such as {default}"
+        )
+    least = "above 0" if key.split(".")[-1] in POSITIVE else "0 or more"
+    if value < 0 or (value == 0 and least == "above 0"):
+        raise GapError(f"{name}: `{key}` is {value}, expected {least}")
+    return int(value) if whole else float(value)
+
+
+def _number(value: Any) -> Any:
+    """Turn `1e-3`, which YAML takes for a word, into a number; leave all else as it is."""
+    try:
+        return float(value) if isinstance(value, str) else value
+    except ValueError:
+        return value
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
