@@ -1,4 +1,4 @@
-"""CDR, the byte layout of ROS 2 messages, for whole columns of messages at once; files live elsewhere.
+"""CDR, the byte layout of ROS 2 messages (and ROS 1's), for whole columns at once; files live elsewhere.
 
 Messages of one topic repeat one layout: it is walked once, then every field is a column of a byte matrix.
 """
@@ -68,9 +68,11 @@ class _Layout:
     strings: dict[str, str] = field(default_factory=dict)
     fixed: list[tuple[int, bytes]] = field(default_factory=list)
     end: int = 4
+    is_ros1: bool = False
 
     def align(self, size: int) -> None:
-        self.end += -(self.end - 4) % size
+        if not self.is_ros1:
+            self.end += -(self.end - 4) % size
 
     def numbers(self, name: str, code: str, count: int) -> None:
         dtype = np.dtype("<" + code)
@@ -124,8 +126,8 @@ class Columns:
         return len({name.split(".")[0] for name in self.places if "." in name})
 
 
-def unpack(messages: Sequence[bytes], msgtype: str, topic: str) -> Iterator[Columns]:
-    """Yield columns of `messages`, one block for each layout met."""
+def unpack(messages: Sequence[bytes], msgtype: str, topic: str, encoding: str = "cdr") -> Iterator[Columns]:
+    """Yield columns of `messages`, one block for each layout met; the encoding is `cdr` or `ros1`."""
     spec = SPECS[msgtype]
     sizes = np.array([len(message) for message in messages], dtype=np.int64)
     for size in np.unique(sizes):
@@ -137,7 +139,7 @@ def unpack(messages: Sequence[bytes], msgtype: str, topic: str) -> Iterator[Colu
         )
         while len(index):
             try:
-                layout = _walk(spec, rows[0].tobytes())
+                layout = _walk(spec, rows[0].tobytes(), is_ros1=encoding == "ros1")
             except (ValueError, struct.error) as exc:
                 raise LogError(_bad(topic, msgtype, int(index[0]), str(exc))) from exc
             same = np.ones(len(index), dtype=np.bool_)
@@ -211,11 +213,17 @@ def _lay(
             layout.numbers(head + name, code, int(count_text or 1))
 
 
-def _walk(spec: Spec, data: bytes) -> _Layout:
-    """Find where the fields of one message lie."""
-    if data[0] != 0 or data[1] != 1:
+def _walk(spec: Spec, data: bytes, *, is_ros1: bool) -> _Layout:
+    """Find where the fields of one message lie.
+
+    ROS 1 has the same fields in the same order, without alignment and encapsulation, and counts its headers.
+    """
+    if is_ros1:
+        layout = _Layout(end=0, is_ros1=True)
+    elif data[0] != 0 or data[1] != 1:
         raise ValueError(f"it starts with {data[:4].hex(' ')}, expected little-endian CDR, 00 01 00 00")
-    layout = _Layout(fixed=[(0, data[:2])])
+    else:
+        layout = _Layout(fixed=[(0, data[:2])])
     _find(layout, spec, "", data)
     if layout.end > len(data):
         raise ValueError(f"it has {len(data)} bytes, its fields need {layout.end}")
@@ -226,6 +234,8 @@ def _find(layout: _Layout, spec: Spec, head: str, data: bytes) -> None:
     for name, kind in spec:
         if isinstance(kind, str) and kind != "str" and not kind.endswith("[]"):
             code, _, count_text = kind.partition(":")
+            if name == "sec" and layout.is_ros1:
+                layout.numbers(head + "seq", "u4", 1)
             layout.numbers(head + name, code, int(count_text or 1))
             continue
         layout.align(4)

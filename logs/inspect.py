@@ -11,7 +11,7 @@ import numpy as np
 
 from logs import FORMATS, cdr, format_of, mcap_file, rosbag
 from logs.errors import LogError
-from logs.ros_run import KNOWN, TF, Recording, Topic, check_roles, choices, to_run, transform_tree
+from logs.ros_run import ENCODINGS, KNOWN, TF, Recording, Topic, check_roles, choices, to_run, transform_tree
 from logs.run import Floats, Run, pair
 
 Progress = Callable[[int, int], None]
@@ -149,7 +149,7 @@ def _topic(topic: Topic, start: int) -> TopicInfo:
     if topic.type in KNOWN and topic.type != TF and topic.payloads:
         headers, frames = logged.copy(), dict[str, int]()
         raw = np.array(topic.log_times, dtype=np.int64)
-        for block in cdr.unpack(topic.payloads, topic.type, topic.name):
+        for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
             if "sec" in block.places:
                 headers[block.index] = block.stamps_ns
                 offset = 0.0
@@ -162,7 +162,7 @@ def _topic(topic: Topic, start: int) -> TopicInfo:
     span = len(logged) > 0
     return TopicInfo(
         name=topic.name,
-        type=topic.type if topic.encoding == "cdr" else f"{topic.type} ({topic.encoding})",
+        type=topic.type if topic.encoding in ENCODINGS else f"{topic.type} ({topic.encoding})",
         n_messages=topic.n_messages,
         rate=_rate(stamps / 1e9),
         frame=frame,

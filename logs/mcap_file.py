@@ -17,7 +17,19 @@ from logs import cdr
 from logs.errors import LogError
 from logs.mcap_records import MAGIC, Contents, Loss, Walk
 from logs.own_run import RECORD, facts
-from logs.ros_run import KNOWN, ODOMETRY, POSE, SCAN, TF, TWIST_STAMPED, Recording, Topic, full_type, to_run
+from logs.ros_run import (
+    ENCODINGS,
+    KNOWN,
+    ODOMETRY,
+    POSE,
+    SCAN,
+    TF,
+    TWIST_STAMPED,
+    Recording,
+    Topic,
+    full_type,
+    to_run,
+)
 from logs.run import Floats, OccupancyMap, RangeSensor, Run, pair
 from logs.transforms import Stamps, compose, interpolate, invert, to_translation_quaternion
 
@@ -389,8 +401,8 @@ def collect(
             topic = recording.topics.setdefault(f"{channel.topic}#{key}", Topic(channel.topic, kind))
         topic.n_messages += counts.get(key, 0)
         topic.log_times += logged.get(key, [])
-        if kind in KNOWN and channel.encoding in ("cdr", "ros1"):
-            topic.payloads += _as_cdr(payloads.get(key, []), kind, channel.encoding)
+        if kind in KNOWN and channel.encoding in ENCODINGS:
+            topic.payloads += payloads.get(key, [])
     if progress is not None:
         progress(len(data), len(data))
     return recording, contents
@@ -399,11 +411,3 @@ def collect(
 def _type_of(contents: Contents, channel: int) -> str:
     schema = contents.schemas.get(contents.channels[channel].schema_id)
     return full_type(schema.name) if schema is not None else "without schema"
-
-
-def _as_cdr(payloads: list[bytes], msgtype: str, encoding: str) -> list[bytes]:
-    if encoding == "cdr":
-        return payloads
-    from logs.ros_types import ros1_to_cdr
-
-    return [ros1_to_cdr(payload, msgtype) for payload in payloads]

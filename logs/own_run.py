@@ -99,7 +99,7 @@ def _scans(recording: Recording, n_rays: int, source: str) -> tuple[np.ndarray, 
         return np.zeros(0, dtype=np.int64), np.zeros((0, n_rays))
     stamps = np.zeros(len(topic.payloads), dtype=np.int64)
     ranges = np.empty((len(stamps), n_rays))
-    for block in cdr.unpack(topic.payloads, topic.type, topic.name):
+    for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
         if block.places["ranges"].count != n_rays:
             raise LogError(
                 f"{source}: a scan has {block.places['ranges'].count} ranges, its `{RECORD}` record says {n_rays}; "

@@ -23,6 +23,8 @@ ODOMETRY, TWIST, TWIST_STAMPED = (
 KNOWN = frozenset({SCAN, TF, POSE, POSE_COV, ODOMETRY, TWIST, TWIST_STAMPED})
 """Types whose messages are kept in memory; others are only counted."""
 
+ENCODINGS = ("cdr", "ros1")
+
 ROLES: dict[str, tuple[str, tuple[str, ...]]] = {
     "scan": ("/scan", (SCAN,)),
     "pose": ("/pose", (POSE, POSE_COV, ODOMETRY)),
@@ -136,7 +138,7 @@ def track(topic: Topic, column: str, width: int, *, absolute: bool = False) -> T
     logged = np.array(topic.log_times, dtype=np.int64)
     stamps, values = logged.copy(), np.full((n, width), np.nan)
     frames: dict[tuple[str, str], int] = {}
-    for block in cdr.unpack(topic.payloads, topic.type, topic.name):
+    for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
         values[block.index] = block[column]
         if "sec" in block.places:
             stamps[block.index] = block.stamps_ns
@@ -173,7 +175,7 @@ def transform_tree(recording: Recording) -> TransformTree:
         if topic.type != TF or not topic.payloads:
             continue
         edges: dict[tuple[str, str], list[tuple[Stamps, Floats]]] = {}
-        for block in cdr.unpack(topic.payloads, topic.type, topic.name):
+        for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
             for i in range(block.n_parts):
                 part = block.part(i)
                 key = (part.strings["frame_id"].strip("/"), part.strings["child_frame_id"].strip("/"))
@@ -206,7 +208,7 @@ class _Scans:
 def read_scans(topic: Topic) -> _Scans:
     """Decode LaserScan messages; those of another geometry than most are dropped and counted."""
     n = len(topic.payloads)
-    blocks = list(cdr.unpack(topic.payloads, topic.type, topic.name))
+    blocks = list(cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding))
     shapes: dict[tuple[int, bytes], int] = {}
     keys = np.empty(n, dtype=object)
     for block in blocks:

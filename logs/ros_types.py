@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
+from rosbags.typesys import Stores, get_typestore
 
 LATCHED = ("/tf_static", "/map")
 """Topics that a late listener must still receive."""
@@ -16,20 +15,6 @@ def definition(msgtype: str) -> bytes:
     """Return the concatenated ros2msg text that an MCAP schema holds."""
     text, _ = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(msgtype, ros_version=2)
     return text.encode()
-
-
-@cache
-def _ros1() -> Typestore:
-    store = get_typestore(Stores.ROS1_NOETIC)
-    store.register(
-        get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
-    )
-    return store
-
-
-def ros1_to_cdr(payload: bytes, msgtype: str) -> bytes:
-    """Turn a ROS 1 message of a standard type into CDR."""
-    return bytes(_ros1().ros1_to_cdr(payload, msgtype))
 
 
 def quality(topic: str) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 from logs import mcap_file
 from logs.errors import LogError
 from logs.mcap_file import Progress
-from logs.ros_run import KNOWN, Recording, Topic, full_type, to_run
+from logs.ros_run import ENCODINGS, KNOWN, Recording, Topic, full_type, to_run
 from logs.run import Run
 
 SQLITE, ROS1 = b"SQLite format 3\x00", b"#ROSBAG V"
@@ -117,7 +117,7 @@ def _sqlite_file(base: sqlite3.Connection, recording: Recording, progress: Progr
     for key, name, kind, encoding in base.execute("SELECT id, name, type, serialization_format FROM topics"):
         topics[key] = recording.topics.setdefault(name, Topic(name, full_type(kind), encoding))
     (total,) = base.execute("SELECT count(*) FROM messages").fetchone()
-    kept = [key for key, topic in topics.items() if topic.type in KNOWN and topic.encoding == "cdr"]
+    kept = [key for key, topic in topics.items() if topic.type in KNOWN and topic.encoding in ENCODINGS]
     marks = ",".join("?" * len(kept))
     query = f"SELECT topic_id, timestamp, CASE WHEN topic_id IN ({marks}) THEN data END FROM messages ORDER BY timestamp, id"
     for done, (key, stamp, data) in enumerate(base.execute(query, kept)):
@@ -136,19 +136,21 @@ def _by_rosbags(path: Path, kind: str, progress: Progress | None) -> Recording:
     from rosbags.typesys import Stores, get_typestore
 
     recording = Recording(format=kind)
+    encoding = "ros1" if kind == "rosbag1" else "cdr"
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             for connection in reader.connections:
                 name = connection.topic
-                topic = recording.topics.setdefault(name, Topic(name, full_type(connection.msgtype)))
+                topic = recording.topics.setdefault(
+                    name, Topic(name, full_type(connection.msgtype), encoding)
+                )
                 topic.n_messages += connection.msgcount
             total = reader.message_count
             kept = [c for c in reader.connections if full_type(c.msgtype) in KNOWN]
             for done, (connection, stamp, raw) in enumerate(reader.messages(kept) if kept else ()):
                 topic = recording.topics[connection.topic]
                 topic.log_times.append(stamp)
-                cdr = raw if reader.is2 else reader.typestore.ros1_to_cdr(raw, connection.msgtype)
-                topic.payloads.append(bytes(cdr))
+                topic.payloads.append(bytes(raw))
                 if progress is not None and done % 512 == 0:
                     progress(done, total)
     except OSError:

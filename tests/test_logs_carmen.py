@@ -1,0 +1,206 @@
+"""CARMEN and Wean Hall logs: layouts, clocks, no-return codes, and whose poses these are."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from logs_samples import DATA
+
+import logs
+from logs.no_return import find_code
+
+
+def flaser(
+    ranges: np.ndarray, t: float, *, laser: tuple[float, ...] = (0, 0, 0), robot: tuple[float, ...] = (0, 0, 0),
+    logger: float | None = None, word: str = "FLASER",
+) -> str:  # fmt: skip
+    shown = " ".join(f"{value:.2f}" for value in ranges)
+    poses = " ".join(map(str, (*laser, *robot)))
+    return f"{word} {len(ranges)} {shown} {poses} {t} host {t if logger is None else logger}"
+
+
+def write(path: Path, lines: list[str]) -> Path:
+    path.write_text("# message formats defined: PARAM FLASER\n## comment\n" + "\n".join(lines) + "\n")
+    return path
+
+
+def walk(n: int = 6, n_rays: int = 181) -> list[str]:
+    rng = np.random.default_rng(0)
+    return [flaser(rng.uniform(1, 9, n_rays), i / 2, laser=(i, 0, 0.1), robot=(i, 0, 0.1)) for i in range(n)]
+
+
+@pytest.mark.parametrize(
+    ("n_rays", "first", "last"),
+    [(180, -90, 89), (181, -90, 90), (360, -90, 89.5), (361, -90, 90), (401, -50, 50), (541, -135, 135),
+     (1081, -135, 135), (7, -90, 90)],
+)  # fmt: skip
+def test_count_of_rays_tells_the_bearings(tmp_path: Path, n_rays: int, first: float, last: float) -> None:
+    run = logs.read(write(tmp_path / "a.log", walk(n_rays=n_rays)))
+    np.testing.assert_allclose(np.degrees(run.sensor.bearings[[0, -1]]), [first, last], atol=1e-9)
+    assert run.sensor.is_evenly_spaced
+
+
+def test_robotlaser_brings_its_own_geometry_and_poses(tmp_path: Path) -> None:
+    line = (
+        "ROBOTLASER1 1 -1.0 2.0 0.5 30.0 0.01 0 5 1.0 2.0 30.0 4.0 5.0 2 7 7 "
+        "1.2 0 0 1.0 0 0 0.3 0.1 0 0 0 100.5 host 0.5"
+    )
+    run = logs.read(write(tmp_path / "a.log", [line, line.replace("100.5", "100.6")]))
+    np.testing.assert_allclose(run.sensor.bearings, [-1, -0.5, 0, 0.5, 1])
+    np.testing.assert_array_equal(run.ranges[0], [1, 2, np.inf, 4, 5])
+    assert run.sensor.range_max == 30
+    np.testing.assert_allclose(run.sensor.mount, [0.2, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(run.stamps, [100.5, 100.6])
+    np.testing.assert_allclose(run.poses[0], [1, 0, 0])
+    assert (run.pose_frame, run.meta["pose_source"]) == ("base_link", "odometry")
+
+
+@pytest.mark.parametrize("code", [32.767, 50.0, 51.1, 81.83, 81.91])
+@given(seed=st.integers(0, 50), share=st.floats(0.01, 0.3))
+def test_no_return_code_is_found_whatever_it_is(code: float, seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    ranges = np.round(rng.gamma(2.0, 2.0, 20_000).clip(0.1, code - 0.2), 2)
+    ranges[rng.random(len(ranges)) < share] = code
+    assert find_code(ranges) == code
+
+
+def test_codes_that_differ_a_little_are_all_taken_and_a_stray_return_is_not() -> None:
+    ranges = np.concatenate(
+        [np.linspace(1, 30, 5000).round(2), np.full(600, 51.05), np.full(40, 51.1), [51.01]]
+    )
+    assert find_code(ranges) == 51.05
+
+
+@given(seed=st.integers(0, 200))
+def test_ranges_without_a_code_are_left_alone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    assert find_code(np.round(rng.uniform(0.5, 12.0, 5000), 2)) is None
+    assert find_code(np.round(rng.gamma(2.0, 2.0, 5000), 2)) is None
+
+
+def test_zero_and_negative_ranges_tell_nothing(tmp_path: Path) -> None:
+    lines = walk()
+    lines[2] = flaser(np.array([0.0, -1.0, *np.full(179, 2.0)]), 1.0)
+    run = logs.read(write(tmp_path / "a.log", lines))
+    assert np.isnan(run.ranges[2, :2]).all() and np.isfinite(run.ranges[2, 2:]).all()
+    assert "2 ranges are 0 or less" in run.meta["notes"]
+
+
+def test_raw_log_gives_odometry_and_the_mount(tmp_path: Path) -> None:
+    lines = []
+    for i in range(8):
+        phi = 0.3 * i
+        laser = (i + 0.25 * np.cos(phi), 0.25 * np.sin(phi), phi)
+        lines += [f"ODOM {i} 0 {phi} 1.5 0.2 0 {i / 2} host {i / 2}", flaser(np.full(181, 2.0 + i), i / 2, laser=laser, robot=(i, 0, phi))]  # fmt: skip
+    run = logs.read(write(tmp_path / "a.log", lines))
+    assert (run.meta["pose_source"], run.pose_frame) == ("odometry", "base_link")
+    np.testing.assert_allclose(run.sensor.mount, [0.25, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(run.odom_twists, np.tile([1.5, 0.2], (8, 1)))
+    np.testing.assert_allclose(run.odometry[:, 0], np.arange(8))
+
+
+def test_corrected_log_gives_the_lasers_poses_and_drops_restarting_odometry(tmp_path: Path) -> None:
+    lines = ["PARAM robot_frontlaser_offset 0.17 nohost 0"]
+    for line in walk():
+        lines += ["ODOM 0 0 0 0 0 0 0 host 0", line, "NEFF 12.5", "ODOM 0 0 0 0 0 0 -1.0 host -1.0"]
+    run = logs.read(write(tmp_path / "a.log", lines))
+    assert (run.meta["pose_source"], run.pose_frame, len(run.odom_stamps)) == ("slam", "laser", 0)
+    np.testing.assert_allclose(run.poses[:, 0], np.arange(6))
+    np.testing.assert_allclose(run.sensor.mount, [0.17, 0, 0])
+    assert "ODOM lines follow the corrected poses" in run.meta["notes"]
+
+
+def test_true_poses_win_over_odometry(tmp_path: Path) -> None:
+    lines = [*walk(), *(f"TRUEPOS {i} 5 0.5 {i} 0 0 {i / 2} host {i / 2}" for i in range(6))]
+    run = logs.read(write(tmp_path / "a.log", lines))
+    assert run.meta["pose_source"] == "TRUEPOS"
+    np.testing.assert_allclose(run.poses[:, 1], 5)
+
+
+@pytest.mark.parametrize(
+    ("times", "loggers", "want", "words"),
+    [
+        ([0, 0, 0], [0, 0, 0], [0, 0.1, 0.2], "no clock runs"),
+        ([7, 7, 7], [1.0, 1.5, 2.0], [1.0, 1.5, 2.0], "the logger's was taken"),
+        ([-3, -2, -1], [0, 0, 0], [-3, -2, -1], ""),
+        ([1, 3, 2], [1, 3, 2], [1, 2, 3], "go back 1 times, sorted"),
+        ([1, 1, 2], [1, 1, 2], [1, 1, 2], "1 scan stamps are duplicates"),
+        ([1.6e9, 1.6e9 + 1, 1.6e9 + 2], [0, 0, 0], [0, 1, 2], ""),
+    ],
+)
+def test_any_clock_gives_stamps_that_do_not_go_back(
+    tmp_path: Path, times: list[float], loggers: list[float], want: list[float], words: str
+) -> None:
+    lines = [
+        flaser(np.full(181, 2.0 + i), t, logger=s)
+        for i, (t, s) in enumerate(zip(times, loggers, strict=True))
+    ]
+    run = logs.read(write(tmp_path / "a.log", lines))
+    np.testing.assert_allclose(run.stamps, want)
+    assert words in run.meta.get("notes", "")
+    assert run.epoch_ns == (1_600_000_000_000_000_000 if max(times) > 1e9 else 0)
+
+
+def test_gzip_is_told_by_content_and_broken_lines_are_counted(tmp_path: Path) -> None:
+    lines = [*walk(), "FLASER 181 1.0 2.0"]
+    text = write(tmp_path / "a.log", lines).read_bytes()
+    (tmp_path / "b.log").write_bytes(gzip.compress(text))
+    run = logs.read(tmp_path / "b.log")
+    assert run.n_scans == 6
+    assert "1 broken lines left out, the first is line 9" in run.meta["notes"]
+
+
+def test_other_laser_is_read_when_named(tmp_path: Path) -> None:
+    lines = [*walk(), flaser(np.full(181, 3.0), 9.0, word="RLASER")]
+    path = write(tmp_path / "a.log", lines)
+    assert "1 RLASER" in logs.read(path).meta["notes"]
+    assert logs.read(path, topics={"scan": "RLASER"}).n_scans == 1
+    with pytest.raises(logs.LogError, match="has FLASER, RLASER"):
+        logs.read(path, topics={"scan": "ROBOTLASER1"})
+
+
+def test_wean_lines_become_metres_with_their_mount(tmp_path: Path) -> None:
+    lines = []
+    for i in range(4):
+        ranges = " ".join(["8191"] * 2 + [str(100 + i)] * 178)
+        lines += [f"O {100 * i} 0 0 {i}", f"L {100 * i} 0 0 {100 * i + 25} 0 0 {ranges} {i}.5"]
+    (tmp_path / "robotdata.log").write_text("\n".join(lines) + "\n")
+    run = logs.read(tmp_path / "robotdata.log")
+    assert run.meta["format"] == "wean"
+    assert np.isposinf(run.ranges[:, :2]).all()
+    np.testing.assert_allclose(run.ranges[:, 2], [1.0, 1.01, 1.02, 1.03])
+    np.testing.assert_allclose(run.sensor.mount, [0.25, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(run.poses[:, 0], np.arange(4))
+
+
+REAL = {  # name -> scans, rays, range_max, rays without return, pose_source (counted with awk on the files)
+    "ple-intel/intel-corrected.log.gz": (910, 180, 81.83, 4172, "slam"),
+    "ple-freiburg-079/freiburg-079-corrected.log.gz": (4316, 360, 81.91, 33607, "slam"),
+    "ple-fhw/fhw-corrected.log.gz": (488, 180, 51.05, 647, "slam"),
+    "ple-aces/aces-corrected.log.gz": (440, 180, 50.0, 620, "slam"),
+    "wean-hall/robotdata2.log.gz": (2251, 180, 81.83, 15066, "odometry"),
+    "wean-hall/robotdata4.log.gz": (600, 180, 81.83, 2770, "odometry"),
+}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_log_is_read_whole(name: str, tmp_path: Path) -> None:
+    path = DATA / name
+    if not path.is_file():
+        pytest.skip(f"the research data set {name} is not beside the project")
+    run = logs.read(path)
+    n_scans, n_rays, range_max, n_nothing, source = REAL[name]
+    assert run.ranges.shape == (n_scans, n_rays)
+    assert (run.sensor.range_max, run.meta["pose_source"]) == (range_max, source)
+    assert np.isposinf(run.ranges).sum() == n_nothing
+    assert run.sensor.resolution == 0.01
+    assert logs.pair(run).paired.all()
+    logs.write(run, tmp_path / "run.mcap")
+    again = logs.read(tmp_path / "run.mcap")
+    np.testing.assert_array_equal(again.ranges, run.ranges.astype(np.float32))
+    assert again.pose_frame == run.pose_frame

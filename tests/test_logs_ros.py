@@ -1,0 +1,306 @@
+"""What others record: bags of every kind, other names, other mounts, other habits with missing returns."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+import logs
+from logs import cdr
+from logs.ros_run import ODOMETRY, POSE, POSE_COV, SCAN, TF, TWIST
+
+EPOCH = 1_600_000_000_000_000_000
+Message = tuple[str, str, int, bytes]
+HUMBLE = get_typestore(Stores.ROS2_HUMBLE)
+
+
+def ns(stamp: float) -> int:
+    return EPOCH + round(stamp * 1e9)
+
+
+def message(
+    topic: str, msgtype: str, stamp: float, strings: Mapping[str, str], *, log: float | None = None, parts: int = 0,
+    **columns: Any,
+) -> Message:  # fmt: skip
+    at = ns(stamp)
+    heads = [f"{i}." for i in range(parts)] or ([""] if msgtype != TWIST else [])
+    stamps = {
+        f"{h}{k}": np.array([v]) for h in heads for k, v in (("sec", at // 10**9), ("nanosec", at % 10**9))
+    }
+    data = {k.replace("__", "."): np.asarray(v, dtype=np.float64) for k, v in columns.items()}
+    row = cdr.pack(msgtype, 1, strings=strings, columns={**stamps, **data}, parts=parts)
+    return topic, msgtype, ns(stamp if log is None else log), row[0].tobytes()
+
+
+def scan(
+    stamp: float, ranges: Any, *, topic: str = "/scan", frame: str = "laser", log: float | None = None,
+    angle_min: float = -0.5, increment: float = 0.25, time_increment: float = 0.0,
+    range_min: float = 0.1, range_max: float = 10.0,
+) -> Message:  # fmt: skip
+    ranges = np.asarray(ranges, dtype=np.float64)
+    last = angle_min + increment * (len(ranges) - 1)
+    limits = [angle_min, last, increment, time_increment, 0.1, range_min, range_max]
+    return message(topic, SCAN, stamp, {"frame_id": frame}, log=log, limits=limits, ranges=ranges)
+
+
+def quaternion(yaw: float, roll: float = 0.0) -> list[float]:
+    cy, sy, cr, sr = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(roll / 2), np.sin(roll / 2)
+    return [cy * sr, sy * sr, sy * cr, cy * cr]
+
+
+def transform(
+    stamp: float, parent: str, child: str, x: float, y: float, yaw: float, *,
+    z: float = 0.0, roll: float = 0.0, static: bool = False,
+) -> Message:  # fmt: skip
+    strings = {"0.frame_id": parent, "0.child_frame_id": child}
+    values = [x, y, z, *quaternion(yaw, roll)]
+    return message("/tf_static" if static else "/tf", TF, stamp, strings, parts=1, **{"0__transform": values})
+
+
+def pose(stamp: float, x: float, y: float, yaw: float, *, topic: str = "/pose", kind: str = POSE) -> Message:
+    return message(topic, kind, stamp, {"frame_id": "map"}, pose=[x, y, 0, *quaternion(yaw)])
+
+
+def odometry(
+    stamp: float, x: float, y: float, yaw: float, v: float = 0.0, *, topic: str = "/odom"
+) -> Message:
+    strings = {"frame_id": "odom", "child_frame_id": "base_link"}
+    return message(
+        topic, ODOMETRY, stamp, strings, pose=[x, y, 0, *quaternion(yaw)], twist=[v, 0, 0, 0, 0, 0.5]
+    )
+
+
+def command(stamp: float, v: float, omega: float) -> Message:
+    return message("/cmd_vel", TWIST, stamp, {}, twist=[v, 0, 0, 0, 0, omega])
+
+
+def write_bag2(
+    path: Path, messages: list[Message], storage: str = "MCAP", *, compressed: bool = False
+) -> Path:
+    bag = Writer2(path, version=8, storage_plugin=StoragePlugin[storage])
+    if compressed:
+        bag.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with bag as writer:
+        connections: dict[str, Any] = {}
+        for topic, msgtype, at, data in messages:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, msgtype, typestore=HUMBLE)
+            writer.write(connections[topic], at, data)
+    return path
+
+
+def to_ros1(store: Any, value: Any) -> Any:
+    """Rebuild a ROS 2 message from ROS 1's classes; headers get their count."""
+    if isinstance(value, list):
+        return [to_ros1(store, item) for item in value]
+    if not hasattr(value, "__msgtype__"):
+        return value
+    fields = {f.name: to_ros1(store, getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if value.__msgtype__ == "std_msgs/msg/Header":
+        fields["seq"] = 7
+    return store.types[value.__msgtype__](**fields)
+
+
+def write_bag1(path: Path, messages: list[Message]) -> Path:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+    with Writer1(path) as writer:
+        connections: dict[str, Any] = {}
+        for topic, msgtype, at, data in messages:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, msgtype, typestore=store)
+            old = to_ros1(store, HUMBLE.deserialize_cdr(data, msgtype))
+            writer.write(connections[topic], at, bytes(store.serialize_ros1(old, msgtype)))
+    return path
+
+
+def trip() -> list[Message]:
+    """Ten scans of five rays while driving along x at 1 m/s, everything present."""
+    out = [transform(0.0, "base_link", "laser", 0.2, 0.1, 0.3, z=0.4, static=True)]
+    for i in range(10):
+        t = i / 10
+        out += [
+            scan(t, [1, 2, 3, 4, 5 + t]),
+            pose(t, t, 0, 0),
+            odometry(t, t, 0.1, 0, 1.0),
+            command(t, 1.0, 0.1),
+        ]
+    return out
+
+
+@pytest.mark.parametrize(
+    "kind", ["mcap folder", "sqlite folder", "compressed folder", "bare mcap", "db3", "ROS 1"]
+)
+def test_bag_of_any_kind_gives_the_same_run(tmp_path: Path, kind: str) -> None:
+    if kind == "ROS 1":
+        path = write_bag1(tmp_path / "trip.bag", trip())
+    else:
+        storage = "SQLITE3" if kind in ("sqlite folder", "db3", "compressed folder") else "MCAP"
+        path = write_bag2(tmp_path / "trip", trip(), storage, compressed=kind.startswith("compressed"))
+        if kind in ("bare mcap", "db3"):
+            path = next(p for p in path.iterdir() if p.suffix != ".yaml")
+    run = logs.read(path)
+    assert run.n_scans == 10
+    np.testing.assert_allclose(run.stamps, np.arange(10) / 10, atol=1e-9)
+    np.testing.assert_array_equal(run.ranges[3], np.float32([1, 2, 3, 4, 5.3]))
+    np.testing.assert_allclose(run.sensor.bearings, [-0.5, -0.25, 0, 0.25, 0.5], atol=1e-6)
+    np.testing.assert_allclose(run.sensor.mount, [0.2, 0.1, 0.3], atol=1e-12)
+    assert run.sensor.height == pytest.approx(0.4)
+    assert run.sensor.rate == pytest.approx(10)
+    np.testing.assert_allclose(run.poses[:, 0], np.arange(10) / 10, atol=1e-12)
+    np.testing.assert_allclose(run.odom_twists, np.tile([1.0, 0.5], (10, 1)))
+    np.testing.assert_allclose(run.commands, np.tile([1.0, 0.1], (10, 1)))
+    assert run.meta["pose_source"] == "/pose"
+    assert run.epoch_ns == EPOCH
+
+
+def read(tmp_path: Path, messages: list[Message], **topics: str) -> logs.Run:
+    return logs.read(write_bag2(tmp_path / "bag", messages), topics=topics or None)
+
+
+def test_missing_returns_follow_rep_117(tmp_path: Path) -> None:
+    run = read(
+        tmp_path, [scan(0, [0.0, 0.05, 11.0, np.inf, -np.inf]), scan(0.1, [np.nan, 10.0, 0.1, -1.0, 5.0])]
+    )
+    want = [[np.nan, -np.inf, np.inf, np.inf, -np.inf], [np.nan, 10.0, np.float32(0.1), np.nan, 5.0]]
+    np.testing.assert_array_equal(run.ranges, want)
+    for words in (
+        "1 ranges are exactly 0",
+        "1 ranges are below range_min",
+        "1 ranges are above",
+        "1 ranges are neg",
+    ):
+        assert words in run.meta["notes"]
+
+
+def test_transforms_compose_to_the_reference(tmp_path: Path) -> None:
+    """map -> odom turns by 90° and lags; odom -> base_link drives along x; so the robot climbs along y."""
+    bag = [transform(0.0, "base_link", "laser", 0.5, 0, 0, static=True)]
+    bag += [transform(t, "map", "odom", 1.0, t, np.pi / 2) for t in (0.0, 1.0)]
+    bag += [transform(t, "odom", "base_link", 2 * t, 0, 0.0) for t in np.arange(11) / 10]
+    bag += [scan(t, [1, 1, 1]) for t in np.arange(11) / 10]
+    run = read(tmp_path, bag)
+    assert run.meta["pose_source"] == "/tf map -> base_link"
+    want = np.stack([np.ones(11), 3 * run.pose_stamps, np.full(11, np.pi / 2)], axis=-1)
+    np.testing.assert_allclose(run.poses, want, atol=1e-9)
+    assert logs.pair(run).paired.all()
+
+
+def test_map_to_laser_without_a_base_is_the_lasers_pose(tmp_path: Path) -> None:
+    bag = [transform(t, "map", "laser", t, 0, 0.1) for t in (0.0, 0.1)] + [
+        scan(t, [1, 1, 1]) for t in (0.0, 0.1)
+    ]
+    run = read(tmp_path, bag)
+    assert run.pose_frame == "laser"
+    assert run.meta["pose_source"] == "/tf map -> laser"
+    np.testing.assert_allclose(run.poses, [[0, 0, 0.1], [0.1, 0, 0.1]], atol=1e-12)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4, np.pi])
+def test_laser_upside_down_is_mirrored(tmp_path: Path, yaw: float) -> None:
+    """A ray at bearing b of a laser rolled by 180° points to yaw - b in the robot."""
+    mount = transform(0.0, "base_link", "laser", 0, 0, yaw, roll=np.pi, static=True)
+    run = read(tmp_path, [mount, scan(0, [1, 2, 3, 4], angle_min=-0.2, increment=0.3)])
+    got = np.exp(1j * (run.sensor.mount[2] + run.sensor.bearings))
+    want = np.exp(1j * (yaw - (-0.2 + 0.3 * np.arange(4))))
+    np.testing.assert_allclose(got, want[::-1], atol=1e-6)
+    np.testing.assert_array_equal(run.ranges[0], [4, 3, 2, 1])
+    assert "upside down" in run.meta["notes"]
+
+
+def test_clockwise_laser_is_reversed_and_every_ray_keeps_its_time(tmp_path: Path) -> None:
+    run = read(tmp_path, [scan(0, [1, 2, 3], angle_min=0.5, increment=-0.5, time_increment=0.01)])
+    np.testing.assert_allclose(run.sensor.bearings, [-0.5, 0, 0.5], atol=1e-6)
+    np.testing.assert_array_equal(run.ranges[0], [3, 2, 1])
+    times = run.epoch_ns / 1e9 + run.stamps[0] + run.sensor.sweep_time * np.arange(3) / 3
+    np.testing.assert_allclose(times - EPOCH / 1e9, [0.02, 0.01, 0.0], atol=1e-6)
+
+
+def test_full_turn_from_zero_is_rolled_to_start_behind(tmp_path: Path) -> None:
+    ranges = 1.0 + np.arange(8)
+    run = read(tmp_path, [scan(0, ranges, angle_min=0.0, increment=np.pi / 4)])
+    assert (np.diff(run.sensor.bearings) > 0).all() and np.abs(run.sensor.bearings).max() <= np.pi + 1e-6
+    where = {
+        round(float(np.degrees(b)) % 360): r for b, r in zip(run.sensor.bearings, run.ranges[0], strict=True)
+    }
+    assert where == {45 * i: 1.0 + i for i in range(8)}
+
+
+def test_last_ray_that_repeats_the_first_is_dropped(tmp_path: Path) -> None:
+    run = read(tmp_path, [scan(0, np.arange(1, 10), angle_min=-np.pi, increment=np.pi / 4)])
+    assert run.sensor.n_rays == 8
+    assert "repeat others" in run.meta["notes"]
+
+
+def test_two_lasers_ask_for_a_choice(tmp_path: Path) -> None:
+    bag = [scan(0, [1, 2], topic="/front/scan"), scan(0, [3, 4], topic="/rear/scan")]
+    with pytest.raises(logs.LogError, match="--topic scan=/front/scan, --topic scan=/rear/scan"):
+        read(tmp_path, bag)
+    path = tmp_path / "bag"
+    np.testing.assert_array_equal(logs.read(path, topics={"scan": "/rear/scan"}).ranges, [[3, 4]])
+    with pytest.raises(logs.LogError, match=r"scan=/side is no topic .* /front/scan"):
+        logs.read(path, topics={"scan": "/side"})
+    with pytest.raises(logs.LogError, match="no role"):
+        logs.read(path, topics={"lidar": "/rear/scan"})
+
+
+def test_file_without_scans_says_what_it_has(tmp_path: Path) -> None:
+    with pytest.raises(logs.LogError, match=r"no LaserScan; it has /odom \(nav_msgs/msg/Odometry\)"):
+        read(tmp_path, [odometry(0, 0, 0, 0)])
+
+
+@pytest.mark.parametrize(
+    ("extra", "source"),
+    [
+        ([pose(0, 1, 2, 0.5, topic="/goal_pose"), odometry(0, 7, 8, 0)], "odometry /odom"),
+        ([pose(0, 1, 2, 0.5, topic="/ground_truth"), odometry(0, 7, 8, 0)], "/ground_truth"),
+        ([pose(0, 1, 2, 0.5, topic="/amcl_pose", kind=POSE_COV), odometry(0, 7, 8, 0)], "/amcl_pose"),
+        ([odometry(0, 7, 8, 0)], "odometry /odom"),
+        ([], "none"),
+    ],
+)
+def test_pose_source_is_the_best_there_is_and_said(tmp_path: Path, extra: list[Message], source: str) -> None:
+    run = read(tmp_path, [scan(0, [1, 2, 3]), *extra])
+    assert run.meta["pose_source"] == source
+    want = {"o": [[7, 8, 0]], "/": [[1, 2, 0.5]], "n": np.zeros((0, 3))}[source[0]]
+    np.testing.assert_allclose(run.poses, want, atol=1e-12)
+
+
+def test_stamps_that_are_zero_take_the_log_time_and_disorder_is_sorted(tmp_path: Path) -> None:
+    first = scan(-EPOCH / 1e9, [1, 2, 3], log=0.5)
+    run = read(tmp_path, [first, scan(0.3, [4, 5, 6]), scan(0.3, [7, 8, 9])])
+    np.testing.assert_allclose(run.stamps, [0.0, 0.0, 0.2], atol=1e-6)
+    np.testing.assert_array_equal(run.ranges[:, 0], [4, 7, 1])
+    for words in ("1 messages have stamp 0", "go back 1 times", "1 stamps are duplicates"):
+        assert words in run.meta["notes"]
+
+
+def test_scans_of_another_geometry_are_dropped_and_counted(tmp_path: Path) -> None:
+    bag = [scan(0.1 * i, [1, 2, 3]) for i in range(5)] + [
+        scan(0.6, [1, 2, 3, 4]),
+        scan(0.7, [1, 2, 3], increment=0.1),
+    ]
+    run = read(tmp_path, bag)
+    assert run.ranges.shape == (5, 3)
+    assert "2 scans of another geometry" in run.meta["notes"]
+
+
+def test_missing_mount_is_said(tmp_path: Path) -> None:
+    assert "no transform base_link -> laser" in read(tmp_path, [scan(0, [1, 2])]).meta["notes"]
+
+
+def test_metadata_that_counts_more_messages_than_the_bag_holds_is_an_error(tmp_path: Path) -> None:
+    path = write_bag2(tmp_path / "bag", trip(), "SQLITE3")
+    about = path / "metadata.yaml"
+    about.write_text(about.read_text().replace("message_count: 41", "message_count: 50"))
+    with pytest.raises(logs.LogError, match=r"holds 41 messages, its metadata\.yaml says 50"):
+        logs.read(path)
