@@ -1,0 +1,54 @@
+"""What several tests share: shipped arenas, a small sensor, the folder of real logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from logs.run import RangeSensor
+from planners.arena import Arena
+
+REAL = Path(__file__).parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def real_logs() -> Path:
+    """Return the folder of real logs beside the project, or skip."""
+    if not REAL.is_dir():
+        pytest.skip(f"real logs are not at hand: no folder {REAL.parent.name}/{REAL.name} beside the project")
+    return REAL
+
+
+def polygon_arena(*rings: list[tuple[float, float]]) -> Arena:
+    """Make an arena of an outer ring and obstacles, corners in order."""
+    walls = [(ring[i], ring[(i + 1) % len(ring)]) for ring in rings for i in range(len(ring))]
+    free = shapely.Polygon(rings[0])
+    for ring in rings[1:]:
+        free = free.difference(shapely.Polygon(ring))
+    n = len(walls)
+    return Arena(
+        free=free,
+        walls=np.array(walls, dtype=float),
+        names=tuple(f"w/edge_{i}" for i in range(n)),
+        surfaces=("wall",) * n,
+    )
+
+
+@pytest.fixture(scope="session")
+def room() -> Arena:
+    """Return a 4 x 3 m room with one square pillar."""
+    return polygon_arena(
+        [(0, 0), (4, 0), (4, 3), (0, 3)],
+        [(2.5, 1.0), (3.0, 1.0), (3.0, 1.5), (2.5, 1.5)],
+    )
+
+
+@pytest.fixture(scope="session")
+def sensor() -> RangeSensor:
+    """Return 61 rays over half a turn, mounted a little off the centre."""
+    return RangeSensor(
+        bearings=np.linspace(-np.pi / 2, np.pi / 2, 61), range_max=8.0, mount=np.array([0.1, 0.02, 0.01])
+    )
