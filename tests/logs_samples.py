@@ -25,7 +25,7 @@ def some_run(
     stamps = np.arange(n_scans) / 10 + 0.05
     ranges = rng.uniform(0.1, 7.9, (n_scans, n_rays)).astype(np.float32).astype(np.float64)
     if n_scans:
-        ranges[0, :4] = [np.inf, -np.inf, np.nan, 0.1]
+        ranges[0, :4] = [np.inf, -np.inf, np.nan, 0.125]
     pose_stamps = np.arange(3 * n_scans + 3) / 30
     pose_stamps = np.round(pose_stamps, 9)
     odom_stamps = np.arange(2 * n_scans + 2) / 20

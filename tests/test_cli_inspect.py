@@ -1,0 +1,142 @@
+"""`sensorgraph inspect`: everything worth knowing of a file is said, also of one that is no run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from logs_samples import DATA, some_run
+from test_logs_ros import odometry, pose, scan, transform, trip, write_bag2
+
+import logs
+from logs import Run
+from logs.inspect import inspect
+from sensorgraph.cli import run as command
+
+
+def changed(run: Run, **fields: object) -> Run:
+    return Run(**{name: getattr(run, name) for name in run.__dataclass_fields__} | fields)
+
+
+def warnings_of(run: Run, tmp_path: Path) -> str:
+    logs.write(run, tmp_path / "run.mcap")
+    return "\n".join(inspect(tmp_path / "run.mcap").warnings)
+
+
+def test_our_file_is_described_without_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = some_run(100)
+    poses = np.zeros_like(run.poses)
+    poses[:, 0] = 0.2 * run.pose_stamps
+    logs.write(changed(run, poses=poses), tmp_path / "run.mcap")
+    assert command(["inspect", str(tmp_path / "run.mcap"), "--json", str(tmp_path / "found.json")]) == 0
+    said = capsys.readouterr().out
+    for words in (
+        "/scan", "10.00 Hz", "sensor_msgs/msg/LaserScan  in laser", "30.00 Hz", "base_link -> laser (static)",
+        "map -> odom (100 samples)", "100 scans of 19 rays from -85.9° to 97.4°, 0.05 to 8 m", "arena.geojson (29 bytes)",
+        "laser at (0.100, -0.020) m, 1.7° in base_link", "100 of 100 scans paired with poses",
+    ):  # fmt: skip
+        assert words in said, said
+    assert "warnings" not in said and "missing" not in said
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["is_run"] and {t["name"]: t["n_messages"] for t in found["topics"]}["/scan"] == 100
+
+
+def test_file_that_is_no_run_is_still_described(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_bag2(tmp_path / "bag", [odometry(0, 0, 0, 0), odometry(0.5, 1, 0, 0)])
+    assert command(["inspect", str(tmp_path / "bag")]) == 0
+    said = capsys.readouterr().out
+    assert "no LaserScan" in said and "/odom" in said and "2.00 Hz" in said
+
+
+def test_choice_of_topics_is_offered_and_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = [scan(0, [1, 2], topic="/front/scan"), scan(0, [3, 4], topic="/rear/scan"), pose(0, 0, 0, 0)]
+    write_bag2(tmp_path / "bag", bag)
+    assert command(["inspect", str(tmp_path / "bag")]) == 0
+    assert "--topic scan=/front/scan, --topic scan=/rear/scan" in capsys.readouterr().out
+    assert command(["inspect", str(tmp_path / "bag"), "--topic", "scan=/rear/scan"]) == 0
+    assert "1 of 1 scans paired" in capsys.readouterr().out
+    for wrong in ("scan", "scan=/side", "lidar=/rear/scan"):
+        assert command(["inspect", str(tmp_path / "bag"), "--topic", wrong]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_missing_signals_are_named(tmp_path: Path) -> None:
+    write_bag2(tmp_path / "bag", [scan(0.1 * i, [1, 2, 3]) for i in range(3)])
+    found = inspect(tmp_path / "bag")
+    for words in ("a reference pose", "odometry (/odom)", "commands (/cmd_vel)"):
+        assert any(words in line for line in found.missing)
+    assert found.pairing == "0 of 3 scans paired with poses, 3 without any pose"
+
+
+def test_dropped_scans_are_counted_with_the_reason(tmp_path: Path) -> None:
+    run = some_run(40)
+    keep = (
+        (run.pose_stamps > 0.5) & ~((run.pose_stamps > 2) & (run.pose_stamps < 3)) & (run.pose_stamps < 3.5)
+    )
+    logs.write(changed(run, pose_stamps=run.pose_stamps[keep], poses=run.poses[keep]), tmp_path / "run.mcap")
+    found = inspect(tmp_path / "run.mcap")
+    assert found.pairing == (
+        "20 of 40 scans paired with poses, 5 before the first pose, 5 after the last pose, "
+        "10 in a gap of the poses above 0.2 s"
+    )
+
+
+def test_what_looks_wrong_is_said(tmp_path: Path) -> None:
+    run = some_run(60)
+    still = np.tile([1.0, 2.0, 0.5], (len(run.poses), 1))
+    jumping = still.copy()
+    jumping[90:, 0] += 3.0
+    jumping[:, 1] += 0.001 * np.arange(len(jumping))
+    blind = run.ranges.copy()
+    blind[:, [3, 4, 9]] = np.inf
+    gap = np.where(np.arange(60) < 30, run.stamps, run.stamps + 4.0)
+    for case, words in (
+        (changed(run, poses=still), "the pose never changes"),
+        (changed(run, poses=jumping), "the pose jumps 1 times, the farthest 3.00 m"),
+        (changed(run, ranges=blind), "3 rays never return: 3-4, 9"),
+        (changed(run, ranges=run.ranges * 1000), "look like millimetres"),
+        (changed(run, ranges=run.ranges * 100), "look like centimetres"),
+        (changed(run, stamps=gap), "scan: 1 gaps, the longest 4.10 s"),
+        (changed(run, stamps=run.stamps + 100), "do not overlap, they are 94.0 s apart"),
+        (changed(run, meta={"pose_source": "slam"}), "estimated from these scans"),
+        (changed(run, meta={"pose_source": "odometry /odom"}), "they drift"),
+    ):
+        assert words in warnings_of(case, tmp_path), words
+
+
+def test_two_clocks_are_noticed(tmp_path: Path) -> None:
+    bag = [scan(0.1 * i, [1, 2, 3], log=0.1 * i + 2.5) for i in range(5)]
+    write_bag2(tmp_path / "bag", bag)
+    assert any("/scan: log time is 2.500 s after" in line for line in inspect(tmp_path / "bag").warnings)
+
+
+def test_mount_that_is_missing_or_tilted_is_said(tmp_path: Path) -> None:
+    write_bag2(tmp_path / "bare", [scan(0, [1, 2])])
+    assert any("no transform base_link -> laser" in line for line in inspect(tmp_path / "bare").warnings)
+    tilted = transform(0, "base_link", "laser", 0, 0, 0, roll=0.5, static=True)
+    write_bag2(tmp_path / "tilted", [tilted, scan(0, [1, 2])])
+    assert any("tilted by 29°" in line for line in inspect(tmp_path / "tilted").warnings)
+
+
+def test_run_is_handed_on_for_checks_that_need_more_than_the_file(tmp_path: Path) -> None:
+    write_bag2(tmp_path / "bag", trip())
+    found = inspect(tmp_path / "bag")
+    assert found.run is not None and found.run.n_scans == 10
+    more = replace(found, warnings=(*found.warnings, "mirrored"))
+    assert "  mirrored" in more.lines()
+
+
+def test_corrected_carmen_log_says_that_its_poses_are_the_lasers() -> None:
+    path = DATA / "ple-intel" / "intel-corrected.log.gz"
+    if not path.is_file():
+        pytest.skip("the research data set ple-intel is not beside the project")
+    said = "\n".join(inspect(path).lines())
+    for words in (
+        "910 poses of laser from slam",
+        "absorb errors of mount and clock",
+        "910 of 910 scans paired",
+    ):
+        assert words in said
