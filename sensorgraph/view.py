@@ -1,7 +1,7 @@
 """The one file that knows rerun: a Review becomes an .rrd with its own layout. No viewer is needed to make it.
 
-Columns go in blocks (`send_columns`), strictly checked; nothing holds wall-clock time or a random id, so the
-same review gives the same recording. The .rrd can be made again at any time; the MCAP is the record.
+Columns go in blocks (`send_columns`), strictly checked, without wall-clock time. The .rrd can be made again at
+any time; the MCAP is the record.
 """
 
 from __future__ import annotations

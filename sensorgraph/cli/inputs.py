@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from sensorgraph.errors import GapError
 
 if TYPE_CHECKING:
-    from logs.run import RangeSensor
+    from logs.run import RangeSensor, Run
     from planners.arena import Arena
     from sensorgraph.models.base import Floats
     from sensorgraph.world.robot_file import RobotFile
@@ -127,3 +127,11 @@ def named_robot(path: Path | None) -> RobotFile:
     if path is None:
         return robot_file.loads((files("sensorgraph.data") / "radix.yaml").read_text(), name="radix.yaml")
     return robot_file.read(path)
+
+
+def kept_arena(run: Run) -> Arena | None:
+    """Return the arena kept in a run, if there is one."""
+    from planners.maps import geojson
+
+    text = run.attachments.get("arena.geojson")
+    return None if text is None else geojson.loads(text.decode())

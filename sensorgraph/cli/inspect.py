@@ -14,6 +14,9 @@ def inspect(
         list[str] | None,
         typer.Option(help="ROLE=NAME for other names than ours; roles scan, pose, odom, cmd. Repeatable."),
     ] = None,
+    arena: Annotated[
+        str | None, typer.Option(help="Test the scan against this map; default: the arena kept in the run.")
+    ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the findings there, too.")] = None,
 ) -> None:
     """Say what is in a file: topics, rates, frames, what is usable, what is missing, what looks wrong.
@@ -22,19 +25,31 @@ def inspect(
 
         sensorgraph inspect run.mcap
 
+        sensorgraph inspect run.mcap --arena lab.geojson
+
         sensorgraph inspect others.bag --topic scan=/front/scan --topic pose=/ground_truth
     """
     from logs import parse_topics
     from logs.inspect import inspect as look
+    from sensorgraph.cli.inputs import kept_arena, named_arena
     from sensorgraph.cli.progress import progress
+    from sensorgraph.world.orientation import orientation
 
     with progress("reading") as tick:
         found = look(file, parse_topics(topic or []), progress=tick)
     lines = found.lines()
+    oriented = None
+    if found.run is not None:
+        walls = named_arena(arena) if arena is not None else kept_arena(found.run)
+        oriented = orientation(found.run, walls)
+        lines += ["orientation", *(f"  {line}" for line in oriented.lines())] if oriented is not None else []
     typer.echo("\n".join(lines))
     if json is not None:
         from json import dumps
 
         part = json.with_name(json.name + ".part")
-        part.write_text(dumps(found.to_json(), indent=2) + "\n")
+        facts = {**found.to_json(), "orientation": None}
+        if oriented is not None:
+            facts["orientation"] = {"best": oriented.best, "against": oriented.against, "fits": oriented.fits}
+        part.write_text(dumps(facts, indent=2) + "\n")
         part.replace(json)

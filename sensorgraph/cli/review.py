@@ -14,7 +14,7 @@ def review(
     graph: Annotated[Path | None, typer.Option(help="A sensorgraph to hold against the run.")] = None,
     plan: Annotated[Path | None, typer.Option(help="The plan's folder: its path is drawn too.")] = None,
     arena: Annotated[
-        Path | None, typer.Option(help="Walls to draw; default: the arena kept in the run.")
+        str | None, typer.Option(help="Walls to draw; default: the arena kept in the run.")
     ] = None,
     ray: Annotated[
         int | None, typer.Option(help="The ray whose series is shown; default: straight ahead.")
@@ -33,10 +33,9 @@ def review(
     import json
 
     from logs import read
-    from planners.maps import geojson, load
     from planners.trajectory import read_csv
     from sensorgraph import view
-    from sensorgraph.cli.inputs import check_output, topics
+    from sensorgraph.cli.inputs import check_output, kept_arena, named_arena, topics
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import GapError
     from sensorgraph.graph import Sensorgraph
@@ -47,11 +46,7 @@ def review(
         raise GapError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
     with progress("reading", "messages") as tick:
         log = read(run, topics=topics(topic), progress=tick)
-    walls = None
-    if arena is not None:
-        walls = load(arena)
-    elif "arena.geojson" in log.attachments:
-        walls = geojson.loads(log.attachments["arena.geojson"].decode())
+    walls = named_arena(arena) if arena is not None else kept_arena(log)
     planned = read_csv(plan / "trajectory.csv").poses[::10, :2] if plan is not None else None
     facts = json.loads((plan / "plan.json").read_text()) if plan is not None else None
     loaded = Sensorgraph.load(graph) if graph is not None else None

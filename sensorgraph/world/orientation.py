@@ -1,0 +1,90 @@
+"""Is the scan mirrored, or the laser mounted backwards? Asked of the map, or of the scans themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from logs.run import RangeSensor, Run, pair
+from planners.arena import Arena, Floats
+from sensorgraph.world.raycast import cast, laser_poses
+
+MOST_SCANS = 300
+WORDS = {
+    "as logged": (1, 0.0),
+    "mirrored": (-1, 0.0),
+    "turned 180°": (1, np.pi),
+    "mirrored and turned 180°": (-1, np.pi),
+}
+CLEARLY = 0.8  # another orientation must be better by this factor to be reported
+CELL = 0.1  # [m] of the grid in which end points pile up, where the orientation is right
+
+
+@dataclass(frozen=True, kw_only=True)
+class Orientation:
+    """How well the scan fits under each orientation; smaller is better."""
+
+    fits: dict[str, float]
+    """Orientation -> median |measured - cast| [m] against a map, else cells filled by the end points."""
+    against: str
+    """`the arena` or `itself`."""
+    n_scans: int
+
+    @property
+    def best(self) -> str:
+        """Return the orientation that fits best, unless the logged one is nearly as good."""
+        name = min(self.fits, key=lambda key: self.fits[key])
+        return name if self.fits[name] < CLEARLY * self.fits["as logged"] else "as logged"
+
+    def lines(self) -> list[str]:
+        """Say how well each orientation fits, and what to do if another one fits better."""
+        unit, scale = ("cm median error", 100.0) if self.against == "the arena" else ("cells filled", 1.0)
+        fits = ", ".join(f"{name} {scale * value:,.0f}" for name, value in self.fits.items())
+        out = [f"scan against {self.against} ({self.n_scans} scans, {unit}): {fits}"]
+        if self.best != "as logged":
+            out.append(
+                f"WARNING: the scan fits better {self.best}: check the sign of angle_increment, the mount's yaw "
+                "and the driver's `inverted` setting"
+            )
+        return out
+
+
+def orientation(run: Run, arena: Arena | None) -> Orientation | None:
+    """Compare the scans of a run with an arena, or with each other, under four orientations of the sensor.
+
+    Without an arena the right orientation is the one whose end points fall on each other: they fill the fewest
+    cells. That needs a robot that looked at the same walls under several headings. Returns None without poses.
+    """
+    pairing = pair(run)
+    index = np.flatnonzero(pairing.paired & np.isfinite(run.ranges).any(axis=1))
+    if not len(index):
+        return None
+    some = index[np.linspace(0, len(index) - 1, min(MOST_SCANS, len(index))).astype(np.intp)]
+    ranges, poses = run.ranges[some], pairing.poses[some]
+    lasers = poses if run.pose_frame == "laser" else laser_poses(poses, run.sensor.mount)
+    fits = {}
+    for name, (sign, turn) in WORDS.items():
+        if arena is not None:
+            fits[name] = _against_map(ranges, lasers, run.sensor, arena, sign, turn)
+        else:
+            fits[name] = _against_itself(ranges, lasers, run.sensor.bearings, sign, turn)
+    return Orientation(fits=fits, against="itself" if arena is None else "the arena", n_scans=len(some))
+
+
+def _against_map(
+    ranges: Floats, lasers: Floats, sensor: RangeSensor, arena: Arena, sign: int, turn: float
+) -> float:
+    bearings = sensor.bearings if sign > 0 else -sensor.bearings[::-1]
+    turned = lasers + np.array([0.0, 0.0, turn])
+    ideal = cast(arena, turned, replace(sensor, bearings=bearings, mount=np.zeros(3))).ranges[:, ::sign]
+    seen = np.isfinite(ranges) & (ranges > 0.1)
+    return float(np.median(np.abs(ranges[seen] - np.minimum(ideal[seen], sensor.range_max))))
+
+
+def _against_itself(ranges: Floats, lasers: Floats, bearings: Floats, sign: int, turn: float) -> float:
+    phi = lasers[:, 2:] + sign * bearings + turn
+    ends = lasers[:, None, :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+    near = np.isfinite(ranges) & (ranges > 0.1) & (ranges < 10.0)
+    cells = np.floor(ends[near] / CELL).astype(np.int64)
+    return float(len(np.unique(cells[:, 0] * 1_000_003 + cells[:, 1])))

@@ -1,0 +1,100 @@
+"""`record` and `review` as a user runs them: files that others open, same seed same bytes, mistakes in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import logs
+from planners.arena import wrap
+from planners.trajectory import Trajectory
+from sensorgraph.cli import run as cli
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write a plan's folder: spin half a turn at a spot of the square arena, from rest to rest."""
+    folder = tmp_path_factory.mktemp("plan")
+    t = np.arange(0, 8.0, 0.02)
+    omega = 0.8 * np.sin(np.pi * t / t[-1]) ** 2
+    phi = np.concatenate([[0], np.cumsum((omega[1:] + omega[:-1]) / 2 * 0.02)])
+    poses = np.column_stack([np.full_like(t, 0.6), np.full_like(t, 0.6), wrap(phi)])
+    Trajectory(
+        stamps=t, poses=poses, twists=np.column_stack([0 * t, omega]), primitives=np.full(len(t), "spin")
+    ).write_csv(folder / "trajectory.csv")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recorded(plan: Path) -> Path:
+    out = plan / "run.mcap"
+    assert cli(["record", str(plan), "--arena", "square", "-o", str(out)]) == 0
+    return out
+
+
+def fails(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Run a command that must fail for the user's fault; return its one line."""
+    assert cli([str(a) for a in arguments]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def test_a_recording_holds_every_signal_at_its_rate(recorded: Path) -> None:
+    run = logs.read(recorded)
+    assert run.ranges.shape == (85, 181)
+    assert np.diff(run.stamps) == pytest.approx(0.1, abs=1e-6)
+    assert np.median(np.diff(run.pose_stamps)) == pytest.approx(1 / 30, abs=1e-6)
+    assert np.median(np.diff(run.odom_stamps)) == pytest.approx(0.05, abs=1e-6)
+    assert len(run.commands) > 150
+    assert {"arena.geojson", "robot.yaml"} <= set(run.attachments)
+    assert logs.pair(run).paired.all()
+
+
+def test_same_seed_same_bytes_other_seed_other_noise(plan: Path, recorded: Path, tmp_path: Path) -> None:
+    for seed, same in ((0, True), (1, False)):
+        again = tmp_path / f"{seed}.mcap"
+        assert cli(["record", str(plan), "--arena", "square", "--seed", str(seed), "-o", str(again)]) == 0
+        assert (again.read_bytes() == recorded.read_bytes()) == same
+
+
+def test_recorded_commands_drive_the_robot_again(recorded: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again.mcap"
+    assert cli(["record", str(recorded), "--arena", "square", "-o", str(again)]) == 0
+    first, second = logs.read(recorded), logs.read(again)
+    turn = np.ptp(np.unwrap(first.poses[:, 2])), np.ptp(np.unwrap(second.poses[:, 2]))
+    assert turn[0] == pytest.approx(turn[1], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["record", "{plan}", "--arena", "nowhere", "-o", "{tmp}/a.mcap"], "one of office, square"),
+        (["record", "{tmp}/none", "--arena", "square", "-o", "{tmp}/a.mcap"], "does not exist"),
+        (["record", "{plan}", "--arena", "square", "-o", "{tmp}/a.bag"], "name it a.mcap"),
+        (["record", "{plan}", "--arena", "square", "-o", "{tmp}/no/a.mcap"], "make it first"),
+        (
+            ["record", "{plan}", "--arena", "square", "--robot", "{tmp}", "-o", "{tmp}/a.mcap"],
+            "is a directory",
+        ),
+        (["record", "{run}", "--arena", "square", "--start", "1,2", "-o", "{tmp}/a.mcap"], "X,Y,PHI"),
+        (["record", "{run}", "--arena", "square", "--start", "0.1,2,0", "-o", "{tmp}/a.mcap"], "from a wall"),
+        (["review", "{run}", "-o", "{tmp}/a.png"], "name it a.rrd"),
+        (["review", "{run}", "--graph", "{run}", "-o", "{tmp}/a.rrd"], "not a sensorgraph"),
+        (["review", "{run}", "--ray", "181", "-o", "{tmp}/a.rrd"], "rays 0 to 180"),
+        (["review", "{run}", "--plan", "{tmp}/none", "-o", "{tmp}/a.rrd"], "trajectory.csv"),
+    ],
+)
+def test_a_mistake_is_one_line_and_leaves_no_file(
+    arguments: list[str],
+    said: str,
+    plan: Path,
+    recorded: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    names = {"plan": plan, "run": recorded, "tmp": tmp_path}
+    assert said in fails(capsys, *(a.format(**names) for a in arguments))
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,118 @@
+"""A review holds what it says it shows, without a viewer; the recording is whole and the same every time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from logs.run import RangeSensor, Run
+from planners.arena import Arena
+from sensorgraph import view
+from sensorgraph.build import build
+from sensorgraph.errors import GapError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.review import HEADINGS, Review, report, review
+from sensorgraph.world.raycast import cast
+
+
+@pytest.fixture(scope="module")
+def run(room: Arena, sensor: RangeSensor) -> Run:
+    rng = np.random.default_rng(0)
+    poses = rng.uniform([0.4, 0.4, -np.pi], [2.2, 2.6, np.pi], (400, 3))
+    stamps = 0.1 * np.arange(400)
+    ranges = cast(room, poses, sensor).ranges + 0.01 * rng.normal(size=(400, sensor.n_rays))
+    ranges[3, 5] = np.inf
+    return Run(
+        sensor=sensor,
+        stamps=stamps,
+        ranges=ranges,
+        pose_stamps=stamps,
+        poses=poses,
+        meta={"source": "x/lab.mcap"},
+    )
+
+
+@pytest.fixture(scope="module")
+def graph(run: Run) -> Sensorgraph:
+    return build([run], split="every10", degree=2, harmonics=3)
+
+
+@pytest.fixture(scope="module")
+def seen(run: Run, graph: Sensorgraph, room: Arena) -> Review:
+    return review(run, graph=graph, arena=room)
+
+
+def test_every_paired_scan_falls_in_one_cell(run: Run, seen: Review) -> None:
+    assert seen.cells.counts.sum() == run.n_scans
+    assert seen.cells.error is not None
+    assert (np.isfinite(seen.cells.error) <= (seen.cells.counts > 0)).all()
+
+
+def test_cells_are_those_of_a_plain_count(run: Run, seen: Review) -> None:
+    width, (x0, y0) = seen.cells.cell, seen.cells.origin
+    for pose in run.poses[:50]:
+        i, j = int((pose[0] - x0) // width), int((pose[1] - y0) // width)
+        k = round(pose[2] / (2 * np.pi / HEADINGS)) % HEADINGS
+        assert seen.cells.counts[i, j, k] > 0
+
+
+def test_end_points_lie_on_the_walls(room: Arena, seen: Review) -> None:
+    points = np.concatenate(seen.points(seen.measured))
+    a, d = room.walls[:, 0], room.walls[:, 1] - room.walls[:, 0]
+    share = np.clip(((points[:, None] - a) * d).sum(-1) / (d * d).sum(-1), 0, 1)
+    off = np.linalg.norm(points[:, None] - a - share[..., None] * d, axis=-1).min(axis=1)
+    assert off.max() < 0.06  # noise of 1 cm
+
+
+def test_the_report_counts_on_held_out_scans(seen: Review) -> None:
+    text = report(seen)
+    assert "lab.mcap" in text
+    assert "400 of 400 scans paired" in text
+    assert "none of these scans was trained on" in text
+    assert seen.held_out is not None
+    assert f"{100 * seen.held_out.all['median_m']:.3g} cm" in text
+
+
+def test_a_long_run_is_thinned_evenly_and_says_so(run: Run, graph: Sensorgraph) -> None:
+    few = review(run, graph=graph, most_scans=50)
+    assert len(few.shown) == 50
+    assert np.ptp(np.diff(few.shown)) <= 1
+    assert few.cells.counts.sum() == run.n_scans
+    assert "Shown: 50 scans, evenly chosen" in report(few)
+
+
+def test_a_run_without_poses_is_refused(run: Run) -> None:
+    with pytest.raises(GapError, match="0 of 400 scans paired"):
+        review(replace(run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3))))
+
+
+@pytest.mark.parametrize("with_graph", [True, False])
+def test_the_recording_holds_scans_maps_cells_and_report(
+    run: Run, seen: Review, room: Arena, tmp_path: Path, with_graph: bool
+) -> None:
+    path = tmp_path / "review.rrd"
+    view.write(seen if with_graph else review(run, arena=room), path)
+    store = rr.chunk.RrdReader(str(path)).store()
+    columns = {str(c) for c in store.schema().component_columns()}
+    expected = {"plan/measured", "plan/robot", "plan/coverage/image", "space/cells", "ray/measured", "report"}
+    if with_graph:
+        expected |= {"plan/predicted", "plan/error/image", "ray/predicted", "error_per_ray"}
+    for entity in expected:
+        assert any(f"/{entity}" in column for column in columns), entity
+    rows = sum(
+        chunk.to_record_batch().num_rows
+        for chunk in rr.chunk.RrdReader(str(path)).stream().filter(content="/plan/measured").to_chunks()
+        if not chunk.is_static
+    )
+    assert rows == 400
+    assert len(rr.chunk.RrdReader(str(path)).blueprints()) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["review.rrd"]
+
+
+def test_colours_span_the_scale_and_no_data_is_grey() -> None:
+    rgb = view.colours(np.array([0.0, 1.0, 2.0, np.nan]))
+    assert rgb.tolist() == [[68, 1, 84], [253, 231, 37], [253, 231, 37], list(view.EMPTY)]
