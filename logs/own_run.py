@@ -6,6 +6,7 @@ whose pose /pose is, the time of stamp 0, and the run's meta as `meta.NAME`.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping
 
 import numpy as np
@@ -26,7 +27,7 @@ def facts(
     sensor: RangeSensor, *, pose_frame: str, epoch_ns: int, zero_ns: int, meta: Mapping[str, str]
 ) -> dict[str, str]:
     """Return the metadata record of a run; `zero_ns` [ns] is the time of stamp 0 in the file."""
-    return {
+    said = {
         "version": VERSION,
         "bearings": _bearings_text(sensor.bearings),
         "mount": " ".join(map(repr, sensor.mount.tolist())),
@@ -36,6 +37,17 @@ def facts(
         "zero_ns": str(int(zero_ns)),
         **{f"meta.{name}": str(value) for name, value in meta.items()},
     }
+    return said | {"crc32": _checksum(said)}
+
+
+def is_intact(said: Mapping[str, str]) -> bool:
+    """Tell whether a record is as it was written; MCAP itself gives metadata no checksum."""
+    return said.get("crc32") == _checksum(said)
+
+
+def _checksum(said: Mapping[str, str]) -> str:
+    lines = [f"{name}={value}" for name, value in sorted(said.items()) if name != "crc32"]
+    return f"{zlib.crc32(chr(10).join(lines).encode()):08x}"
 
 
 def is_own(recording: Recording, topics: Mapping[str, str] | None) -> bool:
@@ -58,6 +70,11 @@ def to_run(recording: Recording, source: str) -> Run:
     said = recording.metadata[RECORD]
     if said.get("version") != VERSION:
         raise LogError(f"{source} was written in version {said.get('version')}, this reads {VERSION}; update")
+    if not is_intact(said):
+        raise LogError(
+            f"{source}: its `{RECORD}` record is not as it was written; "
+            f"save the messages without it: sensorgraph recover {source} -o OUT.mcap"
+        )
     try:
         sensor, zero = sensor_of(said), int(said["zero_ns"])
         epoch = int(said["epoch_ns"])

@@ -11,6 +11,7 @@ from logs.cdr import SPECS
 from logs.errors import LogError
 from logs.mcap_file import CHUNK_SIZE, open_bytes
 from logs.mcap_records import MAGIC, Channel, Contents, Loss, Walk
+from logs.own_run import RECORD, is_intact
 
 Progress = Callable[[int, int], None]
 
@@ -78,9 +79,14 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
     _check(path, out)
     data = open_bytes(path)
     known = _first_look(data)
+    losses: list[Loss] = []
+    if any(name == RECORD and not is_intact(said) for name, said in known.metadata):
+        known.metadata = [(name, said) for name, said in known.metadata if name != RECORD]
+        losses.append(
+            Loss(0, 0, f"the metadata record `{RECORD}` has changed, left out: read it as a foreign file")
+        )
     if not (known.n_messages or known.attachments or known.metadata):
         raise LogError(f"{path} has no whole message, attachment or metadata left; there is nothing to save")
-    losses: list[Loss] = []
     part = out.with_name(out.name + ".recovered.part")  # NAME.part may be the very file that is to be saved
     try:
         with part.open("wb") as stream:

@@ -55,7 +55,7 @@ def some_run(
         pose_frame=pose_frame,
         epoch_ns=epoch_ns,
         meta={"source": "test", "note": "Grüße, a=b: c"},
-        attachments={"arena.geojson": b'{"type": "FeatureCollection"}', "blob": bytes(range(256))},
+        attachments={"scene.geojson": b'{"type": "FeatureCollection"}', "blob": bytes(range(256))},
     )
 
 

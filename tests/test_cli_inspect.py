@@ -35,7 +35,7 @@ def test_our_file_is_described_without_a_warning(tmp_path: Path, capsys: pytest.
     said = capsys.readouterr().out
     for words in (
         "/scan", "10.00 Hz", "sensor_msgs/msg/LaserScan  in laser", "30.00 Hz", "base_link -> laser (static)",
-        "map -> odom (100 samples)", "100 scans of 19 rays from -85.9° to 97.4°, 0.05 to 8 m", "arena.geojson (29 bytes)",
+        "map -> odom (100 samples)", "100 scans of 19 rays from -85.9° to 97.4°, 0.05 to 8 m", "scene.geojson (29 bytes)",
         "laser at (0.100, -0.020) m, 1.7° in base_link", "100 of 100 scans paired with poses",
     ):  # fmt: skip
         assert words in said, said

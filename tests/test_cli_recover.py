@@ -23,7 +23,7 @@ def test_cut_file_is_saved_and_the_loss_said(tmp_path: Path, capsys: pytest.Capt
     assert n_scans > 50
     for words in (
         f"/scan: {n_scans}",
-        "attachments: arena.geojson, blob",
+        "attachments: scene.geojson, blob",
         "metadata: sensorgraph",
         "lost ",
         "cut off",
