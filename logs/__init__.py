@@ -13,7 +13,7 @@ from logs import carmen, mcap_file, rosbag, table, wean
 from logs.errors import LogError
 from logs.mcap_file import Progress
 from logs.recorder import Recorder
-from logs.ros_run import check_roles
+from logs.recording import check_roles
 from logs.run import OccupancyMap, Pairing, RangeSensor, Run, pair
 
 __all__ = [

@@ -11,7 +11,8 @@ import numpy as np
 
 from logs import FORMATS, cdr, format_of, mcap_file, rosbag
 from logs.errors import LogError
-from logs.ros_run import ENCODINGS, KNOWN, TF, Recording, Topic, check_roles, choices, to_run, transform_tree
+from logs.recording import ENCODINGS, KNOWN, TF, Recording, Topic, check_roles, choices, transform_tree
+from logs.ros_run import to_run
 from logs.run import Floats, Run, pair
 
 Progress = Callable[[int, int], None]

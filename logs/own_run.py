@@ -13,7 +13,7 @@ import numpy as np
 
 from logs import cdr
 from logs.errors import LogError
-from logs.ros_run import ODOMETRY, POSE, SCAN, TWIST_STAMPED, Recording, Track, settle, track
+from logs.recording import ODOMETRY, POSE, SCAN, TWIST_STAMPED, Recording, Track, settle, track
 from logs.run import Floats, RangeSensor, Run
 from logs.transforms import to_planar
 

@@ -11,18 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from logs.errors import LogError
-from logs.mcap_file import (
-    RosFile,
+from logs.mcap_file import RosFile, latch
+from logs.own_run import RECORD, facts
+from logs.recording import ODOMETRY, POSE, SCAN, TF, TWIST_STAMPED
+from logs.ros_messages import (
     command_messages,
-    latch,
     odometry_messages,
     pose_messages,
     scan_messages,
     to_ns,
     transform_messages,
 )
-from logs.own_run import RECORD, facts
-from logs.ros_run import ODOMETRY, POSE, SCAN, TF, TWIST_STAMPED
 from logs.run import Floats, OccupancyMap, PoseFrame, RangeSensor
 from logs.transforms import Stamps, compose, invert
 

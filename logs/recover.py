@@ -10,7 +10,8 @@ from pathlib import Path
 from logs.cdr import SPECS
 from logs.errors import LogError
 from logs.mcap_file import CHUNK_SIZE, open_bytes
-from logs.mcap_records import MAGIC, Channel, Contents, Loss, Walk
+from logs.mcap_records import MAGIC, Channel, Contents, Loss
+from logs.mcap_walk import Walk
 from logs.own_run import RECORD, is_intact
 
 Progress = Callable[[int, int], None]

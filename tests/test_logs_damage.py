@@ -19,6 +19,7 @@ from rosbags.highlevel import AnyReader
 import logs
 from logs.mcap_records import MAGIC
 from logs.recover import recover
+from logs.ros_messages import scan_messages
 from sensorgraph.cli import run as command
 
 N_SCANS = 60
@@ -227,9 +228,7 @@ def _bag2(path: Path, storage: str) -> None:
     store = get_typestore(Stores.ROS2_HUMBLE)
     with Writer2(path, version=8, storage_plugin=StoragePlugin[storage]) as writer:
         connection = writer.add_connection("/scan", "sensor_msgs/msg/LaserScan", typestore=store)
-        rows = logs.mcap_file.scan_messages(
-            ORIGINAL.sensor, np.arange(60, dtype=np.int64) * 10**8 + 10**18, ORIGINAL.ranges
-        )
+        rows = scan_messages(ORIGINAL.sensor, np.arange(60, dtype=np.int64) * 10**8 + 10**18, ORIGINAL.ranges)
         for i, row in enumerate(rows):
             writer.write(connection, 10**18 + i * 10**8, row.tobytes())
 

@@ -150,7 +150,7 @@ def test_transform_tree_agrees_with_the_reference(
     run = some_run(pose_frame=pose_frame, with_odometry=with_odometry)
     logs.write(run, tmp_path / "run.mcap")
     recording = logs.mcap_file.load(tmp_path / "run.mcap")
-    from logs.ros_run import transform_tree
+    from logs.recording import transform_tree
 
     tree = transform_tree(recording)
     found = tree.place("map", "base_link" if pose_frame == "base_link" else "laser")

@@ -50,7 +50,7 @@ def test_run_recorded_is_run_read(tmp_path: Path, pose_frame: str) -> None:
 
 
 def test_recorded_transforms_agree_with_the_reference_at_every_pose(tmp_path: Path) -> None:
-    from logs.ros_run import transform_tree
+    from logs.recording import transform_tree
 
     run = some_run()
     record(run, tmp_path / "run.mcap")

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import logs
 from logs import cdr
-from logs.ros_run import ODOMETRY, POSE, POSE_COV, SCAN, TF, TWIST
+from logs.recording import ODOMETRY, POSE, POSE_COV, SCAN, TF, TWIST
 
 EPOCH = 1_600_000_000_000_000_000
 Message = tuple[str, str, int, bytes]
@@ -304,3 +304,22 @@ def test_metadata_that_counts_more_messages_than_the_bag_holds_is_an_error(tmp_p
     about.write_text(about.read_text().replace("message_count: 41", "message_count: 50"))
     with pytest.raises(logs.LogError, match=r"holds 41 messages, its metadata\.yaml says 50"):
         logs.read(path)
+
+
+def test_mcap_that_holds_ros_1_messages_is_read_too(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with (tmp_path / "old.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros1", "test")
+        schema = writer.register_schema("sensor_msgs/LaserScan", "ros1msg", b"")
+        channel = writer.register_channel("/scan", "ros1", schema)
+        for topic, msgtype, at, data in (scan(0.1 * i, [1, 2, 3 + i]) for i in range(4)):
+            old = to_ros1(store, HUMBLE.deserialize_cdr(data, msgtype))
+            assert topic == "/scan"
+            writer.add_message(channel, at, bytes(store.serialize_ros1(old, msgtype)), at)
+        writer.finish()
+    run = logs.read(tmp_path / "old.mcap")
+    np.testing.assert_array_equal(run.ranges, [[1, 2, 3], [1, 2, 4], [1, 2, 5], [1, 2, 6]])
+    np.testing.assert_allclose(run.stamps, [0, 0.1, 0.2, 0.3], atol=1e-9)
