@@ -18,12 +18,13 @@ from planners.arena import Arena, Bools, Floats, wrap
 
 Ints = NDArray[np.intp]
 
-BATCH = 32  # poses at a time: the working set stays in the cache
+BATCH = 48  # poses at a time: the working set stays in the cache
 FEW_WALLS = 160  # up to here every pose meets every wall
-PER_CLUSTER = 6  # neighbouring walls under one bounding circle
-STAGES = (8, 24, 72)  # clusters met, nearest first; after each stage the hidden ones are left out
-SECTORS = 64  # of the full turn, in which it is noted how far the rays reach
+PER_CLUSTER = 10  # neighbouring walls under one bounding circle
+STAGES = (8, 32)  # clusters met, nearest first; after each stage the hidden ones are left out
+SECTORS = 64  # of the full turn (a power of two), in which it is noted how far the rays reach
 LEVELS = 5  # runs of 1, 2, 4, 8 and 16 sectors
+LEVEL_OF = np.minimum(np.frexp(np.maximum(np.arange(SECTORS + 1), 1).astype(np.float64))[1] - 1, LEVELS - 1)
 PAD = 1e-12  # [rad] a wall's window of bearings is widened by this, so that no ray slips through a shared corner
 GRAZING = 1e-3  # [rad] below this angle between ray and wall the hit is held inside the wall's ends
 
@@ -62,9 +63,7 @@ def cast(arena: Arena, poses: Floats, sensor: RangeSensor) -> Hits:
     poses = np.asarray(poses, dtype=np.float64)
     if poses.ndim != 2 or poses.shape[1] != 3:
         raise ValueError(f"poses has shape {poses.shape}, expected (n_scans, 3)")
-    lasers = laser_poses(poses, sensor.mount)
-    ranges, wall = _Caster(_prepared(arena), sensor.bearings, sensor.range_max)(lasers)
-    return _finish(arena.walls, *directions(lasers[:, 2], sensor.bearings), ranges, wall, sensor)
+    return _Caster(_prepared(arena), sensor)(laser_poses(poses, sensor.mount))
 
 
 def directions(phi: Floats, bearings: Floats) -> tuple[Floats, Floats]:
@@ -95,14 +94,8 @@ def cast_rays(arena: Arena, origins: Floats, headings: Floats, sensor: RangeSens
     for start in range(0, len(flat), step):
         part = slice(start, start + step)
         ranges[part], wall[part] = brute_force(arena.walls, flat[part], ux[part], uy[part])
-    return _finish(
-        arena.walls,
-        ux.reshape(shape),
-        uy.reshape(shape),
-        ranges.reshape(shape),
-        wall.reshape(shape),
-        sensor,
-    )
+    ranges, incidence, wall = _finish(_unit(arena.walls), ux, uy, ranges, wall, sensor)
+    return Hits(ranges=ranges.reshape(shape), incidence=incidence.reshape(shape), wall=wall.reshape(shape))
 
 
 def brute_force(walls: Floats, origins: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
@@ -121,15 +114,16 @@ def brute_force(walls: Floats, origins: Floats, ux: Floats, uy: Floats) -> tuple
     return nearest, np.where(np.isfinite(nearest), wall, -1)
 
 
-def _finish(walls: Floats, ux: Floats, uy: Floats, ranges: Floats, wall: Ints, sensor: RangeSensor) -> Hits:
-    """Apply the sensor's range limits and add the incidence."""
+def _finish(
+    along: Floats, ux: Floats, uy: Floats, ranges: Floats, wall: Ints, sensor: RangeSensor
+) -> tuple[Floats, Floats, Ints]:
+    """Apply the sensor's range limits and add the incidence; return ranges, incidence, wall."""
     out = ~(ranges <= sensor.range_max)
     wall = np.where(out, -1, wall)
-    along = _unit(walls)
     cosine = np.abs(ux * along[1][wall] - uy * along[0][wall])
     incidence = np.where(out, np.nan, np.arccos(np.minimum(cosine, 1.0)))
     limited = np.where(out, np.inf, np.where(ranges < sensor.range_min, -np.inf, ranges))
-    return Hits(ranges=limited, incidence=incidence, wall=wall)
+    return limited, incidence, wall
 
 
 class _Scans:
@@ -150,36 +144,38 @@ class _Caster:
     some ray are looked at.
     """
 
-    def __init__(self, walls: _Walls, bearings: Floats, range_max: float) -> None:
+    def __init__(self, walls: _Walls, sensor: RangeSensor) -> None:
         self.vertices, self.ends = walls.vertices, walls.ends
-        self.along = walls.along
-        self.bearings = bearings
-        self.n_rays = len(bearings)
-        self.range_max = range_max
+        self.along, self.length = walls.along, walls.length
+        self.clusters = walls.clusters
+        self.sensor = sensor
+        self.bearings = bearings = sensor.bearings
+        self.n_rays = sensor.n_rays
+        sector = ((bearings - bearings[0]) * (SECTORS / (2 * np.pi))).astype(np.intp)
+        self.sectors = np.unique(
+            np.minimum(sector, SECTORS - 1), return_index=True
+        )  # and the first ray of each
         step = np.diff(bearings)
         even = (
             len(step) > 0
             and float(np.ptp(step)) < 1e-14 * max(1.0, float(np.abs(bearings).max())) * self.n_rays
         )
         self.step = float((bearings[-1] - bearings[0]) / (self.n_rays - 1)) if even else None
-        self.clusters = walls.clusters
 
-    def __call__(self, poses: Floats) -> tuple[Floats, Ints]:
-        """Return ranges [m] (inf: no wall) and wall (-1: none), both (n_poses, n_rays); poses of the laser."""
-        n_poses = len(poses)
-        ranges = np.full((n_poses, self.n_rays), np.inf)
-        wall = np.full((n_poses, self.n_rays), -1, dtype=np.intp)
-        if not len(self.along[0]):
-            return ranges, wall
-        for start in range(0, n_poses, BATCH):
+    def __call__(self, poses: Floats) -> Hits:
+        """Cast from poses (n_poses, 3) of the laser."""
+        shape = (len(poses), self.n_rays)
+        ranges, incidence, wall = np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.intp)
+        for start in range(0, len(poses), BATCH):
             part = slice(start, start + BATCH)
             scans = _Scans(poses[part], self.bearings)
-            if self.clusters is None:
-                self._dense(scans)
-            else:
+            if self.clusters is not None:
                 self._staged(scans, self.clusters)
-            ranges[part], wall[part] = scans.ranges, scans.wall
-        return ranges, wall
+            elif self.along.size:
+                self._dense(scans)
+            done = _finish(self.along, scans.ux, scans.uy, scans.ranges, scans.wall, self.sensor)
+            ranges[part], incidence[part], wall[part] = done
+        return Hits(ranges=ranges, incidence=incidence, wall=wall)
 
     def _dense(self, scans: _Scans) -> None:
         """Meet every wall with every pose; walls share their vertices."""
@@ -199,20 +195,29 @@ class _Caster:
         left = np.ones((n_poses, n_clusters), dtype=np.bool_)  # still to be met
         stages = [n for n in STAGES if n < n_clusters]
         borders = np.partition(view.distance, stages, axis=1)[:, stages] if stages else np.empty((n_poses, 0))
+        reach: _Reach | None = None
         for border in (*borders.T, np.full(n_poses, np.inf)):
             chosen = left & (view.distance < border[:, None])
-            self._sparse(scans, *clusters.pairs(chosen))
+            self._sparse(scans, *clusters.pairs(chosen), reach)
             left &= ~chosen
             if border[0] < np.inf:
-                left &= ~view.hidden(np.minimum(scans.ranges, self.range_max))
+                reach = _Reach(np.minimum(scans.ranges, self.sensor.range_max), *self.sectors)
+                left &= ~view.hidden(reach)
 
-    def _sparse(self, scans: _Scans, pose: Ints, walls: Ints) -> None:
-        """Meet some walls with some poses: pairs (pose, wall)."""
-        px, py, phi = scans.poses[:, 0][pose], scans.poses[:, 1][pose], scans.turn[pose]
+    def _sparse(self, scans: _Scans, pose: Ints, walls: Ints, reach: _Reach | None) -> None:
+        """Meet some walls with some poses: pairs (pose, wall); `reach`: what the rays have met so far."""
+        px, py, turn = scans.poses[:, 0][pose], scans.poses[:, 1][pose], scans.turn[pose]
         i, j = self.ends[0][walls], self.ends[1][walls]
         ax, ay = self.vertices[0][i] - px, self.vertices[1][i] - py
         bx, by = self.vertices[0][j] - px, self.vertices[1][j] - py
-        self._meet(scans, pose, walls, (ax, ay), self._angle(ax, ay, phi), self._angle(bx, by, phi))
+        angle_i, angle_j = self._angle(ax, ay, turn), self._angle(bx, by, turn)
+        if reach is not None:
+            far = np.sqrt(np.minimum(ax * ax + ay * ay, bx * bx + by * by)) - self.length[walls]
+            low, high = np.minimum(angle_i, angle_j), np.maximum(angle_i, angle_j)
+            seen = np.flatnonzero((far <= reach.between(pose, low, high)) | (high - low > np.pi))
+            pose, walls, ax, ay = pose[seen], walls[seen], ax[seen], ay[seen]
+            angle_i, angle_j = angle_i[seen], angle_j[seen]
+        self._meet(scans, pose, walls, (ax, ay), angle_i, angle_j)
 
     @staticmethod
     def _angle(x: Floats, y: Floats, turn: Floats) -> Floats:
@@ -286,6 +291,7 @@ class _Walls:
         self.vertices = np.stack([points.real, points.imag])  # (2, n_vertices)
         self.ends = np.ascontiguousarray(ends.reshape(-1, 2).T)  # (2, n_walls)
         self.along = _unit(walls)  # (2, n_walls)
+        self.length = np.hypot(*(walls[:, 1] - walls[:, 0]).T)  # (n_walls,) [m]
         self.clusters = _Clusters(walls) if len(walls) > FEW_WALLS else None
 
 
@@ -339,29 +345,43 @@ class _View:
         half = np.arcsin(np.minimum(clusters.radius / np.maximum(far, 1e-12), 1.0)) * per_radian + 1e-6
         first = np.floor(middle - half).astype(np.intp)
         last = np.floor(middle + half).astype(np.intp)
-        self.level = np.minimum(np.frexp((last - first + 1).astype(np.float64))[1] - 1, LEVELS - 1)
-        width = np.left_shift(1, self.level)
-        self.is_narrow = (self.distance > 0) & (last - first + 1 <= 2 * width)
-        row = SECTORS * np.arange(len(poses))[:, None]
-        self.first = row + first % SECTORS
-        self.second = row + (last + 1 - width) % SECTORS
-        sector = ((bearings - bearings[0]) * per_radian).astype(np.intp)
-        self.sectors, self.starts = np.unique(np.minimum(sector, SECTORS - 1), return_index=True)
+        self.first, self.last = first, last
+        self.row = np.arange(len(poses))[:, None]
 
-    def hidden(self, reach: Floats) -> Bools:
-        """Tell which clusters lie beyond every ray that looks their way, (n_poses, n_clusters).
+    def hidden(self, reach: _Reach) -> Bools:
+        """Tell which clusters lie beyond every ray that looks their way, (n_poses, n_clusters)."""
+        return np.asarray(
+            (self.distance > 0) & (self.distance > reach(self.row, self.first, self.last) + 1e-9)
+        )
 
-        `reach` (n_poses, n_rays): what each ray has met so far. A sector without rays reaches nowhere; a cluster
-        as wide as a quarter turn is never called hidden.
-        """
-        sector = np.full((len(reach), SECTORS), -np.inf)
-        sector[:, self.sectors] = np.maximum.reduceat(reach, self.starts, axis=1)
-        table = [sector]
+
+class _Reach:
+    """How far the rays of a batch reach, by sector of the full turn counted from ray 0; -inf: no ray there."""
+
+    def __init__(self, ranges: Floats, sectors: Ints, starts: Ints) -> None:
+        reach = np.full((len(ranges), SECTORS), -np.inf)
+        reach[:, sectors] = np.maximum.reduceat(ranges, starts, axis=1)
+        table = [reach]
         for level in range(LEVELS - 1):  # maximum over 1, 2, 4, ... sectors, round the circle
             table.append(np.maximum(table[-1], np.roll(table[-1], -(1 << level), axis=1)))
-        stacked = np.stack(table).reshape(LEVELS, -1)
-        farthest = np.maximum(stacked[self.level, self.first], stacked[self.level, self.second])
-        return np.asarray(self.is_narrow & (self.distance > farthest + 1e-9), dtype=np.bool_)
+        self.table = np.stack(table).reshape(-1)
+        self.stride = reach.size
+
+    def __call__(self, row: Ints, first: Ints, last: Ints) -> Floats:
+        """Return the farthest reach over sectors first..last (round the circle); +inf for more than a quarter turn."""
+        count = last - first + 1
+        level = LEVEL_OF[np.minimum(count, SECTORS)]
+        start = level * self.stride + row * SECTORS
+        width = np.left_shift(1, level)
+        farthest = self.table[start + (first & (SECTORS - 1))]
+        np.maximum(farthest, self.table[start + ((last + 1 - width) & (SECTORS - 1))], out=farthest)
+        return np.where(count <= 2 * width, farthest, np.inf)
+
+    def between(self, row: Ints, low: Floats, high: Floats) -> Floats:
+        """Return the farthest reach between two angles counted from ray 0."""
+        per_radian = SECTORS / (2 * np.pi)
+        first = (low * per_radian - 1e-6).astype(np.intp)
+        return self(row, first, (high * per_radian + 1e-6).astype(np.intp))
 
 
 def _morton(points: Floats) -> Ints:
