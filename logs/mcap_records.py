@@ -20,6 +20,7 @@ HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 U2, U4, U8 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
 CHUNK_HEAD = struct.Struct("<QQQI")
+SUMMARY_ONLY = frozenset({CHUNK_INDEX, ATTACHMENT_INDEX, STATISTICS, METADATA_INDEX, SUMMARY_OFFSET, FOOTER})
 LENGTHS = {FOOTER: 20, DATA_END: 4, SUMMARY_OFFSET: 17}
 
 

@@ -29,6 +29,7 @@ from logs.mcap_records import (
     METADATA,
     SCHEMA,
     STATISTICS,
+    SUMMARY_ONLY,
     U2,
     U4,
     U8,
@@ -130,12 +131,18 @@ class Walk:
         return opcode, pos + 9, end
 
     def _record(self, opcode: int, body: int, end: int) -> None:
+        if opcode in SUMMARY_ONLY and not self._in_summary:
+            raise Damaged(f"a record with opcode {opcode:#04x} stands before the end of the data section")
         cursor = Cursor(self.data, body, end)
         contents = self.contents
         if opcode == CHUNK:
             self._chunk(cursor)
         elif opcode in (SCHEMA, CHANNEL, MESSAGE):
             self._has_chunks &= self._in_summary
+            if opcode == MESSAGE and (
+                contents.n_chunks or Cursor(self.data, body, end).number(U2) not in contents.channels
+            ):
+                raise Damaged("a message stands outside the chunks, or before its channel")
             self._content(opcode, self.data, body, end)
         elif opcode == MESSAGE_INDEX:
             self._message_index(cursor)
@@ -152,15 +159,17 @@ class Walk:
             contents.n_claimed = cursor.number(U8)
         elif opcode == DATA_END:
             crc = cursor.number(U4)
+            self._in_summary = True
             if crc and self._is_whole and crc != self._crc32(0, body - 9):
                 raise Damaged("the data section does not match its checksum")
-            self._in_summary = True
         elif opcode == FOOTER:
             self._footer(cursor, body)
         if opcode != MESSAGE_INDEX:
             self._after_bad_chunk = False
 
     def _footer(self, cursor: Cursor, body: int) -> None:
+        if not self._in_summary:
+            raise Damaged("the data section has no end record")
         summary_start, _, crc = cursor.number(U8), cursor.number(U8), cursor.number(U4)
         start = summary_start or body - 9
         if crc and self._is_whole and crc != self._crc32(start, body + 16):

@@ -34,6 +34,8 @@ class Recovery:
     """Topic -> count of messages saved."""
     lost: dict[str, int]
     """Topic -> count of messages known to be lost: those that the indexes of damaged chunks count."""
+    n_claimed: int | None
+    """Count of messages that the file's own statistics claim, where they are left."""
     orphans: int
     """Count of messages whose channel is described nowhere in the file; they could not be saved."""
     losses: tuple[Loss, ...]
@@ -64,6 +66,9 @@ class Recovery:
         if self.is_whole:
             return [*out, "lost nothing: the file was whole"]
         out.append(f"lost {self.bytes_lost:,} bytes, {self.bad_chunks} of {self.n_chunks} chunks damaged")
+        n_saved = sum(self.written.values())
+        if self.n_claimed is not None and self.n_claimed > n_saved:
+            out.append(f"  {self.n_claimed - n_saved:,} of {self.n_claimed:,} messages that the file had")
         out += [f"  {topic}: {count:,} messages" for topic, count in self.lost.items()]
         if self.orphans:
             out.append(f"  {self.orphans:,} messages of channels that the file no longer describes")
@@ -92,7 +97,7 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
     try:
         with part.open("wb") as stream:
             copy = _Copy(stream, known)
-            walk = Walk(data, copy.take, losses.append)
+            walk = Walk(data, copy.take, lambda loss: _add(losses, loss))
             for step, pos in enumerate(walk.steps()):
                 if progress is not None and step % 64 == 0:
                     progress(pos, len(data))
@@ -111,6 +116,7 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
     return Recovery(
         written=copy.written,
         lost=lost,
+        n_claimed=walk.contents.n_claimed,
         orphans=copy.orphans,
         losses=tuple(losses),
         n_chunks=known.n_chunks,
@@ -118,6 +124,14 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
         attachments=tuple(attachment.name for attachment in known.attachments),
         metadata=tuple(name for name, _ in known.metadata),
     )
+
+
+def _add(losses: list[Loss], loss: Loss) -> None:
+    """Note a loss, as one with the loss before where they touch."""
+    if losses and losses[-1].end == loss.start < loss.end:
+        losses[-1] = replace(losses[-1], end=loss.end)
+    else:
+        losses.append(loss)
 
 
 def _first_look(data: bytes | mmap) -> Contents:

@@ -138,6 +138,20 @@ def test_one_flip_inside_a_chunk_costs_that_chunk_only_and_is_counted(whole: byt
         opens_elsewhere(tmp_path / "out.mcap")
 
 
+@pytest.mark.parametrize("bit", range(8))
+def test_any_record_whose_kind_changed_is_noticed(whole: bytes, tmp_path: Path, bit: int) -> None:
+    """A flipped opcode can make a private record, a message of an index, or hide the end of the data section."""
+    path, out = tmp_path / "flipped.mcap", tmp_path / "out.mcap"
+    for pos in boundaries(whole):
+        data = bytearray(whole)
+        data[pos] ^= 1 << bit
+        path.write_bytes(data)
+        with pytest.raises(logs.LogError):
+            logs.read(path)
+        assert not recover(path, out).is_whole
+        assert assert_part_of_original(out) >= N_SCANS // 2
+
+
 def test_sensor_facts_that_changed_are_left_out_and_said(whole: bytes, tmp_path: Path) -> None:
     at = whole.index(repr(ORIGINAL.sensor.sigma).encode())
     data = whole[:at] + b"9" + whole[at + 1 :]
