@@ -178,7 +178,7 @@ def test_wean_lines_become_metres_with_their_mount(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.poses[:, 0], np.arange(4))
 
 
-REAL = {  # name -> scans, rays, range_max, rays without return, pose_source (counted with awk on the files)
+REAL = {  # name -> scans, rays, range_max, rays without return, pose_source (as first read; ple-* checked by a separate script)
     "ple-intel/intel-corrected.log.gz": (910, 180, 81.83, 4172, "slam"),
     "ple-freiburg-079/freiburg-079-corrected.log.gz": (4316, 360, 81.91, 33607, "slam"),
     "ple-fhw/fhw-corrected.log.gz": (488, 180, 51.05, 647, "slam"),

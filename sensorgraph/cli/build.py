@@ -18,7 +18,7 @@ def build(
         Path, typer.Option("--output", "-o", metavar="GRAPH", help="File to write, *.sensorgraph.")
     ],
     arena: Annotated[
-        Path | None, typer.Option(help="Arena (GeoJSON, map yaml): its bounds set the scale.")
+        str | None, typer.Option(help="GeoJSON, map yaml, or a shipped one: its bounds set the scale.")
     ] = None,
     robot: Annotated[
         Path | None, typer.Option(help="Robot yaml: its sensor must be the one that recorded.")
@@ -42,7 +42,7 @@ def build(
     """
     from logs import read
     from sensorgraph.build import build as build_graph
-    from sensorgraph.cli.inputs import check_output, read_arena, read_robot_sensor, topics
+    from sensorgraph.cli.inputs import check_output, named_arena, read_robot_sensor, topics
     from sensorgraph.errors import GapError
     from sensorgraph.models import MODELS
 
@@ -54,7 +54,7 @@ def build(
         for name, text in (("degree", degree), ("harmonics", harmonics), ("n_terms", terms))
         if (value := _number(name, text)) != "auto"
     }
-    space = None if arena is None else read_arena(arena)
+    space = None if arena is None else named_arena(arena)
     names = topics(topic)
     loaded = []
     for path in runs:

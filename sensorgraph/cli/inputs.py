@@ -35,13 +35,6 @@ def topics(pairs: Sequence[str] | None) -> dict[str, str] | None:
     return out or None
 
 
-def read_arena(path: Path) -> Arena:
-    """Read an arena of any map format."""
-    from planners import maps
-
-    return maps.load(path)
-
-
 def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) -> None:
     """Check that a robot file describes the sensor that recorded."""
     from sensorgraph.build import is_same_sensor
@@ -134,4 +127,4 @@ def kept_arena(run: Run) -> Arena | None:
     from planners.maps import geojson
 
     text = run.attachments.get("arena.geojson")
-    return None if text is None else geojson.loads(text.decode())
+    return None if text is None else geojson.loads(text.decode(errors="replace"))

@@ -31,6 +31,7 @@ def inspect(
     """
     from logs import parse_topics
     from logs.inspect import inspect as look
+    from planners.errors import PlanError
     from sensorgraph.cli.inputs import kept_arena, named_arena
     from sensorgraph.cli.progress import progress
     from sensorgraph.world.orientation import orientation
@@ -40,7 +41,12 @@ def inspect(
     lines = found.lines()
     oriented = None
     if found.run is not None:
-        walls = named_arena(arena) if arena is not None else kept_arena(found.run)
+        walls = named_arena(arena) if arena is not None else None
+        if walls is None:
+            try:
+                walls = kept_arena(found.run)
+            except PlanError as exc:
+                lines += ["WARNING: the arena kept in the run cannot be used", f"  {exc}"]
         oriented = orientation(found.run, walls)
         lines += ["orientation", *(f"  {line}" for line in oriented.lines())] if oriented is not None else []
     typer.echo("\n".join(lines))

@@ -11,7 +11,7 @@ import numpy as np
 from robotmodic_ident import Moments, Scale, Terms
 from robotmodic_ident.select import forward, invert_upper
 from sensorgraph.errors import GapError
-from sensorgraph.models.base import Floats, Ints, Scans
+from sensorgraph.models.base import Floats, Ints, Progress, Scans
 
 Auto = int | Literal["auto"]
 
@@ -54,25 +54,28 @@ def choose(
     degree: Auto = "auto",
     harmonics: Auto = "auto",
     n_terms: Auto = "auto",
+    progress: Progress | None = None,
 ) -> Choice:
     """Return the form with the least mean error on stretches of the training scans that its fit left out."""
     for name, value, least in (("degree", degree, 0), ("harmonics", harmonics, 0), ("terms", n_terms, 1)):
         if value != "auto" and value < least:
             raise GapError(f"{name} is {value}, expected {least} or more, or auto")
     if degree != "auto" and harmonics != "auto" and n_terms != "auto":
-        k = min(int(n_terms), n_candidates(degree, harmonics))
-        return Choice(degree=degree, harmonics=harmonics, n_terms=k, how="as asked")
+        size = min(int(n_terms), n_candidates(degree, harmonics))
+        return Choice(degree=degree, harmonics=harmonics, n_terms=size, how="as asked")
     forms = _forms(len(scans), degree, harmonics)
     table = _Folds(scans, scale, dictionary(max(d for d, _ in forms), max(h for _, h in forms)))
     best = (np.inf, 0, 0, 1)
-    for d, h in forms:  # from poor to rich
+    for k, (d, h) in enumerate(forms):  # from poor to rich
+        if progress is not None:
+            progress(k, len(forms))
         sizes, errors = table.errors(dictionary(d, h), None if n_terms == "auto" else n_terms)
         least = int(np.argmin(errors))
         if errors[least] < BETTER * best[0]:
             best = (float(errors[least]), d, h, int(sizes[least]))
-    error, d, h, k = best
+    error, d, h, size = best
     how = f"mean error {error:.3f} m on {N_FOLDS} x {N_BLOCKS // N_FOLDS} left-out stretches of the training scans"
-    return Choice(degree=d, harmonics=h, n_terms=k, how=how)
+    return Choice(degree=d, harmonics=h, n_terms=size, how=how)
 
 
 def _forms(n: int, degree: Auto, harmonics: Auto) -> list[tuple[int, int]]:

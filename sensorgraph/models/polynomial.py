@@ -95,7 +95,7 @@ class Polynomial:
                 "expected degree, harmonics or n_terms"
             )
         scale = _scale(scans)
-        choice = choose(scans, scale, dictionary, **options)
+        choice = choose(scans, scale, dictionary, progress=progress, **options)
         terms = dictionary(choice.degree, choice.harmonics)
         fitted = _select_all(scans, terms, scale, choice.n_terms, progress)
         root, limit = _leverage(scans, terms, scale, fitted.pop("gram"))
