@@ -6,7 +6,7 @@ from functools import cache
 
 from rosbags.typesys import Stores, get_typestore
 
-LATCHED = ("/tf_static", "/map")
+LATCHED = ("/tf_static", "/map", "/plan", "/coverage")
 """Topics that a late listener must still receive."""
 
 

@@ -1,0 +1,78 @@
+"""plan.mcap: a planned path and its coverage, as ROS 2 tools and Foxglove show them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from logs.mcap_file import RosFile
+from logs.ros_messages import map_message
+from logs.run import Floats, OccupancyMap
+
+PATH, GRID = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
+MOST_POSES = 5000
+"""Of the path message: a viewer draws it whole."""
+
+
+def thin(poses: Floats, most: int = MOST_POSES) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Choose samples of a path (n, 3) at even steps of its length (1 rad counted as 10 cm), the ends included."""
+    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T) + 0.1 * np.abs(np.diff(np.unwrap(poses[:, 2])))
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    wanted = np.linspace(0.0, way[-1], min(most, len(poses)))
+    return np.unique(np.append(np.searchsorted(way, wanted - 1e-12).clip(0, len(poses) - 1), len(poses) - 1))
+
+
+def write_plan(
+    path: Path | str,
+    stamps: Floats,
+    poses: Floats,
+    *,
+    epoch_ns: int = 0,
+    coverage: OccupancyMap | None = None,
+    occupancy: OccupancyMap | None = None,
+    attachments: Mapping[str, bytes] | None = None,
+) -> None:
+    """Write /plan (nav_msgs/Path), /coverage (share of headings per cell, 0 to 100) and /map, all latched.
+
+    Parameters
+    ----------
+    stamps : (n,) [s]
+    poses : (n, 3) [m, m, rad] base_link in map
+    """
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    with RosFile(Path(path)) as file:
+        for topic, grid in (("/map", occupancy), ("/coverage", coverage)):
+            if grid is not None:
+                at = np.array([epoch_ns], dtype=np.int64)
+                file.put(file.channel(topic, GRID), epoch_ns, map_message(at, grid).tobytes())
+        chosen = thin(poses)
+        message = types[PATH](
+            header=_header(types, epoch_ns),
+            poses=[
+                types["geometry_msgs/msg/PoseStamped"](
+                    header=_header(types, epoch_ns + round(t * 1e9)), pose=_pose(types, *pose)
+                )
+                for t, pose in zip(stamps[chosen].tolist(), poses[chosen].tolist(), strict=True)
+            ],
+        )
+        file.put(file.channel("/plan", PATH), epoch_ns, bytes(store.serialize_cdr(message, PATH)))
+        for name, data in (attachments or {}).items():
+            file.attach(name, data, epoch_ns)
+
+
+def _header(types: Mapping[str, Any], ns: int) -> Any:
+    time = types["builtin_interfaces/msg/Time"](sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
+    return types["std_msgs/msg/Header"](stamp=time, frame_id="map")
+
+
+def _pose(types: Mapping[str, Any], x: float, y: float, phi: float) -> Any:
+    return types["geometry_msgs/msg/Pose"](
+        position=types["geometry_msgs/msg/Point"](x=x, y=y, z=0.0),
+        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=np.sin(phi / 2), w=np.cos(phi / 2)),
+    )
