@@ -1,0 +1,105 @@
+"""Check a trajectory from its samples alone: limits, continuity, no slip, certified clearance.
+
+Nothing here is shared with what draws trajectories: distances come from shapely, motion from differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from planners.arena import Arena, Floats, wrap
+from planners.robot import Robot
+from planners.trajectory import Trajectory
+
+SLACK = 0.01
+"""Of a limit: excess below this is taken for rounding of the file."""
+SLIP = 2e-4
+"""[m, rad] that a pose may differ from the twists' integral over one sample."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """What is wrong with a trajectory."""
+
+    violations: Mapping[str, int]
+    """Samples that exceed v, omega, a, alpha, curvature, continuity (pose against twist), or clearance."""
+    min_clearance: float
+    """[m] least distance of base_link to a wall, between the samples too; 0 where the robot leaves free space."""
+
+    @property
+    def count(self) -> int:
+        """Count of all violations."""
+        return sum(self.violations.values())
+
+
+def check(trajectory: Trajectory, arena: Arena, robot: Robot) -> Check:
+    """Check the samples, and what lies between two of them as far as the limits bound it."""
+    limits, dt = robot.limits, np.diff(trajectory.stamps)
+    v, omega = trajectory.twists.T
+    most = 1 + SLACK
+    violations = {
+        "v": int((abs(v) > limits.v * most).sum()),
+        "omega": int((abs(omega) > limits.omega * most).sum()),
+        "a": int((abs(np.diff(v)) > limits.a * most * dt + 2e-6).sum()),
+        "alpha": int((abs(np.diff(omega)) > limits.alpha * most * dt + 2e-6).sum()),
+        "curvature": 0,
+        "continuity": _jumps(trajectory),
+    }
+    if robot.drive != "diff":
+        violations["curvature"] = int((abs(omega) * limits.turning_radius > abs(v) * most + 1e-6).sum())
+    if robot.drive == "dubins":
+        violations["v"] += int((v < -1e-6).sum())
+    violations["clearance"], least = _clearance(trajectory, arena, robot.footprint_radius)
+    return Check(violations=violations, min_clearance=least)
+
+
+def _jumps(trajectory: Trajectory) -> int:
+    """Count steps that are not what the mean twist makes of the pose before (Simpson's rule on the chord)."""
+    dt = np.diff(trajectory.stamps)
+    turn = wrap(np.diff(trajectory.poses[:, 2]))
+    mean = 0.5 * (trajectory.twists[1:] + trajectory.twists[:-1]) * dt[:, None]  # (n - 1, 2) [m, rad]
+    middle = trajectory.poses[:-1, 2] + 0.5 * turn
+    way = np.diff(trajectory.poses[:, :2], axis=0)
+    ahead = way[:, 0] * np.cos(middle) + way[:, 1] * np.sin(middle)
+    aside = way[:, 1] * np.cos(middle) - way[:, 0] * np.sin(middle)
+    # within one sample v and omega may change by a dt and alpha dt: bound what their mean leaves out
+    change = abs(np.diff(trajectory.twists, axis=0))
+    loose_m = SLIP + 0.25 * change[:, 0] * dt
+    loose_rad = SLIP + 0.25 * change[:, 1] * dt
+    bent = 0.25 * abs(mean[:, 0]) * (abs(turn) + loose_rad)
+    wrong = (abs(ahead - mean[:, 0]) > loose_m + bent * abs(turn)) | (abs(aside) > SLIP + bent)
+    wrong |= abs(wrap(turn - mean[:, 1])) > loose_rad
+    return int(wrong.sum())
+
+
+def _clearance(trajectory: Trajectory, arena: Arena, radius: float) -> tuple[int, float]:
+    """Count samples whose surroundings are not proven free; return the least distance that is proven.
+
+    The distance to the nearest wall changes by no more than the way driven, so a sample with distance d and a
+    step s to the next proves d - s/2 up to half-way there.
+    """
+    places = trajectory.poses[:, :2]
+    steps = np.hypot(*np.diff(places, axis=0).T)
+    moved = np.concatenate([[True], steps > 0])
+    barriers = [shapely.LineString(wall) for wall in arena.walls]
+    barriers += list(getattr(shapely.boundary(arena.free), "geoms", [shapely.boundary(arena.free)]))
+    lines = np.array([segment for line in barriers for segment in _segments(line)])
+    points = shapely.points(places[moved])
+    nearest = shapely.STRtree(lines).nearest(points)
+    far = shapely.distance(points, lines[nearest])
+    far[~arena.contains(places[moved])] = 0.0
+    distance: Floats = far[np.cumsum(moved) - 1]
+    half = np.zeros(len(places))
+    half[:-1] = 0.5 * steps
+    half[1:] = np.maximum(half[1:], 0.5 * steps)
+    proven = np.maximum(distance - half, 0.0)
+    return int((proven < radius - 1e-6).sum()), float(proven.min())
+
+
+def _segments(line: shapely.LineString) -> list[shapely.LineString]:
+    points = np.asarray(line.coords)[:, :2]
+    return [shapely.LineString(points[k : k + 2]) for k in range(len(points) - 1)]

@@ -1,0 +1,68 @@
+"""Exact distances to whatever stops the robot: walls, and the border of free space where no wall stands."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+
+from planners.arena import Arena, Bools, Floats
+
+LONGEST = 4.0
+"""[m] longer walls are cut for the search tree, whose boxes would else overlap everywhere."""
+
+
+class Barriers:
+    """Segments that the robot's centre must keep away from, with exact vectorised queries."""
+
+    def __init__(self, arena: Arena) -> None:
+        border = shapely.boundary(arena.free)
+        rings = [np.asarray(line.coords)[:, :2] for line in getattr(border, "geoms", [border])]
+        edges = [np.stack([ring[:-1], ring[1:]], axis=1) for ring in rings]
+        both = np.concatenate([arena.walls, *edges])  # (n, 2, 2)
+        flipped = (both[:, 0, 0] > both[:, 1, 0]) | (
+            (both[:, 0, 0] == both[:, 1, 0]) & (both[:, 0, 1] > both[:, 1, 1])
+        )
+        both[flipped] = both[flipped][:, ::-1]
+        self.segments: Floats = np.unique(both, axis=0)
+        """(n, 2, 2) [m] each once, whatever direction it was drawn in."""
+        self._lines = shapely.linestrings(_cut(self.segments))
+        self._tree = shapely.STRtree(self._lines)
+
+    def distances(self, points: Floats) -> Floats:
+        """Return (n,) [m] exact distances of points (n, 2) to the nearest barrier."""
+        where = shapely.points(points[:, 0], points[:, 1])
+        nearest = self._tree.nearest(where)
+        return np.asarray(shapely.distance(where, self._lines[nearest]), dtype=np.float64)
+
+    def are_clear(self, starts: Floats, ends: Floats, clearance: float) -> Bools:
+        """Tell which straight moves (n, 2) -> (n, 2) keep `clearance` [m] all along; exact, no sampling."""
+        moves = shapely.linestrings(np.stack([starts, ends], axis=1))
+        hit, _ = self._tree.query(moves, predicate="dwithin", distance=clearance - 1e-9)
+        clear = np.ones(len(starts), dtype=np.bool_)
+        clear[hit] = False
+        return clear
+
+    def field(self, x: Floats, y: Floats, cap: float) -> Floats:
+        """Return (nx, ny) [m] exact distances at the nodes of an even grid, cut off at `cap` [m]."""
+        square = np.full((len(x), len(y)), cap * cap)
+        low = self.segments.min(axis=1) - cap  # (n, 2)
+        high = self.segments.max(axis=1) + cap
+        i = np.searchsorted(x, np.stack([low[:, 0], high[:, 0]]))
+        j = np.searchsorted(y, np.stack([low[:, 1], high[:, 1]]))
+        for k, (start, end) in enumerate(self.segments):
+            window = np.s_[i[0, k] : i[1, k], j[0, k] : j[1, k]]
+            px, py = x[window[0], None] - start[0], y[None, window[1]] - start[1]
+            ux, uy = end - start
+            share = np.clip((px * ux + py * uy) / (ux * ux + uy * uy), 0.0, 1.0)
+            np.minimum(square[window], (px - share * ux) ** 2 + (py - share * uy) ** 2, out=square[window])
+        return np.sqrt(square)
+
+
+def _cut(segments: Floats) -> Floats:
+    """Cut long segments into even parts."""
+    parts = np.ceil(np.hypot(*(segments[:, 1] - segments[:, 0]).T) / LONGEST).astype(int).clip(1)
+    owner = np.repeat(np.arange(len(segments)), parts)
+    number = np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)
+    ends = np.stack([number, number + 1], axis=1) / parts[owner, None]  # (m, 2) shares of the segment
+    start, step = segments[owner, :1], segments[owner, 1:] - segments[owner, :1]
+    return np.asarray(start + ends[:, :, None] * step, dtype=np.float64)

@@ -1,0 +1,266 @@
+"""OMPL: collision-free moves where the straight one is blocked. The only file that imports ompl.
+
+OMPL works in a process of its own, seeded once as its first call: the same queries give the same paths whatever
+ran before (its random streams advance over a whole process), a crash in the bindings becomes an error here, and
+what the bindings leak or print at their exit stays there. Searches stop by count, never by the clock, so that a
+plan does not depend on the load of the machine. Run as `python -m planners.connect` this file is that process.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planners.arena import Arena, Floats
+from planners.clearance import Barriers
+from planners.errors import PlanError
+from planners.reach import Reach
+
+INSTALL = "OMPL is not installed; pip install 'ompl>=2.0.1,<2.1' (Linux or macOS 15+; on Windows use WSL)"
+MISSING = 3
+"""Exit code of the process when ompl cannot be imported."""
+ATTEMPTS = 3
+"""Solutions for each query, of which the best is kept."""
+SEARCHES = ((np.inf, 2.0, 3_000), (0.3, 0.05, 8_000), (1.5, 0.1, 8_000))
+"""Window [m] around start and goal, longest step [m], iterations: a gap missed in the large is found near by."""
+CHECK_STEP = 0.01
+"""[m] between the states of a motion that OMPL checks."""
+TURN_COST = 0.5
+"""[m] that a corner costs when solutions are compared: turning takes time."""
+SLACK = 0.002
+"""[m] that OMPL keeps beyond the clearance, where start and goal do."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Joins:
+    """How the moves between primitives came about."""
+
+    direct: int = 0
+    """Straight moves that are clear."""
+    planned: int = 0
+    """Moves that OMPL planned."""
+    failed: int = 0
+    """Moves for which OMPL found no path."""
+    planned_m: float = 0.0
+    """[m] of all planned moves."""
+
+    def __add__(self, other: Joins) -> Joins:
+        return Joins(
+            direct=self.direct + other.direct,
+            planned=self.planned + other.planned,
+            failed=self.failed + other.failed,
+            planned_m=self.planned_m + other.planned_m,
+        )
+
+
+def connect(
+    starts: Floats, ends: Floats, *, reach: Reach, barriers: Barriers, seed: int
+) -> tuple[list[Floats | None], Joins]:
+    """Find a path for each move (n, 2) -> (n, 2) [m]: straight if clear, else by OMPL.
+
+    Returns
+    -------
+    paths : (k, 2) [m] with both ends, k = 2 for a straight one; None where no path was found
+    """
+    direct = barriers.are_clear(starts, ends, reach.clearance)
+    paths: list[Floats | None] = [np.stack(ends_) for ends_ in zip(starts, ends, strict=True)]
+    blocked = np.flatnonzero(~direct)
+    if len(blocked):
+        found = _in_a_process(np.concatenate([starts[blocked], ends[blocked]], axis=1), reach, seed)
+        for k, path in zip(blocked.tolist(), found, strict=True):
+            paths[k] = _certified(path, barriers, reach.clearance)
+    planned = [path for k in blocked.tolist() if (path := paths[k]) is not None]
+    return paths, Joins(
+        direct=int(direct.sum()),
+        planned=len(planned),
+        failed=len(blocked) - len(planned),
+        planned_m=float(sum(np.hypot(*np.diff(path, axis=0).T).sum() for path in planned)),
+    )
+
+
+def _certified(path: Floats, barriers: Barriers, clearance: float) -> Floats | None:
+    """Leave out corners that are not needed; None unless the exact clearance holds all along."""
+    if len(path) < 2:
+        return None
+    kept = [0]
+    while kept[-1] < len(path) - 1:
+        later = np.arange(len(path) - 1, kept[-1], -1)
+        here = np.repeat(path[kept[-1]][None], len(later), axis=0)
+        clear = barriers.are_clear(here, path[later], clearance)
+        if not clear.any():
+            return None
+        kept.append(int(later[clear.argmax()]))
+    return path[kept]
+
+
+def _in_a_process(queries: Floats, reach: Reach, seed: int) -> list[Floats]:
+    """Solve queries (n, 4) [m] in a fresh process; an empty path means none was found."""
+    package = Path(__file__).parent.parent
+    others = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(package), *others])}
+    sent = io.BytesIO()
+    np.savez(
+        sent,
+        queries=queries,
+        distance=reach.distance,
+        origin=reach.origin,
+        step=reach.step,
+        clearance=reach.clearance,
+        seed=seed,
+    )
+    with subprocess.Popen(
+        [sys.executable, "-P", "-m", "planners.connect"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=environment,
+    ) as process:
+        try:
+            answer, complaint = process.communicate(sent.getvalue())
+        except BaseException:
+            process.kill()
+            raise
+    if process.returncode == MISSING:
+        raise PlanError(INSTALL)
+    if process.returncode != 0:
+        last = complaint.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
+        raise PlanError(
+            f"OMPL ended with code {process.returncode} ({last[0]}); please report the arena and seed"
+        )
+    with np.load(io.BytesIO(answer)) as data:
+        return list(np.split(data["points"], np.cumsum(data["lengths"])[:-1]))
+
+
+def _serve() -> int:
+    """Answer the queries on standard input."""
+    try:
+        from ompl import base, geometric, util
+    except ImportError:
+        return MISSING
+    with np.load(io.BytesIO(sys.stdin.buffer.read())) as data:
+        util.RNG.setSeed(int(data["seed"]) % (2**31 - 1) + 1)  # must be the first call; 0 is refused
+        util.setLogLevel(util.LOG_NONE)
+        solver = _Solver(base, geometric, data["distance"], data["origin"], float(data["step"]))
+        clearance = float(data["clearance"])
+        paths = [solver.solve(query, clearance) for query in data["queries"]]
+    answer = io.BytesIO()
+    np.savez(answer, points=np.concatenate(paths), lengths=[len(path) for path in paths])
+    sys.stdout.buffer.write(answer.getvalue())
+    sys.stdout.buffer.flush()
+    return 0
+
+
+class _Solver:
+    """One OMPL problem, used again for every query: leaks nothing, and its random streams go on."""
+
+    def __init__(self, base: Any, geometric: Any, distance: Floats, origin: Floats, step: float) -> None:
+        self.base, self.geometric = base, geometric
+        self.field = _Field(distance, origin, step)
+        self.low, self.high = origin, origin + np.array(distance.shape) * step
+        space = base.RealVectorStateSpace(2)
+        space.setBounds(self._bounds(self.low, self.high))
+        self.space = space
+        self.setup = geometric.SimpleSetup(space)
+        information = self.setup.getSpaceInformation()
+        information.setStateValidityCheckingResolution(CHECK_STEP / space.getMaximumExtent())
+        self.setup.setStateValidityChecker(self.field.is_valid)  # holds lists and floats, nothing of OMPL
+        planner = geometric.RRTConnect(information)
+        self.setup.setPlanner(planner)
+        self.planner, self.iterations = planner, 0
+
+    def solve(self, query: Floats, clearance: float) -> Floats:
+        """Return the best of some paths (k, 2) [m] for a query x0, y0, x1, y1; (0, 2) if there is none."""
+        ends = [self._state(*query[:2]), self._state(*query[2:])]
+        lowest = min(self.field.value(*query[:2]), self.field.value(*query[2:]))
+        self.field.least = min(clearance + SLACK, max(lowest, clearance)) - 1e-9
+        for window, step, iterations in SEARCHES:
+            self.planner.setRange(step)
+            self.iterations = iterations
+            low, high = np.minimum(query[:2], query[2:]) - window, np.maximum(query[:2], query[2:]) + window
+            self.space.setBounds(self._bounds(np.maximum(low, self.low), np.minimum(high, self.high)))
+            paths = [self._attempt(ends)]
+            if len(paths[0]):
+                paths += [self._attempt(ends) for _ in range(ATTEMPTS - 1)]
+                return min((path for path in paths if len(path)), key=_cost)
+            self.field.least = clearance - 1e-9
+        return np.zeros((0, 2))
+
+    def _bounds(self, low: Floats, high: Floats) -> Any:
+        bounds = self.base.RealVectorBounds(2)
+        for axis in range(2):
+            bounds.setLow(axis, float(low[axis]))
+            bounds.setHigh(axis, float(high[axis]))
+        return bounds
+
+    def _attempt(self, ends: list[Any]) -> Floats:
+        self.setup.clear()
+        self.setup.setStartAndGoalStates(ends[0], ends[1], 1e-6)
+        self.setup.solve(self.base.PlannerTerminationCondition(_Countdown(self.iterations)))
+        if not self.setup.haveExactSolutionPath():  # the status is also true for approximate ones
+            return np.zeros((0, 2))
+        path = self.setup.getSolutionPath()
+        simplifier = self.setup.getPathSimplifier()
+        simplifier.reduceVertices(path)
+        simplifier.ropeShortcutPath(path, 0.1)
+        simplifier.partialShortcutPath(path)
+        simplifier.reduceVertices(path)
+        states = [path.getState(k) for k in range(path.getStateCount())]
+        return np.array([[state[0], state[1]] for state in states])
+
+    def _state(self, x: float, y: float) -> Any:
+        state = self.space.allocState()
+        state[0], state[1] = float(x), float(y)
+        return state
+
+
+def _cost(path: Floats) -> float:
+    return float(np.hypot(*np.diff(path, axis=0).T).sum()) + TURN_COST * len(path)
+
+
+class _Countdown:
+    """Say stop after so many questions."""
+
+    def __init__(self, left: int) -> None:
+        self.left = left
+
+    def __call__(self) -> bool:
+        self.left -= 1
+        return self.left < 0
+
+
+class _Field:
+    """The distance field as plain lists, which a callback reads several times faster than an array."""
+
+    def __init__(self, distance: Floats, origin: Floats, step: float) -> None:
+        self.rows: list[list[float]] = distance.tolist()
+        self.low = (float(origin[0] + step / 2), float(origin[1] + step / 2))
+        self.step = step
+        self.size = (distance.shape[0] - 1, distance.shape[1] - 1)
+        self.least = 0.0
+
+    def value(self, x: float, y: float) -> float:
+        """Interpolate the distance [m]; 0 off the raster."""
+        u, v = (x - self.low[0]) / self.step, (y - self.low[1]) / self.step
+        i, j = int(u), int(v)
+        if (
+            u < 0 or v < 0 or i >= self.size[0] or j >= self.size[1]
+        ):  # bounds are closed: x may be the far one
+            return 0.0
+        a, b = u - i, v - j
+        near, far = self.rows[i], self.rows[i + 1]
+        return (1 - a) * ((1 - b) * near[j] + b * near[j + 1]) + a * ((1 - b) * far[j] + b * far[j + 1])
+
+    def is_valid(self, state: Any) -> bool:
+        """Answer OMPL, with a real bool."""
+        return bool(self.value(state[0], state[1]) >= self.least)
+
+
+if __name__ == "__main__":
+    sys.exit(_serve())

@@ -1,0 +1,109 @@
+"""Coverage: which (x, y, phi) bins a robot can reach, and which of them it has been in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planners.arena import Bools, Floats, wrap
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Coverage:
+    """Counts of logged poses in even bins; heading bin k is centred on k 2π/headings."""
+
+    origin: Floats
+    """(2,) [m] lower left corner."""
+    cell: float
+    """[m] side of a position cell."""
+    reachable: Bools
+    """(nx, ny, n_phi) bins that count."""
+    counts: Ints
+    """(nx, ny, n_phi) logged poses; `add` fills it."""
+    core: Ints
+    """(nx, ny, n_phi) logged poses in the inner half of the cell, both ways, and of the heading bin."""
+
+    @classmethod
+    def empty(cls, *, origin: Floats, cell: float, cells: Bools, headings: int) -> Coverage:
+        """Make one without poses, every heading of `cells` (nx, ny) being reachable."""
+        shape = (*cells.shape, headings)
+        reachable = np.repeat(cells[:, :, None], headings, axis=2)
+        zeros = np.zeros(shape, dtype=np.int64)
+        return cls(origin=origin, cell=cell, reachable=reachable, counts=zeros, core=zeros.copy())
+
+    @property
+    def headings(self) -> int:
+        """Count of heading bins."""
+        return self.counts.shape[2]
+
+    @property
+    def edges(self) -> tuple[Floats, Floats, Floats]:
+        """Borders of the bins: x (nx + 1,) [m], y (ny + 1,) [m], phi (n_phi + 1,) [rad] from -half a bin."""
+        nx, ny, n_phi = self.counts.shape
+        x, y = (low + self.cell * np.arange(n + 1) for low, n in zip(self.origin, (nx, ny), strict=True))
+        return x, y, (np.arange(n_phi + 1) - 0.5) * (2 * np.pi / n_phi)
+
+    def bins(self, poses: Floats) -> tuple[Ints, Bools]:
+        """Return bins (n, 3) of poses (n, 3) [m, m, rad], and which (n,) lie within the grid."""
+        nx, ny, n_phi = self.counts.shape
+        cells = np.floor((poses[:, :2] - self.origin) / self.cell).astype(np.int64)
+        heading = np.floor(poses[:, 2] / (2 * np.pi / n_phi) + 0.5).astype(np.int64) % n_phi
+        inside = ((cells >= 0) & (cells < (nx, ny))).all(axis=1)
+        return np.column_stack([cells, heading]), inside
+
+    def add(self, poses: Floats) -> None:
+        """Count logged poses (n, 3) [m, m, rad]; those that are not finite or off the grid are passed over."""
+        poses = poses[np.isfinite(poses).all(axis=1)]
+        bins, inside = self.bins(poses)
+        poses, bins = poses[inside], bins[inside]
+        flat = np.ravel_multi_index(tuple(bins.T), self.counts.shape)
+        place = (poses[:, :2] - self.origin) / self.cell - bins[:, :2] - 0.5
+        turn = wrap(poses[:, 2] - bins[:, 2] * (2 * np.pi / self.headings)) * self.headings / (2 * np.pi)
+        is_core = (abs(place) <= 0.25).all(axis=1) & (abs(turn) <= 0.25)
+        self.counts.ravel()[:] += np.bincount(flat, minlength=self.counts.size)
+        self.core.ravel()[:] += np.bincount(flat[is_core], minlength=self.counts.size)
+
+    @property
+    def covered(self) -> Bools:
+        """(nx, ny, n_phi) reachable bins with a pose."""
+        return np.asarray((self.counts > 0) & self.reachable)
+
+    @property
+    def fraction(self) -> float:
+        """Share of the reachable bins with a pose."""
+        return float(self.covered.sum() / max(self.reachable.sum(), 1))
+
+    @property
+    def core_fraction(self) -> float:
+        """Share of the reachable bins with a pose in their inner half."""
+        return float(((self.core > 0) & self.reachable).sum() / max(self.reachable.sum(), 1))
+
+    def holes(self) -> Floats:
+        """Return centres (n, 3) [m, m, rad] of the reachable bins without a pose."""
+        missing = np.argwhere(self.reachable & (self.counts == 0))
+        places = self.origin + (missing[:, :2] + 0.5) * self.cell
+        return np.column_stack([places, wrap(missing[:, 2] * (2 * np.pi / self.headings))])
+
+    def dispersion(self) -> tuple[float, float]:
+        """Return the longest ways from a reachable bin to a covered one.
+
+        The first is over the floor at the same heading [m], the second by turning on the spot [rad]; inf where
+        no bin of that heading, or of that position, is covered.
+        """
+        covered = self.covered
+        if not self.reachable.any():
+            return 0.0, 0.0
+        way = np.full(covered.shape, np.inf)
+        for k in np.flatnonzero(covered.any(axis=(0, 1))):
+            way[:, :, k] = ndimage.distance_transform_edt(~covered[:, :, k], sampling=self.cell)
+        n_phi = self.headings
+        turn = np.full(covered.shape, np.inf)
+        for k in range(n_phi):
+            steps = min(k, n_phi - k)
+            turn = np.minimum(turn, np.where(np.roll(covered, k, axis=2), steps, np.inf))
+        return float(way[self.reachable].max()), float(turn[self.reachable].max() * 2 * np.pi / n_phi)

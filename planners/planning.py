@@ -1,0 +1,213 @@
+"""plan(): from an arena and a robot to a trajectory that fills (x, y, phi), checked and measured."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planners import baselines
+from planners.arena import Arena, Floats
+from planners.check import check
+from planners.clearance import Barriers
+from planners.connect import Joins
+from planners.coverage import Coverage
+from planners.coverage_planner import Driven, Progress, Task, plan_coverage
+from planners.errors import PlanError
+from planners.reach import Reach, reach
+from planners.robot import Robot
+from planners.steering import Curve
+from planners.trajectory import Trajectory
+
+logger = logging.getLogger(__name__)
+
+PLANNERS: dict[str, Callable[[Task], Driven]] = {
+    "coverage": plan_coverage,
+    "random_bounce": baselines.random_bounce,
+    "wall_following": baselines.wall_following,
+}
+
+MARGIN = 0.02
+"""[m] that the robot's rim keeps from walls, beyond its radius."""
+SMALL = 0.5
+"""A start that reaches a smaller share of where the robot fits is worth a warning."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """A drive, and what it achieves."""
+
+    trajectory: Trajectory
+    curve: Curve
+    """The same drive in closed form, to sample at any stamp."""
+    coverage: Coverage
+    """As a log at `rate` would count it, earlier runs included."""
+    reach: Reach
+    joins: Joins
+    stops: Floats
+    """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the turn made there."""
+    report: dict[str, Any]
+    """plan.json"""
+
+
+def plan(
+    arena: Arena,
+    robot: Robot,
+    *,
+    planner: str = "coverage",
+    cell: float = 0.25,
+    headings: int = 16,
+    seed: int = 0,
+    start: Floats | None = None,
+    rate: float = 10.0,
+    margin: float = MARGIN,
+    priority: Floats | None = None,
+    visited: Floats | None = None,
+    duration: float | None = None,
+    progress: Progress | None = None,
+) -> Plan:
+    """Plan a drive through every reachable (x, y, phi) bin.
+
+    Parameters
+    ----------
+    planner : one of PLANNERS
+    cell : [m] side of a position cell; `headings`: count of heading bins
+    start : (3,) [m, m, rad]; None: where the planner likes, in the largest part of the arena
+    rate : [Hz] at which poses are logged; a bin counts when a logged pose falls in it
+    priority : (nx, ny, n_phi) higher comes earlier
+    visited : (n, 3) [m, m, rad] poses of earlier runs, whose bins need no visit
+    duration : [s] of the baselines, which never finish; default: the reference time of the coverage planner
+    """
+    began = time.perf_counter()
+    if planner not in PLANNERS:
+        raise PlanError(f"planner {planner!r} is unknown; expected one of {', '.join(PLANNERS)}")
+    _check_numbers(cell=cell, rate=rate, headings=headings, seed=seed, margin=margin, duration=duration)
+    if start is not None:
+        start = np.asarray(start, dtype=np.float64)
+        if start.shape != (3,) or not np.isfinite(start).all():
+            raise PlanError(f"start is {start.tolist()}, expected three finite numbers x, y, phi")
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=robot.footprint_radius + margin, cell=float(cell), start=start)
+    grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
+    if not grid.reachable.any():
+        raise PlanError(
+            f"no {cell} m cell has {100 * 0.04:.0f} % of its area within reach; use a smaller cell"
+        )
+    if priority is not None and np.shape(priority) != grid.counts.shape:
+        raise PlanError(f"priority has shape {np.shape(priority)}, expected {grid.counts.shape}")
+    if visited is not None:
+        grid.add(np.asarray(visited, dtype=np.float64).reshape(-1, 3))
+    task = Task(
+        arena=arena,
+        robot=robot,
+        barriers=barriers,
+        reach=free,
+        coverage=grid,
+        start=start,
+        seed=seed,
+        rate=rate,
+        priority=priority,
+        duration=duration if duration is not None else reference_time(grid, robot),
+        progress=progress,
+    )
+    driven = PLANNERS[planner](task)
+    trajectory = driven.curve.trajectory()
+    before = grid.fraction
+    grid.add(driven.curve.log(rate))
+    report = _report(task, driven, trajectory, planner) | {
+        "coverage_before": before,
+        "planning_s": round(time.perf_counter() - began, 3),
+    }
+    return Plan(
+        trajectory=trajectory,
+        curve=driven.curve,
+        coverage=grid,
+        reach=free,
+        joins=driven.joins,
+        stops=driven.stops,
+        report=report,
+    )
+
+
+def reference_time(grid: Coverage, robot: Robot) -> float:
+    """Return the least time [s] to visit all bin centres by turning or driving, accelerations left out.
+
+    Every cell is entered once and all its other headings are turned to, or every heading is driven through.
+    """
+    k, limits = grid.headings, robot.limits
+    hop = grid.cell / limits.v
+    todo = (grid.reachable & (grid.counts == 0)).any(axis=2)
+    return float(todo.sum() * min((k - 1) * 2 * np.pi / k / limits.omega + hop, k * hop))
+
+
+def _check_numbers(
+    *, cell: float, rate: float, headings: int, seed: int, margin: float, duration: float | None
+) -> None:
+    for name, value in (("cell", cell), ("rate", rate), ("duration", 1.0 if duration is None else duration)):
+        if not (np.isfinite(value) and value > 0):
+            raise PlanError(f"{name} is {value}, expected a positive number")
+    if not 1 <= headings <= 3600 or headings != int(headings):
+        raise PlanError(f"headings is {headings}, expected a whole number from 1 to 3600")
+    if seed < 0:
+        raise PlanError(f"seed is {seed}, expected 0 or more")
+    if not (np.isfinite(margin) and margin >= 0):
+        raise PlanError(f"margin is {margin}, expected 0 or more")
+
+
+def _report(task: Task, driven: Driven, trajectory: Trajectory, planner: str) -> dict[str, Any]:
+    """Measure the plan; `task.coverage` already counts its log."""
+    grid, robot = task.coverage, task.robot
+    empty = Coverage.empty(
+        origin=grid.origin, cell=grid.cell, cells=grid.reachable.any(axis=2), headings=grid.headings
+    )
+    reference = reference_time(empty, robot)
+    found = check(driven.curve.trajectory(100.0), task.arena, robot)
+    gap_m, gap_rad = grid.dispersion()
+    start = trajectory.poses[0]
+    warnings = []
+    if task.reach.share < SMALL:
+        warnings.append(
+            f"only {100 * task.reach.share:.0f} % of where the robot fits is reachable; the rest lies behind gaps "
+            f"narrower than {2 * task.reach.clearance:.2f} m, or the start is in the smaller part"
+        )
+    for line in warnings:
+        logger.warning("%s", line)
+    return {
+        "grid": {"origin": grid.origin.tolist(), "cell": grid.cell, "headings": grid.headings},
+        "start": [round(float(value), 6) for value in start],
+        "coverage": grid.fraction,
+        "core_coverage": grid.core_fraction,
+        "reachable_cells": int(grid.reachable.sum()),
+        "covered_cells": int(grid.covered.sum()),
+        "reachable_positions": int(grid.reachable.any(axis=2).sum()),
+        "drive_time_s": round(trajectory.duration, 6),
+        "t_ref_s": reference,
+        "ratio": trajectory.duration / reference,
+        "path_m": trajectory.length,
+        "planning_s": 0.0,
+        "seed": task.seed,
+        "min_clearance_m": found.min_clearance,
+        "limit_violations": found.count,
+        "joins": {
+            "direct": driven.joins.direct,
+            "planned": driven.joins.planned,
+            "failed": driven.joins.failed,
+            "planned_m": driven.joins.planned_m,
+        },
+        "violations": dict(found.violations),
+        "turned_rad": float(abs(driven.stops[:, 3]).sum()),
+        "stops": len(driven.stops),
+        "largest_gap": {"m": _finite(gap_m), "rad": _finite(gap_rad)},
+        "warnings": warnings,
+        "planner": planner,
+        "rate": task.rate,
+        "clearance": task.reach.clearance,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

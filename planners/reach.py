@@ -1,0 +1,146 @@
+"""Which places a disc can reach: a distance field on a fine raster, flooded from the start."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from planners.arena import Arena, Bools, Floats
+from planners.clearance import Barriers
+from planners.errors import PlanError
+
+STEP = 0.02
+"""[m] of the raster, or a little less so that a cell is a whole number of steps."""
+MOST_NODES = 6_000_000
+MOST_CELLS = 1_000_000
+DEEP = 0.45
+"""[m] beyond the clearance, where distances are cut off."""
+LEAST_SHARE = 0.04
+"""Share of a cell's area that must be reachable for the cell to count."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reach:
+    """Where the robot's centre can be, on a raster of which each position cell holds `per_cell`² nodes."""
+
+    origin: Floats
+    """(2,) [m] lower left corner of the grid of cells."""
+    cell: float
+    """[m] side of a position cell."""
+    per_cell: int
+    """Nodes along a cell's side."""
+    clearance: float
+    """[m] that the robot's centre keeps from barriers."""
+    distance: Floats
+    """(mx, my) [m] exact distance of each node to the nearest barrier, cut off; 0 outside free space."""
+    mask: Bools
+    """(mx, my) the node is reachable."""
+    fits: int
+    """Count of nodes where the robot fits, reachable or not."""
+
+    @property
+    def step(self) -> float:
+        """[m] between nodes."""
+        return self.cell / self.per_cell
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Count of position cells (nx, ny)."""
+        return self.mask.shape[0] // self.per_cell, self.mask.shape[1] // self.per_cell
+
+    @property
+    def share(self) -> float:
+        """Share of the places where the robot fits that it can reach."""
+        return float(self.mask.sum() / self.fits)
+
+    def nodes(self, index: tuple[np.ndarray, ...]) -> Floats:
+        """Return (n, 2) [m] positions of nodes given as index arrays (i, j)."""
+        return self.origin + (np.stack(index, axis=-1) + 0.5) * self.step
+
+    def blocks(self, raster: np.ndarray) -> np.ndarray:
+        """Reshape a raster (mx, my) to (nx, ny, per_cell²), a row for each cell."""
+        (nx, ny), k = self.shape, self.per_cell
+        return raster.reshape(nx, k, ny, k).swapaxes(1, 2).reshape(nx, ny, k * k)
+
+    def areas(self) -> Floats:
+        """Return (nx, ny) the reachable share of each cell's area, its rim counted by parts of nodes."""
+        near = ndimage.binary_dilation(self.mask, np.ones((3, 3)))
+        part = np.clip(0.5 + (self.distance - self.clearance) / self.step, 0.0, 1.0) * near
+        return np.asarray(self.blocks(part).mean(axis=-1), dtype=np.float64)
+
+    def cells(self) -> Bools:
+        """Return (nx, ny) which position cells count as reachable."""
+        return np.asarray((self.areas() >= LEAST_SHARE) & self.blocks(self.mask).any(axis=-1))
+
+
+def reach(
+    arena: Arena, barriers: Barriers, *, clearance: float, cell: float, start: Floats | None = None
+) -> Reach:
+    """Flood from `start` (x, y, ...) the places that keep `clearance`; without a start, take the largest part."""
+    x0, y0, x1, y1 = arena.bounds
+    nx, ny = (max(math.ceil(round(side / cell, 9)), 1) for side in (x1 - x0, y1 - y0))
+    if nx * ny > MOST_CELLS:
+        raise PlanError(
+            f"cell {cell} m makes {nx} x {ny} cells of the {x1 - x0:.1f} x {y1 - y0:.1f} m arena, more than "
+            f"{MOST_CELLS:,}; choose a larger cell"
+        )
+    per_cell = max(math.ceil(round(cell / STEP, 9)), 1)
+    per_cell = max(min(per_cell, math.isqrt(MOST_NODES // (nx * ny))), 2)
+    step = cell / per_cell
+    x, y = (low + (np.arange(n * per_cell) + 0.5) * step for low, n in ((x0, nx), (y0, ny)))
+    distance = barriers.field(x, y, clearance + DEEP)
+    inside = arena.contains(np.stack(np.broadcast_arrays(x[:, None], y[None, :]), axis=-1))
+    distance[~inside] = 0.0
+    fits = distance >= clearance
+    if not fits.any():
+        raise PlanError(
+            f"no place in the arena is {clearance:.2f} m clear of walls (the widest has "
+            f"{distance.max():.2f} m); the robot does not fit: use a smaller footprint_radius"
+        )
+    parts, _ = ndimage.label(fits)
+    if start is None:
+        wanted = int(np.bincount(parts[fits]).argmax())
+    else:
+        wanted = _part_of(start, arena, barriers, parts, (x, y), clearance)
+    return Reach(
+        origin=np.array([x0, y0]),
+        cell=cell,
+        per_cell=per_cell,
+        clearance=clearance,
+        distance=distance,
+        mask=np.asarray(parts == wanted),
+        fits=int(fits.sum()),
+    )
+
+
+def _part_of(
+    start: Floats,
+    arena: Arena,
+    barriers: Barriers,
+    parts: np.ndarray,
+    axes: tuple[Floats, Floats],
+    clearance: float,
+) -> int:
+    """Return the label of the part that the start lies in."""
+    where = f"start ({start[0]:g}, {start[1]:g})"
+    away = float(barriers.distances(start[None, :2])[0])
+    if not arena.contains(start[:2]):
+        raise PlanError(
+            f"{where} is {away:.2f} m inside a wall or outside the arena; move it into free space"
+        )
+    if away < clearance - 1e-9:
+        raise PlanError(
+            f"{where} is {away:.2f} m from a wall, less than the robot's radius and margin of {clearance:.2f} m; "
+            "move it away from the wall or shrink footprint_radius"
+        )
+    x, y = axes
+    step = x[1] - x[0]
+    i, j = np.flatnonzero(abs(x - start[0]) <= 2 * step), np.flatnonzero(abs(y - start[1]) <= 2 * step)
+    found = parts[np.ix_(i, j)]
+    if not found.any():
+        raise PlanError(f"{where} is wedged in a gap of {2 * away:.2f} m; move it into the open")
+    far = np.hypot(x[i, None] - start[0], y[None, j] - start[1])
+    return int(found.flat[np.where(found > 0, far, np.inf).argmin()])

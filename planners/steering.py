@@ -1,0 +1,231 @@
+"""Curves and their timing: the one object that clearance, coverage, time and export all use.
+
+A curve is a chain of pieces of constant acceleration of v and of omega. Poses follow from the twists by
+quadrature, which is exact to rounding for straight moves and spins and to 1e-12 m for the short blends of both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.arena import Floats, wrap
+from planners.robot import Limits
+from planners.trajectory import Trajectory
+
+RATE = 50.0
+"""[Hz] of exported samples."""
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+Profile = tuple[Floats, Floats]
+"""Durations (k,) [s] and accelerations (k,) of one rest-to-rest motion."""
+
+
+def trapezoid(distance: float, top: float, rate: float) -> Profile:
+    """Return the fastest rest-to-rest profile over a signed distance, at most `top` fast, changing by `rate`."""
+    way, sign = abs(distance), 1.0 if distance >= 0 else -1.0
+    if way == 0:
+        return np.zeros(0), np.zeros(0)
+    ramp = min(top / rate, float(np.sqrt(way / rate)))
+    peak = ramp * rate
+    cruise = max(way / peak - ramp, 0.0)
+    if cruise < 1e-9:
+        return np.array([ramp, ramp]), np.array([rate, -rate]) * sign
+    return np.array([ramp, cruise, ramp]), np.array([rate, 0.0, -rate]) * sign
+
+
+def duration(distance: Floats | float, top: float, rate: float) -> Floats:
+    """Return how long `trapezoid` takes [s], for arrays of distances."""
+    way = np.abs(np.asarray(distance, dtype=np.float64))
+    return np.where(way > top * top / rate, way / top + top / rate, 2 * np.sqrt(way / rate))
+
+
+def displace(
+    phi: Floats, v: Floats, a: Floats, omega: Floats, alpha: Floats, dt: Floats
+) -> tuple[Floats, Floats]:
+    """Return x and y [m] driven within `dt` from heading phi at twist (v, omega) with accelerations (a, alpha)."""
+    t = dt[..., None] * (0.5 + 0.5 * _NODES)  # (..., 8)
+    speed = v[..., None] + a[..., None] * t
+    heading = phi[..., None] + omega[..., None] * t + 0.5 * alpha[..., None] * t * t
+    weight = 0.5 * dt[..., None] * _WEIGHTS * speed
+    return (weight * np.cos(heading)).sum(axis=-1), (weight * np.sin(heading)).sum(axis=-1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Curve:
+    """Pieces of constant acceleration, in order."""
+
+    starts: Floats
+    """(n,) [s] when each piece starts, increasing from 0."""
+    duration: float
+    """[s] of all pieces."""
+    poses: Floats
+    """(n, 3) [m, m, rad] at the start of each piece; phi runs on, unwrapped."""
+    twists: Floats
+    """(n, 2) [m/s, rad/s] at the start of each piece."""
+    rates: Floats
+    """(n, 2) [m/s², rad/s²] within each piece."""
+    labels: NDArray[np.str_]
+    """(n,) the primitive that each piece belongs to."""
+
+    def sample(self, stamps: Floats) -> tuple[Floats, Floats, NDArray[np.str_]]:
+        """Return poses (m, 3), twists (m, 2) and labels (m,) at stamps (m,) [s] within the curve."""
+        k = np.clip(np.searchsorted(self.starts, stamps, side="right") - 1, 0, len(self.starts) - 1)
+        dt = np.clip(stamps, 0.0, self.duration) - self.starts[k]
+        (v, omega), (a, alpha) = self.twists[k].T, self.rates[k].T
+        x, y, phi = self.poses[k].T
+        moving = (v != 0) | (a != 0)
+        way = np.zeros((len(k), 2))
+        parts = (phi, v, a, omega, alpha, dt)
+        way[moving] = np.stack(displace(*(part[moving] for part in parts)), axis=1)
+        poses = np.stack(
+            [x + way[:, 0], y + way[:, 1], wrap(phi + omega * dt + 0.5 * alpha * dt * dt)], axis=1
+        )
+        return poses, np.stack([v + a * dt, omega + alpha * dt], axis=1), self.labels[k]
+
+    def log(self, rate: float, phase: float = 0.0) -> Floats:
+        """Return poses (m, 3) that a log at `rate` [Hz], first sample at `phase` [s], holds."""
+        n = int(np.floor((self.duration - phase) * rate + 1e-9)) + 1
+        return self.sample(phase + np.arange(n) / rate)[0]
+
+    def trajectory(self, rate: float = RATE) -> Trajectory:
+        """Sample at an even rate [Hz], standing still up to the last sample."""
+        n = int(np.ceil(self.duration * rate - 1e-9)) + 1
+        poses, twists, labels = self.sample(np.arange(max(n, 2)) / rate)
+        twists[-1] = 0.0
+        return Trajectory(stamps=np.arange(max(n, 2)) / rate, poses=poses, twists=twists, primitives=labels)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """What the pen drew last: its axis (0 drives, 1 turns), last ramp [s] and signed rate of its first ramp."""
+
+    axis: int = -1
+    ramp: float = 0.0
+    rate: float = 0.0
+
+
+class Pen:
+    """Draw a curve of straight moves and turns on the spot, each from rest to rest, overlapping where asked.
+
+    With an overlap, the new motion starts while the one before still brakes. Each of v and omega keeps its own
+    profile, so limits hold; the few mm by which the path bends are in `pose`.
+    """
+
+    def __init__(self, pose: Floats, limits: Limits, *, spin: float | None = None) -> None:
+        self.limits = limits
+        self.spin = limits.omega if spin is None else min(spin, limits.omega)
+        """[rad/s] of turns."""
+        self.pose = np.array(pose, dtype=np.float64)
+        """(3,) where the robot rests once all drawn so far is done; phi runs on, unwrapped."""
+        self.last_turn = 1
+        """Direction of the turn drawn last: 1 counter-clockwise, -1 clockwise."""
+        self.stops: list[tuple[float, float, float, float]] = []
+        """Where the robot turned: x, y [m], phi on arrival, angle [rad]."""
+        self._first = self.pose.copy()
+        self._clock = 0.0
+        self._last = _Motion()
+        self._pieces: tuple[list[tuple[float, float, float]], ...] = (
+            [],
+            [],
+        )  # per axis: start, v or omega, rate
+        self._marks: list[tuple[float, str]] = []
+
+    @property
+    def clock(self) -> float:
+        """[s] when the robot rests."""
+        return self._clock
+
+    def move(self, distance: float, label: str = "move", overlap: float = 0.0) -> None:
+        """Drive straight [m], backward if negative; start up to `overlap` [s] before the turn ahead has ended."""
+        if abs(distance) < 1e-9:
+            return
+        times, rates = trapezoid(distance, self.limits.v, self.limits.a)
+        before, back = self._last, self._append(0, times, rates, label, overlap)
+        heading = self.pose[2]
+        self.pose[:2] += distance * _ahead(heading)
+        if back > 0:
+            turning = before.rate * back
+            early = heading - 0.5 * turning * back
+            bent = _displaced(early, 0.0, rates[0], turning, -before.rate, back)
+            self.pose[:2] += bent - 0.5 * rates[0] * back * back * _ahead(heading)
+
+    def turn(self, angle: float, label: str = "turn", overlap: float = 0.0) -> None:
+        """Turn on the spot [rad], clockwise if negative; start up to `overlap` [s] before the move ahead has ended."""
+        if abs(angle) < 1e-9:
+            return
+        times, rates = trapezoid(angle, self.spin, self.limits.alpha)
+        self.pose[:2] = self.rest(angle, overlap)
+        self._append(1, times, rates, label, overlap)
+        self.stops.append((*self.pose.tolist(), angle))
+        self.last_turn = 1 if angle > 0 else -1
+        self.pose[2] += angle
+
+    def rest(self, angle: float, overlap: float) -> Floats:
+        """Return (2,) [m] where the move drawn last will end if a turn by `angle` starts `overlap` [s] early."""
+        ramp = min(self.spin / self.limits.alpha, float(np.sqrt(abs(angle) / self.limits.alpha)))
+        back = self._allowed(1, ramp, overlap)
+        if back <= 0:
+            return self.pose[:2].copy()
+        heading, brake = float(self.pose[2]), self._last.rate
+        bent = _displaced(heading, brake * back, -brake, 0.0, float(np.sign(angle)) * self.limits.alpha, back)
+        return np.asarray(self.pose[:2] + bent - 0.5 * brake * back * back * _ahead(heading))
+
+    def wait(self, seconds: float, label: str = "wait") -> None:
+        """Stand still [s]."""
+        self._append(0, np.array([seconds]), np.zeros(1), label, 0.0)
+        self._last = _Motion()
+
+    def _allowed(self, axis: int, ramp: float, overlap: float) -> float:
+        """Cut an overlap to what both ramps hold; only a move and a turn can overlap."""
+        return 0.0 if self._last.axis in (axis, -1) else max(min(overlap, self._last.ramp, ramp), 0.0)
+
+    def _append(self, axis: int, times: Floats, rates: Floats, label: str, overlap: float) -> float:
+        back = self._allowed(axis, float(times[0]), overlap)
+        at, value = self._clock - back, 0.0
+        self._marks.append((at, label))
+        for length, rate in zip(times.tolist(), rates.tolist(), strict=True):
+            self._pieces[axis].append((at, value, rate))
+            at, value = at + length, value + length * rate
+        self._pieces[axis].append((at, 0.0, 0.0))
+        self._clock = at
+        self._last = _Motion(axis, float(times[-1]), float(rates[0]))
+        return back
+
+    def curve(self) -> Curve:
+        """Return all that was drawn."""
+        if not self._marks:
+            raise ValueError("nothing was drawn; expected at least one move, turn or wait")
+        axes = [np.array([(0.0, 0.0, 0.0), *pieces]) for pieces in self._pieces]  # (k, 3)
+        starts = np.unique(np.round(np.concatenate([axis[:, 0] for axis in axes]), 9))
+        starts = starts[starts < self._clock - 1e-9]
+        twists, rates = np.zeros((len(starts), 2)), np.zeros((len(starts), 2))
+        for column, axis in enumerate(axes):
+            k = np.searchsorted(axis[:, 0], starts + 1e-9, side="right") - 1
+            at, value, rate = axis[k].T
+            twists[:, column], rates[:, column] = value + rate * (starts - at), rate
+        dt = np.diff(starts, append=self._clock)
+        turned = twists[:, 1] * dt + 0.5 * rates[:, 1] * dt * dt
+        phi = self._first[2] + np.concatenate([[0.0], np.cumsum(turned)[:-1]])
+        way = np.stack(displace(phi, twists[:, 0], rates[:, 0], twists[:, 1], rates[:, 1], dt), axis=1)
+        places = self._first[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(way, axis=0)[:-1]])
+        marked = np.array([at for at, _ in self._marks])
+        labels = np.array([label for _, label in self._marks], dtype=np.str_)
+        return Curve(
+            starts=starts,
+            duration=self._clock,
+            poses=np.column_stack([places, phi]),
+            twists=twists,
+            rates=rates,
+            labels=labels[np.clip(np.searchsorted(marked, starts + 1e-9, side="right") - 1, 0, None)],
+        )
+
+
+def _ahead(heading: float) -> Floats:
+    return np.array([np.cos(heading), np.sin(heading)])
+
+
+def _displaced(phi: float, v: float, a: float, omega: float, alpha: float, dt: float) -> Floats:
+    return np.stack(displace(*(np.asarray(part, dtype=np.float64) for part in (phi, v, a, omega, alpha, dt))))
