@@ -14,7 +14,7 @@ from planners.steering import Pen
 LEAST_WAY = 0.05
 """[m] a bounce must open at least."""
 CLOSE = 1e-3
-"""[m] how near to its clearance the robot drives before it turns."""
+"""[m] how exactly the way to a wall is found."""
 FOLLOW = 0.15
 """[m] beyond the clearance at which walls are followed."""
 
@@ -27,7 +27,7 @@ def random_bounce(task: Task) -> Driven:
     bounces = 0
     while pen.clock < _duration(task):
         way = _free_way(task, pen.pose)
-        if way > LEAST_WAY:
+        if way > CLOSE:
             pen.move(way, "move")
         bounces += 1
         heading = _open_heading(task, pen.pose, rng)
@@ -41,36 +41,33 @@ def _open_heading(task: Task, pose: Floats, rng: np.random.Generator) -> float:
     """Draw headings until one leads away from the wall."""
     for _ in range(200):
         heading = float(rng.uniform(-np.pi, np.pi))
-        if _free_way(task, np.array([pose[0], pose[1], heading]), LEAST_WAY) >= LEAST_WAY:
+        if _free_way(task, np.array([pose[0], pose[1], heading]), LEAST_WAY) >= LEAST_WAY - CLOSE:
             return heading
     return float(pose[2] + np.pi)  # the way it came is open
 
 
-def _free_way(task: Task, pose: Floats, enough: float = np.inf) -> float:
-    """Return how far [m] the robot can drive ahead: march by the distance field, then prove it exactly."""
-    reach, ahead = task.reach, np.array([np.cos(pose[2]), np.sin(pose[2])])
-    way = 0.0
-    while way < enough:
-        i, j = np.floor((pose[:2] + way * ahead - reach.origin) / reach.step).astype(int).tolist()
-        if not (0 <= i < reach.distance.shape[0] and 0 <= j < reach.distance.shape[1]):
-            break
-        room = float(reach.distance[i, j]) - reach.clearance - 0.71 * reach.step
-        if room < CLOSE:
-            break
-        way += room
-    ways = way + np.linspace(2 * reach.step, -2 * reach.step, 81)
-    ways = ways[ways > 0]
-    here = np.repeat(pose[None, :2], len(ways), axis=0)
-    clear = task.barriers.are_clear(here, here + ways[:, None] * ahead, reach.clearance)
-    return float(ways[clear.argmax()]) if clear.any() else 0.0
+def _free_way(task: Task, pose: Floats, most: float | None = None) -> float:
+    """Return how far [m] the robot can drive ahead, at most `most`: exact to `CLOSE`, by narrowing down."""
+    ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
+    x0, y0, x1, y1 = task.arena.bounds
+    low, high = 0.0, float(np.hypot(x1 - x0, y1 - y0)) if most is None else most
+    while high - low > CLOSE:
+        ways = np.linspace(low, high, 24)[1:]
+        here = np.repeat(pose[None, :2], len(ways), axis=0)
+        clear = task.barriers.are_clear(here, here + ways[:, None] * ahead, task.reach.clearance)
+        first = len(ways) if clear.all() else int(clear.argmin())
+        if first == len(ways):
+            return high
+        low, high = (float(ways[first - 1]) if first else low), float(ways[first])
+    return low
 
 
 def wall_following(task: Task) -> Driven:
-    """Follow the wall nearest to the start at an even distance, lap after lap for `task.duration`."""
+    """Follow the longest wall within reach at an even distance, lap after lap for `task.duration`."""
     _only_in_place(task, "wall_following")
     rng = np.random.default_rng(task.seed)
     start = _start(task, rng)
-    ring = _ring(task, start[:2])
+    ring = _ring(task)
     first = int(np.hypot(*(ring - start[:2]).T).argmin())
     ring = np.roll(ring, -first, axis=0)
     ring = np.concatenate([ring, ring[:1]])
@@ -97,16 +94,15 @@ def wall_following(task: Task) -> Driven:
     return Driven(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=joins + first_join)
 
 
-def _ring(task: Task, start: Floats) -> Floats:
-    """Return (n, 2) [m] the line at an even distance along the wall nearest to the start, counter-clockwise."""
+def _ring(task: Task) -> Floats:
+    """Return (n, 2) [m] the longest line at an even distance from walls, counter-clockwise."""
     for beyond in (FOLLOW, FOLLOW / 2, 0.01):
         inner = task.arena.free.buffer(-(task.reach.clearance + beyond), join_style="mitre", mitre_limit=2.0)
         parts = [part for part in getattr(inner, "geoms", [inner]) if not part.is_empty]
         reached = [part for part in parts if _is_reached(task, np.array(part.exterior.coords[0]))]
         if reached:
             rings = [ring for part in reached for ring in (part.exterior, *part.interiors)]
-            here = shapely.Point(start)
-            ring = min(rings, key=lambda line: float(line.distance(here)))
+            ring = max(rings, key=lambda line: float(line.length))
             points = np.asarray(ring.simplify(0.01).coords)[:-1, :2]
             return points if shapely.LinearRing(points).is_ccw else points[::-1]
     raise PlanError("no wall can be followed within reach of the start; choose another start")
