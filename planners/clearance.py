@@ -25,7 +25,7 @@ class Barriers:
         both[flipped] = both[flipped][:, ::-1]
         self.segments: Floats = np.unique(both, axis=0)
         """(n, 2, 2) [m] each once, whatever direction it was drawn in."""
-        self._lines = shapely.linestrings(_cut(self.segments))
+        self._lines = np.asarray(shapely.linestrings(_cut(self.segments)))  # (m,) of geometries
         self._tree = shapely.STRtree(self._lines)
 
     def distances(self, points: Floats) -> Floats:
@@ -55,7 +55,7 @@ class Barriers:
             ux, uy = end - start
             share = np.clip((px * ux + py * uy) / (ux * ux + uy * uy), 0.0, 1.0)
             np.minimum(square[window], (px - share * ux) ** 2 + (py - share * uy) ** 2, out=square[window])
-        return np.sqrt(square)
+        return np.asarray(np.sqrt(square), dtype=np.float64)
 
 
 def _cut(segments: Floats) -> Floats:

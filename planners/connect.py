@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.arena import Arena, Floats
+from planners.arena import Floats
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.reach import Reach
@@ -74,8 +74,8 @@ def connect(
     blocked = np.flatnonzero(~direct)
     if len(blocked):
         found = _in_a_process(np.concatenate([starts[blocked], ends[blocked]], axis=1), reach, seed)
-        for k, path in zip(blocked.tolist(), found, strict=True):
-            paths[k] = _certified(path, barriers, reach.clearance)
+        for k, way in zip(blocked.tolist(), found, strict=True):
+            paths[k] = _certified(way, barriers, reach.clearance)
     planned = [path for k in blocked.tolist() if (path := paths[k]) is not None]
     return paths, Joins(
         direct=int(direct.sum()),
@@ -141,7 +141,7 @@ def _in_a_process(queries: Floats, reach: Reach, seed: int) -> list[Floats]:
 def _serve() -> int:
     """Answer the queries on standard input."""
     try:
-        from ompl import base, geometric, util
+        from ompl import base, geometric, util  # type: ignore[import-untyped]
     except ImportError:
         return MISSING
     with np.load(io.BytesIO(sys.stdin.buffer.read())) as data:

@@ -39,7 +39,7 @@ class Coverage:
     @property
     def headings(self) -> int:
         """Count of heading bins."""
-        return self.counts.shape[2]
+        return int(self.counts.shape[2])
 
     @property
     def edges(self) -> tuple[Floats, Floats, Floats]:
@@ -53,7 +53,7 @@ class Coverage:
         nx, ny, n_phi = self.counts.shape
         cells = np.floor((poses[:, :2] - self.origin) / self.cell).astype(np.int64)
         heading = np.floor(poses[:, 2] / (2 * np.pi / n_phi) + 0.5).astype(np.int64) % n_phi
-        inside = ((cells >= 0) & (cells < (nx, ny))).all(axis=1)
+        inside = np.asarray(((cells >= 0) & (cells < (nx, ny))).all(axis=1), dtype=np.bool_)
         return np.column_stack([cells, heading]), inside
 
     def add(self, poses: Floats) -> None:
@@ -63,7 +63,8 @@ class Coverage:
         poses, bins = poses[inside], bins[inside]
         flat = np.ravel_multi_index(tuple(bins.T), self.counts.shape)
         place = (poses[:, :2] - self.origin) / self.cell - bins[:, :2] - 0.5
-        turn = wrap(poses[:, 2] - bins[:, 2] * (2 * np.pi / self.headings)) * self.headings / (2 * np.pi)
+        width = 2 * np.pi / self.headings
+        turn = wrap(np.subtract(poses[:, 2], bins[:, 2] * width, dtype=np.float64)) / width
         is_core = (abs(place) <= 0.25).all(axis=1) & (abs(turn) <= 0.25)
         self.counts.ravel()[:] += np.bincount(flat, minlength=self.counts.size)
         self.core.ravel()[:] += np.bincount(flat[is_core], minlength=self.counts.size)
@@ -99,7 +100,7 @@ class Coverage:
         if not self.reachable.any():
             return 0.0, 0.0
         way = np.full(covered.shape, np.inf)
-        for k in np.flatnonzero(covered.any(axis=(0, 1))):
+        for k in np.flatnonzero(covered.any(axis=(0, 1))).tolist():
             way[:, :, k] = ndimage.distance_transform_edt(~covered[:, :, k], sampling=self.cell)
         n_phi = self.headings
         turn = np.full(covered.shape, np.inf)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from planners.arena import Bools, Floats
+from planners.arena import Floats
 
 Ints = NDArray[np.int64]
 KICKS = 60
@@ -190,7 +190,7 @@ class _Order:
                 at = np.unravel_index(int(gain.argmax()), gain.shape)
                 if gain[at] > best[0]:
                     best = (float(gain[at]), int(k[at[0]]), size, int(at[1]), flipped)
-        gain_, start, size, gap_, flipped = best
+        _, start, size, gap_, flipped = best
         if size == 0:
             return False
         block = self.nodes[start : start + size]

@@ -53,6 +53,17 @@ class Plan:
     report: dict[str, Any]
     """plan.json"""
 
+    def growth(self, n: int = 400) -> tuple[Floats, Floats]:
+        """Return stamps (n,) [s] and the share (n,) of reachable bins that a log has met by then."""
+        rate, grid = self.report["rate"], self.coverage
+        bins, inside = grid.bins(self.curve.log(rate))
+        flat = np.ravel_multi_index(tuple(bins[inside].T), grid.counts.shape)
+        _, first = np.unique(flat, return_index=True)
+        when = np.sort(np.flatnonzero(inside)[first[grid.reachable.ravel()[flat[first]]]]) / rate
+        stamps = np.linspace(0.0, self.curve.duration, n)
+        share = np.searchsorted(when, stamps, side="right") / grid.reachable.sum()
+        return stamps, np.asarray(share + self.report["coverage"] - share[-1], dtype=np.float64)
+
 
 def plan(
     arena: Arena,
@@ -162,7 +173,10 @@ def _report(task: Task, driven: Driven, trajectory: Trajectory, planner: str) ->
     """Measure the plan; `task.coverage` already counts its log."""
     grid, robot = task.coverage, task.robot
     empty = Coverage.empty(
-        origin=grid.origin, cell=grid.cell, cells=grid.reachable.any(axis=2), headings=grid.headings
+        origin=grid.origin,
+        cell=grid.cell,
+        cells=np.asarray(grid.reachable.any(axis=2)),
+        headings=grid.headings,
     )
     reference = reference_time(empty, robot)
     found = check(driven.curve.trajectory(100.0), task.arena, robot)

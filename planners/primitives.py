@@ -39,7 +39,7 @@ def least_sweep(phi: float, need: Bools, direction: int) -> float:
     """
     width = 2 * np.pi / len(need)
     bins = np.flatnonzero(need)
-    inside = np.asarray(wrap(phi - bins * width)) / width  # -0.5 .. 0.5 within the bin
+    inside = wrap(np.subtract(phi, bins * width, dtype=np.float64)) / width  # -0.5 .. 0.5 within the bin
     border = (bins - direction * (0.5 - GUARD)) * width
     ahead = direction * (border - phi) % (2 * np.pi)
     ahead[abs(inside) <= 0.5 - CREST] = 0.0

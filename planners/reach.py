@@ -67,7 +67,7 @@ class Reach:
 
     def areas(self) -> Floats:
         """Return (nx, ny) the reachable share of each cell's area, its rim counted by parts of nodes."""
-        near = ndimage.binary_dilation(self.mask, np.ones((3, 3)))
+        near = ndimage.binary_dilation(self.mask, np.ones((3, 3), dtype=np.bool_))
         part = np.clip(0.5 + (self.distance - self.clearance) / self.step, 0.0, 1.0) * near
         return np.asarray(self.blocks(part).mean(axis=-1), dtype=np.float64)
 
@@ -90,7 +90,8 @@ def reach(
     per_cell = max(math.ceil(round(cell / STEP, 9)), 1)
     per_cell = max(min(per_cell, math.isqrt(MOST_NODES // (nx * ny))), 2)
     step = cell / per_cell
-    x, y = (low + (np.arange(n * per_cell) + 0.5) * step for low, n in ((x0, nx), (y0, ny)))
+    x: Floats = x0 + (np.arange(nx * per_cell, dtype=np.float64) + 0.5) * step
+    y: Floats = y0 + (np.arange(ny * per_cell, dtype=np.float64) + 0.5) * step
     distance = barriers.field(x, y, clearance + DEEP)
     inside = arena.contains(np.stack(np.broadcast_arrays(x[:, None], y[None, :]), axis=-1))
     distance[~inside] = 0.0

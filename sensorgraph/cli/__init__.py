@@ -14,8 +14,10 @@ from typing import Annotated
 import typer
 
 from sensorgraph.cli.build import build
+from sensorgraph.cli.demo import demo
 from sensorgraph.cli.evaluate import evaluate
 from sensorgraph.cli.inspect import inspect
+from sensorgraph.cli.plan import plan
 from sensorgraph.cli.predict import predict
 from sensorgraph.cli.record import record
 from sensorgraph.cli.recover import recover
@@ -23,6 +25,8 @@ from sensorgraph.cli.review import review
 from sensorgraph.cli.show import show
 
 COMMANDS: dict[str, Callable[..., None]] = {
+    "demo": demo,
+    "plan": plan,
     "inspect": inspect,
     "recover": recover,
     "build": build,

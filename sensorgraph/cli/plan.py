@@ -1,0 +1,113 @@
+"""`sensorgraph plan`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from planners.arena import Floats
+
+
+def plan(
+    arena: Annotated[str, typer.Argument(help="GeoJSON, map_server yaml, or a shipped one: square, office.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write the plan to.")],
+    robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")] = None,
+    planner: Annotated[str, typer.Option(help="coverage, random_bounce or wall_following.")] = "coverage",
+    cell: Annotated[float, typer.Option(help="Side of a position cell [m].")] = 0.25,
+    headings: Annotated[int, typer.Option(help="Heading bins of a full turn.")] = 16,
+    start: Annotated[
+        str | None, typer.Option(help="X,Y,PHI [m, m, rad]; default: where the planner likes.")
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(help="[s] of random_bounce and wall_following; default: the reference time."),
+    ] = None,
+    resume: Annotated[
+        Path | None, typer.Option(help="A run already driven: plan only what its poses have not covered.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Same seed, same bytes.")] = 0,
+) -> None:
+    """Plan a drive that fills (x, y, φ): every reachable place, in every heading.
+
+    Examples:
+
+      sensorgraph plan square -o runs/plan
+
+      sensorgraph plan lab.geojson --robot robot.yaml --cell 0.2 --start 1.0,0.5,0 -o runs/lab
+    """
+    from planners import plan as make_plan
+    from planners.errors import PlanError
+    from sensorgraph.cli.inputs import named_arena, named_robot
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.plan_folder import save
+
+    if out.exists() and not out.is_dir():
+        raise PlanError(f"{out} is a file; give a folder to write the plan to")
+    world, machine = named_arena(arena), named_robot(robot)
+    visited = None if resume is None else _visited(resume)
+    with progress("planning", "stops") as tick:
+        made = make_plan(
+            world,
+            machine.robot,
+            planner=planner,
+            cell=cell,
+            headings=headings,
+            seed=seed,
+            start=None if start is None else _start(start),
+            rate=machine.sensor.rate,
+            duration=duration,
+            visited=visited,
+            progress=tick,
+        )
+    save(made, out, world, machine)
+    for line in made.report["warnings"]:
+        typer.echo(f"warning: {line}", err=True)
+    typer.echo(_summary(made.report))
+    typer.echo(f"wrote {out}")
+
+
+def _summary(report: dict[str, Any]) -> str:
+    """Say in one line what a plan achieves."""
+    hours, minutes = divmod(round(report["drive_time_s"] / 60), 60)
+    joins = report["joins"]
+    failed = f", {joins['failed']} failed" if joins["failed"] else ""
+    return (
+        f"{report['covered_cells']:,} of {report['reachable_cells']:,} (x, y, phi) bins "
+        f"({100 * report['coverage']:.2f} %) in {hours} h {minutes:02d} min and {report['path_m']:.0f} m, "
+        f"{report['ratio']:.2f} of the reference time; {joins['direct']:,} straight joins, "
+        f"{joins['planned']} by OMPL{failed}; clearance {report['min_clearance_m']:.3f} m; "
+        f"planned in {report['planning_s']:.1f} s"
+    )
+
+
+def _start(text: str) -> Floats:
+    import numpy as np
+
+    from planners.errors import PlanError
+
+    try:
+        pose = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        pose = np.zeros(0)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise PlanError(f"--start is {text!r}, expected X,Y,PHI such as 1.0,2.0,0.5")
+    return pose
+
+
+def _visited(path: Path) -> Floats:
+    """Return poses (n, 3) [m, m, rad] of a run's scans."""
+    import logs
+    from planners.errors import PlanError
+
+    run = logs.read(path)
+    if run.pose_frame != "base_link":
+        raise PlanError(
+            f"{path}: its poses are of the {run.pose_frame}, expected base_link; resume from another run"
+        )
+    pairing = logs.pair(run)
+    if not pairing.paired.any():
+        raise PlanError(f"{path}: {pairing}; nothing to resume from")
+    return pairing.poses[pairing.paired]
