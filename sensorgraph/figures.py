@@ -152,3 +152,39 @@ def _quiet(axes: Any) -> None:
         axes.spines[side].set_color(SOFT)
     axes.tick_params(colors=INK, labelsize=8, length=3)
     axes.set_axisbelow(True)
+
+
+def race_picture(races: dict[str, tuple[Any, Any, Any]], arena: Arena, path: Path) -> None:
+    """Draw ways of driving side by side: bins visited over time, and where each has been.
+
+    Parameters
+    ----------
+    races : label -> (minutes (n,), share of the reachable bins (n,) by then, Coverage)
+    """
+    x0, y0, x1, y1 = arena.bounds
+    figure = _figure(10.0, float(np.clip(3.4 * (y1 - y0) / max(x1 - x0, 1e-9), 2.2, 8.0)) + 0.7)
+    axes = figure.subplots(1, 1 + len(races), width_ratios=[1.25, *([1.0] * len(races))])
+    for (label, (minutes, share, coverage)), colour, chart in zip(
+        races.items(), ("#2a788e", "#c9892b", ALARM), axes[1:], strict=False
+    ):
+        axes[0].plot(minutes, 100 * share, color=colour, lw=1.9)
+        axes[0].annotate(
+            f"{label}: {100 * share[-1]:.1f} %", (minutes[-1], 100 * share[-1]), xytext=(-6, -13),
+            textcoords="offset points", ha="right", fontsize=8.5, color=colour,
+        )  # fmt: skip
+        reachable = coverage.reachable.sum(axis=2)
+        seen = np.where(reachable > 0, coverage.covered.sum(axis=2) / np.maximum(reachable, 1), np.nan)
+        _floor(chart, arena)
+        edges_x, edges_y, _ = coverage.edges
+        mesh = chart.pcolormesh(edges_x, edges_y, 100 * seen.T, cmap="viridis", vmin=0, vmax=100, zorder=1)
+        chart.set_title(f"{label}: headings visited", fontsize=9, color=INK, loc="left")
+    axes[0].set(xlim=(0, None), ylim=(0, 103))
+    axes[0].set_xlabel("driven [min]", color=INK)
+    axes[0].set_ylabel("reachable (x, y, φ) bins visited [%]", color=INK)
+    axes[0].grid(color=SOLID, lw=0.6)
+    _quiet(axes[0])
+    bar = figure.colorbar(mesh, ax=axes[1:].tolist(), shrink=0.8, aspect=30, pad=0.02)
+    bar.set_label("headings [%]", color=INK, fontsize=8)
+    bar.ax.tick_params(labelsize=8, colors=INK)
+    bar.outline.set_visible(False)
+    _save(figure, path)

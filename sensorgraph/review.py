@@ -42,6 +42,8 @@ class Review:
     """Everything that is drawn."""
 
     run: Run
+    name: str
+    """What to call the run."""
     pairing: Pairing
     shown: NDArray[np.intp]
     """(n_shown,) indices of the scans in the review."""
@@ -75,6 +77,7 @@ def review(
     *,
     graph: Sensorgraph | None = None,
     arena: Arena | None = None,
+    name: str | None = None,
     planned: Floats | None = None,
     plan: Mapping[str, Any] | None = None,
     cell: float | None = None,
@@ -85,6 +88,7 @@ def review(
     Parameters
     ----------
     arena : walls to draw; None: none
+    name : what to call the run; None: the file it says it came from
     planned : (n, 2) [m] path of the plan
     cell : [m] of the maps; None: 0.25, or coarser where that would be too many
     most_scans : more are thinned out evenly
@@ -108,6 +112,7 @@ def review(
         predicted[evaluation.scan_indices] = np.where(said.answered, said.ranges, np.nan)
     return Review(
         run=run,
+        name=name or run.meta.get("source", "run").rsplit("/", 1)[-1],
         pairing=pairing,
         shown=shown,
         lasers=poses if run.pose_frame == "laser" else laser_poses(poses, run.sensor.mount),
@@ -163,7 +168,7 @@ def report(seen: Review) -> str:
     run, cells = seen.run, seen.cells
     visited = int((cells.counts > 0).sum())
     lines = [
-        f"# {run.meta.get('source', 'Run').rsplit('/', 1)[-1]}",
+        f"# {seen.name}",
         f"{seen.pairing}, {run.stamps[-1] - run.stamps[0]:.0f} s, {run.sensor.n_rays} rays. "
         f"Shown: {len(seen.shown):,} scans"
         + (", evenly chosen." if len(seen.shown) < seen.pairing.paired.sum() else ", all of them."),
@@ -179,10 +184,20 @@ def report(seen: Review) -> str:
         ]
         return "\n".join(lines)
     lines += ["", "| | all rays | answered |", "|---|---|---|", *_rows(seen.held_out or seen.evaluation)]
-    which = seen.held_out or seen.evaluation
-    lines += ["", f"*Of these scans: {which.settings['training']}.*"]
+    lines += ["", f"*{_training(seen, seen.graph)}*"]
     lines += ["", "White: measured. Orange: predicted, where the graph answers.", ""]
     return "\n".join(lines)
+
+
+def _training(seen: Review, graph: Sensorgraph) -> str:
+    """Say whether the scores are of scans that the graph was fitted to."""
+    if seen.held_out is not None:
+        return (
+            f"Scored on the scans held out of the build ({graph.origin['split']}); the maps show all scans."
+        )
+    if training_scans(graph, seen.run) is None:
+        return "Scored on a run that the graph has not seen."
+    return "The graph was fitted to this run: on new scans the numbers are worse."
 
 
 def _rows(evaluation: Evaluation) -> list[str]:

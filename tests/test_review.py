@@ -72,9 +72,16 @@ def test_the_report_counts_on_held_out_scans(seen: Review) -> None:
     text = report(seen)
     assert "lab.mcap" in text
     assert "400 of 400 scans paired" in text
-    assert "none of these scans was trained on" in text
+    assert "Scored on the scans held out of the build (every10)" in text
     assert seen.held_out is not None
     assert f"{100 * seen.held_out.all['median_m']:.3g} cm" in text
+
+
+def test_the_report_says_when_a_graph_was_fitted_to_what_it_is_scored_on(run: Run) -> None:
+    own = review(run, graph=build([run], degree=2, harmonics=2))
+    assert "fitted to this run" in report(own)
+    other = replace(run, ranges=run.ranges + 0.01)
+    assert "has not seen" in report(review(other, graph=build([run], degree=2, harmonics=2)))
 
 
 def test_a_long_run_is_thinned_evenly_and_says_so(run: Run, graph: Sensorgraph) -> None:

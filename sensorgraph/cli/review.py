@@ -50,7 +50,7 @@ def review(
     planned = read_csv(plan / "trajectory.csv").poses[::10, :2] if plan is not None else None
     facts = json.loads((plan / "plan.json").read_text()) if plan is not None else None
     loaded = Sensorgraph.load(graph) if graph is not None else None
-    seen = collect(log, graph=loaded, arena=walls, planned=planned, plan=facts)
+    seen = collect(log, graph=loaded, arena=walls, name=run.name, planned=planned, plan=facts)
     view.write(seen, out, ray=ray)
     typer.echo(f"{seen.pairing}; {len(seen.shown):,} scans shown")
     typer.echo(f"wrote {out}; open it with: rerun {out}")

@@ -1,0 +1,103 @@
+"""`sensorgraph demo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from sensorgraph.demo import Trip
+
+
+def demo(
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder to write; default: runs/demo-DATE-TIME.")
+    ] = None,
+    arena: Annotated[str, typer.Option(help="GeoJSON, map_server yaml, or a shipped one.")] = "square",
+    robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of planning and all noise.")] = 0,
+) -> None:
+    """Plan, record, build, evaluate and review on the shipped arena, beside random driving; offline, no display.
+
+    Examples:
+
+      sensorgraph demo
+
+      sensorgraph demo -o runs/mine --seed 7
+    """
+    import json
+    import time
+
+    from sensorgraph import __version__
+    from sensorgraph.cli.inputs import named_arena, named_robot
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.demo import demo as run_demo
+    from sensorgraph.demo import to_dict
+
+    began = time.monotonic()
+    folder = out or Path("runs") / time.strftime("demo-%Y%m%d-%H%M%S")
+    walls, machine = named_arena(arena), named_robot(robot)
+    folder.mkdir(parents=True, exist_ok=True)
+    config = {
+        "version": __version__,
+        "command": "demo",
+        "arena": arena,
+        "robot": str(robot or "shipped"),
+        "seed": seed,
+    }
+    (folder / "config.json").write_text(json.dumps(config, indent=1) + "\n")
+    trips = run_demo(folder, walls, machine, seed=seed, progress=progress)
+    (folder / "demo.json").write_text(json.dumps(to_dict(trips), indent=1) + "\n")
+    if out is None:
+        _point_to(folder)
+    typer.echo("\n".join(table(trips)))
+    typer.echo(f"\n{time.monotonic() - began:.0f} s; all of it is in {folder}")
+    typer.echo(f"look at it:      rerun {folder / 'review.rrd'}   and   {folder / 'coverage.png'}")
+    typer.echo(f"one equation:    sensorgraph show {folder / 'coverage.sensorgraph'} --ray 67")
+    typer.echo(f"what is logged:  sensorgraph inspect {folder / 'coverage.mcap'}")
+
+
+def table(trips: list[Trip]) -> list[str]:
+    """Return the demo's table, markdown."""
+    names = {"coverage": "planned", "random_bounce": "random, as long"}
+    heads = [names[trip.planner] for trip in trips]
+    rows = [
+        ("driven", [f"{trip.drive_time / 60:.0f} min" for trip in trips]),
+        ("reachable (x, y, φ) bins visited", [f"{100 * trip.coverage.fraction:.1f} %" for trip in trips]),
+        (
+            "rays answered, anywhere in the arena",
+            [f"{100 * trip.checked.answered:.1f} %" for trip in trips],
+        ),
+    ]
+    for label, name, scale, unit in (
+        ("median error of all rays", "median_m", 100, "cm"),
+        ("MAE", "mae_m", 100, "cm"),
+        ("RMSE", "rmse_m", 100, "cm"),
+        ("Pearson r", "pearson_r", 1, ""),
+    ):
+        values = [trip.checked.all[name] for trip in trips]
+        rows.append((label, ["–" if v is None else f"{scale * v:.3g} {unit}".strip() for v in values]))
+    width = max(len(label) for label, _ in rows)
+    columns = [max(len(head), *(len(cells[k]) for _, cells in rows)) for k, head in enumerate(heads)]
+
+    def line(label: str, cells: list[str]) -> str:
+        return (
+            f"| {label:<{width}} | "
+            + " | ".join(f"{c:>{w}}" for c, w in zip(cells, columns, strict=True))
+            + " |"
+        )
+
+    ruler = f"|{'-' * (width + 2)}|" + "|".join("-" * (w + 1) + ":" for w in columns) + "|"
+    return [line("", heads), ruler, *(line(label, cells) for label, cells in rows)]
+
+
+def _point_to(folder: Path) -> None:
+    """Let runs/latest lead to the folder, where links are possible."""
+    latest = folder.parent / "latest"
+    try:
+        latest.unlink(missing_ok=True)
+        latest.symlink_to(folder.name, target_is_directory=True)
+    except OSError:
+        return

@@ -1,0 +1,161 @@
+"""The whole loop on the shipped arena: plan, record, build, evaluate, review; planned against random driving."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import logs
+from logs.run import Run
+from planners import plan as make_plan
+from planners.arena import Arena, Floats
+from planners.coverage import Coverage
+from planners.maps import geojson
+from planners.trajectory import Trajectory
+from sensorgraph import figures, view
+from sensorgraph.build import build
+from sensorgraph.evaluate import Evaluation, evaluate
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.plan_folder import counted, growth, save
+from sensorgraph.review import review
+from sensorgraph.world.clearance import WallDistance
+from sensorgraph.world.drive import follow
+from sensorgraph.world.raycast import cast
+from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.simulate import EPOCH_NS, measure, occupancy, simulate
+
+Progress = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
+N_CHECK = 1000
+MARGIN = 0.02  # [m] that the checked poses keep from walls, beyond the robot's radius
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trip:
+    """One way of driving, and what came of it."""
+
+    planner: str
+    drive_time: float
+    """[s]"""
+    coverage: Coverage
+    """By the poses of the log, at its scans."""
+    growth: tuple[Floats, Floats]
+    """Stamps (n,) [s] and share (n,) of the reachable bins visited by then."""
+    graph: Sensorgraph
+    checked: Evaluation
+    """On poses spread evenly over the arena that no run has seen."""
+
+
+def demo(folder: Path, arena: Arena, robot: RobotFile, *, seed: int, progress: Progress) -> list[Trip]:
+    """Run the loop; leave plan, runs, graphs, review and `demo.json` in `folder`."""
+    check = check_run(arena, robot, np.random.default_rng([seed, 99]))
+    logs.write(check, folder / "check.mcap", occupancy=occupancy(arena))
+    trips: list[Trip] = []
+    for planner in ("coverage", "random_bounce"):
+        trips.append(_trip(folder, arena, robot, planner, trips, check, seed=seed, progress=progress))
+    races = {
+        label: (trip.growth[0] / 60, trip.growth[1], trip.coverage)
+        for label, trip in zip(("planned", "random"), trips, strict=True)
+    }
+    figures.race_picture(races, arena, folder / "coverage.png")
+    return trips
+
+
+def check_run(arena: Arena, robot: RobotFile, rng: np.random.Generator, n: int = N_CHECK) -> Run:
+    """Scan from poses spread evenly over the free space and all headings: what a sensorgraph should know."""
+    x0, y0, x1, y1 = arena.bounds
+    clearance, poses = WallDistance(arena), np.zeros((0, 3))
+    while len(poses) < n:
+        some = rng.uniform([x0, y0, -np.pi], [x1, y1, np.pi], (n, 3))
+        free = [clearance(x, y) > robot.robot.footprint_radius + MARGIN for x, y in some[:, :2]]
+        poses = np.concatenate([poses, some[free & arena.contains(some[:, :2])]])
+    poses = poses[:n]
+    stamps: Floats = np.arange(n) / robot.sensor.rate
+    ranges = measure(cast(arena, poses, robot.sensor).ranges, robot.sensor, rng)
+    return Run(
+        sensor=robot.sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses, epoch_ns=EPOCH_NS,
+        meta={"source": "check.mcap", "simulated": "true"},
+        attachments={"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": robot.text.encode()},
+    )  # fmt: skip
+
+
+def to_dict(trips: list[Trip]) -> dict[str, Any]:
+    """Return the numbers of the demo as plain data."""
+    return {
+        trip.planner: {
+            "drive_time_s": trip.drive_time,
+            "coverage": trip.coverage.fraction,
+            "answered": trip.checked.answered,
+            "all": trip.checked.all,
+            "answered_only": trip.checked.answered_only,
+        }
+        for trip in trips
+    }
+
+
+def _trip(
+    folder: Path,
+    arena: Arena,
+    robot: RobotFile,
+    planner: str,
+    before: list[Trip],
+    check: Run,
+    *,
+    seed: int,
+    progress: Progress,
+) -> Trip:
+    """Plan, record, build and evaluate one way of driving; a baseline drives as long as the coverage plan."""
+    with progress(f"plan {planner}", "cells") as tick:
+        planned = make_plan(
+            arena,
+            robot.robot,
+            planner=planner,
+            seed=seed,
+            rate=robot.sensor.rate,
+            duration=before[0].drive_time if before else None,
+            progress=tick,
+        )
+    run = _record(folder / f"{planner}.mcap", arena, robot, planned.trajectory, seed=seed, progress=progress)
+    with progress("build", "blocks") as tick:
+        graph = build([run], arena=arena, names=[f"{planner}.mcap"], progress=tick)
+    graph.save(folder / f"{planner}.sensorgraph")
+    poses = logs.pair(run).poses
+    coverage = counted(planned.coverage, poses)
+    if not before:
+        save(planned, folder / "plan", arena, robot)
+        shown = review(
+            run,
+            graph=graph,
+            arena=arena,
+            name=f"{planner}.mcap",
+            planned=planned.trajectory.poses[::25, :2],
+            plan=planned.report,
+        )
+        view.write(shown, folder / "review.rrd")
+    return Trip(
+        planner=planner,
+        drive_time=planned.trajectory.duration,
+        coverage=coverage,
+        growth=growth(coverage, run.stamps, poses),
+        graph=graph,
+        checked=evaluate(graph, check),
+    )
+
+
+def _record(
+    path: Path, arena: Arena, robot: RobotFile, trajectory: Trajectory, *, seed: int, progress: Progress
+) -> Run:
+    rng = np.random.default_rng(seed)
+    with progress("drive", "commands") as tick:
+        driven = follow(trajectory, robot, clearance=WallDistance(arena), rng=rng, progress=tick)
+    attachments = {"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": robot.text.encode()}
+    meta = {"simulated": "true", "seed": str(seed), "contacts": str(driven.contacts)}
+    with progress("scan", "scans") as tick:
+        run = simulate(driven, arena, robot, rng=rng, meta=meta, attachments=attachments, progress=tick)
+    with progress("write", "messages") as tick:
+        logs.write(run, path, occupancy=occupancy(arena), progress=tick)
+    return run

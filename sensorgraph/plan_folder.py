@@ -1,0 +1,73 @@
+"""A plan's folder: trajectory.csv, waypoints.yaml, plan.mcap, plan.json, plan.png."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from logs.plan_file import write_plan
+from logs.run import OccupancyMap
+from planners import Plan
+from planners.arena import Arena, Floats
+from planners.coverage import Coverage
+from planners.export import waypoints
+from planners.maps import geojson
+from sensorgraph import figures
+from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.simulate import EPOCH_NS, occupancy
+
+
+def save(plan: Plan, folder: Path, arena: Arena, robot: RobotFile) -> None:
+    """Write a plan into a folder, with the arena and the robot that made it; each file is whole or not there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = {"arena.geojson": geojson.dumps(arena), "robot.yaml": robot.text}
+    plan.trajectory.write_csv(folder / "trajectory.csv")
+    write_plan(
+        folder / "plan.mcap",
+        plan.trajectory.stamps,
+        plan.trajectory.poses,
+        epoch_ns=EPOCH_NS,
+        coverage=coverage_map(plan.coverage),
+        occupancy=occupancy(arena),
+        attachments={name: text.encode() for name, text in kept.items()},
+    )
+    figures.plan_picture(plan, arena, folder / "plan.png")
+    texts = kept | {"waypoints.yaml": waypoints(plan), "plan.json": json.dumps(plan.report, indent=1) + "\n"}
+    for name, text in texts.items():
+        part = folder / f"{name}.part"
+        part.write_text(text, encoding="utf-8")
+        part.replace(folder / name)
+
+
+def coverage_map(coverage: Coverage) -> OccupancyMap:
+    """Return the share of the reachable headings visited in each cell, 0 to 100; -1 where none is reachable."""
+    reachable = coverage.reachable.sum(axis=2)
+    share = 100 * coverage.covered.sum(axis=2) / np.maximum(reachable, 1)
+    data = np.where(reachable > 0, np.floor(share), -1).astype(np.int8).T
+    return OccupancyMap(data=data, resolution=coverage.cell, origin=np.array([*coverage.origin, 0.0]))
+
+
+def counted(coverage: Coverage, poses: Floats) -> Coverage:
+    """Count logged poses (n, 3) alone, on the grid of a plan."""
+    fresh = Coverage.empty(
+        origin=coverage.origin,
+        cell=coverage.cell,
+        cells=np.asarray(coverage.reachable.any(axis=2)),
+        headings=coverage.headings,
+    )
+    fresh.add(poses)
+    return fresh
+
+
+def growth(coverage: Coverage, stamps: Floats, poses: Floats, n: int = 400) -> tuple[Floats, Floats]:
+    """Return times (n,) [s] and the share (n,) of reachable bins that logged poses (m, 3) have met by then."""
+    finite = np.isfinite(poses).all(axis=1)
+    bins, inside = coverage.bins(poses[finite])
+    flat = np.ravel_multi_index(tuple(bins[inside].T), coverage.counts.shape)
+    _, first = np.unique(flat, return_index=True)
+    first = first[coverage.reachable.ravel()[flat[first]]]
+    when = np.sort(stamps[finite][inside][first])
+    times = np.linspace(stamps[0], stamps[-1], n)
+    return times, np.searchsorted(when, times, side="right") / max(int(coverage.reachable.sum()), 1)
