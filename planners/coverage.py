@@ -88,7 +88,9 @@ class Coverage:
         """Return centres (n, 3) [m, m, rad] of the reachable bins without a pose."""
         missing = np.argwhere(self.reachable & (self.counts == 0))
         places = self.origin + (missing[:, :2] + 0.5) * self.cell
-        return np.column_stack([places, wrap(missing[:, 2] * (2 * np.pi / self.headings))])
+        return np.column_stack(
+            [places, wrap(np.multiply(missing[:, 2], 2 * np.pi / self.headings, dtype=np.float64))]
+        )
 
     def dispersion(self) -> tuple[float, float]:
         """Return the longest ways from a reachable bin to a covered one.

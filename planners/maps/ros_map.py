@@ -1,13 +1,165 @@
-"""Arena <- ROS map_server maps (yaml + pgm or png)."""
+"""Arena <- ROS map_server maps: yaml beside a pgm or png; free space is the union of the free cells.
+
+Walls are the borders of occupied cells, joined to the longest straight segments and named by their order,
+`map/edge_0` first. Unknown cells are neither free nor wall.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from planners.arena import Arena
+import numpy as np
+import shapely
+import yaml
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+from shapely.geometry import MultiPolygon, Polygon
+
+from planners.arena import Arena, Bools, Floats
 from planners.errors import PlanError
+
+REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
+MODES = ("trinary", "scale", "raw")
+MOST_CELLS = 100_000_000
 
 
 def read(path: Path) -> Arena:
     """Read a map_server map."""
-    raise PlanError(f"{path}: not read yet")
+    facts = _facts(path)
+    pixels, opaque = _pixels(path, path.parent / facts["image"])
+    occupied, free = classify(pixels, opaque, facts)
+    if not free.any():
+        raise PlanError(f"{path}: no cell is free; check negate, free_thresh and the image")
+    x, y, yaw = facts["origin"]
+    turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])  # row vectors
+
+    def place(corners: NDArray[np.float64]) -> Floats:
+        return np.asarray(corners * facts["resolution"] @ turn + (x, y), dtype=np.float64)
+
+    walls = place(_borders(occupied))
+    area = shapely.transform(_union(free), place)
+    if not isinstance(area, Polygon | MultiPolygon):
+        raise PlanError(f"{path}: the free cells make a {area.geom_type}, expected an area")
+    return Arena(
+        free=area,
+        walls=walls,
+        names=tuple(f"map/edge_{i}" for i in range(len(walls))),
+        surfaces=("wall",) * len(walls),
+    )
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    """Read and check the yaml."""
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as exc:
+        raise PlanError(f"{path}: not YAML: {exc}; expected a map_server map") from exc
+    if not isinstance(data, dict):
+        raise PlanError(f"{path}: holds a {type(data).__name__}, expected keys {', '.join(REQUIRED)}")
+    missing = [key for key in REQUIRED if key not in data]
+    if missing:
+        raise PlanError(f"{path}: no key {', '.join(missing)}; expected {', '.join(REQUIRED)}")
+    facts = dict(data)
+    for key, low, high in (
+        ("resolution", 1e-6, 100.0),
+        ("occupied_thresh", 0.0, 1.0),
+        ("free_thresh", 0.0, 1.0),
+    ):
+        facts[key] = _number(path, key, data[key])
+        if not low <= facts[key] <= high:
+            raise PlanError(f"{path}: {key} is {facts[key]}, expected {low:g} to {high:g}")
+    if facts["free_thresh"] > facts["occupied_thresh"]:
+        raise PlanError(
+            f"{path}: free_thresh {facts['free_thresh']} is above occupied_thresh {facts['occupied_thresh']}"
+        )
+    if not isinstance(data["image"], str) or not data["image"]:
+        raise PlanError(f"{path}: image is {data['image']!r}, expected the name of a pgm or png")
+    if data["negate"] not in (0, 1, False, True):
+        raise PlanError(f"{path}: negate is {data['negate']!r}, expected 0 or 1")
+    origin = data["origin"]
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise PlanError(f"{path}: origin is {origin!r}, expected [x, y, yaw]")
+    facts["origin"] = [_number(path, "origin", value) for value in origin]
+    facts["mode"] = data.get("mode", "trinary")
+    if facts["mode"] not in MODES:
+        raise PlanError(f"{path}: mode is {facts['mode']!r}, expected one of {', '.join(MODES)}")
+    return facts
+
+
+def _number(path: Path, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise PlanError(f"{path}: {key} is {value!r}, expected a finite number")
+    return float(value)
+
+
+def _pixels(path: Path, image: Path) -> tuple[NDArray[np.uint8], Bools]:
+    """Return grey values 0 to 255 and which pixels are opaque, both (height, width), row 0 on top."""
+    if not image.is_file():
+        raise PlanError(f"{path}: no image {image}; expected it beside the yaml, or give its path in image")
+    try:
+        with Image.open(image) as picture:
+            if picture.width * picture.height > MOST_CELLS:
+                raise PlanError(
+                    f"{image}: {picture.width} x {picture.height} pixels, expected at most {MOST_CELLS:,}"
+                )
+            if picture.mode.startswith(("I", "F")):
+                raise PlanError(f"{image}: has {picture.mode} pixels, expected 8 bits each")
+            alpha = "A" in picture.getbands() or "transparency" in picture.info
+            colour = np.asarray(picture.convert("RGBA" if alpha else "RGB"), dtype=np.uint16)
+    except UnidentifiedImageError as exc:
+        raise PlanError(f"{image}: not an image that can be read; expected pgm or png") from exc
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as exc:
+        if isinstance(exc, PlanError):
+            raise
+        raise PlanError(f"{image}: broken ({exc}); expected pgm or png") from exc
+    grey = (colour[..., :3].sum(axis=2) // 3).astype(np.uint8)  # as map_server averages colours
+    opaque = colour[..., 3] > 0 if colour.shape[2] == 4 else np.ones(grey.shape, dtype=np.bool_)
+    return grey, np.asarray(opaque, dtype=np.bool_)
+
+
+def classify(pixels: NDArray[np.uint8], opaque: Bools, facts: Mapping[str, Any]) -> tuple[Bools, Bools]:
+    """Tell occupied and free cells, each (nx, ny) with cell (0, 0) in the lower left corner.
+
+    Trinary and scale differ only between the thresholds, where neither is occupied nor free; a transparent
+    pixel is unknown. In raw mode the value itself is the occupancy in percent, above 100 unknown.
+    """
+    if facts["mode"] == "raw":
+        share = pixels / 100.0
+        known = (pixels <= 100) & opaque
+    else:
+        share = (pixels if facts["negate"] else 255 - pixels) / 255.0
+        known = opaque
+    occupied = known & (share > facts["occupied_thresh"])
+    free = known & (share < facts["free_thresh"])
+    if facts["mode"] == "raw":
+        occupied = known & (share >= facts["occupied_thresh"])
+        free = known & (share <= facts["free_thresh"])
+    return occupied[::-1].T, free[::-1].T
+
+
+def _borders(cells: Bools) -> Floats:
+    """Return (n, 2, 2) [cells] the borders between True and False cells as the longest straight segments."""
+    padded = np.pad(cells, 1)
+    segments = []
+    for axis in (0, 1):  # borders across x run along y
+        grid = padded if axis == 0 else padded.T
+        change = np.diff(grid.astype(np.int8), axis=0)[:, 1:-1]  # (n + 1, m): +1 cells begin, -1 they end
+        marked = np.pad(change, ((0, 0), (1, 1)))
+        starts = np.argwhere((marked[:, 1:] != marked[:, :-1]) & (marked[:, 1:] != 0))
+        ends = np.argwhere((marked[:, 1:] != marked[:, :-1]) & (marked[:, :-1] != 0))
+        lines = np.stack([starts, ends], axis=1).astype(np.float64)  # (k, 2, 2): border, along
+        segments.append(lines if axis == 0 else lines[:, :, ::-1])
+    return np.concatenate(segments)
+
+
+def _union(cells: Bools) -> Polygon | MultiPolygon:
+    """Return the union of the True cells [cells], built from its border lines alone."""
+    lines = shapely.linestrings(_borders(cells))
+    faces = shapely.get_parts(shapely.polygonize([shapely.union_all(lines)]))
+    inside = shapely.point_on_surface(faces)
+    i, j = np.floor(shapely.get_x(inside)).astype(int), np.floor(shapely.get_y(inside)).astype(int)
+    kept = faces[cells[i, j]]
+    return kept[0] if len(kept) == 1 else MultiPolygon(list(kept))
