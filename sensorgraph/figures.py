@@ -167,11 +167,7 @@ def race_picture(races: dict[str, tuple[Any, Any, Any]], arena: Arena, path: Pat
     for (label, (minutes, share, coverage)), colour, chart in zip(
         races.items(), ("#2a788e", "#c9892b", ALARM), axes[1:], strict=False
     ):
-        axes[0].plot(minutes, 100 * share, color=colour, lw=1.9)
-        axes[0].annotate(
-            f"{label}: {100 * share[-1]:.1f} %", (minutes[-1], 100 * share[-1]), xytext=(-6, -13),
-            textcoords="offset points", ha="right", fontsize=8.5, color=colour,
-        )  # fmt: skip
+        axes[0].plot(minutes, 100 * share, color=colour, lw=1.9, label=f"{label}: {100 * share[-1]:.1f} %")
         reachable = coverage.reachable.sum(axis=2)
         seen = np.where(reachable > 0, coverage.covered.sum(axis=2) / np.maximum(reachable, 1), np.nan)
         _floor(chart, arena)
@@ -182,6 +178,7 @@ def race_picture(races: dict[str, tuple[Any, Any, Any]], arena: Arena, path: Pat
     axes[0].set_xlabel("driven [min]", color=INK)
     axes[0].set_ylabel("reachable (x, y, φ) bins visited [%]", color=INK)
     axes[0].grid(color=SOLID, lw=0.6)
+    axes[0].legend(loc="upper left", frameon=False, fontsize=9, labelcolor=INK)
     _quiet(axes[0])
     bar = figure.colorbar(mesh, ax=axes[1:].tolist(), shrink=0.8, aspect=30, pad=0.02)
     bar.set_label("headings [%]", color=INK, fontsize=8)
