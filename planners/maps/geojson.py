@@ -75,7 +75,8 @@ def loads(text: str) -> Arena:
         raise PlanError(
             f"the arena is {x1 - x0:.3g} by {y1 - y0:.3g}, which looks like degrees; expected metres"
         )
-    free = outline.difference(shapely.union_all([f.area for f in features if f.kind == "obstacle"]))
+    obstacles = [f.area for f in features if f.kind == "obstacle"]
+    free = outline.difference(shapely.union_all(obstacles)) if obstacles else outline
     if not isinstance(free, Polygon | MultiPolygon):
         raise PlanError(f"free space came out as a {free.geom_type}; expected an area")
     names = [name for f in features for name in f.names]
