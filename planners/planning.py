@@ -76,7 +76,7 @@ def plan(
     start: Floats | None = None,
     rate: float = 10.0,
     margin: float = MARGIN,
-    priority: Floats | None = None,
+    priority: Floats | Callable[[Coverage], Floats] | None = None,
     visited: Floats | None = None,
     duration: float | None = None,
     progress: Progress | None = None,
@@ -89,7 +89,7 @@ def plan(
     cell : [m] side of a position cell; `headings`: count of heading bins
     start : (3,) [m, m, rad]; None: where the planner likes, in the largest part of the arena
     rate : [Hz] at which poses are logged; a bin counts when a logged pose falls in it
-    priority : (nx, ny, n_phi) higher comes earlier
+    priority : (nx, ny, n_phi) higher comes earlier; or what makes it from the empty grid
     visited : (n, 3) [m, m, rad] poses of earlier runs, whose bins need no visit
     duration : [s] of the baselines, which never finish; default: the reference time of the coverage planner
     """
@@ -108,6 +108,8 @@ def plan(
         raise PlanError(
             f"no {cell} m cell has {100 * 0.04:.0f} % of its area within reach; use a smaller cell"
         )
+    if callable(priority):
+        priority = priority(grid)
     if priority is not None and np.shape(priority) != grid.counts.shape:
         raise PlanError(f"priority has shape {np.shape(priority)}, expected {grid.counts.shape}")
     if visited is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from logs.run import Run, pair
+from logs.run import PoseFrame, Run, pair
 from sensorgraph.build import is_same_sensor, training_scans
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
@@ -114,7 +114,9 @@ def evaluate(
     if len(index) == 0:
         raise GapError(f"nothing to evaluate: {pairing}, none of them in split {split}")
     measured = run.ranges[index]
-    prediction = graph.predict(_poses_for(graph, run, pairing.poses[index]), point=point or "mode")
+    prediction = graph.predict(
+        poses_for(graph, run.pose_frame, run.sensor.mount, pairing.poses[index]), point=point or "mode"
+    )
     scored = np.isfinite(measured) & (measured > NEAREST) & (measured < cap)
     if not scored.any():
         raise GapError(f"no ray of the run returned between {NEAREST} m and {cap:g} m; nothing to score")
@@ -224,11 +226,11 @@ def _calibration(said: Floats, wrong: Bools) -> list[dict[str, float]]:
     return rows
 
 
-def _poses_for(graph: Sensorgraph, run: Run, poses: Floats) -> Floats:
-    """Express a run's poses (n, 3) in the frame that the graph was built from."""
-    if run.pose_frame == graph.pose_frame:
+def poses_for(graph: Sensorgraph, frame: PoseFrame, mount: Floats, poses: Floats) -> Floats:
+    """Express poses (n, 3) of a frame in the frame that the graph was built from; `mount` (3,): T_base_laser."""
+    if frame == graph.pose_frame:
         return poses
-    x, y, yaw = map(float, run.sensor.mount)  # T_base_laser
+    x, y, yaw = map(float, mount)
     if graph.pose_frame == "base_link":  # T_map_base = T_map_laser @ inverse(T_base_laser)
         c, s = math.cos(yaw), math.sin(yaw)
         x, y, yaw = -(c * x + s * y), -(c * y - s * x), -yaw

@@ -28,6 +28,9 @@ def plan(
     resume: Annotated[
         Path | None, typer.Option(help="A run already driven: plan only what its poses have not covered.")
     ] = None,
+    priority: Annotated[
+        Path | None, typer.Option(help="A sensorgraph: first where it has not been, then where it is unsure.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Same seed, same bytes.")] = 0,
 ) -> None:
     """Plan a drive that fills (x, y, φ): every reachable place, in every heading.
@@ -37,17 +40,24 @@ def plan(
       sensorgraph plan square -o runs/plan
 
       sensorgraph plan lab.geojson --robot robot.yaml --cell 0.2 --start 1.0,0.5,0 -o runs/lab
+
+      sensorgraph plan square --priority lab.sensorgraph -o runs/next
     """
+    from functools import partial
+
     from planners import plan as make_plan
     from planners.errors import PlanError
     from sensorgraph.cli.inputs import named_arena, named_robot
     from sensorgraph.cli.progress import progress
+    from sensorgraph.graph import Sensorgraph
     from sensorgraph.plan_folder import save
+    from sensorgraph.priority import doubt
 
     if out.exists() and not out.is_dir():
         raise PlanError(f"{out} is a file; give a folder to write the plan to")
     world, machine = named_arena(arena), named_robot(robot)
     visited = None if resume is None else _visited(resume)
+    wanted = None if priority is None else partial(doubt, Sensorgraph.load(priority))
     with progress("planning", "stops") as tick:
         made = make_plan(
             world,
@@ -60,6 +70,7 @@ def plan(
             rate=machine.sensor.rate,
             duration=duration,
             visited=visited,
+            priority=wanted,
             progress=tick,
         )
     save(made, out, world, machine)
