@@ -33,7 +33,7 @@ def random_bounce(task: Task) -> Driven:
         heading = _open_heading(task, pen.pose, rng)
         pen.turn(float(wrap(heading - pen.pose[2])), "turn")
         if task.progress:
-            task.progress(int(pen.clock), int(_duration(task)))
+            task.progress(int(min(pen.clock, _duration(task))), int(_duration(task)))
     return Driven(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=Joins(direct=bounces))
 
 
@@ -90,7 +90,7 @@ def wall_following(task: Task) -> Driven:
         pen.turn(float(wrap(np.arctan2(way[1], way[0]) - pen.pose[2])), "turn")
         pen.move(float(np.hypot(*way)), "lane")
         if task.progress:
-            task.progress(int(pen.clock), int(_duration(task)))
+            task.progress(int(min(pen.clock, _duration(task))), int(_duration(task)))
     return Driven(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=joins + first_join)
 
 

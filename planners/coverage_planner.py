@@ -185,8 +185,8 @@ class _Planner:
             pen.turn(way.angle, "turn" if need is None else "spin", overlap=float(blend[k]))
             if target is not None:
                 pen.move(way.distance, route[k + 1][2], overlap=float(blend[k]))
-            if self.task.progress and k % 50 == 0:
-                self.task.progress(k, len(route))
+            if self.task.progress and (k % 50 == 49 or k == len(route) - 1):
+                self.task.progress(k + 1, len(route))
 
     def _around(self, route: list[Floats], target: Floats, stuck: int) -> Floats | None:
         """Find another way to a stop; when nothing was reached for a while, by going back on the route first."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -220,9 +221,18 @@ def _report(task: Task, driven: Driven, trajectory: Trajectory, planner: str) ->
         "largest_gap": {"m": _finite(gap_m), "rad": _finite(gap_rad)},
         "warnings": warnings,
         "planner": planner,
+        "robot": asdict(robot),
         "rate": task.rate,
         "clearance": task.reach.clearance,
+        "versions": {name: _version(name) for name in ("ompl", "numpy", "scipy", "shapely")},
     }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "none"
 
 
 def _finite(value: float) -> float | None:

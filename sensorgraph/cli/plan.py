@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -73,7 +74,13 @@ def plan(
             priority=wanted,
             progress=tick,
         )
-    save(made, out, world, machine)
+    made.report["arena"] = Path(arena).name
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as part:
+        save(made, Path(part), world, machine)
+        out.mkdir(exist_ok=True)
+        for file in Path(part).iterdir():
+            file.replace(out / file.name)
     for line in made.report["warnings"]:
         typer.echo(f"warning: {line}", err=True)
     typer.echo(_summary(made.report))

@@ -1,0 +1,103 @@
+"""The checker finds what was planted, and only that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from planners_samples import door_arena, shipped
+
+from planners.check import check
+from planners.robot import Limits, Robot
+from planners.steering import Pen
+from planners.trajectory import Trajectory
+
+ROBOT = Robot()
+
+
+def clean() -> Trajectory:
+    """Drive about the first room."""
+    pen = Pen(np.array([0.5, 0.5, 0.0]), ROBOT.limits)
+    for size in (1.0, 2.0, -0.5, 1.2):
+        pen.move(0.8, overlap=0.5)
+        pen.turn(size, overlap=0.5)
+    return pen.curve().trajectory()
+
+
+def changed(trajectory: Trajectory, **arrays: np.ndarray) -> Trajectory:
+    parts = {name: getattr(trajectory, name) for name in ("stamps", "poses", "twists", "primitives")}
+    return Trajectory(**(parts | arrays))
+
+
+def test_a_clean_drive_has_no_violation() -> None:
+    found = check(clean(), door_arena(0.9), ROBOT)
+    assert found.count == 0
+    assert found.min_clearance > 0.2
+
+
+def at_middle(trajectory: Trajectory, column: int, add: float, field: str) -> Trajectory:
+    array = getattr(trajectory, field).copy()
+    array[len(array) // 2, column] += add
+    return changed(trajectory, **{field: array})
+
+
+@pytest.mark.parametrize(
+    ("kind", "plant"),
+    [
+        ("v", lambda t: at_middle(t, 0, 0.5, "twists")),
+        ("v", lambda t: at_middle(t, 0, -0.9, "twists")),
+        ("omega", lambda t: at_middle(t, 1, 2.1, "twists")),
+        ("a", lambda t: at_middle(t, 0, 0.02, "twists")),
+        ("alpha", lambda t: at_middle(t, 1, 0.09, "twists")),
+        ("continuity", lambda t: at_middle(t, 0, 0.002, "poses")),
+        ("continuity", lambda t: at_middle(t, 1, 0.002, "poses")),
+        ("continuity", lambda t: at_middle(t, 2, 0.01, "poses")),
+    ],
+)
+def test_each_kind_of_violation_is_found(kind: str, plant: Callable[[Trajectory], Trajectory]) -> None:
+    found = check(plant(clean()), door_arena(0.9), ROBOT)
+    assert found.violations[kind] > 0
+    assert found.violations["clearance"] == 0
+
+
+def test_a_drive_too_near_a_wall_is_found_where_it_is_near() -> None:
+    trajectory = clean()
+    near = changed(trajectory, poses=trajectory.poses - [0.0, 0.31, 0.0])
+    found = check(near, door_arena(0.9), ROBOT)
+    assert found.violations["clearance"] > 0
+    assert found.violations["continuity"] == 0
+    assert found.min_clearance == pytest.approx(0.19, abs=0.005)  # half a step of 8 mm is held back
+
+
+def test_a_drive_through_a_wall_between_two_samples_is_found() -> None:
+    """Samples are clear of the wall on either side; only the step between them crosses it."""
+    trajectory = Trajectory(
+        stamps=np.array([0.0, 2.0]),
+        poses=np.array([[1.5, 0.5, 0.0], [2.5, 0.5, 0.0]]),
+        twists=np.zeros((2, 2)),
+        primitives=np.array(["move", "move"]),
+    )
+    assert check(trajectory, door_arena(0.9), ROBOT).violations["clearance"] > 0
+
+
+def test_a_drive_outside_the_arena_has_no_clearance() -> None:
+    trajectory = clean()
+    outside = changed(trajectory, poses=trajectory.poses + [50.0, 0.0, 0.0])
+    found = check(outside, door_arena(0.9), ROBOT)
+    assert found.min_clearance == 0.0
+    assert found.violations["clearance"] == len(trajectory.stamps)
+
+
+def test_a_car_may_neither_spin_nor_turn_too_tightly() -> None:
+    car = Robot(drive="reeds_shepp", limits=Limits(turning_radius=0.4))
+    assert check(clean(), door_arena(0.9), car).violations["curvature"] > 0
+
+
+def test_a_coarser_sampling_is_no_violation_by_itself() -> None:
+    pen = Pen(np.array([0.5, 0.5, 0.0]), ROBOT.limits)
+    for _ in range(5):
+        pen.move(0.6, overlap=0.5)
+        pen.turn(2.6, overlap=0.5)
+    for rate in (20.0, 50.0, 100.0, 200.0):
+        assert check(pen.curve().trajectory(rate), shipped("square"), ROBOT).violations["continuity"] == 0

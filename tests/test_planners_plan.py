@@ -1,0 +1,281 @@
+"""A plan fills (x, y, phi), is feasible, the same for the same seed, and goes round what is in the way."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+import yaml
+from planners_samples import door_arena, outlined, shipped
+
+from planners import PLANNERS, Plan, PlanError, plan
+from planners.check import check
+from planners.clearance import Barriers
+from planners.connect import connect
+from planners.coverage import Coverage
+from planners.export import waypoints
+from planners.reach import reach
+from planners.robot import Limits, Robot
+
+ROBOT = Robot()
+
+
+def fresh(made: Plan) -> Coverage:
+    grid = made.coverage
+    return Coverage.empty(
+        origin=grid.origin, cell=grid.cell, cells=grid.reachable.any(axis=2), headings=grid.headings
+    )
+
+
+@pytest.fixture(scope="module")
+def square() -> Plan:
+    return plan(shipped("square"), ROBOT)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.013, 0.037, 0.05, 0.071, 0.0999])
+def test_every_reachable_bin_is_met_at_any_phase_of_the_log(square: Plan, phase: float) -> None:
+    counted = fresh(square)
+    counted.add(square.curve.log(10.0, phase))
+    assert counted.fraction >= 0.999
+
+
+def test_the_trajectory_alone_gives_the_reported_coverage(square: Plan) -> None:
+    """Every fifth row of the 50 Hz trajectory is the 10 Hz log."""
+    counted = fresh(square)
+    counted.add(square.trajectory.poses[::5])
+    assert counted.fraction == pytest.approx(square.report["coverage"], abs=1e-3)
+    assert square.report["reachable_cells"] == counted.reachable.sum()
+    assert square.report["covered_cells"] == square.coverage.covered.sum()
+
+
+def test_the_plan_is_feasible_and_clear(square: Plan) -> None:
+    found = check(square.trajectory, shipped("square"), ROBOT)
+    assert found.count == 0
+    assert found.min_clearance >= 0.21  # radius 0.20 and most of the margin of 0.02, half a step held back
+    assert square.report["limit_violations"] == 0
+
+
+def test_driving_time_is_near_the_reference(square: Plan) -> None:
+    """Stop-and-spin needs 1.35: (K-1) dphi / omega + h / v per cell, without accelerations, is 1."""
+    assert square.report["t_ref_s"] == pytest.approx(231 * (15 * np.pi / 8 + 0.25 / 0.4))
+    assert square.report["ratio"] <= 1.22
+
+
+@pytest.mark.slow
+def test_an_office_is_filled_too() -> None:
+    made = plan(shipped("office"), ROBOT)
+    assert made.report["coverage"] >= 0.999
+    assert made.report["ratio"] <= 1.2
+    assert made.report["limit_violations"] == 0
+    assert made.report["joins"]["failed"] == 0
+    assert made.report["joins"]["planned"] > 0
+
+
+SCRIPT = """
+import hashlib
+from planners import plan
+from planners.export import waypoints
+from planners.robot import Robot
+from planners_samples import door_arena
+made = plan(door_arena(0.9), Robot(), seed=5, cell=0.3, headings=8)
+data = b"".join(x.tobytes() for x in (made.trajectory.poses, made.trajectory.twists)) + waypoints(made).encode()
+print(made.report["joins"]["planned"], hashlib.sha256(data).hexdigest())
+"""
+
+
+def test_same_seed_same_plan_in_every_process_and_whatever_ran_before() -> None:
+    """OMPL advances its random streams over a process; plans must not notice."""
+    said = subprocess.run(
+        [sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True, cwd=Path(__file__).parent
+    ).stdout
+    here = []
+    for seed in (6, 5):
+        made = plan(door_arena(0.9), ROBOT, seed=seed, cell=0.3, headings=8)
+        data = b"".join(x.tobytes() for x in (made.trajectory.poses, made.trajectory.twists))
+        data += waypoints(made).encode()
+        here.append(f"{made.report['joins']['planned']} {hashlib.sha256(data).hexdigest()}\n")
+    assert said == here[1] != here[0]
+    assert int(said.split()[0]) > 0
+
+
+def test_a_wall_across_a_straight_join_makes_ompl_plan_round_it() -> None:
+    arena = outlined(shapely.box(0, 0, 4, 3).difference(shapely.box(1.9, 0, 2.1, 2.0)))
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=0.22, cell=0.25)
+    starts, ends = np.array([[0.5, 0.5], [0.5, 0.5]]), np.array([[3.5, 0.5], [1.2, 2.5]])
+    paths, joins = connect(starts, ends, reach=free, barriers=barriers, seed=1)
+    assert (joins.direct, joins.planned, joins.failed) == (1, 1, 0)
+    assert paths[1] is not None and len(paths[1]) == 2
+    around = paths[0]
+    assert around is not None
+    np.testing.assert_allclose(around[[0, -1]], [[0.5, 0.5], [3.5, 0.5]], atol=1e-9)
+    assert shapely.LineString(around).distance(shapely.boundary(arena.free)) >= 0.22 - 1e-9
+    length = np.hypot(*np.diff(around, axis=0).T).sum()
+    assert joins.planned_m == pytest.approx(length)
+    shortest = 2 * np.hypot(1.4, 1.5) + 0.2  # over the wall's end without the robot's width
+    assert shortest < length < 1.3 * shortest
+
+
+def test_what_cannot_be_joined_is_counted_as_failed() -> None:
+    arena = door_arena(0.0)
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=0.22, cell=0.25)
+    paths, joins = connect(
+        np.array([[1.0, 1.0]]), np.array([[3.0, 1.0]]), reach=free, barriers=barriers, seed=0
+    )
+    assert paths == [None]
+    assert (joins.direct, joins.planned, joins.failed) == (0, 0, 1)
+
+
+def test_planning_needs_ompl_only_where_a_straight_move_is_blocked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "ompl").mkdir()
+    (tmp_path / "ompl" / "__init__.py").write_text("raise ImportError('not here')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    made = plan(outlined(shapely.box(0, 0, 2, 1.5)), ROBOT, cell=0.5, headings=4)
+    assert made.report["coverage"] == 1.0
+    with pytest.raises(PlanError, match="OMPL is not installed; pip install"):
+        plan(door_arena(0.9), ROBOT, cell=0.5, headings=4)
+
+
+def test_importing_planners_does_not_import_ompl() -> None:
+    code = "import sys, planners, planners.connect; sys.exit('ompl' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_plan_begins_where_it_was_told_to() -> None:
+    start = np.array([1.3, 2.2, 1.0])
+    made = plan(door_arena(0.9), ROBOT, cell=0.5, headings=4, start=start)
+    np.testing.assert_allclose(made.trajectory.poses[0], start, atol=1e-12)
+    assert made.report["coverage"] == 1.0
+
+
+def test_a_closed_door_halves_what_counts_and_is_said() -> None:
+    open_ = plan(door_arena(0.9), ROBOT, cell=0.5, headings=4)
+    closed = plan(door_arena(0.0), ROBOT, cell=0.5, headings=4, start=np.array([1.0, 1.0, 0.0]))
+    assert closed.report["coverage"] == 1.0
+    assert closed.report["reachable_cells"] < 0.6 * open_.report["reachable_cells"]
+    assert closed.trajectory.poses[:, 0].max() < 2.0
+    assert "reachable" in closed.report["warnings"][0] or closed.reach.share >= 0.5
+
+
+def test_resuming_plans_only_what_is_left(square: Plan) -> None:
+    log = square.curve.log(10.0)
+    half = log[: len(log) // 2]
+    rest = plan(shipped("square"), ROBOT, visited=half, start=half[-1])
+    assert rest.report["coverage"] >= 0.999
+    assert rest.report["coverage_before"] == pytest.approx(0.5, abs=0.05)
+    assert rest.trajectory.duration < 0.6 * square.trajectory.duration
+    with pytest.raises(PlanError, match="covered already"):
+        plan(shipped("square"), ROBOT, visited=log)
+
+
+def test_priority_cells_come_first(square: Plan) -> None:
+    nx, ny, n_phi = square.coverage.counts.shape
+    priority = np.zeros((nx, ny, n_phi))
+    priority[:, 3 * ny // 4 :] = 1.0  # the upper quarter of the arena
+    made = plan(shipped("square"), ROBOT, priority=priority)
+    assert made.report["coverage"] >= 0.999
+    early = made.trajectory.poses[made.trajectory.stamps < 0.15 * made.trajectory.duration]
+    assert early[:, 1].min() > 2.9
+    with pytest.raises(PlanError, match="priority has shape"):
+        plan(shipped("square"), ROBOT, priority=np.zeros((1, 1, 1)))
+
+
+@pytest.mark.parametrize("planner", ["random_bounce", "wall_following"])
+def test_baselines_are_feasible_and_see_far_less(square: Plan, planner: str) -> None:
+    made = plan(shipped("square"), ROBOT, planner=planner, duration=600.0, seed=3)
+    assert 600.0 <= made.trajectory.duration < 630.0
+    assert made.report["limit_violations"] == 0
+    assert made.report["min_clearance_m"] >= 0.21
+    assert made.report["coverage"] < 0.5 * square.report["coverage"]
+
+
+def test_wall_following_keeps_its_distance() -> None:
+    """A disc along the walls of an empty room stays at one distance from them, round after round."""
+    arena = outlined(shapely.box(0, 0, 4, 3))
+    made = plan(arena, ROBOT, planner="wall_following", duration=300.0, start=np.array([0.5, 0.5, 0.0]))
+    late = made.trajectory.poses[made.trajectory.stamps > 30.0, :2]
+    away = Barriers(arena).distances(late)
+    np.testing.assert_allclose(away, 0.22 + 0.15, atol=1e-6)
+    assert made.trajectory.length > 2 * (2 * 3.26 + 2 * 2.26)
+
+
+def test_waypoints_are_poses_with_quaternions_and_spins(square: Plan) -> None:
+    data: dict[str, Any] = yaml.safe_load(waypoints(square))
+    assert data["frame_id"] == "map"
+    assert len(data["poses"]) == len(square.stops) + 1
+    spins = sum(abs(stop["spin"]) > 5.0 for stop in data["poses"])
+    assert spins >= square.report["reachable_positions"]
+    for stop, (x, y, phi, spin) in zip(data["poses"], square.stops.tolist(), strict=False):
+        q = stop["orientation"]
+        assert (stop["position"]["x"], stop["position"]["y"]) == pytest.approx((x, y), abs=1e-6)
+        assert np.cos(2 * np.arctan2(q["z"], q["w"]) - phi) == pytest.approx(1.0, abs=1e-12)
+        assert stop["spin"] == pytest.approx(spin, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"planner": "boustrophedon"}, "expected one of coverage"),
+        ({"cell": 0.0}, "cell is 0.0"),
+        ({"cell": float("nan")}, "cell is nan"),
+        ({"headings": 0}, "headings is 0"),
+        ({"seed": -1}, "seed is -1"),
+        ({"rate": -1.0}, "rate is -1"),
+        ({"duration": 0.0, "planner": "random_bounce"}, "duration is 0"),
+        ({"start": np.array([1.0, 2.0])}, "expected three finite numbers"),
+        ({"start": np.array([0.05, 2.0, 0.0])}, r"0\.05 m from a wall"),
+        ({"start": np.array([1.3, 2.7, 0.0])}, "inside a wall"),
+    ],
+)
+def test_bad_input_is_one_line(options: dict[str, Any], says: str) -> None:
+    with pytest.raises(PlanError, match=says) as caught:
+        plan(shipped("square"), ROBOT, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_robot_that_fits_nowhere_is_told_so() -> None:
+    with pytest.raises(PlanError, match="does not fit"):
+        plan(shipped("square"), Robot(footprint_radius=2.5))
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_cars_are_refused_with_what_works(planner: str) -> None:
+    car = Robot(drive="reeds_shepp", limits=Limits(turning_radius=0.4))
+    with pytest.raises(PlanError, match="drive"):
+        plan(shipped("square"), car, planner=planner)
+
+
+@pytest.mark.parametrize(
+    ("cell", "headings", "limits"),
+    [
+        (0.25, 1, Limits()),
+        (0.4, 36, Limits(omega=3.0, alpha=8.0)),
+        (0.2, 5, Limits(v=0.1, a=0.05)),
+        (0.5, 16, Limits(omega=0.2)),
+    ],
+)
+def test_other_grids_and_robots_are_filled_too(cell: float, headings: int, limits: Limits) -> None:
+    """A quick robot must slow its spins for the log to see every heading."""
+    robot = Robot(limits=limits)
+    made = plan(door_arena(0.9), robot, cell=cell, headings=headings)
+    assert made.report["coverage"] >= 0.999
+    assert made.report["limit_violations"] == 0
+
+
+def test_progress_runs_to_its_total() -> None:
+    said: list[tuple[int, int]] = []
+    plan(
+        door_arena(0.9), ROBOT, cell=0.5, headings=4, progress=lambda done, total: said.append((done, total))
+    )
+    assert said
+    assert all(0 <= done <= total for done, total in said)
+    assert said[-1][0] == said[-1][1]

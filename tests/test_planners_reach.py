@@ -1,0 +1,105 @@
+"""Distances are exact, and a place is reachable only if the robot can get there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+from planners_samples import door_arena, random_arena, shipped
+
+from planners.arena import Arena
+from planners.clearance import Barriers
+from planners.errors import PlanError
+from planners.maps import geojson
+from planners.reach import DEEP, reach
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_field_is_the_exact_distance_to_the_nearest_barrier(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    arena = random_arena(rng)
+    x, y = np.arange(-0.5, 5.0, 0.1), np.arange(-0.5, 4.0, 0.1)
+    field = Barriers(arena).field(x, y, 0.7)
+    points = shapely.points(*np.meshgrid(x, y, indexing="ij"))
+    walls = shapely.multilinestrings(list(arena.walls))
+    exact = np.minimum(
+        shapely.distance(points, shapely.boundary(arena.free)), shapely.distance(points, walls)
+    )
+    np.testing.assert_allclose(field, np.minimum(exact, 0.7), atol=1e-9)  # float64 at a few metres
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_clear_moves_are_those_whose_swept_disc_touches_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    arena = random_arena(rng)
+    starts, ends = rng.uniform(0, 4, (2, 300, 2))
+    barriers = Barriers(arena)
+    lines = shapely.linestrings(np.stack([starts, ends], axis=1))
+    walls = shapely.union(shapely.multilinestrings(list(arena.walls)), shapely.boundary(arena.free))
+    exact = shapely.distance(lines, walls)
+    np.testing.assert_array_equal(barriers.are_clear(starts, ends, 0.2), exact >= 0.2 - 1e-9)
+    np.testing.assert_allclose(barriers.distances(starts), shapely.distance(shapely.points(starts), walls))
+
+
+def test_walls_that_bound_nothing_still_stop_the_robot() -> None:
+    """A glass pane across a room, drawn as a line."""
+    pane = np.array([[[2.0, 0.0], [2.0, 3.0]]])
+    arena = Arena(free=shapely.box(0, 0, 4, 3), walls=pane, names=("pane/edge_0",), surfaces=("glass",))
+    found = reach(arena, Barriers(arena), clearance=0.2, cell=0.25, start=np.array([1.0, 1.0, 0.0]))
+    x = found.nodes(np.nonzero(found.mask))[:, 0]
+    assert x.max() <= 1.8 + 1e-9
+    assert found.share == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_closed_door_parts_two_rooms() -> None:
+    start = np.array([0.5, 0.5, 0.0])
+    for width, share in ((0.0, 0.5), (0.42, 0.5), (0.9, 1.0)):
+        arena = door_arena(width)
+        found = reach(arena, Barriers(arena), clearance=0.22, cell=0.25, start=start)
+        assert found.share == pytest.approx(share, abs=0.02)
+
+
+def test_reachable_area_of_an_empty_room_is_the_room_shrunk_by_the_clearance() -> None:
+    arena = geojson.loads(geojson.dumps(door_arena(9.0)))  # the door is as wide as the room: one 4 x 3 m room
+    found = reach(arena, Barriers(arena), clearance=0.22, cell=0.25)
+    area = (found.areas() * found.cell**2).sum()
+    assert area == pytest.approx((4 - 0.44) * (3 - 0.44), rel=2e-3)  # of a raster of 2 cm with parts of nodes
+    assert found.cells().sum() == 16 * 12 - 4  # the corners hold 3 x 3 of 25 x 25 cm, 1.4 %
+
+
+def test_mask_keeps_clear_and_field_is_cut_off() -> None:
+    arena = shipped("office")
+    found = reach(arena, Barriers(arena), clearance=0.22, cell=0.25)
+    nodes = found.nodes(np.nonzero(found.mask))
+    assert Barriers(arena).distances(nodes[::50]).min() >= 0.22 - 1e-9
+    assert found.distance.max() == pytest.approx(0.22 + DEEP)
+    assert found.step <= 0.02
+
+
+@pytest.mark.parametrize(
+    ("start", "clearance", "says"),
+    [
+        ([1.0, 2.9, 0.0], 0.2, r"0\.10 m from a wall"),
+        ([9.0, 9.0, 0.0], 0.2, r"inside a wall or outside"),
+        ([2.0, 0.5, 0.0], 0.2, r"inside a wall"),
+        (None, 1.6, "does not fit"),
+    ],
+)
+def test_impossible_starts_say_how_far_they_are_off(
+    start: list[float] | None, clearance: float, says: str
+) -> None:
+    arena = door_arena(0.9)
+    with pytest.raises(PlanError, match=says):
+        reach(
+            arena,
+            Barriers(arena),
+            clearance=clearance,
+            cell=0.25,
+            start=None if start is None else np.array(start),
+        )
+
+
+def test_a_cell_far_too_small_is_refused() -> None:
+    arena = shipped("office")
+    with pytest.raises(PlanError, match="choose a larger cell"):
+        reach(arena, Barriers(arena), clearance=0.22, cell=0.001)
