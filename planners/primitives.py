@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planners.arena import Bools, Floats, wrap
-from planners.steering import Pen, displace
+from planners.steering import Pen, bend
 
 GUARD = 0.1
 """Of a heading bin's width: how far into its last bin a spin goes at least."""
@@ -105,7 +105,5 @@ def leave(pen: Pen, angle: float, distance: float, overlap: float) -> Floats:
     back = min(overlap, turn_ramp, move_ramp)
     if back <= 0 or abs(angle) < 1e-9:
         return np.zeros(2)
-    alpha, a = float(np.copysign(limits.alpha, angle)), float(np.copysign(limits.a, distance))
-    parts = (-0.5 * alpha * back * back, 0.0, a, alpha * back, -alpha, back)
-    bent = np.stack(displace(*(np.asarray(part, dtype=np.float64) for part in parts)))
-    return np.asarray(bent - 0.5 * a * back * back * np.array([1.0, 0.0]))
+    a, alpha = float(np.copysign(limits.a, distance)), float(np.copysign(limits.alpha, angle))
+    return np.array(bend(a, -alpha, back))

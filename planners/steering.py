@@ -7,6 +7,7 @@ quadrature, which is exact to rounding for straight moves and spins and to 1e-12
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,21 @@ def displace(
     heading = phi[..., None] + omega[..., None] * t + 0.5 * alpha[..., None] * t * t
     weight = 0.5 * dt[..., None] * _WEIGHTS * speed
     return (weight * np.cos(heading)).sum(axis=-1), (weight * np.sin(heading)).sum(axis=-1)
+
+
+@lru_cache(maxsize=4096)
+def bend(a: float, alpha: float, overlap: float) -> tuple[float, float]:
+    """Return how far a move ends off, ahead and aside [m] in its own frame, where a turn starts before its rest.
+
+    Parameters
+    ----------
+    a : [m/s²] of the move's first ramp, negative for a backward move; its last is the opposite
+    alpha : [rad/s²] of the turn's first ramp
+    overlap : [s]
+    """
+    parts = (0.0, a * overlap, -a, 0.0, alpha, overlap)
+    x, y = displace(*(np.asarray(part, dtype=np.float64) for part in parts))
+    return float(x) - 0.5 * a * overlap * overlap, float(y)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,13 +160,9 @@ class Pen:
             return
         times, rates = trapezoid(distance, self.limits.v, self.limits.a)
         before, back = self._last, self._append(0, times, rates, label, overlap)
-        heading = self.pose[2]
-        self.pose[:2] += distance * _ahead(heading)
-        if back > 0:
-            turning = before.rate * back
-            early = heading - 0.5 * turning * back
-            bent = _displaced(early, 0.0, rates[0], turning, -before.rate, back)
-            self.pose[:2] += bent - 0.5 * rates[0] * back * back * _ahead(heading)
+        self.pose[:2] += _turned(self.pose[2], distance, 0.0)
+        if back > 0:  # the turn's last ramp, run backward in time, is a turn the other way
+            self.pose[:2] += _turned(self.pose[2], *bend(float(rates[0]), -before.rate, back))
 
     def turn(self, angle: float, label: str = "turn", overlap: float = 0.0) -> None:
         """Turn on the spot [rad], clockwise if negative; start up to `overlap` [s] before the move ahead has ended."""
@@ -169,9 +181,8 @@ class Pen:
         back = self._allowed(1, ramp, overlap)
         if back <= 0:
             return self.pose[:2].copy()
-        heading, brake = float(self.pose[2]), self._last.rate
-        bent = _displaced(heading, brake * back, -brake, 0.0, float(np.sign(angle)) * self.limits.alpha, back)
-        return np.asarray(self.pose[:2] + bent - 0.5 * brake * back * back * _ahead(heading))
+        alpha = float(np.copysign(self.limits.alpha, angle))
+        return np.asarray(self.pose[:2] + _turned(self.pose[2], *bend(self._last.rate, alpha, back)))
 
     def wait(self, seconds: float, label: str = "wait") -> None:
         """Stand still [s]."""
@@ -223,9 +234,6 @@ class Pen:
         )
 
 
-def _ahead(heading: float) -> Floats:
-    return np.array([np.cos(heading), np.sin(heading)])
-
-
-def _displaced(phi: float, v: float, a: float, omega: float, alpha: float, dt: float) -> Floats:
-    return np.stack(displace(*(np.asarray(part, dtype=np.float64) for part in (phi, v, a, omega, alpha, dt))))
+def _turned(heading: float, ahead: float, aside: float) -> Floats:
+    cos, sin = np.cos(heading), np.sin(heading)
+    return np.array([cos * ahead - sin * aside, sin * ahead + cos * aside])
