@@ -10,7 +10,7 @@ from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena, Floats
 from sensorgraph.world.raycast import cast, laser_poses
 
-MOST_SCANS = 300
+LEAST_SCANS, MOST_SCANS = 10, 300
 WORDS = {
     "as logged": (1, 0.0),
     "mirrored": (-1, 0.0),
@@ -54,11 +54,11 @@ def orientation(run: Run, arena: Arena | None) -> Orientation | None:
     """Compare the scans of a run with an arena, or with each other, under four orientations of the sensor.
 
     Without an arena the right orientation is the one whose end points fall on each other: they fill the fewest
-    cells. That needs a robot that looked at the same walls under several headings. Returns None without poses.
+    cells. That needs a robot that looked at the same walls under several headings. Returns None for fewer than 10 scans with poses.
     """
     pairing = pair(run)
     index = np.flatnonzero(pairing.paired & np.isfinite(run.ranges).any(axis=1))
-    if not len(index):
+    if len(index) < LEAST_SCANS:
         return None
     some = index[np.linspace(0, len(index) - 1, min(MOST_SCANS, len(index))).astype(np.intp)]
     ranges, poses = run.ranges[some], pairing.poses[some]
