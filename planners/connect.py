@@ -12,6 +12,7 @@ import io
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,16 +27,29 @@ from planners.reach import Reach
 INSTALL = "OMPL is not installed; pip install 'ompl>=2.0.1,<2.1' (Linux or macOS 15+; on Windows use WSL)"
 MISSING = 3
 """Exit code of the process when ompl cannot be imported."""
-ATTEMPTS = 3
+ATTEMPTS = 2
 """Solutions for each query, of which the best is kept."""
-SEARCHES = ((np.inf, 2.0, 3_000), (0.3, 0.05, 8_000), (1.5, 0.1, 8_000))
-"""Window [m] around start and goal, longest step [m], iterations: a gap missed in the large is found near by."""
+SEARCHES = (
+    (1.0, 0.3, 1_000),
+    (4.0, 1.0, 2_000),
+    (np.inf, 2.0, 4_000),
+    (0.3, 0.05, 8_000),
+    (1.5, 0.1, 8_000),
+)
+"""Window [m] around start and goal to sample in, longest step [m], iterations; the first to succeed is used.
+
+Most ways are short; the last two find gaps that the coarser ones miss.
+"""
+BATCH = 48
+"""Queries for one process; batches run side by side, and do not depend on how many do."""
+ROPE = 15
+"""Parts that a path is cut into to be pulled straight; the time goes with its square."""
 CHECK_STEP = 0.01
 """[m] between the states of a motion that OMPL checks."""
 TURN_COST = 0.5
 """[m] that a corner costs when solutions are compared: turning takes time."""
 SLACK = 0.002
-"""[m] that OMPL keeps beyond the clearance, where start and goal do."""
+"""[m] that OMPL keeps beyond the clearance, where start and goal do; where none does, it may miss as much."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,9 +87,11 @@ def connect(
     paths: list[Floats | None] = [np.stack(ends_) for ends_ in zip(starts, ends, strict=True)]
     blocked = np.flatnonzero(~direct)
     if len(blocked):
-        found = _in_a_process(np.concatenate([starts[blocked], ends[blocked]], axis=1), reach, seed)
+        found = _in_processes(np.concatenate([starts[blocked], ends[blocked]], axis=1), reach, seed)
         for k, way in zip(blocked.tolist(), found, strict=True):
             paths[k] = _certified(way, barriers, reach.clearance)
+            if paths[k] is None:
+                paths[k] = _certified(way, barriers, reach.clearance - SLACK)
     planned = [path for k in blocked.tolist() if (path := paths[k]) is not None]
     return paths, Joins(
         direct=int(direct.sum()),
@@ -98,6 +114,17 @@ def _certified(path: Floats, barriers: Barriers, clearance: float) -> Floats | N
             return None
         kept.append(int(later[clear.argmax()]))
     return path[kept]
+
+
+def _in_processes(queries: Floats, reach: Reach, seed: int) -> list[Floats]:
+    """Solve queries (n, 4) [m], in as many processes as there are processors."""
+    batches = [queries[k : k + BATCH] for k in range(0, len(queries), BATCH)]
+    seeds = [int(np.random.SeedSequence([seed, k]).generate_state(1)[0]) for k in range(len(batches))]
+    if len(batches) == 1:
+        return _in_a_process(batches[0], reach, seeds[0])
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        answers = threads.map(lambda batch, own: _in_a_process(batch, reach, own), batches, seeds)
+        return [path for answer in answers for path in answer]
 
 
 def _in_a_process(queries: Floats, reach: Reach, seed: int) -> list[Floats]:
@@ -208,7 +235,7 @@ class _Solver:
         path = self.setup.getSolutionPath()
         simplifier = self.setup.getPathSimplifier()
         simplifier.reduceVertices(path)
-        simplifier.ropeShortcutPath(path, 0.1)
+        simplifier.ropeShortcutPath(path, max(0.1, path.length() / ROPE))
         simplifier.partialShortcutPath(path)
         simplifier.reduceVertices(path)
         states = [path.getState(k) for k in range(path.getStateCount())]

@@ -16,6 +16,14 @@ KICKS = 60
 """Perturbations of the finished order, each kept if it helps."""
 MOST_MOVES = 4000
 """Improving moves before the order is good enough."""
+MANY = 1000
+"""Ends of runs above which ways are searched only nearby, and orders improved by windows."""
+NEAR = 8.0
+"""[m] of a way that is searched among many ends."""
+BLOCK = 256
+"""Ends searched from at a time."""
+WINDOW = 160
+"""Runs improved together where there are many."""
 NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
@@ -65,14 +73,21 @@ def runs(cells: Cells, axis: int) -> list[Ints]:
 def ways(cells: Cells, ends: Ints, speed: float, stop: float) -> Floats:
     """Return (len(ends), len(ends)) [s] by clear moves between neighbours, or around by the straight line's double.
 
-    A way takes its length over `speed`, and `stop` once.
+    A way takes its length over `speed`, and `stop` once. Among many ends only the near ones are worth a search.
     """
     n = len(cells.index)
     lengths = np.hypot(*(cells.places[cells.pairs[:, 1]] - cells.places[cells.pairs[:, 0]]).T)
     graph = sparse.csr_matrix((np.maximum(lengths, 1e-6), tuple(cells.pairs.T)), shape=(n, n))
-    far = csgraph.dijkstra(graph, directed=False, indices=ends)[:, ends]
-    straight = np.hypot(*(cells.places[ends][:, None] - cells.places[ends][None]).transpose(2, 0, 1))
-    far = np.where(np.isfinite(far), far, 2 * straight + 5.0)
+    limit = np.inf if len(ends) <= MANY else NEAR
+    far = np.empty((len(ends), len(ends)))
+    for rows in range(0, len(ends), BLOCK):
+        some = np.s_[rows : rows + BLOCK]
+        far[some] = csgraph.dijkstra(graph, directed=False, indices=ends[some], limit=limit)[:, ends]
+        lost = np.isinf(far[some])
+        straight = np.hypot(
+            *(cells.places[ends[some]][:, None] - cells.places[ends][None]).transpose(2, 0, 1)
+        )
+        far[some][lost] = 2 * straight[lost] + 5.0
     return np.asarray(np.where(far > 0, far / speed + stop, 0.0))
 
 
@@ -93,6 +108,9 @@ def tour(
     if n == 1:
         return [(0, False)]
     order = _Order.greedy(cost, first)
+    if len(cost) > MANY:
+        order.improve_by_windows()
+        return [(int(a) // 2, bool(a % 2)) for a, _ in order.nodes]
     order.improve()
     best, least = order.nodes.copy(), order.total()
     for _ in range(kicks if n > 8 else 0):
@@ -109,8 +127,8 @@ def tour(
 class _Order:
     """A sequence of runs as nodes (n, 2): entry and exit of each; the first is fixed where a start is given."""
 
-    def __init__(self, cost: Floats, nodes: Ints, fixed: int) -> None:
-        self.cost, self.nodes, self.fixed = cost, nodes, fixed
+    def __init__(self, cost: Floats, nodes: Ints, fixed: int, pinned: bool = False) -> None:
+        self.cost, self.nodes, self.fixed, self.pinned = cost, nodes, fixed, pinned
         self.moves = 0
 
     @classmethod
@@ -133,8 +151,17 @@ class _Order:
 
     def improve(self) -> None:
         """Apply the best reversal or relocation until none helps."""
-        while self.moves < MOST_MOVES * 10 and (self._reverse() or self._relocate()):
+        while self.moves < MOST_MOVES and (self._reverse() or self._relocate()):
             self.moves += 1
+
+    def improve_by_windows(self) -> None:
+        """Improve stretches that overlap by half, their ends held."""
+        for start in range(0, max(len(self.nodes) - WINDOW // 2, 1), WINDOW // 2):
+            stretch = np.s_[start : start + WINDOW]
+            last = start + WINDOW >= len(self.nodes)
+            part = _Order(self.cost, self.nodes[stretch].copy(), 1 if start else self.fixed, not last)
+            part.improve()
+            self.nodes[stretch] = part.nodes
 
     def kick(self, rng: np.random.Generator) -> None:
         """Swap two neighbouring stretches of random length."""
@@ -158,6 +185,8 @@ class _Order:
         gain = before[:, None] + after[None, :] - new_before - new_after
         gain[np.tril_indices(n, -1)] = 0.0
         gain[:f] = 0.0
+        if self.pinned:
+            gain[:, -1] = 0.0
         k, m = np.unravel_index(int(gain.argmax()), gain.shape)
         if gain[k, m] < 1e-9:
             return False
@@ -171,7 +200,7 @@ class _Order:
         n, cost = len(entry), self.cost
         joins = cost[leave[:-1], entry[1:]]
         for size in (1, 2, 3):
-            k = np.arange(self.fixed, n - size + 1)
+            k = np.arange(self.fixed, n - size + 1 - self.pinned)
             if len(k) < 2:
                 continue
             last = k + size - 1
@@ -185,7 +214,7 @@ class _Order:
             for flipped in (False, True):
                 head, tail = (leave[last], entry[k]) if flipped else (entry[k], leave[last])
                 spent = cost[np.ix_(head, leave[:-1])] + cost[np.ix_(tail, entry[1:])] - joins[None]
-                end = cost[head, leave[-1]] + np.where(last == n - 1, np.inf, 0.0)
+                end = cost[head, leave[-1]] + np.where((last == n - 1) | self.pinned, np.inf, 0.0)
                 gain = saved[:, None] - np.column_stack([np.where(inside, np.inf, spent), end])
                 at = np.unravel_index(int(gain.argmax()), gain.shape)
                 if gain[at] > best[0]:
