@@ -37,6 +37,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "record": record,
 }
 
+INTERRUPTED = 130
+
 app = typer.Typer(
     name="sensorgraph",
     help="Drive an arena, log it, and get transparent equations of what its range sensor perceives.",
@@ -79,8 +81,10 @@ def run(arguments: list[str] | None = None) -> int:
 
     command = typer.main.get_command(app)
     try:
-        code = command.main(args=arguments, prog_name="sensorgraph", standalone_mode=False)
-        return int(code or 0)
+        code = int(command.main(args=arguments, prog_name="sensorgraph", standalone_mode=False) or 0)
+        if code == INTERRUPTED:  # typer turns Ctrl-C into an exit code
+            _say("interrupted")
+        return code
     except (LogError, PlanError, IdentError, GapError) as exc:
         _say(f"error: {_one_line(exc)}")
         return 2
@@ -91,7 +95,7 @@ def run(arguments: list[str] | None = None) -> int:
         return 2
     except (KeyboardInterrupt, typer.Abort):
         _say("interrupted")
-        return 130
+        return INTERRUPTED
     except Exception as exc:
         if hasattr(exc, "format_message") and hasattr(exc, "exit_code"):  # a usage error of the command line
             if type(exc).__name__ == "NoArgsIsHelpError":

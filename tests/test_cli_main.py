@@ -1,0 +1,60 @@
+"""The command line as a whole: quick to start, one line for every mistake, quiet when interrupted."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sensorgraph.cli import COMMANDS, run
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([command, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert f"sensorgraph {command}" in text
+    assert "Examples" in text
+
+
+def test_help_loads_nothing_heavy() -> None:
+    heavy = "{'numpy', 'scipy', 'shapely', 'rerun', 'mcap', 'rosbags', 'ompl', 'matplotlib'}"
+    code = f"import sys; from sensorgraph.cli import run; run(['--help']); print({heavy} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip().splitlines()[-1] == "set()"
+
+
+def test_interruption_is_said_and_has_its_own_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("logs.inspect.inspect", interrupted)
+    assert run(["inspect", str(tmp_path)]) == 130
+    assert capsys.readouterr().err.strip() == "interrupted"
+
+
+def test_a_fault_of_ours_is_one_line_and_code_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise IndexError("list index out of range")
+
+    monkeypatch.setattr("logs.inspect.inspect", broken)
+    monkeypatch.delenv("SENSORGRAPH_DEBUG", raising=False)
+    assert run(["inspect", str(tmp_path)]) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "IndexError" in line
+    assert "our fault" in line
+
+
+@pytest.mark.parametrize(
+    "arguments", [["nonsense"], ["--nonsense"], ["plan"], ["plan", "square", "--cell", "x", "-o", "p"]]
+)
+def test_usage_errors_are_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(arguments) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith("error: ")
