@@ -74,42 +74,45 @@ def _one_line(exc: BaseException) -> str:
 
 def run(arguments: list[str] | None = None) -> int:
     """Run one command; return 0 done, 2 the user's input is at fault, 1 our fault, 130 interrupted."""
-    from logs.errors import LogError
-    from planners.errors import PlanError
-    from robotmodic_ident.errors import IdentError
-    from sensorgraph.errors import GapError
-
     command = typer.main.get_command(app)
     try:
         code = int(command.main(args=arguments, prog_name="sensorgraph", standalone_mode=False) or 0)
         if code == INTERRUPTED:  # typer turns Ctrl-C into an exit code
             _say("interrupted")
         return code
-    except (LogError, PlanError, IdentError, GapError) as exc:
-        _say(f"error: {_one_line(exc)}")
-        return 2
-    except OSError as exc:
-        if exc.filename is None:
-            raise
-        _say(f"error: {exc.filename}: {exc.strerror}; give a path that exists and can be read or written")
-        return 2
     except (KeyboardInterrupt, typer.Abort):
         _say("interrupted")
         return INTERRUPTED
     except Exception as exc:
-        if hasattr(exc, "format_message") and hasattr(exc, "exit_code"):  # a usage error of the command line
-            if type(exc).__name__ == "NoArgsIsHelpError":
-                typer.echo(exc.format_message())
-                return 0
-            _say(f"error: {' '.join(exc.format_message().split())}; see `sensorgraph --help`")
-            return int(exc.exit_code)
-        if os.environ.get("SENSORGRAPH_DEBUG"):
-            raise
-        _say(
-            f"error: internal: {type(exc).__name__}: {_one_line(exc)}; this is our fault, please report it "
-            "with the traceback that SENSORGRAPH_DEBUG=1 prints"
-        )
-        return 1
+        return _answer(exc)
+
+
+def _answer(exc: Exception) -> int:
+    """Say in one line what went wrong, and return the exit code."""
+    if hasattr(exc, "format_message") and hasattr(exc, "exit_code"):  # a usage error of the command line
+        if type(exc).__name__ == "NoArgsIsHelpError":
+            typer.echo(exc.format_message())
+            return 0
+        _say(f"error: {' '.join(exc.format_message().split())}; see `sensorgraph --help`")
+        return int(exc.exit_code)
+    if isinstance(exc, OSError) and exc.filename is not None:
+        _say(f"error: {exc.filename}: {exc.strerror}; give a path that exists and can be read or written")
+        return 2
+    from logs.errors import LogError
+    from planners.errors import PlanError
+    from robotmodic_ident.errors import IdentError
+    from sensorgraph.errors import GapError
+
+    if isinstance(exc, LogError | PlanError | IdentError | GapError):
+        _say(f"error: {_one_line(exc)}")
+        return 2
+    if os.environ.get("SENSORGRAPH_DEBUG"):
+        raise exc
+    _say(
+        f"error: internal: {type(exc).__name__}: {_one_line(exc)}; this is our fault, please report it "
+        "with the traceback that SENSORGRAPH_DEBUG=1 prints"
+    )
+    return 1
 
 
 def _say(line: str) -> None:
