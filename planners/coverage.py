@@ -69,6 +69,17 @@ class Coverage:
         self.counts.ravel()[:] += np.bincount(flat, minlength=self.counts.size)
         self.core.ravel()[:] += np.bincount(flat[is_core], minlength=self.counts.size)
 
+    def growth(self, stamps: Floats, poses: Floats, n: int = 400) -> tuple[Floats, Floats]:
+        """Return times (n,) [s] and the share (n,) of reachable bins that logged poses (m, 3) have met by then."""
+        finite = np.isfinite(poses).all(axis=1)
+        bins, inside = self.bins(poses[finite])
+        flat = np.ravel_multi_index(tuple(bins[inside].T), self.counts.shape)
+        _, first = np.unique(flat, return_index=True)
+        first = first[self.reachable.ravel()[flat[first]]]
+        when = np.sort(stamps[finite][inside][first])
+        times = np.linspace(stamps[0], stamps[-1], n)
+        return times, np.searchsorted(when, times, side="right") / max(int(self.reachable.sum()), 1)
+
     @property
     def covered(self) -> Bools:
         """(nx, ny, n_phi) reachable bins with a pose."""

@@ -56,13 +56,9 @@ class Plan:
 
     def growth(self, n: int = 400) -> tuple[Floats, Floats]:
         """Return stamps (n,) [s] and the share (n,) of reachable bins that a log has met by then."""
-        rate, grid = self.report["rate"], self.coverage
-        bins, inside = grid.bins(self.curve.log(rate))
-        flat = np.ravel_multi_index(tuple(bins[inside].T), grid.counts.shape)
-        _, first = np.unique(flat, return_index=True)
-        when = np.sort(np.flatnonzero(inside)[first[grid.reachable.ravel()[flat[first]]]]) / rate
-        stamps = np.linspace(0.0, self.curve.duration, n)
-        share = np.searchsorted(when, stamps, side="right") / grid.reachable.sum()
+        rate = self.report["rate"]
+        poses = self.curve.log(rate)
+        stamps, share = self.coverage.growth(np.arange(len(poses)) / rate, poses, n)
         return stamps, np.asarray(share + self.report["coverage"] - share[-1], dtype=np.float64)
 
 

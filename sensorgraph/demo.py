@@ -21,7 +21,7 @@ from sensorgraph import figures, view
 from sensorgraph.build import build
 from sensorgraph.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.plan_folder import counted, growth, save
+from sensorgraph.plan_folder import counted, save
 from sensorgraph.review import review
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow
@@ -140,7 +140,7 @@ def _trip(
         planner=planner,
         drive_time=planned.trajectory.duration,
         coverage=coverage,
-        growth=growth(coverage, run.stamps, poses),
+        growth=coverage.growth(run.stamps, poses),
         graph=graph,
         checked=evaluate(graph, check),
     )

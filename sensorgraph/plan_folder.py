@@ -59,15 +59,3 @@ def counted(coverage: Coverage, poses: Floats) -> Coverage:
     )
     fresh.add(poses)
     return fresh
-
-
-def growth(coverage: Coverage, stamps: Floats, poses: Floats, n: int = 400) -> tuple[Floats, Floats]:
-    """Return times (n,) [s] and the share (n,) of reachable bins that logged poses (m, 3) have met by then."""
-    finite = np.isfinite(poses).all(axis=1)
-    bins, inside = coverage.bins(poses[finite])
-    flat = np.ravel_multi_index(tuple(bins[inside].T), coverage.counts.shape)
-    _, first = np.unique(flat, return_index=True)
-    first = first[coverage.reachable.ravel()[flat[first]]]
-    when = np.sort(stamps[finite][inside][first])
-    times = np.linspace(stamps[0], stamps[-1], n)
-    return times, np.searchsorted(when, times, side="right") / max(int(coverage.reachable.sum()), 1)

@@ -40,9 +40,9 @@ def build(
 
       sensorgraph build intel.log.gz --split block -o intel.sensorgraph
     """
-    from logs import read
+    from logs import parse_topics, read
     from sensorgraph.build import build as build_graph
-    from sensorgraph.cli.inputs import check_output, named_arena, read_robot_sensor, topics
+    from sensorgraph.cli.inputs import check_output, named_arena, read_robot_sensor
     from sensorgraph.errors import GapError
     from sensorgraph.models import MODELS
 
@@ -55,7 +55,7 @@ def build(
         if (value := _number(name, text)) != "auto"
     }
     space = None if arena is None else named_arena(arena)
-    names = topics(topic)
+    names = parse_topics(topic or [])
     loaded = []
     for path in runs:
         with progress("reading", "messages") as tick:

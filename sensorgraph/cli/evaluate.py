@@ -58,8 +58,8 @@ def evaluate(
     """
     from typing import cast
 
-    from logs import read
-    from sensorgraph.cli.inputs import check_output, topics, write_json
+    from logs import parse_topics, read
+    from sensorgraph.cli.inputs import check_output, write_json
     from sensorgraph.errors import GapError
     from sensorgraph.evaluate import evaluate as evaluate_graph
     from sensorgraph.graph import Sensorgraph
@@ -71,7 +71,7 @@ def evaluate(
         raise GapError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
     model = Sensorgraph.load(graph)
     with progress("reading", "messages") as tick:
-        log = read(run, topics=topics(topic), progress=tick)
+        log = read(run, topics=parse_topics(topic or []), progress=tick)
     with progress("evaluating", "scans") as tick:
         result = evaluate_graph(
             model, log, split=split, point=cast(Point | None, point), cap=cap, progress=tick

@@ -24,17 +24,6 @@ def check_output(path: Path) -> None:
         raise GapError(f"the folder {path.parent} does not exist; make it first, or write elsewhere")
 
 
-def topics(pairs: Sequence[str] | None) -> dict[str, str] | None:
-    """Read `ROLE=NAME` options."""
-    out: dict[str, str] = {}
-    for text in pairs or ():
-        role, sign, name = text.partition("=")
-        if not sign or not role or not name:
-            raise GapError(f"--topic {text!r} is not understood; expected ROLE=NAME, like scan=/front/scan")
-        out[role] = name
-    return out or None
-
-
 def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) -> None:
     """Check that a robot file describes the sensor that recorded."""
     from sensorgraph.build import is_same_sensor

@@ -32,10 +32,10 @@ def review(
     """
     import json
 
-    from logs import read
+    from logs import parse_topics, read
     from planners.trajectory import read_csv
     from sensorgraph import view
-    from sensorgraph.cli.inputs import check_output, kept_arena, named_arena, topics
+    from sensorgraph.cli.inputs import check_output, kept_arena, named_arena
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import GapError
     from sensorgraph.graph import Sensorgraph
@@ -45,7 +45,7 @@ def review(
     if out.suffix != ".rrd":
         raise GapError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
     with progress("reading", "messages") as tick:
-        log = read(run, topics=topics(topic), progress=tick)
+        log = read(run, topics=parse_topics(topic or []), progress=tick)
     walls = named_arena(arena) if arena is not None else kept_arena(log)
     planned = read_csv(plan / "trajectory.csv").poses[::10, :2] if plan is not None else None
     facts = json.loads((plan / "plan.json").read_text()) if plan is not None else None

@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import shapely
 
 from planners.arena import Arena
+from planners.clearance import Barriers
 
 CELL = 0.04  # [m] of the table, or coarser
 MOST_NODES = 1_000_000
+CAP = 2.0  # [m] farther is all the same to a robot
 
 
 class WallDistance:
     """Distance to the nearest wall, interpolated in a table of exact values; 0 outside the arena's bounds.
 
     Between the nodes the bilinear value is off by less than the cell (the distance is 1-Lipschitz), and exact
-    along a straight wall, where it matters.
+    along a straight wall, where it matters. Distances above 2 m are said to be 2 m.
     """
 
     def __init__(self, arena: Arena) -> None:
@@ -25,16 +26,8 @@ class WallDistance:
         self.cell = max(CELL, math.sqrt((x1 - x0) * (y1 - y0) / MOST_NODES))
         self.x0, self.y0 = x0, y0
         self.nx, self.ny = math.ceil((x1 - x0) / self.cell) + 1, math.ceil((y1 - y0) / self.cell) + 1
-        nodes = np.meshgrid(
-            x0 + self.cell * np.arange(self.nx), y0 + self.cell * np.arange(self.ny), indexing="ij"
-        )
-        points = shapely.points(nodes[0].ravel(), nodes[1].ravel())
-        distance = np.full(len(points), np.inf)
-        if arena.n_walls:
-            walls = [shapely.LineString(wall) for wall in arena.walls]
-            nearest = shapely.STRtree(walls).nearest(points)
-            distance = shapely.distance(points, np.array(walls)[nearest])
-        self.table: list[list[float]] = distance.reshape(self.nx, self.ny).tolist()
+        x, y = (low + np.float64(self.cell) * np.arange(n) for low, n in ((x0, self.nx), (y0, self.ny)))
+        self.table: list[list[float]] = Barriers(arena).field(x, y, CAP).tolist()
 
     def __call__(self, x: float, y: float) -> float:
         """Return the distance [m] of (x, y) [m, map]."""
