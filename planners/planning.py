@@ -34,7 +34,7 @@ PLANNERS: dict[str, Callable[[Task], Driven]] = {
 
 MARGIN = 0.02
 """[m] that the robot's rim keeps from walls, beyond its radius."""
-SMALL = 0.5
+SMALL = 0.99
 """A start that reaches a smaller share of where the robot fits is worth a warning."""
 
 
@@ -98,6 +98,11 @@ def plan(
         start = np.asarray(start, dtype=np.float64)
         if start.shape != (3,) or not np.isfinite(start).all():
             raise PlanError(f"start is {start.tolist()}, expected three finite numbers x, y, phi")
+    x0, y0, x1, y1 = arena.bounds
+    if cell > max(x1 - x0, y1 - y0):
+        raise PlanError(f"cell is {cell:g} m, larger than the whole arena; expected metres, such as 0.25")
+    if duration is not None and planner == "coverage":
+        raise PlanError("the coverage planner drives until all is covered; duration is for the baselines")
     barriers = Barriers(arena)
     free = reach(arena, barriers, clearance=robot.footprint_radius + margin, cell=float(cell), start=start)
     grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
@@ -184,7 +189,7 @@ def _report(task: Task, driven: Driven, trajectory: Trajectory, planner: str) ->
     warnings = []
     if task.reach.share < SMALL:
         warnings.append(
-            f"only {100 * task.reach.share:.0f} % of where the robot fits is reachable; the rest lies behind gaps "
+            f"only {100 * task.reach.share:.1f} % of where the robot fits is reachable; the rest lies behind gaps "
             f"narrower than {2 * task.reach.clearance:.2f} m, or the start is in the smaller part"
         )
     for line in warnings:

@@ -56,23 +56,30 @@ class Trajectory:
     def write_csv(self, path: Path) -> None:
         """Write columns t,x,y,phi,v,omega,primitive."""
         part = path.with_name(path.name + ".part")
-        with part.open("w", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            rows = np.column_stack([self.stamps, self.poses, self.twists])
-            for row, primitive in zip(rows.tolist(), self.primitives.tolist(), strict=True):
-                writer.writerow([f"{value:.6f}" for value in row] + [primitive])
-        part.replace(path)
+        try:
+            with part.open("w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file, lineterminator="\n")
+                writer.writerow(COLUMNS)
+                rows = np.column_stack([self.stamps, self.poses, self.twists])
+                for row, primitive in zip(rows.tolist(), self.primitives.tolist(), strict=True):
+                    writer.writerow([f"{value:.6f}" for value in row] + [primitive])
+            part.replace(path)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
 
 
 def read_csv(path: Path) -> Trajectory:
     """Read a trajectory CSV; columns by name, `primitive` optional."""
-    with path.open(newline="") as file:
-        reader = csv.DictReader(file)
-        missing = [name for name in COLUMNS[:6] if name not in (reader.fieldnames or [])]
-        if missing:
-            raise PlanError(f"{path}: no column {', '.join(missing)}; expected {','.join(COLUMNS)}")
-        rows = list(reader)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            missing = [name for name in COLUMNS[:6] if name not in (reader.fieldnames or [])]
+            rows = list(reader)
+    except (UnicodeDecodeError, csv.Error) as exc:
+        raise PlanError(f"{path}: not a CSV file ({exc}); expected columns {','.join(COLUMNS)}") from exc
+    if missing:
+        raise PlanError(f"{path}: no column {', '.join(missing)}; expected {','.join(COLUMNS)}")
     try:
         values = np.array([[float(row[name]) for name in COLUMNS[:6]] for row in rows], dtype=np.float64)
     except (TypeError, ValueError) as exc:

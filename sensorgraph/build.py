@@ -140,6 +140,8 @@ def _name(run: Run, i: int) -> str:
 def _too_few(n: int, inputs: Sequence[dict[str, Any]]) -> str:
     reasons = "; ".join(
         f"{entry['name']}: {entry['paired']} of {entry['n_scans']} scans have a pose"
+        + (f", {entry['empty']} of them no valid range" if entry["empty"] else "")
+        + (f", {entry['held_out']} held out" if entry["held_out"] else "")
         + "".join(f", {count} {why}" for why, count in entry["dropped"].items())
         for entry in inputs
     )

@@ -112,7 +112,8 @@ def evaluate(
     use = pairing.paired & (held_out(run, split) if split is not None else True)
     index = np.flatnonzero(use)
     if len(index) == 0:
-        raise GapError(f"nothing to evaluate: {pairing}, none of them in split {split}")
+        held = "" if split is None else f", none of them in split {split}"
+        raise GapError(f"nothing to evaluate: {pairing}{held}")
     measured = run.ranges[index]
     prediction = graph.predict(
         poses_for(graph, run.pose_frame, run.sensor.mount, pairing.poses[index]), point=point or "mode"
@@ -248,7 +249,9 @@ def _agreement(graph: Sensorgraph, run: Run, index: NDArray[np.intp], split: str
     if seen == 0:
         return f"held out: none of these scans was trained on (split {split})"
     built = graph.origin["split"]
-    return (
-        f"{seen} of {len(index)} scans were trained on (built with split {built}, evaluated with {split}): "
-        "the numbers are better than on new scans"
-    )
+    how = f"built {_split_words(built)}, evaluated {_split_words(split)}"
+    return f"{seen} of {len(index)} scans were trained on ({how}): the numbers are better than on new scans"
+
+
+def _split_words(split: str | None) -> str:
+    return "without a split" if split is None else f"with split {split}"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planners.arena import Arena
+from sensorgraph.files import whole
 
 if TYPE_CHECKING:
     from planners import Plan
@@ -48,9 +49,8 @@ def _figure(width: float, height: float) -> Any:
 
 
 def _save(figure: Any, path: Path) -> None:
-    part = path.with_name(path.name + ".part")
-    figure.savefig(part, format="png", metadata={"Software": None})
-    part.replace(path)
+    with whole(path) as part:
+        figure.savefig(part, format="png", metadata={"Software": None})
 
 
 def _floor(axes: Any, arena: Arena) -> None:

@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 
 from logs.run import PoseFrame, RangeSensor
 from sensorgraph.errors import GapError
+from sensorgraph.files import whole
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import POINTS, Floats, Model, Point, Prediction
 
 FORMAT = "sensorgraph"
 VERSION = 1
 """Of the file; a reader refuses a newer one."""
+FARTHEST = 1e8
+"""[m] from the origin of map: a pose farther off is a mistake."""
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip's oldest date: the same graph gives the same bytes
 _SENSOR = ("range_min", "range_max", "sigma", "resolution", "rate", "sweep_time", "height")
 
@@ -57,6 +60,11 @@ class Sensorgraph:
         if not np.isfinite(poses).all():
             row = int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
             raise GapError(f"pose {row} is not finite; leave such poses out")
+        if np.abs(poses[:, :2]).max(initial=0.0) > FARTHEST:
+            row = int(np.abs(poses[:, :2]).max(axis=1).argmax())
+            raise GapError(
+                f"pose {row} is {poses[row, :2].tolist()}, expected metres within {FARTHEST:g} of the origin"
+            )
         if point not in POINTS:
             raise GapError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
         index = np.arange(self.sensor.n_rays) if rays is None else np.asarray(rays, dtype=np.intp)
@@ -71,7 +79,9 @@ class Sensorgraph:
     def _check_rays(self, rays: NDArray[np.integer]) -> None:
         n_rays = self.sensor.n_rays
         if rays.ndim != 1 or len(rays) == 0 or rays.min() < 0 or rays.max() >= n_rays:
-            raise GapError(f"ray {rays.tolist()} does not exist; this sensor has rays 0 to {n_rays - 1}")
+            raise GapError(
+                f"ray {', '.join(map(str, rays.ravel().tolist()))} does not exist; this sensor has rays 0 to {n_rays - 1}"
+            )
 
     def save(self, path: Path) -> None:
         """Write one file; the same graph gives the same bytes."""
@@ -92,14 +102,12 @@ class Sensorgraph:
             buffer = io.BytesIO()
             np.lib.format.write_array(buffer, np.ascontiguousarray(arrays[name]), allow_pickle=False)
             members[f"{name}.npy"] = buffer.getvalue()
-        part = path.with_name(path.name + ".part")
-        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as file:
+        with whole(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as file:
             for name, data in members.items():
                 info = zipfile.ZipInfo(name, date_time=_EPOCH)
                 info.compress_type = zipfile.ZIP_DEFLATED
                 info.external_attr = 0o644 << 16
                 file.writestr(info, data)
-        part.replace(path)
 
     @classmethod
     def load(cls, path: Path) -> Sensorgraph:

@@ -15,6 +15,7 @@ from planners.coverage import Coverage
 from planners.export import waypoints
 from planners.maps import geojson
 from sensorgraph import figures
+from sensorgraph.files import whole
 from sensorgraph.world.robot_file import RobotFile
 from sensorgraph.world.simulate import EPOCH_NS, occupancy
 
@@ -36,9 +37,8 @@ def save(plan: Plan, folder: Path, arena: Arena, robot: RobotFile) -> None:
     figures.plan_picture(plan, arena, folder / "plan.png")
     texts = kept | {"waypoints.yaml": waypoints(plan), "plan.json": json.dumps(plan.report, indent=1) + "\n"}
     for name, text in texts.items():
-        part = folder / f"{name}.part"
-        part.write_text(text, encoding="utf-8")
-        part.replace(folder / name)
+        with whole(folder / name) as part:
+            part.write_text(text, encoding="utf-8")
 
 
 def coverage_map(coverage: Coverage) -> OccupancyMap:

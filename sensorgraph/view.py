@@ -47,9 +47,12 @@ def write(seen: Review, path: Path, *, ray: int | None = None) -> None:
         for start in range(0, len(seen.shown), BLOCK):
             _scans(recording, seen, slice(start, start + BLOCK), ray)
         recording.disconnect()
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
     finally:
         rr.set_strict_mode(was_strict)
-    part.replace(path)
 
 
 def show(path: Path) -> None:

@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Annotated
 
 import typer
@@ -95,6 +96,9 @@ def _answer(exc: Exception) -> int:
             return 0
         _say(f"error: {' '.join(exc.format_message().split())}; see `sensorgraph --help`")
         return int(exc.exit_code)
+    if isinstance(exc, OSError) and exc.filename is None and exc.errno is not None:
+        _say(f"error: {exc.strerror}; the output cannot be written")
+        return 2
     if isinstance(exc, OSError) and exc.filename is not None:
         _say(f"error: {exc.filename}: {exc.strerror}; give a path that exists and can be read or written")
         return 2
@@ -124,6 +128,7 @@ def main() -> None:
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `sensorgraph show ... | head` ends quietly
     code = run()
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(AttributeError, OSError, ValueError):  # closed by the caller, or a full disk
+            stream.flush()
     os._exit(code)  # skip the interpreter's shutdown: OMPL's bindings print leak notes there

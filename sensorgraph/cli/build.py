@@ -46,12 +46,12 @@ def build(
     from sensorgraph.errors import GapError
     from sensorgraph.models import MODELS
 
-    check_output(output)
+    check_output(output, *runs)
     if model not in MODELS:
         raise GapError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
     options = {
-        name: value
-        for name, text in (("degree", degree), ("harmonics", harmonics), ("n_terms", terms))
+        "n_terms" if name == "terms" else name: value
+        for name, text in (("degree", degree), ("harmonics", harmonics), ("terms", terms))
         if (value := _number(name, text)) != "auto"
     }
     space = None if arena is None else named_arena(arena)

@@ -35,7 +35,8 @@ def evaluate(
         str | None, typer.Option(help="Score only scans that this split holds out: every10 or block.")
     ] = None,
     cap: Annotated[
-        float | None, typer.Option(help="[m] longest return that counts [default: 10, or the sensor's range]")
+        float | None,
+        typer.Option(help="Longest return that counts, in m; default: 10, or the sensor's range."),
     ] = None,
     point: Annotated[
         str | None,
@@ -66,7 +67,7 @@ def evaluate(
     from sensorgraph.models.base import POINTS, Point
 
     if json is not None:
-        check_output(json)
+        check_output(json, graph, run)
     if point is not None and point not in POINTS:
         raise GapError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
     model = Sensorgraph.load(graph)
@@ -76,10 +77,11 @@ def evaluate(
         result = evaluate_graph(
             model, log, split=split, point=cast(Point | None, point), cap=cap, progress=tick
         )
+    if json is not None:
+        write_json(json, result.to_dict())
     for line in table(result):
         typer.echo(line)
     if json is not None:
-        write_json(json, result.to_dict())
         typer.echo(f"wrote {json}")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sensorgraph.errors import GapError
+from sensorgraph.files import whole
 
 if TYPE_CHECKING:
     from logs.run import RangeSensor, Run
@@ -16,12 +17,19 @@ if TYPE_CHECKING:
     from sensorgraph.world.robot_file import RobotFile
 
 
-def check_output(path: Path) -> None:
-    """Refuse an output path that cannot be written before any work is done."""
+def check_output(path: Path, *inputs: Path) -> None:
+    """Refuse an output path that cannot be written, or is one of the inputs, before any work is done."""
     if path.is_dir():
         raise GapError(f"{path} is a folder; give the name of a file to write")
     if not path.parent.is_dir():
         raise GapError(f"the folder {path.parent} does not exist; make it first, or write elsewhere")
+    for given in inputs:
+        if path.exists() and given.exists() and path.samefile(given):
+            raise GapError(f"{path} is the input itself and would be lost; write to another name")
+    probe = path.with_name(path.name + ".part")
+    if not probe.exists():
+        probe.open("wb").close()  # says now, not after the work, that the folder cannot be written
+        probe.unlink()
 
 
 def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) -> None:
@@ -74,9 +82,8 @@ def write_json(path: Path, data: Any) -> None:
     """Write JSON under a temporary name, then rename; a number that is not finite is refused."""
     import json
 
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
-    part.replace(path)
+    with whole(path) as part:
+        part.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
 def named_arena(name: str) -> Arena:
@@ -113,7 +120,15 @@ def named_robot(path: Path | None) -> RobotFile:
 
 def kept_arena(run: Run) -> Arena | None:
     """Return the arena kept in a run, if there is one."""
+    from planners.errors import PlanError
     from planners.maps import geojson
 
     text = run.attachments.get("arena.geojson")
-    return None if text is None else geojson.loads(text.decode(errors="replace"))
+    if text is None:
+        return None
+    try:
+        return geojson.loads(text.decode(errors="replace"))
+    except PlanError as exc:
+        raise GapError(
+            f"the arena kept in the run cannot be used ({exc}); give another with --arena"
+        ) from exc

@@ -31,11 +31,13 @@ def inspect(
     """
     from logs import parse_topics
     from logs.inspect import inspect as look
-    from planners.errors import PlanError
-    from sensorgraph.cli.inputs import kept_arena, named_arena
+    from sensorgraph.cli.inputs import check_output, kept_arena, named_arena, write_json
     from sensorgraph.cli.progress import progress
+    from sensorgraph.errors import GapError
     from sensorgraph.world.orientation import orientation
 
+    if json is not None:
+        check_output(json, file)
     with progress("reading") as tick:
         found = look(file, parse_topics(topic or []), progress=tick)
     lines = found.lines()
@@ -45,17 +47,13 @@ def inspect(
         if walls is None:
             try:
                 walls = kept_arena(found.run)
-            except PlanError as exc:
-                lines += ["WARNING: the arena kept in the run cannot be used", f"  {exc}"]
+            except GapError as exc:
+                lines += [f"WARNING: {exc}"]
         oriented = orientation(found.run, walls)
         lines += ["orientation", *(f"  {line}" for line in oriented.lines())] if oriented is not None else []
-    typer.echo("\n".join(lines))
     if json is not None:
-        from json import dumps
-
-        part = json.with_name(json.name + ".part")
         facts = {**found.to_json(), "orientation": None}
         if oriented is not None:
             facts["orientation"] = {"best": oriented.best, "against": oriented.against, "fits": oriented.fits}
-        part.write_text(dumps(facts, indent=2) + "\n")
-        part.replace(json)
+        write_json(json, facts)
+    typer.echo("\n".join(lines))

@@ -17,14 +17,14 @@ def plan(
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write the plan to.")],
     robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")] = None,
     planner: Annotated[str, typer.Option(help="coverage, random_bounce or wall_following.")] = "coverage",
-    cell: Annotated[float, typer.Option(help="Side of a position cell [m].")] = 0.25,
+    cell: Annotated[float, typer.Option(help="Side of a position cell, in m.")] = 0.25,
     headings: Annotated[int, typer.Option(help="Heading bins of a full turn.")] = 16,
     start: Annotated[
-        str | None, typer.Option(help="X,Y,PHI [m, m, rad]; default: where the planner likes.")
+        str | None, typer.Option(help="X,Y,PHI in m, m, rad; default: where the planner likes.")
     ] = None,
     duration: Annotated[
         float | None,
-        typer.Option(help="[s] of random_bounce and wall_following; default: the reference time."),
+        typer.Option(help="Of random_bounce and wall_following, in s; default: the reference time."),
     ] = None,
     resume: Annotated[
         Path | None, typer.Option(help="A run already driven: plan only what its poses have not covered.")

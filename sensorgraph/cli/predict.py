@@ -12,7 +12,7 @@ ARRAYS = ("ranges", "median", "mode", "mean", "sigma", "p_no_return", "answered"
 
 def predict(
     graph: Annotated[Path, typer.Argument(metavar="GRAPH", help="A *.sensorgraph file.")],
-    poses: Annotated[Path, typer.Option(help="CSV with columns x,y,phi [m, m, rad].")],
+    poses: Annotated[Path, typer.Option(help="CSV with columns x,y,phi in m, m, rad.")],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="NPZ", help="File to write.")],
     point: Annotated[str, typer.Option(help="Which value `ranges` is: mode, median or mean.")] = "mode",
 ) -> None:
@@ -29,17 +29,16 @@ def predict(
     import numpy as np
 
     from sensorgraph.cli.inputs import check_output, read_poses
+    from sensorgraph.files import whole
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.models.base import Point
 
-    check_output(output)
+    check_output(output, graph, poses)
     model = Sensorgraph.load(graph)
     where = read_poses(poses)
     result = model.predict(where, point=cast(Point, point))
-    part = output.with_name(output.name + ".part")
-    with part.open("wb") as file:
+    with whole(output) as part, part.open("wb") as file:
         np.savez_compressed(file, **{name: getattr(result, name) for name in ARRAYS})
-    part.replace(output)
     typer.echo(
         f"wrote {output}: {len(where)} poses of {model.pose_frame} x {model.sensor.n_rays} rays, "
         f"{100 * float(result.answered.mean()):.1f} % answered"

@@ -9,7 +9,7 @@ import typer
 
 if TYPE_CHECKING:
     from logs.run import Run
-    from planners.arena import Floats
+    from planners.arena import Arena, Floats
     from planners.trajectory import Trajectory
 
 
@@ -22,9 +22,9 @@ def record(
     out: Annotated[Path, typer.Option("-o", "--out", help="The run to write, *.mcap.")],
     robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")] = None,
     start: Annotated[
-        str | None, typer.Option(help="X,Y,PHI [m, m, rad] where a replay of commands begins.")
+        str | None, typer.Option(help="X,Y,PHI in m, m, rad: where a replay of commands begins.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of all noise: same seed, same bytes.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of all noise: same seed, same bytes.")] = 0,
 ) -> None:
     """Drive the embedded robot along a plan, with its lag, drift and noise, and log it as MCAP.
 
@@ -45,11 +45,14 @@ def record(
     from sensorgraph.world.drive import follow, replay
     from sensorgraph.world.simulate import occupancy, simulate
 
-    check_output(out)
+    check_output(out, plan)
     if out.suffix != ".mcap":
         raise GapError(f"{out}: a run is written as *.mcap; name it {out.with_suffix('.mcap').name}")
     walls, machine = named_arena(arena), named_robot(robot)
     trajectory, commands = _read(plan)
+    if trajectory is not None and start is not None:
+        raise GapError("--start is where a replay of commands begins; a plan begins where it was planned")
+    _warn_of_other_arena(plan, walls)
     rng = np.random.default_rng(seed)
     clearance = WallDistance(walls)
     with progress("driving", "commands") as tick:
@@ -66,7 +69,7 @@ def record(
     attachments = {"arena.geojson": geojson.dumps(walls).encode(), "robot.yaml": machine.text.encode()}
     facts = plan / "plan.json" if plan.is_dir() else plan.with_name("plan.json")
     if trajectory is not None and facts.is_file():
-        attachments["plan.json"] = facts.read_bytes()
+        attachments["plan.json"] = _timeless(facts)
     meta = {"simulated": "true", "seed": str(seed), "contacts": str(driven.contacts)}
     with progress("scanning", "scans") as tick:
         run = simulate(driven, walls, machine, rng=rng, meta=meta, attachments=attachments, progress=tick)
@@ -113,6 +116,32 @@ def _start(text: str | None, run: Run) -> Floats:
     if not len(run.poses):
         raise GapError("the run has no pose to begin from; give --start X,Y,PHI")
     return np.asarray(run.poses[0])
+
+
+def _timeless(path: Path) -> bytes:
+    """Return plan.json without the time that planning took: the same seed shall give the same bytes."""
+    import json
+
+    from sensorgraph.errors import GapError
+
+    try:
+        facts = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as exc:
+        raise GapError(f"{path}: not JSON ({exc}); plan again, or take the file away") from exc
+    if isinstance(facts, dict):
+        facts.pop("planning_s", None)
+    return (json.dumps(facts, indent=1) + "\n").encode()
+
+
+def _warn_of_other_arena(plan: Path, walls: Arena) -> None:
+    """Say so when a plan's folder holds another arena than the one it is driven in."""
+    from planners.maps import load
+
+    kept = plan / "arena.geojson"
+    if plan.is_dir() and kept.is_file():
+        planned = load(kept).walls
+        if planned.shape != walls.walls.shape or abs(planned - walls.walls).max(initial=0.0) > 1e-6:
+            typer.echo(f"warning: {plan} was planned for another arena than this one", err=True)
 
 
 def _check_start(pose: Floats, clearance: object, radius: float, arena: str) -> None:

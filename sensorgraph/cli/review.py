@@ -41,7 +41,7 @@ def review(
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.review import review as collect
 
-    check_output(out)
+    check_output(out, run, *(path for path in (graph,) if path is not None))
     if out.suffix != ".rrd":
         raise GapError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
     with progress("reading", "messages") as tick:

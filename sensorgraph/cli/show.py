@@ -27,6 +27,8 @@ def show(
     model = Sensorgraph.load(graph)
     if ray is not None:
         typer.echo(model.equation(ray))
+        low, high = model.sensor.range_min, model.sensor.range_max
+        typer.echo(f"predictions are held between {low:g} and {high:g} m, the limits of the sensor")
         return
     sensor, origin = model.sensor, model.origin
     first, last = degrees(sensor.bearings[0]), degrees(sensor.bearings[-1])

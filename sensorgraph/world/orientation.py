@@ -17,6 +17,7 @@ WORDS = {
     "turned 180°": (1, np.pi),
     "mirrored and turned 180°": (-1, np.pi),
 }
+BADLY = 0.1  # [m] median error above which map, poses and scans do not belong together
 CLEARLY = 0.8  # another orientation must be better by this factor to be reported
 CELL = 0.1  # [m] of the grid in which end points pile up, where the orientation is right
 
@@ -46,6 +47,11 @@ class Orientation:
             out.append(
                 f"WARNING: the scan fits better {self.best}: check the sign of angle_increment, the mount's yaw "
                 "and the driver's `inverted` setting"
+            )
+        elif self.against == "the arena" and self.fits[self.best] > BADLY:
+            out.append(
+                f"WARNING: the scan fits the arena badly ({100 * self.fits[self.best]:.0f} cm): is it the arena of this "
+                "run, are the clocks of poses and scans the same, is the mount right?"
             )
         return out
 

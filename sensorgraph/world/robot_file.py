@@ -107,6 +107,7 @@ SECTIONS: dict[str, dict[str, Any]] = {
     "tolerances": asdict(Tolerances()),
 }
 TOP: dict[str, Any] = {f.name: f.default for f in fields(Robot) if f.name != "limits"}
+MOST = {"n_rays": 100_000, "rate": 10_000.0}
 POSITIVE = {
     "v",
     "omega",
@@ -225,6 +226,9 @@ def _value(name: str, key: str, value: Any, default: Any) -> Any:
     least = "above 0" if key.split(".")[-1] in POSITIVE else "0 or more"
     if value < 0 or (value == 0 and least == "above 0"):
         raise GapError(f"{name}: `{key}` is {value}, expected {least}")
+    most = MOST.get(key.split(".")[-1], np.inf)
+    if value > most:
+        raise GapError(f"{name}: `{key}` is {value:g}, expected {most:g} or less")
     return int(value) if whole else float(value)
 
 
