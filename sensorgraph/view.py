@@ -219,12 +219,13 @@ def _layout(seen: Review, ray: int, top: float) -> rrb.Blueprint:
             eye_up=[0, 0, 1],
         ),
     )
-    far = float(np.nanquantile(np.where(np.isfinite(seen.measured), seen.measured, np.nan), 0.999))
+    seen_by_ray = seen.measured[:, ray][np.isfinite(seen.measured[:, ray])]
+    far = float(np.quantile(seen_by_ray, 0.98)) if len(seen_by_ray) else seen.run.sensor.range_max
     degrees = np.degrees(seen.run.sensor.bearings[ray])
     series = rrb.TimeSeriesView(
         name=f"ray {ray} at {degrees:.0f} degrees [m]",
         origin="/ray",
-        axis_y=rrb.ScalarAxis(range=(0.0, 1.05 * far)),
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * far)),
         plot_legend=rrb.Corner2D.LeftTop,
     )
     bars = rrb.BarChartView(
