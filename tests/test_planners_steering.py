@@ -35,8 +35,9 @@ def test_a_trapezoid_covers_its_distance_and_ends_at_rest(distance: float, top: 
     assert times.sum() == pytest.approx(float(duration(distance, top, rate)), abs=1e-8)
 
 
-def integrate(curve: Curve, steps: int = 20_000) -> np.ndarray:
-    """Integrate the twists by the midpoint rule."""
+def integrate(curve: Curve) -> np.ndarray:
+    """Integrate the twists by the midpoint rule, in steps of a millisecond or less."""
+    steps = 20_000 + int(1000 * curve.duration)
     dt = curve.duration / steps
     poses, twists, _ = curve.sample((np.arange(steps) + 0.5) * dt)
     phi = poses[:, 2]
