@@ -86,6 +86,19 @@ def write_json(path: Path, data: Any) -> None:
         part.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
+def parse_pose(text: str) -> Floats:
+    """Read `--start X,Y,PHI`; (3,) [m, m, rad]."""
+    import numpy as np
+
+    try:
+        pose = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        pose = np.zeros(0)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise GapError(f"--start is {text!r}, expected X,Y,PHI such as 1.0,2.0,0.5")
+    return pose
+
+
 def named_arena(name: str) -> Arena:
     """Read an arena from a file, or a shipped one by its name."""
     from importlib.resources import as_file, files

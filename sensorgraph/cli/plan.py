@@ -48,7 +48,7 @@ def plan(
 
     from planners import plan as make_plan
     from planners.errors import PlanError
-    from sensorgraph.cli.inputs import named_arena, named_robot
+    from sensorgraph.cli.inputs import named_arena, named_robot, parse_pose
     from sensorgraph.cli.progress import progress
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.plan_folder import save
@@ -67,7 +67,7 @@ def plan(
             cell=cell,
             headings=headings,
             seed=seed,
-            start=None if start is None else _start(start),
+            start=None if start is None else parse_pose(start),
             rate=machine.sensor.rate,
             duration=duration,
             visited=visited,
@@ -99,20 +99,6 @@ def _summary(report: dict[str, Any]) -> str:
         f"{joins['planned']} by OMPL{failed}; clearance {report['min_clearance_m']:.3f} m; "
         f"planned in {report['planning_s']:.1f} s"
     )
-
-
-def _start(text: str) -> Floats:
-    import numpy as np
-
-    from planners.errors import PlanError
-
-    try:
-        pose = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        pose = np.zeros(0)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise PlanError(f"--start is {text!r}, expected X,Y,PHI such as 1.0,2.0,0.5")
-    return pose
 
 
 def _visited(path: Path) -> Floats:

@@ -103,16 +103,11 @@ def _start(text: str | None, run: Run) -> Floats:
     """Return where a replay begins: as told, or the run's first pose."""
     import numpy as np
 
+    from sensorgraph.cli.inputs import parse_pose
     from sensorgraph.errors import GapError
 
     if text is not None:
-        try:
-            pose = np.array([float(part) for part in text.split(",")])
-        except ValueError:
-            pose = np.zeros(0)
-        if pose.shape != (3,) or not np.isfinite(pose).all():
-            raise GapError(f"--start is {text!r}, expected X,Y,PHI such as 1.0,2.0,0.5")
-        return pose
+        return parse_pose(text)
     if not len(run.poses):
         raise GapError("the run has no pose to begin from; give --start X,Y,PHI")
     return np.asarray(run.poses[0])
