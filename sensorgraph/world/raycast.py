@@ -66,6 +66,27 @@ def cast(arena: Arena, poses: Floats, sensor: RangeSensor) -> Hits:
     return _Caster(_prepared(arena), sensor)(laser_poses(poses, sensor.mount))
 
 
+def cast_laser(walls: Floats, lasers: Floats, bearings: Floats, farthest: float) -> tuple[Floats, Ints]:
+    """Cast from laser poses at bare walls, without an arena or a sensor's limits.
+
+    Parameters
+    ----------
+    walls : (n_walls, 2, 2) [m, map]
+    lasers : (n_scans, 3) [m, m, rad] laser in map
+    bearings : (n_rays,) [rad], increasing over less than a full turn
+
+    Returns
+    -------
+    ranges (n_scans, n_rays) [m], inf beyond `farthest`, and the index of the wall, -1 for none
+    """
+    if len(walls) == 0:
+        shape = (len(lasers), len(bearings))
+        return np.full(shape, np.inf), np.full(shape, -1, dtype=np.intp)
+    sensor = RangeSensor(bearings=bearings, range_min=0.0, range_max=farthest)
+    hits = _Caster(_Walls(walls), sensor)(lasers)
+    return hits.ranges, hits.wall
+
+
 def directions(phi: Floats, bearings: Floats) -> tuple[Floats, Floats]:
     """Return cos and sin of phi + bearing, (n_scans, n_rays), by the addition theorem (numpy's cos is slow)."""
     c, s = np.cos(phi)[:, None], np.sin(phi)[:, None]

@@ -1,0 +1,94 @@
+"""What a diagnosis says: one Ledger per channel, and the Finding that holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from sensorgraph.effects import Amendment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Where:
+    """One place, bearing, range, time … at which measured and simulated differ more than chance allows."""
+
+    family: str
+    """`bias`, `spread`, `outliers` or `misses`."""
+    partition: str
+    """`wall`, `bearing`, `range`, `incidence`, `time`, `omega`, `speed`, `hit place`, `robot place`, …"""
+    label: str
+    """Which part of it, readable: `arena/edge_3`, `30 to 40 degrees`."""
+    z: float
+    """How many standard errors, clustered by scan."""
+    size: float
+    """Of the difference: [m] for bias, ratio for spread, share for outliers and misses."""
+    n_rays: int
+    xy: tuple[float, float] | None = None
+    """[m, map] where it has a place."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unknown:
+    """Something that no effect of the library explains."""
+
+    statement: str
+    """One sentence: what differs, where, by how much."""
+    where: Where | None = None
+    statistic: float = 0.0
+    threshold: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """How far the simulator is from what was measured."""
+
+    rmse_m: float
+    """[m] over returns; in the odometry and drive channels [m/s]."""
+    normalised: float
+    """RMS of the gap over its nominal noise."""
+    nats_per_ray: float
+    """Mean negative log-likelihood of a reading."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap:
+    """The gap on rays that no fit and no choice has seen."""
+
+    before: Fit
+    after: Fit
+    noise_floor: Fit
+    n_rays: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rival:
+    """An effect that explains the same data almost as well."""
+
+    name: str
+    instead_of: str
+    evidence_nats: float
+    separates: str
+    """What would tell them apart."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ledger:
+    """What one channel shows."""
+
+    channel: str
+    effects: tuple[Amendment, ...] = ()
+    """Named, strongest evidence first."""
+    within_tolerance: tuple[Amendment, ...] = ()
+    """Evidence, but too small to be called an effect."""
+    unknown: Unknown | None = None
+    rivals: tuple[Rival, ...] = ()
+    where: tuple[Where, ...] = ()
+    """Before any naming."""
+    gap: Gap | None = None
+    not_observable: Mapping[str, str] = field(default_factory=dict)
+    """Effect -> why this run could not have shown it."""
+    skipped: str = ""
+    """Why the channel was not looked at; empty if it was."""
+    notes: Mapping[str, Any] = field(default_factory=dict)
+    """What else is worth knowing, plain data."""

@@ -1,0 +1,27 @@
+"""Actuator lag."""
+
+from __future__ import annotations
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.machine import Machine
+
+
+def transform(machine: Machine, a: Amendment) -> None:
+    """Slow the motors down."""
+    machine.tau = max(machine.tau + a["tau"], 0.0)
+
+
+ACTUATOR_LAG = Effect(
+    name="actuator_lag",
+    title="actuator lag",
+    channel="drive",
+    stage="motors",
+    physics="The motors follow a command with a time constant tau longer than robot.yaml says.",
+    source="Siegwart, Nourbakhsh and Scaramuzza (2011), Introduction to Autonomous Mobile Robots, section 3.6",
+    varies="command against odometry: an exponential step",
+    rivals={"dead_time": "a step, not a ramp: dead time shifts it whole"},
+    parameters=(
+        Parameter(name="tau", unit="s", doc="added to the time constant of robot.yaml", materiality=0.015),
+    ),
+    transform=transform,
+)

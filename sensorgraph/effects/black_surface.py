@@ -1,0 +1,47 @@
+"""Black, absorbing surface."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.places import part_of_wall
+from sensorgraph.world.scene import Beams, Scene
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Lose rays that meet it slanting or from afar."""
+    scene.surfaces.append(partial(absorb, a=a))
+
+
+def absorb(scene: Scene, beams: Beams, *, a: Amendment) -> None:
+    """Lower the chance of a return on the black part."""
+    on = part_of_wall(scene, beams, a)
+    chance = np.minimum(1.0, beams.cosine * (a["r0"] / np.maximum(beams.ranges, 1e-6)) ** 2)
+    beams.p_return = np.where(on, chance, 1.0) * beams.p_return
+
+
+BLACK_SURFACE = Effect(
+    name="black_surface",
+    title="black, absorbing surface",
+    channel="scan",
+    stage="surface",
+    physics="A dark part of a wall returns with probability min(1, cos(incidence) (r0 / r)^2).",
+    source="Jelalian (1992), laser radar systems: the range equation of a Lambertian target",
+    varies="one part of one wall, losses that grow with range and incidence",
+    rivals={
+        "max_range": "another wall at the same range",
+        "incidence_dropout": "another wall at the same incidence",
+    },
+    parameters=(
+        Parameter(name="a", unit="m", doc="where it begins, along the wall from its first end", neutral=None),
+        Parameter(name="b", unit="m", doc="where it ends", neutral=None),
+        Parameter(
+            name="r0", unit="m", doc="a head-on return is sure up to this range", neutral=None, low=0.0
+        ),
+    ),
+    transform=transform,
+    place="wall",
+)

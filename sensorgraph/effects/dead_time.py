@@ -1,0 +1,25 @@
+"""Dead time."""
+
+from __future__ import annotations
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.machine import Machine
+
+
+def transform(machine: Machine, a: Amendment) -> None:
+    """Let commands wait."""
+    machine.delay = max(machine.delay + a["L"], 0.0)
+
+
+DEAD_TIME = Effect(
+    name="dead_time",
+    title="dead time",
+    channel="drive",
+    stage="motors",
+    physics="A command acts L later than robot.yaml says.",
+    source="Billings (2013), Nonlinear System Identification, section 2.3: pure delay",
+    varies="command against odometry: a pure shift",
+    rivals={"actuator_lag": "a step: a lag bends it"},
+    parameters=(Parameter(name="L", unit="s", doc="added to the dead time of robot.yaml", materiality=0.02),),
+    transform=transform,
+)

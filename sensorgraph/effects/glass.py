@@ -1,0 +1,69 @@
+"""Glass pane."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.places import part_of_wall, seen_without
+from sensorgraph.world.scene import Beams, Scene
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Let slanting rays through."""
+    scene.surfaces.append(partial(pass_through, a=a))
+
+
+def pass_through(scene: Scene, beams: Beams, *, a: Amendment) -> None:
+    """Lengthen the rays that the pane does not return."""
+    on = part_of_wall(scene, beams, a)
+    through = on & (beams.incidence >= a["alpha_ret"])
+    if not through.any():
+        return
+    if a["depth"] > 0:
+        behind = beams.ranges + a["depth"] / np.maximum(beams.cosine, 0.02)
+    else:
+        behind = seen_without(scene, beams, through, a.place)
+    beams.ranges = np.where(through, behind, beams.ranges)
+    beams.reading = beams.ranges.copy()
+    beams.bent()[through] = False
+
+
+GLASS = Effect(
+    name="glass",
+    title="glass pane",
+    channel="scan",
+    stage="surface",
+    physics="A pane returns only rays that meet it more head-on than alpha_ret; others see what stands behind it.",
+    source="Koch, May, Murphy and Nuechter (2017), identification and correction of transparent and specular reflecting objects in laser scans",
+    varies="one part of one wall, long readings, incidence",
+    rivals={
+        "mirror": "what is seen behind is the room mirrored, not a plane",
+        "moved_wall": "approach it at normal incidence",
+    },
+    parameters=(
+        Parameter(
+            name="a", unit="m", doc="where the pane begins, along the wall from its first end", neutral=None
+        ),
+        Parameter(name="b", unit="m", doc="where it ends", neutral=None),
+        Parameter(
+            name="alpha_ret",
+            unit="rad",
+            doc="the pane returns below this incidence",
+            neutral=1.5707963,
+            low=0.0,
+            high=1.5707963,
+        ),
+        Parameter(
+            name="depth",
+            unit="m",
+            doc="of a plane behind the pane; 0: what the map has there",
+            neutral=None,
+            low=0.0,
+        ),
+    ),
+    transform=transform,
+    place="wall",
+)

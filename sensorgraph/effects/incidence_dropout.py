@@ -1,0 +1,43 @@
+"""Drop-out at slanting incidence."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.scene import Scene, fade
+
+BLUR = 0.003  # [rad] over which it sets in
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Lose slanting rays."""
+    beams = scene.beams
+    slack = np.where(np.isfinite(beams.ranges), a["alpha_max"] - beams.incidence, 1.0)
+    beams.p_return = fade(slack, BLUR) * beams.p_return
+
+
+INCIDENCE_DROPOUT = Effect(
+    name="incidence_dropout",
+    title="drop-out at slanting incidence",
+    channel="scan",
+    stage="detection",
+    physics="A surface met at more than alpha_max returns nothing.",
+    source="Okubo, Ye and Borenstein (2009), characterization of the Hokuyo URG-04LX",
+    varies="incidence, on all walls alike",
+    rivals={
+        "black_surface": "look at another wall at the same range and incidence",
+        "max_range": "look at a far wall head-on",
+    },
+    parameters=(
+        Parameter(
+            name="alpha_max",
+            unit="rad",
+            doc="largest incidence that returns",
+            neutral=1.5707963,
+            low=0.0,
+            high=1.5707963,
+        ),
+    ),
+    transform=transform,
+)

@@ -1,0 +1,31 @@
+"""Latency between pose and scan."""
+
+from __future__ import annotations
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.scene import Scene
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Take every ray earlier."""
+    scene.delay = scene.delay - a["tau"]
+
+
+LATENCY = Effect(
+    name="latency",
+    title="latency between pose and scan",
+    channel="scan",
+    stage="time",
+    physics="A scan stamped t was taken at the pose of t - tau.",
+    source="Olson (2010), a passive solution to the sensor synchronization problem",
+    varies="omega r tan(incidence) and v cos(bearing)",
+    rivals={
+        "scan_skew": "compare the first rays with the last at one turn rate",
+        "mount_yaw": "change v and omega, both signs, and stand still",
+        "mount_xy": "vary the speed",
+    },
+    parameters=(
+        Parameter(name="tau", unit="s", doc="how much earlier the scan was taken", materiality=0.005),
+    ),
+    transform=transform,
+)

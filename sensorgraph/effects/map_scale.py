@@ -1,0 +1,34 @@
+"""Scale of the map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.scene import Scene
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Stretch the walls about the middle of the arena, and shift them."""
+    x0, y0, x1, y1 = scene.arena.bounds
+    middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
+    shift = [a.parameters.get("dx", 0.0), a.parameters.get("dy", 0.0)]
+    scene.walls = scene.walls + a["s"] * (scene.walls - middle) + shift
+
+
+MAP_SCALE = Effect(
+    name="map_scale",
+    title="scale of the map",
+    channel="scan",
+    stage="geometry",
+    physics="The room is (1 + s) times the map, about a point that need not be the map's origin.",
+    source="surveying practice: a plan measured with a wrong scale",
+    varies="how far a wall lies from the origin, not the range",
+    rivals={"range_scale": "near and far views of the same wall", "moved_wall": "only one wall moves"},
+    parameters=(
+        Parameter(name="s", unit="", doc="relative stretch", materiality=0.002),
+        Parameter(name="dx", unit="m", doc="shift of the middle of the arena", neutral=0.0),
+        Parameter(name="dy", unit="m", doc="shift of the middle of the arena", neutral=0.0),
+    ),
+    transform=transform,
+)

@@ -1,0 +1,34 @@
+"""Shorter maximal range."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.scene import Scene, fade
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Lose far rays."""
+    beams = scene.beams
+    with np.errstate(invalid="ignore"):
+        slack = np.where(np.isfinite(beams.reading), a["R"] - beams.reading, 1.0)
+    beams.p_return = fade(slack, scene.sensor.sigma + 1e-4) * beams.p_return
+
+
+MAX_RANGE = Effect(
+    name="max_range",
+    title="shorter maximal range",
+    channel="scan",
+    stage="detection",
+    physics="Nothing farther than R returns, though the data sheet says so.",
+    source="Thrun, Burgard and Fox (2005), Probabilistic Robotics, section 6.3: max-range readings",
+    varies="range, on all walls alike",
+    rivals={
+        "black_surface": "look at another wall at the same range",
+        "incidence_dropout": "a long view at normal incidence",
+        "tilt": "a tilted sensor returns from the floor",
+    },
+    parameters=(Parameter(name="R", unit="m", doc="farthest return", neutral=None, low=0.0),),
+    transform=transform,
+)

@@ -1,0 +1,26 @@
+"""Larger blind zone."""
+
+from __future__ import annotations
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.scene import Scene, fade
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Lose near rays."""
+    beams = scene.beams
+    beams.p_return = fade(beams.reading - a["r_min"], scene.sensor.sigma + 1e-4) * beams.p_return
+
+
+MIN_RANGE = Effect(
+    name="min_range",
+    title="larger blind zone",
+    channel="scan",
+    stage="detection",
+    physics="Nothing nearer than r_min returns, though the data sheet says so.",
+    source="Okubo, Ye and Borenstein (2009), characterization of the Hokuyo URG-04LX",
+    varies="small ranges, whatever the bearing",
+    rivals={"self_occlusion": "approach a wall with another bearing"},
+    parameters=(Parameter(name="r_min", unit="m", doc="nearest return", low=0.0),),
+    transform=transform,
+)

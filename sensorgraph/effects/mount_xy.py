@@ -1,0 +1,28 @@
+"""Mounting offset."""
+
+from __future__ import annotations
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.scene import Scene
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Shift the laser in the body's frame."""
+    scene.mount = scene.mount + [a["dx"], a["dy"], 0.0]
+
+
+MOUNT_XY = Effect(
+    name="mount_xy",
+    title="mounting offset",
+    channel="scan",
+    stage="mount",
+    physics="The laser sits (dx, dy) away from where robot.yaml says, in the body's frame.",
+    source="Censi, Franchi, Marchionni and Oriolo (2013), simultaneous calibration of odometry and sensor parameters",
+    varies="-(dx cos theta + dy sin theta) / cos(incidence); turns with the robot",
+    rivals={"range_bias": "the cosine over bearing", "latency": "vary the speed, and reverse"},
+    parameters=(
+        Parameter(name="dx", unit="m", doc="forward", materiality=0.005),
+        Parameter(name="dy", unit="m", doc="to the left", materiality=0.005),
+    ),
+    transform=transform,
+)

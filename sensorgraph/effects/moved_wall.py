@@ -1,0 +1,39 @@
+"""Moved wall."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.places import outward, walls_of
+from sensorgraph.world.scene import Scene
+
+SAME = 1e-6  # [m] ends nearer than this are one corner
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Shift a wall along its outward normal, with the ends of its neighbours."""
+    (index,) = walls_of(scene, a.place)
+    shift = a["d"] * outward(scene, index)
+    for end in scene.walls[index].copy():
+        scene.walls[(np.abs(scene.walls - end) < SAME).all(axis=2)] += shift
+
+
+MOVED_WALL = Effect(
+    name="moved_wall",
+    title="moved wall",
+    channel="scan",
+    stage="geometry",
+    physics="One wall stands d outward of where the map has it; the corners go with it.",
+    source="surveying practice: one edge of the floor plan is wrong",
+    varies="one wall, d / cos(incidence)",
+    rivals={
+        "range_bias": "look at the opposite wall",
+        "map_scale": "all walls move, in proportion to their place",
+    },
+    parameters=(
+        Parameter(name="d", unit="m", doc="along the outward normal, away from free space", materiality=0.01),
+    ),
+    transform=transform,
+    place="wall",
+)

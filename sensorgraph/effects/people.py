@@ -1,0 +1,39 @@
+"""People walking about."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.walkers import walkers
+from sensorgraph.world.scene import Scene
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Let people walk, if the scene is drawn; else give every ray a chance to be short."""
+    if scene.seed is None:
+        scene.shorts = 1 - (1 - scene.shorts) * (1 - a["p"])
+    elif a["p"] > 0:
+        scene.movers = walkers(scene, a["p"], np.random.default_rng([scene.seed, 35]))
+
+
+PEOPLE = Effect(
+    name="people",
+    title="people walking about",
+    channel="scan",
+    stage="geometry",
+    physics="Something that moves stands in the way of a share p of the rays.",
+    source="Thrun, Burgard and Fox (2005), Probabilistic Robotics, section 6.3; Fox, Burgard and Thrun (1999)",
+    varies="time; neighbouring rays and successive scans together",
+    rivals={
+        "unmapped_obstacle": "come back later",
+        "random_outliers": "scattered single rays, also longer ones",
+    },
+    parameters=(
+        Parameter(
+            name="p", unit="", doc="share of rays that end at somebody", materiality=0.002, low=0.0, high=1.0
+        ),
+    ),
+    transform=transform,
+    absorber=True,
+)

@@ -1,0 +1,77 @@
+"""Where an effect sits: sectors of bearings, parts of walls, obstacles; and what stands behind or before them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.arena import Arena, Bools, Floats
+from sensorgraph.effects.effect import Amendment
+from sensorgraph.errors import GapError
+from sensorgraph.world.scene import Beams, Scene, each
+
+Ints = NDArray[np.intp]
+OFF = 1e-6  # [m] a reflected ray starts this far from the mirror
+
+
+def in_sector(bearings: Floats, first: float, last: float) -> Bools:
+    """Tell which bearings [rad] lie from `first` counter-clockwise to `last`."""
+    turn = 2 * np.pi
+    inside = (bearings - first) % turn <= (last - first) % turn + 1e-9
+    return np.asarray(inside | (np.abs((bearings - first + np.pi) % turn - np.pi) < 1e-9))
+
+
+def named_walls(arena: Arena, name: str) -> Ints:
+    """Return the indices of the wall NAME/edge_i, or of all walls of the feature NAME."""
+    found = [i for i, wall in enumerate(arena.names) if wall == name or wall.rsplit("/", 1)[0] == name]
+    if not found:
+        near = ", ".join(arena.names[:6])
+        raise GapError(f"the arena has no wall or obstacle {name!r}; it has {near}, ...")
+    return np.array(found, dtype=np.intp)
+
+
+def walls_of(scene: Scene, name: str) -> Ints:
+    """Return the indices of the walls with this name in a scene."""
+    return named_walls(scene.arena, name)
+
+
+def part_of_wall(scene: Scene, beams: Beams, a: Amendment) -> Bools:
+    """Tell which rays hit the part from a to b [m] of the amendment's wall, (n_scans, n_rays)."""
+    on = np.isin(beams.wall, walls_of(scene, a.place))
+    if not on.any():
+        return on
+    along = beams.along(scene.walls)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(on & (along >= a["a"]) & (along <= a["b"]))
+
+
+def outward(scene: Scene, index: int) -> Floats:
+    """Return the unit normal (2,) of a wall that points away from free space."""
+    a, b = scene.arena.walls[index]
+    d = (b - a) / max(float(np.hypot(*(b - a))), 1e-12)
+    normal = np.array([d[1], -d[0]])
+    middle = (a + b) / 2
+    return normal if not scene.arena.contains(middle + 1e-3 * normal) else -normal
+
+
+def seen_without(scene: Scene, beams: Beams, some: Bools, name: str) -> Floats:
+    """Return what rays would read if a wall were not there; inf for all rays that are not in `some`."""
+    walls = scene.walls.copy()
+    walls[walls_of(scene, name)] = 1e9
+    behind = np.full(beams.ranges.shape, np.inf)
+    ox, oy = (np.broadcast_to(o, beams.ranges.shape)[some] for o in (beams.ox, beams.oy))
+    ranges, _ = each(walls, ox[:, None], oy[:, None], beams.ux[some][:, None], beams.uy[some][:, None])
+    behind[some] = ranges[:, 0]
+    return behind
+
+
+def reflected(walls: Floats, beams: Beams, some: Bools) -> Floats:
+    """Return the way (n,) [m] from where rays `some` hit to what they meet after reflection."""
+    ux, uy, nx, ny = (v[some] for v in (beams.ux, beams.uy, beams.nx, beams.ny))
+    ox, oy = (np.broadcast_to(o, beams.ranges.shape)[some] for o in (beams.ox, beams.oy))
+    r = beams.ranges[some] - OFF
+    into = ux * nx + uy * ny
+    vx, vy = ux - 2 * into * nx, uy - 2 * into * ny
+    x, y = ox + r * ux, oy + r * uy
+    further, _ = each(walls, x[:, None], y[:, None], vx[:, None], vy[:, None])
+    return further[:, 0]

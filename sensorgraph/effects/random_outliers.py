@@ -1,0 +1,28 @@
+"""Random outliers."""
+
+from __future__ import annotations
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.scene import Scene
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Mix in readings from anywhere."""
+    scene.outliers = 1 - (1 - scene.outliers) * (1 - a["p"])
+
+
+RANDOM_OUTLIERS = Effect(
+    name="random_outliers",
+    title="random outliers",
+    channel="scan",
+    stage="noise",
+    physics="With probability p a reading is uniform over (0, range_max).",
+    source="Thrun, Burgard and Fox (2005), Probabilistic Robotics, section 6.3: random measurements",
+    varies="nothing: scattered single rays",
+    rivals={"people": "clustered and moving", "range_noise": "standstill"},
+    parameters=(
+        Parameter(name="p", unit="", doc="share of such readings", materiality=0.002, low=0.0, high=1.0),
+    ),
+    transform=transform,
+    absorber=True,
+)

@@ -1,0 +1,28 @@
+"""Range bias."""
+
+from __future__ import annotations
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.scene import Scene
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Add b to every reading."""
+    scene.beams.reading = scene.beams.reading + a["b"]
+
+
+RANGE_BIAS = Effect(
+    name="range_bias",
+    title="range bias",
+    channel="scan",
+    stage="range",
+    physics="A constant is added to every return: z = r + b.",
+    source="Reina and Gonzales (1997), characterisation of a radial laser scanner",
+    varies="nothing: the same on all rays",
+    rivals={
+        "range_scale": "very near and very far walls",
+        "map_scale": "obstacles grow or shrink with a bias, not with the map",
+    },
+    parameters=(Parameter(name="b", unit="m", doc="added to every return", materiality=0.005),),
+    transform=transform,
+)

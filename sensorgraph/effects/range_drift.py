@@ -1,0 +1,32 @@
+"""Drift of the range over time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.scene import Scene
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Add a bias that grows with time."""
+    tau = a.parameters.get("tau", 0.0)
+    share = 1 - np.exp(-scene.stamps / tau) if tau > 0 else scene.stamps / max(scene.span, 1e-9)
+    scene.beams.reading = scene.beams.reading + a["b1"] * share[:, None]
+
+
+RANGE_DRIFT = Effect(
+    name="range_drift",
+    title="drift of the range over time",
+    channel="scan",
+    stage="range",
+    physics="The bias grows during the run: b(t) = b1 t / T, or b1 (1 - exp(-t / tau)) while the sensor warms up.",
+    source="Reina and Gonzales (1997), characterisation of a radial laser scanner: warm-up",
+    varies="time",
+    rivals={"moved_wall": "the first pose again at the end", "range_bias": "the first pose again at the end"},
+    parameters=(
+        Parameter(name="b1", unit="m", doc="bias at the end (linear) or after warm-up", materiality=0.006),
+        Parameter(name="tau", unit="s", doc="time constant of the warm-up; 0: linear", neutral=0.0, low=0.0),
+    ),
+    transform=transform,
+)

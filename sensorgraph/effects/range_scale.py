@@ -1,0 +1,30 @@
+"""Range scale."""
+
+from __future__ import annotations
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.scene import Scene
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Stretch every reading."""
+    beams = scene.beams
+    beams.reading = (1 + a["s"]) * beams.reading
+    beams.slope = (1 + a["s"]) * beams.slope
+
+
+RANGE_SCALE = Effect(
+    name="range_scale",
+    title="range scale",
+    channel="scan",
+    stage="range",
+    physics="Every return is stretched in proportion to its length: z = (1 + s) r.",
+    source="Okubo, Ye and Borenstein (2009), characterization of the Hokuyo URG-04LX",
+    varies="range",
+    rivals={
+        "map_scale": "near and far views of the same wall from two sides",
+        "range_bias": "very near and very far walls",
+    },
+    parameters=(Parameter(name="s", unit="", doc="relative stretch", materiality=0.002),),
+    transform=transform,
+)

@@ -1,0 +1,28 @@
+"""Skew of a rolling scan."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.scene import Scene
+
+
+def transform(scene: Scene, a: Amendment) -> None:
+    """Take later rays later."""
+    n = len(scene.bearings)
+    scene.delay = scene.delay + a["T"] * np.arange(n) / n
+
+
+SCAN_SKEW = Effect(
+    name="scan_skew",
+    title="skew of a rolling scan",
+    channel="scan",
+    stage="time",
+    physics="Ray i of N is taken T i / N after the stamp, beyond what robot.yaml says.",
+    source="Zhang and Singh (2014), LOAM, section V",
+    varies="turn rate times ray index; nothing at the first ray",
+    rivals={"latency": "compare the first rays with the last at one turn rate"},
+    parameters=(Parameter(name="T", unit="s", doc="from the first ray to the last", materiality=0.01),),
+    transform=transform,
+)

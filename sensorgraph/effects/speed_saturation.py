@@ -1,0 +1,25 @@
+"""Speed saturation."""
+
+from __future__ import annotations
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.machine import Machine
+
+
+def transform(machine: Machine, a: Amendment) -> None:
+    """Cap the speed."""
+    machine.v_max = min(machine.v_max, a["v_max"])
+
+
+SPEED_SATURATION = Effect(
+    name="speed_saturation",
+    title="speed saturation",
+    channel="drive",
+    stage="motors",
+    physics="The motors cannot exceed v_max, though robot.yaml allows more.",
+    source="Siegwart, Nourbakhsh and Scaramuzza (2011), Introduction to Autonomous Mobile Robots, section 3.6",
+    varies="only at high commands",
+    rivals={"actuator_lag": "a sweep of speeds"},
+    parameters=(Parameter(name="v_max", unit="m/s", doc="largest speed", neutral=None, low=0.0),),
+    transform=transform,
+)

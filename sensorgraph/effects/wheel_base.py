@@ -1,0 +1,27 @@
+"""Wheelbase."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.machine import Machine
+
+
+def transform(machine: Machine, a: Amendment) -> None:
+    """Scale the turn."""
+    machine.measured = np.diag([1.0, 1 / (1 + a["s"])]) @ machine.measured
+
+
+WHEEL_BASE = Effect(
+    name="wheel_base",
+    title="wheelbase",
+    channel="odometry",
+    stage="wheels",
+    physics="The wheels stand (1 + s) times farther apart than assumed in the odometry's favour: it turns 1 / (1 + s) as much.",
+    source="Borenstein and Feng (1996), measurement and correction of systematic odometry errors: E_b",
+    varies="error of heading against rotation, the same for both senses",
+    rivals={"wheel_radius": "a straight run", "wheel_slip": "another place"},
+    parameters=(Parameter(name="s", unit="", doc="relative error of the wheelbase", materiality=0.006),),
+    transform=transform,
+)

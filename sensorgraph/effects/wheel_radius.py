@@ -1,0 +1,27 @@
+"""Wheel radius."""
+
+from __future__ import annotations
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.machine import Machine
+
+
+def transform(machine: Machine, a: Amendment) -> None:
+    """Scale way and turn."""
+    machine.measured = (1 + a["s"]) * machine.measured
+
+
+WHEEL_RADIUS = Effect(
+    name="wheel_radius",
+    title="wheel radius",
+    channel="odometry",
+    stage="wheels",
+    physics="Both wheels are (1 + s) times smaller than assumed, so that way and turn are overstated alike.",
+    source="Borenstein and Feng (1996), measurement and correction of systematic odometry errors",
+    varies="odometry against pose: way and turn in proportion",
+    rivals={"wheel_base": "turn only, and drive straight only"},
+    parameters=(
+        Parameter(name="s", unit="", doc="odometry reads (1 + s) times the motion", materiality=0.005),
+    ),
+    transform=transform,
+)

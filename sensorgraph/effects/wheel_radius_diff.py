@@ -1,0 +1,27 @@
+"""Difference of the wheels' radii."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.machine import Machine
+
+
+def transform(machine: Machine, a: Amendment) -> None:
+    """Turn in proportion to speed."""
+    machine.measured = np.array([[1.0, 0.0], [a["s"] / machine.base, 1.0]]) @ machine.measured
+
+
+WHEEL_RADIUS_DIFF = Effect(
+    name="wheel_radius_diff",
+    title="difference of the wheels' radii",
+    channel="odometry",
+    stage="wheels",
+    physics="One wheel is larger: the odometry turns by s v / base while driving.",
+    source="Borenstein and Feng (1996), measurement and correction of systematic odometry errors: E_d",
+    varies="error of heading against distance",
+    rivals={"wheel_base": "a long straight"},
+    parameters=(Parameter(name="s", unit="", doc="relative difference of the radii", materiality=0.003),),
+    transform=transform,
+)

@@ -1,0 +1,33 @@
+"""Wheel slip."""
+
+from __future__ import annotations
+
+from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.world.machine import Machine
+
+
+def transform(machine: Machine, a: Amendment) -> None:
+    """Make a patch of the floor slippery."""
+    machine.patches.append((a["x"], a["y"], a["r"], a["s"]))
+
+
+WHEEL_SLIP = Effect(
+    name="wheel_slip",
+    title="wheel slip",
+    channel="odometry",
+    stage="wheels",
+    physics="On a slippery patch the body moves only (1 - s) times what the wheels turn.",
+    source="Ojeda, Cruz, Reina and Borenstein (2006), current-based slippage detection",
+    varies="place",
+    rivals={"wheel_radius": "it acts everywhere", "wheel_base": "cross the patch again, slowly"},
+    parameters=(
+        Parameter(
+            name="s", unit="", doc="share of the motion that is lost", materiality=0.05, low=0.0, high=1.0
+        ),
+        Parameter(name="x", unit="m", doc="centre of the patch", neutral=None),
+        Parameter(name="y", unit="m", doc="centre of the patch", neutral=None),
+        Parameter(name="r", unit="m", doc="radius of the patch", neutral=None, low=0.0),
+    ),
+    transform=transform,
+    place="spot",
+)

@@ -1,0 +1,276 @@
+"""Scene: what the simulator knows of a run; Beams: what every ray of it would read, as a distribution.
+
+A scene goes through stages: geometry, time, mount, cast, surface, optics, range, detection, noise. Each effect of
+`sensorgraph.effects` changes one of them, so any subset composes. `Beams` are the result; `draw` samples readings
+from them (the simulator), and `sensorgraph.diagnose` asks how likely measured readings are (the same physics).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from logs.run import RangeSensor
+from planners.arena import Arena, Bools, Floats
+from sensorgraph.world.raycast import brute_force, cast_laser, directions, laser_poses
+
+Ints = NDArray[np.intp]
+STAGES = ("geometry", "time", "mount", "surface", "optics", "range", "detection", "noise")
+FAR = 1e4  # [m] nothing is farther; the sensor's own limits come later, as part of the reading
+DISC = -2  # `wall` of a hit on a disc; a mover's is one less
+
+
+class Transform(Protocol):
+    """One physical effect with its parameters, ready to be applied (see `sensorgraph.effects`)."""
+
+    @property
+    def stage(self) -> str:
+        """One of STAGES."""
+        ...
+
+    def __call__(self, scene: Scene) -> None:
+        """Change the scene in place."""
+        ...
+
+
+@dataclass(eq=False)
+class Beams:
+    """Every ray of every scan; arrays (n_scans, n_rays) unless said otherwise."""
+
+    ox: Floats
+    """(n_scans, 1) or (n_scans, n_rays) [m] origin in map."""
+    oy: Floats
+    ux: Floats
+    """Unit direction in map."""
+    uy: Floats
+    ranges: Floats
+    """[m] length of the straight path to what is hit; inf where nothing is."""
+    wall: Ints
+    """Index in `Scene.walls`; -1 nothing, DISC a round obstacle, below it a mover."""
+    nx: Floats
+    """Unit normal of what is hit, facing the ray (n . u <= 0); 0 where nothing is hit."""
+    ny: Floats
+    reading: Floats
+    """[m] expected value of a return."""
+    slope: Floats | float = 1.0
+    """d reading / d range."""
+    p_return: Floats | float = 1.0
+    """Chance that the ray returns at all, the sensor's limits aside."""
+    sigma: Floats | float = 0.01
+    """[m] standard deviation of a return."""
+    straight: Bools | None = None
+    """Where the reading follows from `ranges` by `slope`; None: everywhere."""
+
+    @property
+    def cosine(self) -> Floats:
+        """Cosine of the incidence, 1 = head-on; 0 where nothing is hit."""
+        return np.asarray(-(self.nx * self.ux + self.ny * self.uy))
+
+    @cached_property
+    def incidence(self) -> Floats:
+        """[rad] between ray and normal, 0 = head-on; nan where nothing is hit."""
+        hit = np.isfinite(self.ranges)
+        return np.where(hit, np.arccos(np.clip(self.cosine, -1.0, 1.0)), np.nan)
+
+    def along(self, walls: Floats) -> Floats:
+        """Return how far [m] from the first end of its wall each ray hits; nan off the walls."""
+        on = self.wall >= 0
+        a = walls[np.where(on, self.wall, 0), 0]
+        b = walls[np.where(on, self.wall, 0), 1]
+        with np.errstate(invalid="ignore"):
+            x, y = self.ox + self.ranges * self.ux - a[..., 0], self.oy + self.ranges * self.uy - a[..., 1]
+        d = b - a
+        length = np.maximum(np.hypot(d[..., 0], d[..., 1]), 1e-12)
+        return np.where(on, (x * d[..., 0] + y * d[..., 1]) / length, np.nan)
+
+    def bent(self) -> Bools:
+        """Return `straight`, made an array of its own to write in."""
+        if self.straight is None:
+            self.straight = np.ones(self.ranges.shape, dtype=np.bool_)
+        return self.straight
+
+
+@dataclass(eq=False)
+class Scene:
+    """Walls, sensor, and when and where each scan is taken; effects change it stage by stage."""
+
+    arena: Arena
+    sensor: RangeSensor
+    stamps: Floats
+    """(n_scans,) [s]"""
+    motion: Callable[[Floats], Floats]
+    """Times (...) [s] -> poses (..., 3) of base_link in map."""
+    span: float
+    """[s] length of the whole run; drifts are told relative to it."""
+    seed: int | None = None
+    """Given: things that move at random (people) are drawn; None: they are only a chance of a short reading."""
+    walls: Floats = field(init=False)
+    """(n_walls, 2, 2) [m]"""
+    discs: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    """(n_discs, 3) [m] x, y, radius of round obstacles."""
+    movers: Floats = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    """(n_scans, n_movers, 3) [m] round obstacles that move."""
+    mount: Floats = field(init=False)
+    """(3,) [m, m, rad] laser in base_link."""
+    bearings: Floats = field(init=False)
+    """(n_rays,) [rad]"""
+    delay: Floats = field(init=False)
+    """(n_rays,) [s] when each ray is taken, after the scan's stamp."""
+    surfaces: list[Callable[[Scene, Beams], None]] = field(default_factory=list)
+    """What walls do to rays that hit them."""
+    outliers: float = 0.0
+    """Share of readings that are uniform over (0, range_max)."""
+    shorts: float = 0.0
+    """Share of readings that stop before the expected range."""
+    lattice: float = 0.0
+    """[m] returns are multiples of this; 0: as the sensor's resolution."""
+    beams: Beams = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.walls = self.arena.walls.copy()
+        self.mount = self.sensor.mount.copy()
+        self.bearings = self.sensor.bearings
+        n = self.sensor.n_rays
+        self.delay = max(self.sensor.sweep_time, 0.0) * np.arange(n) / n
+
+    def shoot(self, offset: float = 0.0, *, bearings: Floats | None = None) -> Beams:
+        """Cast every ray, turned by `offset` [rad], at walls, discs and movers, and let the surfaces act."""
+        bearings = (self.bearings if bearings is None else bearings) + offset
+        delay = self.delay if len(bearings) == len(self.delay) else np.full(1, self.delay.mean())
+        if np.ptp(delay) == 0.0:
+            lasers = laser_poses(self.motion(self.stamps + delay[0]), self.mount)  # (n_scans, 3)
+            ux, uy = directions(lasers[:, 2], bearings)
+            ox, oy = lasers[:, :1], lasers[:, 1:2]
+            ranges, wall = cast_laser(self.walls, lasers, bearings, FAR)
+        else:
+            poses = self.motion(self.stamps[:, None] + delay)  # (n_scans, n_rays, 3)
+            lasers = laser_poses(poses.reshape(-1, 3), self.mount).reshape(poses.shape)
+            ox, oy, phi = lasers[..., 0], lasers[..., 1], lasers[..., 2] + bearings
+            ux, uy = np.cos(phi), np.sin(phi)
+            ranges, wall = each(self.walls, ox, oy, ux, uy)
+        beams = _beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma)
+        for centres, index in ((self.discs[None], DISC), (self.movers, DISC - 1)):
+            if centres.shape[1]:
+                _meet_discs(beams, centres, index)
+        for act in self.surfaces:
+            act(self, beams)
+        return beams
+
+    def run(self, effects: Iterable[Transform] = ()) -> Beams:
+        """Apply effects stage by stage, cast, and return the beams."""
+        ordered = sorted(effects, key=lambda effect: STAGES.index(effect.stage))
+        cast_after = STAGES.index("optics")
+        for effect in (e for e in ordered if STAGES.index(e.stage) < cast_after):
+            effect(self)
+        self.beams = self.shoot()
+        for effect in (e for e in ordered if STAGES.index(e.stage) >= cast_after):
+            effect(self)
+        return self.beams
+
+
+def each(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
+    """Cast rays that each have their own origin; return range [m] and wall (-1 none), shaped like `ux`."""
+    origins = np.stack(np.broadcast_arrays(ox, oy), axis=-1)
+    origins = np.broadcast_to(origins, (*ux.shape, 2)).reshape(-1, 2)
+    fx, fy = ux.ravel(), uy.ravel()
+    ranges, wall = np.full(len(fx), np.inf), np.full(len(fx), -1, dtype=np.intp)
+    step = max(1, 200_000 // max(len(walls), 1))
+    for start in range(0, len(fx), step):
+        part = slice(start, start + step)
+        ranges[part], wall[part] = brute_force(walls, origins[part], fx[part], fy[part])
+    return ranges.reshape(ux.shape), wall.reshape(ux.shape)
+
+
+def draw(scene: Scene, rng: np.random.Generator, *, loss: float = 0.0) -> Floats:
+    """Sample readings (n_scans, n_rays) [m] from a scene that has run: noise, lattice, limits (REP-117).
+
+    Parameters
+    ----------
+    loss : chance that any ray is lost, whatever it meets
+    """
+    beams, sensor = scene.beams, scene.sensor
+    shape = beams.reading.shape
+    hit = np.isfinite(beams.reading)
+    readings = np.where(hit, beams.reading + rng.normal(size=shape) * beams.sigma, beams.reading)
+    if scene.shorts:
+        short = rng.random(shape) < scene.shorts
+        top = np.minimum(np.where(hit, beams.reading, sensor.range_max), sensor.range_max)
+        readings = np.where(short, rng.random(shape) * top, readings)
+    lost = loss > 0 or not (np.isscalar(beams.p_return) and beams.p_return == 1.0)
+    if lost:
+        readings = np.where(rng.random(shape) < np.asarray(beams.p_return) * (1 - loss), readings, np.inf)
+    if scene.outliers:
+        stray = rng.random(shape) < scene.outliers
+        readings = np.where(stray, rng.random(shape) * sensor.range_max, readings)
+    return limited(readings, sensor, scene.lattice)
+
+
+def limited(readings: Floats, sensor: RangeSensor, lattice: float = 0.0) -> Floats:
+    """Round returns to the sensor's resolution and to a lattice [m]; beyond the limits is +inf or -inf."""
+    hit = np.isfinite(readings)
+    for step in (lattice, sensor.resolution):
+        if step > 0:
+            readings = np.round(readings / step) * step
+    readings = np.where(hit & (readings > sensor.range_max), np.inf, readings)
+    return np.where(hit & (readings < sensor.range_min), -np.inf, readings)
+
+
+def without(arena: Arena, walls: Bools) -> Arena:
+    """Return an arena that lacks some walls (bool (n_walls,)); its free space is left as it is."""
+    keep = np.flatnonzero(~walls)
+    return replace(
+        arena,
+        walls=arena.walls[keep],
+        names=tuple(arena.names[i] for i in keep),
+        surfaces=tuple(arena.surfaces[i] for i in keep),
+    )
+
+
+def fade(margin: Floats, width: Floats | float) -> Floats:
+    """Return a chance that goes from 0 to 1 where `margin` passes 0, over a few `width`s (a normal's integral)."""
+    return np.asarray(ndtr(np.asarray(margin) / width))
+
+
+def _beams(
+    walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats, ranges: Floats, wall: Ints, sigma: float
+) -> Beams:
+    """Add the normals of what is hit."""
+    if len(walls):
+        d = walls[:, 1] - walls[:, 0]
+        d = d / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)[:, None]
+        hit = wall >= 0
+        nx, ny = d[wall, 1] * hit, -d[wall, 0] * hit
+        flip = np.where(nx * ux + ny * uy > 0, -1.0, 1.0)
+        nx, ny = nx * flip, ny * flip
+    else:
+        nx, ny = np.zeros(ux.shape), np.zeros(ux.shape)
+    return Beams(
+        ox=ox, oy=oy, ux=ux, uy=uy, ranges=ranges, wall=wall, nx=nx, ny=ny, reading=ranges.copy(), sigma=sigma
+    )
+
+
+def _meet_discs(beams: Beams, discs: Floats, index: int) -> None:
+    """Stop rays at discs (n_scans or 1, n_discs, 3) that stand nearer than what they hit so far."""
+    for k in range(discs.shape[1]):
+        cx, cy, radius = (discs[:, k, i][:, None] for i in range(3))  # (n_scans or 1, 1)
+        x, y = cx - beams.ox, cy - beams.oy
+        ahead = x * beams.ux + y * beams.uy
+        aside2 = (x * beams.uy - y * beams.ux) ** 2
+        with np.errstate(invalid="ignore"):
+            r = ahead - np.sqrt(radius**2 - aside2)  # nan beside the disc
+        met = (r > 0) & (r < beams.ranges)
+        if not met.any():
+            continue
+        at = np.where(met, r, 0.0)
+        size = np.maximum(np.broadcast_to(radius, met.shape), 1e-9)
+        beams.nx = np.where(met, (beams.ox + at * beams.ux - cx) / size, beams.nx)
+        beams.ny = np.where(met, (beams.oy + at * beams.uy - cy) / size, beams.ny)
+        beams.ranges = np.where(met, r, beams.ranges)
+        beams.wall = np.where(met, index, beams.wall)
+    beams.reading = beams.ranges.copy()
