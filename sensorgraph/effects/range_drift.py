@@ -11,7 +11,8 @@ from sensorgraph.world.scene import Scene
 def transform(scene: Scene, a: Amendment) -> None:
     """Add a bias that grows with time."""
     tau = a.parameters.get("tau", 0.0)
-    share = 1 - np.exp(-scene.stamps / tau) if tau > 0 else scene.stamps / max(scene.span, 1e-9)
+    t = scene.stamps - scene.begin
+    share = 1 - np.exp(-t / tau) if tau > 0 else t / max(scene.span, 1e-9)
     scene.beams.reading = scene.beams.reading + a["b1"] * share[:, None]
 
 

@@ -8,6 +8,7 @@ from them (the simulator), and `sensorgraph.diagnose` asks how likely measured r
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
@@ -23,6 +24,7 @@ from sensorgraph.world.raycast import brute_force, cast_laser, directions, laser
 Ints = NDArray[np.intp]
 STAGES = ("geometry", "time", "mount", "surface", "optics", "range", "detection", "noise")
 FAR = 1e4  # [m] nothing is farther; the sensor's own limits come later, as part of the reading
+MOST_KEPT = 12  # casts in the memory of a scene
 DISC = -2  # `wall` of a hit on a disc; a mover's is one less
 
 
@@ -108,6 +110,10 @@ class Scene:
     """Times (...) [s] -> poses (..., 3) of base_link in map."""
     span: float
     """[s] length of the whole run; drifts are told relative to it."""
+    begin: float = 0.0
+    """[s] when the run starts."""
+    memo: dict[bytes, object] | None = None
+    """Casts are kept here and taken from here, where given."""
     seed: int | None = None
     """Given: things that move at random (people) are drawn; None: they are only a chance of a short reading."""
     walls: Floats = field(init=False)
@@ -141,6 +147,16 @@ class Scene:
 
     def shoot(self, offset: float = 0.0, *, bearings: Floats | None = None) -> Beams:
         """Cast every ray, turned by `offset` [rad], at walls, discs and movers, and let the surfaces act."""
+        key = b""
+        if self.memo is not None and bearings is None:
+            parts = (self.walls, self.mount, self.delay, self.discs, self.movers, np.float64(offset))
+            key = b"|".join(part.tobytes() for part in parts)
+            kept = self.memo.get(key)
+            if isinstance(kept, Beams):
+                beams = copy(kept)
+                for act in self.surfaces:
+                    act(self, beams)
+                return beams
         bearings = (self.bearings if bearings is None else bearings) + offset
         delay = self.delay if len(bearings) == len(self.delay) else np.full(1, self.delay.mean())
         if np.ptp(delay) == 0.0:
@@ -158,6 +174,10 @@ class Scene:
         for centres, index in ((self.discs[None], DISC), (self.movers, DISC - 1)):
             if centres.shape[1]:
                 _meet_discs(beams, centres, index)
+        if key and self.memo is not None:
+            if len(self.memo) >= MOST_KEPT:
+                self.memo.pop(next(iter(self.memo)))
+            self.memo[key] = copy(beams)
         for act in self.surfaces:
             act(self, beams)
         return beams
