@@ -1,0 +1,377 @@
+"""The robot: its file, its random errand through the room, its motors, wheels and pose reference."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import shapely
+import yaml
+
+from benchmarks.hidden_effects.world import Floats, Room
+
+STEP = 0.01
+"""[s] of the integrated truth."""
+PERIOD = 0.05
+"""[s] of commands and odometry."""
+CLEARANCE = 0.32
+"""[m] the errand keeps from walls."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotSpec:
+    """What robot.yaml says."""
+
+    mount: tuple[float, float, float] = (0.10, 0.0, 0.0)
+    n_rays: int = 91
+    fov: float = math.pi
+    range_min: float = 0.05
+    range_max: float = 8.0
+    sigma: float = 0.01
+    resolution: float = 0.001
+    rate: float = 10.0
+    sweep_time: float = 0.0
+    height: float = 0.30
+    pose_rate: float = 30.0
+    sigma_xy: float = 0.002
+    sigma_yaw: float = 0.0015
+    base: float = 0.40
+    sigma_v: float = 0.004
+    sigma_omega: float = 0.006
+    tau: float = 0.10
+    v: float = 0.4
+    omega: float = 1.0
+    a: float = 0.5
+    alpha: float = 2.0
+
+    @property
+    def bearings(self) -> Floats:
+        """(n_rays,) [rad]; a full turn leaves out its last end."""
+        if self.fov > 2 * math.pi - 1e-6:
+            return -math.pi + 2 * math.pi * np.arange(self.n_rays) / self.n_rays
+        return np.linspace(-self.fov / 2, self.fov / 2, self.n_rays)
+
+    def yaml(self) -> str:
+        """Return robot.yaml; tolerances stay at their defaults."""
+        return yaml.safe_dump(
+            {
+                "name": "radix",
+                "drive": "diff",
+                "footprint_radius": 0.20,
+                "limits": {
+                    "v": self.v,
+                    "omega": self.omega,
+                    "a": self.a,
+                    "alpha": self.alpha,
+                    "turning_radius": 0.0,
+                },
+                "sensor": {
+                    "mount": list(self.mount),
+                    "n_rays": self.n_rays,
+                    "fov": self.fov,
+                    "range_min": self.range_min,
+                    "range_max": self.range_max,
+                    "sigma": self.sigma,
+                    "resolution": self.resolution,
+                    "rate": self.rate,
+                    "sweep_time": self.sweep_time,
+                    "height": self.height,
+                },
+                "pose": {"rate": self.pose_rate, "sigma_xy": self.sigma_xy, "sigma_yaw": self.sigma_yaw},
+                "wheels": {
+                    "radius": 0.10,
+                    "base": self.base,
+                    "sigma_v": self.sigma_v,
+                    "sigma_omega": self.sigma_omega,
+                    "rate": 1 / PERIOD,
+                },
+                "actuators": {"tau": self.tau, "delay": 0.0},
+            },
+            sort_keys=False,
+        )
+
+
+def make_robot(rng: np.random.Generator) -> RobotSpec:
+    """Draw a robot: four of five are the default one, the others vary in a few ways."""
+    robot = RobotSpec() if rng.random() < 0.6 else RobotSpec(n_rays=181, rate=5.0)
+    if rng.random() < 0.8:
+        return robot
+    choices = {
+        "fov": {"fov": float(rng.choice([1.5 * math.pi, 2 * math.pi]))},
+        "sigma": {"sigma": round(float(rng.uniform(0.005, 0.02)), 4)},
+        "range_max": {"range_max": round(float(rng.uniform(5.0, 12.0)), 1)},
+        "mount": {
+            "mount": (
+                round(float(rng.uniform(-0.12, 0.15)), 3),
+                round(float(rng.uniform(-0.1, 0.1)), 3),
+                round(float(rng.uniform(-0.5, 0.5)), 3),
+            )
+        },
+        "backwards": {"mount": (-0.10, 0.0, math.pi)},
+        "sweep": {"sweep_time": 0.05},
+        "resolution": {"resolution": 0.0},
+        "height": {"height": round(float(rng.uniform(0.15, 0.4)), 2)},
+        "tau": {"tau": round(float(rng.uniform(0.05, 0.2)), 3)},
+    }
+    names = rng.choice(list(choices), size=int(rng.integers(1, 4)), replace=False)
+    changes: dict[str, object] = {}
+    for name in names:
+        changes |= choices[name]
+    return replace(robot, **changes)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Leg:
+    """One part of an errand: drive to a point, turn by an angle, or wait."""
+
+    kind: str
+    """goto | back | spin | pause"""
+    target: tuple[float, float] = (0.0, 0.0)
+    amount: float = 0.0
+    """spin: [rad], signed; pause: [s]; back: [m]"""
+    speed: float = 0.3
+    """goto, back: [m/s]; spin: [rad/s]"""
+    is_arc: bool = False
+    """Turn while driving rather than in place."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motors:
+    """What stands between command and wheel, and between wheel and body."""
+
+    tau: float
+    """[s] of the first-order motors."""
+    dead_time: float = 0.0
+    """[s]"""
+    v_max: float = math.inf
+    """[m/s] the wheels reach."""
+    slip: float = 0.0
+    """Relative loss of body motion inside `slip_patch`."""
+    slip_patch: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """x, y, r [m]"""
+    late_gain: tuple[float, float] = (math.inf, 1.0)
+    """After this time [s] the motors reach this share of the command."""
+    backlash: float = 0.0
+    """[rad/s] turn commands below this do nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Driven:
+    """What the robot truly did."""
+
+    stamps: Floats
+    """(n,) [s], every STEP."""
+    poses: Floats
+    """(n, 3) [m, m, rad] base_link in map, phi not wrapped."""
+    wheels: Floats
+    """(n, 2) [m/s, rad/s] as the wheels turn."""
+    cmd_stamps: Floats
+    commands: Floats
+    """(n_commands, 2) [m/s, rad/s] set points."""
+
+    def at(self, stamps: Floats) -> Floats:
+        """Interpolate poses (..., 3) at stamps (...) [s]."""
+        return np.stack([np.interp(stamps, self.stamps, column) for column in self.poses.T], axis=-1)
+
+    def travelled(self, stamps: Floats) -> Floats:
+        """Return way and turn of the wheels (n, 2) [m, rad] up to stamps (n,) [s]."""
+        total = np.concatenate(
+            [np.zeros((1, 2)), np.cumsum((self.wheels[1:] + self.wheels[:-1]) / 2 * STEP, axis=0)]
+        )
+        return np.stack([np.interp(stamps, self.stamps, column) for column in total.T], axis=-1)
+
+
+@dataclass(eq=False)
+class Errand:
+    """Legs drawn on demand, so that a trip fills any duration."""
+
+    room: Room
+    rng: np.random.Generator
+    tight: shapely.Geometry = field(init=False)
+    wide: shapely.Geometry = field(init=False)
+    seen: list[Floats] = field(default_factory=list)
+    queue: deque[Leg] = field(default_factory=deque)
+    direction: int = 1
+
+    def __post_init__(self) -> None:
+        free = self.room.free
+        self.tight, self.wide = _largest(free.buffer(-CLEARANCE)), _largest(free.buffer(-0.5))
+        shapely.prepare(self.tight)
+        shapely.prepare(self.wide)
+        self.direction = int(self.rng.choice([-1, 1]))
+
+    def start(self) -> Floats:
+        """Draw a first pose (3,)."""
+        return np.array([*self._points(1)[0], self.rng.uniform(-np.pi, np.pi)])
+
+    def _points(self, n: int) -> Floats:
+        x0, y0, x1, y1 = self.wide.bounds
+        found: list[Floats] = []
+        area = self.tight if self.rng.random() < 0.5 else self.wide
+        while len(found) < n:
+            points = self.rng.uniform((x0, y0), (x1, y1), size=(3 * n, 2))
+            found += list(points[shapely.contains_xy(area, points[:, 0], points[:, 1])])
+        return np.array(found[:n])
+
+    def next(self, pose: tuple[float, float, float]) -> Leg:
+        """Return the next leg for a robot at `pose`."""
+        if not self.queue:
+            self._plan(pose)
+        return self.queue.popleft()
+
+    def _plan(self, pose: tuple[float, float, float]) -> None:
+        rng, here = self.rng, np.array(pose[:2])
+        chance = rng.random()
+        if chance < 0.22:
+            self.direction = -self.direction
+            amount = self.direction * rng.uniform(0.8, 4.5)
+            self.queue.append(Leg(kind="spin", amount=amount, speed=float(rng.uniform(0.3, 1.0))))
+            return
+        if chance < 0.30:
+            self.queue.append(Leg(kind="pause", amount=float(rng.uniform(0.5, 2.0))))
+            return
+        if chance < 0.37:
+            way = rng.uniform(0.25, 0.8)
+            behind = here - way * np.array([math.cos(pose[2]), math.sin(pose[2])])
+            if self.tight.contains(shapely.LineString([here, behind])):
+                self.queue.append(Leg(kind="back", amount=float(way), speed=float(rng.uniform(0.1, 0.25))))
+                return
+        best, score = None, -np.inf
+        for point in self._points(16):
+            way = float(np.linalg.norm(point - here))
+            if way < 0.5 or not self.tight.contains(shapely.LineString([here, point])):
+                continue
+            new = min((float(np.linalg.norm(point - old)) for old in self.seen[-25:]), default=3.0)
+            value = min(way, 2.5) + 1.5 * min(new, 2.0) + rng.normal(0, 0.6)
+            if value > score:
+                best, score = point, value
+        if best is None:
+            # boxed in: turn, or leave by a short step
+            self.queue.append(
+                Leg(kind="spin", amount=float(rng.choice([-1, 1]) * rng.uniform(0.5, 2)), speed=0.6)
+            )
+            return
+        self.seen.append(best)
+        self.queue.append(
+            Leg(
+                kind="goto",
+                target=(float(best[0]), float(best[1])),
+                speed=float(rng.uniform(0.12, 0.4)),
+                is_arc=bool(rng.random() < 0.4 and self.wide.contains(shapely.LineString([here, best]))),
+            )
+        )
+
+
+def _largest(area: shapely.Geometry) -> shapely.Geometry:
+    parts = list(getattr(area, "geoms", [area]))
+    return max(parts, key=lambda part: part.area)
+
+
+@dataclass(eq=False)
+class Pilot:
+    """Turn legs into set points; looks at the true pose."""
+
+    errand: Errand
+    robot: RobotSpec
+    leg: Leg | None = None
+    until: float = 0.0
+    goal: float = 0.0
+    origin: tuple[float, float] = (0.0, 0.0)
+
+    def command(self, t: float, x: float, y: float, phi: float) -> tuple[float, float]:
+        """Return the wanted (v, omega); the caller limits its slope."""
+        for _ in range(4):
+            if self.leg is None:
+                self._begin(t, x, y, phi)
+            wanted = self._steer(t, x, y, phi)
+            if wanted is not None:
+                return wanted
+            self.leg = None
+        return 0.0, 0.0
+
+    def _begin(self, t: float, x: float, y: float, phi: float) -> None:
+        self.leg = self.errand.next((x, y, phi))
+        self.origin, self.goal = (x, y), phi + self.leg.amount
+        self.until = t + (self.leg.amount if self.leg.kind == "pause" else 30.0)
+
+    def _steer(self, t: float, x: float, y: float, phi: float) -> tuple[float, float] | None:
+        leg = self.leg
+        assert leg is not None
+        if t > self.until:
+            return None
+        if leg.kind == "pause":
+            return 0.0, 0.0
+        if leg.kind == "spin":
+            left = self.goal - phi
+            if left * math.copysign(1.0, leg.amount) < 0.08:
+                return None
+            return 0.0, math.copysign(min(leg.speed, 1.8 * abs(left)), left)
+        if leg.kind == "back":
+            left = leg.amount - math.hypot(x - self.origin[0], y - self.origin[1])
+            return None if left < 0.03 else (-min(leg.speed, 0.9 * left + 0.02), 0.0)
+        dx, dy = leg.target[0] - x, leg.target[1] - y
+        way = math.hypot(dx, dy)
+        if way < 0.07:
+            return None
+        turn = math.remainder(math.atan2(dy, dx) - phi, 2 * math.pi)
+        omega = max(-self.robot.omega, min(self.robot.omega, 1.7 * turn))
+        if abs(turn) > (1.1 if leg.is_arc else 0.25):
+            return 0.0, omega
+        return min(leg.speed, 0.8 * way + 0.03) * max(0.2, math.cos(turn)) ** 2, omega
+
+
+def drive(errand: Errand, robot: RobotSpec, motors: Motors, duration: float) -> Driven:
+    """Integrate the robot for `duration` [s]; control every PERIOD, truth every STEP."""
+    pilot = Pilot(errand=errand, robot=robot)
+    x, y, phi = (float(value) for value in errand.start())
+    substeps = round(PERIOD / STEP)
+    n_commands = round(duration / PERIOD)
+    keep = math.exp(-STEP / motors.tau)
+    v = omega = u = w = 0.0
+    commands: list[tuple[float, float]] = []
+    rows = [(x, y, phi, 0.0, 0.0)]
+    px, py, pr = motors.slip_patch
+    for k in range(n_commands):
+        want_v, want_w = pilot.command(k * PERIOD, x, y, phi)
+        if k > n_commands - 20:
+            want_v = want_w = 0.0
+        u += max(-robot.a * PERIOD, min(robot.a * PERIOD, max(-robot.v, min(robot.v, want_v)) - u))
+        w += max(
+            -robot.alpha * PERIOD, min(robot.alpha * PERIOD, max(-robot.omega, min(robot.omega, want_w)) - w)
+        )
+        commands.append((u, w))
+        for j in range(substeps):
+            t = k * PERIOD + (j + 0.5) * STEP
+            old = math.floor((t - motors.dead_time) / PERIOD)
+            cu, cw = commands[old] if old >= 0 else (0.0, 0.0)
+            cu = max(-motors.v_max, min(motors.v_max, cu))
+            if motors.backlash and abs(cw) < motors.backlash:
+                cw = 0.0
+            if t > motors.late_gain[0]:
+                cu, cw = cu * motors.late_gain[1], cw * motors.late_gain[1]
+            v1, w1 = cu + (v - cu) * keep, cw + (omega - cw) * keep
+            grip = 1.0 - motors.slip if motors.slip and math.hypot(x - px, y - py) < pr else 1.0
+            mean_v, mean_w = (v + v1) / 2 * grip, (omega + w1) / 2 * grip
+            middle = phi + mean_w * STEP / 2
+            x, y, phi = (
+                x + mean_v * STEP * math.cos(middle),
+                y + mean_v * STEP * math.sin(middle),
+                phi + mean_w * STEP,
+            )
+            v, omega = v1, w1
+            rows.append((x, y, phi, v, omega))
+    table = np.array(rows)
+    return Driven(
+        stamps=np.arange(len(rows)) * STEP,
+        poses=table[:, :3],
+        wheels=table[:, 3:],
+        cmd_stamps=np.arange(n_commands) * PERIOD,
+        commands=np.array(commands),
+    )
+
+
+def wrap(angle: Floats) -> Floats:
+    """Return angles in (-pi, pi]."""
+    return np.pi - (np.pi - angle) % (2 * np.pi)

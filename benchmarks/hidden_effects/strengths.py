@@ -1,0 +1,406 @@
+"""How big a hidden effect is and where it sits: drawn from a seed, at a strength from 0 (below materiality) to 1."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from benchmarks.hidden_effects.physics import Effect
+from benchmarks.hidden_effects.robot import Driven, RobotSpec, _largest
+from benchmarks.hidden_effects.world import ARENA, Floats, Hits, Room
+
+DEG = math.pi / 180
+MATERIALITY = {
+    "range_bias": 0.005,
+    "range_scale": 0.002,
+    "range_noise": 0.0025,
+    "sector_bias": 0.006,
+    "mount_yaw": 0.1 * DEG,
+    "mount_xy": 0.005,
+    "latency": 0.005,
+    "scan_skew": 0.010,
+    "mixed_pixels": 0.12 * DEG,
+    "unmapped_obstacle": 0.02,
+    "moved_obstacle": 0.010,
+    "moved_wall": 0.010,
+    "map_scale": 0.002,
+    "people": 0.002,
+    "range_drift": 0.006,
+    "random_outliers": 0.002,
+    "wheel_radius": 0.005,
+    "wheel_radius_diff": 0.003,
+    "wheel_base": 0.006,
+    "wheel_slip": 0.05,
+    "actuator_lag": 0.015,
+    "dead_time": 0.020,
+    "speed_saturation": 0.02,
+}
+"""In the unit of the parameter. The other effects have no size, only a mark."""
+LARGEST = {
+    "unmapped_obstacle": 12.0,
+    "moved_obstacle": 15.0,
+    "random_outliers": 20.0,
+    "sector_bias": 8.0,
+    "wheel_slip": 9.0,
+    "mixed_pixels": 10.0,
+}
+"""Largest size over materiality where it is not 10."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Context:
+    """What there is to hide an effect in."""
+
+    room: Room
+    robot: RobotSpec
+    driven: Driven
+    """The trip without any effect."""
+    hits: Hits
+    """What the laser would see on it (some of the scans)."""
+    wall_names: tuple[str, ...]
+
+    def share(self, name: str) -> float:
+        """Return the share of rays that end on a wall or on any wall of an obstacle."""
+        on = [i for i, wall in enumerate(self.wall_names) if wall == name or wall.startswith(name + "/")]
+        return float(np.isin(self.hits.wall, on).mean())
+
+    def pick_wall(self, rng: np.random.Generator, *, least: float = 0.04) -> str:
+        """Draw a well seen outer wall."""
+        walls = [wall for wall in self.wall_names if wall.startswith(ARENA + "/")]
+        shares = np.array([self.share(wall) for wall in walls])
+        good = shares >= min(least, shares.max())
+        return str(rng.choice(np.array(walls)[good]))
+
+    def pick_obstacle(self, rng: np.random.Generator) -> str:
+        """Draw a well seen obstacle."""
+        names = [name for name in self.room.rings if name != ARENA]
+        shares = np.array([self.share(name) for name in names])
+        good = shares >= min(0.015, shares.max())
+        return str(rng.choice(np.array(names)[good]))
+
+    def quantile(self, what: Floats, q: float) -> float:
+        """Return a quantile over the rays that hit."""
+        return float(np.quantile(what[np.isfinite(self.hits.ranges)], q))
+
+
+def size_of(name: str, strength: float) -> float:
+    """Return the size in the parameter's unit: from half the materiality, geometrically, to ten times it."""
+    return MATERIALITY[name] * 0.5 * (LARGEST.get(name, 10.0) / 0.5) ** strength
+
+
+def ratio_of(effect: Effect, context: Context) -> float | None:
+    """Return true size over materiality, None for effects without a size (and for people: known from the mark)."""
+    p = effect.parameters
+    if effect.name not in MATERIALITY or effect.name == "people":
+        return None
+    if effect.name in ("mount_xy", "moved_obstacle"):
+        size = math.hypot(float(p["dx"] or 0), float(p["dy"] or 0))
+    elif effect.name == "speed_saturation":
+        size = float(np.abs(context.driven.commands[:, 0]).max()) - float(p["v_max"] or 0)
+    else:
+        key = {
+            "sector_bias": "b",
+            "range_bias": "b",
+            "range_noise": "k",
+            "range_drift": "b1",
+            "mount_yaw": "delta",
+            "latency": "tau",
+            "scan_skew": "T",
+            "mixed_pixels": "gamma",
+            "unmapped_obstacle": "r",
+            "moved_wall": "d",
+            "random_outliers": "p",
+            "actuator_lag": "tau",
+            "dead_time": "L",
+        }.get(effect.name, "s")
+        size = abs(float(p[key] or 0))
+    return size / MATERIALITY[effect.name]
+
+
+Draw = Callable[[Context, float, np.random.Generator], Effect]
+
+
+def draw(name: str, strength: float, context: Context, rng: np.random.Generator) -> Effect:
+    """Draw one library effect at a strength in 0...1."""
+    return DRAWS[name](context, strength, rng)
+
+
+def _signed(name: str, key: str, *, negative: float = 0.5) -> Draw:
+    def one(context: Context, u: float, rng: np.random.Generator) -> Effect:
+        sign = -1.0 if rng.random() < negative else 1.0
+        return Effect(name=name, parameters={key: sign * size_of(name, u)})
+
+    return one
+
+
+def _direction(name: str, context: Context, u: float, rng: np.random.Generator) -> dict[str, float | None]:
+    size, angle = size_of(name, u), rng.uniform(-np.pi, np.pi)
+    return {"dx": size * math.cos(angle), "dy": size * math.sin(angle)}
+
+
+def _sector(context: Context, width: float, rng: np.random.Generator) -> tuple[float, float]:
+    lowest, highest = context.robot.bearings[0], context.robot.bearings[-1]
+    first = rng.uniform(lowest, max(lowest + 1e-6, highest - width))
+    return float(first), float(first + width)
+
+
+def _sector_bias(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    theta1, theta2 = _sector(context, rng.uniform(15, 50) * DEG, rng)
+    b = float(rng.choice([-1, 1])) * size_of("sector_bias", u)
+    return Effect(name="sector_bias", parameters={"theta1": theta1, "theta2": theta2, "b": b})
+
+
+def _self_occlusion(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    step = float(np.diff(context.robot.bearings[:2])[0])
+    theta1, theta2 = _sector(context, max(1.2 * step, (1 + 14 * u) * DEG), rng)
+    r0 = float(rng.uniform(context.robot.range_min + 0.03, 0.35))
+    return Effect(name="self_occlusion", parameters={"r0": r0, "theta1": theta1, "theta2": theta2})
+
+
+def _wall_part(
+    context: Context, u: float, rng: np.random.Generator
+) -> tuple[str, float, float, tuple[float, float]]:
+    """Draw a part of a well seen wall: its name, both ends [m] from the first vertex, its middle."""
+    wall = context.pick_wall(rng)
+    p, q = context.room.edge(wall)
+    length = float(np.linalg.norm(q - p))
+    seen = context.hits.along[
+        np.isin(context.hits.wall, [i for i, w in enumerate(context.wall_names) if w == wall])
+    ]
+    half = min(length / 2, 0.5 * rng.uniform(0.4 + 0.4 * u, 0.8 + 1.4 * u))
+    middle = float(np.clip(rng.choice(seen) if len(seen) else length / 2, half, length - half))
+    at = p + middle * (q - p) / length
+    return wall, middle - half, middle + half, (float(at[0]), float(at[1]))
+
+
+def _glass(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    wall, a, b, xy = _wall_part(context, u, rng)
+    depth = None if rng.random() < 0.3 else float(rng.uniform(0.3, 3.0))
+    alpha = float(rng.uniform(4, 30 - 15 * u)) * DEG
+    return Effect(
+        name="glass", parameters={"a": a, "b": b, "alpha_ret": alpha, "depth": depth}, place=wall, xy=xy
+    )
+
+
+def _mirror(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    wall, a, b, xy = _wall_part(context, u, rng)
+    return Effect(name="mirror", parameters={"a": a, "b": b}, place=wall, xy=xy)
+
+
+def _black(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    wall, a, b, xy = _wall_part(context, u, rng)
+    r0 = float(rng.uniform(0.5, 1.0 + 2.0 * (1 - u)))
+    return Effect(name="black_surface", parameters={"a": a, "b": b, "r0": r0}, place=wall, xy=xy)
+
+
+def _incidence(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    loss = 0.008 * 30**u * rng.uniform(0.8, 1.25)
+    return Effect(
+        name="incidence_dropout", parameters={"alpha_max": context.quantile(context.hits.incidence, 1 - loss)}
+    )
+
+
+def _max_range(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    loss = 0.008 * 50**u * rng.uniform(0.8, 1.2)
+    inside = min(context.quantile(context.hits.ranges, 1 - loss), 0.98 * context.robot.range_max)
+    return Effect(name="max_range", parameters={"R": inside})
+
+
+def _min_range(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    loss = 0.008 * 20**u * rng.uniform(0.8, 1.2)
+    r_min = max(context.quantile(context.hits.ranges, loss), context.robot.range_min + 0.05)
+    return Effect(
+        name="min_range", parameters={"r_min": r_min}, extra={"reads": float(rng.choice([-np.inf, np.inf]))}
+    )
+
+
+def _quantisation(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    return Effect(name="quantisation", parameters={"q": round(0.004 * 25**u, 3)})
+
+
+def _unmapped(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    r = size_of("unmapped_obstacle", u)
+    way = shapely.LineString(context.driven.poses[::20, :2])
+    free = context.room.free.buffer(-r - 0.05)
+    x0, y0, x1, y1 = free.bounds
+    best, far = np.zeros(2), -1.0
+    for point in rng.uniform((x0, y0), (x1, y1), size=(300, 2)):
+        spot = shapely.Point(point)
+        if not free.contains(spot):
+            continue
+        away = spot.distance(way)
+        if away > r + 0.22:
+            best = point
+            break
+        if away > far:
+            best, far = point, away
+    x, y = float(best[0]), float(best[1])
+    return Effect(name="unmapped_obstacle", parameters={"x": x, "y": y, "r": r}, xy=(x, y))
+
+
+def _moved_obstacle(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    name = context.pick_obstacle(rng)
+    xy = tuple(map(float, shapely.Polygon(context.room.rings[name]).centroid.coords[0]))
+    shift = _direction("moved_obstacle", context, u, rng)
+    return Effect(name="moved_obstacle", parameters=shift, place=name, xy=(xy[0], xy[1]))
+
+
+def _missing_obstacle(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    name = context.pick_obstacle(rng)
+    xy = tuple(map(float, shapely.Polygon(context.room.rings[name]).centroid.coords[0]))
+    return Effect(name="missing_obstacle", parameters={}, place=name, xy=(xy[0], xy[1]))
+
+
+def _moved_wall(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    wall = context.pick_wall(rng)
+    a, b = context.room.edge(wall)
+    d = float(rng.choice([-1, 1])) * size_of("moved_wall", u)
+    return Effect(name="moved_wall", parameters={"d": d}, place=wall, xy=tuple(map(float, (a + b) / 2)))
+
+
+def _people(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    """Persons as bodies or pairs of legs that walk between random places for part of the run."""
+    whole = float(context.driven.stamps[-1])
+    free = _largest(context.room.free.buffer(-0.3))
+    walkers: list[tuple[Floats, Floats, float]] = []
+    for _ in range(1 + int(2.99 * u * rng.random())):
+        stay = whole * min(1.0, 0.04 * 20**u * rng.uniform(0.7, 1.4))
+        enter = rng.uniform(0, max(whole - stay, 1e-3))
+        stamps, centres = _walk(free, enter, enter + stay, rng)
+        gone = np.array([[1e4, 1e4]])
+        fine = np.arange(enter, enter + stay, 0.05)
+        at = np.stack([np.interp(fine, stamps, column) for column in centres.T], axis=1)
+        ends = np.array([enter - 1e-3]), np.array([fine[-1] + 1e-3])
+        times = np.concatenate([ends[0], fine, ends[1]])
+        if rng.random() < 0.5:
+            walkers.append((times, np.concatenate([gone, at, gone]), float(rng.uniform(0.15, 0.25))))
+            continue
+        along = np.gradient(at, axis=0)
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
+        aside = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        swing = 0.18 * np.sin(2 * np.pi * 0.9 * fine)[:, None]
+        radius = float(rng.uniform(0.05, 0.08))
+        for side in (-1, 1):
+            leg = at + side * (0.11 * aside + swing * along)
+            walkers.append((times, np.concatenate([gone, leg, gone]), radius))
+    return Effect(name="people", parameters={"p": None}, extra={"walkers": walkers})
+
+
+def _walk(
+    free: shapely.Geometry, start: float, stop: float, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    x0, y0, x1, y1 = free.bounds
+    shapely.prepare(free)
+
+    def spot() -> Floats:
+        while True:
+            points = rng.uniform((x0, y0), (x1, y1), size=(8, 2))
+            inside = points[shapely.contains_xy(free, points[:, 0], points[:, 1])]
+            if len(inside):
+                return np.asarray(inside[0])
+
+    t, here = start, spot()
+    stamps, centres = [t], [here]
+    while t < stop:
+        there = spot()
+        for _ in range(20):
+            if free.contains(shapely.LineString([here, there])):
+                break
+            there = spot()
+        t += max(0.3, float(np.linalg.norm(there - here))) / rng.uniform(0.3, 1.2)
+        stamps.append(t)
+        centres.append(there)
+        here = there
+    return np.array(stamps), np.array(centres)
+
+
+def _range_drift(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    b1 = float(rng.choice([-1, 1])) * size_of("range_drift", u)
+    values: dict[str, float | None] = {"b1": b1}
+    if rng.random() < 0.4:
+        values["tau"] = float(rng.uniform(8, 30))
+    return Effect(name="range_drift", parameters=values)
+
+
+def _sonar(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    gamma = (7 + 12 * u) * DEG * rng.uniform(0.9, 1.1)
+    return Effect(
+        name="sonar_cone", parameters={"gamma": float(gamma), "alpha_max": float(rng.uniform(15, 45)) * DEG}
+    )
+
+
+def _tilt(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    far = context.quantile(context.hits.ranges, 0.97 - 0.35 * u)
+    beta = math.atan(context.robot.height / far) * rng.uniform(1.0, 1.15)
+    inside = context.robot.bearings
+    theta0 = float(rng.uniform(0.6 * inside[0], 0.6 * inside[-1]))
+    return Effect(name="tilt", parameters={"beta": float(beta), "theta0": theta0})
+
+
+def _slip(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    r = float(rng.uniform(0.45, 0.9))
+    spots = context.driven.poses[:: max(1, len(context.driven.poses) // 200), :2]
+    moving = np.abs(context.driven.wheels[:, 0]) > 0.08
+    track = context.driven.poses[moving, :2][::10]
+    visits = np.array([(np.hypot(*(track - spot).T) < r).sum() for spot in spots])
+    spot = rng.choice(spots[visits >= np.quantile(visits, 0.6)])
+    x, y = float(spot[0]), float(spot[1])
+    s = size_of("wheel_slip", u)
+    return Effect(name="wheel_slip", parameters={"s": s, "x": x, "y": y, "r": r}, xy=(x, y))
+
+
+def _saturation(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    fastest = float(np.abs(context.driven.commands[:, 0]).max())
+    return Effect(name="speed_saturation", parameters={"v_max": fastest - size_of("speed_saturation", u)})
+
+
+def _clock_offset(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    sign = -1.0 if rng.random() < 0.2 else 1.0
+    return Effect(name="pose_clock_offset", parameters={"tau": sign * 0.015 * 20**u})
+
+
+def _mount_xy(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    return Effect(name="mount_xy", parameters=_direction("mount_xy", context, u, rng))
+
+
+DRAWS: dict[str, Draw] = {
+    "range_bias": _signed("range_bias", "b"),
+    "range_scale": _signed("range_scale", "s"),
+    "range_noise": _signed("range_noise", "k", negative=0),
+    "sector_bias": _sector_bias,
+    "mount_yaw": _signed("mount_yaw", "delta"),
+    "mount_xy": _mount_xy,
+    "latency": _signed("latency", "tau", negative=0),
+    "scan_skew": _signed("scan_skew", "T", negative=0),
+    "mixed_pixels": _signed("mixed_pixels", "gamma", negative=0),
+    "glass": _glass,
+    "mirror": _mirror,
+    "black_surface": _black,
+    "incidence_dropout": _incidence,
+    "max_range": _max_range,
+    "min_range": _min_range,
+    "quantisation": _quantisation,
+    "unmapped_obstacle": _unmapped,
+    "moved_obstacle": _moved_obstacle,
+    "missing_obstacle": _missing_obstacle,
+    "moved_wall": _moved_wall,
+    "map_scale": _signed("map_scale", "s"),
+    "people": _people,
+    "range_drift": _range_drift,
+    "sonar_cone": _sonar,
+    "self_occlusion": _self_occlusion,
+    "tilt": _tilt,
+    "random_outliers": _signed("random_outliers", "p", negative=0),
+    "wheel_radius": _signed("wheel_radius", "s"),
+    "wheel_radius_diff": _signed("wheel_radius_diff", "s"),
+    "wheel_base": _signed("wheel_base", "s"),
+    "wheel_slip": _slip,
+    "pose_clock_offset": _clock_offset,
+    "actuator_lag": _signed("actuator_lag", "tau", negative=0),
+    "dead_time": _signed("dead_time", "L", negative=0),
+    "speed_saturation": _saturation,
+}
