@@ -19,7 +19,8 @@ def transform(scene: Scene, a: Amendment) -> None:
 def absorb(scene: Scene, beams: Beams, *, a: Amendment) -> None:
     """Lower the chance of a return on the black part."""
     on = part_of_wall(scene, beams, a)
-    chance = np.minimum(1.0, beams.cosine * (a["r0"] / np.maximum(beams.ranges, 1e-6)) ** 2)
+    near = min(a["r0"], 1e6) / np.maximum(beams.ranges, 1e-6)
+    chance = np.minimum(1.0, beams.cosine * near**2)
     beams.p_return = np.where(on, chance, 1.0) * beams.p_return
 
 

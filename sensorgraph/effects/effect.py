@@ -95,6 +95,11 @@ class Amendment:
         return self.effect.stage
 
     @property
+    def key(self) -> tuple[object, ...]:
+        """What amendments of one stage are sorted by."""
+        return (self.name, self.place, *sorted(self.parameters.items()))
+
+    @property
     def place(self) -> str:
         """The name of the wall or obstacle it sits on; empty where it has none."""
         return self.location.name if self.location is not None else ""

@@ -8,7 +8,7 @@ import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
 from sensorgraph.effects.places import part_of_wall, seen_without
-from sensorgraph.world.scene import Beams, Scene
+from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -52,9 +52,9 @@ GLASS = Effect(
             name="alpha_ret",
             unit="rad",
             doc="the pane returns below this incidence",
-            neutral=1.5707963,
+            neutral=RIGHT_ANGLE,
             low=0.0,
-            high=1.5707963,
+            high=RIGHT_ANGLE,
         ),
         Parameter(
             name="depth",

@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
-from sensorgraph.world.scene import Scene, fade
+from sensorgraph.world.scene import RIGHT_ANGLE, Scene, fade
 
 BLUR = 0.003  # [rad] over which it sets in
 
 
 def transform(scene: Scene, a: Amendment) -> None:
     """Lose slanting rays."""
+    if a["alpha_max"] >= RIGHT_ANGLE:
+        return
     beams = scene.beams
     slack = np.where(np.isfinite(beams.ranges), a["alpha_max"] - beams.incidence, 1.0)
     beams.p_return = fade(slack, BLUR) * beams.p_return
@@ -34,9 +36,9 @@ INCIDENCE_DROPOUT = Effect(
             name="alpha_max",
             unit="rad",
             doc="largest incidence that returns",
-            neutral=1.5707963,
+            neutral=RIGHT_ANGLE,
             low=0.0,
-            high=1.5707963,
+            high=RIGHT_ANGLE,
         ),
     ),
     transform=transform,

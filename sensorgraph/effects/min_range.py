@@ -8,6 +8,8 @@ from sensorgraph.world.scene import Scene, fade
 
 def transform(scene: Scene, a: Amendment) -> None:
     """Lose near rays."""
+    if a["r_min"] <= 0:
+        return
     beams = scene.beams
     beams.p_return = fade(beams.reading - a["r_min"], scene.sensor.sigma + 1e-4) * beams.p_return
 

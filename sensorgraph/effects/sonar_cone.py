@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
-from sensorgraph.world.scene import Scene
+from sensorgraph.world.scene import RIGHT_ANGLE, Scene
 
 RAY = np.radians(1.5)  # [rad] between the rays that fill the cone
 
@@ -16,8 +16,8 @@ def transform(scene: Scene, a: Amendment) -> None:
     beams = scene.beams
     n_side = max(int(np.ceil(gamma / RAY)), 1) if gamma > 0 else 0
     best = np.full(beams.ranges.shape, np.inf)
-    alpha = a["alpha_max"]
-    for share in np.linspace(-1.0, 1.0, 2 * n_side + 1):
+    alpha = a["alpha_max"] if a["alpha_max"] < RIGHT_ANGLE else np.inf
+    for share in np.arange(-n_side, n_side + 1) / max(n_side, 1):
         part = scene.shoot(gamma * share) if share else beams
         with np.errstate(invalid="ignore"):
             seen = part.incidence <= alpha
@@ -45,9 +45,9 @@ SONAR_CONE = Effect(
             name="alpha_max",
             unit="rad",
             doc="largest incidence that returns",
-            neutral=1.5707963,
+            neutral=RIGHT_ANGLE,
             low=0.0,
-            high=1.5707963,
+            high=RIGHT_ANGLE,
         ),
     ),
     transform=transform,

@@ -25,6 +25,7 @@ Ints = NDArray[np.intp]
 STAGES = ("geometry", "time", "mount", "surface", "optics", "range", "detection", "noise")
 FAR = 1e4  # [m] nothing is farther; the sensor's own limits come later, as part of the reading
 MOST_KEPT = 12  # casts in the memory of a scene
+RIGHT_ANGLE = 1.5707963  # [rad] an effect that begins at this incidence begins nowhere
 DISC = -2  # `wall` of a hit on a disc; a mover's is one less
 
 
@@ -34,6 +35,11 @@ class Transform(Protocol):
     @property
     def stage(self) -> str:
         """One of STAGES."""
+        ...
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """In this order those of one stage act, so that it does not matter in which order they are given."""
         ...
 
     def __call__(self, scene: Scene) -> None:
@@ -184,7 +190,7 @@ class Scene:
 
     def run(self, effects: Iterable[Transform] = ()) -> Beams:
         """Apply effects stage by stage, cast, and return the beams."""
-        ordered = sorted(effects, key=lambda effect: STAGES.index(effect.stage))
+        ordered = sorted(effects, key=lambda effect: (STAGES.index(effect.stage), effect.key))
         cast_after = STAGES.index("optics")
         for effect in (e for e in ordered if STAGES.index(e.stage) < cast_after):
             effect(self)
@@ -222,8 +228,7 @@ def draw(scene: Scene, rng: np.random.Generator, *, loss: float = 0.0) -> Floats
         short = rng.random(shape) < scene.shorts
         top = np.minimum(np.where(hit, beams.reading, sensor.range_max), sensor.range_max)
         readings = np.where(short, rng.random(shape) * top, readings)
-    lost = loss > 0 or not (np.isscalar(beams.p_return) and beams.p_return == 1.0)
-    if lost:
+    if loss > 0 or (np.asarray(beams.p_return) < 1.0).any():
         readings = np.where(rng.random(shape) < np.asarray(beams.p_return) * (1 - loss), readings, np.inf)
     if scene.outliers:
         stray = rng.random(shape) < scene.outliers
