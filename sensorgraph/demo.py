@@ -27,7 +27,8 @@ from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot_file import RobotFile
-from sensorgraph.world.simulate import EPOCH_NS, measure, occupancy, simulate
+from sensorgraph.world.scene import limited
+from sensorgraph.world.simulate import EPOCH_NS, occupancy, simulate
 
 Progress = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
 N_CHECK = 1000
@@ -75,7 +76,8 @@ def check_run(arena: Arena, robot: RobotFile, rng: np.random.Generator, n: int =
         poses = np.concatenate([poses, some[free & arena.contains(some[:, :2])]])
     poses = poses[:n]
     stamps: Floats = np.arange(n) / robot.sensor.rate
-    ranges = measure(cast(arena, poses, robot.sensor).ranges, robot.sensor, rng)
+    noise = rng.normal(size=(n, robot.sensor.n_rays)) * robot.sensor.sigma
+    ranges = limited(cast(arena, poses, robot.sensor).ranges + noise, robot.sensor)
     return Run(
         sensor=robot.sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses, epoch_ns=EPOCH_NS,
         meta={"source": "check.mcap", "simulated": "true"},

@@ -13,7 +13,8 @@ from planners.trajectory import Trajectory
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import STEP, Driven, follow, odometry, replay
 from sensorgraph.world.robot_file import Actuators, PoseReference, RobotFile, Wheels, default
-from sensorgraph.world.simulate import measure, perceive, scan_stamps, simulate
+from sensorgraph.world.scene import Scene, limited
+from sensorgraph.world.simulate import scan_stamps, simulate
 
 
 def nowhere_near(x: float, y: float) -> float:
@@ -158,7 +159,7 @@ def test_noise_of_scans_and_poses_is_as_stated(room: Arena) -> None:
 def test_readings_beyond_the_limits_become_infinite() -> None:
     sensor = RangeSensor(bearings=np.array([0.0, 1.0, 2.0, 3.0]), range_min=0.5, range_max=2.0, sigma=0.0)
     ideal = np.array([[0.4, 1.0, 2.1, np.inf]])
-    assert measure(ideal, sensor, np.random.default_rng(0)).tolist() == [[-np.inf, 1.0, np.inf, np.inf]]
+    assert limited(ideal, sensor).tolist() == [[-np.inf, 1.0, np.inf, np.inf]]
 
 
 def test_a_sweep_takes_every_ray_from_where_the_robot_then_is(room: Arena) -> None:
@@ -169,8 +170,12 @@ def test_a_sweep_takes_every_ray_from_where_the_robot_then_is(room: Arena) -> No
     sensor = RangeSensor(bearings=np.linspace(-1.5, 1.5, 31), sweep_time=0.2, mount=np.array([0.1, 0.0, 0.2]))
     stamps = scan_stamps(driven, sensor)
     assert stamps[-1] + sensor.sweep_time <= 2.0 + 1e-9
-    swept = perceive(driven, room, sensor, stamps)
+
+    def ideal(sensor: RangeSensor, stamps: Floats) -> Floats:
+        return Scene(arena=room, sensor=sensor, stamps=stamps, motion=driven.at, span=2.0).run().ranges
+
+    swept = ideal(sensor, stamps)
     for ray in (0, 7, 30):
         late: Floats = stamps + 0.2 * ray / 31
-        at_its_time = perceive(driven, room, replace(sensor, sweep_time=0.0), late)
-        np.testing.assert_allclose(swept.ranges[:, ray], at_its_time.ranges[:, ray], rtol=0, atol=1e-9)
+        at_its_time = ideal(replace(sensor, sweep_time=0.0), late)
+        np.testing.assert_allclose(swept[:, ray], at_its_time[:, ray], rtol=0, atol=1e-9)

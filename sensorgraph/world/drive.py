@@ -2,7 +2,9 @@
 
 The controller is Kanayama's tracking law on the noisy reference pose, its feed-forward shifted by the lag and
 the dead time of the motors (Kanayama, Kimura, Miyazaki and Noguchi 1990, eq. 6). The motors are first-order
-behind a dead time, with limited acceleration; the body stops at walls while the wheels go on turning.
+behind a dead time, with limited acceleration; the body stops at walls, and lags on slippery floor, while the
+wheels go on turning. A `Machine` says what motors, wheels and floor really are; the controller knows only
+robot.yaml.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import numpy as np
 
 from planners.arena import Floats, wrap
 from planners.trajectory import Trajectory
+from sensorgraph.world.machine import Machine
 from sensorgraph.world.robot_file import RobotFile
 
 STEP = 0.01  # [s] of the simulated truth
@@ -33,7 +36,7 @@ class Driven:
     poses: Floats
     """(n, 3) [m, m, rad] true base_link in map, phi not wrapped."""
     twists: Floats
-    """(n, 2) [m/s, rad/s] of the wheels (the body too, unless it is held by a wall)."""
+    """(n, 2) [m/s, rad/s] of the wheels (the body too, unless a wall holds it or the floor is slippery)."""
     cmd_stamps: Floats
     """(n_commands,) [s]"""
     commands: Floats
@@ -52,9 +55,10 @@ def follow(
     *,
     clearance: Clearance,
     rng: np.random.Generator,
+    machine: Machine | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Driven:
-    """Drive along a trajectory, steering by the noisy reference pose."""
+    """Drive along a trajectory, steering by the noisy reference pose; `machine`: as in robot.yaml if not given."""
     duration = trajectory.duration + SETTLE
     period = 1.0 / robot.wheels.rate
     n = _n_commands(duration, robot)
@@ -77,7 +81,8 @@ def follow(
         return v, omega_r + GAIN_Y * v_r * aside + GAIN_PHI * math.sin(turn)
 
     start = trajectory.poses[0]
-    return _drive(start, duration, command, robot, clearance=clearance, progress=progress)
+    machine = machine or Machine.of(robot)
+    return _drive(start, duration, command, robot, machine, clearance=clearance, progress=progress)
 
 
 def replay(
@@ -87,6 +92,7 @@ def replay(
     robot: RobotFile,
     *,
     clearance: Clearance,
+    machine: Machine | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Driven:
     """Drive open loop by recorded commands (n, 2), each held until the next, from `start` (3,)."""
@@ -106,17 +112,24 @@ def replay(
         v, omega = table[int(k)]
         return v, omega
 
-    return _drive(start, float(stamps[-1]) + SETTLE, command, robot, clearance=clearance, progress=progress)
+    machine = machine or Machine.of(robot)
+    duration = float(stamps[-1]) + SETTLE
+    return _drive(start, duration, command, robot, machine, clearance=clearance, progress=progress)
 
 
-def odometry(driven: Driven, robot: RobotFile, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
+def odometry(
+    driven: Driven, robot: RobotFile, rng: np.random.Generator, *, machine: Machine | None = None
+) -> tuple[Floats, Floats, Floats]:
     """Return stamps (n,), poses (n, 3) in odom and twists (n, 2) as the wheels measure and integrate them."""
+    machine = machine or Machine.of(robot)
+    measured = driven.twists @ machine.measured.T  # (n, 2) what the wheels take their motion for
     stamps = np.arange(0.0, driven.stamps[-1] + 1e-9, 1.0 / robot.wheels.rate)
     travelled = np.concatenate(
-        [np.zeros((1, 2)), np.cumsum((driven.twists[1:] + driven.twists[:-1]) / 2 * STEP, axis=0)]
+        [np.zeros((1, 2)), np.cumsum((measured[1:] + measured[:-1]) / 2 * STEP, axis=0)]
     )
-    at = np.stack([np.interp(stamps, driven.stamps, column) for column in travelled.T], axis=1)
-    twists = np.concatenate([driven.twists[:1], np.diff(at, axis=0) * robot.wheels.rate])
+    taken = stamps - machine.odometry_lag
+    at = np.stack([np.interp(taken, driven.stamps, column) for column in travelled.T], axis=1)
+    twists = np.concatenate([measured[:1], np.diff(at, axis=0) * robot.wheels.rate])
     twists[1:] += rng.normal(size=(len(stamps) - 1, 2)) * [robot.wheels.sigma_v, robot.wheels.sigma_omega]
     turn = twists[1:, 1] / robot.wheels.rate
     phi = np.concatenate([[0.0], np.cumsum(turn)])
@@ -135,6 +148,7 @@ def _drive(
     duration: float,
     command: Command,
     robot: RobotFile,
+    machine: Machine,
     *,
     clearance: Clearance,
     progress: Callable[[int, int], None] | None,
@@ -144,8 +158,9 @@ def _drive(
     backward = 0.0 if robot.robot.drive == "dubins" else -limits.v
     n_commands, period = _n_commands(duration, robot), 1.0 / robot.wheels.rate
     n_steps = round(duration / STEP)
-    keep = math.exp(-STEP / robot.actuators.tau) if robot.actuators.tau > 0 else 0.0
-    late = round(robot.actuators.delay / STEP)
+    keep = math.exp(-STEP / machine.tau) if machine.tau > 0 else 0.0
+    late = round(machine.delay / STEP)
+    v_max, is_slippery, grip = machine.v_max, bool(machine.patches), 1.0
     dv, domega = limits.a * STEP, limits.alpha * STEP
     x, y, phi = (float(value) for value in start)
     v = omega = u_v = u_omega = 0.0
@@ -163,9 +178,12 @@ def _drive(
                 progress(len(given), n_commands)
         waiting.append((u_v, u_omega))
         m_v, m_omega = waiting[k]
+        m_v = min(max(m_v, -v_max), v_max)
         v_next = v + min(max((m_v - v) * (1 - keep), -dv), dv)
         omega_next = omega + min(max((m_omega - omega) * (1 - keep), -domega), domega)
-        v_mid, turn = (v + v_next) / 2, (omega + omega_next) / 2 * STEP
+        if is_slippery:
+            grip = machine.grip(x, y)
+        v_mid, turn = grip * (v + v_next) / 2, grip * (omega + omega_next) / 2 * STEP
         x_next = x + v_mid * STEP * math.cos(phi + turn / 2)
         y_next = y + v_mid * STEP * math.sin(phi + turn / 2)
         phi += turn

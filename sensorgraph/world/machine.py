@@ -35,7 +35,7 @@ class Machine:
     def of(cls, robot: RobotFile, effects: Iterable[Transform] = ()) -> Machine:
         """Return the machine that robot.yaml describes, changed by effects."""
         machine = cls(tau=robot.actuators.tau, delay=robot.actuators.delay, base=robot.wheels.base)
-        for effect in effects:
+        for effect in sorted(effects, key=lambda effect: effect.key):
             effect(machine)  # type: ignore[arg-type]
         return machine
 

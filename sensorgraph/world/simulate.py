@@ -1,8 +1,11 @@
-"""Record what the embedded robot perceives: Driven -> Run, with the noise that robot.yaml states."""
+"""Record what the embedded robot perceives: Driven -> Run, with the noise that robot.yaml states.
+
+Scans come from a `Scene`, with effects or without; so what is simulated is what `diagnose` knows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import shapely
@@ -10,8 +13,9 @@ import shapely
 from logs.run import OccupancyMap, RangeSensor, Run
 from planners.arena import Arena, Floats, wrap
 from sensorgraph.world.drive import Driven, odometry
-from sensorgraph.world.raycast import Hits, cast, cast_rays, laser_poses
+from sensorgraph.world.machine import Machine
 from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.scene import Scene, Transform, draw
 
 EPOCH_NS = 1_704_067_200_000_000_000
 """[ns] 2024-01-01T00:00:00Z, when every simulated run starts: the same seed gives the same bytes."""
@@ -25,57 +29,48 @@ def scan_stamps(driven: Driven, sensor: RangeSensor) -> Floats:
     return np.arange(0.0, driven.stamps[-1] - sensor.sweep_time + 1e-9, 1.0 / sensor.rate)
 
 
-def perceive(
-    driven: Driven, arena: Arena, sensor: RangeSensor, stamps: Floats, *, progress: Progress | None = None
-) -> Hits:
-    """Cast ideal scans taken at stamps (n_scans,) [s]; with a sweep every ray has its own time and pose."""
-    parts = []
-    for start in range(0, len(stamps), BLOCK):
-        some = stamps[start : start + BLOCK]
-        parts.append(
-            _swept(driven, arena, sensor, some)
-            if sensor.sweep_time > 0
-            else cast(arena, driven.at(some), sensor)
-        )
-        if progress is not None:
-            progress(start + len(some), len(stamps))
-    return Hits(
-        ranges=np.concatenate([hits.ranges for hits in parts]),
-        incidence=np.concatenate([hits.incidence for hits in parts]),
-        wall=np.concatenate([hits.wall for hits in parts]),
-    )
-
-
-def measure(ranges: Floats, sensor: RangeSensor, rng: np.random.Generator) -> Floats:
-    """Turn ideal ranges (n_scans, n_rays) into readings: noise, resolution, limits (REP-117)."""
-    hit = np.isfinite(ranges)
-    noise = rng.normal(size=ranges.shape) * sensor.sigma
-    readings = np.where(hit, ranges + noise, ranges)
-    if sensor.resolution > 0:
-        readings = np.round(readings / sensor.resolution) * sensor.resolution
-    readings = np.where(hit & (readings > sensor.range_max), np.inf, readings)
-    return np.where(hit & (readings < sensor.range_min), -np.inf, readings)
-
-
 def simulate(
     driven: Driven,
     arena: Arena,
     robot: RobotFile,
     *,
     rng: np.random.Generator,
+    effects: Sequence[Transform] = (),
+    seed: int = 0,
+    machine: Machine | None = None,
     meta: Mapping[str, str] | None = None,
     attachments: Mapping[str, bytes] | None = None,
     progress: Progress | None = None,
 ) -> Run:
-    """Log a drive as the robot would: scans, reference poses, odometry and commands, each at its own rate."""
+    """Log a drive as the robot would: scans, reference poses, odometry and commands, each at its own rate.
+
+    Parameters
+    ----------
+    effects : of the scan channel, what the sensor and the room have beyond robot.yaml and the map
+    seed : of people who walk about; noise comes from `rng`
+    machine : what the odometry is measured with; as in robot.yaml if not given
+    """
     sensor = robot.sensor
     stamps = scan_stamps(driven, sensor)
-    hits = perceive(driven, arena, sensor, stamps, progress=progress)
-    ranges = measure(hits.ranges, sensor, rng)
+    parts = []
+    for start in range(0, len(stamps), BLOCK):
+        scene = Scene(
+            arena=arena,
+            sensor=sensor,
+            stamps=stamps[start : start + BLOCK],
+            motion=driven.at,
+            span=float(stamps[-1]),
+            seed=seed,
+        )
+        scene.run(effects)
+        parts.append(draw(scene, rng))
+        if progress is not None:
+            progress(start + len(parts[-1]), len(stamps))
+    ranges = np.concatenate(parts)
     pose_stamps = np.append(np.arange(0.0, driven.stamps[-1], 1.0 / robot.pose.rate), driven.stamps[-1])
     sigma = [robot.pose.sigma_xy, robot.pose.sigma_xy, robot.pose.sigma_yaw]
     poses = driven.at(pose_stamps) + rng.normal(size=(len(pose_stamps), 3)) * sigma
-    odom_stamps, odom_poses, odom_twists = odometry(driven, robot, rng)
+    odom_stamps, odom_poses, odom_twists = odometry(driven, robot, rng, machine=machine)
     return Run(
         sensor=sensor,
         stamps=stamps,
@@ -111,11 +106,3 @@ def occupancy(arena: Arena, *, resolution: float = 0.05, most: int = 4_000_000) 
         column, row = ((points - [x0, y0]) / resolution).astype(np.intp).T
         data[row.clip(0, ny - 1), column.clip(0, nx - 1)] = 100
     return OccupancyMap(data=data, resolution=resolution, origin=np.array([x0, y0, 0.0]))
-
-
-def _swept(driven: Driven, arena: Arena, sensor: RangeSensor, stamps: Floats) -> Hits:
-    """Cast scans whose ray i is taken at stamp + sweep_time i / n_rays."""
-    late = sensor.sweep_time * np.arange(sensor.n_rays) / sensor.n_rays
-    poses = driven.at(stamps[:, None] + late)  # (n_scans, n_rays, 3)
-    lasers = laser_poses(poses.reshape(-1, 3), sensor.mount).reshape(poses.shape)
-    return cast_rays(arena, lasers[..., :2], lasers[..., 2] + sensor.bearings, sensor)
