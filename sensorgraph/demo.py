@@ -16,19 +16,18 @@ from planners import plan as make_plan
 from planners.arena import Arena, Floats
 from planners.coverage import Coverage
 from planners.maps import geojson
-from planners.trajectory import Trajectory
 from sensorgraph import figures, view
 from sensorgraph.build import build
 from sensorgraph.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.plan_folder import counted, save
+from sensorgraph.record import record
 from sensorgraph.review import review
 from sensorgraph.world.clearance import WallDistance
-from sensorgraph.world.drive import follow
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot_file import RobotFile
 from sensorgraph.world.scene import limited
-from sensorgraph.world.simulate import EPOCH_NS, occupancy, simulate
+from sensorgraph.world.simulate import EPOCH_NS, occupancy
 
 Progress = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
 N_CHECK = 1000
@@ -121,7 +120,7 @@ def _trip(
             duration=before[0].drive_time if before else None,
             progress=tick,
         )
-    run = _record(folder / f"{planner}.mcap", arena, robot, planned.trajectory, seed=seed, progress=progress)
+    run = record(folder / f"{planner}.mcap", arena, robot, planned.trajectory, seed=seed, progress=progress)
     with progress("build", "blocks") as tick:
         graph = build([run], arena=arena, names=[f"{planner}.mcap"], progress=tick)
     graph.save(folder / f"{planner}.sensorgraph")
@@ -146,18 +145,3 @@ def _trip(
         graph=graph,
         checked=evaluate(graph, check),
     )
-
-
-def _record(
-    path: Path, arena: Arena, robot: RobotFile, trajectory: Trajectory, *, seed: int, progress: Progress
-) -> Run:
-    rng = np.random.default_rng(seed)
-    with progress("drive", "commands") as tick:
-        driven = follow(trajectory, robot, clearance=WallDistance(arena), rng=rng, progress=tick)
-    attachments = {"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": robot.text.encode()}
-    meta = {"simulated": "true", "seed": str(seed), "contacts": str(driven.contacts)}
-    with progress("scan", "scans") as tick:
-        run = simulate(driven, arena, robot, rng=rng, meta=meta, attachments=attachments, progress=tick)
-    with progress("write", "messages") as tick:
-        logs.write(run, path, occupancy=occupancy(arena), progress=tick)
-    return run

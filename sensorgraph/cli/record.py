@@ -24,6 +24,10 @@ def record(
     start: Annotated[
         str | None, typer.Option(help="X,Y,PHI in m, m, rad: where a replay of commands begins.")
     ] = None,
+    effects: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="effects.yaml: what robot, sensor and room have beyond the map."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of all noise: same seed, same bytes.")] = 0,
 ) -> None:
     """Drive the embedded robot along a plan, with its lag, drift and noise, and log it as MCAP.
@@ -33,50 +37,44 @@ def record(
       sensorgraph record runs/plan --arena office -o runs/office.mcap
 
       sensorgraph record old_run.mcap --arena lab.geojson --robot robot.yaml -o again.mcap
-    """
-    import numpy as np
 
-    import logs
-    from planners.maps import geojson
+      sensorgraph record runs/plan --arena office --effects runs/found/effects.yaml -o amended.mcap
+    """
     from sensorgraph.cli.inputs import check_output, named_arena, named_robot
     from sensorgraph.cli.progress import progress
+    from sensorgraph.effects.effects_file import read as read_effects
     from sensorgraph.errors import GapError
+    from sensorgraph.record import Commands
+    from sensorgraph.record import record as record_run
     from sensorgraph.world.clearance import WallDistance
-    from sensorgraph.world.drive import follow, replay
-    from sensorgraph.world.simulate import occupancy, simulate
 
-    check_output(out, plan)
+    check_output(out, plan, *([effects] if effects is not None else []))
     if out.suffix != ".mcap":
         raise GapError(f"{out}: a run is written as *.mcap; name it {out.with_suffix('.mcap').name}")
     walls, machine = named_arena(arena), named_robot(robot)
+    amendments = () if effects is None else read_effects(effects, walls)
     trajectory, commands = _read(plan)
     if trajectory is not None and start is not None:
         raise GapError("--start is where a replay of commands begins; a plan begins where it was planned")
     _warn_of_other_arena(plan, walls)
-    rng = np.random.default_rng(seed)
-    clearance = WallDistance(walls)
-    with progress("driving", "commands") as tick:
-        if trajectory is not None:
-            _check_start(trajectory.poses[0], clearance, machine.robot.footprint_radius, arena)
-            driven = follow(trajectory, machine, clearance=clearance, rng=rng, progress=tick)
-        else:
-            assert commands is not None
-            begin = _start(start, commands)
-            _check_start(begin, clearance, machine.robot.footprint_radius, arena)
-            driven = replay(
-                commands.cmd_stamps, commands.commands, begin, machine, clearance=clearance, progress=tick
-            )
-    attachments = {"arena.geojson": geojson.dumps(walls).encode(), "robot.yaml": machine.text.encode()}
+    way: Trajectory | Commands
+    if trajectory is not None:
+        way, begin = trajectory, trajectory.poses[0]
+    else:
+        assert commands is not None
+        begin = _start(start, commands)
+        way = Commands(stamps=commands.cmd_stamps, twists=commands.commands, start=begin)
+    _check_start(begin, WallDistance(walls), machine.robot.footprint_radius, arena)
     facts = plan / "plan.json" if plan.is_dir() else plan.with_name("plan.json")
-    if trajectory is not None and facts.is_file():
-        attachments["plan.json"] = _timeless(facts)
-    meta = {"simulated": "true", "seed": str(seed), "contacts": str(driven.contacts)}
-    with progress("scanning", "scans") as tick:
-        run = simulate(driven, walls, machine, rng=rng, meta=meta, attachments=attachments, progress=tick)
-    with progress("writing", "messages") as tick:
-        logs.write(run, out, occupancy=occupancy(walls), progress=tick)
-    touched = f", touched a wall {driven.contacts} times" if driven.contacts else ""
-    typer.echo(f"{run.n_scans:,} scans of {run.sensor.n_rays} rays in {run.stamps[-1]:,.0f} s{touched}")
+    attachments = {"plan.json": _timeless(facts)} if trajectory is not None and facts.is_file() else {}
+    run = record_run(
+        out, walls, machine, way,
+        effects=amendments, seed=seed, attachments=attachments, progress=progress,
+    )  # fmt: skip
+    contacts = int(run.meta["contacts"])
+    touched = f", touched a wall {contacts} times" if contacts else ""
+    said = f", with {run.meta['effects']}" if amendments else ""
+    typer.echo(f"{run.n_scans:,} scans of {run.sensor.n_rays} rays in {run.stamps[-1]:,.0f} s{touched}{said}")
     typer.echo(f"wrote {out}")
 
 

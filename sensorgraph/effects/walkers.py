@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planners.arena import Floats
+from planners.arena import Bools, Floats
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.scene import FAR, Scene
 
@@ -70,9 +70,7 @@ def _seen(scene: Scene, times: Floats, places: Floats, start: float, stay: float
     return np.column_stack([xy, np.where(here, RADIUS, 0.0)])
 
 
-def _in_view(
-    lasers: Floats, bearings: Floats, ranges: Floats, xy: Floats
-) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+def _in_view(lasers: Floats, bearings: Floats, ranges: Floats, xy: Floats) -> Bools:
     """Tell which rays (n, n_rays) end at a disc at xy (n, 2)."""
     x, y = xy[:, 0] - lasers[:, 0], xy[:, 1] - lasers[:, 1]
     far = np.maximum(np.hypot(x, y), RADIUS)

@@ -42,7 +42,7 @@ class Transform(Protocol):
         """In this order those of one stage act, so that it does not matter in which order they are given."""
         ...
 
-    def __call__(self, scene: Scene) -> None:
+    def __call__(self, scene: Scene, /) -> None:
         """Change the scene in place."""
         ...
 

@@ -1,0 +1,183 @@
+"""effects.yaml: the amendments of a model, versioned and readable; what `diagnose` writes and others accept."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from planners.arena import Arena
+from sensorgraph.effects import EFFECTS, Amendment, Effect, Location
+from sensorgraph.effects.places import named_walls
+from sensorgraph.errors import GapError
+from sensorgraph.files import whole
+
+KEYS = ("name", "parameters", "stderr", "location", "probability", "evidence")
+OPTIONAL = {"map_scale": ("dx", "dy"), "range_drift": ("tau",)}
+"""Parameters that may be left out; they are then neutral."""
+
+
+def write(amendments: Iterable[Amendment], path: Path) -> None:
+    """Write effects.yaml, whole or not at all."""
+    with whole(path) as part:
+        part.write_text(dumps(amendments), encoding="utf-8")
+
+
+def dumps(amendments: Iterable[Amendment]) -> str:
+    """Return the text of effects.yaml."""
+    entries = [to_dict(a) for a in amendments]
+    return yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
+
+
+def to_dict(a: Amendment) -> dict[str, Any]:
+    """Return an amendment as plain data, without what it does not say."""
+    out: dict[str, Any] = {"name": a.name, "parameters": {k: float(v) for k, v in a.parameters.items()}}
+    if a.stderr:
+        out["stderr"] = {k: float(v) for k, v in a.stderr.items()}
+    if a.location is not None:
+        out["location"] = {"name": a.location.name} if a.location.name else {}
+        if a.location.xy is not None:
+            out["location"]["xy"] = [float(v) for v in a.location.xy]
+    for key in ("probability", "evidence"):
+        if getattr(a, key) is not None:
+            out[key] = float(getattr(a, key))
+    return out
+
+
+def read(path: Path, arena: Arena | None = None) -> tuple[Amendment, ...]:
+    """Read effects.yaml; raise GapError in one line for whatever is wrong with it, also for places not in `arena`."""
+    if path.is_dir():
+        raise GapError(f"{path} is a directory, expected an effects.yaml")
+    if not path.exists():
+        raise GapError(f"{path} does not exist; give an effects.yaml such as `diagnose` writes")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as exc:
+        raise GapError(f"{path} is not a text file; expected an effects.yaml") from exc
+    return loads(text, arena, name=str(path))
+
+
+def loads(text: str, arena: Arena | None = None, *, name: str = "effects.yaml") -> tuple[Amendment, ...]:
+    """Parse the text of effects.yaml."""
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as exc:
+        raise GapError(f"{name}: not YAML: {' '.join(str(exc).split())}") from exc
+    data = [] if data is None else data
+    if not isinstance(data, list):
+        raise GapError(f"{name}: holds a {type(data).__name__}, expected a list of effects, `- name: ...`")
+    return tuple(_amendment(entry, f"{name}: effect {i}", arena) for i, entry in enumerate(data, start=1))
+
+
+def check_places(amendments: Sequence[Amendment], arena: Arena, *, name: str = "effects") -> None:
+    """Refuse amendments that name a wall or an obstacle the arena lacks."""
+    for a in amendments:
+        _check_place(a.effect, a.location, arena, f"{name}: {a.name}")
+
+
+def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
+    if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
+        raise GapError(f"{where} is {entry!r}, expected keys {', '.join(KEYS)}, of which name is needed")
+    _refuse_unknown(entry, KEYS, where, "key")
+    if entry["name"] not in EFFECTS:
+        raise GapError(f"{where}: unknown effect `{entry['name']}`; {_nearest(entry['name'], list(EFFECTS))}")
+    effect = EFFECTS[entry["name"]]
+    where = f"{where} ({effect.name})"
+    names = [p.name for p in effect.parameters]
+    parameters = _numbers(entry.get("parameters"), names, f"{where}: parameter")
+    for p in effect.parameters:
+        if p.name not in parameters:
+            if p.name in OPTIONAL.get(effect.name, ()):
+                continue
+            raise GapError(f"{where}: no parameter `{p.name}` ({_unit(p.unit)}, {p.doc}); add it")
+        if not p.low <= parameters[p.name] <= p.high:
+            raise GapError(
+                f"{where}: parameter `{p.name}` is {parameters[p.name]:g}, expected {p.low:g} to {p.high:g}"
+            )
+    location = _location(entry.get("location"), where)
+    _check_place(effect, location, arena, where)
+    return Amendment(
+        effect=effect,
+        parameters=parameters,
+        stderr=_numbers(entry.get("stderr"), names, f"{where}: stderr", is_finite=False),
+        location=location,
+        probability=_optional(entry, "probability", where),
+        evidence=_optional(entry, "evidence", where),
+    )
+
+
+def _location(data: Any, where: str) -> Location | None:
+    if data is None:
+        return None
+    if not isinstance(data, dict):
+        raise GapError(f"{where}: location is {data!r}, expected keys name, xy")
+    _refuse_unknown(data, ("name", "xy"), where, "key of location")
+    name, xy = data.get("name") or "", data.get("xy")
+    if not isinstance(name, str):
+        raise GapError(f"{where}: location.name is {name!r}, expected the name of a wall or an obstacle")
+    if xy is None:
+        return Location(name=name)
+    if not isinstance(xy, list) or len(xy) != 2:
+        raise GapError(f"{where}: location.xy is {xy!r}, expected [x, y] in m")
+    x, y = (_number(value, f"{where}: location.xy") for value in xy)
+    return Location(name=name, xy=(x, y))
+
+
+def _check_place(effect: Effect, location: Location | None, arena: Arena | None, where: str) -> None:
+    """Refuse a wall or obstacle that is not told, or that the arena lacks."""
+    if effect.place not in ("wall", "obstacle"):
+        return
+    name = "" if location is None else location.name
+    like = "`NAME/edge_0`" if effect.place == "wall" else "a feature's name"
+    if not name:
+        raise GapError(f"{where}: sits on a {effect.place}; add location: {{name: ...}}, {like}")
+    if arena is None:
+        return
+    obstacles = list(dict.fromkeys(wall.rsplit("/", 1)[0] for wall in arena.names))
+    known = list(arena.names) if effect.place == "wall" else obstacles
+    if name not in known:
+        raise GapError(f"{where}: the arena has no {effect.place} `{name}`; {_nearest(name, known)}")
+    named_walls(arena, name)
+
+
+def _numbers(data: Any, known: Sequence[str], where: str, *, is_finite: bool = True) -> dict[str, float]:
+    data = {} if data is None else data
+    if not isinstance(data, dict):
+        raise GapError(f"{where}s are {data!r}, expected NAME: NUMBER for {', '.join(known) or 'none'}")
+    _refuse_unknown(data, known, where, "name")
+    return {key: _number(value, f"{where} `{key}`", is_finite=is_finite) for key, value in data.items()}
+
+
+def _optional(entry: Mapping[str, Any], key: str, where: str) -> float | None:
+    value = entry.get(key)
+    return None if value is None else _number(value, f"{where}: {key}", is_finite=False)
+
+
+def _number(value: Any, where: str, *, is_finite: bool = True) -> float:
+    """Check a number; `1e-3`, which YAML takes for a word, is one too."""
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if math.isnan(number) or (is_finite and math.isinf(number)):
+        raise GapError(f"{where} is {value!r}, expected a number")
+    return number
+
+
+def _refuse_unknown(data: Mapping[Any, Any], known: Sequence[str], where: str, what: str) -> None:
+    for key in data:
+        if key not in known:
+            raise GapError(f"{where}: unknown {what} `{key}`; {_nearest(str(key), known)}")
+
+
+def _nearest(name: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
+    return f"did you mean `{near[0]}`?" if near else "none is expected"
+
+
+def _unit(unit: str) -> str:
+    return unit or "no unit"

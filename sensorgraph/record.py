@@ -1,0 +1,93 @@
+"""Drive the embedded robot, scan, and write the run: what `record` and `demo` share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import logs
+from logs.run import Run
+from planners.arena import Arena, Floats
+from planners.maps import geojson
+from planners.trajectory import Trajectory
+from sensorgraph.effects import Amendment
+from sensorgraph.effects.effects_file import check_places, dumps
+from sensorgraph.world.clearance import WallDistance
+from sensorgraph.world.drive import Driven, follow, replay
+from sensorgraph.world.machine import Machine
+from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.simulate import occupancy, simulate
+
+Progress = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Commands:
+    """What to drive open loop."""
+
+    stamps: Floats
+    """(n,) [s]"""
+    twists: Floats
+    """(n, 2) [m/s, rad/s], each held until the next."""
+    start: Floats
+    """(3,) [m, m, rad] pose in map."""
+
+
+def silent(label: str, unit: str) -> AbstractContextManager[Callable[[int, int], None]]:
+    """Show nothing."""
+    return nullcontext(lambda done, total: None)
+
+
+def record(
+    path: Path,
+    arena: Arena,
+    robot: RobotFile,
+    way: Trajectory | Commands,
+    *,
+    effects: Sequence[Amendment] = (),
+    seed: int = 0,
+    attachments: Mapping[str, bytes] | None = None,
+    progress: Progress = silent,
+) -> Run:
+    """Drive along a trajectory, or by commands, and write what the robot perceives; same seed, same bytes.
+
+    `effects` are what robot, sensor and room have beyond robot.yaml and the map; the run keeps them as
+    `effects.yaml`, beside arena and robot.
+    """
+    check_places(effects, arena)
+    rng = np.random.default_rng(seed)
+    machine = Machine.of(robot, (a for a in effects if a.effect.channel != "scan"))
+    clearance = WallDistance(arena)
+    with progress("driving", "commands") as tick:
+        driven: Driven
+        if isinstance(way, Trajectory):
+            driven = follow(way, robot, clearance=clearance, rng=rng, machine=machine, progress=tick)
+        else:
+            driven = replay(
+                way.stamps, way.twists, way.start, robot, clearance=clearance, machine=machine, progress=tick
+            )
+    kept = {"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": robot.text.encode()}
+    meta = {"simulated": "true", "seed": str(seed), "contacts": str(driven.contacts)}
+    if effects:
+        kept["effects.yaml"] = dumps(effects).encode()
+        meta["effects"] = ", ".join(a.name for a in effects)
+    with progress("scanning", "scans") as tick:
+        run = simulate(
+            driven,
+            arena,
+            robot,
+            rng=rng,
+            effects=[a for a in effects if a.effect.channel == "scan"],
+            seed=seed,
+            machine=machine,
+            meta=meta,
+            attachments={**kept, **(attachments or {})},
+            progress=tick,
+        )
+    with progress("writing", "messages") as tick:
+        logs.write(run, path, occupancy=occupancy(arena), progress=tick)
+    return run
