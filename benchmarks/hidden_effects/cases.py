@@ -282,7 +282,9 @@ def _effects(
     if spec.suite == "singles":
         order = np.random.default_rng([ROOT, STREAMS[spec.stream], 78]).permutation(LIBRARY)
         name = spec.effect or str(order[spec.index % len(order)])
-        stratum = STRATA[(spec.index // len(order)) % len(STRATA)]
+        row, turn = divmod(spec.index, len(order))
+        # every block of 35 has all strengths; after 12 blocks every effect has had each of them clean and dirty
+        stratum = STRATA[(row + row // len(STRATA) + turn // 2) % len(STRATA)]
         strength = (
             spec.strength if spec.strength is not None else float((stratum + rng.random()) / len(STRATA))
         )
@@ -314,7 +316,8 @@ def _several(
         if effect.place is not None and effect.place in {e.place for e in chosen}:
             continue
         truth = _truth(setup, effect, [effect], context, nominal)
-        if truth["material"]:
+        ratio = truth["materiality_ratio"]
+        if truth["material"] and (ratio is None or ratio >= 1.5):
             chosen.append(effect)
         if len(chosen) == n:
             break
@@ -435,7 +438,7 @@ def _truth(
 def _mark(change: Floats, sigma: Any, flipped: Floats | None = None, extra: float = 0.0) -> dict[str, float]:
     """Summarise a change against the noise: share above half a sigma, RMS (extra: of a wider spread).
 
-    `rmse_over_sigma` counts a change as five sigmas at most, or a handful of rays at depth edges would be all of it.
+    `rmse_over_sigma` counts a change as five sigmas at most, or a few rays at depth edges would be all of it.
     """
     relative = change / sigma
     share = np.abs(relative) > 0.5 if flipped is None else (np.abs(relative) > 0.5) | flipped

@@ -30,7 +30,7 @@ CHANNEL = {"odom_scale_jump": "odometry", "turn_deadband": "drive", "battery_sag
 
 
 def _define(name: str, **limits: tuple[float, float]) -> None:
-    """Say how the parameters of a foreign effect without a place are drawn: uniform, with a random sign for b and s."""
+    """Say how the parameters of a placeless effect are drawn: uniform; b, s and k with a random sign."""
 
     def draw(rng: np.random.Generator, context: Mapping[str, Any]) -> Effect:
         values = {key: float(rng.uniform(*span)) for key, span in limits.items()}

@@ -1,8 +1,8 @@
-"""The physics of every effect, stage by stage: geometry, walls, time, ray, look, range, detection, spread, final.
+"""The physics of every effect, stage by stage.
 
-An effect is a name, its parameters and a function at one or two stages. Effects outside the library (`foreign.py`)
-enter by the same stages. Everything random in an effect comes from a stream of its own, so that a twin without the
-effect differs in nothing else.
+Geometry, walls, time, ray, look, range, detection, spread, final: an effect is a name, its parameters and a
+function at one of these stages. Effects outside the library (`foreign.py`) enter by the same stages. Everything
+random in an effect has a stream of its own, so that a twin without the effect differs in nothing else.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def stage(table: dict[str, Any], name: str) -> Callable[[Any], Any]:
 
 
 def observe(scene: Scene, effects: Sequence[Effect], noise: tuple[Floats, Floats] | None = None) -> Floats:
-    """Return ranges (n_scans, n_rays): measured with noise (standard normals, lost 0/1), or expected without."""
+    """Return ranges (n_scans, n_rays): measured with noise (standard normals, lost 0/1), or expected."""
     robot, shape = scene.robot, (len(scene.stamps), scene.robot.n_rays)
 
     def run(table: dict[str, Stage]) -> None:
@@ -430,30 +430,28 @@ CHANNEL = {
     **dict.fromkeys(ODOMETRY_EFFECTS, "odometry"),
     **dict.fromkeys(DRIVE_EFFECTS, "drive"),
 }
-SMOOTH = set(
-    [
-        "range_bias",
-        "range_scale",
-        "sector_bias",
-        "mount_yaw",
-        "mount_xy",
-        "latency",
-        "scan_skew",
-        "unmapped_obstacle",
-        "moved_obstacle",
-        "missing_obstacle",
-        "moved_wall",
-        "map_scale",
-        "range_drift",
-        "self_occlusion",
-        "tilt",
-    ]
-)
+SMOOTH = {
+    "range_bias",
+    "range_scale",
+    "sector_bias",
+    "mount_yaw",
+    "mount_xy",
+    "latency",
+    "scan_skew",
+    "unmapped_obstacle",
+    "moved_obstacle",
+    "missing_obstacle",
+    "moved_wall",
+    "map_scale",
+    "range_drift",
+    "self_occlusion",
+    "tilt",
+}
 """Deterministic effects whose gap in metres means something (drop-outs and mixtures are measured in nats)."""
 
 
 def odometry(driven: Driven, effects: Sequence[Effect], stamps: Floats, base: float) -> Floats:
-    """Return twists (n, 2) [m/s, rad/s]: mean wheel motion over the interval before each stamp, without noise."""
+    """Return twists (n, 2) [m/s, rad/s]: mean wheel motion over the interval before each stamp, no noise."""
     late = sum(float(e.parameters["tau"] or 0.0) for e in effects if e.name == "pose_clock_offset")
     step = float(stamps[1] - stamps[0])
     twists = (driven.travelled(stamps - late) - driven.travelled(stamps - late - step)) / step

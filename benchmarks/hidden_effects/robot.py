@@ -194,6 +194,7 @@ class Errand:
     seen: list[Floats] = field(default_factory=list)
     queue: deque[Leg] = field(default_factory=deque)
     direction: int = 1
+    paces: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         free = self.room.free
@@ -221,18 +222,26 @@ class Errand:
             self._plan(pose)
         return self.queue.popleft()
 
+    def _pace(self) -> float:
+        """Return a speed [m/s]; slow, middling and full ones take turns."""
+        if not self.paces:
+            self.paces = [
+                *map(float, self.rng.permutation([0.4, 0.28, *self.rng.uniform(0.15, 0.4, size=1)]))
+            ]
+        return self.paces.pop()
+
     def _plan(self, pose: tuple[float, float, float]) -> None:
         rng, here = self.rng, np.array(pose[:2])
         chance = rng.random()
-        if chance < 0.22:
+        if chance < 0.26:
             self.direction = -self.direction
             amount = self.direction * rng.uniform(0.8, 4.5)
             self.queue.append(Leg(kind="spin", amount=amount, speed=float(rng.uniform(0.3, 1.0))))
             return
-        if chance < 0.30:
+        if chance < 0.34:
             self.queue.append(Leg(kind="pause", amount=float(rng.uniform(0.5, 2.0))))
             return
-        if chance < 0.37:
+        if chance < 0.41:
             way = rng.uniform(0.25, 0.8)
             behind = here - way * np.array([math.cos(pose[2]), math.sin(pose[2])])
             if self.tight.contains(shapely.LineString([here, behind])):
@@ -258,7 +267,7 @@ class Errand:
             Leg(
                 kind="goto",
                 target=(float(best[0]), float(best[1])),
-                speed=float(rng.uniform(0.12, 0.4)),
+                speed=self._pace(),
                 is_arc=bool(rng.random() < 0.4 and self.wide.contains(shapely.LineString([here, best]))),
             )
         )

@@ -1,4 +1,4 @@
-"""How big a hidden effect is and where it sits: drawn from a seed, at a strength from 0 (below materiality) to 1."""
+"""How big a hidden effect is and where it sits, at a strength from 0 (below materiality) to 1."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def size_of(name: str, strength: float) -> float:
 
 
 def ratio_of(effect: Effect, context: Context) -> float | None:
-    """Return true size over materiality, None for effects without a size (and for people: known from the mark)."""
+    """Return true size over materiality, None for effects without a size (people: known from the mark)."""
     p = effect.parameters
     if effect.name not in MATERIALITY or effect.name == "people":
         return None
