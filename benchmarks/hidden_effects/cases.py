@@ -283,7 +283,7 @@ def _effects(
         order = np.random.default_rng([ROOT, STREAMS[spec.stream], 78]).permutation(LIBRARY)
         name = spec.effect or str(order[spec.index % len(order)])
         row, turn = divmod(spec.index, len(order))
-        # every block of 35 has all strengths; after 12 blocks every effect has had each of them clean and dirty
+        # every block of 35 has all strengths; after 12 blocks every effect has had each, clean and dirty
         stratum = STRATA[(row + row // len(STRATA) + turn // 2) % len(STRATA)]
         strength = (
             spec.strength if spec.strength is not None else float((stratum + rng.random()) / len(STRATA))

@@ -9,6 +9,7 @@ import argparse
 import json
 import logging
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.hidden_effects.cases import BACKGROUNDS, STREAMS, SUITES, CaseSpec, make_case, make_specs
@@ -40,6 +41,8 @@ def main() -> None:
     parser.add_argument("--n", type=int, required=True, help="count of cases")
     parser.add_argument("--first", type=int, default=0, help="skip this many cases of the stream")
     parser.add_argument("--background", choices=BACKGROUNDS, help="default: clean and dirty in turn")
+    parser.add_argument("--effect", help="this single or foreign effect instead of all in turn")
+    parser.add_argument("--strength", type=float, help="0...1 of a single instead of strata in turn")
     parser.add_argument("--second", action="store_true", help="a second run of each, on another path")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("-o", "--output", type=Path, required=True)
@@ -49,6 +52,7 @@ def main() -> None:
     specs = make_specs(
         options.suite, options.seeds, count, background=options.background, second=options.second
     )[options.first :]
+    specs = [replace(spec, effect=options.effect, strength=options.strength) for spec in specs]
     taken = [int(path.stem) for path in options.output.glob("truth/*.json")]
     start = max(taken, default=-1) + 1
     numbers = range(start, start + len(specs))

@@ -1,8 +1,8 @@
 """The physics of every effect, stage by stage.
 
-Geometry, walls, time, ray, look, range, detection, spread, final: an effect is a name, its parameters and a
-function at one of these stages. Effects outside the library (`foreign.py`) enter by the same stages. Everything
-random in an effect has a stream of its own, so that a twin without the effect differs in nothing else.
+Geometry, walls, time, ray, look, range, detection, spread, final: an effect is a name, its parameters and
+a function at one of these stages. Effects outside the library (`foreign.py`) enter by the same stages.
+Everything random in an effect has a stream of its own: a twin without the effect differs in nothing else.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     python -m benchmarks.hidden_effects.score DIR [DIR ...] [--json FILE]
 
-Several folders count as one. A row reads `share (k of n), bound`; a case without a report counts as silent and
-is listed. Below materiality means a size below it; effects without a mark in the run stand apart from both.
+Several folders count as one. A row reads `share (k of n), bound`; a case without a report counts as silent
+and is listed. Below materiality means a size below it; effects without a mark in the run stand apart.
 """
 
 from __future__ import annotations
