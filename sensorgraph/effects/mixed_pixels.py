@@ -9,6 +9,7 @@ from sensorgraph.world.scene import Scene
 
 SPREAD = (-0.875, -0.625, -0.375, -0.125, 0.125, 0.375, 0.625, 0.875)
 """Of the half angle: where the rays of one beam go."""
+GRAZING = 1.5  # [rad] walls met at more are taken as if met at this
 STEP = 0.02  # [m] a smaller step in depth is a bent wall, not an edge
 
 
@@ -22,7 +23,8 @@ def transform(scene: Scene, a: Amendment) -> None:
     both = np.stack([beams.ranges, *parts])
     seen = np.isfinite(both)
     step = np.where(seen.all(axis=0), np.ptp(np.where(seen, both, 0.0), axis=0), 0.0)
-    flat = 2 * gamma * beams.ranges * np.tan(np.minimum(beams.incidence, 1.45))
+    alpha = np.minimum(beams.incidence, GRAZING - gamma)
+    flat = beams.ranges * np.cos(alpha) * (1 / np.cos(alpha + gamma) - 1 / np.cos(alpha - gamma))
     edge = step > flat + STEP
     beams.bent()[edge] = False
     beams.reading = np.where(edge, beams.reading + both[1:].mean(axis=0) - beams.ranges, beams.reading)
