@@ -110,7 +110,10 @@ def gather(run: Run, arena: Arena, robot: RobotFile) -> tuple[Evidence, dict[str
     notes: dict[str, object] = {
         "scans": run.n_scans,
         "used": int(kept.sum()),
-        "dropped": {**pairing.dropped, "with nothing but broken readings": int((pairing.paired & ~kept).sum())},
+        "dropped": {
+            **pairing.dropped,
+            "with nothing but broken readings": int((pairing.paired & ~kept).sum()),
+        },
     }
     if kept.sum() < LEAST_SCANS:
         raise GapError(
@@ -156,7 +159,9 @@ def velocities(stamps: Floats, poses: Floats, when: Floats) -> Floats:
         y, ty = (np.concatenate([[0.0], np.cumsum(v)]) for v in (c, t * c))
         sy, sty = y[high] - y[low], ty[high] - ty[low]
         spread = n * s2 - s1 * s1
-        slopes.append(np.where(spread > 1e-12, (n * sty - s1 * sy) / np.where(spread > 1e-12, spread, 1.0), 0.0))
+        slopes.append(
+            np.where(spread > 1e-12, (n * sty - s1 * sy) / np.where(spread > 1e-12, spread, 1.0), 0.0)
+        )
     return np.stack(slopes, axis=1)
 
 

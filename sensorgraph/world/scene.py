@@ -91,8 +91,9 @@ class Beams:
         on = self.wall >= 0
         a = walls[np.where(on, self.wall, 0), 0]
         b = walls[np.where(on, self.wall, 0), 1]
-        with np.errstate(invalid="ignore"):
-            x, y = self.ox + self.ranges * self.ux - a[..., 0], self.oy + self.ranges * self.uy - a[..., 1]
+        r = np.where(on, self.ranges, 0.0)
+        r = np.where(np.isfinite(r), r, 0.0)
+        x, y = self.ox + r * self.ux - a[..., 0], self.oy + r * self.uy - a[..., 1]
         d = b - a
         length = np.maximum(np.hypot(d[..., 0], d[..., 1]), 1e-12)
         return np.where(on, (x * d[..., 0] + y * d[..., 1]) / length, np.nan)

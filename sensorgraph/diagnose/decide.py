@@ -1,0 +1,229 @@
+"""Decide which effects the evidence asks for: one after another, refitted together, superfluous ones taken back."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sensorgraph.diagnose.evidence import Evidence
+from sensorgraph.diagnose.model import ROUGH, Fitted, fit, polish, start_state, thin, thin_state
+from sensorgraph.diagnose.nuisance import Freedom
+from sensorgraph.diagnose.propose import rough_candidates
+from sensorgraph.diagnose.screen import Candidate, smooth_candidates
+from sensorgraph.diagnose.view import View
+from sensorgraph.effects import Amendment
+
+logger = logging.getLogger(__name__)
+
+THRESHOLD = 12.0  # [nats] of evidence, beyond the price of the parameters
+PRICE = 4.0  # [nats] per parameter
+MOST = 6  # effects in one model
+MANY = 12  # candidates fitted on a part of the scans
+FINALISTS = 3
+FAMILIES = (  # effects that the same data may be read as
+    {"people", "random_outliers", "range_noise", "mixed_pixels"},
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Step:
+    """One round of the search: what was tried, with its gain in nats."""
+
+    tried: tuple[tuple[Amendment, float], ...]
+    chosen: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Explained:
+    """The accepted model with its fit, and the way to it."""
+
+    null: Fitted
+    final: Fitted
+    gains: dict[int, float]
+    """Index in the final model -> evidence [nats] that is lost without it."""
+    steps: tuple[Step, ...] = field(default_factory=tuple)
+    rivals: dict[int, tuple[Amendment, float]] = field(default_factory=dict)
+    """Index in the final model -> the second best explanation and how many nats it falls short."""
+
+
+def price(amendment: Amendment, evidence: Evidence) -> float:
+    """Return what an effect must pay for its parameters and for the choice of its place [nats]."""
+    places = {"wall": evidence.arena.n_walls, "obstacle": 6}.get(amendment.effect.place or "", 1)
+    return PRICE * max(len(amendment.parameters), 1) + float(np.log(max(places, 1)))
+
+
+def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOLD) -> Explained:
+    """Search for the effects that the evidence asks for."""
+    null = fit(evidence, (), start_state(evidence, freedom), freedom, outer=1, inner=7)
+    current, steps = null, []
+    rivals: dict[str, tuple[Amendment, float]] = {}
+    struck: set[tuple[str, str]] = set()
+    while len(current.model) < MOST:
+        tried = _try(evidence, current, freedom, struck)
+        tried = [t for t in tried if t[1] > -50]
+        if not tried:
+            break
+        order = _ranked(tried)
+        best, gain = order[0]
+        if gain >= threshold:
+            again = fit(evidence, current.model, best.state, freedom, outer=1, inner=4)
+            if again.j > current.j:
+                current = again
+            gain = best.j - current.j - price(best.model[-1], evidence)
+        steps.append(
+            Step(
+                tried=tuple((f.model[-1], g) for f, g in order),
+                chosen=best.model[-1].name if gain >= threshold else "",
+            )
+        )
+        if gain < threshold:
+            break
+        if len(order) > 1:
+            rivals[_key(best.model[-1])] = (order[1][0].model[-1], gain - order[1][1])
+        before = current
+        current = _pruned(evidence, best, freedom, threshold, struck)
+        if {_key(a) for a in current.model} == {_key(a) for a in before.model}:
+            break
+    gains = {}
+    for index in range(len(current.model)):
+        rest = fit(evidence, _without(current.model, index), current.state, freedom, outer=2, inner=4)
+        gains[index] = current.j - rest.j - price(current.model[index], evidence)
+    kept = {i: rivals[_key(a)] for i, a in enumerate(current.model) if _key(a) in rivals}
+    return Explained(null=null, final=current, gains=gains, steps=tuple(steps), rivals=kept)
+
+
+def _key(a: Amendment) -> str:
+    return f"{a.name}@{a.place}"
+
+
+def _without(model: Sequence[Amendment], index: int) -> tuple[Amendment, ...]:
+    return (*model[:index], *model[index + 1 :])
+
+
+def _try(
+    evidence: Evidence, current: Fitted, freedom: Freedom, struck: set[tuple[str, str]]
+) -> list[tuple[Fitted, float]]:
+    """Fit the most promising candidates; return (fit, gain [nats])."""
+    short = shortlist(evidence, current, struck)
+    if not short:
+        return []
+    every = max(1, evidence.n_scans // 160)
+    few = thin(evidence, every)
+    state = thin_state(current.state, every)
+    base = fit(few, current.model, state, freedom, outer=1, inner=2)
+    quick: list[tuple[float, Fitted]] = []
+    for candidate in short:
+        got = refined(few, (*current.model, candidate.amendment), base.state, freedom, outer=3, inner=2)
+        quick.append(((got.j - base.j) * every - price(candidate.amendment, evidence), got))
+    quick.sort(key=lambda pair: -pair[0])
+    logger.debug("quick %s", [(f.model[-1].name, f.model[-1].place, round(g)) for g, f in quick])
+    finalists = quick[:FINALISTS]
+    plain = [q for q in quick if not q[1].model[-1].effect.absorber]
+    if finalists[0][1].model[-1].effect.absorber and plain and plain[0] not in finalists:
+        finalists.append(plain[0])
+    out = []
+    for gain, got in finalists:
+        if gain < 0.25 * finalists[0][0] - 20 and gain < 60:
+            continue
+        full = refined(evidence, got.model, current.state, freedom, outer=3, inner=3)
+        out.append((full, full.j - current.j - price(full.model[-1], evidence)))
+    return out
+
+
+def refined(
+    evidence: Evidence,
+    model: tuple[Amendment, ...],
+    state: object,
+    freedom: Freedom,
+    *,
+    outer: int,
+    inner: int,
+) -> Fitted:
+    """Fit smooth parameters, then search the rough ones of the last effect, then fit again."""
+    from sensorgraph.diagnose.solve import State
+
+    assert isinstance(state, State)
+    got = fit(evidence, model, state, freedom, outer=outer, inner=inner)
+    if model[-1].name in ROUGH and any(k in model[-1].parameters for k in ROUGH[model[-1].name]):
+        polished = polish(evidence, got.model, len(model) - 1, got, rounds=3)
+        better = fit(evidence, polished, got.state, freedom, outer=1, inner=inner)
+        if better.j > got.j:
+            got = better
+    return got
+
+
+def shortlist(evidence: Evidence, current: Fitted, struck: set[tuple[str, str]]) -> list[Candidate]:
+    """Return the candidates worth fitting, best first."""
+    sharp = [c for c in smooth_candidates(evidence, current) if c.gain > 8]
+    broad = [c for c in smooth_candidates(evidence, current, broad=True) if c.gain > 8]
+    rough = rough_candidates(View(evidence, current))
+    present = {_key(a) for a in current.model}
+    out: list[Candidate] = []
+    seen: dict[str, int] = {}
+    for group, most in ((sharp, 5), (rough, 8), (broad, 4)):
+        taken = 0
+        for c in group:
+            key = _key(c.amendment)
+            single = c.amendment.effect.place is None
+            if key in present and (single or c.amendment.effect.place in ("wall", "obstacle")):
+                continue
+            if (c.amendment.name, c.amendment.place) in struck:
+                continue
+            if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
+                continue
+            out.append(c)
+            seen[c.amendment.name] = seen.get(c.amendment.name, 0) + 1
+            taken += 1
+            if taken == most:
+                break
+    logger.debug("short %s", [(c.amendment.name, c.amendment.place, round(c.gain)) for c in out])
+    return out[:16]
+
+
+def _same(a: Amendment, b: Amendment) -> bool:
+    """Tell whether two starts are so near that one fit does for both."""
+    if a.name != b.name or a.place != b.place:
+        return False
+    sizes = a.effect.sizes
+    if not sizes:
+        return a.name not in ("unmapped_obstacle",)
+    apart = sum(((a[k] - b[k]) / m) ** 2 for k, m in sizes.items()) ** 0.5
+    return bool(apart < 3.0) and a.effect.place not in ("spot", "sector")
+
+
+def _ranked(tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
+    """Order by gain; an absorber yields to a material deterministic effect with more than half its gain."""
+    order = sorted(tried, key=lambda pair: -pair[1])
+    best, gain = order[0]
+    if best.model[-1].effect.absorber:
+        for pair in order[1:]:
+            last = pair[0].model[-1]
+            if not last.effect.absorber and last.ratio >= 1 and pair[1] > 0.5 * gain and pair[1] > THRESHOLD:
+                order.remove(pair)
+                return [pair, *order]
+    elif best.model[-1].ratio < 1:
+        for pair in order[1:]:
+            last = pair[0].model[-1]
+            if not last.effect.absorber and last.ratio >= 1 and pair[1] > gain - 6:
+                order.remove(pair)
+                return [pair, *order]
+    return order
+
+
+def _pruned(
+    evidence: Evidence, best: Fitted, freedom: Freedom, threshold: float, struck: set[tuple[str, str]]
+) -> Fitted:
+    """Take back earlier effects that the model can do without."""
+    index = 0
+    while len(best.model) > 1 and index < len(best.model) - 1:
+        rest = fit(evidence, _without(best.model, index), best.state, freedom, outer=2, inner=4)
+        if best.j - rest.j - price(best.model[index], evidence) < threshold:
+            struck.add((best.model[index].name, best.model[index].place))
+            best = rest
+            index = 0
+        else:
+            index += 1
+    return best

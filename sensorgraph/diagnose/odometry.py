@@ -1,0 +1,942 @@
+"""Odometry against the reference pose: wheel effects, slippery patches, and the clock between the two.
+
+Reference poses are averaged over a tenth of a second; what the body did from one average to the next, along its
+heading and in yaw, is compared with what the wheels say. All effects but the clock and the place of a patch are
+linear in that comparison. Rows are whitened (`channel`), so that scale factors are judged over long stretches
+and patches and clocks over short ones, as the noise of camera and wheels asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from logs.run import Run
+from planners.arena import Bools, Floats
+from sensorgraph.diagnose.channel import (
+    PENALTY,
+    THRESHOLD,
+    Increments,
+    Normal,
+    Prior,
+    Solution,
+    autoregression,
+    chi_to_z,
+    huber,
+    increments,
+    probabilities,
+    whiten,
+)
+from sensorgraph.diagnose.finding import Fit, Gap, Ledger, Rival, Unknown, Where
+from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.world.robot_file import RobotFile
+
+GROUP = 0.1
+"""[s] over which reference poses are averaged."""
+ORDER = 12
+"""Of the whitening filters."""
+LARGEST_GAP = 0.35
+"""[s] without poses or odometry across which nothing is compared."""
+LEAST_ROWS = 60
+CLUSTER = 2.0
+"""[s] within which errors may be correlated beyond the filter."""
+GLOBAL = ("wheel_radius", "wheel_radius_diff", "wheel_base", "pose_clock_offset")
+SCALES = (0.0015, 0.001, 0.002)
+"""Tolerances of radius, difference and base: what a careful set-up holds."""
+MARKER = 0.003
+"""[m] between the axle and what the reference calls base_link."""
+CLOCKS = (0.0015, 0.0035)
+"""[s] least and largest tolerance of the clocks."""
+RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92)
+"""[m] of patches that are tried."""
+N_REPLICATES = 100
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """Both sides of the comparison, for one assumed clock offset."""
+
+    clock: float
+    """[s] the odometry is taken to be older than its stamp."""
+    stamps: Floats
+    """(n,) [s]"""
+    poses: Floats
+    """(n, 3) reference pose between both averages."""
+    levels: Floats
+    """(n + 1, 3) averaged reference poses, positions smoothed by the wheels, yaw not wrapped."""
+    is_valid: Bools
+    """(n,)"""
+    along: Floats
+    """(n,) [m] of the reference along its heading."""
+    yaw: Floats
+    """(n,) [rad] of the reference."""
+    D_along: sparse.csr_array
+    """(n, n_increments) turns way into rows."""
+    D_yaw: sparse.csr_array
+    """(n, n_increments) turns turn into rows."""
+    slopes: Floats
+    """(n, 2) derivative of what the wheels say by the clock [m/s, rad/s]."""
+    spots: Floats
+    """(n_increments, 3) reference pose in the middle of each increment."""
+
+    @property
+    def n(self) -> int:
+        """Count of rows of one kind."""
+        return len(self.stamps)
+
+
+def diagnose_odometry(run: Run, robot: RobotFile, *, seed: int = 0) -> Ledger:
+    """Name what makes odometry and reference pose differ."""
+    signals = _signals(run)
+    if isinstance(signals, str):
+        return Ledger(channel="odometry", skipped=signals)
+    stamps, poses, wheels, notes = signals
+    rows = _aligned(stamps, poses, wheels)
+    if isinstance(rows, str):
+        return Ledger(channel="odometry", skipped=rows)
+    return _Search(rows=rows, wheels=wheels, robot=robot, rng=np.random.default_rng(seed)).ledger(notes)
+
+
+def clock_offset(run: Run, robot: RobotFile) -> tuple[float, float] | None:
+    """Return how much older the odometry is than its stamp, and its standard error [s]; None if unknown."""
+    signals = _signals(run)
+    if isinstance(signals, str):
+        return None
+    stamps, poses, wheels, _ = signals
+    rows = _aligned(stamps, poses, wheels)
+    if isinstance(rows, str):
+        return None
+    search = _Search(rows=rows, wheels=wheels, robot=robot, rng=np.random.default_rng(0))
+    search.whiten_rows()
+    prior = search.prior(GLOBAL)
+    solution = search.normal.solve(prior)
+    spread = search.normal.sandwich(solution, search.clusters)
+    return search.rows.clock + float(solution.theta[3]), float(np.sqrt(spread[3, 3]))
+
+
+def _signals(run: Run) -> tuple[Floats, Floats, Increments, dict[str, object]] | str:
+    """Return reference stamps and poses of base_link, the wheels' increments and notes; or why not."""
+    if run.meta.get("pose_source", "").strip("/") in ("odom", "odometry"):
+        return "the poses of this run are its odometry: there is no reference to compare with"
+    wheels = increments(run)
+    if wheels is None:
+        return "this run has no odometry that moves"
+    good = np.isfinite(run.poses).all(axis=1)
+    good[1:] &= np.diff(run.pose_stamps) > 1e-6
+    stamps, poses = run.pose_stamps[good], run.poses[good].copy()
+    if len(stamps) < LEAST_ROWS:
+        return f"this run has {len(stamps)} reference poses, expected at least {LEAST_ROWS}"
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    if run.pose_frame == "laser":
+        mount = run.sensor.mount
+        poses[:, 2] -= mount[2]
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        poses[:, :2] -= np.stack([c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]], axis=1)
+    notes: dict[str, object] = {"odometry_from": wheels.source}
+    first, last = max(stamps[0], wheels.start[0]), min(stamps[-1], wheels.end[-1])
+    whole = max(stamps[-1], wheels.end[-1]) - min(stamps[0], wheels.start[0])
+    if last - first < 0.9 * whole:
+        notes["overlap"] = (
+            f"poses and odometry overlap from {first:.1f} to {last:.1f} s, {last - first:.1f} of {whole:.1f} s; the rest is not used"
+        )
+    return stamps, poses, wheels, notes
+
+
+def _aligned(stamps: Floats, poses: Floats, wheels: Increments) -> Rows | str:
+    """Return rows at the clock offset that fits best."""
+    clock = _coarse_clock(stamps, poses, wheels)
+    for turn in range(4):
+        rows = _rows(stamps, poses, wheels, clock)
+        if rows is None or int(rows.is_valid.sum()) < LEAST_ROWS:
+            n = 0 if rows is None else int(rows.is_valid.sum())
+            return f"poses and odometry overlap in {n} tenths of a second, expected at least {LEAST_ROWS}"
+        if turn == 3:
+            break
+        ok = rows.is_valid
+        A, y = _stack(rows, wheels, 0.4)
+        fit = np.concatenate([ok, ok])
+        scale = np.repeat([np.std(y[: rows.n][ok]) + 1e-9, np.std(y[rows.n :][ok]) + 1e-9], rows.n)
+        for _ in range(2):  # each kind of row by its own spread
+            theta = np.linalg.lstsq((A / scale[:, None])[fit], (y / scale)[fit], rcond=1e-9)[0]
+            left = y - A @ theta
+            scale = np.repeat([np.std(left[: rows.n][ok]) + 1e-9, np.std(left[rows.n :][ok]) + 1e-9], rows.n)
+        step = float(np.clip(theta[3], -0.05, 0.05))
+        clock += step
+        if abs(step) < 2e-4:
+            break
+    return rows
+
+
+def _coarse_clock(stamps: Floats, poses: Floats, wheels: Increments, reach: float = 0.8) -> float:
+    """Return the clock offset [s] at which turn rate and speed of wheels and reference go together best."""
+    step = 0.025
+    first, last = max(stamps[0], wheels.start[0]) + reach, min(stamps[-1], wheels.end[-1]) - reach
+    if last - first < 5.0:
+        return 0.0
+    grid = np.arange(first - reach, last + reach, step)
+    half = 0.1
+    at = [np.interp(grid + d, stamps, poses[:, i]) for d in (-half, half) for i in range(3)]
+    heading = np.interp(grid, stamps, poses[:, 2])
+    turn = at[5] - at[2]
+    way = (at[3] - at[0]) * np.cos(heading) + (at[4] - at[1]) * np.sin(heading)
+    ends = np.append(wheels.start, wheels.end[-1])
+    best = np.zeros(round(2 * reach / step) + 1)
+    margin = round(reach / step)
+    for seen, said in ((turn, wheels.turn), (way, wheels.way)):
+        total = np.concatenate([[0.0], np.cumsum(said)])
+        move = np.interp(grid + half, ends, total) - np.interp(grid - half, ends, total)
+        inner = seen[margin : len(seen) - margin]
+        power = np.sum((inner - inner.mean()) ** 2)
+        if power < 1e-12:
+            continue
+        for k in range(len(best)):  # the odometry at t + tau shows the reference at t
+            shifted = move[k : k + len(inner)]
+            best[k] -= np.sum((inner - shifted) ** 2) / power
+    k = int(np.argmax(best))
+    if not 0 < k < len(best) - 1:
+        return 0.0
+    a, b, c = best[k - 1 : k + 2]
+    bend = a - 2 * b + c
+    return float((k - margin + (0.5 * (a - c) / bend if bend < 0 else 0.0)) * step)
+
+
+def _rows(stamps: Floats, poses: Floats, wheels: Increments, clock: float) -> Rows | None:
+    """Group the poses and lay the increments out under them."""
+    start, end = wheels.start - clock, wheels.end - clock
+    inside = (stamps >= start[0]) & (stamps <= end[-1])
+    stamps, poses = stamps[inside], poses[inside]
+    if len(stamps) < 10:
+        return None
+    period = float(np.median(np.diff(stamps)))
+    m = max(1, round(GROUP / period))
+    n = len(stamps) // m
+    t = stamps[: n * m].reshape(n, m)
+    levels = poses[: n * m].reshape(n, m, 3).mean(axis=1)
+    total = np.concatenate([[0.0], np.cumsum(wheels.turn)])
+    ends = np.append(start, end[-1])
+    off = levels[:, 2] - np.interp(t, ends, total).mean(axis=1)
+    width = max(3, min(round(1.0 / (m * period)), n)) // 2 * 2 + 1
+    padded = np.pad(off, width // 2, mode="edge")
+    off = np.convolve(padded, np.ones(width) / width, mode="valid")
+    centre = t.mean(axis=1)
+    middle = (start + end) / 2
+    heading = np.interp(middle, ends, total) + np.interp(middle, centre, off)
+    border = (centre[1:] + centre[:-1]) / 2
+    phi = np.interp(border, ends, total) + np.interp(border, centre, off)
+    step = np.diff(levels, axis=0)
+    along = step[:, 0] * np.cos(phi) + step[:, 1] * np.sin(phi)
+    valid = (np.diff(centre) < max(LARGEST_GAP, 2.5 * m * period)) & (
+        np.ptp(t, axis=1) < LARGEST_GAP + m * period
+    )[1:]
+    valid &= (np.ptp(t, axis=1) < LARGEST_GAP + m * period)[:-1]
+    D, index, ok = _layout(t, start, end)
+    valid &= ok
+    D_along = _sparse(D * np.cos(heading[index] - phi[:, None]), index, len(start))
+    D_yaw = _sparse(D, index, len(start))
+    slopes = _slopes(t, wheels, clock, heading, phi)
+    between = (levels[1:] + levels[:-1]) / 2
+    steps = wheels.way[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    trail = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    told = np.stack([np.interp(centre, ends, column) for column in trail.T], axis=1)
+    apart = np.pad(levels[:, :2] - told, ((width // 2, width // 2), (0, 0)), mode="edge")
+    apart = np.stack(
+        [np.convolve(column, np.ones(width) / width, mode="valid") for column in apart.T], axis=1
+    )
+    smooth = told + apart
+    spots = np.stack([np.interp(middle, centre, column) for column in (*smooth.T, levels[:, 2])], axis=1)
+    spots[:, 2] = heading
+    return Rows(
+        clock=clock,
+        stamps=border,
+        poses=np.column_stack([between[:, :2], phi]),
+        levels=np.column_stack([smooth, levels[:, 2]]),
+        is_valid=valid,
+        along=along,
+        yaw=step[:, 2],
+        D_along=D_along,
+        D_yaw=D_yaw,
+        slopes=slopes,
+        spots=spots,
+    )
+
+
+def _layout(t: Floats, start: Floats, end: Floats) -> tuple[Floats, np.ndarray, Bools]:  # type: ignore[type-arg]
+    """Return how much of each increment lies between two averages: weights (n, o), indices (n, o), validity (n,)."""
+    first = np.clip(np.searchsorted(end, t[:-1, 0], side="right"), 0, len(end) - 1)
+    last = np.clip(np.searchsorted(start, t[1:, -1], side="left"), 0, len(end) - 1)
+    reach = int(np.quantile(last - first, 0.995)) + 2
+    index = np.minimum(first[:, None] + np.arange(reach), len(end) - 1)
+    twice = first[:, None] + np.arange(reach) > len(end) - 1
+    a, span = start[index][..., None], (end - start)[index][..., None]
+    weights = np.clip((t[1:, None, :] - a) / span, 0, 1).mean(axis=2)
+    weights -= np.clip((t[:-1, None, :] - a) / span, 0, 1).mean(axis=2)
+    weights[twice] = 0.0
+    ok = (last - first < reach) & ((end - start)[index].max(axis=1) < LARGEST_GAP)
+    return weights, index, ok
+
+
+def _sparse(weights: Floats, index: np.ndarray, n: int) -> sparse.csr_array:  # type: ignore[type-arg]
+    rows = np.repeat(np.arange(len(weights)), weights.shape[1])
+    return sparse.csr_array(
+        sparse.coo_array((weights.ravel(), (rows, index.ravel())), shape=(len(weights), n))
+    )
+
+
+def _slopes(t: Floats, wheels: Increments, clock: float, heading: Floats, phi: Floats) -> Floats:
+    """Return the derivative by the clock of what the wheels say (n, 2), from smoothed increments."""
+    kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9
+    way, turn = (
+        np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in (wheels.way, wheels.turn)
+    )
+    out = []
+    for late in (-0.01, 0.01):
+        D, index, _ = _layout(t, wheels.start - clock - late, wheels.end - clock - late)
+        out.append(
+            np.stack(
+                [
+                    ((D * np.cos(heading[index] - phi[:, None])) * way[index]).sum(axis=1),
+                    (D * turn[index]).sum(axis=1),
+                ],
+                axis=1,
+            )
+        )
+    return np.asarray((out[1] - out[0]) / 0.02)
+
+
+def _stack(rows: Rows, wheels: Increments, base: float) -> tuple[Floats, Floats]:
+    """Return columns (2 n, 5) and rows (2 n,): along first, then yaw.
+
+    Columns: both wheels, difference, base, clock, marker beside the axle.
+    """
+    way, turn = rows.D_along @ wheels.way, rows.D_yaw @ wheels.turn
+    straight = rows.D_yaw @ wheels.way
+    nil = np.zeros(rows.n)
+    A = np.concatenate(
+        [
+            np.stack([way, nil, nil, rows.slopes[:, 0], -turn], axis=1),
+            np.stack([turn, -straight / base, turn, rows.slopes[:, 1], nil], axis=1),
+        ]
+    )
+    y = np.concatenate([rows.along - way, rows.yaw - turn])
+    ok = np.concatenate([rows.is_valid, rows.is_valid])
+    return np.where(ok[:, None], A, 0.0), np.where(ok, y, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Patch:
+    """A slippery disc and what it does to the rows."""
+
+    x: float
+    y: float
+    r: float
+    spread: Floats
+    """(4, 4) covariance of s, x, y, r from the search."""
+    shift: float = 0.0
+
+    def mask(self, spots: Floats) -> Floats:
+        """Return the share of each increment inside the disc."""
+        return _inside(spots, np.array([[self.x, self.y, self.r]]))[:, 0]
+
+
+def _inside(spots: Floats, discs: Floats) -> Floats:
+    """Return (n_increments, n_discs) soft membership, 1 inside; the edge is as wide as an increment is long."""
+    far = np.hypot(spots[:, 0, None] - discs[None, :, 0], spots[:, 1, None] - discs[None, :, 1])
+    return np.clip((discs[None, :, 2] - far) / 0.02 + 0.5, 0.0, 1.0)
+
+
+class _Search:
+    """One run's search for wheel effects: rows, noise, the model so far."""
+
+    def __init__(self, *, rows: Rows, wheels: Increments, robot: RobotFile, rng: np.random.Generator) -> None:
+        self.rows, self.wheels, self.robot, self.rng = rows, wheels, robot, rng
+        self.base = robot.wheels.base
+        self.A, self.y = _stack(rows, wheels, self.base)
+        self.ok = np.concatenate([rows.is_valid, rows.is_valid])
+        block = ((rows.stamps - rows.stamps[0]) / CLUSTER).astype(np.intp)
+        self.clusters = np.concatenate([block, block]).astype(np.float64)
+        self.patches: list[Patch] = []
+        self.families = _families(rows, wheels)
+        self.taps: list[Floats] = []
+        self.sigmas: list[float] = []
+        self.weights = np.ones(len(self.y))
+        self.normal = Normal.of(self.A, self.y)
+
+    # noise
+
+    def whiten_rows(self) -> None:
+        """Fit the noise to what the freest model leaves, twice, and whiten the rows with it."""
+        n = self.rows.n
+        generic = np.concatenate([c for c, _ in self.families.values()], axis=1)
+        if generic.shape[1] > 0.12 * self.ok.sum():
+            generic = generic[:, :0]
+        rich = np.concatenate([self.columns(), generic], axis=1)
+        rich = rich / np.maximum(np.linalg.norm(rich, axis=0), 1e-12)
+        if not self.taps:
+            self.taps = [np.eye(1, ORDER + 1)[0]] * 2
+            self.sigmas = [float(np.std(part[ok]) + 1e-12) for part, ok in self._halves(self.y)]
+        for _ in range(2):
+            Z, y = self._white(rich), self._white(self.y)
+            G = Z.T @ Z
+            theta = np.linalg.solve(G + 1e-8 * np.trace(G) / len(G) * np.eye(len(G)), Z.T @ y)
+            left = self.y - rich @ theta
+            spare = 1 / np.sqrt(1 - 0.5 * len(theta) / max(self.ok.sum(), 1))
+            for i, (part, ok) in enumerate(self._halves(left)):
+                limit = 4.0 * 1.4826 * np.median(np.abs(part[ok])) + 1e-12
+                taps, sigma = autoregression([np.clip(part, -limit, limit) * spare], [ok], ORDER)
+                self.taps[i] = taps
+                self.sigmas[i] = sigma
+            whitened = self._white(left)
+            self.weights = np.sqrt(huber(whitened))
+        self._form()
+
+    def _halves(self, values: Floats) -> list[tuple[Floats, Bools]]:
+        n = self.rows.n
+        return [(values[:n], self.rows.is_valid), (values[n:], self.rows.is_valid)]
+
+    def _white(self, columns: Floats) -> Floats:
+        n = self.rows.n
+        out = np.concatenate(
+            [
+                whiten(columns[:n], self.taps[0], self.sigmas[0]),
+                whiten(columns[n:], self.taps[1], self.sigmas[1]),
+            ]
+        )
+        keep = np.where(self.ok, self.weights, 0.0)
+        out *= keep if out.ndim == 1 else keep[:, None]
+        return out
+
+    def _form(self) -> None:
+        self.normal = Normal.of(self._white(self.columns()), self._white(self.y))
+
+    # columns
+
+    def columns(self) -> Floats:
+        """Return all columns (2 n, 5 + patches)."""
+        if not self.patches:
+            return self.A
+        masks = np.stack([patch.mask(self.rows.spots) for patch in self.patches], axis=1)
+        return np.concatenate([self.A, -self._gained(masks)], axis=1)
+
+    def _gained(self, masks: Floats) -> Floats:
+        """Return what the wheels say (2 n, k) where masks (n_increments, k) weigh the increments."""
+        along = self.rows.D_along @ (self.wheels.way[:, None] * masks)
+        yaw = self.rows.D_yaw @ (self.wheels.turn[:, None] * masks)
+        return np.asarray(np.where(self.ok[:, None], np.concatenate([along, yaw]), 0.0))
+
+    def prior(self, names: Sequence[str]) -> Prior:
+        """Return the prior of the columns with some effects free; patches are free or shut out."""
+        clock = float(np.clip(0.6 * self.robot.tolerances.stamp, *CLOCKS))
+        sigma = np.array([*SCALES, clock, MARKER, *[1e-9] * len(self.patches)])
+        mean = np.zeros(len(sigma))
+        mean[3] = -self.rows.clock
+        free = [GLOBAL.index(name) for name in names if name in GLOBAL]
+        free += [5 + i for i in range(len(self.patches)) if f"wheel_slip {i}" in names]
+        return Prior.of(sigma, mean).freed(free)
+
+    def J(self, names: Sequence[str]) -> float:
+        """Return the penalised log-likelihood of a set of effects [nats]."""
+        return self.normal.solve(self.prior(names)).J
+
+    def cost(self, name: str) -> float:
+        """Return the penalty for an effect's parameters [nats]."""
+        return PENALTY * (4 if name.startswith("wheel_slip") else 1)
+
+    def evidence(self, names: Sequence[str], name: str) -> float:
+        """Return how much the data prefer a set with an effect to the set without it [nats]."""
+        rest = [other for other in names if other != name]
+        return self.J([*rest, name]) - self.J(rest) - self.cost(name)
+
+    # search
+
+    def select(self) -> list[str]:
+        """Add effects while the evidence lasts, then take superfluous ones back."""
+        names: list[str] = []
+        for _ in range(6):
+            gains = {name: self.evidence(names, name) for name in GLOBAL if name not in names}
+            best = max(gains, key=lambda name: gains[name]) if gains else ""
+            patch, gain = self._best_patch(names) if len(self.patches) < 3 else (None, -np.inf)
+            if patch is not None and gain > max([*gains.values(), THRESHOLD]):
+                self.patches.append(patch)
+                names.append(f"wheel_slip {len(self.patches) - 1}")
+            elif best and gains[best] > THRESHOLD:
+                names.append(best)
+            else:
+                break
+            self.whiten_rows()
+            for name in sorted(names, key=lambda name: self.evidence(names, name)):
+                if self.evidence(names, name) < THRESHOLD:
+                    names.remove(name)
+        for i in range(len(self.patches)):
+            if f"wheel_slip {i}" in names:
+                self._refine(i, names)
+        return [name for name in names if self.evidence(names, name) >= THRESHOLD]
+
+    def _best_patch(self, names: Sequence[str]) -> tuple[Patch | None, float]:
+        moving = np.abs(self.wheels.way) > 1e-3
+        spots = self.rows.spots[moving, :2]
+        if len(spots) < 20:
+            return None, -np.inf
+        cell = 0.15
+        keys = np.unique(np.round(spots / cell).astype(np.intp), axis=0)
+        if len(keys) > 250:
+            keys = keys[:: len(keys) // 250 + 1]
+        discs = np.concatenate([np.column_stack([keys * cell, np.full(len(keys), r)]) for r in RADII])
+        gains, _ = self._disc_gains(discs, names)
+        disc = discs[int(np.argmax(gains))]
+        for step in (0.08, 0.04):
+            near = disc + step * self.rng.uniform(-1.5, 1.5, size=(120, 3))
+            near[:, 2] = np.clip(near[:, 2], 0.12, 1.2)
+            near = np.concatenate([disc[None], near])
+            gains, _ = self._disc_gains(near, names)
+            disc = near[int(np.argmax(gains))]
+        x, y, r = (float(value) for value in disc)
+        return Patch(x=x, y=y, r=r, spread=np.zeros((4, 4))), float(gains.max()) - PENALTY * 4
+
+    def _disc_gains(self, discs: Floats, names: Sequence[str]) -> tuple[Floats, Floats]:
+        """Return likelihood gained [nats] and motion lost for each disc, given a set of effects."""
+        solution = self.normal.solve(self.prior(names))
+        Z = -self._white(self._gained(_inside(self.rows.spots, discs)))
+        left = self.normal.y - self.normal.A @ solution.theta
+        prior = self.prior(names)
+        score = left @ Z
+        cross = self.normal.A.T @ Z
+        free = np.diag(solution.covariance) > 0
+        C = solution.covariance[np.ix_(free, free)]
+        info = np.einsum("ij,ij->j", Z, Z) - np.einsum("ij,ij->j", cross[free], C @ cross[free])
+        info = np.maximum(info, 1e-9 + 1e-6 * np.einsum("ij,ij->j", Z, Z))
+        lost = np.clip(score / info, 0.0, 0.95)
+        del prior
+        gains = lost * score - 0.5 * lost**2 * info
+        gains[info < 400.0] = 0.0  # 5 % standard error: the disc was hardly driven through
+        return gains, lost
+
+    def _refine(self, i: int, names: Sequence[str]) -> None:
+        """Move a patch to the middle of its likelihood and take its spread from there."""
+        rest = [name for name in names if name != f"wheel_slip {i}"]
+        patch = self.patches[i]
+        disc, scale = np.array([patch.x, patch.y, patch.r]), np.full(3, 0.08)
+        covariance = np.zeros((4, 4))
+        for _ in range(4):
+            near = disc + scale * self.rng.normal(size=(250, 3))
+            near[:, 2] = np.clip(np.abs(near[:, 2]), 0.1, 1.3)
+            gains, lost = self._disc_gains(near, rest)
+            proposal = -0.5 * (((near - disc) / scale) ** 2).sum(axis=1)
+            weight = gains - proposal
+            weight = np.exp(np.minimum(weight - weight.max(), 0.0))
+            weight /= weight.sum()
+            values = np.column_stack([lost, near])
+            mean = weight @ values
+            off = values - mean
+            covariance = (off * weight[:, None]).T @ off
+            disc = mean[1:]
+            scale = np.clip(1.4 * np.sqrt(np.diag(covariance)[1:]), 0.012, 0.25)
+        self.patches[i] = Patch(x=float(disc[0]), y=float(disc[1]), r=float(disc[2]), spread=covariance)
+        self._form()
+
+    # result
+
+    def ledger(self, notes: Mapping[str, object]) -> Ledger:
+        """Search, judge and report."""
+        self.whiten_rows()
+        where = self._where()
+        names = self.select()
+        solution = self.normal.solve(self.prior(names))
+        unknown, family = self._unknown(names)
+        if family is not None:
+            names = self._without_excuses(names, family)
+            solution = self.normal.solve(self.prior(names))
+        spread = self.normal.sandwich(solution, self.clusters)
+        found = [self._amendment(name, names, solution, spread) for name in names]
+        found.sort(key=lambda a: -(a.evidence or 0.0))
+        named = [a for a in found if _is_material(a)]
+        small = [a for a in found if not _is_material(a)]
+        rivals = [rival for a in named for rival in self._rivals(a.name, names)]
+        extra = {
+            **notes,
+            "clock_offset_s": self.rows.clock + float(solution.theta[3]),
+            "rows": int(self.ok.sum()),
+        }
+        return Ledger(
+            channel="odometry",
+            effects=tuple(named),
+            within_tolerance=tuple(small),
+            unknown=unknown,
+            rivals=tuple(rivals),
+            where=where,
+            gap=self._gap(names),
+            not_observable=self._not_observable(names),
+            notes=extra,
+        )
+
+    def _amendment(self, name: str, names: Sequence[str], solution: Solution, spread: Floats) -> Amendment:
+        theta, sd = solution.theta, np.sqrt(np.diag(spread))
+        evidence = self.evidence(names, name)
+        rivals = self._alternatives(name, names)
+        probability = probabilities({name: evidence, **rivals})[name]
+        location = None
+        if name.startswith("wheel_slip"):
+            i = int(name.split()[1])
+            patch = self.patches[i]
+            values = {"s": float(np.clip(theta[5 + i], 0, 1)), "x": patch.x, "y": patch.y, "r": patch.r}
+            width = np.sqrt(np.diag(patch.spread))
+            errors = {"s": float(np.hypot(sd[5 + i], width[0]))} | {
+                key: float(np.hypot(w, 0.01)) for key, w in zip("xyr", width[1:], strict=True)
+            }
+            location = (patch.x, patch.y)
+            effect = EFFECTS["wheel_slip"]
+        else:
+            effect = EFFECTS[name]
+            gain = 1 + theta[0] if "wheel_radius" in names else 1.0
+            k = GLOBAL.index(name)
+            if name == "wheel_radius":
+                values = {"s": float(1 / gain - 1)}
+                errors = {"s": float(sd[k] / gain**2)}
+            elif name == "wheel_base":
+                values = {"s": float((gain + theta[k]) / gain - 1)}
+                errors = {"s": float(sd[k])}
+            elif name == "wheel_radius_diff":
+                values = {"s": float(theta[k] / gain)}
+                errors = {"s": float(sd[k])}
+            else:
+                values = {"tau": float(self.rows.clock + theta[k])}
+                errors = {"tau": float(sd[k])}
+        out = replace(effect(**values), stderr=errors, probability=probability, evidence=evidence)
+        return out.at(xy=location) if location is not None else out
+
+    def _alternatives(self, name: str, names: Sequence[str]) -> dict[str, float]:
+        """Return the evidence of each effect that could stand in an effect's place [nats]."""
+        rest = [other for other in names if other != name]
+        out = {other: self.evidence([*rest, other], other) for other in GLOBAL if other not in names}
+        if not name.startswith("wheel_slip"):
+            _, gain = self._best_patch(rest)
+            out["wheel_slip"] = gain
+        return out
+
+    def _rivals(self, name: str, names: Sequence[str]) -> list[Rival]:
+        key = next(other for other in names if other.split()[0] == name)
+        rivals = self._alternatives(key, names)
+        if not rivals:
+            return []
+        best = max(rivals, key=lambda other: rivals[other])
+        if rivals[best] < THRESHOLD:
+            return []
+        advice = EFFECTS[name].rivals.get(best) or EFFECTS[best].rivals.get(name) or EFFECTS[name].varies
+        return [Rival(name=best, instead_of=name, evidence_nats=rivals[best], separates=advice)]
+
+    # criticism
+
+    def _where(self) -> tuple[Where, ...]:
+        """Say where the bare simulator differs, before any effect is named."""
+        solution = self.normal.solve(self.prior([]))
+        left = self.normal.y - self.normal.A @ solution.theta
+        out = []
+        for name, (columns, labels) in self.families.items():
+            Z = self._white(columns)
+            sums = np.stack(
+                [np.bincount(self.clusters.astype(np.intp), weights=z) for z in (Z * left[:, None]).T]
+            )
+            info = (Z**2).sum(axis=0)
+            z = Z.T @ left / np.sqrt(np.maximum(np.maximum(info, (sums**2).sum(axis=1)), 1e-12))
+            for i in np.flatnonzero((np.abs(z) > 4.0) & (info > 1e-6)):
+                n = int((np.abs(columns[:, i]) > 1e-9).sum())
+                out.append(
+                    Where(
+                        family="bias",
+                        partition=name,
+                        label=labels[i],
+                        z=float(z[i]),
+                        size=float(Z[:, i] @ left / info[i]),
+                        n_rays=n,
+                    )
+                )
+        out.sort(key=lambda w: -abs(w.z))
+        return tuple(out[:12])
+
+    def _unknown(self, names: Sequence[str]) -> tuple[Unknown | None, str | None]:
+        """Look for structure that the accepted effects leave; calibrated by sign-flipped blocks of the residual."""
+        prior = self.prior(names)
+        solution = self.normal.solve(prior)
+        left = self.normal.y - self.normal.A @ solution.theta
+        weight = np.where(np.isinf(prior.sigma), 0.0, 1 / np.maximum(prior.sigma, 1e-12))
+        use = weight < 1e8
+        base = np.concatenate([self.normal.A[:, use], self._edges(names)], axis=1)
+        scale = np.maximum(np.linalg.norm(base, axis=0), 1e-12)
+        Q, _ = np.linalg.qr(base / scale)
+        block = self.clusters.astype(np.intp)
+        signs = self.rng.choice([-1.0, 1.0], size=(block.max() + 1, N_REPLICATES))[block]
+        flipped = left[:, None] * signs
+        best: tuple[float, str, float, float] | None = None
+        tops = np.full(N_REPLICATES, -np.inf)
+        results = []
+        for name, (columns, _) in self.families.items():
+            Z = self._white(columns)
+            Z = Z - Q @ (Q.T @ Z)
+            values, vectors = np.linalg.eigh(Z.T @ Z)
+            keep = values > 1e-6 * max(values.max(initial=0.0), 1e-12)
+            if not keep.any():
+                continue
+            root = (Z @ vectors[:, keep]) / np.sqrt(values[keep])
+            q = root.T @ left
+            dof = int(keep.sum())
+            statistic = float(q @ q)
+            theta = vectors[:, keep] @ (q / np.sqrt(values[keep]))
+            size = float(np.sqrt(((columns @ theta)[self.ok] ** 2).sum()))
+            results.append((chi_to_z(statistic, dof), name, statistic, size, dof))
+            tops = np.maximum(tops, [chi_to_z(float(s), dof) for s in ((root.T @ flipped) ** 2).sum(axis=0)])
+        if not results:
+            return None, None
+        z, name, statistic, _, dof = max(results)
+        threshold = max(6.0, 1.25 * float(tops.max()), float(tops.mean() + 4 * tops.std()))
+        if z < threshold or 0.5 * statistic - 1.5 * dof < 2 * THRESHOLD:
+            return None, None
+        text = _STATEMENTS[name]
+        del best
+        return (
+            Unknown(
+                statement=f"odometry and reference pose differ {text}, which no wheel effect explains",
+                where=Where(
+                    family="bias",
+                    partition=name,
+                    label=text,
+                    z=z,
+                    size=statistic / 2,
+                    n_rays=int(self.ok.sum()),
+                ),
+                statistic=z,
+                threshold=threshold,
+            ),
+            name,
+        )
+
+    def _edges(self, names: Sequence[str]) -> Floats:
+        """Return what small changes of a patch's place and radius would do, so that they are no news."""
+        parts = [np.zeros((len(self.y), 0))]
+        for i, patch in enumerate(self.patches):
+            if f"wheel_slip {i}" not in names:
+                continue
+            here = np.array([patch.x, patch.y, patch.r])
+            moved = np.concatenate([here + 0.06 * np.eye(3), here - 0.06 * np.eye(3)])
+            masks = _inside(self.rows.spots, moved)
+            parts.append(self._white(self._gained(masks[:, :3] - masks[:, 3:])))
+        return np.concatenate(parts, axis=1)
+
+    def _without_excuses(self, names: Sequence[str], family: str) -> list[str]:
+        """Strike the effects that the unknown structure explains as well."""
+        extra = self._white(self.families[family][0])
+        A = np.concatenate([self.normal.A, extra], axis=1)
+        normal = Normal.of(A, self.normal.y)
+        k = extra.shape[1]
+
+        def J(some: Sequence[str]) -> float:
+            prior = self.prior(some)
+            wide = np.full(k, 1.0)
+            return normal.solve(
+                Prior(
+                    mean=np.append(prior.mean, np.zeros(k)),
+                    sigma=np.append(prior.sigma, wide),
+                    box=np.append(prior.box, np.full(k, np.inf)),
+                )
+            ).J
+
+        return [
+            name
+            for name in names
+            if J(names) - J([other for other in names if other != name]) - self.cost(name) >= THRESHOLD
+        ]
+
+    def _gap(self, names: Sequence[str]) -> Gap:
+        """Fit on every other 5 s, measure on the rest, and the other way round."""
+        n = self.rows.n
+        odd = ((self.rows.stamps - self.rows.stamps[0]) // 5.0).astype(np.intp) % 2
+        half = np.concatenate([odd, odd])
+        columns = self.columns()
+        after = np.zeros(len(self.y))
+        for side in (0, 1):
+            train = half == side
+            fit = Normal.of(self.normal.A[train], self.normal.y[train]).solve(self.prior(names))
+            after[~train] = (self.y - columns @ fit.theta)[~train]
+        nominal = np.zeros(columns.shape[1])
+        nominal[3] = -self.rows.clock
+        before = self.y - columns @ nominal
+        rich = np.concatenate([columns, *[c for c, _ in self.families.values()]], axis=1)
+        Z = self._white(rich)
+        G = Z.T @ Z
+        theta = np.linalg.solve(G + 1e-8 * np.trace(G) / len(G) * np.eye(len(G)), Z.T @ self.normal.y)
+        rest = max(int(self.ok.sum()) - len(theta), 1)
+        floor = (self.y - rich @ theta) * np.sqrt(self.ok.sum() / rest)
+        return Gap(
+            before=self._fit(before), after=self._fit(after), noise_floor=self._fit(floor), n_rays=2 * n
+        )
+
+    def _fit(self, residual: Floats) -> Fit:
+        n, step = self.rows.n, float(np.median(np.diff(self.rows.stamps)))
+        m = max(1, round(1.0 / step))
+        k = n // m
+        use = np.where(self.ok, residual, 0.0)
+        along, yaw = (part[: k * m].reshape(k, m).sum(axis=1) / (m * step) for part in (use[:n], use[n:]))
+        rmse = float(np.sqrt(np.mean(along**2 + (self.base / 2 * yaw) ** 2)))
+        saved, self.weights = self.weights, np.ones(len(self.y))
+        white = self._white(use)[self.ok]
+        self.weights = saved
+        sigma = np.repeat(self.sigmas, n)[self.ok]
+        nats = float(np.mean(0.5 * white**2 + np.log(sigma * np.sqrt(2 * np.pi))))
+        return Fit(rmse_m=rmse, normalised=float(np.sqrt(np.mean(white**2))), nats_per_ray=nats)
+
+    def _not_observable(self, names: Sequence[str]) -> dict[str, str]:
+        """Say which effects could not have been seen at three times their materiality."""
+        out = {}
+        found = {name.split()[0] for name in names}
+        for name in GLOBAL:
+            if name in found:
+                continue
+            limit = 3 * next(iter(EFFECTS[name].sizes.values()))
+            covariance = self.normal.solve(self.prior([*names, name])).covariance
+            expected = 0.5 * limit**2 / max(float(covariance[GLOBAL.index(name), GLOBAL.index(name)]), 1e-18)
+            if expected - PENALTY < THRESHOLD:
+                out[name] = (
+                    f"{_LACKS[name]}: at three times its materiality it would bring {max(expected, 0):.0f} nats"
+                )
+        if "wheel_slip" not in found and float(np.abs(self.wheels.way).sum()) < 1.0:
+            out["wheel_slip"] = "the robot drove less than 1 m"
+        return out
+
+
+_LACKS = {
+    "wheel_radius": "too little driving",
+    "wheel_radius_diff": "too little straight driving",
+    "wheel_base": "too little turning",
+    "pose_clock_offset": "too little acceleration",
+}
+_STATEMENTS = {
+    "time": "by a scale that changes in time",
+    "speed": "by a scale that depends on speed or turn rate",
+    "direction": "differently forward and backward, or to the left and to the right",
+    "acceleration": "when the robot accelerates",
+    "place": "by a scale that depends on the place",
+    "clock": "by a clock offset that changes in time",
+    "reference yaw": "by a yaw of the reference that depends on the place",
+    "reference place": "by a position of the reference that is distorted over the place",
+}
+
+
+def _families(rows: Rows, wheels: Increments) -> dict[str, tuple[Floats, list[str]]]:
+    """Return columns (2 n, k) of differences that no library effect makes, and what to call each."""
+    rates = wheels.rates
+    v, omega = np.abs(rates[:, 0]), np.abs(rates[:, 1])
+    kernel = np.ones(5) / 5
+    smooth = np.stack([np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in rates.T], axis=1)
+    gain = np.abs(np.gradient(smooth, wheels.middle, axis=0))
+    pieces = np.clip(
+        (6 * (wheels.middle - wheels.start[0]) / (wheels.end[-1] - wheels.start[0])).astype(np.intp), 0, 5
+    )
+    span = [f"{a:.0f} to {b:.0f} s" for a, b in _spans(wheels, 6)]
+    out: dict[str, tuple[Floats, list[str]]] = {}
+
+    def both(name: str, masks: list[tuple[str, str, Floats]]) -> None:
+        columns, labels = [], []
+        nil = np.zeros(rows.n)
+        for label, kind, mask in masks:
+            along = rows.D_along @ (wheels.way * mask) if kind in ("v", "both") else nil
+            yaw = rows.D_yaw @ (wheels.turn * mask) if kind in ("omega", "both") else nil
+            columns.append(np.where(np.tile(rows.is_valid, 2), np.concatenate([along, yaw]), 0.0))
+            labels.append(
+                f"{label}, {'way' if kind == 'v' else 'turn' if kind == 'omega' else 'way and turn'}"
+            )
+        if columns:
+            out[name] = (np.stack(columns, axis=1), labels)
+
+    as_float = np.float64
+    both(
+        "time", [(span[k], kind, (pieces == k).astype(as_float)) for k in range(6) for kind in ("v", "omega")]
+    )
+    cuts = np.array([0.12, 0.22, 0.32]) * max(1.0, float(np.quantile(v, 0.98)) / 0.4)
+    turns = np.array([0.25, 0.5, 0.75]) * max(1.0, float(np.quantile(omega, 0.98)))
+    both(
+        "speed",
+        [(f"|v| above {c:.2f} m/s", "v", (v > c).astype(as_float)) for c in cuts]
+        + [(f"|omega| above {c:.2f} rad/s", "omega", (omega > c).astype(as_float)) for c in turns],
+    )
+    both(
+        "direction",
+        [
+            ("backward", "v", (rates[:, 0] < 0).astype(as_float)),
+            ("to the right", "omega", (rates[:, 1] < 0).astype(as_float)),
+        ],
+    )
+    both(
+        "acceleration",
+        [
+            (
+                f"above {np.quantile(gain[:, 0], 0.85):.2f} m/s²",
+                "v",
+                (gain[:, 0] > np.quantile(gain[:, 0], 0.85)).astype(as_float),
+            ),
+            (
+                f"above {np.quantile(gain[:, 1], 0.85):.2f} rad/s²",
+                "omega",
+                (gain[:, 1] > np.quantile(gain[:, 1], 0.85)).astype(as_float),
+            ),
+        ],
+    )
+    cells = np.floor(rows.spots[:, :2] / 1.0).astype(np.intp)
+    keys, which = np.unique(cells, axis=0, return_inverse=True)
+    way = np.bincount(which.ravel(), weights=np.abs(wheels.way))
+    large = np.argsort(-way)[:24]
+    large = large[way[large] > 0.3]
+    both(
+        "place",
+        [
+            (
+                f"round ({keys[k][0] + 0.5:.1f}, {keys[k][1] + 0.5:.1f})",
+                "both",
+                (which.ravel() == k).astype(as_float),
+            )
+            for k in large
+        ],
+    )
+    part = np.clip((5 * (rows.stamps - rows.stamps[0]) / np.ptp(rows.stamps)).astype(np.intp), 0, 4)
+    masks = [(part == k)[:, None] * rows.slopes for k in range(5)]
+    clock = np.stack([np.where(np.tile(rows.is_valid, 2), m.T.ravel(), 0.0) for m in masks], axis=1)
+    out["clock"] = (clock, [f"{a:.0f} to {b:.0f} s, clock" for a, b in _spans(wheels, 5)])
+    out |= _reference_families(rows)
+    return out
+
+
+def _spans(wheels: Increments, n: int) -> list[tuple[float, float]]:
+    edges = np.linspace(wheels.start[0], wheels.end[-1], n + 1)
+    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+
+def _reference_families(rows: Rows) -> dict[str, tuple[Floats, list[str]]]:
+    """Return columns of a reference that is distorted over the place."""
+    xy = rows.levels[:, :2]
+    low, size = xy.min(axis=0), max(float(np.ptp(xy, axis=0).max()), 0.5)
+    u = (xy - low) / size
+    waves = [
+        np.cos(np.pi * a * u[:, 0]) * np.cos(np.pi * b * u[:, 1])
+        for a in range(5)
+        for b in range(5)
+        if 0 < a + b < 7
+    ]
+    nil = np.zeros(rows.n)
+    ok = np.tile(rows.is_valid, 2)
+    yaw = np.stack([np.where(ok, np.concatenate([nil, np.diff(w)]), 0.0) for w in waves], axis=1)
+    c, s = np.cos(rows.poses[:, 2]), np.sin(rows.poses[:, 2])
+    powers = [
+        (u[:, 0] - 0.5) ** a * (u[:, 1] - 0.5) ** b for a in range(4) for b in range(4) if 1 < a + b < 4
+    ]
+    place = np.stack(
+        [np.where(ok, np.concatenate([axis * np.diff(p), nil]), 0.0) for p in powers for axis in (c, s)],
+        axis=1,
+    )
+    return {
+        "reference yaw": (yaw, ["yaw of the reference by place"] * yaw.shape[1]),
+        "reference place": (place, ["position of the reference by place"] * place.shape[1]),
+    }
+
+
+def _is_material(a: Amendment) -> bool:
+    return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())

@@ -1,0 +1,531 @@
+"""Propose effects that act roughly: cut-offs, surfaces, objects, sectors, lattices, mixtures.
+
+Each proposer looks at the residuals of a fit where its effect would show, and returns candidates with start values
+and the gain that the frozen nuisances promise. None of them decides: `decide` fits and compares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from planners.arena import Bools, Floats
+from sensorgraph.diagnose.screen import Candidate, obstacles
+from sensorgraph.diagnose.view import View, best_run
+from sensorgraph.effects import EFFECTS
+from sensorgraph.effects.places import named_walls, reflected
+from sensorgraph.world.scene import each
+
+BIN = 0.1  # [m] along a wall
+LEAST_GAIN = 6.0
+FEW = 8  # rays; fewer are no ground for a proposal
+
+
+def rough_candidates(view: View) -> list[Candidate]:
+    """Ask every proposer."""
+    found: list[Candidate] = []
+    for propose in PROPOSERS:
+        found += [c for c in propose(view) if c.gain > LEAST_GAIN]
+    return sorted(found, key=lambda c: -c.gain)
+
+
+def cut_offs(view: View) -> list[Candidate]:
+    """max_range, min_range, incidence_dropout: exact profile of the gain over every threshold."""
+    found = []
+    dead = view.dead
+    mu = np.where(view.aimed & (view.mu < view.range_max), view.mu, np.nan)
+    for name, parameter, value, upward in (
+        ("max_range", "R", mu, True),
+        ("min_range", "r_min", mu, False),
+        ("incidence_dropout", "alpha_max", np.where(np.isfinite(mu), view.incidence, np.nan), True),
+    ):
+        ok = np.isfinite(value)
+        if not ok.any():
+            continue
+        v, d = value[ok], dead[ok]
+        order = np.argsort(-v if upward else v)
+        total = np.cumsum(d[order])
+        at = int(total.argmax())
+        n_lost = int(view.lost[ok][order][: at + 1].sum())
+        if n_lost < 3:
+            continue
+        v = v[order]
+        beyond = v[at + 1] if at + 1 < len(v) else v[at]
+        found.append(
+            Candidate(
+                amendment=EFFECTS[name](**{parameter: float((v[at] + beyond) / 2)}), gain=float(total[at])
+            )
+        )
+    return found
+
+
+def black(view: View) -> list[Candidate]:
+    """black_surface: misses that grow with range and incidence, on a part of one wall."""
+    on = view.beams.wall >= 0
+    lost = on & view.lost & view.aimed
+    if lost.sum() < 3:
+        return []
+    found = []
+    cosine, r = view.beams.cosine[on], view.beams.ranges[on]
+    returned, log_p = view.returned[on], view.log_p[on]
+    walls, along = view.beams.wall[on], view.along[on]
+    n_walls = len(view.fitted.cast.scene.walls)
+    best: dict[int, tuple[float, float, float, float]] = {}
+    for r0 in np.geomspace(0.3, view.range_max, 14):
+        p = np.minimum(1.0, cosine * (r0 / r) ** 2)
+        p = np.clip(p, 1e-4, 1.0)
+        gain = np.where(
+            returned,
+            np.log(p),
+            np.where(view.lost[on], np.log(1 - p * (1 - view.noise.loss) + 1e-5) - log_p, 0.0),
+        )
+        table, _ = _by_wall(walls, along, gain, n_walls)
+        first, last, total = best_run(table)
+        for wall in np.argsort(-total)[:2]:
+            if total[wall] > best.get(int(wall), (LEAST_GAIN,))[0]:
+                best[int(wall)] = (float(total[wall]), first[wall] * BIN, (last[wall] + 1) * BIN, float(r0))
+    for wall, (gain, a, b, r0) in best.items():
+        found.append(_on_wall(view, "black_surface", wall, gain, a=a, b=b, r0=r0))
+    return sorted(found, key=lambda c: -c.gain)[:2]
+
+
+def glass(view: View) -> list[Candidate]:
+    """Glass: long or missing readings at slanting incidence, on a part of one wall."""
+    on = (view.beams.wall >= 0) & view.aimed
+    odd = on & (view.long | (view.lost & (view.mu < view.range_max - 0.1)))
+    if odd.sum() < FEW:
+        return []
+    found = []
+    names = view.evidence.arena.names
+    counts = np.bincount(view.beams.wall[odd], minlength=len(names))
+    for wall in np.argsort(-counts)[:4]:
+        if counts[wall] < FEW:
+            continue
+        mine = on & (view.beams.wall == wall)
+        found += _panes(view, int(wall), mine)
+    return sorted(found, key=lambda c: -c.gain)[:3]
+
+
+def _panes(view: View, wall: int, mine: Bools) -> list[Candidate]:
+    """Propose panes on one wall: with a plane behind, and with what the map has behind."""
+    z, mu = view.z[mine], view.mu[mine]
+    incidence, cosine = view.incidence[mine], view.beams.cosine[mine]
+    along, log_p = view.along[mine], view.log_p[mine]
+    long = view.long[mine]
+    depths = [0.0]
+    if long.sum() >= FEW:
+        d = (z - mu)[long] * cosine[long]
+        counts, edges = np.histogram(d, bins=np.arange(0.0, min(d.max() + 0.1, 30.0) + 0.05, 0.05))
+        at = int(counts.argmax())
+        near = np.abs(d - (edges[at] + 0.025)) < 0.05
+        depths.append(float(np.median(d[near])))
+    else:
+        depths.append(50.0)
+    walls = view.fitted.cast.scene.walls.copy()
+    walls[wall] = 1e9
+    ox = np.broadcast_to(view.beams.ox, view.z.shape)[mine]
+    oy = np.broadcast_to(view.beams.oy, view.z.shape)[mine]
+    behind, _ = each(
+        walls, ox[:, None], oy[:, None], view.beams.ux[mine][:, None], view.beams.uy[mine][:, None]
+    )
+    best: Candidate | None = None
+    for depth in depths:
+        seen = mu + depth / np.maximum(cosine, 0.02) if depth > 0 else behind[:, 0]
+        through = view.likely(seen, mine) - log_p
+        for alpha in np.radians([0.0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 50, 55, 60, 65, 70, 75]):
+            gain = np.where(incidence >= alpha, through, 0.0)
+            table, _ = _by_wall(np.zeros(len(gain), dtype=np.intp), along, gain, 1)
+            first, last, total = best_run(table)
+            if best is None or total[0] > best.gain:
+                best = _on_wall(
+                    view, "glass", wall, float(total[0]),
+                    a=first[0] * BIN, b=(last[0] + 1) * BIN, alpha_ret=float(max(alpha, 1e-3)), depth=depth,
+                )  # fmt: skip
+    return [best] if best is not None else []
+
+
+def mirror(view: View) -> list[Candidate]:
+    """Mirror: long readings that show the room reflected in a part of one wall."""
+    on = (view.beams.wall >= 0) & view.aimed
+    odd = on & (view.long | (view.lost & (view.mu < view.range_max - 0.1)))
+    if odd.sum() < FEW:
+        return []
+    n_walls = len(view.fitted.cast.scene.walls)
+    counts = np.bincount(view.beams.wall[odd], minlength=n_walls)
+    found = []
+    for wall in np.argsort(-counts)[:4]:
+        mine = on & (view.beams.wall == wall)
+        if counts[wall] < FEW:
+            continue
+        seen = view.mu[mine] + reflected(view.fitted.cast.scene.walls, view.beams, mine)
+        gain = view.likely(seen, mine) - view.log_p[mine]
+        table, _ = _by_wall(np.zeros(len(gain), dtype=np.intp), view.along[mine], gain, 1)
+        first, last, total = best_run(table)
+        found.append(
+            _on_wall(view, "mirror", int(wall), float(total[0]), a=first[0] * BIN, b=(last[0] + 1) * BIN)
+        )
+    return sorted(found, key=lambda c: -c.gain)[:2]
+
+
+def _by_wall(walls: Floats, along: Floats, gain: Floats, n_walls: int) -> tuple[Floats, int]:
+    """Sum gains by wall and bin along it, (n_walls, n_bins)."""
+    place = np.clip(np.nan_to_num(along) / BIN, 0, None).astype(np.intp)
+    n_bins = int(place.max(initial=0)) + 1
+    table = np.bincount(walls * n_bins + place, gain, n_walls * n_bins).reshape(n_walls, n_bins)
+    return table, n_bins
+
+
+def _on_wall(view: View, name: str, wall: int, gain: float, **values: float) -> Candidate:
+    a, b = view.fitted.cast.scene.walls[wall]
+    length = float(np.hypot(*(b - a)))
+    values["b"] = min(values["b"], length)
+    values["a"] = max(values["a"], 0.0)
+    middle = a + (b - a) * ((values["a"] + values["b"]) / 2 / max(length, 1e-9))
+    amendment = EFFECTS[name](**values).at(view.evidence.arena.names[wall], middle)
+    return Candidate(amendment=amendment, gain=gain)
+
+
+def missing_or_moved(view: View) -> list[Candidate]:
+    """Look for an obstacle that is gone, or that stands elsewhere."""
+    found = []
+    present = {(a.name, a.place) for a in view.fitted.model}
+    walls = view.fitted.cast.scene.walls
+    odd_end = view.ends(view.strange) if view.strange.sum() else np.zeros((0, 2))
+    for feature in obstacles(view.evidence):
+        if ("missing_obstacle", feature) in present or ("moved_obstacle", feature) in present:
+            continue
+        members = named_walls(view.evidence.arena, feature)
+        mine = np.isin(view.beams.wall, members)
+        if mine.sum() < FEW:
+            continue
+        bare = walls.copy()
+        bare[members] = 1e9
+        ox = np.broadcast_to(view.beams.ox, view.z.shape)[mine][:, None]
+        oy = np.broadcast_to(view.beams.oy, view.z.shape)[mine][:, None]
+        behind, _ = each(bare, ox, oy, view.beams.ux[mine][:, None], view.beams.uy[mine][:, None])
+        gain = float((view.likely(behind[:, 0], mine) - view.log_p[mine]).sum())
+        centre = walls[members].reshape(-1, 2).mean(axis=0)
+        if gain > LEAST_GAIN:
+            found.append(Candidate(amendment=EFFECTS["missing_obstacle"]().at(feature, centre), gain=gain))
+        found += _shifted(view, feature, walls[members], odd_end, mine)
+    return found
+
+
+def _shifted(view: View, feature: str, outline: Floats, ends: Floats, mine: Bools) -> list[Candidate]:
+    """Lay the outline of an obstacle over the ends of unexplained rays."""
+    low, high = outline.min(axis=(0, 1)) - 0.7, outline.max(axis=(0, 1)) + 0.7
+    near = ends[((ends > low) & (ends < high)).all(axis=1)]
+    if len(near) < 2 * FEW:
+        return []
+    near = near[:: max(1, len(near) // 150)]
+    steps = np.arange(-0.6, 0.61, 0.04)
+    grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    a, d = outline[:, 0], outline[:, 1] - outline[:, 0]
+    size = np.maximum((d**2).sum(axis=1), 1e-12)
+    p = near[None] - grid[:, None]  # (n_grid, n_points, 2)
+    best = np.full(p.shape[:2], np.inf)
+    for k in range(len(outline)):
+        q = p - a[k]
+        share = np.clip((q @ d[k]) / size[k], 0.0, 1.0)
+        best = np.minimum(best, np.hypot(q[..., 0] - share * d[k, 0], q[..., 1] - share * d[k, 1]))
+    score = np.exp(-0.5 * (best / 0.03) ** 2).sum(axis=1)
+    at = int(score.argmax())
+    share = score[at] / len(near)
+    if share < 0.35:
+        return []
+    dx, dy = grid[at]
+    centre = outline.reshape(-1, 2).mean(axis=0)
+    unexplained = float(-(view.log_p[view.strange & mine]).sum())
+    gain = 3.0 * score[at] * max(1, len(ends) // 150) + max(unexplained, 0.0)
+    return [
+        Candidate(
+            amendment=EFFECTS["moved_obstacle"](dx=float(dx), dy=float(dy)).at(feature, centre), gain=gain
+        )
+    ]
+
+
+def unmapped(view: View) -> list[Candidate]:
+    """unmapped_obstacle: short readings that end at one place, again and again."""
+    if view.short.sum() < FEW:
+        return []
+    ends = view.ends(view.short)
+    scan = np.nonzero(view.short)[0]
+    cell = np.floor(ends / 0.2).astype(np.intp)
+    _, index, counts = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    index = index.ravel()
+    found = []
+    for k in np.argsort(-counts)[:3]:
+        if counts[k] < FEW:
+            break
+        middle = np.median(ends[index == k], axis=0)
+        near = np.hypot(*(ends - middle).T) < 0.6
+        if len(np.unique(scan[near])) < 4:
+            continue
+        directions = np.stack([view.beams.ux[view.short][near], view.beams.uy[view.short][near]], axis=1)
+        centre, radius, spread = _circle(ends[near], directions)
+        if spread < 0.08:
+            gain = 8.0 * float(near.sum()) * max(0.1, 1 - spread / 0.1)
+            amendment = EFFECTS["unmapped_obstacle"](
+                x=float(centre[0]), y=float(centre[1]), r=float(radius)
+            ).at("", centre)
+            found.append(Candidate(amendment=amendment, gain=gain))
+    return found
+
+
+def _circle(points: Floats, directions: Floats) -> tuple[Floats, float, float]:
+    """Fit a circle to points on its near side; return centre (2,), radius, median distance from it [m]."""
+    best: tuple[float, Floats, float] | None = None
+    for start in (0.04, 0.1, 0.2, 0.35):
+        centre, radius = np.median(points + start * directions, axis=0), start
+        for _ in range(12):
+            off = points - centre
+            far = np.maximum(np.hypot(off[:, 0], off[:, 1]), 1e-6)
+            e = far - radius
+            w = 1 / (1 + (e / 0.03) ** 2)
+            rows = np.column_stack([-off / far[:, None], -np.ones(len(far))])
+            a = rows.T @ (rows * w[:, None]) + np.diag([1e-3, 1e-3, 1e-3]) * len(far)
+            step = np.linalg.solve(a, -rows.T @ (w * e))
+            centre, radius = centre + step[:2], float(np.clip(radius + step[2], 0.01, 0.8))
+        spread = float(np.median(np.abs(np.hypot(*(points - centre).T) - radius)))
+        if best is None or spread < best[0] - 1e-4:
+            best = (spread, centre, radius)
+    assert best is not None
+    return best[1], best[2], best[0]
+
+
+def sectors(view: View) -> list[Candidate]:
+    """sector_bias: the run of neighbouring rays whose mean residual explains most."""
+    judged = view.fitted.solution.judged
+    bearings = view.evidence.sensor.bearings
+    found = []
+    for weight in (judged.weight, _broad(view)):
+        valid = view.fitted.cast.cols.valid & view.returned
+        w = np.where(valid, weight, 0.0)
+        num, den = (w * judged.residual).sum(axis=0), w.sum(axis=0)
+        n = len(num)
+        cn, cd = np.concatenate([[0.0], np.cumsum(num)]), np.concatenate([[0.0], np.cumsum(den)])
+        i, j = np.triu_indices(n + 1, 1)
+        few = (j - i) <= 0.8 * n
+        i, j = i[few], j[few]
+        s, d = cn[j] - cn[i], cd[j] - cd[i]
+        score = 0.5 * s**2 / np.maximum(d, 1e-9) - 1.5 * np.log(n)
+        at = int(score.argmax())
+        half = 0.5 * float(np.median(np.diff(bearings))) if n > 1 else 0.01
+        amendment = EFFECTS["sector_bias"](
+            theta1=float(bearings[i[at]] - half),
+            theta2=float(bearings[j[at] - 1] + half),
+            b=float(s[at] / max(d[at], 1e-9)),
+        )
+        found.append(Candidate(amendment=amendment, gain=float(score[at])))
+    return sorted(found, key=lambda c: -c.gain)[:1]
+
+
+def _broad(view: View) -> Floats:
+    """Weigh readings far off as well, but less than near ones."""
+    e = view.fitted.solution.judged.residual
+    sigma = view.sigma
+    return np.asarray(np.where(view.returned, 1 / (sigma**2 * (1 + (e / (6 * sigma)) ** 2) * 6), 0.0))
+
+
+def self_occlusion(view: View) -> list[Candidate]:
+    """self_occlusion: rays that read one and the same, whatever the pose."""
+    n_scans = view.z.shape[0]
+    odd = view.short.sum(axis=0) > 0.3 * n_scans
+    if not odd.any():
+        return []
+    found = []
+    bearings = view.evidence.sensor.bearings
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], odd.astype(int), [0]])))
+    for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
+        z = view.z[:, first : last + 1]
+        r0 = float(np.median(z[view.short[:, first : last + 1]]))
+        sector = slice(first, last + 1)
+        mu = np.minimum(np.where(view.aimed[:, sector], view.mu[:, sector], np.inf), r0)
+        some = np.zeros(view.z.shape, dtype=np.bool_)
+        some[:, sector] = True
+        gain = float((view.likely(mu.ravel(), some) - view.log_p[some]).sum())
+        half = 0.5 * float(np.median(np.diff(bearings))) if len(bearings) > 1 else 0.01
+        amendment = EFFECTS["self_occlusion"](
+            r0=r0, theta1=float(bearings[first] - half), theta2=float(bearings[last] + half)
+        )
+        found.append(Candidate(amendment=amendment, gain=gain))
+    return found
+
+
+def lattice(view: View) -> list[Candidate]:
+    """Quantisation: a comb in the readings; the score is the mean resultant length over the comb's step."""
+    z = view.z[view.returned]
+    if len(z) < 200:
+        return []
+    z = z[:: max(1, len(z) // 4000)]
+    finest = max(view.evidence.sensor.resolution, 5e-4)
+    low = 1.9 * finest
+    n = len(z)
+    best: tuple[float, float] | None = None
+    # every step whose comb is finer than the next by half a cell at 8 m
+    q = 0.4
+    steps = []
+    top = float(np.quantile(z, 0.9))
+    while q > low:
+        steps.append(q)
+        q /= 1 + 0.15 * q / top
+        if len(steps) > 30000:
+            break
+    for part in np.array_split(np.array(steps), max(1, len(steps) // 400)):
+        phase = z[None, : min(n, 600)] / part[:, None]
+        share = np.abs(phase - np.round(phase)) * part[:, None] < 0.51 * finest
+        expected = np.minimum(1.0, finest * 1.02 / part)
+        score = share.mean(axis=1) - expected
+        at = int(score.argmax())
+        if share[at].mean() > 0.97 and (best is None or part[at] > best[0]):
+            best = (float(part[at]), float(score[at]))
+    if best is None:
+        return []
+    q = best[0]
+    for _ in range(3):  # refine on the multiples
+        k = np.round(z / q)
+        ok = k > 0
+        q = float((z[ok] * k[ok]).sum() / (k[ok] ** 2).sum())
+    return [Candidate(amendment=EFFECTS["quantisation"](q=q), gain=n * max(np.log(q / finest), 0.1) * 0.5)]
+
+
+def noises(view: View) -> list[Candidate]:
+    """range_noise, random_outliers, people: what widens or mixes."""
+    found = []
+    judged = view.fitted.solution.judged
+    ok = view.returned & view.aimed & (judged.stray < 0.5)
+    e, r, sigma = judged.residual[ok], view.mu[ok], view.fitted.cast.what.sigma[ok]
+    if ok.sum() > 100:
+        base = None
+        for k in (0.0, 0.0015, 0.003, 0.005, 0.008, 0.012, 0.02, 0.03):
+            best = -np.inf
+            for core in (0.75, 0.85, 1.0, 1.15):
+                s = np.sqrt((core * sigma) ** 2 + (k * r) ** 2)
+                tail = self_tail(e, s, view.noise.tail)
+                best = max(best, tail)
+            if base is None:
+                base = best
+            elif best > base + LEAST_GAIN:
+                found.append(Candidate(amendment=EFFECTS["range_noise"](k=k), gain=best - base))
+    found = sorted(found, key=lambda c: -c.gain)[:1]
+    n = max(int(view.returned.sum()), 1)
+    odd = int(view.strange.sum())
+    if odd > max(FEW, 0.002 * n):
+        p = odd / n
+        found.append(Candidate(amendment=EFFECTS["random_outliers"](p=p), gain=2.0 * odd * 0.5))
+    odd = int(view.short.sum())
+    if odd > max(FEW, 0.002 * n):
+        found.append(
+            Candidate(amendment=EFFECTS["people"](p=odd / n), gain=2.2 * odd * 0.5 * clustered(view))
+        )
+    return found
+
+
+def self_tail(e: Floats, s: Floats, tail: float) -> float:
+    """Return the log-likelihood of residuals under core and tail."""
+    q = (e / s) ** 2
+    return float(np.log(((1 - tail) * np.exp(-0.5 * q) + tail / 3 * np.exp(-0.5 * q / 9)) / s + 1e-3).sum())
+
+
+def clustered(view: View) -> float:
+    """Return the share of short readings with a short neighbour at a similar range in the same scan."""
+    s = view.short
+    if not s.any():
+        return 0.0
+    z = np.where(s, view.z, np.nan)
+    with np.errstate(invalid="ignore"):
+        pair = np.abs(np.diff(z, axis=1)) < 0.3
+    has = np.zeros(s.shape, dtype=np.bool_)
+    has[:, 1:] |= pair
+    has[:, :-1] |= pair
+    return float(has[s].mean())
+
+
+def optics(view: View) -> list[Candidate]:
+    """mixed_pixels, sonar_cone: fits of whole rays on a few scans."""
+    found = []
+    odd = view.strange | (view.fitted.solution.judged.tail > 0.5)
+    edge = view.fitted.cast.edges
+    if edge is not None and len(edge.chance) and odd.sum() > FEW:
+        near = np.zeros(view.z.shape, dtype=np.bool_)
+        jump = np.abs(np.diff(np.where(view.aimed, view.mu, 20.0), axis=1)) > 0.1
+        near[:, 1:] |= jump
+        near[:, :-1] |= jump
+        share_near, share_far = odd[near].mean() if near.any() else 0.0, odd[~near].mean()
+        if share_near > 3 * share_far + 0.01 and (odd & near).sum() >= FEW:
+            found += _swept(view, "mixed_pixels", "gamma", np.radians([0.15, 0.3, 0.5, 0.8, 1.2, 2.0]), {})
+    if view.short.mean() + view.lost.mean() > 0.1:
+        for alpha in np.radians([20.0, 30.0, 45.0, 89.9]):
+            found += _swept(
+                view,
+                "sonar_cone",
+                "gamma",
+                np.radians([5.0, 10.0, 15.0, 20.0, 30.0]),
+                {"alpha_max": float(alpha)},
+            )
+        found = sorted(found, key=lambda c: -c.gain)[:2]
+    return found
+
+
+def _swept(view: View, name: str, parameter: str, values: Floats, fixed: dict[str, float]) -> list[Candidate]:
+    """Try values of one parameter on every so-manieth scan, nuisances frozen."""
+    from sensorgraph.diagnose.model import cast, thin
+
+    every = max(1, view.evidence.n_scans // 60)
+    few = thin(view.evidence, every)
+    sub = View.__new__(View)
+    sub.__dict__.update(view.__dict__)
+    sub.z, sub.sigma = view.z[::every], view.sigma[::every]
+    best: Candidate | None = None
+    for value in values:
+        amendment = EFFECTS[name](**{parameter: float(value)}, **fixed)
+        beams = cast(few, (*view.fitted.model, amendment)).beams
+        gain = float((sub.likely(beams.reading, None, beams.p_return) - view.log_p[::every]).sum()) * every
+        if best is None or gain > best.gain:
+            best = Candidate(amendment=amendment, gain=gain)
+    return [best] if best is not None else []
+
+
+def tilt(view: View) -> list[Candidate]:
+    """Tilt: readings capped by the floor, at a range that depends on the bearing only."""
+    if view.short.sum() < FEW:
+        return []
+    every = max(1, view.evidence.n_scans // 100)
+    mu, sub = view.mu[::every], View.__new__(View)
+    sub.__dict__.update(view.__dict__)
+    sub.z, sub.sigma = view.z[::every], view.sigma[::every]
+    log_p, bearings = view.log_p[::every], view.evidence.sensor.bearings
+    h = view.evidence.sensor.height
+    best: Candidate | None = None
+    for beta in np.radians([1.0, 1.5, 2, 2.5, 3, 3.5, 4, 5, 6, 7, 8, 10]):
+        for theta0 in np.arange(-np.pi, np.pi, np.pi / 12):
+            dip = beta * np.cos(bearings - theta0)
+            floor = np.where(dip > 0, h / np.sin(np.maximum(dip, 1e-9)), np.inf)
+            near = floor < view.range_max
+            if not near.any():
+                continue
+            expect = np.minimum(mu[:, near] / np.cos(dip[near]), floor[near])
+            z, sigma = sub.z, sub.sigma
+            sub.z, sub.sigma = z[:, near], sigma[:, near]
+            gain = float((sub.likely(expect) - log_p[:, near]).sum()) * every
+            sub.z, sub.sigma = z, sigma
+            if best is None or gain > best.gain:
+                best = Candidate(amendment=EFFECTS["tilt"](beta=float(beta), theta0=float(theta0)), gain=gain)
+    return [best] if best is not None else []
+
+
+PROPOSERS: tuple[Callable[[View], list[Candidate]], ...] = (
+    cut_offs,
+    black,
+    glass,
+    mirror,
+    missing_or_moved,
+    unmapped,
+    sectors,
+    self_occlusion,
+    lattice,
+    noises,
+    optics,
+    tilt,
+)

@@ -1,0 +1,137 @@
+"""Prove: the gap between simulator and measurement on rays that no fit and no choice has seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from planners.arena import Bools, Floats
+from sensorgraph.diagnose.evidence import Evidence
+from sensorgraph.diagnose.finding import Fit, Gap
+from sensorgraph.diagnose.likelihood import Judged, judge
+from sensorgraph.diagnose.model import Fitted, cast, corners_of, locked
+from sensorgraph.diagnose.solve import Solver, State
+from sensorgraph.effects import Amendment
+from sensorgraph.world.scene import limited
+
+BLOCK = 1.0  # [s] of scans that are held out together
+EVERY = 8  # one block in so many
+
+
+def held_out(evidence: Evidence) -> Bools:
+    """Return the scans (n_scans,) that are kept from every fit and choice: one block of a second in eight."""
+    block = np.floor((evidence.stamps - evidence.begin) / BLOCK).astype(np.intp)
+    held = block % EVERY == EVERY // 2
+    if not held.any() or held.all():
+        held = np.arange(evidence.n_scans) % EVERY == EVERY // 2
+    return np.asarray(held)
+
+
+class _Side:
+    """One model on the held-out scans: poses from every other ray, judged on the rays between."""
+
+    def __init__(self, evidence: Evidence, model: Sequence[Amendment], fitted: Fitted) -> None:
+        at = cast(evidence, model)
+        corners = corners_of(evidence)
+        self.what = at.what
+        none = np.zeros((evidence.n_scans, 0, evidence.n_rays))
+        self.solver = Solver(
+            evidence, at.what, at.cols, at.scene.walls, none, corners, locked(evidence, model, corners)
+        )
+        self.fitted = fitted
+
+    def judged(self, evidence: Evidence) -> tuple[Judged, Floats]:
+        """Return the judgement of every reading, and the expected readings."""
+        solver, what = self.solver, self.what
+        solver.evidence = evidence
+        with np.errstate(invalid="ignore"):
+            y = np.where(solver.cols.valid & evidence.returned, evidence.ranges - what.reading, 0.0)
+        solver.y = np.where(np.isfinite(y), y, 0.0)
+        state = State(
+            g=np.where(solver.locked, 0.0, self.fitted.state.g),
+            delta=np.zeros((evidence.n_scans, 3)),
+            noise=self.fitted.state.noise,
+            pose_scale=self.fitted.state.pose_scale,
+            map_scale=self.fitted.state.map_scale,
+        )
+        even = np.zeros(what.reading.shape, dtype=np.bool_)
+        even[:, ::2] = True
+        none = np.zeros(0)
+        for _ in range(3):
+            judged = judge(evidence, what, solver.shift(state, none), state.noise)
+            system = solver.assemble(np.where(even, judged.weight, 0.0), state.pose_scale)
+            state.delta = solver.poses_at(system, state.g)
+        shift = solver.shift(state, none)
+        return judge(evidence, what, shift, state.noise), what.reading + shift
+
+
+def gap(
+    evidence: Evidence, null: Fitted, final: Fitted, *, rng: np.random.Generator, replicates: int = 4
+) -> Gap:
+    """Measure the gap before and after on held-out scans, beside what a perfect model would leave.
+
+    The pose error of each scan is estimated on its even rays and the gap is measured on the odd ones. Readings that
+    neither model explains (strays) are left out of the RMS, not of the nats.
+    """
+    before, after = _Side(evidence, (), null), _Side(evidence, final.model, final)
+    judged_before, mu_before = before.judged(evidence)
+    judged_after, mu_after = after.judged(evidence)
+    odd = np.zeros(mu_after.shape, dtype=np.bool_)
+    odd[:, 1::2] = True
+    odd &= ~np.isnan(evidence.ranges)
+    strays = (judged_before.stray > 0.5) & (judged_after.stray > 0.5)
+    sigma = evidence.sensor.sigma
+    seen = odd & ~strays
+    floors = []
+    for _ in range(replicates):
+        drawn = _drawn(evidence, after, final, rng)
+        judged, mu = after.judged(drawn)
+        floors.append(_fit(drawn, mu, judged, odd & (judged.stray <= 0.5), odd, sigma))
+    floor = Fit(
+        rmse_m=float(np.mean([f.rmse_m for f in floors])),
+        normalised=float(np.mean([f.normalised for f in floors])),
+        nats_per_ray=float(np.mean([f.nats_per_ray for f in floors])),
+    )
+    return Gap(
+        before=_fit(evidence, mu_before, judged_before, seen, odd, sigma),
+        after=_fit(evidence, mu_after, judged_after, seen, odd, sigma),
+        noise_floor=floor,
+        n_rays=int(odd.sum()),
+    )
+
+
+def _fit(evidence: Evidence, mu: Floats, judged: Judged, seen: Bools, odd: Bools, sigma: float) -> Fit:
+    ok = seen & evidence.returned & np.isfinite(mu)
+    e = evidence.ranges[ok] - mu[ok]
+    rmse = float(np.sqrt(np.mean(e**2))) if len(e) else 0.0
+    return Fit(
+        rmse_m=rmse, normalised=rmse / sigma if sigma else 0.0, nats_per_ray=float(-judged.log_p[odd].mean())
+    )
+
+
+def _drawn(evidence: Evidence, side: _Side, final: Fitted, rng: np.random.Generator) -> Evidence:
+    """Draw readings of the held-out scans from the final model."""
+    from dataclasses import replace
+
+    from sensorgraph.diagnose.nuisance import TAIL, pose_prior
+
+    what, state = side.what, final.state
+    prior = pose_prior(evidence, state.pose_scale)
+    delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=(evidence.n_scans, 3)))
+    there = State(g=np.where(side.solver.locked, 0.0, state.g), delta=delta, noise=state.noise)
+    mu = what.reading + side.solver.shift(there, np.zeros(0))
+    shape = mu.shape
+    other = (rng.random(shape) < what.p_alternative) & np.isfinite(what.alternative)
+    mu = np.where(other, what.alternative, mu)
+    wide = np.where(rng.random(shape) < state.noise.tail, TAIL, 1.0)
+    z = np.where(np.isfinite(mu), mu + rng.normal(size=shape) * wide * state.noise.core * what.sigma, np.inf)
+    z = np.where(rng.random(shape) < what.p_return * (1 - state.noise.loss), z, np.inf)
+    stray = rng.random(shape) < 1 - (1 - state.noise.stray) * (1 - what.stray)
+    z = np.where(stray, rng.random(shape) * evidence.sensor.range_max, z)
+    if what.short > 0:
+        short = rng.random(shape) < what.short
+        z = np.where(short, rng.random(shape) * np.where(np.isfinite(mu), mu, evidence.sensor.range_max), z)
+    z = limited(z, evidence.sensor, what.lattice)
+    z[np.isnan(evidence.ranges)] = np.nan
+    return replace(evidence, ranges=z)
