@@ -11,6 +11,7 @@ import logs
 from planners.arena import wrap
 from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
+from sensorgraph.effects.effects_file import loads
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +69,42 @@ def test_recorded_commands_drive_the_robot_again(recorded: Path, tmp_path: Path)
     assert turn[0] == pytest.approx(turn[1], abs=0.05)
 
 
+GLASS = """
+- name: glass
+  parameters: {a: 0.0, b: 4.0, alpha_ret: 0.0, depth: 1.0}
+  location: {name: square/edge_0}
+- {name: wheel_radius, parameters: {s: 0.05}}
+- {name: actuator_lag, parameters: {tau: 0.3}}
+- {name: people, parameters: {p: 0.02}}
+"""
+
+
+def test_effects_change_scans_wheels_and_motors_and_are_kept(
+    plan: Path, recorded: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "effects.yaml").write_text(GLASS)
+    runs = []
+    for name in ("a", "b"):
+        out = tmp_path / f"{name}.mcap"
+        arguments = ["record", str(plan), "--arena", "square", "--effects", str(tmp_path / "effects.yaml")]
+        assert cli([*arguments, "-o", str(out)]) == 0
+        runs.append(out.read_bytes())
+    assert runs[0] == runs[1]
+    plain, amended = logs.read(recorded), logs.read(tmp_path / "a.mcap")
+    assert amended.meta["effects"] == "glass, wheel_radius, actuator_lag, people"
+    kept = loads(amended.attachments["effects.yaml"].decode())
+    assert [a.name for a in kept] == ["glass", "wheel_radius", "actuator_lag", "people"]
+    assert "effects.yaml" not in plain.attachments
+    assert "effects" not in plain.meta
+    both = np.isfinite(plain.ranges) & np.isfinite(amended.ranges)
+    farther = (amended.ranges - plain.ranges)[both] > 0.8  # one wall of four is a pane
+    assert 0.1 < farther.mean() < 0.4
+    turned = [
+        np.ptp(np.unwrap(r.odometry[:, 2])) / np.ptp(np.unwrap(r.poses[:, 2])) for r in (plain, amended)
+    ]
+    assert turned[1] / turned[0] == pytest.approx(1.05, abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -81,6 +118,18 @@ def test_recorded_commands_drive_the_robot_again(recorded: Path, tmp_path: Path)
         ),
         (["record", "{run}", "--arena", "square", "--start", "1,2", "-o", "{tmp}/a.mcap"], "X,Y,PHI"),
         (["record", "{run}", "--arena", "square", "--start", "0.1,2,0", "-o", "{tmp}/a.mcap"], "from a wall"),
+        (
+            ["record", "{plan}", "--arena", "square", "--effects", "{tmp}/e", "-o", "{tmp}/a.mcap"],
+            "does not exist",
+        ),
+        (
+            ["record", "{plan}", "--arena", "square", "--effects", "{run}", "-o", "{tmp}/a.mcap"],
+            "not a text file",
+        ),
+        (
+            ["record", "{plan}", "--arena", "square", "--effects", "{csv}", "-o", "{tmp}/a.mcap"],
+            "expected a list",
+        ),
         (["review", "{run}", "-o", "{tmp}/a.png"], "name it a.rrd"),
         (["review", "{run}", "--graph", "{run}", "-o", "{tmp}/a.rrd"], "not a sensorgraph"),
         (["review", "{run}", "--ray", "181", "-o", "{tmp}/a.rrd"], "rays 0 to 180"),
@@ -95,6 +144,6 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    names = {"plan": plan, "run": recorded, "tmp": tmp_path}
+    names = {"plan": plan, "run": recorded, "csv": plan / "trajectory.csv", "tmp": tmp_path}
     assert said in fails(capsys, *(a.format(**names) for a in arguments))
     assert not list(tmp_path.iterdir())

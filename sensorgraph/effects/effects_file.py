@@ -88,7 +88,7 @@ def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
     effect = EFFECTS[entry["name"]]
     where = f"{where} ({effect.name})"
     names = [p.name for p in effect.parameters]
-    parameters = _numbers(entry.get("parameters"), names, f"{where}: parameter")
+    parameters = _numbers(entry.get("parameters"), names, where, "parameter")
     for p in effect.parameters:
         if p.name not in parameters:
             if p.name in OPTIONAL.get(effect.name, ()):
@@ -103,7 +103,7 @@ def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
     return Amendment(
         effect=effect,
         parameters=parameters,
-        stderr=_numbers(entry.get("stderr"), names, f"{where}: stderr", is_finite=False),
+        stderr=_numbers(entry.get("stderr"), names, where, "stderr", is_finite=False),
         location=location,
         probability=_optional(entry, "probability", where),
         evidence=_optional(entry, "evidence", where),
@@ -134,7 +134,7 @@ def _check_place(effect: Effect, location: Location | None, arena: Arena | None,
     name = "" if location is None else location.name
     like = "`NAME/edge_0`" if effect.place == "wall" else "a feature's name"
     if not name:
-        raise GapError(f"{where}: sits on a {effect.place}; add location: {{name: ...}}, {like}")
+        raise GapError(f"{where}: needs the {effect.place} it sits on; add location: {{name: ...}}, {like}")
     if arena is None:
         return
     obstacles = list(dict.fromkeys(wall.rsplit("/", 1)[0] for wall in arena.names))
@@ -144,12 +144,16 @@ def _check_place(effect: Effect, location: Location | None, arena: Arena | None,
     named_walls(arena, name)
 
 
-def _numbers(data: Any, known: Sequence[str], where: str, *, is_finite: bool = True) -> dict[str, float]:
+def _numbers(
+    data: Any, known: Sequence[str], where: str, what: str, *, is_finite: bool = True
+) -> dict[str, float]:
     data = {} if data is None else data
     if not isinstance(data, dict):
-        raise GapError(f"{where}s are {data!r}, expected NAME: NUMBER for {', '.join(known) or 'none'}")
-    _refuse_unknown(data, known, where, "name")
-    return {key: _number(value, f"{where} `{key}`", is_finite=is_finite) for key, value in data.items()}
+        raise GapError(f"{where}: {what} is {data!r}, expected NAME: NUMBER for {', '.join(known) or 'none'}")
+    _refuse_unknown(data, known, where, what)
+    return {
+        key: _number(value, f"{where}: {what} `{key}`", is_finite=is_finite) for key, value in data.items()
+    }
 
 
 def _optional(entry: Mapping[str, Any], key: str, where: str) -> float | None:
