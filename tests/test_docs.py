@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+import runpy
 from pathlib import Path
 
 import pytest
 
 import logs
 from sensorgraph.cli import COMMANDS
+from sensorgraph.effects.effects_file import loads
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -31,6 +33,18 @@ def test_commands_and_links_exist(page: Path) -> None:
         assert (page.parent / link).exists(), link
     for script in re.findall(r"python ((?:benchmarks|docs)/\S+\.py)", text):
         assert (ROOT / script).exists(), script
+
+
+def test_the_page_of_effects_is_the_registry() -> None:
+    printed = runpy.run_path(str(ROOT / "docs" / "effects_table.py"))["page"]()
+    assert (ROOT / "docs" / "effects.md").read_text() == printed, (
+        "python docs/effects_table.py > docs/effects.md"
+    )
+
+
+def test_the_example_of_effects_can_be_read() -> None:
+    (text,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "effects.md").read_text(), re.S)
+    assert [a.name for a in loads(text)] == ["glass", "wheel_radius"]
 
 
 def test_readme_holds_the_two_commands_that_ci_runs() -> None:
