@@ -123,7 +123,7 @@ def evaluate(
         raise GapError(f"no ray of the run returned between {NEAREST} m and {cap:g} m; nothing to score")
     sigma = run.sensor.sigma if run.sensor.sigma > 0 else 0.01
     residual = np.where(scored, measured - prediction.point(point or "mode"), np.nan)
-    job = _Job(
+    job = Job(
         measured=measured, prediction=prediction, bearings=run.sensor.bearings, point=point, sigma=sigma
     )
     return Evaluation(
@@ -145,7 +145,7 @@ def evaluate(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Job:
+class Job:
     """What all metrics are computed from."""
 
     measured: Floats

@@ -10,7 +10,11 @@ import typer
 from sensorgraph.cli.progress import progress
 
 if TYPE_CHECKING:
-    from sensorgraph.evaluate import Evaluation
+    from collections.abc import Iterable
+
+    from logs.run import Run
+    from sensorgraph.evaluate import Evaluation, Metrics
+    from sensorgraph.models.base import Point
 
 ROWS = (
     ("median error", "median_m", "m"),
@@ -42,6 +46,10 @@ def evaluate(
         str | None,
         typer.Option(help="Point value for all numbers: mode, median or mean [default: each its own]"),
     ] = None,
+    effects: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="effects.yaml: score the simulator too, as mapped and amended."),
+    ] = None,
     json: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers here.")
     ] = None,
@@ -56,6 +64,8 @@ def evaluate(
       sensorgraph evaluate square.sensorgraph other_run.mcap
 
       sensorgraph evaluate intel.sensorgraph intel.log.gz --split block --json intel.json
+
+      sensorgraph evaluate square.sensorgraph other_run.mcap --effects diagnosis/effects.yaml
     """
     from typing import cast
 
@@ -64,41 +74,63 @@ def evaluate(
     from sensorgraph.errors import GapError
     from sensorgraph.evaluate import evaluate as evaluate_graph
     from sensorgraph.graph import Sensorgraph
-    from sensorgraph.models.base import POINTS, Point
+    from sensorgraph.models.base import POINTS
 
     if json is not None:
-        check_output(json, graph, run)
+        check_output(json, graph, run, *([effects] if effects is not None else []))
     if point is not None and point not in POINTS:
         raise GapError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
+    value = cast("Point | None", point)
     model = Sensorgraph.load(graph)
     with progress("reading", "messages") as tick:
         log = read(run, topics=parse_topics(topic or []), progress=tick)
     with progress("evaluating", "scans") as tick:
-        result = evaluate_graph(
-            model, log, split=split, point=cast(Point | None, point), cap=cap, progress=tick
-        )
+        result = evaluate_graph(model, log, split=split, point=value, cap=cap, progress=tick)
+    simulator = None if effects is None else _simulator(result, log, effects, value)
     if json is not None:
-        write_json(json, result.to_dict())
-    for line in table(result):
+        write_json(json, result.to_dict() | ({} if simulator is None else {"simulator": simulator}))
+    for line in table(result, simulator):
         typer.echo(line)
     if json is not None:
         typer.echo(f"wrote {json}")
 
 
-def table(result: Evaluation) -> list[str]:
-    """Return the printed lines: both blocks side by side, and which point value each row is of."""
+def _simulator(result: Evaluation, run: Run, effects: Path, point: Point | None) -> dict[str, Metrics]:
+    """Score the simulator of the arena and the robot that the run keeps."""
+    from sensorgraph.cli.inputs import kept_arena, kept_robot
+    from sensorgraph.effects.effects_file import read
+    from sensorgraph.errors import GapError
+    from sensorgraph.simulator import compare
+
+    arena, robot = kept_arena(run), kept_robot(run)
+    if arena is None or robot is None:
+        raise GapError(
+            "--effects needs a run that keeps arena and robot, as `record` writes; this one does not"
+        )
+    with progress("simulating", "scans"):
+        return compare(result, run, arena, robot.sensor, read(effects, arena), point=point)
+
+
+def table(result: Evaluation, simulator: dict[str, Metrics] | None = None) -> list[str]:
+    """Return the printed lines: blocks side by side, and which point value each row is of."""
+    blocks = {"all": result.all, "answered": result.answered_only, **(simulator or {})}
     scored = result.settings["scored"]
     lines = [
         f"{scored['n_scans']} of {scored['of_scans']} scans, {result.n_rays} returns between "
         f"{scored['from_m']:g} and {scored['to_m']:g} m; {result.settings['training']}",
-        f"{'':<24}{'all':>10}{'answered':>12}   of",
-        f"{'share of the rays':<24}{'100.0 %':>10}{f'{100 * result.answered:.1f} %':>12}",
+        f"{'':<24}{_row(blocks)}   of",
+        f"{'share of the rays':<24}{_row(['100.0 %', _cell(result.answered, '%')])}",
     ]
     for label, key, unit in ROWS:
-        cells = (_cell(block[key], unit) for block in (result.all, result.answered_only))
-        left, right = cells
-        lines.append(f"{label:<24}{left:>10}{right:>12}   {result.settings['point'].get(key, '')}".rstrip())
+        row = _row([_cell(block[key], unit) for block in blocks.values()])
+        lines.append(f"{label:<24}{row}   {result.settings['point'].get(key, '')}".rstrip())
+    if simulator:
+        lines.append("nominal, amended: the simulator as mapped and with the effects, on the rays of `all`")
     return lines
+
+
+def _row(cells: Iterable[str]) -> str:
+    return "".join(f"{cell:>{10 if i == 0 else 12}}" for i, cell in enumerate(cells))
 
 
 def _cell(value: float | None, unit: str) -> str:

@@ -131,6 +131,18 @@ def named_robot(path: Path | None) -> RobotFile:
     return robot_file.read(path)
 
 
+def kept_robot(run: Run) -> RobotFile | None:
+    """Return the robot kept in a run, if there is one."""
+    from sensorgraph.world import robot_file
+
+    text = run.attachments.get("robot.yaml")
+    return (
+        None
+        if text is None
+        else robot_file.loads(text.decode(errors="replace"), name="robot.yaml in the run")
+    )
+
+
 def kept_arena(run: Run) -> Arena | None:
     """Return the arena kept in a run, if there is one."""
     from planners.errors import PlanError
