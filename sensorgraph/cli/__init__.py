@@ -16,6 +16,7 @@ import typer
 
 from sensorgraph.cli.build import build
 from sensorgraph.cli.demo import demo
+from sensorgraph.cli.diagnose import diagnose
 from sensorgraph.cli.evaluate import evaluate
 from sensorgraph.cli.inspect import inspect
 from sensorgraph.cli.plan import plan
@@ -35,6 +36,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "predict": predict,
     "show": show,
     "review": review,
+    "diagnose": diagnose,
     "record": record,
 }
 

@@ -136,7 +136,7 @@ def judge(evidence: Evidence, what: Predicted, shift: Floats, noise: Noise) -> J
     total = np.where(
         returned,
         p + p_stray + FLOOR / sensor.range_max,
-        np.where(z > 0, p_gone + FLOOR, rest * near_limit + FLOOR),
+        np.where(z > 0, p_gone + FLOOR, rest * near_limit + 0.5 * gone + FLOOR),
     )
     broken = np.isnan(z)
     total = np.where(broken, 1.0, total)

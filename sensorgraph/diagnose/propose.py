@@ -34,6 +34,7 @@ def cut_offs(view: View) -> list[Candidate]:
     """max_range, min_range, incidence_dropout: exact profile of the gain over every threshold."""
     found = []
     dead = view.dead
+    blind = np.where(view.near, -0.7 - view.log_p, dead)
     mu = np.where(view.aimed & (view.mu < view.range_max), view.mu, np.nan)
     for name, parameter, value, upward in (
         ("max_range", "R", mu, True),
@@ -43,11 +44,11 @@ def cut_offs(view: View) -> list[Candidate]:
         ok = np.isfinite(value)
         if not ok.any():
             continue
-        v, d = value[ok], dead[ok]
+        v, d = value[ok], (blind if name == "min_range" else dead)[ok]
         order = np.argsort(-v if upward else v)
         total = np.cumsum(d[order])
         at = int(total.argmax())
-        n_lost = int(view.lost[ok][order][: at + 1].sum())
+        n_lost = int((view.lost | view.near)[ok][order][: at + 1].sum())
         if n_lost < 3:
             continue
         v = v[order]

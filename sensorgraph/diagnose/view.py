@@ -30,6 +30,7 @@ class View:
         self.z = self.evidence.ranges
         self.returned = self.evidence.returned
         self.lost = self.z == np.inf
+        self.near = self.z == -np.inf
         self.log_p = solution.judged.log_p
         self.mu = what.reading + self.fitted.solver.shift(solution.state, solution.p)
         self.aimed = np.isfinite(self.mu)

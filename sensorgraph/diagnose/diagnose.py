@@ -1,0 +1,218 @@
+"""Diagnose a run: where simulation and measurement disagree, which effects are missing, how sure that is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from sensorgraph.diagnose.drive import diagnose_drive
+
+from logs.run import Run
+from planners.arena import Arena
+from sensorgraph.diagnose.criticise import Verdict, check, deviations
+from sensorgraph.diagnose.decide import Explained, explain
+from sensorgraph.diagnose.evidence import Evidence, gather
+from sensorgraph.diagnose.finding import Gap, Ledger, Rival, Unknown, Where
+from sensorgraph.diagnose.model import SMOOTH, Fitted
+from sensorgraph.diagnose.nuisance import Freedom
+from sensorgraph.diagnose.odometry import diagnose_odometry
+from sensorgraph.diagnose.prove import gap, held_out
+from sensorgraph.diagnose.view import View
+from sensorgraph.effects import Amendment
+from sensorgraph.effects.effect import size_ratio
+from sensorgraph.world.robot_file import RobotFile
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Finding:
+    """All that a diagnosis says, channel by channel, and what pictures need."""
+
+    ledgers: dict[str, Ledger]
+    """`scan`, `odometry`, `drive`."""
+    intake: dict[str, Any]
+    """What came in, what was used, what was dropped, what this run excites; plain data."""
+    evidence: Evidence
+    explained: Explained | None
+    verdict: Verdict | None
+    second_gap: Gap | None = None
+    """On a further run that nothing has seen, where one was given."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """[s] of CPU per part."""
+
+    @property
+    def effects(self) -> tuple[Amendment, ...]:
+        """Named effects of all channels: the scan channel first, each by falling evidence."""
+        return tuple(a for ledger in self.ledgers.values() for a in ledger.effects)
+
+    @property
+    def unknown(self) -> Unknown | None:
+        """What no effect of the library explains."""
+        return next((ledger.unknown for ledger in self.ledgers.values() if ledger.unknown), None)
+
+
+def diagnose(
+    run: Run,
+    arena: Arena,
+    robot: RobotFile,
+    *,
+    second: Run | None = None,
+    known: Sequence[Amendment] = (),
+    freedom: Freedom | None = None,
+    threshold: float = 12.0,
+    seed: int = 0,
+) -> Finding:
+    """Compare a run with the simulator of its arena and robot, and name what is missing.
+
+    Parameters
+    ----------
+    second : a further run of the same robot and place, used for nothing but the gap
+    known : effects that are part of the model already
+    freedom : of the noise; from a commissioning run
+    threshold : [nats] of evidence that a name takes
+    """
+    rng = np.random.default_rng(seed)
+    clock = time.process_time()
+    seconds: dict[str, float] = {}
+
+    def lap(name: str) -> None:
+        nonlocal clock
+        now = time.process_time()
+        seconds[name] = seconds.get(name, 0.0) + now - clock
+        clock = now
+
+    evidence, notes = gather(run, arena, robot)
+    held = held_out(evidence)
+    train, unseen = evidence.part(~held), evidence.part(held)
+    lap("intake")
+    explained = explain(train, freedom or Freedom(), threshold=threshold)
+    lap("explain")
+    where = tuple(deviations(View(train, explained.null)))[:24]
+    verdict = check(train, explained.final, rng=rng)
+    lap("criticise")
+    proof = gap(unseen, explained.null, explained.final, rng=rng)
+    second_gap = None
+    if second is not None:
+        other, _ = gather(second, arena, robot)
+        second_gap = gap(other, explained.null, explained.final, rng=rng)
+    lap("prove")
+    scan = _ledger(train, explained, verdict, where, proof)
+    odometry = diagnose_odometry(run, robot, seed=seed)
+    drive = diagnose_drive(run, robot, seed=seed)
+    lap("odometry and drive")
+    return Finding(
+        ledgers={"scan": scan, "odometry": odometry, "drive": drive},
+        intake={**notes, "rays": int(evidence.ranges.size), "held_out_scans": int(held.sum())},
+        evidence=evidence,
+        explained=explained,
+        verdict=verdict,
+        second_gap=second_gap,
+        seconds=seconds,
+    )
+
+
+def _ledger(
+    evidence: Evidence, explained: Explained, verdict: Verdict, where: tuple[Where, ...], proof: Gap
+) -> Ledger:
+    """Turn the accepted model into names, sizes within tolerance, doubt and rivals."""
+    final = explained.final
+    named, small, rivals = [], [], []
+    for index, amendment in enumerate(final.model):
+        complete = replace(
+            amendment,
+            stderr=stderr(final, index),
+            evidence=explained.gains[index],
+            probability=probability(explained, index, verdict),
+        )
+        material = size_ratio(amendment.effect, amendment.parameters) >= 1.0
+        if not material:
+            small.append(complete)
+            continue
+        if _is_struck(explained, index, verdict):
+            continue
+        named.append(complete)
+        if index in explained.rivals:
+            rival, short = explained.rivals[index]
+            rivals.append(
+                Rival(
+                    name=rival.name,
+                    instead_of=amendment.name,
+                    evidence_nats=explained.gains[index] - short,
+                    separates=separates(amendment, rival),
+                )
+            )
+    named.sort(key=lambda a: -(a.evidence or 0.0))
+    return Ledger(
+        channel="scan",
+        effects=tuple(named),
+        within_tolerance=tuple(small),
+        unknown=_unknown(verdict),
+        rivals=tuple(rivals),
+        where=where,
+        gap=proof,
+    )
+
+
+def _is_struck(explained: Explained, index: int, verdict: Verdict) -> bool:
+    """Tell whether a name falls because too much of its own feature is left unexplained."""
+    return verdict.where is not None and verdict.misfit > 0.1 * explained.gains[index]
+
+
+def stderr(fitted: Fitted, index: int) -> dict[str, float]:
+    """Return standard errors of an effect's smooth parameters, from the curvature with all nuisances free."""
+    k, out = 0, {}
+    variance = np.diag(fitted.solution.covariance)
+    for i, amendment in enumerate(fitted.model):
+        for name in SMOOTH.get(amendment.name, {}):
+            if i == index:
+                out[name] = float(np.sqrt(max(variance[k], 0.0)))
+            k += 1
+    return out
+
+
+def probability(explained: Explained, index: int, verdict: Verdict) -> float:
+    """Return the chance that a name is right, calibrated on development cases."""
+    gain = explained.gains[index]
+    margin = explained.rivals[index][1] if index in explained.rivals else gain
+    score = 0.15 * min(gain, margin)
+    p = 1 / (1 + np.exp(-score))
+    if verdict.where is not None:
+        p *= 0.5
+    return float(p)
+
+
+def separates(a: Amendment, rival: Amendment) -> str:
+    """Say what would tell two effects apart."""
+    return (
+        a.effect.rivals.get(rival.name)
+        or rival.effect.rivals.get(a.name)
+        or (f"{a.name} varies with {a.effect.varies}; {rival.name} with {rival.effect.varies}")
+    )
+
+
+def _unknown(verdict: Verdict) -> Unknown | None:
+    if verdict.where is None:
+        return None
+    return Unknown(
+        statement=f"something no effect of the library explains: {sentence(verdict.where)}",
+        where=verdict.where,
+        statistic=verdict.statistic,
+        threshold=verdict.threshold,
+    )
+
+
+def sentence(where: Where) -> str:
+    """Say one deviation in words."""
+    what = {
+        "bias": f"readings are {abs(where.size) * 100:.1f} cm too {'long' if where.size > 0 else 'short'}",
+        "spread": f"readings scatter {100 * where.size:.0f} % more than the noise",
+        "outliers": f"{100 * where.size:.1f} % more strays than expected",
+        "misses": f"{100 * where.size:.1f} % more rays without a return than expected",
+    }[where.family]
+    return (
+        f"{what} at {where.partition} {where.label} ({abs(where.z):.1f} standard errors, {where.n_rays} rays)"
+    )
