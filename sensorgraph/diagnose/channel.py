@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
-from scipy.stats import chi2, norm
 
 from logs.run import Run
 from planners.arena import Bools, Floats, wrap
@@ -195,9 +194,8 @@ def probabilities(evidence: Mapping[str, float], *, none: float = 0.0) -> dict[s
     return dict(zip([*evidence, "none"], share.tolist(), strict=True))
 
 
-def chi_to_z(statistic: float, dof: int) -> float:
-    """Return the normal deviate as unlikely as a chi-squared statistic."""
-    log_p = float(chi2.logsf(statistic, dof))
-    if log_p > -600:
-        return float(norm.isf(np.exp(log_p)))
-    return float(np.sqrt(-2 * log_p))
+def chi_to_z(statistic: Floats | float, dof: int) -> Floats:
+    """Return the normal deviate as unlikely as chi-squared statistics (Wilson and Hilferty 1931)."""
+    share = np.asarray(statistic, dtype=np.float64) / dof
+    out: Floats = (np.cbrt(share) - (1 - 2 / (9 * dof))) / np.sqrt(2 / (9 * dof))
+    return out

@@ -36,7 +36,7 @@ from sensorgraph.world.robot_file import RobotFile
 
 GROUP = 0.1
 """[s] over which reference poses are averaged."""
-ORDER = 12
+ORDER = 24
 """Of the whitening filters."""
 LARGEST_GAP = 0.35
 """[s] without poses or odometry across which nothing is compared."""
@@ -53,6 +53,8 @@ CLOCKS = (0.0015, 0.0035)
 RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92)
 """[m] of patches that are tried."""
 N_REPLICATES = 100
+FOREIGN = 30.0
+"""[nats] that structure outside the library needs."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +99,15 @@ def diagnose_odometry(run: Run, robot: RobotFile, *, seed: int = 0) -> Ledger:
     rows = _aligned(stamps, poses, wheels)
     if isinstance(rows, str):
         return Ledger(channel="odometry", skipped=rows)
-    return _Search(rows=rows, wheels=wheels, robot=robot, rng=np.random.default_rng(seed)).ledger(notes)
+    search = _Search(rows=rows, wheels=wheels, robot=robot, rng=np.random.default_rng(seed))
+    search.whiten_rows()
+    late = search.late()
+    if abs(late) > 3e-4:
+        moved = _rows(stamps, poses, wheels, rows.clock + late)
+        if moved is not None:
+            search = _Search(rows=moved, wheels=wheels, robot=robot, rng=np.random.default_rng(seed))
+            search.whiten_rows()
+    return search.ledger(notes)
 
 
 def clock_offset(run: Run, robot: RobotFile) -> tuple[float, float] | None:
@@ -218,7 +228,7 @@ def _rows(stamps: Floats, poses: Floats, wheels: Increments, clock: float) -> Ro
     total = np.concatenate([[0.0], np.cumsum(wheels.turn)])
     ends = np.append(start, end[-1])
     off = levels[:, 2] - np.interp(t, ends, total).mean(axis=1)
-    width = max(3, min(round(1.0 / (m * period)), n)) // 2 * 2 + 1
+    width = _odd(1.0 / (m * period), n)
     padded = np.pad(off, width // 2, mode="edge")
     off = np.convolve(padded, np.ones(width) / width, mode="valid")
     centre = t.mean(axis=1)
@@ -241,6 +251,7 @@ def _rows(stamps: Floats, poses: Floats, wheels: Increments, clock: float) -> Ro
     steps = wheels.way[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     trail = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     told = np.stack([np.interp(centre, ends, column) for column in trail.T], axis=1)
+    width = _odd(2.0 / (m * period), n)
     apart = np.pad(levels[:, :2] - told, ((width // 2, width // 2), (0, 0)), mode="edge")
     apart = np.stack(
         [np.convolve(column, np.ones(width) / width, mode="valid") for column in apart.T], axis=1
@@ -261,6 +272,10 @@ def _rows(stamps: Floats, poses: Floats, wheels: Increments, clock: float) -> Ro
         slopes=slopes,
         spots=spots,
     )
+
+
+def _odd(width: float, n: int) -> int:
+    return max(3, min(round(width), n)) // 2 * 2 + 1
 
 
 def _layout(t: Floats, start: Floats, end: Floats) -> tuple[Floats, np.ndarray, Bools]:  # type: ignore[type-arg]
@@ -359,6 +374,8 @@ class _Search:
         self.clusters = np.concatenate([block, block]).astype(np.float64)
         self.patches: list[Patch] = []
         self.families = _families(rows, wheels)
+        self.foreign: list[str] = []
+        self.tests: dict[str, tuple[float, float]] = {}
         self.taps: list[Floats] = []
         self.sigmas: list[float] = []
         self.weights = np.ones(len(self.y))
@@ -367,30 +384,41 @@ class _Search:
     # noise
 
     def whiten_rows(self) -> None:
-        """Fit the noise to what the freest model leaves, twice, and whiten the rows with it."""
-        n = self.rows.n
-        generic = np.concatenate([c for c, _ in self.families.values()], axis=1)
-        if generic.shape[1] > 0.12 * self.ok.sum():
-            generic = generic[:, :0]
-        rich = np.concatenate([self.columns(), generic], axis=1)
-        rich = rich / np.maximum(np.linalg.norm(rich, axis=0), 1e-12)
+        """Fit the noise to what the model leaves with all wheel effects free, twice, and whiten the rows with it.
+
+        Structure outside the library takes no part in it unless accepted: so many smooth columns would swallow
+        the slow part of the wheels' noise, and the rest would look too good."""
+        self._fit_noise(self.columns())
+        self._form()
+
+    def _fit_noise(self, columns: Floats, turns: int = 2) -> float:
+        """Fit columns and noise in turn; return the log-likelihood of the noise, without constants [nats]."""
+        scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
         if not self.taps:
             self.taps = [np.eye(1, ORDER + 1)[0]] * 2
             self.sigmas = [float(np.std(part[ok]) + 1e-12) for part, ok in self._halves(self.y)]
-        for _ in range(2):
-            Z, y = self._white(rich), self._white(self.y)
+        for _ in range(turns):
+            Z, y = self._white(scaled), self._white(self.y)
             G = Z.T @ Z
             theta = np.linalg.solve(G + 1e-8 * np.trace(G) / len(G) * np.eye(len(G)), Z.T @ y)
-            left = self.y - rich @ theta
+            left = self.y - scaled @ theta
             spare = 1 / np.sqrt(1 - 0.5 * len(theta) / max(self.ok.sum(), 1))
+            self.taps, self.sigmas = list(self.taps), list(self.sigmas)
             for i, (part, ok) in enumerate(self._halves(left)):
                 limit = 4.0 * 1.4826 * np.median(np.abs(part[ok])) + 1e-12
-                taps, sigma = autoregression([np.clip(part, -limit, limit) * spare], [ok], ORDER)
-                self.taps[i] = taps
-                self.sigmas[i] = sigma
-            whitened = self._white(left)
-            self.weights = np.sqrt(huber(whitened))
-        self._form()
+                self.taps[i], self.sigmas[i] = autoregression(
+                    [np.clip(part, -limit, limit) * spare], [ok], ORDER
+                )
+            self.weights = np.ones(len(self.y))
+            self.weights = np.sqrt(huber(self._white(left)))
+        return -float(self.rows.is_valid.sum()) * float(np.log(self.sigmas).sum())
+
+    def _profile(self, columns: Floats) -> float:
+        """Return the log-likelihood of columns with a noise of their own, leaving the model's noise alone [nats]."""
+        kept = self.taps, self.sigmas, self.weights
+        value = self._fit_noise(columns)
+        self.taps, self.sigmas, self.weights = kept
+        return value
 
     def _halves(self, values: Floats) -> list[tuple[Floats, Bools]]:
         n = self.rows.n
@@ -414,11 +442,13 @@ class _Search:
     # columns
 
     def columns(self) -> Floats:
-        """Return all columns (2 n, 5 + patches)."""
-        if not self.patches:
-            return self.A
-        masks = np.stack([patch.mask(self.rows.spots) for patch in self.patches], axis=1)
-        return np.concatenate([self.A, -self._gained(masks)], axis=1)
+        """Return all columns (2 n, 5 + patches + foreign structure)."""
+        parts = [self.A]
+        if self.patches:
+            masks = np.stack([patch.mask(self.rows.spots) for patch in self.patches], axis=1)
+            parts.append(-self._gained(masks))
+        parts += [self.families[name].columns for name in self.foreign]
+        return np.concatenate(parts, axis=1)
 
     def _gained(self, masks: Floats) -> Floats:
         """Return what the wheels say (2 n, k) where masks (n_increments, k) weigh the increments."""
@@ -430,13 +460,22 @@ class _Search:
         """Return the prior of the columns with some effects free; patches are free or shut out."""
         clock = float(np.clip(0.6 * self.robot.tolerances.stamp, *CLOCKS))
         sigma = np.array([*SCALES, clock, MARKER, *[1e-9] * len(self.patches)])
+        k = len(sigma)
+        wide = [np.full(len(f.labels), f.sigma) for f in map(self.families.__getitem__, self.foreign)]
+        sigma = np.concatenate([sigma, *wide])
         mean = np.zeros(len(sigma))
         mean[3] = -self.rows.clock
         free = [GLOBAL.index(name) for name in names if name in GLOBAL]
         free += [5 + i for i in range(len(self.patches)) if f"wheel_slip {i}" in names]
-        return Prior.of(sigma, mean).freed(free)
+        prior = Prior.of(sigma, mean).freed(free)
+        prior.box[k:] = np.inf
+        return prior
 
-    def J(self, names: Sequence[str]) -> float:
+    def late(self) -> float:
+        """Return how far the assumed clock is still off, all effects free [s]."""
+        return float(np.clip(self.normal.solve(self.prior(GLOBAL)).theta[3], -0.02, 0.02))
+
+    def score(self, names: Sequence[str]) -> float:
         """Return the penalised log-likelihood of a set of effects [nats]."""
         return self.normal.solve(self.prior(names)).J
 
@@ -447,32 +486,79 @@ class _Search:
     def evidence(self, names: Sequence[str], name: str) -> float:
         """Return how much the data prefer a set with an effect to the set without it [nats]."""
         rest = [other for other in names if other != name]
-        return self.J([*rest, name]) - self.J(rest) - self.cost(name)
+        return self.score([*rest, name]) - self.score(rest) - self.cost(name)
 
     # search
 
     def select(self) -> list[str]:
-        """Add effects while the evidence lasts, then take superfluous ones back."""
+        """Add effects while the evidence lasts, then take superfluous ones back.
+
+        Structure that no effect makes competes with them: where it explains more, it enters in their stead.
+        """
         names: list[str] = []
-        for _ in range(6):
+        for _ in range(7):
             gains = {name: self.evidence(names, name) for name in GLOBAL if name not in names}
-            best = max(gains, key=lambda name: gains[name]) if gains else ""
             patch, gain = self._best_patch(names) if len(self.patches) < 3 else (None, -np.inf)
-            if patch is not None and gain > max([*gains.values(), THRESHOLD]):
+            if (
+                patch is not None
+                and 4.0 < gain + self.cost("wheel_slip")
+                and gain < max(50.0, *gains.values(), 0.0)
+            ):
+                # an unmodelled patch is noise to the filter: judge it by a noise of its own
+                column = -self._gained(patch.mask(self.rows.spots)[:, None])
+                own = self.columns()
+                fresh = self._profile(np.concatenate([own, column], axis=1)) - self._profile(own)
+                gain = max(gain, fresh - self.cost("wheel_slip") - 8.0)
+            top = max([gain, *gains.values()])
+            if top < THRESHOLD:
+                break
+            if patch is not None and gain == top:
                 self.patches.append(patch)
                 names.append(f"wheel_slip {len(self.patches) - 1}")
-            elif best and gains[best] > THRESHOLD:
-                names.append(best)
+                self._form()
+                self._refine(len(self.patches) - 1, names)
             else:
-                break
+                names.append(max(gains, key=lambda name: gains[name]))
             self.whiten_rows()
-            for name in sorted(names, key=lambda name: self.evidence(names, name)):
-                if self.evidence(names, name) < THRESHOLD:
-                    names.remove(name)
+            self._delete(names)
+        self._compete(names)
         for i in range(len(self.patches)):
             if f"wheel_slip {i}" in names:
                 self._refine(i, names)
-        return [name for name in names if self.evidence(names, name) >= THRESHOLD]
+        self._delete(names)
+        return names
+
+    def _compete(self, names: list[str]) -> None:
+        """Let structure that no effect makes stand beside the effects, or in their stead."""
+        own = self.columns()
+        here = self._profile(own)
+        best = (0.0, "", False)
+        for name, family in self.families.items():
+            cost = PENALTY * min(len(family.labels), np.linalg.matrix_rank(family.columns)) + FOREIGN
+            add = self._profile(np.concatenate([own, family.columns], axis=1)) - here - cost
+            best = max(best, (add, name, False))
+            if self.patches:
+                alone = self._profile(np.concatenate([self.A, family.columns], axis=1)) - here - cost
+                best = max(best, (alone + 4 * PENALTY * len(self.patches), name, True))
+        gain, name, is_instead = best
+        if not name:
+            return
+        self.tests[name] = (gain + FOREIGN, FOREIGN)
+        if is_instead:
+            self.patches = []
+            names[:] = [other for other in names if other in GLOBAL]
+        self.foreign.append(name)
+        self.whiten_rows()
+        self._delete(names)
+
+    def _delete(self, names: list[str]) -> None:
+        """Take superfluous effects back, the weakest first."""
+        while names:
+            evidence = {name: self.evidence(names, name) for name in names}
+            weakest = min(names, key=lambda name: evidence[name])
+            if evidence[weakest] >= THRESHOLD:
+                return
+            names.remove(weakest)
 
     def _best_patch(self, names: Sequence[str]) -> tuple[Patch | None, float]:
         moving = np.abs(self.wheels.way) > 1e-3
@@ -540,20 +626,16 @@ class _Search:
 
     def ledger(self, notes: Mapping[str, object]) -> Ledger:
         """Search, judge and report."""
-        self.whiten_rows()
         where = self._where()
         names = self.select()
+        unknown = self._unknown(names)
         solution = self.normal.solve(self.prior(names))
-        unknown, family = self._unknown(names)
-        if family is not None:
-            names = self._without_excuses(names, family)
-            solution = self.normal.solve(self.prior(names))
         spread = self.normal.sandwich(solution, self.clusters)
         found = [self._amendment(name, names, solution, spread) for name in names]
         found.sort(key=lambda a: -(a.evidence or 0.0))
         named = [a for a in found if _is_material(a)]
         small = [a for a in found if not _is_material(a)]
-        rivals = [rival for a in named for rival in self._rivals(a.name, names)]
+        rivals = [rival for name in names for rival in self._rivals(name, names, named)]
         extra = {
             **notes,
             "clock_offset_s": self.rows.clock + float(solution.theta[3]),
@@ -615,13 +697,13 @@ class _Search:
             out["wheel_slip"] = gain
         return out
 
-    def _rivals(self, name: str, names: Sequence[str]) -> list[Rival]:
-        key = next(other for other in names if other.split()[0] == name)
-        rivals = self._alternatives(key, names)
-        if not rivals:
+    def _rivals(self, key: str, names: Sequence[str], named: Sequence[Amendment]) -> list[Rival]:
+        name = key.split()[0]
+        if name not in {a.name for a in named}:
             return []
-        best = max(rivals, key=lambda other: rivals[other])
-        if rivals[best] < THRESHOLD:
+        rivals = self._alternatives(key, names)
+        best = max(rivals, key=lambda other: rivals[other], default="")
+        if not best or rivals[best] < THRESHOLD:
             return []
         advice = EFFECTS[name].rivals.get(best) or EFFECTS[best].rivals.get(name) or EFFECTS[name].varies
         return [Rival(name=best, instead_of=name, evidence_nats=rivals[best], separates=advice)]
@@ -633,7 +715,8 @@ class _Search:
         solution = self.normal.solve(self.prior([]))
         left = self.normal.y - self.normal.A @ solution.theta
         out = []
-        for name, (columns, labels) in self.families.items():
+        for name, family in self.families.items():
+            columns, labels = family.columns, family.labels
             Z = self._white(columns)
             sums = np.stack(
                 [np.bincount(self.clusters.astype(np.intp), weights=z) for z in (Z * left[:, None]).T]
@@ -655,60 +738,17 @@ class _Search:
         out.sort(key=lambda w: -abs(w.z))
         return tuple(out[:12])
 
-    def _unknown(self, names: Sequence[str]) -> tuple[Unknown | None, str | None]:
-        """Look for structure that the accepted effects leave; calibrated by sign-flipped blocks of the residual."""
-        prior = self.prior(names)
-        solution = self.normal.solve(prior)
-        left = self.normal.y - self.normal.A @ solution.theta
-        weight = np.where(np.isinf(prior.sigma), 0.0, 1 / np.maximum(prior.sigma, 1e-12))
-        use = weight < 1e8
-        base = np.concatenate([self.normal.A[:, use], self._edges(names)], axis=1)
-        scale = np.maximum(np.linalg.norm(base, axis=0), 1e-12)
-        Q, _ = np.linalg.qr(base / scale)
-        block = self.clusters.astype(np.intp)
-        signs = self.rng.choice([-1.0, 1.0], size=(block.max() + 1, N_REPLICATES))[block]
-        flipped = left[:, None] * signs
-        best: tuple[float, str, float, float] | None = None
-        tops = np.full(N_REPLICATES, -np.inf)
-        results = []
-        for name, (columns, _) in self.families.items():
-            Z = self._white(columns)
-            Z = Z - Q @ (Q.T @ Z)
-            values, vectors = np.linalg.eigh(Z.T @ Z)
-            keep = values > 1e-6 * max(values.max(initial=0.0), 1e-12)
-            if not keep.any():
-                continue
-            root = (Z @ vectors[:, keep]) / np.sqrt(values[keep])
-            q = root.T @ left
-            dof = int(keep.sum())
-            statistic = float(q @ q)
-            theta = vectors[:, keep] @ (q / np.sqrt(values[keep]))
-            size = float(np.sqrt(((columns @ theta)[self.ok] ** 2).sum()))
-            results.append((chi_to_z(statistic, dof), name, statistic, size, dof))
-            tops = np.maximum(tops, [chi_to_z(float(s), dof) for s in ((root.T @ flipped) ** 2).sum(axis=0)])
-        if not results:
-            return None, None
-        z, name, statistic, _, dof = max(results)
-        threshold = max(6.0, 1.25 * float(tops.max()), float(tops.mean() + 4 * tops.std()))
-        if z < threshold or 0.5 * statistic - 1.5 * dof < 2 * THRESHOLD:
-            return None, None
+    def _unknown(self, names: Sequence[str]) -> Unknown | None:
+        """Say what structure entered the model in the stead of effects."""
+        if not self.foreign:
+            return None
+        name, (z, threshold) = self.foreign[0], self.tests[self.foreign[0]]
         text = _STATEMENTS[name]
-        del best
-        return (
-            Unknown(
-                statement=f"odometry and reference pose differ {text}, which no wheel effect explains",
-                where=Where(
-                    family="bias",
-                    partition=name,
-                    label=text,
-                    z=z,
-                    size=statistic / 2,
-                    n_rays=int(self.ok.sum()),
-                ),
-                statistic=z,
-                threshold=threshold,
-            ),
-            name,
+        return Unknown(
+            statement=f"odometry and reference pose differ {text}, which no effect of the library explains",
+            where=Where(family="bias", partition=name, label=text, z=z, size=z, n_rays=int(self.ok.sum())),
+            statistic=z,
+            threshold=threshold,
         )
 
     def _edges(self, names: Sequence[str]) -> Floats:
@@ -722,30 +762,6 @@ class _Search:
             masks = _inside(self.rows.spots, moved)
             parts.append(self._white(self._gained(masks[:, :3] - masks[:, 3:])))
         return np.concatenate(parts, axis=1)
-
-    def _without_excuses(self, names: Sequence[str], family: str) -> list[str]:
-        """Strike the effects that the unknown structure explains as well."""
-        extra = self._white(self.families[family][0])
-        A = np.concatenate([self.normal.A, extra], axis=1)
-        normal = Normal.of(A, self.normal.y)
-        k = extra.shape[1]
-
-        def J(some: Sequence[str]) -> float:
-            prior = self.prior(some)
-            wide = np.full(k, 1.0)
-            return normal.solve(
-                Prior(
-                    mean=np.append(prior.mean, np.zeros(k)),
-                    sigma=np.append(prior.sigma, wide),
-                    box=np.append(prior.box, np.full(k, np.inf)),
-                )
-            ).J
-
-        return [
-            name
-            for name in names
-            if J(names) - J([other for other in names if other != name]) - self.cost(name) >= THRESHOLD
-        ]
 
     def _gap(self, names: Sequence[str]) -> Gap:
         """Fit on every other 5 s, measure on the rest, and the other way round."""
@@ -761,7 +777,7 @@ class _Search:
         nominal = np.zeros(columns.shape[1])
         nominal[3] = -self.rows.clock
         before = self.y - columns @ nominal
-        rich = np.concatenate([columns, *[c for c, _ in self.families.values()]], axis=1)
+        rich = np.concatenate([columns, *[f.columns for f in self.families.values()]], axis=1)
         Z = self._white(rich)
         G = Z.T @ Z
         theta = np.linalg.solve(G + 1e-8 * np.trace(G) / len(G) * np.eye(len(G)), Z.T @ self.normal.y)
@@ -822,7 +838,20 @@ _STATEMENTS = {
 }
 
 
-def _families(rows: Rows, wheels: Increments) -> dict[str, tuple[Floats, list[str]]]:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Family:
+    """Differences that no library effect makes."""
+
+    columns: Floats
+    """(2 n, k)"""
+    labels: list[str]
+    sigma: float
+    """Of each parameter, a priori."""
+    choices: float = 0.0
+    """[nats] for having been chosen among several."""
+
+
+def _families(rows: Rows, wheels: Increments) -> dict[str, Family]:
     """Return columns (2 n, k) of differences that no library effect makes, and what to call each."""
     rates = wheels.rates
     v, omega = np.abs(rates[:, 0]), np.abs(rates[:, 1])
@@ -833,7 +862,7 @@ def _families(rows: Rows, wheels: Increments) -> dict[str, tuple[Floats, list[st
         (6 * (wheels.middle - wheels.start[0]) / (wheels.end[-1] - wheels.start[0])).astype(np.intp), 0, 5
     )
     span = [f"{a:.0f} to {b:.0f} s" for a, b in _spans(wheels, 6)]
-    out: dict[str, tuple[Floats, list[str]]] = {}
+    out: dict[str, Family] = {}
 
     def both(name: str, masks: list[tuple[str, str, Floats]]) -> None:
         columns, labels = [], []
@@ -846,7 +875,7 @@ def _families(rows: Rows, wheels: Increments) -> dict[str, tuple[Floats, list[st
                 f"{label}, {'way' if kind == 'v' else 'turn' if kind == 'omega' else 'way and turn'}"
             )
         if columns:
-            out[name] = (np.stack(columns, axis=1), labels)
+            out[name] = Family(columns=np.stack(columns, axis=1), labels=labels, sigma=0.1)
 
     as_float = np.float64
     both(
@@ -900,7 +929,9 @@ def _families(rows: Rows, wheels: Increments) -> dict[str, tuple[Floats, list[st
     part = np.clip((5 * (rows.stamps - rows.stamps[0]) / np.ptp(rows.stamps)).astype(np.intp), 0, 4)
     masks = [(part == k)[:, None] * rows.slopes for k in range(5)]
     clock = np.stack([np.where(np.tile(rows.is_valid, 2), m.T.ravel(), 0.0) for m in masks], axis=1)
-    out["clock"] = (clock, [f"{a:.0f} to {b:.0f} s, clock" for a, b in _spans(wheels, 5)])
+    out["clock"] = Family(
+        columns=clock, labels=[f"{a:.0f} to {b:.0f} s, clock" for a, b in _spans(wheels, 5)], sigma=0.5
+    )
     out |= _reference_families(rows)
     return out
 
@@ -910,7 +941,7 @@ def _spans(wheels: Increments, n: int) -> list[tuple[float, float]]:
     return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 
 
-def _reference_families(rows: Rows) -> dict[str, tuple[Floats, list[str]]]:
+def _reference_families(rows: Rows) -> dict[str, Family]:
     """Return columns of a reference that is distorted over the place."""
     xy = rows.levels[:, :2]
     low, size = xy.min(axis=0), max(float(np.ptp(xy, axis=0).max()), 0.5)
@@ -933,8 +964,12 @@ def _reference_families(rows: Rows) -> dict[str, tuple[Floats, list[str]]]:
         axis=1,
     )
     return {
-        "reference yaw": (yaw, ["yaw of the reference by place"] * yaw.shape[1]),
-        "reference place": (place, ["position of the reference by place"] * place.shape[1]),
+        "reference yaw": Family(
+            columns=yaw, labels=["yaw of the reference by place"] * yaw.shape[1], sigma=0.02
+        ),
+        "reference place": Family(
+            columns=place, labels=["position of the reference by place"] * place.shape[1], sigma=0.2
+        ),
     }
 
 
