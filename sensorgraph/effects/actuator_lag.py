@@ -17,6 +17,7 @@ ACTUATOR_LAG = Effect(
     channel="drive",
     stage="motors",
     physics="The motors follow a command with a time constant tau longer than robot.yaml says.",
+    equation="(τ₀ + τ) dv/dt = u − v",
     source="Siegwart, Nourbakhsh and Scaramuzza (2011), Introduction to Autonomous Mobile Robots, section 3.6",
     varies="command against odometry: an exponential step",
     rivals={"dead_time": "a step, not a ramp: dead time shifts it whole"},

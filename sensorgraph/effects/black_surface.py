@@ -30,6 +30,7 @@ BLACK_SURFACE = Effect(
     channel="scan",
     stage="surface",
     physics="A dark part of a wall returns with probability min(1, cos(incidence) (r0 / r)^2).",
+    equation="P(return) = min(1, cos α (r₀ / r)²), from a to b along the wall",
     source="Jelalian (1992), laser radar systems: the range equation of a Lambertian target",
     varies="one part of one wall, losses that grow with range and incidence",
     rivals={

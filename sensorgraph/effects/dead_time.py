@@ -17,6 +17,7 @@ DEAD_TIME = Effect(
     channel="drive",
     stage="motors",
     physics="A command acts L later than robot.yaml says.",
+    equation="v(t) = u(t − L₀ − L)",
     source="Billings (2013), Nonlinear System Identification, section 2.3: pure delay",
     varies="command against odometry: a pure shift",
     rivals={"actuator_lag": "a step: a lag bends it"},

@@ -50,6 +50,8 @@ class Effect:
     """Change a Scene (channel scan) or a Machine (odometry, drive) in place."""
     place: Place | None = None
     """What its location names."""
+    equation: str = ""
+    """The physics in symbols: r ideal range, z measured, θ bearing, α incidence, t time."""
     absorber: bool = False
     """It widens or mixes the distribution, so that it fits a little of everything; second class when naming."""
 

@@ -37,6 +37,7 @@ GLASS = Effect(
     channel="scan",
     stage="surface",
     physics="A pane returns only rays that meet it more head-on than alpha_ret; others see what stands behind it.",
+    equation="z = r for α < α_ret, else what stands behind, from a to b along the wall",
     source="Koch, May, Murphy and Nuechter (2017), identification and correction of transparent and specular reflecting objects in laser scans",
     varies="one part of one wall, long readings, incidence",
     rivals={

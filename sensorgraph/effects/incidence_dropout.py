@@ -25,6 +25,7 @@ INCIDENCE_DROPOUT = Effect(
     channel="scan",
     stage="detection",
     physics="A surface met at more than alpha_max returns nothing.",
+    equation="no return for α > α_max",
     source="Okubo, Ye and Borenstein (2009), characterization of the Hokuyo URG-04LX",
     varies="incidence, on all walls alike",
     rivals={

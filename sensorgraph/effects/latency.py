@@ -17,6 +17,7 @@ LATENCY = Effect(
     channel="scan",
     stage="time",
     physics="A scan stamped t was taken at the pose of t - tau.",
+    equation="z(t) = r(pose(t − τ))",
     source="Olson (2010), a passive solution to the sensor synchronization problem",
     varies="omega r tan(incidence) and v cos(bearing)",
     rivals={

@@ -22,6 +22,7 @@ MAP_SCALE = Effect(
     channel="scan",
     stage="geometry",
     physics="The room is (1 + s) times the map, about a point that need not be the map's origin.",
+    equation="map → (1 + s) map, about the middle of the arena",
     source="surveying practice: a plan measured with a wrong scale",
     varies="how far a wall lies from the origin, not the range",
     rivals={"range_scale": "near and far views of the same wall", "moved_wall": "only one wall moves"},

@@ -22,6 +22,7 @@ MAX_RANGE = Effect(
     channel="scan",
     stage="detection",
     physics="Nothing farther than R returns, though the data sheet says so.",
+    equation="no return for r > R",
     source="Thrun, Burgard and Fox (2005), Probabilistic Robotics, section 6.3: max-range readings",
     varies="range, on all walls alike",
     rivals={

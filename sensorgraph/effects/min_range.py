@@ -20,6 +20,7 @@ MIN_RANGE = Effect(
     channel="scan",
     stage="detection",
     physics="Nothing nearer than r_min returns, though the data sheet says so.",
+    equation="no return for r < r_min",
     source="Okubo, Ye and Borenstein (2009), characterization of the Hokuyo URG-04LX",
     varies="small ranges, whatever the bearing",
     rivals={"self_occlusion": "approach a wall with another bearing"},

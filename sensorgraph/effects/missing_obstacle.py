@@ -18,6 +18,7 @@ MISSING_OBSTACLE = Effect(
     channel="scan",
     stage="geometry",
     physics="One obstacle of the map is not in the room.",
+    equation="map → map without it",
     source="Biber and Duckett (2005), dynamic maps for long-term operation of mobile service robots",
     varies="long readings through one obstacle",
     rivals={"glass": "look at it head-on", "moved_obstacle": "it stands nowhere else"},

@@ -17,6 +17,7 @@ MOUNT_XY = Effect(
     channel="scan",
     stage="mount",
     physics="The laser sits (dx, dy) away from where robot.yaml says, in the body's frame.",
+    equation="laser at (x₀ + dx, y₀ + dy)",
     source="Censi, Franchi, Marchionni and Oriolo (2013), simultaneous calibration of odometry and sensor parameters",
     varies="-(dx cos theta + dy sin theta) / cos(incidence); turns with the robot",
     rivals={"range_bias": "the cosine over bearing", "latency": "vary the speed, and reverse"},

@@ -17,6 +17,7 @@ MOUNT_YAW = Effect(
     channel="scan",
     stage="mount",
     physics="The laser is turned about its own axis: every ray leaves at bearing theta + delta.",
+    equation="θ → θ + δ",
     source="Censi, Franchi, Marchionni and Oriolo (2013), simultaneous calibration of odometry and sensor parameters",
     varies="r tan(incidence), with opposite signs either side of a wall's normal; not with turn rate",
     rivals={"latency": "turn left and right", "scan_skew": "turn left and right"},

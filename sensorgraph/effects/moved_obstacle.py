@@ -18,6 +18,7 @@ MOVED_OBSTACLE = Effect(
     channel="scan",
     stage="geometry",
     physics="One obstacle stands (dx, dy) from where the map has it.",
+    equation="obstacle → obstacle + (dx, dy)",
     source="Biber and Duckett (2005), dynamic maps for long-term operation of mobile service robots",
     varies="the walls of one obstacle, with opposite signs on opposite faces",
     rivals={"missing_obstacle": "it stands somewhere else", "mount_yaw": "circle it"},

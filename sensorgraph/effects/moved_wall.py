@@ -25,6 +25,7 @@ MOVED_WALL = Effect(
     channel="scan",
     stage="geometry",
     physics="One wall stands d outward of where the map has it; the corners go with it.",
+    equation="wall → wall + d n, n its outward normal",
     source="surveying practice: one edge of the floor plan is wrong",
     varies="one wall, d / cos(incidence)",
     rivals={

@@ -23,6 +23,7 @@ PEOPLE = Effect(
     channel="scan",
     stage="geometry",
     physics="Something that moves stands in the way of a share p of the rays.",
+    equation="P(short) = p",
     source="Thrun, Burgard and Fox (2005), Probabilistic Robotics, section 6.3; Fox, Burgard and Thrun (1999)",
     varies="time; neighbouring rays and successive scans together",
     rivals={

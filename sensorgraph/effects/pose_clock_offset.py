@@ -17,6 +17,7 @@ POSE_CLOCK_OFFSET = Effect(
     channel="odometry",
     stage="wheels",
     physics="Odometry stamped t was taken at t - tau of the reference's clock.",
+    equation="odometry(t) = motion(t − τ)",
     source="Olson (2010), a passive solution to the sensor synchronization problem",
     varies="odometry against pose, in proportion to acceleration",
     rivals={"latency": "the scans show it, or do not"},

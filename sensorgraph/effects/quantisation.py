@@ -17,6 +17,7 @@ QUANTISATION = Effect(
     channel="scan",
     stage="noise",
     physics="Returns are rounded to multiples of q, coarser than the data sheet says.",
+    equation="z = q round(r / q)",
     source="Widrow and Kollar (2008), quantization noise",
     varies="the lattice of the readings, nothing in the geometry",
     rivals={"range_noise": "a histogram at standstill"},

@@ -17,6 +17,7 @@ RANDOM_OUTLIERS = Effect(
     channel="scan",
     stage="noise",
     physics="With probability p a reading is uniform over (0, range_max).",
+    equation="P(z uniform over 0 … range_max) = p",
     source="Thrun, Burgard and Fox (2005), Probabilistic Robotics, section 6.3: random measurements",
     varies="nothing: scattered single rays",
     rivals={"people": "clustered and moving", "range_noise": "standstill"},

@@ -17,6 +17,7 @@ RANGE_BIAS = Effect(
     channel="scan",
     stage="range",
     physics="A constant is added to every return: z = r + b.",
+    equation="z = r + b",
     source="Reina and Gonzales (1997), characterisation of a radial laser scanner",
     varies="nothing: the same on all rays",
     rivals={

@@ -22,6 +22,7 @@ RANGE_DRIFT = Effect(
     channel="scan",
     stage="range",
     physics="The bias grows during the run: b(t) = b1 t / T, or b1 (1 - exp(-t / tau)) while the sensor warms up.",
+    equation="z = r + b₁ t / T, or b₁ (1 − exp(−t / τ)) where τ > 0",
     source="Reina and Gonzales (1997), characterisation of a radial laser scanner: warm-up",
     varies="time",
     rivals={"moved_wall": "the first pose again at the end", "range_bias": "the first pose again at the end"},

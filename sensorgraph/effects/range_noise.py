@@ -21,6 +21,7 @@ RANGE_NOISE = Effect(
     channel="scan",
     stage="noise",
     physics="The noise grows with the range: sigma^2 = sigma_0^2 + (k r)^2.",
+    equation="σ² = σ₀² + (k r)²",
     source="Reina and Gonzales (1997), characterisation of a radial laser scanner",
     varies="variance of the residual against range",
     rivals={

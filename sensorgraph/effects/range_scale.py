@@ -19,6 +19,7 @@ RANGE_SCALE = Effect(
     channel="scan",
     stage="range",
     physics="Every return is stretched in proportion to its length: z = (1 + s) r.",
+    equation="z = (1 + s) r",
     source="Okubo, Ye and Borenstein (2009), characterization of the Hokuyo URG-04LX",
     varies="range",
     rivals={

@@ -20,6 +20,7 @@ SCAN_SKEW = Effect(
     channel="scan",
     stage="time",
     physics="Ray i of N is taken T i / N after the stamp, beyond what robot.yaml says.",
+    equation="zᵢ(t) = rᵢ(pose(t + T i / N))",
     source="Zhang and Singh (2014), LOAM, section V",
     varies="turn rate times ray index; nothing at the first ray",
     rivals={"latency": "compare the first rays with the last at one turn rate"},

@@ -18,6 +18,7 @@ SECTOR_BIAS = Effect(
     channel="scan",
     stage="range",
     physics="Rays of one sector of bearings are biased: z = r + b for theta_1 <= theta <= theta_2.",
+    equation="z = r + b for θ₁ ≤ θ ≤ θ₂",
     source="Pandey et al. (2011), per-beam calibration of multi-beam lidars",
     varies="bearing only",
     rivals={

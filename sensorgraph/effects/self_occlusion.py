@@ -25,6 +25,7 @@ SELF_OCCLUSION = Effect(
     channel="scan",
     stage="detection",
     physics="A part of the robot stands r0 before the sensor and hides the sector from theta_1 to theta_2.",
+    equation="z = r₀ for θ₁ ≤ θ ≤ θ₂",
     source="Dolgov et al.; common practice of laser filters (ROS laser_filters, angular bounds)",
     varies="bearing, whatever the pose",
     rivals={"min_range": "turn in free space"},

@@ -17,6 +17,7 @@ SPEED_SATURATION = Effect(
     channel="drive",
     stage="motors",
     physics="The motors cannot exceed v_max, though robot.yaml allows more.",
+    equation="|v| ≤ v_max",
     source="Siegwart, Nourbakhsh and Scaramuzza (2011), Introduction to Autonomous Mobile Robots, section 3.6",
     varies="only at high commands",
     rivals={"actuator_lag": "a sweep of speeds"},

@@ -27,6 +27,7 @@ TILT = Effect(
     channel="scan",
     stage="optics",
     physics="The plane dips by beta towards theta_0: rays meet the floor at h / sin(beta cos(theta - theta_0)), others are stretched by 1 / cos.",
+    equation="z = min(r / cos ψ, h / sin ψ), ψ = β cos(θ − θ₀)",
     source="geometry of a plane at height h; Kohlbrecher et al. (2011), Hector SLAM, section III",
     varies="range capped in dependence of the bearing, only where the room is deep",
     rivals={

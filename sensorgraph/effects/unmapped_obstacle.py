@@ -20,6 +20,7 @@ UNMAPPED_OBSTACLE = Effect(
     channel="scan",
     stage="geometry",
     physics="Something round stands at (x, y) that the map does not have.",
+    equation="a disc of radius r at (x, y)",
     source="Thrun, Burgard and Fox (2005), Probabilistic Robotics, section 6.3: unexpected objects",
     varies="short readings that end at one place, at all times",
     rivals={"people": "come back later", "moved_obstacle": "a moved obstacle leaves a hole as well"},
