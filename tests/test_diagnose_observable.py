@@ -1,0 +1,140 @@
+"""Laws of what a run could not have shown: what it did not do, it cannot tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planners.arena import Floats
+from sensorgraph.diagnose.evidence import Evidence, velocities
+from sensorgraph.diagnose.model import Fitted, fit, start_state
+from sensorgraph.diagnose.nuisance import Freedom
+from sensorgraph.diagnose.observable import alike, not_observable
+from sensorgraph.effects import EFFECTS
+from sensorgraph.world.robot_file import default
+from sensorgraph.world.scene import draw
+from tests.effects_samples import arena
+
+STAMPS = np.arange(0.0, 60.0, 0.2)
+
+
+def evidence(poses: Floats, *, laser_frame: bool = False, stamps: Floats = STAMPS) -> Evidence:
+    """Scan along poses (n, 3) at the stamps, with the noise of the default robot and nothing else."""
+    robot = default()
+    sensor = replace(robot.sensor, bearings=robot.sensor.bearings[::3])
+    track = np.arange(0.0, stamps[-1] + 0.05, 0.05)
+    along = np.stack([np.interp(track, stamps, column) for column in poses.T], axis=1)
+    found = Evidence(
+        arena=arena(),
+        sensor=sensor,
+        tolerances=robot.tolerances,
+        stamps=stamps,
+        ranges=np.zeros((len(stamps), sensor.n_rays)),
+        poses=poses,
+        twists=velocities(track, along, stamps),
+        track=(track, along),
+        begin=0.0,
+        span=float(stamps[-1]),
+        laser_frame=laser_frame,
+    )
+    scene = found.scene()
+    scene.run()
+    return replace(found, ranges=draw(scene, np.random.default_rng(0)), memo={})
+
+
+def null(found: Evidence) -> Fitted:
+    return fit(found, (), start_state(found, Freedom()), Freedom(), outer=1, inner=5)
+
+
+def standing(stamps: Floats = STAMPS) -> Floats:
+    return np.tile([2.0, 2.5, 0.3], (len(stamps), 1))
+
+
+def lively(stamps: Floats = STAMPS) -> Floats:
+    """Drive figures at changing speeds, turning both ways."""
+    t = stamps
+    x, y = 2.2 + 1.6 * np.sin(0.23 * t), 2.2 + 1.7 * np.sin(0.31 * t + 0.5)
+    return np.stack([x, y, 3.0 * np.sin(0.33 * t) + 0.12 * t], axis=1)
+
+
+def straight(stamps: Floats = STAMPS) -> Floats:
+    """Drive at one speed, and never turn."""
+    return np.stack([1.0 + 2.5 * stamps / stamps[-1] * 1.0, np.full_like(stamps, 1.2), 0.0 * stamps], axis=1)
+
+
+def test_standing_still_shows_no_latency_and_no_skew() -> None:
+    found = evidence(standing())
+    hidden = not_observable(found, null(found))
+    assert {"latency", "scan_skew"} <= hidden.keys()
+    assert "0.00 m/s" in hidden["latency"]
+
+
+def test_a_lively_run_shows_what_moves_readings() -> None:
+    found = evidence(lively())
+    hidden = not_observable(found, null(found))
+    assert not hidden.keys() & {
+        "range_bias", "range_scale", "range_drift", "mount_yaw", "mount_xy", "latency", "scan_skew",
+        "sector_bias", "range_noise", "people", "random_outliers", "quantisation", "moved_obstacle",
+    }  # fmt: skip
+    assert not alike(found, null(found))
+
+
+def test_a_run_at_one_speed_without_turning_cannot_tell_latency_from_the_mount() -> None:
+    stamps = np.arange(0.0, 8.0, 0.1)
+    found = evidence(straight(stamps), stamps=stamps)
+    pairs = {frozenset((pair.a, pair.b)) for pair in alike(found, null(found))}
+    assert frozenset(("mount_xy", "latency")) in pairs
+
+
+def test_turning_one_way_at_one_rate_cannot_tell_yaw_from_latency() -> None:
+    poses = np.stack([np.full_like(STAMPS, 2.0), np.full_like(STAMPS, 2.5), 0.5 * STAMPS], axis=1)
+    found = evidence(poses)
+    pairs = {frozenset((pair.a, pair.b)): pair for pair in alike(found, null(found))}
+    pair = pairs[frozenset(("mount_yaw", "latency"))]
+    assert pair.correlation > 0.9
+    assert "hardly tell mount_yaw from latency" in pair.why
+
+
+def test_poses_of_the_laser_itself_hide_the_mount_and_the_clock() -> None:
+    found = evidence(lively(), laser_frame=True)
+    hidden = not_observable(found, null(found))
+    assert {"mount_xy", "mount_yaw", "latency"} <= hidden.keys()
+    assert "latency" not in not_observable(found, null(found), from_scans=False)
+
+
+def test_no_wall_near_or_far_leaves_the_limits_of_range_in_the_dark() -> None:
+    found = evidence(standing())
+    hidden = not_observable(found, null(found))
+    assert "no return from nearer than" in hidden["min_range"]
+    assert "of 8 m" in hidden["max_range"]
+
+
+def test_a_coarse_log_hides_quantisation() -> None:
+    found = evidence(lively())
+    found = replace(found, sensor=replace(found.sensor, resolution=0.01), memo={})
+    assert "10 mm" in not_observable(found, null(found))["quantisation"]
+
+
+def test_what_was_never_looked_at_is_named() -> None:
+    found = evidence(np.tile([4.3, 2.4, -np.pi / 2], (len(STAMPS), 1)))
+    hidden = not_observable(found, null(found))
+    assert "box" in hidden["missing_obstacle"]
+    assert "box/edge_0" in hidden["glass"]
+    assert "free space" in hidden["unmapped_obstacle"]
+
+
+def test_effects_of_the_model_are_not_said_to_be_hidden() -> None:
+    found = evidence(standing())
+    state = start_state(found, Freedom())
+    fitted = fit(found, (EFFECTS["latency"](tau=0.0),), state, Freedom(), outer=1, inner=3)
+    assert "latency" not in not_observable(found, fitted)
+
+
+@pytest.mark.parametrize("poses", [standing(), lively()], ids=["standing", "lively"])
+def test_only_effects_of_the_scan_channel_are_spoken_of(poses: Floats) -> None:
+    found = evidence(poses)
+    for name, why in not_observable(found, null(found)).items():
+        assert EFFECTS[name].channel == "scan"
+        assert why and not why.endswith(".")
