@@ -26,7 +26,7 @@ from effects_samples import (
 from logs.run import RangeSensor
 from planners.arena import Bools, Floats
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.effects.mixed_pixels import SPREAD
+from sensorgraph.effects.mixed_pixels import N_SPREAD
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.scene import Scene, draw
 
@@ -264,7 +264,7 @@ def test_a_wide_beam_reads_the_mean_at_edges_and_the_wall_elsewhere() -> None:
     edge = ~np.asarray(beams.straight)
     assert 5 < edge.sum() < 200
     step = greatest - least
-    assert (np.abs(beams.reading - mean)[edge] <= step[edge] / len(SPREAD)).all()
+    assert (np.abs(beams.reading - mean)[edge] <= step[edge] / N_SPREAD).all()
     between = edge & (np.abs(mean - least) > step / 4) & (np.abs(mean - greatest) > step / 4)
     assert between.any()
     assert ((beams.reading > least) & (beams.reading < greatest))[between].all()

@@ -8,16 +8,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from sensorgraph.diagnose.drive import diagnose_drive
 
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.diagnose.criticise import Verdict, check, deviations
 from sensorgraph.diagnose.decide import Explained, explain
+from sensorgraph.diagnose.drive import diagnose_drive
 from sensorgraph.diagnose.evidence import Evidence, gather
 from sensorgraph.diagnose.finding import Gap, Ledger, Rival, Unknown, Where
-from sensorgraph.diagnose.model import SMOOTH, Fitted
-from sensorgraph.diagnose.nuisance import Freedom
+from sensorgraph.diagnose.model import Fitted, smooth_parameters
+from sensorgraph.diagnose.nuisance import OWN, Freedom
 from sensorgraph.diagnose.odometry import diagnose_odometry
 from sensorgraph.diagnose.prove import gap, held_out
 from sensorgraph.diagnose.view import View
@@ -128,7 +128,7 @@ def _ledger(
             evidence=explained.gains[index],
             probability=probability(explained, index, verdict),
         )
-        material = size_ratio(amendment.effect, amendment.parameters) >= 1.0
+        material = size_ratio(amendment.effect, amendment.parameters) >= slackness(final, amendment)
         if not material:
             small.append(complete)
             continue
@@ -157,6 +157,11 @@ def _ledger(
     )
 
 
+def slackness(fitted: Fitted, amendment: Amendment) -> float:
+    """Return how many times its materiality an effect must be: more, where the tolerances proved too tight."""
+    return max(1.0, fitted.state.map_scale, fitted.state.pose_scale if amendment.name in OWN else 1.0)
+
+
 def _is_struck(explained: Explained, index: int, verdict: Verdict) -> bool:
     """Tell whether a name falls because too much of its own feature is left unexplained."""
     return verdict.where is not None and verdict.misfit > 0.1 * explained.gains[index]
@@ -167,7 +172,7 @@ def stderr(fitted: Fitted, index: int) -> dict[str, float]:
     k, out = 0, {}
     variance = np.diag(fitted.solution.covariance)
     for i, amendment in enumerate(fitted.model):
-        for name in SMOOTH.get(amendment.name, {}):
+        for name in smooth_parameters(amendment):
             if i == index:
                 out[name] = float(np.sqrt(max(variance[k], 0.0)))
             k += 1

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planners.arena import Floats
+from planners.arena import Bools, Floats
 from sensorgraph.diagnose.evidence import Evidence
 from sensorgraph.diagnose.likelihood import Edges, Predicted, find_edges, judge, predicted
 from sensorgraph.diagnose.nuisance import DENSE, OWN, Columns, Corners, Freedom, columns
@@ -28,11 +28,14 @@ SMOOTH: dict[str, dict[str, float]] = {  # effect -> parameter -> step of the di
     "map_scale": {"s": 1e-5, "dx": 1e-4, "dy": 1e-4},
     "range_drift": {"b1": 1e-3},
     "unmapped_obstacle": {"x": 1e-4, "y": 1e-4, "r": 1e-4},
+    "tilt": {"beta": 1e-5, "theta0": 1e-5},
+    "self_occlusion": {"r0": 1e-4},
+    "glass": {"depth": 1e-4},
 }
 ROUGH: dict[str, dict[str, float]] = {  # effect -> parameter -> first step of the search
     "range_noise": {"k": 0.002},
     "mixed_pixels": {"gamma": 0.003},
-    "glass": {"a": 0.05, "b": 0.05, "alpha_ret": 0.03, "depth": 0.05},
+    "glass": {"a": 0.05, "b": 0.05, "alpha_ret": 0.03},
     "mirror": {"a": 0.05, "b": 0.05},
     "black_surface": {"a": 0.05, "b": 0.05, "r0": 0.1},
     "incidence_dropout": {"alpha_max": 0.01},
@@ -41,10 +44,16 @@ ROUGH: dict[str, dict[str, float]] = {  # effect -> parameter -> first step of t
     "people": {"p": 0.005},
     "range_drift": {"tau": 3.0},
     "sonar_cone": {"gamma": 0.02, "alpha_max": 0.05},
-    "self_occlusion": {"r0": 0.005},
     "tilt": {"beta": 0.003, "theta0": 0.05},
     "random_outliers": {"p": 0.002},
 }
+
+
+def smooth_parameters(amendment: Amendment) -> dict[str, float]:
+    """Return the parameters that are fitted by Gauss-Newton, with the steps of their difference quotients."""
+    if amendment.name == "glass" and amendment["depth"] <= 0:
+        return {}
+    return SMOOTH.get(amendment.name, {})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,10 +95,45 @@ def cast(evidence: Evidence, model: Sequence[Amendment]) -> Cast:
     """Run the simulator on the poses of the evidence."""
     scene = evidence.scene()
     beams = scene.run(model)
-    cols = columns(evidence, beams, scene.walls, scene.mount)
-    edges = _edges(evidence, scene)
+    cols = columns(evidence, beams, scene.walls, scene.mount, _bent(evidence, model, beams))
+    edges = None if any(a.name == "sonar_cone" for a in model) else _edges(evidence, scene)
     what = predicted(beams, cols.steep, edges, scene.outliers, scene.shorts, scene.lattice)
     return Cast(scene=scene, beams=beams, cols=cols, what=what, edges=edges)
+
+
+STIFF = 1e3  # a larger quotient is a jump to another surface
+NUDGE = (5e-4, 5e-4, 3e-4)  # [m, m, rad] of the difference quotients by the pose
+RIGID = 60.0  # [1, 1, m/rad] a larger quotient is a jump to another surface
+
+
+def _bent(evidence: Evidence, model: Sequence[Amendment], beams: Beams) -> tuple[Bools, Floats] | None:
+    """Differentiate rays that a surface, a cone or a tilt has bent by the pose, by casting again."""
+    if beams.straight is None:
+        return None
+    which = ~beams.straight & np.isfinite(beams.reading)
+    rows = np.flatnonzero(which.any(axis=1))
+    if len(rows) == 0:
+        return None
+    few = evidence.part(rows)
+    quotients = np.zeros((evidence.n_scans, 3, evidence.n_rays))
+    smooth = which.copy()
+    for axis, step in enumerate(NUDGE):
+        scene = few.scene()
+        scene.memo = None
+        scene.motion = _nudged(few, axis, step)
+        moved = scene.run(model).reading
+        with np.errstate(invalid="ignore"):
+            q = (moved - beams.reading[rows]) / step
+        ok = np.isfinite(q) & (np.abs(q) < RIGID)
+        smooth[rows] &= ok
+        quotients[rows, axis] = np.where(ok, q, 0.0)
+    return smooth, np.where(smooth[:, None, :], quotients, 0.0)
+
+
+def _nudged(evidence: Evidence, axis: int, step: float) -> Callable[[Floats], Floats]:
+    offset = np.zeros(3)
+    offset[axis] = step
+    return lambda times: evidence.motion(times) + offset
 
 
 def _edges(evidence: Evidence, scene: Scene) -> Edges | None:
@@ -97,14 +141,14 @@ def _edges(evidence: Evidence, scene: Scene) -> Edges | None:
     parts = (scene.walls, scene.mount, scene.delay, scene.discs)
     key = b"edges|" + b"|".join(part.tobytes() for part in parts)
     if key not in evidence.memo:
-        bare = replace_surfaces(scene)
+        bare = bare_cast(scene)
         evidence.memo[key] = find_edges(evidence, bare, scene.walls)
     kept = evidence.memo[key]
     assert kept is None or isinstance(kept, Edges)
     return kept
 
 
-def replace_surfaces(scene: Scene) -> Beams:
+def bare_cast(scene: Scene) -> Beams:
     """Cast without what surfaces do to rays."""
     kept, scene.surfaces = scene.surfaces, []
     try:
@@ -151,14 +195,16 @@ def solver_for(evidence: Evidence, model: Sequence[Amendment], at: Cast | None =
     corners = corners_of(evidence)
     quotients = []
     for index, amendment in enumerate(model):
-        for name, step in SMOOTH.get(amendment.name, {}).items():
+        for name, step in smooth_parameters(amendment).items():
             moved = [*model]
             moved[index] = amendment.moved_to({name: amendment.parameters.get(name, 0.0) + step})
             scene = evidence.scene()
             beams = scene.run(moved)
             with np.errstate(invalid="ignore"):
                 slope = (beams.reading - at.beams.reading) / step
-            same = (beams.wall == at.beams.wall) & at.cols.valid & np.isfinite(slope)
+            same = (
+                (beams.wall == at.beams.wall) & at.cols.valid & np.isfinite(slope) & (np.abs(slope) < STIFF)
+            )
             quotients.append(np.where(same, slope, 0.0))
     shape = at.what.reading.shape
     effects = np.stack(quotients, axis=1) if quotients else np.zeros((shape[0], 0, shape[1]))
@@ -171,7 +217,7 @@ def with_increments(model: Sequence[Amendment], p: Floats) -> tuple[Amendment, .
     """Add increments to the smooth parameters."""
     out, k = [], 0
     for amendment in model:
-        names = list(SMOOTH.get(amendment.name, {}))
+        names = list(smooth_parameters(amendment))
         values = {}
         for name in names:
             spec = next(q for q in amendment.effect.parameters if q.name == name)

@@ -86,8 +86,16 @@ class Columns:
     """(n_scans, n_rays) [m] further standard deviation of rays that meet their wall slanting."""
 
 
-def columns(evidence: Evidence, beams: Beams, walls: Floats, mount: Floats) -> Columns:
-    """Differentiate the readings of one cast."""
+def columns(
+    evidence: Evidence, beams: Beams, walls: Floats, mount: Floats, bent: tuple[Bools, Floats] | None = None
+) -> Columns:
+    """Differentiate the readings of one cast.
+
+    Parameters
+    ----------
+    bent : which rays (n_scans, n_rays) do not follow from their straight path, and their columns by the pose
+    (n_scans, 3, n_rays), by difference quotients
+    """
     cosine = beams.cosine
     hit = np.isfinite(beams.ranges) & np.isfinite(beams.reading)
     straight = hit if beams.straight is None else hit & beams.straight
@@ -102,6 +110,20 @@ def columns(evidence: Evidence, beams: Beams, walls: Floats, mount: Floats) -> C
     c, s = np.cos(phi)[:, None], np.sin(phi)[:, None]
     lx, ly = c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]
     pose = np.stack([dx, dy, turn + lx * dy - ly * dx], axis=1)
+    on = valid & (beams.wall >= 0)
+    slack = np.zeros(cosine.shape)
+    if bent is not None:
+        which, quotients = bent
+        pose = np.where(which[:, None, :], quotients, pose)
+        dx, dy = pose[:, 0], pose[:, 1]
+        turn = np.where(which, pose[:, 2] - lx * dy + ly * dx, turn)
+        r = np.where(which, beams.reading, r)
+        slope = np.where(which, np.where(np.abs(dx) + np.abs(dy) > 0, 1.0, 0.0), slope)
+        t = evidence.tolerances
+        slack = np.where(
+            which, np.abs(turn) * (t.map / np.maximum(beams.ranges, 0.1) + 0.5 * t.mount_yaw), 0.0
+        )
+        valid = valid | which
     n_rays = beams.ranges.shape[1]
     carried = np.einsum("nkm,nk->nm", pose, evidence.twists)
     late = (evidence.stamps - evidence.begin) / evidence.span
@@ -114,16 +136,16 @@ def columns(evidence: Evidence, beams: Beams, walls: Floats, mount: Floats) -> C
     dense[:, 5] = valid * late[:, None]
     dense[:, 6] = -carried
     dense[:, 7] = carried * (np.arange(n_rays) / n_rays)
-    on = valid & (beams.wall >= 0)
     wall = np.where(on, beams.wall, 0)
     share = _share(beams, walls, wall)
     ends = np.stack([-(1 - share) * inverse * on, -share * inverse * on])
-    blunt = hit & ~valid if beams.straight is None else straight & ~valid
+    blunt = straight & ~valid
     steep = np.where(
         blunt,
         np.minimum(0.004 / np.maximum(cosine, 1e-3) + 0.003 * beams.ranges / np.maximum(cosine, 1e-3), 1.0),
         0.0,
     )
+    steep = np.where(slack > 0, np.minimum(slack, 0.5), steep)
     return Columns(
         pose=pose, dense=dense, ends=ends, wall=wall, nx=beams.nx, ny=beams.ny, valid=valid, steep=steep
     )

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from planners.arena import Bools, Floats
+from sensorgraph.diagnose.likelihood import FINEST
 from sensorgraph.diagnose.screen import Candidate, obstacles
 from sensorgraph.diagnose.view import View, best_run
 from sensorgraph.effects import EFFECTS
@@ -355,40 +356,33 @@ def self_occlusion(view: View) -> list[Candidate]:
 
 
 def lattice(view: View) -> list[Candidate]:
-    """Quantisation: a comb in the readings; the score is the mean resultant length over the comb's step."""
+    """Quantisation: few distinct readings, a step apart."""
     z = view.z[view.returned]
-    if len(z) < 200:
+    finest = max(view.evidence.sensor.resolution, FINEST)
+    values, counts = np.unique(np.round(z / FINEST).astype(np.int64), return_counts=True)
+    values = values[counts >= 3] * FINEST
+    if len(values) < 5 or len(z) < 200 or counts[counts >= 3].sum() < 0.9 * len(z):
         return []
-    z = z[:: max(1, len(z) // 4000)]
-    finest = max(view.evidence.sensor.resolution, 5e-4)
-    low = 1.9 * finest
-    n = len(z)
-    best: tuple[float, float] | None = None
-    # every step whose comb is finer than the next by half a cell at 8 m
-    q = 0.4
-    steps = []
-    top = float(np.quantile(z, 0.9))
-    while q > low:
-        steps.append(q)
-        q /= 1 + 0.15 * q / top
-        if len(steps) > 30000:
+    q = float(np.median(np.diff(values)))
+    if q < 1.7 * finest:
+        return []
+    grid = q * (1 + np.linspace(-0.08, 0.08, 641))
+    few = values[values < max(0.05 / 0.08 * q * 8, values[0] + 12 * q)]  # first where no step can be lost
+    for _ in range(6):
+        turn = np.exp(2j * np.pi * few[None] / grid[:, None]).mean(axis=1).real
+        q = float(grid[int(turn.argmax())])
+        width = 0.2 * q / max(few[-1], q)
+        grid = q * (1 + np.linspace(-width, width, 201))
+        if len(few) == len(values):
             break
-    for part in np.array_split(np.array(steps), max(1, len(steps) // 400)):
-        phase = z[None, : min(n, 600)] / part[:, None]
-        share = np.abs(phase - np.round(phase)) * part[:, None] < 0.51 * finest
-        expected = np.minimum(1.0, finest * 1.02 / part)
-        score = share.mean(axis=1) - expected
-        at = int(score.argmax())
-        if share[at].mean() > 0.97 and (best is None or part[at] > best[0]):
-            best = (float(part[at]), float(score[at]))
-    if best is None:
+        few = values[values < 2.5 * few[-1]]
+    k = np.round(z / q)
+    on = np.abs(z - k * q) <= 0.5 * finest + 1e-6
+    if on.mean() < 0.95:
         return []
-    q = best[0]
-    for _ in range(3):  # refine on the multiples
-        k = np.round(z / q)
-        ok = k > 0
-        q = float((z[ok] * k[ok]).sum() / (k[ok] ** 2).sum())
-    return [Candidate(amendment=EFFECTS["quantisation"](q=q), gain=n * max(np.log(q / finest), 0.1) * 0.5)]
+    return [
+        Candidate(amendment=EFFECTS["quantisation"](q=q), gain=len(z) * max(np.log(q / finest), 0.1) * 0.5)
+    ]
 
 
 def noises(view: View) -> list[Candidate]:
@@ -446,16 +440,8 @@ def clustered(view: View) -> float:
 def optics(view: View) -> list[Candidate]:
     """mixed_pixels, sonar_cone: fits of whole rays on a few scans."""
     found = []
-    odd = view.strange | (view.fitted.solution.judged.tail > 0.5)
-    edge = view.fitted.cast.edges
-    if edge is not None and len(edge.chance) and odd.sum() > FEW:
-        near = np.zeros(view.z.shape, dtype=np.bool_)
-        jump = np.abs(np.diff(np.where(view.aimed, view.mu, 20.0), axis=1)) > 0.1
-        near[:, 1:] |= jump
-        near[:, :-1] |= jump
-        share_near, share_far = odd[near].mean() if near.any() else 0.0, odd[~near].mean()
-        if share_near > 3 * share_far + 0.01 and (odd & near).sum() >= FEW:
-            found += _swept(view, "mixed_pixels", "gamma", np.radians([0.15, 0.3, 0.5, 0.8, 1.2, 2.0]), {})
+    if _between(view) >= FEW and "mixed_pixels" not in view.fitted.names():
+        found += _swept(view, "mixed_pixels", "gamma", np.radians([0.12, 0.2, 0.35, 0.6, 1.0, 1.6]), {})
     if view.short.mean() + view.lost.mean() > 0.1:
         for alpha in np.radians([20.0, 30.0, 45.0, 89.9]):
             found += _swept(
@@ -467,6 +453,20 @@ def optics(view: View) -> list[Candidate]:
             )
         found = sorted(found, key=lambda c: -c.gain)[:2]
     return found
+
+
+def _between(view: View) -> int:
+    """Count readings at steps in depth that lie between what the two sides read."""
+    mu = np.where(view.aimed, np.minimum(view.mu, view.range_max), view.range_max)
+    low, high = mu.copy(), mu.copy()
+    for a, b in ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None))):
+        low[:, a] = np.minimum(low[:, a], mu[:, b])
+        high[:, a] = np.maximum(high[:, a], mu[:, b])
+    margin = 5 * view.sigma
+    with np.errstate(invalid="ignore"):
+        return int(
+            (view.returned & (view.z > low + margin) & (view.z < high - margin) & (high - low > 0.2)).sum()
+        )
 
 
 def _swept(view: View, name: str, parameter: str, values: Floats, fixed: dict[str, float]) -> list[Candidate]:
@@ -481,8 +481,9 @@ def _swept(view: View, name: str, parameter: str, values: Floats, fixed: dict[st
     best: Candidate | None = None
     for value in values:
         amendment = EFFECTS[name](**{parameter: float(value)}, **fixed)
-        beams = cast(few, (*view.fitted.model, amendment)).beams
-        gain = float((sub.likely(beams.reading, None, beams.p_return) - view.log_p[::every]).sum()) * every
+        at = cast(few, (*view.fitted.model, amendment))
+        sub.sigma = view.noise.core * at.what.sigma
+        gain = float((sub.likely(at.beams.reading, None, at.beams.p_return) - view.log_p[::every]).sum()) * every
         if best is None or gain > best.gain:
             best = Candidate(amendment=amendment, gain=gain)
     return [best] if best is not None else []

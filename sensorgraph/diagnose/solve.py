@@ -243,7 +243,7 @@ def boxed(matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools
     n, k = len(tau), len(right)
     a = matrix.copy()
     a[np.arange(n), np.arange(n)] += 1 / tau**2
-    a[np.arange(n, k), np.arange(n, k)] += 1e-9
+    a[np.arange(n, k), np.arange(n, k)] += 1e-9 + 1e-9 * np.diag(a)[n:]
     x = np.zeros(k)
     fixed = np.concatenate([locked, np.zeros(k - n, dtype=np.bool_)])
     for _ in range(8):
@@ -311,7 +311,7 @@ def iterate(
             g, p = solver.maximise(system, state)
         else:
             g = state.g
-            inner = system.matrix[n:, n:] + 1e-9 * np.eye(len(p))
+            inner = system.matrix[n:, n:] + 1e-9 * np.diag(1 + np.diag(system.matrix)[n:])
             p = np.linalg.solve(inner, system.right[n:] - system.matrix[n:, :n] @ g) if len(p) else p
         state.g = g
         if poses_free:
@@ -376,7 +376,7 @@ def _covariance(system: System, solver: Solver, state: State) -> Floats:
     tau = solver.scaled(state)
     a = system.matrix.copy()
     a[np.arange(n), np.arange(n)] += 1 / tau**2
-    a[np.arange(n, n + k), np.arange(n, n + k)] += 1e-12
+    a[np.arange(n, n + k), np.arange(n, n + k)] += 1e-9 + 1e-9 * np.diag(a)[n:]
     free = np.concatenate([~solver.locked, np.ones(k, dtype=np.bool_)])
     inverse = np.linalg.inv(a[np.ix_(free, free)])
     return np.asarray(inverse[-k:, -k:])

@@ -5,29 +5,37 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
-from sensorgraph.world.scene import Scene
+from sensorgraph.world.scene import Scene, each
 
-SPREAD = (-0.875, -0.625, -0.375, -0.125, 0.125, 0.375, 0.625, 0.875)
-"""Of the half angle: where the rays of one beam go."""
+N_SPREAD = 33
+"""Rays that fill one beam at an edge."""
 GRAZING = 1.5  # [rad] walls met at more are taken as if met at this
 STEP = 0.02  # [m] a smaller step in depth is a bent wall, not an edge
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Average the readings of rays spread over the beam."""
+    """Average the readings of rays spread over the beam, where its two sides and its middle see a step."""
     gamma = a["gamma"]
     if gamma == 0.0:
         return
     beams = scene.beams
-    parts = [scene.shoot(gamma * share).ranges for share in SPREAD]
-    both = np.stack([beams.ranges, *parts])
+    both = np.stack([beams.ranges, scene.shoot(-gamma).ranges, scene.shoot(gamma).ranges])
     seen = np.isfinite(both)
     step = np.where(seen.all(axis=0), np.ptp(np.where(seen, both, 0.0), axis=0), 0.0)
     alpha = np.minimum(beams.incidence, GRAZING - gamma)
     flat = beams.ranges * np.cos(alpha) * (1 / np.cos(alpha + gamma) - 1 / np.cos(alpha - gamma))
     edge = step > flat + STEP
+    if not edge.any():
+        return
+    ox, oy = (np.broadcast_to(o, edge.shape)[edge][:, None] for o in (beams.ox, beams.oy))
+    turn = gamma * (2 * (np.arange(N_SPREAD) + 0.5) / N_SPREAD - 1)
+    c, s = np.cos(turn), np.sin(turn)
+    ux, uy = beams.ux[edge][:, None], beams.uy[edge][:, None]
+    ranges, _ = each(scene.walls, ox, oy, c * ux - s * uy, s * ux + c * uy)
+    mean = np.where(np.isfinite(ranges).all(axis=1), ranges.mean(axis=1), beams.ranges[edge])
     beams.bent()[edge] = False
-    beams.reading = np.where(edge, beams.reading + both[1:].mean(axis=0) - beams.ranges, beams.reading)
+    beams.reading = beams.reading.copy()
+    beams.reading[edge] += mean - beams.ranges[edge]
 
 
 MIXED_PIXELS = Effect(
@@ -36,6 +44,7 @@ MIXED_PIXELS = Effect(
     channel="scan",
     stage="optics",
     physics="A beam of half angle gamma returns the mean over what it lights, so that edges read between near and far.",
+    equation="z = mean of r over θ ± γ",
     source="Tuley, Vandapel and Hebert (2005), analysis and removal of artifacts in 3-D ladar data",
     varies="only within gamma of depth edges",
     rivals={

@@ -3,28 +3,59 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from planners.arena import Floats
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
-from sensorgraph.world.scene import RIGHT_ANGLE, Scene
+from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Ints, Scene
 
-RAY = np.radians(1.5)  # [rad] between the rays that fill the cone
+RAY = np.radians(1.05)  # [rad] between the rays that fill the cone, at most
 
 
 def transform(scene: Scene, a: Amendment) -> None:
-    """Take the nearest return of the cone."""
-    gamma = a["gamma"]
+    """Take the nearest return of the cone: that ray is what is measured, with all that it depends on."""
+    gamma, alpha = a["gamma"], a["alpha_max"] if a["alpha_max"] < RIGHT_ANGLE else np.inf
     beams = scene.beams
-    n_side = max(int(np.ceil(gamma / RAY)), 1) if gamma > 0 else 0
-    best = np.full(beams.ranges.shape, np.inf)
-    alpha = a["alpha_max"] if a["alpha_max"] < RIGHT_ANGLE else np.inf
-    for share in np.arange(-n_side, n_side + 1) / max(n_side, 1):
-        part = scene.shoot(gamma * share) if share else beams
-        with np.errstate(invalid="ignore"):
-            seen = part.incidence <= alpha
-        best = np.minimum(best, np.where(seen, part.ranges, np.inf))
-    bent = best != beams.ranges
-    beams.bent()[bent] = False
-    beams.reading = np.where(bent, best, beams.reading)
+    n = len(scene.bearings)
+    step = float(np.diff(scene.bearings).mean()) if n > 1 else RAY
+    finer = max(1, int(np.ceil(step / RAY - 1e-9)))
+    small = step / finer
+    n_side = int(gamma / small + 1e-9)
+    even = n > 1 and float(np.ptp(np.diff(scene.bearings))) < 1e-9
+    fits = even and step * (n - 1) + 2 * n_side * small < 2 * np.pi - 0.5 * small
+    parts = [beams] if gamma == 0 else [scene.shoot(-gamma), scene.shoot(gamma)]
+    if gamma > 0 and fits and np.ptp(scene.delay) == 0:
+        fan = scene.bearings[0] + small * np.arange(-n_side, (n - 1) * finer + n_side + 1)
+        whole = scene.shoot(bearings=fan)
+        seen = _seen(whole, alpha)
+        window = sliding_window_view(seen, 2 * n_side + 1, axis=1)[:, ::finer]
+        at = np.arange(n) * finer + window.argmin(axis=2)
+        parts.append(_chosen(whole, at))
+    elif gamma > 0:
+        parts += [scene.shoot(gamma * share) for share in np.linspace(-1, 1, 2 * n_side + 1)[1:-1]]
+    ranges = np.stack([_seen(part, alpha) for part in parts])
+    best = ranges.argmin(axis=0)
+    for name in ("ux", "uy", "ranges", "wall", "nx", "ny"):
+        setattr(beams, name, np.choose(best, [getattr(part, name) for part in parts]))
+    beams.forget()
+    nearest = ranges.min(axis=0)
+    lost = ~np.isfinite(nearest)
+    beams.reading = np.where(lost, np.inf, beams.ranges)
+
+
+def _seen(part: Beams, alpha: float) -> Floats:
+    """Return the ranges of rays that come back, inf for others."""
+    if alpha == np.inf:
+        return part.ranges
+    with np.errstate(invalid="ignore"):
+        return np.where(part.incidence <= alpha, part.ranges, np.inf)
+
+
+def _chosen(whole: Beams, at: Ints) -> Beams:
+    """Return some rays of a cast, one per bearing."""
+    row = np.arange(len(whole.ranges))[:, None]
+    picked = {name: getattr(whole, name)[row, at] for name in ("ux", "uy", "ranges", "wall", "nx", "ny")}
+    return Beams(ox=whole.ox, oy=whole.oy, reading=picked["ranges"].copy(), **picked)
 
 
 SONAR_CONE = Effect(
@@ -33,6 +64,7 @@ SONAR_CONE = Effect(
     channel="scan",
     stage="optics",
     physics="The reading is the nearest return within +-gamma, and a surface met at more than alpha_max returns nothing.",
+    equation="z = min of r over θ ± γ, no return for α > α_max",
     source="Leonard and Durrant-Whyte (1992), Directed Sonar Sensing for Mobile Robot Navigation",
     varies="arcs of constant depth; corners read short",
     rivals={

@@ -86,6 +86,10 @@ class Beams:
         hit = np.isfinite(self.ranges)
         return np.where(hit, np.arccos(np.clip(self.cosine, -1.0, 1.0)), np.nan)
 
+    def forget(self) -> None:
+        """Forget what was derived from rays that have changed since."""
+        self.__dict__.pop("incidence", None)
+
     def along(self, walls: Floats) -> Floats:
         """Return how far [m] from the first end of its wall each ray hits; nan off the walls."""
         on = self.wall >= 0
