@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from logs.run import Run
-from planners.arena import Bools, Floats
+from planners.arena import Bools, Floats, wrap
 from sensorgraph.diagnose.channel import (
     PENALTY,
     THRESHOLD,
@@ -24,7 +24,6 @@ from sensorgraph.diagnose.channel import (
     Prior,
     Solution,
     autoregression,
-    chi_to_z,
     huber,
     increments,
     probabilities,
@@ -134,11 +133,13 @@ def _signals(run: Run) -> tuple[Floats, Floats, Increments, dict[str, object]] |
     wheels = increments(run)
     if wheels is None:
         return "this run has no odometry that moves"
-    good = np.isfinite(run.poses).all(axis=1)
+    good: Bools = np.asarray(np.isfinite(run.poses).all(axis=1))
     good[1:] &= np.diff(run.pose_stamps) > 1e-6
     stamps, poses = run.pose_stamps[good], run.poses[good].copy()
     if len(stamps) < LEAST_ROWS:
         return f"this run has {len(stamps)} reference poses, expected at least {LEAST_ROWS}"
+    if np.ptp(poses[:, :2], axis=0).max() < 0.02 and np.ptp(wrap(poses[:, 2] - poses[0, 2])) < 0.05:
+        return "the reference poses of this run do not move"
     poses[:, 2] = np.unwrap(poses[:, 2])
     if run.pose_frame == "laser":
         mount = run.sensor.mount
@@ -158,6 +159,7 @@ def _signals(run: Run) -> tuple[Floats, Floats, Increments, dict[str, object]] |
 def _aligned(stamps: Floats, poses: Floats, wheels: Increments) -> Rows | str:
     """Return rows at the clock offset that fits best."""
     clock = _coarse_clock(stamps, poses, wheels)
+    rows: Rows | None = None
     for turn in range(4):
         rows = _rows(stamps, poses, wheels, clock)
         if rows is None or int(rows.is_valid.sum()) < LEAST_ROWS:
@@ -177,6 +179,7 @@ def _aligned(stamps: Floats, poses: Floats, wheels: Increments) -> Rows | str:
         clock += step
         if abs(step) < 2e-4:
             break
+    assert rows is not None
     return rows
 
 
@@ -278,7 +281,7 @@ def _odd(width: float, n: int) -> int:
     return max(3, min(round(width), n)) // 2 * 2 + 1
 
 
-def _layout(t: Floats, start: Floats, end: Floats) -> tuple[Floats, np.ndarray, Bools]:  # type: ignore[type-arg]
+def _layout(t: Floats, start: Floats, end: Floats) -> tuple[Floats, np.ndarray, Bools]:
     """Return how much of each increment lies between two averages: weights (n, o), indices (n, o), validity (n,)."""
     first = np.clip(np.searchsorted(end, t[:-1, 0], side="right"), 0, len(end) - 1)
     last = np.clip(np.searchsorted(start, t[1:, -1], side="left"), 0, len(end) - 1)
@@ -293,7 +296,7 @@ def _layout(t: Floats, start: Floats, end: Floats) -> tuple[Floats, np.ndarray, 
     return weights, index, ok
 
 
-def _sparse(weights: Floats, index: np.ndarray, n: int) -> sparse.csr_array:  # type: ignore[type-arg]
+def _sparse(weights: Floats, index: np.ndarray, n: int) -> sparse.csr_array:
     rows = np.repeat(np.arange(len(weights)), weights.shape[1])
     return sparse.csr_array(
         sparse.coo_array((weights.ravel(), (rows, index.ravel())), shape=(len(weights), n))
@@ -501,7 +504,7 @@ class _Search:
             patch, gain = self._best_patch(names) if len(self.patches) < 3 else (None, -np.inf)
             if (
                 patch is not None
-                and 4.0 < gain + self.cost("wheel_slip")
+                and gain + self.cost("wheel_slip") > 4.0
                 and gain < max(50.0, *gains.values(), 0.0)
             ):
                 # an unmodelled patch is noise to the filter: judge it by a noise of its own

@@ -1,0 +1,102 @@
+"""Runs with wheel and drive effects in closed form, made without the simulator."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from logs.run import RangeSensor, Run
+from planners.arena import Floats, wrap
+from sensorgraph.world import robot_file
+
+STEP = 0.005
+PERIOD = 0.05
+ROBOT = robot_file.default()
+
+
+def profile(rng: np.random.Generator, duration: float) -> Floats:
+    """Draw (v, omega) set points, one per period: stretches of straight driving, curves, spins and rests."""
+    rows: list[tuple[float, float]] = [(0.0, 0.0)] * 20
+    while len(rows) * PERIOD < duration:
+        n = int(rng.integers(20, 60))
+        kind = rng.random()
+        v = 0.0 if kind < 0.3 else float(rng.choice([0.15, 0.25, 0.35, 0.39, -0.15]))
+        omega = 0.0 if 0.3 <= kind < 0.5 else float(rng.uniform(0.2, 0.9) * rng.choice([-1, 1]))
+        rows += [(0.0, 0.0)] * n if kind < 0.05 else [(v, omega)] * n
+    goal = np.array(rows)[: round(duration / PERIOD)]
+    out = np.zeros_like(goal)
+    for k in range(1, len(goal)):  # set points of limited slope
+        out[k] = out[k - 1] + np.clip(goal[k] - out[k - 1], [-0.025, -0.1], [0.025, 0.1])
+    return out
+
+
+def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect: Any) -> Run:
+    """Drive and log; effects: radius, diff, base, slip=(s, x, y, r), clock, lag, dead, v_max; memory of the camera."""
+    rng = np.random.default_rng(seed)
+    commands = profile(rng, duration)
+    n, per = round(duration / STEP), round(PERIOD / STEP)
+    late = round(effect.get("dead", 0.0) / STEP)
+    keep = np.exp(-STEP / (0.10 + effect.get("lag", 0.0)))
+    v_max = effect.get("v_max", np.inf)
+    s, px, py, pr = effect.get("slip", (0.0, 0.0, 0.0, 0.0))
+    pose, v, omega = np.array([0.0, 0.0, 0.3]), 0.0, 0.0
+    poses, wheels = [pose.copy()], [(0.0, 0.0)]
+    for k in range(n):
+        u, w = commands[(k - late) // per] if k >= late else (0.0, 0.0)
+        u = min(max(u, -v_max), v_max)
+        v1, w1 = u + (v - u) * keep, w + (omega - w) * keep
+        grip = 1 - s if np.hypot(pose[0] - px, pose[1] - py) < pr else 1.0
+        turn = (omega + w1) / 2 * STEP * grip
+        way = (v + v1) / 2 * STEP * grip
+        middle = pose[2] + turn / 2
+        pose = pose + [way * np.cos(middle), way * np.sin(middle), turn]
+        v, omega = v1, w1
+        poses.append(pose)
+        wheels.append((v, omega))
+    fine = np.arange(n + 1) * STEP
+    truth, rates = np.array(poses), np.array(wheels)
+    total = np.concatenate([np.zeros((1, 2)), np.cumsum((rates[1:] + rates[:-1]) / 2 * STEP, axis=0)])
+    stamps = np.arange(0.0, duration, PERIOD)
+    at = np.stack([np.interp(stamps - effect.get("clock", 0.0), fine, c) for c in total.T], axis=1)
+    twists = np.diff(at, axis=0, prepend=at[:1]) / PERIOD * (1 + effect.get("radius", 0.0))
+    twists[:, 1] = (twists[:, 1] + effect.get("diff", 0.0) * twists[:, 0] / 0.4) / (
+        1 + effect.get("base", 0.0)
+    )
+    twists += rng.normal(size=twists.shape) * [0.004, 0.006]
+    phi = np.cumsum(twists[:, 1] * PERIOD)
+    middle_phi = phi - twists[:, 1] * PERIOD / 2
+    step = (twists[:, 0] * PERIOD)[:, None] * np.stack([np.cos(middle_phi), np.sin(middle_phi)], axis=1)
+    pose_stamps = np.arange(0.0, duration, 1 / 30)
+    white = rng.normal(size=(len(pose_stamps), 3))
+    for k in range(1, len(white)):
+        white[k] = memory * white[k - 1] + np.sqrt(1 - memory**2) * white[k]
+    seen = np.stack([np.interp(pose_stamps, fine, c) for c in truth.T], axis=1) + white * [
+        0.002,
+        0.002,
+        0.0015,
+    ]
+    seen[:, 2] = wrap(seen[:, 2])
+    return Run(
+        sensor=RangeSensor(bearings=np.zeros(1)),
+        stamps=np.zeros(1),
+        ranges=np.full((1, 1), np.inf),
+        pose_stamps=pose_stamps,
+        poses=seen,
+        odom_stamps=stamps,
+        odometry=np.column_stack([np.cumsum(step, axis=0), wrap(phi)]),
+        odom_twists=twists,
+        cmd_stamps=stamps,
+        commands=commands[: len(stamps)],
+    )
+
+
+def without_odometry(run: Run) -> Run:
+    """Return the run as a robot without wheel encoders logs it."""
+    return replace(run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)))
+
+
+def without_commands(run: Run) -> Run:
+    """Return the run as it is when nobody recorded the commands."""
+    return replace(run, cmd_stamps=np.zeros(0), commands=np.zeros((0, 2)))

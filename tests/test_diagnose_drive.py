@@ -1,0 +1,44 @@
+"""Drive channel: silent on nothing and on wheel effects, right on lag, dead time and saturation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from diagnose_samples import ROBOT, make_run, without_commands, without_odometry
+
+from sensorgraph.diagnose.drive import diagnose_drive
+
+PLANTED: list[tuple[str, dict[str, Any], str, float]] = [
+    ("actuator_lag", {"lag": 0.06}, "tau", 0.06),
+    ("dead_time", {"dead": 0.08}, "L", 0.08),
+    ("speed_saturation", {"v_max": 0.30}, "v_max", 0.30),
+]
+
+
+def test_nothing_planted_nothing_named() -> None:
+    for seed in (1, 2):
+        ledger = diagnose_drive(make_run(seed), ROBOT)
+        assert ledger.effects == () and ledger.unknown is None and ledger.skipped == ""
+
+
+@pytest.mark.parametrize(("name", "effect", "key", "value"), PLANTED, ids=[p[0] for p in PLANTED])
+def test_planted_effect_is_named_with_its_size(
+    name: str, effect: dict[str, Any], key: str, value: float
+) -> None:
+    ledger = diagnose_drive(make_run(3, **effect), ROBOT)
+    assert [a.name for a in ledger.effects] == [name] and ledger.unknown is None
+    assert abs(ledger.effects[0][key] - value) < 3 * ledger.effects[0].stderr[key]
+
+
+@pytest.mark.parametrize(
+    "effect", [{"radius": 0.03}, {"diff": 0.02}, {"base": 0.04}, {"clock": 0.06}], ids=str
+)
+def test_wheel_effects_are_no_drive_effects(effect: dict[str, float]) -> None:
+    assert diagnose_drive(make_run(4, **effect), ROBOT).effects == ()
+
+
+def test_run_without_commands_or_odometry_is_skipped_with_reason() -> None:
+    run = make_run(1, duration=10.0)
+    assert "commands" in diagnose_drive(without_commands(run), ROBOT).skipped
+    assert "odometry" in diagnose_drive(without_odometry(run), ROBOT).skipped

@@ -1,0 +1,76 @@
+"""Odometry channel: silent on nothing, right on wheels, patches and clocks, frank about what it lacks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnose_samples import ROBOT, make_run, without_odometry
+
+from sensorgraph.diagnose.odometry import diagnose_odometry
+
+PLANTED: list[tuple[str, dict[str, Any], dict[str, float]]] = [
+    ("wheel_radius", {"radius": 0.02}, {"s": 0.02}),
+    ("wheel_radius_diff", {"diff": 0.012}, {"s": 0.012}),
+    ("wheel_base", {"base": -0.025}, {"s": -0.025}),
+    ("pose_clock_offset", {"clock": 0.04}, {"tau": 0.04}),
+]
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.9])
+def test_nothing_planted_nothing_named(memory: float) -> None:
+    for seed in (1, 2):
+        ledger = diagnose_odometry(make_run(seed, memory=memory), ROBOT)
+        assert ledger.effects == () and ledger.unknown is None and ledger.skipped == ""
+
+
+@pytest.mark.parametrize(("name", "effect", "truth"), PLANTED, ids=[name for name, _, _ in PLANTED])
+def test_planted_effect_is_named_with_its_size(
+    name: str, effect: dict[str, Any], truth: dict[str, float]
+) -> None:
+    ledger = diagnose_odometry(make_run(3, **effect), ROBOT)
+    assert [a.name for a in ledger.effects] == [name] and ledger.unknown is None
+    for key, value in truth.items():
+        assert abs(ledger.effects[0][key] - value) < 3 * ledger.effects[0].stderr[key]
+    assert ledger.gap is not None and ledger.gap.after.rmse_m < ledger.gap.before.rmse_m
+
+
+def test_slippery_patch_is_found_where_it_is() -> None:
+    run = make_run(4)
+    moving = run.poses[600]
+    run = make_run(4, slip=(0.3, moving[0], moving[1], 0.5))
+    ledger = diagnose_odometry(run, ROBOT)
+    assert [a.name for a in ledger.effects] == ["wheel_slip"]
+    found = ledger.effects[0]
+    assert abs(found["s"] - 0.3) < max(3 * found.stderr["s"], 0.03)
+    assert np.hypot(found["x"] - moving[0], found["y"] - moving[1]) < 0.3  # place, as the issue asks
+
+
+def test_two_effects_are_both_named() -> None:
+    ledger = diagnose_odometry(make_run(5, base=0.03, clock=0.05), ROBOT)
+    assert {a.name for a in ledger.effects} == {"wheel_base", "pose_clock_offset"}
+
+
+def test_run_without_odometry_is_skipped_with_reason() -> None:
+    assert "odometry" in diagnose_odometry(without_odometry(make_run(1, duration=10.0)), ROBOT).skipped
+
+
+def test_poses_that_stop_early_are_used_and_said() -> None:
+    run = make_run(6, radius=0.03)
+    n = len(run.poses) // 2
+    run = replace(run, poses=run.poses[:n], pose_stamps=run.pose_stamps[:n])
+    ledger = diagnose_odometry(run, ROBOT)
+    assert "overlap" in ledger.notes and [a.name for a in ledger.effects] == ["wheel_radius"]
+
+
+def test_reference_that_does_not_move_is_skipped_with_reason() -> None:
+    run = make_run(7, duration=10.0)
+    assert "do not move" in diagnose_odometry(replace(run, poses=run.poses * 0), ROBOT).skipped
+
+
+def test_twists_stand_in_for_poses_that_do_not_move() -> None:
+    run = make_run(8, radius=0.03)
+    ledger = diagnose_odometry(replace(run, odometry=np.zeros_like(run.odometry)), ROBOT)
+    assert ledger.notes["odometry_from"] == "twists" and [a.name for a in ledger.effects] == ["wheel_radius"]
