@@ -23,10 +23,10 @@ def plan_picture(plan: Plan, arena: Arena, path: Path, *, title: str = "") -> No
     x0, y0, x1, y1 = arena.bounds
     width = 10.0
     tall = float(np.clip(width * 0.60 * (y1 - y0) / max(x1 - x0, 1e-9), 3.2, 11.0))
-    figure = _figure(width, tall + 1.2)
+    figure = new_figure(width, tall + 1.2)
     left, right = figure.subplots(1, 2, width_ratios=[2.4, 1.0])
     _route(figure, left, plan)
-    _floor(left, arena)
+    draw_floor(left, arena)
     _coverage_curve(right, plan)
     report = plan.report
     hours, minutes = divmod(round(report["drive_time_s"] / 60), 60)
@@ -36,24 +36,26 @@ def plan_picture(plan: Plan, arena: Arena, path: Path, *, title: str = "") -> No
         f"{report['ratio']:.2f} of the reference time",
         x=0.012, ha="left", fontsize=11.5, color=INK,
     )  # fmt: skip
-    _save(figure, path)
+    save_figure(figure, path)
 
 
-def _figure(width: float, height: float) -> Any:
+def new_figure(width: float, height: float, *, layout: Any = "constrained") -> Any:
+    """Return an empty figure of so many inches, which no window shows."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), dpi=150, layout="constrained", facecolor="white")
+    figure = Figure(figsize=(width, height), dpi=150, layout=layout, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
-def _save(figure: Any, path: Path) -> None:
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a figure as PNG, whole or not at all."""
     with whole(path) as part:
         figure.savefig(part, format="png", metadata={"Software": None})
 
 
-def _floor(axes: Any, arena: Arena) -> None:
+def draw_floor(axes: Any, arena: Arena) -> None:
     """Draw free space, what is solid, and the walls."""
     from matplotlib.collections import LineCollection
     from matplotlib.patches import PathPatch
@@ -70,7 +72,7 @@ def _floor(axes: Any, arena: Arena) -> None:
     axes.set_xlabel("x [m]", color=INK)
     axes.set_ylabel("y [m]", color=INK)
     axes.set(xlim=(x0 - pad, x1 + pad), ylim=(y0 - pad, y1 + pad), aspect="equal")
-    _quiet(axes)
+    quiet(axes)
 
 
 def _route(figure: Any, axes: Any, plan: Plan) -> None:
@@ -142,10 +144,11 @@ def _coverage_curve(axes: Any, plan: Plan) -> None:
     axes.set_xlabel("time [min]", color=INK)
     axes.set_ylabel("bins covered [%]", color=INK)
     axes.grid(color=SOLID, lw=0.6)
-    _quiet(axes)
+    quiet(axes)
 
 
-def _quiet(axes: Any) -> None:
+def quiet(axes: Any) -> None:
+    """Take the frame back to two thin lines."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
@@ -162,7 +165,7 @@ def race_picture(races: dict[str, tuple[Any, Any, Any]], arena: Arena, path: Pat
     races : label -> (minutes (n,), share of the reachable bins (n,) by then, Coverage)
     """
     x0, y0, x1, y1 = arena.bounds
-    figure = _figure(10.0, float(np.clip(3.4 * (y1 - y0) / max(x1 - x0, 1e-9), 2.2, 8.0)) + 0.7)
+    figure = new_figure(10.0, float(np.clip(3.4 * (y1 - y0) / max(x1 - x0, 1e-9), 2.2, 8.0)) + 0.7)
     axes = figure.subplots(1, 1 + len(races), width_ratios=[1.25, *([1.0] * len(races))])
     for (label, (minutes, share, coverage)), colour, chart in zip(
         races.items(), ("#2a788e", "#c9892b", ALARM), axes[1:], strict=False
@@ -170,7 +173,7 @@ def race_picture(races: dict[str, tuple[Any, Any, Any]], arena: Arena, path: Pat
         axes[0].plot(minutes, 100 * share, color=colour, lw=1.9, label=f"{label}: {100 * share[-1]:.1f} %")
         reachable = coverage.reachable.sum(axis=2)
         seen = np.where(reachable > 0, coverage.covered.sum(axis=2) / np.maximum(reachable, 1), np.nan)
-        _floor(chart, arena)
+        draw_floor(chart, arena)
         edges_x, edges_y, _ = coverage.edges
         mesh = chart.pcolormesh(edges_x, edges_y, 100 * seen.T, cmap="viridis", vmin=0, vmax=100, zorder=1)
         chart.set_title(f"{label}: headings visited", fontsize=9, color=INK, loc="left")
@@ -179,9 +182,9 @@ def race_picture(races: dict[str, tuple[Any, Any, Any]], arena: Arena, path: Pat
     axes[0].set_ylabel("reachable (x, y, φ) bins visited [%]", color=INK)
     axes[0].grid(color=SOLID, lw=0.6)
     axes[0].legend(loc="upper left", frameon=False, fontsize=9, labelcolor=INK)
-    _quiet(axes[0])
+    quiet(axes[0])
     bar = figure.colorbar(mesh, ax=axes[1:].tolist(), shrink=0.8, aspect=30, pad=0.02)
     bar.set_label("headings [%]", color=INK, fontsize=8)
     bar.ax.tick_params(labelsize=8, colors=INK)
     bar.outline.set_visible(False)
-    _save(figure, path)
+    save_figure(figure, path)

@@ -1,4 +1,4 @@
-"""The one file that knows rerun: a Review becomes an .rrd with its own layout. No viewer is needed to make it.
+"""A Review becomes an .rrd with its own layout, by rerun. No viewer is needed to make it.
 
 Columns go in blocks (`send_columns`), strictly checked, without wall-clock time. The .rrd can be made again at
 any time; the MCAP is the record.
@@ -7,6 +7,8 @@ any time; the MCAP is the record.
 from __future__ import annotations
 
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ import rerun.blueprint as rrb
 
 from planners.arena import Floats
 from sensorgraph.errors import GapError
+from sensorgraph.files import whole
 from sensorgraph.review import HEADINGS, Review, report
 
 BLOCK = 500  # scans a chunk; below, a negative radius is in points of the screen, not in metres
@@ -36,21 +39,24 @@ def write(seen: Review, path: Path, *, ray: int | None = None) -> None:
     ray = int(np.abs(seen.run.sensor.bearings).argmin()) if ray is None else ray
     if not 0 <= ray < seen.run.sensor.n_rays:
         raise GapError(f"ray {ray} does not exist; this sensor has rays 0 to {seen.run.sensor.n_rays - 1}")
-    part = path.with_name(path.name + ".part")
-    was_strict = rr.strict_mode()
-    rr.set_strict_mode(True)
-    try:
-        recording = rr.RecordingStream("sensorgraph", recording_id="review", send_properties=False)
-        top = _error_top(seen)
-        recording.save(part, default_blueprint=_layout(seen, ray, top))
+    top = _error_top(seen)
+    with recorded(path, "review", _layout(seen, ray, top)) as recording:
         _still(recording, seen, top)
         for start in range(0, len(seen.shown), BLOCK):
             _scans(recording, seen, slice(start, start + BLOCK), ray)
-        recording.disconnect()
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+
+
+@contextmanager
+def recorded(path: Path, name: str, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
+    """Yield a strictly checked recording with its own layout; the file is whole or not there."""
+    was_strict = rr.strict_mode()
+    rr.set_strict_mode(True)
+    try:
+        with whole(path) as part:
+            recording = rr.RecordingStream("sensorgraph", recording_id=name, send_properties=False)
+            recording.save(part, default_blueprint=layout)
+            yield recording
+            recording.disconnect()
     finally:
         rr.set_strict_mode(was_strict)
 

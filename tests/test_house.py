@@ -16,9 +16,9 @@ OWNERS = {
     "rosbags": {"logs/"},
     "zstandard": {"logs/"},  # both come with mcap: recovery must decompress what is left of a cut chunk
     "lz4": {"logs/"},
-    "rerun": {"sensorgraph/view.py"},
+    "rerun": {"sensorgraph/view.py", "sensorgraph/view_diagnosis.py"},
     "shapely": {"planners/", "sensorgraph/world/"},
-    "matplotlib": {"sensorgraph/figures.py"},
+    "matplotlib": {"sensorgraph/figures.py", "sensorgraph/diagnose/figures.py"},
     "typer": {"sensorgraph/cli/"},
     "rich": {"sensorgraph/cli/"},
     "yaml": {"sensorgraph/", "planners/", "logs/"},

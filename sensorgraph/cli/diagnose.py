@@ -11,36 +11,68 @@ import typer
 def diagnose(
     runs: Annotated[
         list[Path],
-        typer.Argument(help="A run; a second one of the same place is used for nothing but the proof."),
+        typer.Argument(
+            metavar="RUN...",
+            help="A run; a second one of the same place is used for nothing but the proof.",
+        ),
     ],
     arena: Annotated[
         str | None,
         typer.Option(help="GeoJSON, map_server yaml, or a shipped one; default: the one kept in the run."),
     ] = None,
     robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the one kept in the run.")] = None,
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the report.")] = Path("diagnosis"),
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the report.")] = Path(
+        "diagnosis"
+    ),
     seed: Annotated[int, typer.Option(min=0, help="Of the replicates: same seed, same report.")] = 0,
+    topic: Annotated[
+        list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
+    ] = None,
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, and show the gap shrink.
 
     Examples:
 
       sensorgraph diagnose run.mcap --arena lab.geojson --robot robot.yaml -o diagnosis
+
+      sensorgraph diagnose run.mcap second.mcap -o diagnosis && rerun diagnosis/review.rrd
     """
-    import logs
-    from sensorgraph.cli.inputs import kept_arena, named_arena, named_robot, write_json
+    from logs import parse_topics, read
+    from sensorgraph.cli.inputs import check_folder, kept_arena, kept_robot, named_arena, named_robot
+    from sensorgraph.cli.progress import progress
     from sensorgraph.diagnose.diagnose import diagnose as work
-    from sensorgraph.diagnose.report import to_dict
+    from sensorgraph.diagnose.report import save
+    from sensorgraph.diagnose.words import said
     from sensorgraph.errors import GapError
 
-    run = logs.read(runs[0])
+    if len(runs) > 2:
+        raise GapError(
+            f"{len(runs)} runs given, expected one, or two of which the second is only for the proof"
+        )
+    check_folder(out)
+    loaded = []
+    for path in runs:
+        with progress("reading", "messages") as tick:
+            loaded.append(read(path, topics=parse_topics(topic or []), progress=tick))
+    run = loaded[0]
     walls = named_arena(arena) if arena is not None else kept_arena(run)
     if walls is None:
         raise GapError(f"{runs[0]} keeps no arena; give one with --arena")
-    machine = named_robot(robot)
-    second = logs.read(runs[1]) if len(runs) > 1 else None
-    finding = work(run, walls, machine, second=second, seed=seed)
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "report.json", to_dict(finding))
-    for a in finding.effects:
-        typer.echo(f"{a.name} {dict(a.parameters)}")
+    machine = kept_robot(run) if robot is None else None
+    machine = named_robot(robot) if machine is None else machine
+    with progress("diagnosing"):
+        finding = work(run, walls, machine, second=loaded[1] if len(loaded) > 1 else None, seed=seed)
+    settings = {
+        "seed": seed,
+        "runs": [path.name for path in runs],
+        "arena": arena or "kept in the run",
+        "robot": machine.robot.name,
+        "tolerances": vars(machine.tolerances),
+    }
+    with progress("reporting", "files") as tick:
+        save(finding, out, name=runs[0].name, settings=settings, progress=tick)
+    what = said(finding)
+    typer.echo(what.headline)
+    for line in what.details:
+        typer.echo(line)
+    typer.echo(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml, review.rrd")

@@ -32,6 +32,16 @@ def check_output(path: Path, *inputs: Path) -> None:
         probe.unlink()
 
 
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that cannot be written in, before any work is done; make it if it is not there."""
+    if folder.exists() and not folder.is_dir():
+        raise GapError(f"{folder} is a file; give the name of a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    probe = folder / ".part"
+    probe.open("wb").close()
+    probe.unlink()
+
+
 def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) -> None:
     """Check that a robot file describes the sensor that recorded."""
     from sensorgraph.build import is_same_sensor

@@ -1,25 +1,145 @@
-"""report.json of a diagnosis: plain data, as INTERFACE promises it."""
+"""The report of a diagnosis: report.json, report.html, effects.yaml, review.rrd and pictures in one folder."""
 
 from __future__ import annotations
 
+import json
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
+from sensorgraph import __version__
+from sensorgraph.diagnose.compared import compare
 from sensorgraph.diagnose.diagnose import Finding, sentence
 from sensorgraph.diagnose.finding import Gap, Ledger
-from sensorgraph.effects import Amendment
+from sensorgraph.diagnose.words import deviation, parameters, percent, place_words, said
+from sensorgraph.effects import Amendment, effects_file
+from sensorgraph.files import whole
+
+Tick = Callable[[int, int], None]
+PARTS = 5  # report.json, effects.yaml, pictures, report.html, review.rrd
+
+
+def save(
+    finding: Finding,
+    folder: Path,
+    *,
+    name: str = "run",
+    settings: Mapping[str, Any] | None = None,
+    progress: Tick | None = None,
+) -> list[Path]:
+    """Write everything that a diagnosis has to say; return the files. Each is whole or not there.
+
+    Parameters
+    ----------
+    name : what to call the run
+    settings : configuration, kept in the report; the version is added
+    progress : told how many of the parts are done
+    """
+    from sensorgraph import view_diagnosis
+    from sensorgraph.diagnose import figures
+    from sensorgraph.diagnose.page import page
+
+    def done(count: int) -> None:
+        if progress is not None:
+            progress(count, PARTS)
+
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = {"version": __version__, **(settings or {})}
+    report = plain({**to_dict(finding), "settings": kept})
+    files = {key: folder / key for key in ("report.json", "effects.yaml", "report.html", "review.rrd")}
+    with whole(files["report.json"]) as part:
+        part.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    done(1)
+    effects_file.write(finding.effects, files["effects.yaml"])
+    done(2)
+    compared = compare(finding)
+    pictures = figures.draw(finding, compared, folder)
+    done(3)
+    html = page(finding, pictures, title=name, settings=kept, next_run=report["next_run"])
+    with whole(files["report.html"]) as part:
+        part.write_text(html, encoding="utf-8")
+    done(4)
+    if compared is None:
+        del files["review.rrd"]
+    else:
+        view_diagnosis.write(
+            compared,
+            files["review.rrd"],
+            report=markdown(finding, name),
+            marks=marks(finding),
+            walls=[a.place for a in finding.effects if a.effect.place == "wall"],
+        )
+    done(5)
+    return [*files.values(), *pictures.values()]
+
+
+def marks(finding: Finding) -> list[tuple[str, tuple[float, float]]]:
+    """Return words and points (x, y) [m, map] of what sits somewhere."""
+    out = [(a.effect.title, xy) for a in finding.effects if (xy := spot(a)) is not None]
+    unknown = finding.unknown
+    if unknown is not None and unknown.where is not None and unknown.where.xy is not None:
+        out.append(("unknown", unknown.where.xy))
+    return out
+
+
+def spot(a: Amendment) -> tuple[float, float] | None:
+    """Return the point where an effect sits, if it has one."""
+    if a.effect.place == "spot" and {"x", "y"} <= set(a.parameters):
+        return float(a["x"]), float(a["y"])
+    return None if a.location is None else a.location.xy
+
+
+def markdown(finding: Finding, name: str) -> str:
+    """Return the report in few words, in markdown."""
+    what = said(finding)
+    lines = [f"# {what.headline}", "", *(f"{text}\n" for text in what.details)]
+    for a in finding.effects:
+        lines += [
+            f"**{a.effect.title}** `{a.name}`: {a.effect.physics}",
+            "",
+            f"{a.effect.equation}: {', '.join(parameters(a))}" if a.parameters else a.effect.equation,
+            "",
+            f"probability {percent(a.probability)}"
+            + (f", evidence {a.evidence:,.0f} nats" if a.evidence is not None else "")
+            + (f", at {place_words(a)}" if place_words(a) else ""),
+            "",
+        ]
+    scan = finding.ledgers.get("scan")
+    if scan is not None and scan.where:
+        lines += ["Before any name:", "", *(f"- {deviation(w)}" for w in scan.where[:4]), ""]
+    lines += [f"*{name}. Gap and residuals here are the bare simulator's, at the reference poses.*"]
+    return "\n".join(lines)
+
+
+def plain(data: Any) -> Any:
+    """Return data that JSON can hold: numpy becomes Python, what is not finite becomes None."""
+    if isinstance(data, Mapping):
+        return {str(k): plain(v) for k, v in data.items()}
+    if isinstance(data, list | tuple):
+        return [plain(v) for v in data]
+    if hasattr(data, "tolist"):
+        return plain(data.tolist())
+    if isinstance(data, float):
+        return data if math.isfinite(data) else None
+    if data is None or isinstance(data, str | bool | int):
+        return data
+    return str(data)
 
 
 def to_dict(finding: Finding) -> dict[str, Any]:
     """Return the report as plain data."""
     ledgers = finding.ledgers
     unknown = finding.unknown
-    gap = ledgers["scan"].gap
+    gap = ledgers["scan"].gap if "scan" in ledgers else None
     rivals = [asdict(r) for ledger in ledgers.values() for r in ledger.rivals]
     return {
         "effects": [effect_dict(a) for a in finding.effects],
         "unknown": None if unknown is None else asdict(unknown),
-        "where": [{**asdict(w), "statement": sentence(w)} for w in ledgers["scan"].where],
+        "where": [{**asdict(w), "statement": sentence(w)} for w in ledgers["scan"].where]
+        if "scan" in ledgers
+        else [],
         "runner_up": rivals[0] if rivals else None,
         "rivals": rivals,
         "gap": None if gap is None else gap_dict(gap),
@@ -30,7 +150,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
             for ledger in ledgers.values()
             for name, why in ledger.not_observable.items()
         ],
-        "next_run": None,
+        "next_run": getattr(finding, "next_run", None),
         "intake": finding.intake,
         "channels": {name: channel_dict(ledger) for name, ledger in ledgers.items()},
         "cpu_s": finding.seconds,

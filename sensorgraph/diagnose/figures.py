@@ -1,0 +1,430 @@
+"""Pictures of a diagnosis; matplotlib is imported when the first is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planners.arena import Floats
+from sensorgraph.diagnose.compared import Compared, Side
+from sensorgraph.diagnose.decide import THRESHOLD
+from sensorgraph.diagnose.diagnose import Finding
+from sensorgraph.diagnose.finding import Gap, Ledger, Unknown
+from sensorgraph.diagnose.words import place_words
+from sensorgraph.effects import Amendment
+from sensorgraph.figures import ALARM, INK, SOFT, SOLID, draw_floor, new_figure, quiet, save_figure
+
+BEFORE, AFTER, PALE = ALARM, "#2a788e", "#eceef2"
+MOST_POINTS = 6000
+"""End points in one picture of the arena."""
+ENLARGED = (1, 2, 3, 5, 10, 20, 30, 50)
+
+
+def draw(finding: Finding, compared: Compared | None, folder: Path) -> dict[str, Path]:
+    """Draw every picture that the finding has something for; name -> file."""
+    out: dict[str, Path] = {}
+    if compared is not None:
+        out["arena"] = folder / "arena.png"
+        arena_picture(finding, compared, out["arena"])
+        out["residuals"] = folder / "residuals.png"
+        residuals_picture(finding, compared, out["residuals"])
+    gaps = {name: ledger.gap for name, ledger in finding.ledgers.items() if ledger.gap is not None}
+    if gaps:
+        out["gap"] = folder / "gap.png"
+        gap_picture(gaps, finding.second_gap, out["gap"])
+    if finding.explained is not None and any(step.tried for step in finding.explained.steps):
+        out["ranking"] = folder / "ranking.png"
+        ranking_picture(finding, out["ranking"])
+    return out
+
+
+def arena_picture(finding: Finding, compared: Compared, path: Path) -> None:
+    """Draw where the rays ended, coloured by residual, before and after."""
+    from matplotlib.collections import LineCollection
+
+    x0, y0, x1, y1 = compared.arena.bounds
+    pad = 0.05 * max(x1 - x0, y1 - y0)
+    aspect = (y1 - y0 + 2 * pad) / (x1 - x0 + 2 * pad)
+    sides = [
+        ("before: the simulator as mapped", compared.before),
+        ("after: with what was found", compared.after),
+    ]
+    if not compared.is_amended:
+        sides = [("measured against the simulator as mapped", compared.before)]
+    stacked = aspect < 0.5
+    across, down = (1, len(sides)) if stacked else (len(sides), 1)
+    wide = float(min(8.6 if across == 1 else 4.1, 6.6 / aspect))
+    figure = new_figure(max(wide * across + 1.5, 5.5), wide * aspect * down + 0.5 + 0.4 * down)
+    charts = list(figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel())
+    factor, top = _scale(compared)
+    colours = _diverging()
+    for axes, (title, side) in zip(charts, sides, strict=False):
+        draw_floor(axes, compared.arena)
+        axes.plot(compared.poses[:, 0], compared.poses[:, 1], color=SOFT, lw=0.6, alpha=0.5, zorder=1)
+        dots = _points(axes, compared, side, factor, top, colours)
+        axes.set_title(title, fontsize=9.5, color=INK, loc="left")
+        axes.set(xlim=(x0 - pad, x1 + pad), ylim=(y0 - pad, y1 + pad))
+        moved = _displaced(compared.before.walls, side.walls)
+        axes.add_collection(
+            LineCollection(list(moved), colors=AFTER, linewidths=1.4, linestyles=(0, (4, 2)), zorder=6)
+        )
+        _marks(axes, compared, finding.effects, finding.unknown)
+    if len(charts) == 2 and not stacked:
+        charts[1].set_ylabel("")
+    bar = figure.colorbar(dots, ax=charts, location="right", shrink=0.75, aspect=35, pad=0.015, extend="both")
+    enlarged = f", drawn {factor} times as large" if factor > 1 else ""
+    bar.set_label(f"measured − simulated [cm]{enlarged}", color=INK, fontsize=8)
+    bar.ax.tick_params(labelsize=8, colors=INK)
+    bar.outline.set_visible(False)
+    handles, labels = charts[0].get_legend_handles_labels()
+    if handles:
+        charts[0].legend(
+            handles,
+            labels,
+            loc="upper left",
+            bbox_to_anchor=(-0.02, -0.5 / (wide * aspect)),
+            ncols=3,
+            frameon=False,
+            fontsize=8,
+            labelcolor=INK,
+            borderaxespad=0.0,
+        )
+    save_figure(figure, path)
+
+
+def _scale(compared: Compared) -> tuple[int, float]:
+    """Return how many times larger than they are residuals are drawn, and the residual [cm] of the last colour."""
+    clipped = np.abs(compared.before.clipped(compared.sigma))
+    typical = float(np.nanquantile(clipped, 0.9)) if np.isfinite(clipped).any() else compared.sigma
+    x0, y0, x1, y1 = compared.arena.bounds
+    room = 0.022 * float(np.hypot(x1 - x0, y1 - y0))
+    factor = max((k for k in ENLARGED if k * max(typical, compared.sigma) <= room), default=1)
+    top = 100 * max(1.2 * typical, 2.5 * compared.sigma)
+    return factor, float(f"{top:.1g}")
+
+
+def _displaced(walls: Floats, other: Floats) -> Floats:
+    """Return the walls that stand elsewhere, not those that have only become longer or shorter."""
+    if walls.shape != other.shape or len(walls) == 0:
+        return np.zeros((0, 2, 2))
+    way = walls[:, 1] - walls[:, 0]
+    normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.maximum(np.hypot(*way.T), 1e-9)[:, None]
+    off = np.abs(((other - walls) * normal[:, None]).sum(axis=2)).max(axis=1)
+    return np.asarray(other[off > 1e-3])
+
+
+def _diverging() -> Any:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("short-long", ["#0b4f6c", AFTER, "#cfd4dc", BEFORE, "#7d1130"])
+
+
+def _points(axes: Any, compared: Compared, side: Side, factor: int, top: float, colours: Any) -> Any:
+    """Draw a fair sample of end points; those far off stand where they were measured."""
+    rng = np.random.default_rng(0)
+    shown = np.isfinite(side.residual) & side.clear
+    flat = np.flatnonzero(shown)
+    flat = np.sort(rng.choice(flat, MOST_POINTS, replace=False)) if len(flat) > MOST_POINTS else flat
+    residual = side.residual.ravel()[flat]
+    x0, y0, x1, y1 = compared.arena.bounds
+    far = 0.06 * float(np.hypot(x1 - x0, y1 - y0))
+    drawn = np.where(np.abs(factor * residual) < far, factor * residual, residual)
+    ends = _ends(compared, flat, side.simulated.ravel()[flat] + drawn)
+    dots = axes.scatter(
+        ends[:, 0],
+        ends[:, 1],
+        c=100 * residual,
+        s=3.0,
+        cmap=colours,
+        vmin=-top,
+        vmax=top,
+        linewidths=0,
+        zorder=5,
+        rasterized=True,
+    )
+    missing = np.flatnonzero(side.missing)
+    share = len(missing) / max(side.missing.size, 1)
+    missing = np.sort(rng.choice(missing, 1500, replace=False)) if len(missing) > 1500 else missing
+    if len(missing):
+        ends = _ends(compared, missing, side.aimed.ravel()[missing])
+        label = f"no return where one is expected ({100 * share:.1f} % of all rays)"
+        axes.scatter(
+            ends[:, 0],
+            ends[:, 1],
+            s=9,
+            facecolors="none",
+            edgecolors="#c9892b",
+            linewidths=0.7,
+            zorder=5,
+            label=label if share > 0.003 else None,
+        )
+    return dots
+
+
+def _ends(compared: Compared, flat: Any, ranges: Floats) -> Floats:
+    scan, ray = np.unravel_index(flat, compared.measured.shape)
+    lasers = compared.lasers[scan]
+    angle = lasers[:, 2] + compared.sensor.bearings[ray]
+    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(lasers[:, :2] + ranges[:, None] * way)
+
+
+def _marks(axes: Any, compared: Compared, effects: Sequence[Amendment], unknown: Unknown | None) -> None:
+    """Mark where effects sit, and where something unknown is left."""
+    for a in effects:
+        xy = a.location.xy if a.location is not None else None
+        if a.name == "unmapped_obstacle" or a.name == "wheel_slip":
+            xy = (a["x"], a["y"])
+        if a.place:
+            _mark_walls(axes, compared, a)
+        elif xy is not None:
+            _ring(axes, compared, xy, a.effect.title)
+    if unknown is not None and unknown.where is not None and unknown.where.xy is not None:
+        where = unknown.where
+        if where.partition.startswith("wall"):
+            name = where.label.split(",")[0]
+            _line(
+                axes,
+                [w for n, w in zip(compared.arena.names, compared.arena.walls, strict=True) if n == name],
+            )
+        _ring(axes, compared, where.xy or (0.0, 0.0), "unknown")
+
+
+def _mark_walls(axes: Any, compared: Compared, a: Amendment) -> None:
+    names, walls = compared.arena.names, compared.arena.walls
+    chosen = [w for n, w in zip(names, walls, strict=True) if n == a.place or n.rsplit("/", 1)[0] == a.place]
+    if not chosen:
+        return
+    if len(chosen) == 1 and "a" in a.parameters and "b" in a.parameters:
+        first, last = chosen[0]
+        way = (last - first) / max(float(np.hypot(*(last - first))), 1e-9)
+        chosen = [np.stack([first + a["a"] * way, first + a["b"] * way])]
+    _line(axes, chosen)
+    middle = np.mean([w.mean(axis=0) for w in chosen], axis=0)
+    _label(axes, compared, (float(middle[0]), float(middle[1])), a.effect.title)
+
+
+def _line(axes: Any, walls: Sequence[Floats]) -> None:
+    from matplotlib.collections import LineCollection
+
+    axes.add_collection(
+        LineCollection(list(walls), colors=ALARM, linewidths=5.0, alpha=0.35, zorder=3.5, capstyle="round")
+    )
+
+
+def _ring(axes: Any, compared: Compared, xy: tuple[float, float], text: str) -> None:
+    axes.plot(*xy, "o", ms=20, mfc="none", mec=ALARM, mew=1.6, zorder=7)
+    _label(axes, compared, xy, text)
+
+
+def _label(axes: Any, compared: Compared, xy: tuple[float, float], text: str) -> None:
+    x0, y0, x1, y1 = compared.arena.bounds
+    right, upper = xy[0] > (x0 + x1) / 2, xy[1] > (y0 + y1) / 2
+    axes.annotate(
+        text, xy, xytext=(-16 if right else 16, -22 if upper else 22), textcoords="offset points",
+        ha="right" if right else "left", va="center", fontsize=8.5, color=ALARM, zorder=8,
+        bbox={"boxstyle": "round,pad=0.25", "fc": "white", "ec": "none", "alpha": 0.85},
+        arrowprops={"arrowstyle": "-", "color": ALARM, "lw": 0.8},
+    )  # fmt: skip
+
+
+def gap_picture(gaps: dict[str, Gap], second: Gap | None, path: Path) -> None:
+    """Draw the gap before and after beside the noise floor, in three units, a row per channel."""
+    rows = [(name, gap, name) for name, gap in gaps.items()]
+    if second is not None:
+        rows.insert(1, ("scan, second run", second, "scan"))
+    figure = new_figure(10.0, 0.35 + 1.15 * len(rows), layout=None)
+    grid = figure.subplots(len(rows), 3, squeeze=False)
+    figure.subplots_adjust(
+        left=0.12,
+        right=0.985,
+        top=1 - 0.42 / (0.35 + 1.15 * len(rows)),
+        bottom=0.02,
+        wspace=0.22,
+        hspace=0.55,
+    )
+    for charts, (title, gap, channel) in zip(grid, rows, strict=True):
+        fits = (gap.before, gap.after, gap.noise_floor)
+        unit = "cm" if channel == "scan" else "cm/s"
+        least = gap.noise_floor.nats_per_ray
+        columns = (
+            (f"{title}: RMS gap [{unit}]", [100 * f.rmse_m for f in fits]),
+            ("in units of the nominal noise", [f.normalised for f in fits]),
+            ("nats per reading above the floor", [f.nats_per_ray - least for f in fits]),
+        )
+        for axes, (label, values) in zip(charts, columns, strict=True):
+            _bars(axes, values)
+            axes.set_title(label, fontsize=8, color=SOFT, loc="left", pad=3)
+        charts[0].set_yticks([2, 1, 0], ["before", "after", "noise floor"], fontsize=8.5, color=INK)
+        charts[0].tick_params(axis="y", length=0)
+    save_figure(figure, path)
+
+
+def _bars(axes: Any, values: Sequence[float]) -> None:
+    top = max(*values, 1e-12)
+    axes.barh([2, 1, 0], np.maximum(values, 0.0), color=[BEFORE, AFTER, SOFT], height=0.68)
+    for y, value in zip([2, 1, 0], values, strict=True):
+        text = f"{value:.3g}".replace("-", "−") if abs(value) >= 5e-4 else "0"
+        axes.text(max(value, 0) + 0.015 * top, y, text, va="center", fontsize=8, color=INK)
+    axes.set(xlim=(0.0, 1.22 * top), ylim=(-0.5, 2.5))
+    axes.set_yticks([])
+    axes.set_xticks([])
+    for side in ("top", "right", "bottom"):
+        axes.spines[side].set_visible(False)
+    axes.spines["left"].set_color(SOLID)
+
+
+def ranking_picture(finding: Finding, path: Path) -> None:
+    """Draw the evidence of what was tried, round by round."""
+    assert finding.explained is not None
+    rounds = [(step.chosen, _distinct(step.tried)) for step in finding.explained.steps if step.tried][:5]
+    lines = sum(len(tried) for _, tried in rounds) + 0.9 * len(rounds)
+    height = max(0.27 * lines + 0.5, 1.5)
+    figure = new_figure(10.0, height, layout=None)
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.30, right=0.97, top=1 - 0.08 / height, bottom=0.42 / height)
+    y = 0.0
+    ticks: list[float] = []
+    labels: list[str] = []
+    best = max(gain for _, tried in rounds for _, gain in tried)
+    top = max(best, 2 * THRESHOLD)
+    for k, (chosen, tried) in enumerate(rounds, start=1):
+        words = (
+            "the first is accepted"
+            if chosen
+            else "nothing more is accepted"
+            if k > 1
+            else "nothing is accepted"
+        )
+        axes.text(
+            0.0, y + 0.05, f"round {k}: {words}", fontsize=8, color=SOFT, va="center", fontweight="bold"
+        )
+        y -= 0.9
+        lead = tried[0][1]
+        for i, (a, gain) in enumerate(tried):
+            taken = bool(chosen) and i == 0
+            axes.barh(y, max(gain, 0.0), color=AFTER if taken else "#b9c0cc", height=0.7)
+            behind = "" if i == 0 else f"   ({gain - lead:+,.0f} to the first)"
+            axes.text(
+                max(gain, 0) + 0.006 * top,
+                y,
+                f"{gain:,.0f}{behind}".replace("-", "−"),
+                va="center",
+                fontsize=8,
+                color=INK,
+            )
+            ticks.append(y)
+            labels.append(", ".join(filter(None, [a.effect.title, place_words(a)])))
+            y -= 1.0
+    axes.set_yticks(ticks, labels, fontsize=8.5, color=INK)
+    axes.set(xlim=(0, 1.25 * top), ylim=(y + 0.4, 0.6))
+    axes.axvline(THRESHOLD, color=ALARM, lw=0.9, ls=(0, (4, 3)))
+    axes.set_xlabel(
+        f"evidence [nats] beyond the price of the parameters; dashed: the {THRESHOLD:g} that a name takes",
+        fontsize=8,
+        color=INK,
+    )
+    quiet(axes)
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    save_figure(figure, path)
+
+
+def _outcome(chosen: str, gain: float, *, is_first: bool) -> str:
+    if chosen:
+        return "the first is accepted"
+    words = "nothing is accepted" if is_first else "nothing more is accepted"
+    return words + (
+        ", as refitting what was there does as well" if gain >= THRESHOLD and not is_first else ""
+    )
+
+
+def _distinct(tried: Sequence[tuple[Amendment, float]]) -> list[tuple[Amendment, float]]:
+    """Return at most five candidates, those of one effect at one place once."""
+    out: list[tuple[Amendment, float]] = []
+    for a, gain in tried:
+        if not any(a.name == b.name and (a.place == b.place and abs(gain - g) < 1) for b, g in out):
+            out.append((a, gain))
+    return out[:5]
+
+
+def residuals_picture(finding: Finding, compared: Compared, path: Path) -> None:
+    """Draw mean residual, and scatter or surprises, over bearing, range, incidence, time, turn rate and speed."""
+    variables = compared.variables()
+    rows = ["mean", _second_row(finding.ledgers.get("scan"))]
+    figure = new_figure(11.0, 3.9, layout=None)
+    grid = figure.subplots(2, len(variables), sharey="row")
+    figure.subplots_adjust(left=0.06, right=0.995, top=0.90, bottom=0.115, wspace=0.10, hspace=0.18)
+    sides = [("before", compared.before, BEFORE)]
+    if compared.is_amended:
+        sides.append(("after", compared.after, AFTER))
+    for row, (charts, kind) in enumerate(zip(grid, rows, strict=True)):
+        values = [(label, _values(side, kind, compared.sigma), colour) for label, side, colour in sides]
+        low, high = np.inf, -np.inf
+        for axes, (name, (variable, edges)) in zip(charts, variables.items(), strict=True):
+            centres = (edges[1:] + edges[:-1]) / 2
+            index = np.searchsorted(edges, variable, side="right") - 1
+            index = np.where((index >= 0) & (index < len(centres)) & np.isfinite(variable), index, -1)
+            for label, value, colour in values:
+                mean, error = compared.profile(value, index, len(centres))
+                seen = np.isfinite(mean)
+                if not seen.any():
+                    continue
+                axes.fill_between(
+                    centres[seen],
+                    (mean - 2 * error)[seen],
+                    (mean + 2 * error)[seen],
+                    color=colour,
+                    alpha=0.18,
+                    lw=0,
+                )
+                axes.plot(centres[seen], mean[seen], color=colour, lw=1.3, marker="o", ms=2.0, label=label)
+                low, high = min(low, float(mean[seen].min())), max(high, float(mean[seen].max()))
+            axes.axhline(0.0 if kind != "spread" else 1.0, color=SOFT, lw=0.7, zorder=0)
+            axes.grid(color=PALE, lw=0.6)
+            quiet(axes)
+            axes.tick_params(labelsize=7)
+            axes.set_xlim(edges[0], edges[-1])
+            if row == 1:
+                axes.set_xlabel(name, fontsize=8.5, color=INK)
+            else:
+                axes.tick_params(labelbottom=False)
+            if axes is not charts[0]:
+                axes.tick_params(left=False)
+        if high >= low:
+            least = 100 * compared.sigma * 0.5 if kind == "mean" else 0.5
+            middle, half = (low + high) / 2, max(0.62 * (high - low), least)
+            bottom = -0.06 * half if kind == "strange" else middle - half
+            charts[0].set_ylim(bottom, middle + half)
+        words = {
+            "mean": "mean residual [cm]",
+            "spread": "scatter over noise",
+            "strange": "not as expected [%]",
+        }
+        charts[0].set_ylabel(words[kind], fontsize=8.5, color=INK)
+    grid[0][0].legend(
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        ncols=2,
+        frameon=False,
+        fontsize=8.5,
+        labelcolor=INK,
+        borderaxespad=0.2,
+    )
+    save_figure(figure, path)
+
+
+def _second_row(ledger: Ledger | None) -> str:
+    found = [] if ledger is None else [w.family for w in ledger.where if w.family != "bias"]
+    return "spread" if found and found[0] == "spread" else "strange"
+
+
+def _values(side: Side, kind: str, sigma: float) -> Floats:
+    if kind == "mean":
+        return 100 * side.clipped(sigma)
+    if kind == "spread":
+        return np.asarray(np.abs(side.clipped(sigma)) / sigma / np.sqrt(2 / np.pi))
+    return np.where(side.clear, 100.0 * side.strange, np.nan)
