@@ -377,10 +377,24 @@ class _Search:
             "time": split(times, times),
             "speed": split(slow, slow_turns),
             "direction": split([(v < 0).astype(np.float64)], [(omega < 0).astype(np.float64)]),
+            "deadband": np.stack(self._deadbands(here), axis=1),
             "timing": np.stack(
                 [np.concatenate([here.A[:n, 1] * m, here.A[n:, 1] * m]) for m in times], axis=1
             ),
         }
+
+    def _deadbands(self, here: Fitted) -> list[Floats]:
+        """Return what it would change if small commands did nothing (2 n,) each."""
+        kept, out = self.commands, []
+        top = np.maximum(np.abs(kept).max(axis=0), 1e-3)
+        for column, share in ((1, 0.1), (1, 0.18), (1, 0.26), (0, 0.15)):
+            self.commands = kept.copy()
+            self.commands[np.abs(kept[:, column]) < share * top[column], column] = 0.0
+            ends, travelled = self._travelled(here.motors)
+            moved = [np.interp(self.end, ends, c) - np.interp(self.start, ends, c) for c in travelled.T]
+            out.append(np.concatenate(moved) / np.tile(self.end - self.start, 2) - here.base)
+        self.commands = kept
+        return [np.where(self.ok2, column, 0.0) for column in out]
 
     # result
 
@@ -581,5 +595,6 @@ _STATEMENTS = {
     "time": "by a gain that changes in time",
     "speed": "by a gain that depends on speed or turn rate",
     "direction": "differently forward and backward, or to the left and to the right",
+    "deadband": "where commands are small",
     "timing": "by a delay that changes in time",
 }

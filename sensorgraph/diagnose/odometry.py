@@ -51,7 +51,8 @@ CLOCKS = (0.0015, 0.0035)
 """[s] least and largest tolerance of the clocks."""
 RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92)
 """[m] of patches that are tried."""
-N_REPLICATES = 100
+PLACE_DOUBT = 2.0
+"""Widens the spread of a patch's place: set on development cases, where the search alone was too sure of it."""
 FOREIGN = 30.0
 """[nats] that structure outside the library needs."""
 
@@ -606,22 +607,32 @@ class _Search:
         """Move a patch to the middle of its likelihood and take its spread from there."""
         rest = [name for name in names if name != f"wheel_slip {i}"]
         patch = self.patches[i]
-        disc, scale = np.array([patch.x, patch.y, patch.r]), np.full(3, 0.08)
-        covariance = np.zeros((4, 4))
-        for _ in range(4):
-            near = disc + scale * self.rng.normal(size=(250, 3))
-            near[:, 2] = np.clip(np.abs(near[:, 2]), 0.1, 1.3)
+        disc = np.array([patch.x, patch.y, patch.r])
+        cloud, height, motion = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+        scale = 0.25
+        for turn_no in range(5):
+            # a larger disc whose near edge stays where it was fits almost as well: look along that ridge too
+            turn = self.rng.uniform(-np.pi, np.pi, size=80)
+            grow = 2 * scale * self.rng.normal(size=80)
+            ridge = disc + grow[:, None] * np.stack([np.cos(turn), np.sin(turn), np.ones(80)], axis=1)
+            ridge += 0.02 * self.rng.normal(size=ridge.shape)
+            near = np.concatenate([disc + scale * self.rng.normal(size=(80, 3)), ridge])
+            near = near[(near[:, 2] > 0.1) & (near[:, 2] < 1.3)]
+            if not len(near):
+                continue
             gains, lost = self._disc_gains(near, rest)
-            proposal = -0.5 * (((near - disc) / scale) ** 2).sum(axis=1)
-            weight = gains - proposal
-            weight = np.exp(np.minimum(weight - weight.max(), 0.0))
-            weight /= weight.sum()
-            values = np.column_stack([lost, near])
-            mean = weight @ values
-            off = values - mean
-            covariance = (off * weight[:, None]).T @ off
-            disc = mean[1:]
-            scale = np.clip(1.4 * np.sqrt(np.diag(covariance)[1:]), 0.012, 0.25)
+            cloud = np.concatenate([cloud, near])
+            height, motion = np.append(height, gains), np.append(motion, lost)
+            disc = cloud[int(np.argmax(height))]
+            scale = (0.25, 0.12, 0.06, 0.03, 0.03)[turn_no]
+        # all that fits about as well counts alike: the cloud is dense where it was searched, not where it is likely
+        weight = (height > height.max() - 6.0).astype(np.float64)
+        values = np.column_stack([motion, cloud])
+        middle = 0.5 * (values[weight > 0].max(axis=0) + values[weight > 0].min(axis=0))
+        nearest = int(np.argmin(np.where(weight > 0, ((values - middle) ** 2).sum(axis=1), np.inf)))
+        disc = cloud[nearest]
+        off = values - values[nearest]
+        covariance = (off * (weight / weight.sum())[:, None]).T @ off
         self.patches[i] = Patch(x=float(disc[0]), y=float(disc[1]), r=float(disc[2]), spread=covariance)
         self._form()
 
@@ -668,7 +679,7 @@ class _Search:
             values = {"s": float(np.clip(theta[5 + i], 0, 1)), "x": patch.x, "y": patch.y, "r": patch.r}
             width = np.sqrt(np.diag(patch.spread))
             errors = {"s": float(np.hypot(sd[5 + i], width[0]))} | {
-                key: float(np.hypot(w, 0.01)) for key, w in zip("xyr", width[1:], strict=True)
+                key: float(np.hypot(PLACE_DOUBT * w, 0.02)) for key, w in zip("xyr", width[1:], strict=True)
             }
             location = (patch.x, patch.y)
             effect = EFFECTS["wheel_slip"]
