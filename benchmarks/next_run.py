@@ -1,0 +1,141 @@
+"""The planned next run against random runs of the same length: evidence between rivals, measured on simulated data.
+
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.next_run [--seed 1] [--random 8] [--minutes 2] [--pairs NAME,...]
+
+For every pair the first model is true. A first random run is simulated and the wrong model fitted to it; from those
+two fits the next run is planned. It and fresh random runs (random places, random speeds, a spin or a pause now and
+then) are driven and scanned by the simulator, both models are fitted to each, and their difference in nats is
+compared, per second of drive. The drives, their noise and the rooms come from seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.hidden_effects.world import make_room
+from planners.arena import Arena
+from planners.maps import geojson
+from planners.trajectory import Trajectory
+from sensorgraph.diagnose.decide import refined
+from sensorgraph.diagnose.evidence import Evidence, gather
+from sensorgraph.diagnose.model import start_state
+from sensorgraph.diagnose.next_run import Ground, between, next_run, random_run
+from sensorgraph.diagnose.nuisance import Freedom
+from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.world.clearance import WallDistance
+from sensorgraph.world.drive import follow
+from sensorgraph.world.robot_file import RobotFile, default
+from sensorgraph.world.simulate import simulate
+
+N_RAYS = 91
+
+
+def wall_of(arena: Arena) -> tuple[str, float]:
+    """Return the longest wall and its length [m]."""
+    lengths = np.hypot(*(arena.walls[:, 1] - arena.walls[:, 0]).T)
+    k = int(lengths.argmax())
+    return arena.names[k], float(lengths[k])
+
+
+def pairs(arena: Arena) -> dict[str, tuple[Amendment, Amendment]]:
+    """Return (true, wrong) effects, two to three times their materiality."""
+    e = EFFECTS
+    wall, length = wall_of(arena)
+    part = {"a": 0.3 * length, "b": 0.7 * length}
+    return {
+        "latency|mount_xy": (e["latency"](tau=0.015), e["mount_xy"](dx=0.0, dy=0.0)),
+        "latency|scan_skew": (e["latency"](tau=0.015), e["scan_skew"](T=0.03)),
+        "mount_yaw|latency": (e["mount_yaw"](delta=0.005), e["latency"](tau=0.0)),
+        "range_bias|range_scale": (e["range_bias"](b=0.015), e["range_scale"](s=0.004)),
+        "range_scale|map_scale": (e["range_scale"](s=0.006), e["map_scale"](s=-0.005, dx=0.0, dy=0.0)),
+        "moved_wall|range_bias": (e["moved_wall"](d=0.03).at(wall), e["range_bias"](b=0.005)),
+        "glass|mirror": (
+            e["glass"](alpha_ret=0.35, depth=1.5, **part).at(wall),
+            e["mirror"](**part).at(wall),
+        ),
+        "black_surface|max_range": (e["black_surface"](r0=1.5, **part).at(wall), e["max_range"](R=4.5)),
+        "incidence_dropout|black_surface": (
+            e["incidence_dropout"](alpha_max=1.25),
+            e["black_surface"](r0=2.5, a=0.0, b=length).at(wall),
+        ),
+        "sector_bias|mount_xy": (
+            e["sector_bias"](theta1=-0.3, theta2=0.3, b=0.015),
+            e["mount_xy"](dx=0.01, dy=0.0),
+        ),
+    }
+
+
+def measured(
+    trajectory: Trajectory, arena: Arena, robot: RobotFile, effect: Amendment, seed: int
+) -> Evidence:
+    """Drive and scan with an effect."""
+    rng = np.random.default_rng(seed)
+    driven = follow(trajectory, robot, clearance=WallDistance(arena), rng=rng)
+    run = simulate(driven, arena, robot, rng=rng, effects=[effect], seed=seed)
+    return gather(run, arena, robot)[0]
+
+
+def nats(evidence: Evidence, a: Amendment, b: Amendment) -> tuple[float, Amendment]:
+    """Return J(A) - J(B) on measured data, both refitted; and B as fitted."""
+    freedom = Freedom()
+    state = start_state(evidence, freedom)
+    fits = [refined(evidence, (model,), state, freedom, outer=4, inner=4) for model in (a, b)]
+    return fits[0].j - fits[1].j, fits[1].model[0]
+
+
+def main() -> None:
+    """Read the command line, drive, print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--random", type=int, default=8, help="random runs to compare with")
+    parser.add_argument("--minutes", type=float, default=2.0)
+    parser.add_argument("--pairs", help="only these, comma-separated")
+    options = parser.parse_args()
+    robot = default()
+    sensor = replace(robot.sensor, bearings=np.linspace(-np.pi / 2, np.pi / 2, N_RAYS))
+    robot = replace(robot, sensor=sensor)
+    wanted = options.pairs.split(",") if options.pairs else None
+    print(
+        f"{'true|wrong':34} {'next run':>9} {'median':>8} {'best':>8} {'ratio':>6}   expected {'':>4} ratio   CPU"
+    )
+    ratios = []
+    for number, name in enumerate(pairs(geojson.loads(make_room(np.random.default_rng(0)).geojson()))):
+        if wanted and name not in wanted:
+            continue
+        seed = 1000 * options.seed + number
+        rng = np.random.default_rng(seed)
+        arena = geojson.loads(make_room(rng).geojson())
+        a, b = pairs(arena)[name]
+        ground = Ground.of(arena, robot)
+        seconds = 60 * options.minutes
+        first = random_run(ground, rng, seconds).trajectory()
+        _, b = nats(measured(first, arena, robot, a, seed), a, b)
+        clock = time.process_time()
+        chosen = next_run([between([a], [b])], arena, robot, seed=seed, minutes=options.minutes)
+        clock = time.process_time() - clock
+        got = []
+        for k in range(options.random):
+            other = random_run(ground, rng, seconds).trajectory()
+            value = nats(measured(other, arena, robot, a, seed + 100 + k), a, b)[0]
+            got.append(value * seconds / other.duration)
+        best = nats(measured(chosen.trajectory, arena, robot, a, seed + 99), a, b)[0]
+        best *= seconds / chosen.trajectory.duration
+        median = float(np.median(got))
+        ratios.append(best / max(median, 1e-9))
+        print(
+            f"{name:34} {best:9.0f} {median:8.0f} {max(got):8.0f} {ratios[-1]:6.1f}   {chosen.evidence:8.0f} "
+            f"{chosen.evidence / max(chosen.median, 1e-9):9.1f} {clock:6.2f} s",
+            flush=True,
+        )
+        print(f"    {chosen.why}", flush=True)
+    print(f"median ratio {np.median(ratios):.1f}, least {min(ratios):.1f}, {len(ratios)} pairs")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,185 @@
+"""Laws of the next run: it can be driven, it is the same again, and it brings more than driving at random."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planners.arena import Arena
+from planners.check import check
+from planners.errors import PlanError
+from planners.trajectory import read_csv
+from sensorgraph.diagnose.expected import Forecast, Motion, Question
+from sensorgraph.diagnose.finding import Ledger, Rival
+from sensorgraph.diagnose.next_run import Ground, NextRun, ask, between, next_run, random_run, typical
+from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.world.robot_file import RobotFile, default
+from tests.effects_samples import arena as sample_arena
+
+MINUTES = 0.7
+
+
+def effect(name: str, place: str = "", **values: float) -> Amendment:
+    return EFFECTS[name](**values).at(place) if place else EFFECTS[name](**values)
+
+
+QUESTIONS: dict[str, Question] = {
+    q.words: q
+    for q in (
+        between([effect("latency", tau=0.015)], [effect("mount_xy", dx=0.0, dy=0.0)]),
+        between([effect("latency", tau=0.015)], [effect("scan_skew", T=0.03)]),
+        between([effect("range_bias", b=0.015)], [effect("range_scale", s=0.004)]),
+        between([effect("range_drift", b1=0.02, tau=0.0)], [effect("range_bias", b=0.01)]),
+        between([effect("moved_wall", "room/edge_1", d=0.03)], [effect("range_bias", b=0.004)]),
+        between([effect("black_surface", "room/edge_1", a=1.0, b=4.0, r0=1.5)], [effect("max_range", R=4.0)]),
+    )
+}
+
+
+@pytest.fixture(scope="module")
+def arena() -> Arena:
+    return sample_arena()
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotFile:
+    return default()
+
+
+@pytest.fixture(scope="module")
+def chosen(arena: Arena, robot: RobotFile) -> dict[str, NextRun]:
+    return {words: next_run([q], arena, robot, seed=3, minutes=MINUTES) for words, q in QUESTIONS.items()}
+
+
+@pytest.mark.parametrize("words", QUESTIONS)
+def test_the_run_keeps_the_limits_of_the_robot_and_clear_of_walls(
+    words: str, chosen: dict[str, NextRun], arena: Arena, robot: RobotFile
+) -> None:
+    found = check(chosen[words].trajectory, arena, robot.robot)
+    assert found.count == 0
+    assert found.min_clearance >= robot.robot.footprint_radius
+
+
+@pytest.mark.parametrize("words", QUESTIONS)
+def test_the_run_is_expected_to_bring_more_than_random_driving(
+    words: str, chosen: dict[str, NextRun]
+) -> None:
+    run = chosen[words]
+    assert run.evidence >= run.median > 0
+
+
+@pytest.mark.parametrize("words", QUESTIONS)
+def test_the_run_takes_about_the_time_it_was_given(words: str, chosen: dict[str, NextRun]) -> None:
+    assert 0.7 < chosen[words].trajectory.duration / (60 * MINUTES) < 1.06
+
+
+def test_same_seed_same_trajectory(arena: Arena, robot: RobotFile) -> None:
+    question = QUESTIONS["latency or mount_xy"]
+    one, other = (next_run([question], arena, robot, seed=5, minutes=MINUTES) for _ in range(2))
+    assert np.array_equal(one.trajectory.poses, other.trajectory.poses)
+    assert one.to_dict() == other.to_dict()
+
+
+def test_the_run_begins_where_the_robot_stands(arena: Arena, robot: RobotFile) -> None:
+    start = np.array([1.0, 2.0, 0.5])
+    run = next_run([QUESTIONS["latency or mount_xy"]], arena, robot, minutes=MINUTES, start=start)
+    assert np.allclose(run.trajectory.poses[0], start)
+
+
+def test_a_question_of_latency_is_answered_by_motion(chosen: dict[str, NextRun]) -> None:
+    assert np.abs(chosen["latency or mount_xy"].trajectory.twists[:, 1]).mean() > 0.5  # of 1 rad/s
+
+
+def test_standing_still_brings_nothing_for_latency_and_driving_does(arena: Arena, robot: RobotFile) -> None:
+    question = Question(a=(effect("latency", tau=0.015),), b=(), words="")
+    poses = np.tile([2.0, 2.0, 0.3], (10, 1))
+    when = np.linspace(0.0, 60.0, 10)
+    still, turning = (
+        Motion(poses=poses, twists=np.tile([0.0, omega], (10, 1)), when=when, seconds=60.0)
+        for omega in (0.0, 1.0)
+    )
+    forecast = Forecast(question, [still, turning], arena, robot, 60.0)
+    nothing, much = (forecast.nats(share * 60.0) for share in forecast.shares())
+    assert nothing < 1e-6 < 100.0 < much
+
+
+def test_evidence_grows_with_the_size_of_the_effect_and_with_time(arena: Arena, robot: RobotFile) -> None:
+    motion = Motion(
+        poses=np.tile([2.0, 2.0, 0.3], (10, 1)),
+        twists=np.tile([0.0, 1.0], (10, 1)),
+        when=np.linspace(0.0, 60.0, 10),
+        seconds=60.0,
+    )
+    got = []
+    for tau in (0.01, 0.02):
+        forecast = Forecast(
+            Question(a=(effect("latency", tau=tau),), b=(), words=""), [motion], arena, robot, 60.0
+        )
+        (share,) = forecast.shares()
+        assert forecast.nats(share * 120.0) > forecast.nats(share * 60.0)
+        got.append(forecast.nats(share * 60.0))
+    assert got[1] > 3 * got[0]  # at least quadratic: nuisances in their boxes take a constant part
+
+
+def test_a_folder_is_written_that_record_can_drive(
+    tmp_path: Path, chosen: dict[str, NextRun], arena: Arena, robot: RobotFile
+) -> None:
+    run = chosen["latency or mount_xy"]
+    run.save(tmp_path / "next_run", arena, robot)
+    again = read_csv(tmp_path / "next_run" / "trajectory.csv")
+    assert np.allclose(again.poses[:, :2], run.trajectory.poses[:, :2], atol=1e-6)  # six decimals
+    facts = json.loads((tmp_path / "next_run" / "plan.json").read_text())
+    assert facts["planner"] == "next_run"
+    assert facts["expected_nats"] == run.evidence
+
+
+def test_the_rival_is_asked_about_first(arena: Arena) -> None:
+    own, other = effect("latency", tau=0.02), effect("mount_xy", dx=0.01, dy=0.0)
+    rival = Rival(name="mount_xy", instead_of="latency", evidence_nats=20.0, separates="")
+    ledger = Ledger(channel="scan", effects=(own,), rivals=(rival,), not_observable={"min_range": "too far"})
+    (question,) = ask(ledger, [own], [other])
+    assert question.words == "latency or mount_xy"
+
+
+def test_without_a_rival_what_was_not_observable_is_asked_for() -> None:
+    hidden = {"latency": "the robot stood still", "glass": "room/edge_2, room/edge_3: hardly met"}
+    questions = ask(Ledger(channel="scan", not_observable=hidden), [], [])
+    assert [q.a[-1].name for q in questions] == ["latency", "glass"]
+    assert questions[1].a[-1].place == "room/edge_2"
+
+
+def test_there_is_always_a_question() -> None:
+    assert ask(Ledger(channel="scan"), [], [])
+    assert (
+        ask(Ledger(channel="scan"), [effect("range_bias", b=0.02)], [])[0].words == "how large is range_bias"
+    )
+
+
+@pytest.mark.parametrize("name", [e.name for e in EFFECTS.values() if e.channel == "scan"])
+def test_a_typical_effect_can_be_simulated(name: str) -> None:
+    from tests.effects_samples import scene
+
+    why = {"wall": "room/edge_1: unseen", "obstacle": "box: unseen"}.get(EFFECTS[name].place or "", "")
+    found = typical(name, why)
+    if found is not None:
+        scene(box=True).run([found])
+
+
+def test_a_car_is_refused_in_one_line(arena: Arena) -> None:
+    from dataclasses import replace
+
+    from planners.robot import Limits
+
+    robot = default()
+    car = replace(robot.robot, drive="dubins", limits=Limits(turning_radius=0.5))
+    with pytest.raises(PlanError, match="turn in place"):
+        next_run([QUESTIONS["latency or mount_xy"]], arena, replace(robot, robot=car))
+
+
+def test_random_runs_keep_clear_too(arena: Arena, robot: RobotFile) -> None:
+    ground = Ground.of(arena, robot)
+    curve = random_run(ground, np.random.default_rng(1), 60.0)
+    assert check(curve.trajectory(), arena, robot.robot).count == 0
