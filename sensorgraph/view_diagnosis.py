@@ -70,6 +70,7 @@ def _still(
     recording.log("report", rr.TextDocument(report, media_type="text/markdown"), static=True)
     for name, side, colour in models:
         recording.log(f"plan/{name}", rr.Points2D.from_fields(colors=colour, radii=-1.6), static=True)
+        recording.log(f"enlarged/{name}", rr.Points2D.from_fields(colors=colour, radii=-2.2), static=True)
         for series in ("gap", "residual"):
             style = rr.SeriesLines(colors=colour, names=name, widths=1.4)
             recording.log(f"{series}/{name}", style, static=True)
@@ -111,10 +112,14 @@ def _scans(
     size = max(0.3, 0.03 * max(x1 - x0, y1 - y0))
     arrows = size * np.stack([np.cos(lasers[:, 2]), np.sin(lasers[:, 2])], axis=1)
     recording.send_columns("plan/robot", time, rr.Arrows2D.columns(origins=lasers[:, :2], vectors=arrows))
-    for name, ranges in (("measured", compared.measured), *((n, side.simulated) for n, side, _ in models)):
+    clouds = {"plan/measured": compared.measured}
+    for name, side, _ in models:
+        clouds[f"plan/{name}"] = side.simulated
+        clouds[f"enlarged/{name}"] = compared.set_off(side)
+    for entity, ranges in clouds.items():
         points = _points(compared, ranges[shown], lasers)
         columns = rr.Points2D.columns(positions=np.concatenate(points)).partition([len(p) for p in points])
-        recording.send_columns(f"plan/{name}", time, columns)
+        recording.send_columns(entity, time, columns)
     for name, side, _ in models:
         gap = 100 * side.rms(compared.sigma)[shown]
         recording.send_columns(f"gap/{name}", time, rr.Scalars.columns(scalars=gap))
@@ -131,7 +136,7 @@ def _points(compared: Compared, ranges: Floats, lasers: Floats) -> list[Floats]:
 
 
 def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
-    """Scans on the arena and the report above; gap over time, one ray, and bearing below."""
+    """Scans on the arena, the gap enlarged and the report above; gap over time, one ray, and bearing below."""
     x0, y0, x1, y1 = compared.arena.bounds
     margin = 0.06 * max(x1 - x0, y1 - y0)
     bounds = rrb.VisualBounds2D(x_range=[x0 - margin, x1 + margin], y_range=[-y1 - margin, -y0 + margin])
@@ -140,6 +145,13 @@ def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
         name=f"measured (white), nominal (orange){amended}",
         origin="/",
         contents=["/plan/**"],
+        visual_bounds=bounds,
+        background=BACK,
+    )
+    off = rrb.Spatial2DView(
+        name=f"the gap, {compared.enlarged} times as large: on the wall is right",
+        origin="/",
+        contents=["/enlarged/**", "/plan/marks/**", "/plan/robot"],
         visual_bounds=bounds,
         background=BACK,
     )
@@ -152,9 +164,9 @@ def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
         plot_legend=rrb.Corner2D.LeftTop,
     )
     reach = 100 * CLIP * compared.sigma * 1.05
-    off = 100 * np.abs(compared.before.clipped(compared.sigma)[:, ray])
-    if np.isfinite(off).any():
-        reach = min(reach, 1.3 * float(np.nanquantile(off, 0.98)))
+    far = 100 * np.abs(compared.before.clipped(compared.sigma)[:, ray])
+    if np.isfinite(far).any():
+        reach = min(reach, 1.3 * float(np.nanquantile(far, 0.98)))
     degrees = np.degrees(compared.sensor.bearings[ray])
     one = rrb.TimeSeriesView(
         name=f"residual of ray {ray} at {degrees:.0f} degrees [cm]",
@@ -171,9 +183,9 @@ def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
     )
     return rrb.Blueprint(
         rrb.Vertical(
-            rrb.Horizontal(plan, words, column_shares=[3, 2]),
+            rrb.Horizontal(plan, off, words),
             rrb.Horizontal(gap, one, bars),
-            row_shares=[3, 1.4],
+            row_shares=[3, 2],
         ),
         rrb.TimePanel(state="collapsed", timeline="time"),
         rrb.BlueprintPanel(state="collapsed"),

@@ -22,6 +22,7 @@ from sensorgraph.effects import Amendment
 Ints = NDArray[np.intp]
 
 EDGE = 0.002  # chance of the other side of an edge in depth, above which a ray is not compared
+ENLARGED = (1, 2, 3, 5, 10, 20, 30, 50)  # times that residuals are drawn
 CLIP = 10.0  # sigmas at which a residual is cut for means
 LEAST = 40  # rays in a bin
 BLOCK = 1.0  # [s] of scans that share their errors
@@ -43,6 +44,8 @@ class Side:
     """No return where one is expected."""
     clear: Bools
     """Far from edges in depth."""
+    sigma: Floats
+    """[m] noise that this model expects."""
     walls: Floats
     """(n_walls, 2, 2) [m] of this model."""
 
@@ -68,6 +71,7 @@ class Side:
             strange=missing | (returned & ~likely) | (returned & (fitted.solution.judged.stray > 0.5)),
             missing=missing,
             clear=clear,
+            sigma=np.maximum(what.sigma, 1e-6),
             walls=at.scene.walls,
         )
 
@@ -114,6 +118,40 @@ class Compared:
     def sigma(self) -> float:
         """[m] nominal noise, or 1 cm where none is told."""
         return self.sensor.sigma or 0.01
+
+    @cached_property
+    def typical(self) -> float:
+        """[m] size of a residual before, that nine of ten do not exceed."""
+        clipped = np.abs(self.before.clipped(self.sigma))
+        return float(np.nanquantile(clipped, 0.9)) if np.isfinite(clipped).any() else self.sigma
+
+    @cached_property
+    def enlarged(self) -> int:
+        """How many times as large residuals are drawn, so that they can be seen in the arena."""
+        room = 0.022 * self.diagonal
+        return max((k for k in ENLARGED if k * max(self.typical, self.sigma) <= room), default=1)
+
+    @property
+    def diagonal(self) -> float:
+        """[m] of the arena."""
+        x0, y0, x1, y1 = self.arena.bounds
+        return float(np.hypot(x1 - x0, y1 - y0))
+
+    def set_off(self, side: Side) -> Floats:
+        """Return ranges (n_scans, n_rays) [m] with residuals enlarged; large ones stay as measured."""
+        large = self.enlarged * side.residual
+        with np.errstate(invalid="ignore"):
+            return np.asarray(
+                side.simulated + np.where(np.abs(large) < 0.06 * self.diagonal, large, side.residual)
+            )
+
+    def ends(self, flat: Ints, ranges: Floats) -> Floats:
+        """Return where rays (by flat index) of these ranges (k,) end, (k, 2) [m, map]."""
+        scan, ray = np.unravel_index(flat, self.measured.shape)
+        lasers = self.lasers[scan]
+        angle = lasers[:, 2] + self.sensor.bearings[ray]
+        way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return np.asarray(lasers[:, :2] + ranges[:, None] * way)
 
     def variables(self) -> dict[str, tuple[Floats, Floats]]:
         """Return what residuals are sorted by: label -> (values (n_scans, n_rays), edges)."""

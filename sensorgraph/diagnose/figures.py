@@ -20,7 +20,6 @@ from sensorgraph.figures import ALARM, INK, SOFT, SOLID, draw_floor, new_figure,
 BEFORE, AFTER, PALE = ALARM, "#2a788e", "#eceef2"
 MOST_POINTS = 6000
 """End points in one picture of the arena."""
-ENLARGED = (1, 2, 3, 5, 10, 20, 30, 50)
 
 
 def draw(finding: Finding, compared: Compared | None, folder: Path) -> dict[str, Path]:
@@ -31,7 +30,7 @@ def draw(finding: Finding, compared: Compared | None, folder: Path) -> dict[str,
         arena_picture(finding, compared, out["arena"])
         out["residuals"] = folder / "residuals.png"
         residuals_picture(finding, compared, out["residuals"])
-    gaps = {name: ledger.gap for name, ledger in finding.ledgers.items() if ledger.gap is not None}
+    gaps = _gaps(finding)
     if gaps:
         out["gap"] = folder / "gap.png"
         gap_picture(gaps, finding.second_gap, out["gap"])
@@ -41,13 +40,20 @@ def draw(finding: Finding, compared: Compared | None, folder: Path) -> dict[str,
     return out
 
 
+def _gaps(finding: Finding) -> dict[str, Gap]:
+    """Return the gaps worth a picture: where something was found first, and the scan channel's."""
+    told = {name: ledger for name, ledger in finding.ledgers.items() if ledger.gap is not None}
+    first = [n for n, ledger in told.items() if ledger.effects or ledger.unknown is not None]
+    names = dict.fromkeys([*first, *(n for n in told if n == "scan")]) or dict.fromkeys(told)
+    return {name: gap for name in names if (gap := told[name].gap) is not None}
+
+
 def arena_picture(finding: Finding, compared: Compared, path: Path) -> None:
     """Draw where the rays ended, coloured by residual, before and after."""
     from matplotlib.collections import LineCollection
 
-    x0, y0, x1, y1 = compared.arena.bounds
-    pad = 0.05 * max(x1 - x0, y1 - y0)
-    aspect = (y1 - y0 + 2 * pad) / (x1 - x0 + 2 * pad)
+    x0, y0, x1, y1 = _frame(compared)
+    aspect = (y1 - y0) / (x1 - x0)
     sides = [
         ("before: the simulator as mapped", compared.before),
         ("after: with what was found", compared.after),
@@ -59,14 +65,15 @@ def arena_picture(finding: Finding, compared: Compared, path: Path) -> None:
     wide = float(min(8.6 if across == 1 else 4.1, 6.6 / aspect))
     figure = new_figure(max(wide * across + 1.5, 5.5), wide * aspect * down + 0.5 + 0.4 * down)
     charts = list(figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel())
-    factor, top = _scale(compared)
+    factor = compared.enlarged
+    top = float(f"{100 * max(1.2 * compared.typical, 2.5 * compared.sigma):.1g}")
     colours = _diverging()
     for axes, (title, side) in zip(charts, sides, strict=False):
         draw_floor(axes, compared.arena)
         axes.plot(compared.poses[:, 0], compared.poses[:, 1], color=SOFT, lw=0.6, alpha=0.5, zorder=1)
-        dots = _points(axes, compared, side, factor, top, colours)
+        dots = _points(axes, compared, side, top, colours)
         axes.set_title(title, fontsize=9.5, color=INK, loc="left")
-        axes.set(xlim=(x0 - pad, x1 + pad), ylim=(y0 - pad, y1 + pad))
+        axes.set(xlim=(x0, x1), ylim=(y0, y1))
         moved = _displaced(compared.before.walls, side.walls)
         axes.add_collection(
             LineCollection(list(moved), colors=AFTER, linewidths=1.4, linestyles=(0, (4, 2)), zorder=6)
@@ -95,15 +102,17 @@ def arena_picture(finding: Finding, compared: Compared, path: Path) -> None:
     save_figure(figure, path)
 
 
-def _scale(compared: Compared) -> tuple[int, float]:
-    """Return how many times larger than they are residuals are drawn, and the residual [cm] of the last colour."""
-    clipped = np.abs(compared.before.clipped(compared.sigma))
-    typical = float(np.nanquantile(clipped, 0.9)) if np.isfinite(clipped).any() else compared.sigma
+def _frame(compared: Compared) -> tuple[float, float, float, float]:
+    """Return what is drawn, x0, y0, x1, y1 [m]: the arena with a margin, wider where rays end behind its walls."""
     x0, y0, x1, y1 = compared.arena.bounds
-    room = 0.022 * float(np.hypot(x1 - x0, y1 - y0))
-    factor = max((k for k in ENLARGED if k * max(typical, compared.sigma) <= room), default=1)
-    top = 100 * max(1.2 * typical, 2.5 * compared.sigma)
-    return factor, float(f"{top:.1g}")
+    side = max(x1 - x0, y1 - y0)
+    low, high = np.array([x0, y0]) - 0.05 * side, np.array([x1, y1]) + 0.05 * side
+    flat = np.flatnonzero(np.isfinite(compared.measured))[::37]
+    if len(flat) > 50:
+        ends = compared.ends(flat, compared.measured.ravel()[flat])
+        low = np.clip(np.quantile(ends, 0.004, axis=0) - 0.03 * side, low - 0.4 * side, low)
+        high = np.clip(np.quantile(ends, 0.996, axis=0) + 0.03 * side, high, high + 0.4 * side)
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
 def _displaced(walls: Floats, other: Floats) -> Floats:
@@ -122,17 +131,14 @@ def _diverging() -> Any:
     return LinearSegmentedColormap.from_list("short-long", ["#0b4f6c", AFTER, "#cfd4dc", BEFORE, "#7d1130"])
 
 
-def _points(axes: Any, compared: Compared, side: Side, factor: int, top: float, colours: Any) -> Any:
+def _points(axes: Any, compared: Compared, side: Side, top: float, colours: Any) -> Any:
     """Draw a fair sample of end points; those far off stand where they were measured."""
     rng = np.random.default_rng(0)
     shown = np.isfinite(side.residual) & side.clear
     flat = np.flatnonzero(shown)
     flat = np.sort(rng.choice(flat, MOST_POINTS, replace=False)) if len(flat) > MOST_POINTS else flat
     residual = side.residual.ravel()[flat]
-    x0, y0, x1, y1 = compared.arena.bounds
-    far = 0.06 * float(np.hypot(x1 - x0, y1 - y0))
-    drawn = np.where(np.abs(factor * residual) < far, factor * residual, residual)
-    ends = _ends(compared, flat, side.simulated.ravel()[flat] + drawn)
+    ends = compared.ends(flat, compared.set_off(side).ravel()[flat])
     dots = axes.scatter(
         ends[:, 0],
         ends[:, 1],
@@ -149,7 +155,7 @@ def _points(axes: Any, compared: Compared, side: Side, factor: int, top: float, 
     share = len(missing) / max(side.missing.size, 1)
     missing = np.sort(rng.choice(missing, 1500, replace=False)) if len(missing) > 1500 else missing
     if len(missing):
-        ends = _ends(compared, missing, side.aimed.ravel()[missing])
+        ends = compared.ends(missing, side.aimed.ravel()[missing])
         label = f"no return where one is expected ({100 * share:.1f} % of all rays)"
         axes.scatter(
             ends[:, 0],
@@ -162,14 +168,6 @@ def _points(axes: Any, compared: Compared, side: Side, factor: int, top: float, 
             label=label if share > 0.003 else None,
         )
     return dots
-
-
-def _ends(compared: Compared, flat: Any, ranges: Floats) -> Floats:
-    scan, ray = np.unravel_index(flat, compared.measured.shape)
-    lasers = compared.lasers[scan]
-    angle = lasers[:, 2] + compared.sensor.bearings[ray]
-    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.asarray(lasers[:, :2] + ranges[:, None] * way)
 
 
 def _marks(axes: Any, compared: Compared, effects: Sequence[Amendment], unknown: Unknown | None) -> None:
@@ -235,7 +233,8 @@ def gap_picture(gaps: dict[str, Gap], second: Gap | None, path: Path) -> None:
     """Draw the gap before and after beside the noise floor, in three units, a row per channel."""
     rows = [(name, gap, name) for name, gap in gaps.items()]
     if second is not None:
-        rows.insert(1, ("scan, second run", second, "scan"))
+        at = next((i + 1 for i, row in enumerate(rows) if row[2] == "scan"), len(rows))
+        rows.insert(at, ("scan, second run", second, "scan"))
     figure = new_figure(10.0, 0.35 + 1.15 * len(rows), layout=None)
     grid = figure.subplots(len(rows), 3, squeeze=False)
     figure.subplots_adjust(
@@ -256,15 +255,15 @@ def gap_picture(gaps: dict[str, Gap], second: Gap | None, path: Path) -> None:
             ("nats per reading above the floor", [f.nats_per_ray - least for f in fits]),
         )
         for axes, (label, values) in zip(charts, columns, strict=True):
-            _bars(axes, values)
+            _bars(axes, values, least=0.02 if label.startswith("nats") else 0.0)
             axes.set_title(label, fontsize=8, color=SOFT, loc="left", pad=3)
         charts[0].set_yticks([2, 1, 0], ["before", "after", "noise floor"], fontsize=8.5, color=INK)
         charts[0].tick_params(axis="y", length=0)
     save_figure(figure, path)
 
 
-def _bars(axes: Any, values: Sequence[float]) -> None:
-    top = max(*values, 1e-12)
+def _bars(axes: Any, values: Sequence[float], *, least: float) -> None:
+    top = max(*values, least, 1e-12)
     axes.barh([2, 1, 0], np.maximum(values, 0.0), color=[BEFORE, AFTER, SOFT], height=0.68)
     for y, value in zip([2, 1, 0], values, strict=True):
         text = f"{value:.3g}".replace("-", "−") if abs(value) >= 5e-4 else "0"
@@ -300,7 +299,13 @@ def ranking_picture(finding: Finding, path: Path) -> None:
             else "nothing is accepted"
         )
         axes.text(
-            0.0, y + 0.05, f"round {k}: {words}", fontsize=8, color=SOFT, va="center", fontweight="bold"
+            0.008 * top,
+            y + 0.05,
+            f"round {k}: {words}",
+            fontsize=8,
+            color=SOFT,
+            va="center",
+            fontweight="bold",
         )
         y -= 0.9
         lead = tried[0][1]
@@ -369,6 +374,7 @@ def residuals_picture(finding: Finding, compared: Compared, path: Path) -> None:
             index = np.searchsorted(edges, variable, side="right") - 1
             index = np.where((index >= 0) & (index < len(centres)) & np.isfinite(variable), index, -1)
             for label, value, colour in values:
+                thick = 2.4 if label == "before" and compared.is_amended else 1.2
                 mean, error = compared.profile(value, index, len(centres))
                 seen = np.isfinite(mean)
                 if not seen.any():
@@ -381,7 +387,9 @@ def residuals_picture(finding: Finding, compared: Compared, path: Path) -> None:
                     alpha=0.18,
                     lw=0,
                 )
-                axes.plot(centres[seen], mean[seen], color=colour, lw=1.3, marker="o", ms=2.0, label=label)
+                axes.plot(
+                    centres[seen], mean[seen], color=colour, lw=thick, marker="o", ms=1.5 * thick, label=label
+                )
                 low, high = min(low, float(mean[seen].min())), max(high, float(mean[seen].max()))
             axes.axhline(0.0 if kind != "spread" else 1.0, color=SOFT, lw=0.7, zorder=0)
             axes.grid(color=PALE, lw=0.6)
@@ -426,5 +434,5 @@ def _values(side: Side, kind: str, sigma: float) -> Floats:
     if kind == "mean":
         return 100 * side.clipped(sigma)
     if kind == "spread":
-        return np.asarray(np.abs(side.clipped(sigma)) / sigma / np.sqrt(2 / np.pi))
+        return np.asarray(np.abs(side.clipped(sigma)) / side.sigma / np.sqrt(2 / np.pi))
     return np.where(side.clear, 100.0 * side.strange, np.nan)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Iterable, Mapping
 from html import escape
 from pathlib import Path
@@ -12,11 +13,13 @@ from sensorgraph.diagnose.diagnose import Finding
 from sensorgraph.diagnose.finding import Ledger
 from sensorgraph.diagnose.words import (
     deviation,
+    minus,
     parameters,
     percent,
     place_words,
     said,
     title_of,
+    tolerance,
     undecided,
 )
 from sensorgraph.effects import Amendment
@@ -51,6 +54,8 @@ td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space:
 .equation b { font-weight: 600; color: var(--calm); white-space: nowrap; }
 .facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(8.5rem, 1fr)); gap: .4rem 1.5rem; margin: .8rem 0; }
 .facts div span { display: block; color: var(--soft); font-size: .8rem; }
+table.pairs td:first-child { width: 34%; color: var(--soft); }
+sub { font-size: .72em; }
 code { font: .88em ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; }
 ul { padding-left: 1.1rem; margin: .5rem 0; } li { margin: .2rem 0; }
 details summary { cursor: pointer; color: var(--soft); font-size: .92rem; margin-top: .6rem; }
@@ -156,9 +161,9 @@ def _effects(finding: Finding) -> str:
 
 
 def _effect(a: Amendment) -> str:
-    numbers = ", ".join(f"<b>{escape(text)}</b>" for text in parameters(a))
-    equation = escape(a.effect.equation)
-    joined = ": ".join(filter(None, [equation, numbers])) if a.effect.equation else numbers
+    numbers = ", ".join(f"<b>{_lowered(text)}</b>" for text in parameters(a))
+    equation = _lowered(a.effect.equation)
+    joined = "<br>".join(filter(None, [equation, numbers]))
     facts = {
         "probability": percent(a.probability),
         "evidence": "–" if a.evidence is None else f"{a.evidence:,.0f} nats",
@@ -176,6 +181,11 @@ def _effect(a: Amendment) -> str:
     )
 
 
+def _lowered(text: str) -> str:
+    """Set `α_max` with an index."""
+    return re.sub(r"_([a-z]+)", r"<sub>\1</sub>", escape(text))
+
+
 def _ranking(finding: Finding, pictures: Mapping[str, Path]) -> str:
     rivals = [rival for ledger in finding.ledgers.values() for rival in ledger.rivals]
     if "ranking" not in pictures and not rivals:
@@ -186,7 +196,7 @@ def _ranking(finding: Finding, pictures: Mapping[str, Path]) -> str:
         behind = evidence.get(rival.instead_of, 0.0) - rival.evidence_nats
         rows.append(
             f"<tr><td>{escape(title_of(rival.instead_of))}</td><td>{escape(title_of(rival.name))}</td>"
-            f'<td class="n">{behind:,.0f} nats</td><td>{escape(rival.separates)}</td></tr>'.replace("-", "−")
+            f'<td class="n">{minus(f"{behind:,.0f}")} nats</td><td>{escape(rival.separates)}</td></tr>'
         )
     table = (
         "<table><tr><th>found</th><th>runner-up</th><th class='n'>behind by</th><th>what tells them apart</th></tr>"
@@ -213,12 +223,12 @@ def _deviations(finding: Finding, pictures: Mapping[str, Path]) -> str:
     rest = "".join(f"<li>{escape(deviation(w))}</li>" for w in found[6:])
     more = f"<details><summary>{len(found) - 6} more</summary><ul>{rest}</ul></details>" if rest else ""
     text = (
-        f"<p>More than chance and the freedom of a careful set-up allow:</p><ul>{rows}</ul>{more}"
+        f"<p>By more than chance, and more than a careful set-up may be off in map, mount, poses and clock:</p><ul>{rows}</ul>{more}"
         if found
-        else "<p>Nothing deviates by more than chance and the freedom of a careful set-up allow.</p>"
+        else "<p>No part of the data stands out, once map, mount, poses and clock may be off as in a careful set-up.</p>"
     )
     caption = (
-        "Against what the difference depends on; bands are two standard errors. Upper row: the mean of measured − simulated. "
+        "The bare simulator against what a difference may depend on; bands are two standard errors. Upper row: the mean of measured − simulated. "
         "Lower row: scatter, or the share of rays that missed, returned unexpectedly, or strayed."
     )
     return f"<h2>What differs, before any name</h2>{text}{_picture(pictures.get('residuals'), 'Residuals by bearing, range, incidence, time, turn rate, speed', caption)}"
@@ -252,7 +262,7 @@ def _channels(finding: Finding) -> str:
         for w in ledger.where[:4]
     )
     listed = f"<p>Odometry and drive deviate, before any name:</p><ul>{notes}</ul>" if notes else ""
-    return f"<h2>Channels</h2><table>{rows}</table>{listed}"
+    return f"<h2>Channels</h2><table class='pairs'>{rows}</table>{listed}"
 
 
 def _plain(where: Any) -> str:
@@ -271,9 +281,10 @@ def _channel(ledger: Ledger) -> str:
     gap = ledger.gap
     if gap is not None and gap.noise_floor.normalised > 0:
         floor = gap.noise_floor.normalised
-        out.append(
-            f"gap {gap.before.normalised / floor:.2f} → {gap.after.normalised / floor:.2f} times the noise floor"
-        )
+        before, after = f"{gap.before.normalised / floor:.2f}", f"{gap.after.normalised / floor:.2f}"
+        size = f"from {before} to {after}" if ledger.effects else after
+        out = out or ["nothing material"]
+        out.append(f"gap {size} times the noise floor")
     return "; ".join(out) if out else "nothing material"
 
 
@@ -291,7 +302,7 @@ def _not_observable(finding: Finding) -> str:
     if not rows and not skipped:
         return ""
     head = "<tr><th>effect</th><th>why</th></tr>"
-    return f"<h2>What this run could not show</h2><table>{head}{rows}{skipped}</table>"
+    return f"<h2>What this run could not show</h2><table class='pairs'>{head}{rows}{skipped}</table>"
 
 
 def _next_run(plan: Mapping[str, Any] | None) -> str:
@@ -325,7 +336,7 @@ def _facts(finding: Finding, settings: Mapping[str, Any]) -> str:
     rows = [*_flat(finding.intake), *_flat(settings)]
     body = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in rows)
     files = "".join(f"<li><code>{name}</code> {escape(what)}</li>" for name, what in FILES.items())
-    return f"<h2>What came in, and the settings</h2><table>{body}</table><footer><p>Beside this page:</p><ul>{files}</ul></footer>"
+    return f"<h2>What came in, and the settings</h2><table class='pairs'>{body}</table><footer><p>Beside this page:</p><ul>{files}</ul></footer>"
 
 
 def _flat(data: Mapping[str, Any], lead: str = "") -> list[tuple[str, str]]:
@@ -335,6 +346,8 @@ def _flat(data: Mapping[str, Any], lead: str = "") -> list[tuple[str, str]]:
         label = f"{lead}{key}".replace("_", " ")
         if isinstance(value, Mapping):
             out += _flat({k: v for k, v in value.items() if v}, f"{label}: ")
+        elif isinstance(value, float) and lead.startswith("tolerances"):
+            out.append((label, tolerance(key, value)))
         elif isinstance(value, float):
             out.append((label, f"{value:.4g}"))
         elif isinstance(value, list | tuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 from sensorgraph.diagnose.diagnose import Finding, sentence
@@ -55,14 +56,20 @@ def number(value: float, error: float | None = None, *, signed: bool = False) ->
     if not math.isfinite(value):
         return str(value)
     known = error is not None and math.isfinite(error) and error > 0
-    scale = error if known and error is not None else abs(value) / 10
-    digits = 2 if scale == 0 else int(min(max(1 - math.floor(math.log10(scale)), 0), 4))
-    if known and error is not None and f"{error:.{digits}e}"[0] not in "12":
-        digits = max(digits - 1, 0)
+    if known and error is not None:
+        digits = -math.floor(math.log10(error)) + (1 if f"{error:.1e}"[0] in "12" else 0)
+    else:
+        digits = 2 if value == 0 else 2 - math.floor(math.log10(abs(value)))
+    digits = min(max(digits, 0), 6)
     text = f"{value:{'+' if signed else ''}.{digits}f}"
     if known and error is not None:
         text += f" ± {error:.{digits}f}"
-    return text.replace("-", "−")
+    return minus(text)
+
+
+def minus(text: str) -> str:
+    """Set a proper sign before negative numbers."""
+    return re.sub(r"(?<!\w)-(?=\d)", "−", text)
 
 
 def quantity(a: Amendment, name: str) -> str:
@@ -88,7 +95,8 @@ def parameters(a: Amendment) -> list[str]:
 def brief(a: Amendment) -> str:
     """Return an effect in a few words: `mounting yaw, +0.41° ± 0.01°`."""
     sizes = [name for name in a.parameters if name in a.effect.sizes] or list(a.parameters)
-    shown = [quantity(a, n) if len(sizes) == 1 else f"{symbol(n)} = {quantity(a, n)}" for n in sizes[:3]]
+    plain = len(sizes) == 1 and "%" not in quantity(a, sizes[0])
+    shown = [quantity(a, n) if plain else f"{symbol(n)} = {quantity(a, n)}" for n in sizes[:3]]
     place = f" at {place_words(a)}" if place_words(a) else ""
     return ", ".join([a.effect.title + place, *shown])
 
@@ -99,11 +107,7 @@ def place_words(a: Amendment) -> str:
         return ""
     if a.location.name:
         return a.location.name
-    return (
-        ""
-        if a.location.xy is None
-        else f"({a.location.xy[0]:.2f}, {a.location.xy[1]:.2f}) m".replace("-", "−")
-    )
+    return "" if a.location.xy is None else minus(f"({a.location.xy[0]:.2f}, {a.location.xy[1]:.2f}) m")
 
 
 def percent(p: float | None) -> str:
@@ -113,6 +117,13 @@ def percent(p: float | None) -> str:
     if p > 0.995:
         return "> 99 %"
     return "< 1 %" if p < 0.01 else f"{100 * p:.0f} %"
+
+
+def tolerance(name: str, value: float) -> str:
+    """Return one of robot.yaml's tolerances with a unit."""
+    if name.endswith("yaw"):
+        return f"{math.degrees(value):.3g}°"
+    return f"{1000 * value:.3g} {'ms' if name == 'stamp' else 'mm'}"
 
 
 def undecided(finding: Finding) -> list[tuple[Amendment, Rival]]:
@@ -155,27 +166,34 @@ def said(finding: Finding) -> Said:
         if rest:
             details.insert(0, f"Found besides: {'; '.join(brief(b) for b in rest)}.")
         kind = "undecided"
+    elif unknown is not None and all((a.probability or 0.0) <= 0.5 for a in effects):
+        headline, kind = f"Something unknown {_at(unknown.where)}.", "unknown"
+        if effects:
+            details.insert(0, f"Part of it is explained by {'; '.join(brief(a) for a in effects)}.")
     elif effects:
         sure = [f"{brief(a)} ({percent(a.probability)})" for a in effects]
         headline = (
             f"Found: {sure[0]}." if len(sure) == 1 else f"Found {len(sure)} effects: {'; '.join(sure)}."
         )
         kind = "found"
-    elif unknown is not None:
-        headline, kind = f"Something unknown {_at(unknown.where)}.".replace(" .", "."), "unknown"
     else:
         headline, kind = "Nothing material found.", "nothing"
         details.insert(0, "Simulation and measurement agree within what a careful set-up holds.")
     if unknown is not None:
         text = deviation(unknown.where) if unknown.where is not None else unknown.statement
-        lead = "Besides, something unknown is left: " if effects else "No effect of the library explains it: "
+        lead = (
+            "Besides, something unknown is left: "
+            if kind != "unknown"
+            else "No effect of the library explains it: "
+        )
         details.insert(0, f"{lead}{text}.")
     return Said(kind=kind, headline=headline, details=tuple(details))
 
 
 def deviation(where: Where) -> str:
     """Say one deviation in words."""
-    return sentence(where).replace(" and half of the run ", " ").replace("at hit place around", "around")
+    text = sentence(where).replace(" and half of the run ", " ").replace("at hit place around", "around")
+    return minus(text.replace(" at omega ", " at turn rate "))
 
 
 def _at(where: Where | None) -> str:
@@ -208,15 +226,15 @@ def gap_sentence(gap: Gap | None, *, channel: str = "scan", is_amended: bool = T
             f"The gap is {after / floor:.2f} times the noise floor "
             f"({factor * gap.after.rmse_m:.2f} {unit} over {factor * gap.noise_floor.rmse_m:.2f} {unit})."
         )
-    gained = f"{gap.before.nats_per_ray - gap.after.nats_per_ray:.3g} nats"
+    gained = minus(f"{gap.before.nats_per_ray - gap.after.nats_per_ray:.3g} nats")
     if after > 0.97 * before:
         return (
             f"With it in the model every reading is better explained, by {gained} on average over {gap.n_rays:,} "
             "readings that no fit has seen; the RMS gap, which it hardly changes, is "
             f"{after / floor:.2f} times the noise floor."
-        ).replace("-", "−")
+        )
     return (
         f"With it in the model the gap shrinks from {before / floor:.2f} to {after / floor:.2f} times the noise floor "
         f"({factor * gap.before.rmse_m:.2f} to {factor * gap.after.rmse_m:.2f} {unit}, and {gained} per reading), "
         "on readings that no fit has seen."
-    ).replace("-", "−")
+    )
