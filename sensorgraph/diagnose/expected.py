@@ -29,6 +29,7 @@ Model = tuple[Amendment, ...]
 
 MOST_RAYS = 46  # of a scan, that are looked at; the others count as much
 CAP = 5.0  # [nats] that a single ray may bring
+FAR = 4.0  # standard deviations, up to which a ray tells little by little whatever it met
 REBUILT = ("moved_obstacle", "missing_obstacle", "unmapped_obstacle", "moved_wall")
 LOSS = 2e-3  # chance of a lost or stray ray under any hypothesis
 EDGE = 2e-3  # chance of being on the other side of an edge, above which a ray is not asked
@@ -117,9 +118,9 @@ class Forecast:
         self.walls = at.scene.walls
         self.tau = self.solver.tau
         self.locked = self.solver.locked
-        straight = first.beams.straight
-        same = (first.beams.wall == at.beams.wall) & (True if straight is None else straight)
-        other = straight is not None or _is_rebuilt(question)
+        bent = [~b.straight for b in (first.beams, at.beams) if b.straight is not None]
+        same = np.asarray((first.beams.wall == at.beams.wall) & ~sum(bent, np.zeros(1, dtype=np.bool_)))
+        other = bool(bent) or _is_rebuilt(question)
         noisier = np.clip(np.square(first.beams.sigma) / np.square(at.beams.sigma), 0.01, 100.0)
         weight, self.sure = _weights(self.solver, truth, evidence, same, other, noisier)
         self.weight, self.sure = every * weight, every * self.sure
@@ -260,7 +261,7 @@ def _weights(
     back_a, back_b = _back(truth, evidence), _back(what, evidence)
     asked = what.p_alternative <= EDGE
     asked &= truth.p_alternative <= EDGE
-    near: Bools = solver.cols.valid & same & evidence.returned
+    near: Bools = solver.cols.valid & (same | (np.abs(off) <= FAR * sigma)) & evidence.returned
     weight = np.where(near & asked, back_a / sigma**2, 0.0)
     spread = 0.5 * (noisier - 1 - np.log(noisier))
     at_once = np.minimum(np.where(near | (not other), 0.0, 0.5 * (off / sigma) ** 2) + spread, CAP)

@@ -34,8 +34,8 @@ from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.files import whole
 from sensorgraph.world.robot_file import RobotFile
 
-PLACES = 9  # that motions start from
-PASSES = 12  # ways between them that are driven to and fro
+PLACES = 14  # that motions start from
+PASSES = 16  # ways between them that are driven to and fro
 HEADINGS = 6  # that sweeps look at
 SWEEP = np.radians(60.0)  # [rad] to either side
 ROOM = 0.08  # [m] beyond the clearance that places keep, where there is that much
