@@ -70,7 +70,9 @@ def _still(
     recording.log("report", rr.TextDocument(report, media_type="text/markdown"), static=True)
     for name, side, colour in models:
         recording.log(f"plan/{name}", rr.Points2D.from_fields(colors=colour, radii=-1.6), static=True)
-        recording.log(f"enlarged/{name}", rr.Points2D.from_fields(colors=colour, radii=-2.2), static=True)
+        recording.log(
+            f"plan/enlarged/{name}", rr.Points2D.from_fields(colors=colour, radii=-2.2), static=True
+        )
         for series in ("gap", "residual"):
             style = rr.SeriesLines(colors=colour, names=name, widths=1.4)
             recording.log(f"{series}/{name}", style, static=True)
@@ -115,7 +117,7 @@ def _scans(
     clouds = {"plan/measured": compared.measured}
     for name, side, _ in models:
         clouds[f"plan/{name}"] = side.simulated
-        clouds[f"enlarged/{name}"] = compared.set_off(side)
+        clouds[f"plan/enlarged/{name}"] = compared.set_off(side)
     for entity, ranges in clouds.items():
         points = _points(compared, ranges[shown], lasers)
         columns = rr.Points2D.columns(positions=np.concatenate(points)).partition([len(p) for p in points])
@@ -144,14 +146,14 @@ def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
     plan = rrb.Spatial2DView(
         name=f"measured (white), nominal (orange){amended}",
         origin="/",
-        contents=["/plan/**"],
+        contents=["/plan/**", "- /plan/enlarged/**"],
         visual_bounds=bounds,
         background=BACK,
     )
     off = rrb.Spatial2DView(
         name=f"the gap, {compared.enlarged} times as large: on the wall is right",
         origin="/",
-        contents=["/enlarged/**", "/plan/marks/**", "/plan/robot"],
+        contents=["/plan/arena", "/plan/enlarged/**", "/plan/marks/**", "/plan/robot"],
         visual_bounds=bounds,
         background=BACK,
     )
@@ -169,7 +171,7 @@ def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
         reach = min(reach, 1.3 * float(np.nanquantile(far, 0.98)))
     degrees = np.degrees(compared.sensor.bearings[ray])
     one = rrb.TimeSeriesView(
-        name=f"residual of ray {ray} at {degrees:.0f} degrees [cm]",
+        name=f"residual of ray {ray} at {degrees:.0f} degrees [cm], cut at {CLIP:g} sigmas",
         origin="/residual",
         axis_y=rrb.ScalarAxis(range=(-reach, reach)),
         plot_legend=rrb.Corner2D.LeftTop,

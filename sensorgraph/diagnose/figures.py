@@ -413,15 +413,16 @@ def residuals_picture(finding: Finding, compared: Compared, path: Path) -> None:
             "strange": "not as expected [%]",
         }
         charts[0].set_ylabel(words[kind], fontsize=8.5, color=INK)
-    grid[0][0].legend(
-        loc="lower left",
-        bbox_to_anchor=(0, 1.0),
-        ncols=2,
-        frameon=False,
-        fontsize=8.5,
-        labelcolor=INK,
-        borderaxespad=0.2,
-    )
+    if compared.is_amended:
+        grid[0][0].legend(
+            loc="lower left",
+            bbox_to_anchor=(0, 1.0),
+            ncols=2,
+            frameon=False,
+            fontsize=8.5,
+            labelcolor=INK,
+            borderaxespad=0.2,
+        )
     save_figure(figure, path)
 
 

@@ -181,6 +181,7 @@ def said(finding: Finding) -> Said:
         details.insert(0, "Simulation and measurement agree within what a careful set-up holds.")
     if unknown is not None:
         text = deviation(unknown.where) if unknown.where is not None else unknown.statement
+        text = text.removeprefix("something no effect of the library explains: ")
         lead = (
             "Besides, something unknown is left: "
             if kind != "unknown"
@@ -193,6 +194,7 @@ def said(finding: Finding) -> Said:
 def deviation(where: Where) -> str:
     """Say one deviation in words."""
     text = sentence(where).replace(" and half of the run ", " ").replace("at hit place around", "around")
+    text = re.sub(r"-?\d\.\d+e-\d+", "0", text)  # what rounding leaves of an edge at zero
     return minus(text.replace(" at omega ", " at turn rate "))
 
 

@@ -1,0 +1,292 @@
+"""The report of a diagnosis says what was found in words, keeps its promises as files, and stands alone."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from logs import write
+from logs.run import Run
+from planners.arena import Arena
+from sensorgraph.cli import run as cli
+from sensorgraph.diagnose.diagnose import Finding, diagnose
+from sensorgraph.diagnose.finding import Fit, Gap, Ledger, Rival, Unknown, Where
+from sensorgraph.diagnose.report import plain, save
+from sensorgraph.diagnose.words import gap_sentence, number, parameters, percent, said
+from sensorgraph.effects import EFFECTS, effects_file
+from sensorgraph.world import robot_file
+from sensorgraph.world.raycast import cast
+
+ROBOT = """
+name: tester
+sensor: {mount: [0.1, 0.0, 0.0], n_rays: 61, fov: 3.14159265, range_min: 0.05, range_max: 8.0, sigma: 0.01, rate: 10.0}
+"""
+FILES = {"report.json", "report.html", "effects.yaml", "review.rrd"}
+KEYS = {
+    "effects", "unknown", "where", "runner_up", "gap", "within_tolerance", "not_observable", "next_run", "intake",
+}  # fmt: skip
+
+
+def drive(room: Arena, *, bias: float = 0.0) -> Run:
+    """Return a short run through the room, without odometry and commands."""
+    rng = np.random.default_rng(4)
+    machine = robot_file.loads(ROBOT)
+    t = np.arange(0.0, 16.0, 0.1)
+    phi = 0.9 * np.sin(0.9 * t) + 0.5 * t
+    poses = np.stack(
+        [1.4 + 0.8 * np.cos(0.4 * t), 1.5 + 0.9 * np.sin(0.4 * t), (phi + np.pi) % (2 * np.pi) - np.pi],
+        axis=1,
+    )
+    ranges = cast(room, poses, machine.sensor).ranges + bias
+    ranges = ranges + machine.sensor.sigma * rng.normal(size=ranges.shape)
+    return Run(sensor=machine.sensor, stamps=t, ranges=ranges, pose_stamps=t, poses=poses)
+
+
+@pytest.fixture(scope="module")
+def found(room: Arena) -> Finding:
+    return diagnose(drive(room, bias=0.03), room, robot_file.loads(ROBOT))
+
+
+@pytest.fixture(scope="module")
+def silent(room: Arena) -> Finding:
+    return diagnose(drive(room), room, robot_file.loads(ROBOT))
+
+
+@pytest.fixture(scope="module")
+def saved(found: Finding, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a saved report."""
+    folder = tmp_path_factory.mktemp("report") / "out"
+    save(found, folder, name="lab.mcap", settings={"seed": 3})
+    return folder
+
+
+@pytest.fixture
+def unknown(silent: Finding) -> Finding:
+    where = Where(
+        family="bias", partition="wall", label="w/edge_1", z=9.0, size=0.021, n_rays=812, xy=(4.0, 1.5)
+    )
+    doubt = Unknown(
+        statement="something no effect of the library explains", where=where, statistic=9.0, threshold=4.0
+    )
+    return with_scan(silent, unknown=doubt, where=(where,))
+
+
+def with_scan(finding: Finding, **changes: object) -> Finding:
+    ledgers = {**finding.ledgers, "scan": replace(finding.ledgers["scan"], **changes)}  # type: ignore[arg-type]
+    return replace(finding, ledgers=ledgers)
+
+
+def external(html: str) -> list[str]:
+    """Return what a page loads from elsewhere."""
+    return [
+        v for v in re.findall(r"(?:src|href)=[\"']?([^\"'> ]+)", html) if not v.startswith(("data:", "#"))
+    ]
+
+
+def test_files_of_a_found_effect_hold_what_the_interface_promises(saved: Path) -> None:
+    pictures = {"arena.png", "residuals.png", "gap.png", "ranking.png"}
+    assert {path.name for path in saved.iterdir()} == FILES | pictures  # nothing half-written is left
+    report = json.loads((saved / "report.json").read_text())
+    assert set(report) >= KEYS
+    [effect] = report["effects"]
+    assert set(effect) >= {"name", "parameters", "stderr", "location", "probability", "evidence_nats"}
+    assert effect["name"] == "range_bias"
+    assert effect["parameters"]["b"] == pytest.approx(0.03, abs=4 * effect["stderr"]["b"])
+    for part in ("before", "after", "noise_floor"):
+        assert set(report["gap"][part]) == {"rmse_m", "normalised", "nats_per_ray"}
+    assert report["settings"]["seed"] == 3
+    assert report["settings"]["version"]
+
+
+def test_the_page_stands_alone_and_says_it_in_words(saved: Path) -> None:
+    html = (saved / "report.html").read_text()
+    assert external(html) == []
+    assert "<script" not in html
+    assert len(html) < 1.5e6
+    assert html.count("data:image/png;base64,") == len(list(saved.glob("*.png")))
+    assert "Found: range bias, +" in html
+    assert "z = r + b" in html
+    assert re.search(r"b = \+[23]\.\d+ ± 0\.\d+ cm", html)
+    assert "lab.mcap" in html
+    assert "no odometry" in html or "not looked at" in html  # the skipped channels are told
+
+
+def test_effects_yaml_reads_back_as_found(found: Finding, room: Arena, saved: Path) -> None:
+    [a] = effects_file.read(saved / "effects.yaml", room)
+    assert (a.name, dict(a.parameters)) == (found.effects[0].name, dict(found.effects[0].parameters))
+    assert a.evidence == found.effects[0].evidence
+
+
+def test_the_recording_holds_three_kinds_of_scans(found: Finding, saved: Path) -> None:
+    path = str(saved / "review.rrd")
+    columns = {str(c) for c in rr.chunk.RrdReader(path).store().schema().component_columns()}
+    for entity in (
+        "plan/measured",
+        "plan/nominal",
+        "plan/amended",
+        "gap/amended",
+        "residual/nominal",
+        "report",
+    ):
+        assert any(f"/{entity}" in column for column in columns), entity
+    assert found.explained is not None
+    scans = found.explained.null.solver.evidence.n_scans
+    chunks = rr.chunk.RrdReader(path).stream().filter(content="/plan/amended").to_chunks()
+    assert sum(c.to_record_batch().num_rows for c in chunks if not c.is_static) == min(scans, 400)
+    assert len(rr.chunk.RrdReader(path).blueprints()) == 1
+
+
+def test_amended_scans_lie_nearer_than_nominal_ones(found: Finding) -> None:
+    from sensorgraph.diagnose.compared import compare
+
+    compared = compare(found)
+    assert compared is not None
+    assert compared.is_amended
+    before, after = (side.rms(compared.sigma).mean() for side in (compared.before, compared.after))
+    assert before > 0.025  # a bias of 3 cm
+    assert after < 0.015  # noise of 1 cm
+
+
+def test_nothing_found_is_said(silent: Finding, tmp_path: Path) -> None:
+    save(silent, tmp_path)
+    assert said(silent).kind == "nothing"
+    assert "Nothing material found." in (tmp_path / "report.html").read_text()
+    assert effects_file.read(tmp_path / "effects.yaml") == ()
+    columns = {
+        str(c) for c in rr.chunk.RrdReader(str(tmp_path / "review.rrd")).store().schema().component_columns()
+    }
+    assert not any("/plan/amended" in column for column in columns)
+
+
+def test_the_same_finding_gives_the_same_bytes(silent: Finding, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        save(silent, tmp_path / name)
+    for path in (tmp_path / "a").iterdir():
+        if path.suffix != ".rrd":  # chunks of a recording carry ids
+            assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+
+
+def test_something_unknown_is_said_with_its_place(unknown: Finding, tmp_path: Path) -> None:
+    what = said(unknown)
+    assert (what.kind, what.headline) == ("unknown", "Something unknown at wall w/edge_1.")
+    assert "2.1 cm too long" in what.details[0]
+    save(unknown, tmp_path)
+    assert json.loads((tmp_path / "report.json").read_text())["unknown"]["where"]["label"] == "w/edge_1"
+    assert "Something unknown at wall w/edge_1." in (tmp_path / "report.html").read_text()
+
+
+def test_a_close_runner_up_leaves_it_undecided(found: Finding) -> None:
+    [a] = found.effects
+    rival = Rival(
+        name="range_scale", instead_of=a.name, evidence_nats=(a.evidence or 0) - 2, separates="near and far"
+    )
+    what = said(with_scan(found, rivals=(rival,)))
+    assert what.kind == "undecided"
+    assert what.headline.startswith("Undecided between range bias")
+    assert "near and far" in what.details[0]
+    far = replace(rival, evidence_nats=(a.evidence or 0) - 50)
+    assert said(with_scan(found, rivals=(far,))).kind == "found"
+
+
+def test_skipped_channels_and_missing_parts_leave_a_report(silent: Finding, tmp_path: Path) -> None:
+    skipped = {name: Ledger(channel=name, skipped=f"no {name}") for name in ("scan", "odometry", "drive")}
+    bare = replace(silent, ledgers=skipped, explained=None, verdict=None)
+    files = save(bare, tmp_path)
+    assert {path.name for path in files} == {"report.json", "report.html", "effects.yaml"}
+    html = (tmp_path / "report.html").read_text()
+    assert "Nothing could be compared." in html
+    assert "no drive" in html
+    assert json.loads((tmp_path / "report.json").read_text())["gap"] is None
+
+
+def test_a_failure_leaves_no_part_behind(
+    found: Finding, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: Path, *args: object, **kwargs: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OSError, match="No space left"):
+        save(found, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_effect_has_an_equation_with_numbers(name: str) -> None:
+    effect = EFFECTS[name]
+    assert effect.equation
+    a = effect(**{p.name: 0.5 for p in effect.parameters})
+    assert len(parameters(a)) == len(effect.parameters)
+    assert all("=" in text for text in parameters(a))
+
+
+def test_numbers_are_rounded_to_their_errors() -> None:
+    assert number(-2.4137, 0.094) == "−2.41 ± 0.09"
+    assert number(2.4137, 0.13, signed=True) == "+2.41 ± 0.13"
+    assert number(1.888, 0.00041) == "1.8880 ± 0.0004"
+    assert number(3.5226) == "3.52"
+    assert number(0.0) == "0.00"
+    assert number(float("inf")) == "inf"
+    assert number(0.012, float("nan")) == "0.0120"
+    assert [percent(p) for p in (None, 0.001, 0.5, 1.0)] == ["–", "< 1 %", "50 %", "> 99 %"]
+
+
+def test_the_gap_is_told_in_nats_where_metres_hardly_change() -> None:
+    floor = Fit(rmse_m=0.01, normalised=1.0, nats_per_ray=-3.0)
+    before = Fit(rmse_m=0.0192, normalised=1.92, nats_per_ray=-2.0)
+    after = Fit(rmse_m=0.0101, normalised=1.01, nats_per_ray=-2.9)
+    assert "from 1.92 to 1.01 times" in gap_sentence(
+        Gap(before=before, after=after, noise_floor=floor, n_rays=9)
+    )
+    lost = replace(before, nats_per_ray=-2.9)
+    assert "by 0.9 nats" in gap_sentence(Gap(before=before, after=lost, noise_floor=floor, n_rays=9))
+    assert gap_sentence(None) == ""
+
+
+def test_json_holds_plain_finite_numbers() -> None:
+    data = plain({"a": np.float64(1.5), "b": [float("nan"), np.arange(2)], 3: (np.int64(4), None, Path("x"))})
+    assert json.loads(json.dumps(data, allow_nan=False)) == {
+        "a": 1.5,
+        "b": [None, [0, 1]],
+        "3": [4, None, "x"],
+    }
+
+
+def test_the_command_writes_a_report_and_says_what_it_found(
+    room: Arena, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = drive(room, bias=0.03)
+    write(run, tmp_path / "run.mcap")
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    arena = {
+        "type": "FeatureCollection",
+        "features": [
+            feature("w", "arena", [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]),
+            feature("pillar", "obstacle", [[2.5, 1], [3, 1], [3, 1.5], [2.5, 1.5], [2.5, 1]]),
+        ],
+    }
+    (tmp_path / "arena.geojson").write_text(json.dumps(arena))
+    options = ["--arena", str(tmp_path / "arena.geojson"), "--robot", str(tmp_path / "robot.yaml")]
+    assert cli(["diagnose", str(tmp_path / "run.mcap"), *options, "-o", str(tmp_path / "new" / "out")]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("Found: range bias, +")
+    assert "report.html" in out
+    assert {path.name for path in (tmp_path / "new" / "out").iterdir()} >= FILES
+    assert cli(["diagnose", str(tmp_path / "run.mcap"), *options, "-o", str(tmp_path / "robot.yaml")]) == 2
+    assert "is a file; give the name of a folder" in capsys.readouterr().err
+    assert cli(["diagnose", *[str(tmp_path / "run.mcap")] * 3, *options, "-o", str(tmp_path / "o")]) == 2
+    assert "expected one, or two" in capsys.readouterr().err
+
+
+def feature(name: str, kind: str, ring: list[list[float]]) -> dict[str, object]:
+    return {
+        "type": "Feature",
+        "properties": {"name": name, "kind": kind},
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+    }
