@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.hidden_effects.robot import Driven, RobotSpec
 from benchmarks.hidden_effects.world import ARENA, Floats, Room, Walls, cast, disc_range, shift_edge, walls_of
 
-N_SUBRAYS = 7
+N_SUBRAYS = 31
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,15 +8,16 @@ errors, count once. The largest z is compared with replicates drawn from the mod
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.arena import Floats
+from planners.arena import Bools, Floats
 from sensorgraph.diagnose.evidence import Evidence
 from sensorgraph.diagnose.finding import Where
-from sensorgraph.diagnose.model import Fitted
+from sensorgraph.diagnose.model import Fitted, bare_cast, fit
+from sensorgraph.diagnose.nuisance import Freedom
 from sensorgraph.diagnose.view import View
 
 Ints = NDArray[np.intp]
@@ -24,7 +25,7 @@ Ints = NDArray[np.intp]
 BLOCK = 1.0  # [s] of scans that share their errors
 CELL = 0.5  # [m] of places
 CLIP = 4.0  # sigmas at which a residual is cut
-FLOORS = {"bias": 4.2, "spread": 5.0, "outliers": 5.0, "misses": 5.0}
+FLOORS = {"bias": 4.5, "spread": 6.0, "outliers": 6.0, "misses": 6.0}
 MATERIAL = {"bias": 0.2, "spread": 0.15, "outliers": 0.004, "misses": 0.005}  # sigma, ratio, share, share
 SPREAD = 0.9866  # mean square of a unit normal cut at CLIP, nearly
 LEAST = 40  # rays in a bin
@@ -101,6 +102,10 @@ def partitions(view: View) -> list[Partition]:
     out.append(_cells("hit place", beams.ox + safe * beams.ux, beams.oy + safe * beams.uy, hit, arena.bounds))
     base = np.broadcast_to(ev.poses[:, :1], shape), np.broadcast_to(ev.poses[:, 1:2], shape)
     out.append(_cells("robot place", *base, np.ones(shape, dtype=np.bool_), arena.bounds))
+    if ev.n_scans > 4:
+        gained = np.gradient(ev.speed, np.maximum(ev.stamps, ev.stamps[0] + 1e-3 * np.arange(ev.n_scans)))
+        add("acceleration", gained[:, None], np.array([-5, -0.3, -0.15, -0.05, 0.05, 0.15, 0.3, 5]), "m/s²")
+    out += _parts_of_walls(view, t)
     half = (t > ev.span / 2).astype(np.intp)
     fine = out[1]
     out.append(
@@ -123,6 +128,53 @@ def partitions(view: View) -> list[Partition]:
         )
     )
     return out
+
+
+def _parts_of_walls(view: View, t: Floats) -> list[Partition]:
+    """Sort the rays of each pane, mirror or black part by time and by incidence: does its law hold?"""
+    out = []
+    arena, span = view.evidence.arena, view.evidence.span
+    scene = view.fitted.cast.scene
+    placed = [a for a in view.fitted.model if a.name in ("glass", "mirror", "black_surface")]
+    bare = bare_cast(scene) if placed else view.beams
+    along = bare.along(scene.walls) if placed else view.along
+    for a in placed:
+        on = bare.wall == arena.names.index(a.place)
+        on &= (np.nan_to_num(along, nan=-1.0) >= a["a"]) & (np.nan_to_num(along, nan=1e9) <= a["b"])
+        quarter = np.clip((4 * t / max(span, 1e-9)).astype(np.intp), 0, 3)
+        steep = np.nan_to_num(bare.incidence) > np.radians(40)
+        out.append(
+            Partition(
+                name="part of a wall",
+                index=np.where(on, quarter * 2 + steep, -1),
+                count=8,
+                label=_quarters(a.place),
+                place=_always(a.location.xy if a.location is not None else None),
+            )
+        )
+    return out
+
+
+def _quarters(place: str) -> Callable[[int], str]:
+    return lambda k: f"{place}, quarter {k // 2 + 1} of the run, {('head-on', 'slanting')[k % 2]}"
+
+
+def _always(point: tuple[float, float] | None) -> Callable[[int], tuple[float, float] | None]:
+    return lambda k: point
+
+
+def dispersion(view: View) -> float:
+    """Return how much more the scans differ from each other than their rays explain: variance ratio, 1 expected."""
+    score = scores(view)
+    value, counted = score.values["spread"], score.counted["spread"]
+    n = counted.sum(axis=1)
+    some = n > 10
+    if some.sum() < 30:
+        return 1.0
+    mean = value.sum(axis=1)[some] / n[some]
+    within = float(value[counted].var())
+    expected = within * float((1 / n[some]).mean())
+    return float(np.var(mean) / max(expected, 1e-12))
 
 
 def _cells(
@@ -247,57 +299,243 @@ def statistic(found: list[Where]) -> dict[str, float]:
 class Verdict:
     """Whether a model leaves something unexplained."""
 
+    statement: str
+    """What is left, in words; empty: the model is enough."""
     where: Where | None
-    """The strongest deviation that replicates do not show; None: the model is enough."""
+    """The strongest deviation that replicates do not show."""
     statistic: float
     threshold: float
     found: tuple[Where, ...]
-    """All deviations above the floor."""
+    """All deviations above the least z."""
     misfit: float
-    """[nats] that a free correction over the worst partition would bring, roughly."""
+    """[nats] that the unexplained part is worth, roughly."""
+    failed: frozenset[int] = frozenset()
+    """Effects of the model whose own law fails: they are clutter without a name."""
+
+    @property
+    def doubted(self) -> bool:
+        """Tell whether something is left."""
+        return bool(self.statement)
 
 
-def check(evidence: Evidence, fitted: Fitted, *, rng: np.random.Generator, replicates: int = 12) -> Verdict:
-    """Compare the deviations of a fit with those of replicates drawn from it."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Doubt:
+    statement: str
+    misfit: float
+    statistic: float
+    threshold: float
+    where: Where | None = None
+    failed: frozenset[int] = frozenset()
+
+
+def check(
+    evidence: Evidence, fitted: Fitted, gained: float, *, rng: np.random.Generator, replicates: int = 12
+) -> Verdict:
+    """Ask whether a model is enough: deviations against replicates, scans against each other, laws of its effects.
+
+    Parameters
+    ----------
+    gained : [nats] by which the model beats the one without effects; a doubt must be worth a share of it
+    """
+    evidence, fitted = _widened(evidence, fitted)
     view = View(evidence, fitted)
     parts = partitions(view)
     found = deviations(view, parts)
-    observed = statistic(found)
-    suspects = {f: z for f, z in observed.items() if z > FLOORS[f]}
+    doubts = [*_laws(view, gained), *_limits(view)]
+    ratio = dispersion(view)
+    if ratio > DISPERSED:
+        worth = (ratio - 1) / 2 * evidence.n_scans
+        doubts.append(
+            _Doubt(
+                statement=f"scans differ from each other {ratio:.1f} times more than their rays do within a scan",
+                misfit=worth,
+                statistic=ratio,
+                threshold=DISPERSED,
+            )
+        )
+    doubts += _against_replicates(evidence, fitted, parts, found, rng, replicates)
+    doubts = [d for d in doubts if d.misfit > WORTH * gained]
+    failed = frozenset(i for d in doubts for i in d.failed)
+    if not doubts:
+        return Verdict(statement="", where=None, statistic=0.0, threshold=0.0, found=tuple(found), misfit=0.0)
+    worst = max(doubts, key=lambda d: d.misfit)
+    where = next((d.where for d in sorted(doubts, key=lambda d: -d.misfit) if d.where is not None), None)
+    return Verdict(
+        statement=worst.statement,
+        where=where,
+        statistic=worst.statistic,
+        threshold=worst.threshold,
+        found=tuple(found),
+        misfit=worst.misfit,
+        failed=failed,
+    )
+
+
+WORTH = 0.003  # of the model's gain; a smaller misfit is the coarseness of a right model
+DISPERSED = 1.45  # variance ratio between scans and within; right models have 0.85 to 1.15
+LIMIT = 3.2  # tolerances that would have to be so many times wider
+
+
+def _widened(evidence: Evidence, fitted: Fitted) -> tuple[Evidence, Fitted]:
+    """Where the tolerances proved too tight, find edges with the wider ones."""
+    state = fitted.state
+    if max(state.pose_scale, state.map_scale) < 1.3:
+        return evidence, fitted
+    t = evidence.tolerances
+    wide = replace(
+        t,
+        map=t.map * state.map_scale,
+        pose_xy=t.pose_xy * state.pose_scale,
+        pose_yaw=t.pose_yaw * state.pose_scale,
+        stamp=t.stamp * state.pose_scale,
+    )
+    wider = replace(evidence, tolerances=wide, memo={})
+    start = replace(state, pose_scale=1.0, map_scale=1.0)
+    return wider, fit(wider, fitted.model, start, Freedom(most=1.3), outer=1, inner=3)
+
+
+def _limits(view: View) -> list[_Doubt]:
+    """Doubt a model that needs tolerances far wider than told."""
+    state, t = view.fitted.state, view.evidence.tolerances
+    out = []
+    for name, scale in (("reference pose", state.pose_scale), ("map", state.map_scale)):
+        if scale * (t.map / max(view.evidence.tolerances.map, 1e-9)) >= LIMIT:
+            out.append(
+                _Doubt(
+                    statement=f"the {name} would have to be {scale:.1f} times worse than its tolerance",
+                    misfit=(scale - 1) * view.evidence.n_scans,
+                    statistic=scale,
+                    threshold=LIMIT,
+                )
+            )
+    return out
+
+
+def _laws(view: View, gained: float) -> list[_Doubt]:
+    """Check what effects that absorb anything claim of the readings they absorb; and tell-tale combinations."""
+    out = []
+    judged = view.fitted.solution.judged
+    odd = view.returned & (judged.core + judged.tail < 0.5) & (view.fitted.cast.what.p_alternative < 0.002)
+    with np.errstate(invalid="ignore"):
+        short = odd & (view.z < np.where(view.aimed, view.mu, view.range_max))
+    model = view.fitted.model
+    for index, a in enumerate(model):
+        words = ""
+        if a.name == "people" and short.sum() > 20:
+            words = _not_people(view, short)
+        elif a.name == "random_outliers" and odd.sum() > 20:
+            words = _not_random(view, odd)
+        if words:
+            worth = max(float(odd.sum()) * 2.0, 20.0)
+            out.append(
+                _Doubt(statement=words, misfit=worth, statistic=0.0, threshold=0.0, failed=frozenset([index]))
+            )
+    for names, least, words in TELLTALES:
+        members = [i for i, a in enumerate(model) if a.name in names]
+        enough = len({model[i].name for i in members}) if least == 0 else len(members)
+        if enough >= (least or len(names)):
+            out.append(
+                _Doubt(
+                    statement=words, misfit=gained, statistic=0.0, threshold=0.0, failed=frozenset(members)
+                )
+            )
+    return out
+
+
+TELLTALES: tuple[
+    tuple[tuple[str, ...], int, str], ...
+] = (  # names, how many of them (0: each once), what to say
+    (
+        ("range_scale", "map_scale"),
+        0,
+        "map and readings both seem stretched: the poses' own scale may be wrong",
+    ),
+    (("sector_bias",), 2, "the bias varies with the bearing in a way that no single sector describes"),
+    (
+        ("glass", "mirror", "black_surface"),
+        3,
+        "rays are lost or long on many walls, as if by direction, not by wall",
+    ),
+    (("moved_wall",), 3, "several walls seem moved: the error may not be the map's"),
+)
+
+
+def _not_people(view: View, short: Bools) -> str:
+    """Return why short readings are no people, or nothing."""
+    share = float(short.mean())
+    if clustered(view, short) < 0.5:
+        return f"{100 * share:.1f} % of the readings are short, one by one: too scattered for people"
+    z = view.z[short]
+    counts, _ = np.histogram(z, bins=np.arange(0, view.range_max + 0.06, 0.06))
+    if counts.max() > 0.4 * len(z):
+        return f"{100 * share:.1f} % of the readings are short, most of them at {0.06 * (counts.argmax() + 0.5):.2f} m"
+    return ""
+
+
+def _not_random(view: View, odd: Bools) -> str:
+    """Return why stray readings are not uniform, or nothing."""
+    share = float(odd.mean())
+    u = np.sort(view.z[odd] / view.range_max)
+    n = len(u)
+    d = float(np.abs(u - (np.arange(n) + 0.5) / n).max())
+    if d > max(0.15, 2.2 / np.sqrt(n)):
+        return f"{100 * share:.1f} % of the readings are strays, but not from anywhere: their ranges are not uniform"
+    if clustered(view, odd) > 0.35 + 3 * share:
+        return f"{100 * share:.1f} % of the readings are strays that come in clusters"
+    return ""
+
+
+def clustered(view: View, some: Bools) -> float:
+    """Return the share of readings with a neighbour of their kind at a similar range in the same scan."""
+    if not some.any():
+        return 0.0
+    z = np.where(some, view.z, np.nan)
+    with np.errstate(invalid="ignore"):
+        near = np.abs(np.diff(z, axis=1)) < 0.3
+    has = np.zeros(some.shape, dtype=np.bool_)
+    has[:, 1:] |= near
+    has[:, :-1] |= near
+    return float(has[some].mean())
+
+
+def _against_replicates(
+    evidence: Evidence,
+    fitted: Fitted,
+    parts: list[Partition],
+    found: list[Where],
+    rng: np.random.Generator,
+    count: int,
+) -> list[_Doubt]:
+    """Compare the largest deviation of each family with replicates; none is drawn where nothing is suspect."""
+    suspects = {f: z for f, z in statistic(found).items() if z > FLOORS[f]}
     if not suspects:
-        return Verdict(where=None, statistic=0.0, threshold=0.0, found=(), misfit=0.0)
-    drawn = {f: [] for f in FLOORS}
-    for _ in range(replicates):
+        return []
+    drawn: dict[str, list[float]] = {f: [] for f in FLOORS}
+    for _ in range(count):
         again = replicate(evidence, fitted, rng)
         for family, z in statistic(deviations(View(*again), parts, least=2.5)).items():
             drawn[family].append(z)
-    worst: tuple[float, Where, float] | None = None
+    out = []
     for family, z in suspects.items():
         d = np.array(drawn[family])
-        threshold = max(1.25 * d.max(), d.mean() + 4 * d.std(), FLOORS[family])
-        if z > threshold and (worst is None or z / threshold > worst[0]):
+        threshold = max(1.25 * float(d.max()), float(d.mean() + 4 * d.std()), FLOORS[family])
+        if z > threshold:
             where = next(w for w in found if w.family == family)
-            worst = (z / threshold, where, threshold)
-    if worst is None:
-        return Verdict(
-            where=None, statistic=max(suspects.values()), threshold=0.0, found=tuple(found), misfit=0.0
-        )
-    misfit = sum(
-        0.5 * w.z**2 for w in found if w.partition == worst[1].partition and w.family == worst[1].family
-    )
-    return Verdict(
-        where=worst[1],
-        statistic=abs(worst[1].z),
-        threshold=worst[2],
-        found=tuple(found),
-        misfit=float(misfit),
-    )
+            misfit = sum(0.5 * w.z**2 for w in found if w.partition == where.partition and w.family == family)
+            out.append(
+                _Doubt(
+                    statement=where.sentence(),
+                    misfit=float(misfit),
+                    statistic=z,
+                    threshold=threshold,
+                    where=where,
+                )
+            )
+    return out
 
 
 def replicate(evidence: Evidence, fitted: Fitted, rng: np.random.Generator) -> tuple[Evidence, Fitted]:
     """Draw readings from a fitted model, with pose errors and tails, and refit nuisances linearly."""
-    from dataclasses import replace
-
     from sensorgraph.diagnose.likelihood import judge
     from sensorgraph.diagnose.nuisance import TAIL, pose_prior
     from sensorgraph.diagnose.solve import Solution, Solver

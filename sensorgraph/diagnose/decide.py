@@ -20,7 +20,9 @@ logger = logging.getLogger(__name__)
 
 THRESHOLD = 12.0  # [nats] of evidence, beyond the price of the parameters
 PRICE = 4.0  # [nats] per parameter
-MOST = 6  # effects in one model
+CRUDE = ("sonar_cone",)
+"""Effects whose model is so coarse that a hundredth of their gain proves nothing else."""
+MOST = 5  # effects in one model
 MANY = 12  # candidates fitted on a part of the scans
 FINALISTS = 3
 FAMILIES = (  # effects that the same data may be read as
@@ -62,7 +64,7 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
     rivals: dict[str, tuple[Amendment, float]] = {}
     struck: set[tuple[str, str]] = set()
     while len(current.model) < MOST:
-        tried = _try(evidence, current, freedom, struck)
+        tried = _try(evidence, current, freedom, struck, current.j - null.j)
         tried = [t for t in tried if t[1] > -50]
         if not tried:
             break
@@ -83,9 +85,11 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
             break
         if len(order) > 1:
             rivals[_key(best.model[-1])] = (order[1][0].model[-1], gain - order[1][1])
-        before = current
+        before, small = current, best.model[-1].ratio < current.state.map_scale
         current = _pruned(evidence, best, freedom, threshold, struck)
         if {_key(a) for a in current.model} == {_key(a) for a in before.model}:
+            break
+        if small:  # what is left is smaller still
             break
     gains = {}
     for index in range(len(current.model)):
@@ -104,10 +108,10 @@ def _without(model: Sequence[Amendment], index: int) -> tuple[Amendment, ...]:
 
 
 def _try(
-    evidence: Evidence, current: Fitted, freedom: Freedom, struck: set[tuple[str, str]]
+    evidence: Evidence, current: Fitted, freedom: Freedom, struck: set[tuple[str, str]], gained: float
 ) -> list[tuple[Fitted, float]]:
     """Fit the most promising candidates; return (fit, gain [nats])."""
-    short = shortlist(evidence, current, struck)
+    short = shortlist(evidence, current, struck, gained)
     if not short:
         return []
     every = max(1, evidence.n_scans // 160)
@@ -148,19 +152,26 @@ def refined(
     assert isinstance(state, State)
     got = fit(evidence, model, state, freedom, outer=outer, inner=inner)
     if model[-1].name in ROUGH and any(k in model[-1].parameters for k in ROUGH[model[-1].name]):
-        polished = polish(evidence, got.model, len(model) - 1, got, rounds=3)
-        better = fit(evidence, polished, got.state, freedom, outer=1, inner=inner)
-        if better.j > got.j:
-            got = better
+        for _ in range(3 if model[-1].effect.absorber else 1):
+            polished = polish(evidence, got.model, len(model) - 1, got, rounds=4)
+            better = fit(evidence, polished, got.state, freedom, outer=1, inner=inner)
+            gained = better.j - got.j
+            if gained > 0:
+                got = better
+            if gained < 2:
+                break
     return got
 
 
-def shortlist(evidence: Evidence, current: Fitted, struck: set[tuple[str, str]]) -> list[Candidate]:
+def shortlist(
+    evidence: Evidence, current: Fitted, struck: set[tuple[str, str]], gained: float
+) -> list[Candidate]:
     """Return the candidates worth fitting, best first."""
     sharp = [c for c in smooth_candidates(evidence, current) if c.gain > 8]
     broad = [c for c in smooth_candidates(evidence, current, broad=True) if c.gain > 8]
     rough = rough_candidates(View(evidence, current))
     present = {_key(a) for a in current.model}
+    crude = 0.015 * gained if any(a.name in CRUDE for a in current.model) else 0.0
     out: list[Candidate] = []
     seen: dict[str, int] = {}
     for group, most in ((sharp, 5), (rough, 8), (broad, 4)):
@@ -170,7 +181,7 @@ def shortlist(evidence: Evidence, current: Fitted, struck: set[tuple[str, str]])
             single = c.amendment.effect.place is None
             if key in present and (single or c.amendment.effect.place in ("wall", "obstacle")):
                 continue
-            if (c.amendment.name, c.amendment.place) in struck:
+            if (c.amendment.name, c.amendment.place) in struck or c.gain < crude:
                 continue
             if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
                 continue

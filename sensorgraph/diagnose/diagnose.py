@@ -26,6 +26,7 @@ from sensorgraph.effects.effect import size_ratio
 from sensorgraph.world.robot_file import RobotFile
 
 Progress = Callable[[str], None]
+STRIKE = 0.006  # of an effect's evidence; where more than this stays unexplained, its name falls
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,7 +93,8 @@ def diagnose(
     explained = explain(train, freedom or Freedom(), threshold=threshold)
     lap("explain")
     where = tuple(deviations(View(train, explained.null)))[:24]
-    verdict = check(train, explained.final, rng=rng)
+    gained = explained.final.j - explained.null.j
+    verdict = check(train, explained.final, gained, rng=rng)
     lap("criticise")
     proof = gap(unseen, explained.null, explained.final, rng=rng)
     second_gap = None
@@ -164,7 +166,9 @@ def slackness(fitted: Fitted, amendment: Amendment) -> float:
 
 def _is_struck(explained: Explained, index: int, verdict: Verdict) -> bool:
     """Tell whether a name falls because too much of its own feature is left unexplained."""
-    return verdict.where is not None and verdict.misfit > 0.1 * explained.gains[index]
+    if index in verdict.failed:
+        return True
+    return verdict.doubted and verdict.misfit > STRIKE * explained.gains[index]
 
 
 def stderr(fitted: Fitted, index: int) -> dict[str, float]:
@@ -185,7 +189,7 @@ def probability(explained: Explained, index: int, verdict: Verdict) -> float:
     margin = explained.rivals[index][1] if index in explained.rivals else gain
     score = 0.15 * min(gain, margin)
     p = 1 / (1 + np.exp(-score))
-    if verdict.where is not None:
+    if verdict.doubted:
         p *= 0.5
     return float(p)
 
@@ -200,10 +204,10 @@ def separates(a: Amendment, rival: Amendment) -> str:
 
 
 def _unknown(verdict: Verdict) -> Unknown | None:
-    if verdict.where is None:
+    if not verdict.doubted:
         return None
     return Unknown(
-        statement=f"something no effect of the library explains: {sentence(verdict.where)}",
+        statement=f"something no effect of the library explains: {verdict.statement}",
         where=verdict.where,
         statistic=verdict.statistic,
         threshold=verdict.threshold,
@@ -212,12 +216,4 @@ def _unknown(verdict: Verdict) -> Unknown | None:
 
 def sentence(where: Where) -> str:
     """Say one deviation in words."""
-    what = {
-        "bias": f"readings are {abs(where.size) * 100:.1f} cm too {'long' if where.size > 0 else 'short'}",
-        "spread": f"readings scatter {100 * where.size:.0f} % more than the noise",
-        "outliers": f"{100 * where.size:.1f} % more strays than expected",
-        "misses": f"{100 * where.size:.1f} % more rays without a return than expected",
-    }[where.family]
-    return (
-        f"{what} at {where.partition} {where.label} ({abs(where.z):.1f} standard errors, {where.n_rays} rays)"
-    )
+    return where.sentence()

@@ -27,6 +27,18 @@ class Where:
     xy: tuple[float, float] | None = None
     """[m, map] where it has a place."""
 
+    def sentence(self) -> str:
+        """Say it in words."""
+        what = {
+            "bias": f"readings are {abs(self.size) * 100:.1f} cm too {'long' if self.size > 0 else 'short'}",
+            "spread": f"readings scatter {100 * self.size:.0f} % more than the noise",
+            "outliers": f"{100 * self.size:.1f} % more strays than expected",
+            "misses": f"{100 * self.size:.1f} % more rays without a return than expected",
+        }[self.family]
+        return (
+            f"{what} at {self.partition} {self.label} ({abs(self.z):.1f} standard errors, {self.n_rays} rays)"
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Unknown:

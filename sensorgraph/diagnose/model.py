@@ -106,8 +106,14 @@ NUDGE = (5e-4, 5e-4, 3e-4)  # [m, m, rad] of the difference quotients by the pos
 RIGID = 60.0  # [1, 1, m/rad] a larger quotient is a jump to another surface
 
 
-def _bent(evidence: Evidence, model: Sequence[Amendment], beams: Beams) -> tuple[Bools, Floats] | None:
-    """Differentiate rays that a surface, a cone or a tilt has bent by the pose, by casting again."""
+def _bent(
+    evidence: Evidence, model: Sequence[Amendment], beams: Beams
+) -> tuple[Bools, Floats, Floats] | None:
+    """Differentiate rays that a surface, an edge or a tilt has bent by the pose, by casting again.
+
+    Returns which rays (n_scans, n_rays) have columns, the columns (n_scans, 3, n_rays), and |d reading / d phi|
+    (n_scans, n_rays) [m/rad] of all bent rays, also of those where it is a jump.
+    """
     if beams.straight is None:
         return None
     which = ~beams.straight & np.isfinite(beams.reading)
@@ -117,6 +123,7 @@ def _bent(evidence: Evidence, model: Sequence[Amendment], beams: Beams) -> tuple
     few = evidence.part(rows)
     quotients = np.zeros((evidence.n_scans, 3, evidence.n_rays))
     smooth = which.copy()
+    steepness = np.zeros(which.shape)
     for axis, step in enumerate(NUDGE):
         scene = few.scene()
         scene.memo = None
@@ -125,9 +132,11 @@ def _bent(evidence: Evidence, model: Sequence[Amendment], beams: Beams) -> tuple
         with np.errstate(invalid="ignore"):
             q = (moved - beams.reading[rows]) / step
         ok = np.isfinite(q) & (np.abs(q) < RIGID)
+        if axis == 2:
+            steepness[rows] = np.where(np.isfinite(q), np.abs(q), RIGID)
         smooth[rows] &= ok
         quotients[rows, axis] = np.where(ok, q, 0.0)
-    return smooth, np.where(smooth[:, None, :], quotients, 0.0)
+    return smooth, np.where(smooth[:, None, :], quotients, 0.0), np.where(which, steepness, 0.0)
 
 
 def _nudged(evidence: Evidence, axis: int, step: float) -> Callable[[Floats], Floats]:
@@ -271,17 +280,17 @@ def _settled(solution: Solution) -> bool:
     return bool((np.abs(solution.p) < 0.2 * sd).all())
 
 
-def log_likelihood(evidence: Evidence, model: Sequence[Amendment], fitted: Fitted) -> float:
-    """Return the log-likelihood of another model at the nuisances of a fit [nats]; one cast, no solve."""
+def log_likelihood(evidence: Evidence, model: Sequence[Amendment], state: State) -> float:
+    """Return the log-likelihood of a model at given nuisances [nats]; one cast, no solve."""
     at = cast(evidence, model)
     corners = corners_of(evidence)
     shape = at.what.reading.shape
     solver = Solver(
         evidence, at.what, at.cols, at.scene.walls, np.zeros((shape[0], 0, shape[1])), corners,
-        np.zeros(len(fitted.state.g), dtype=np.bool_),
+        np.zeros(len(state.g), dtype=np.bool_),
     )  # fmt: skip
-    shift = solver.shift(fitted.state, np.zeros(0))
-    return float(judge(evidence, at.what, shift, fitted.state.noise).log_p.sum())
+    shift = solver.shift(state, np.zeros(0))
+    return float(judge(evidence, at.what, shift, state.noise).log_p.sum())
 
 
 def polish(
@@ -295,7 +304,7 @@ def polish(
         return model
     bounds = {q.name: (q.low, q.high) for q in amendment.effect.parameters}
     current = [*model]
-    best = log_likelihood(evidence, current, fitted)
+    best = log_likelihood(evidence, current, fitted.state)
     for _ in range(rounds):
         moved = False
         for name in steps:
@@ -303,7 +312,7 @@ def polish(
                 value = float(np.clip(current[index][name] + sign * steps[name], *bounds[name]))
                 trial = [*current]
                 trial[index] = current[index].moved_to({name: value})
-                got = log_likelihood(evidence, trial, fitted)
+                got = log_likelihood(evidence, trial, fitted.state)
                 if got > best + 1e-6:
                     best, current, moved = got, trial, True
                     steps[name] *= 1.5

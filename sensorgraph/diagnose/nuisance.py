@@ -87,14 +87,18 @@ class Columns:
 
 
 def columns(
-    evidence: Evidence, beams: Beams, walls: Floats, mount: Floats, bent: tuple[Bools, Floats] | None = None
+    evidence: Evidence,
+    beams: Beams,
+    walls: Floats,
+    mount: Floats,
+    bent: tuple[Bools, Floats, Floats] | None = None,
 ) -> Columns:
     """Differentiate the readings of one cast.
 
     Parameters
     ----------
-    bent : which rays (n_scans, n_rays) do not follow from their straight path, and their columns by the pose
-    (n_scans, 3, n_rays), by difference quotients
+    bent : which rays (n_scans, n_rays) do not follow from their straight path, their columns by the pose
+    (n_scans, 3, n_rays), by difference quotients, and how steeply (n_scans, n_rays) [m/rad] they change with phi
     """
     cosine = beams.cosine
     hit = np.isfinite(beams.ranges) & np.isfinite(beams.reading)
@@ -113,16 +117,17 @@ def columns(
     on = valid & (beams.wall >= 0)
     slack = np.zeros(cosine.shape)
     if bent is not None:
-        which, quotients = bent
+        which, quotients, steepness = bent
         pose = np.where(which[:, None, :], quotients, pose)
         dx, dy = pose[:, 0], pose[:, 1]
         turn = np.where(which, pose[:, 2] - lx * dy + ly * dx, turn)
         r = np.where(which, beams.reading, r)
         slope = np.where(which, np.where(np.abs(dx) + np.abs(dy) > 0, 1.0, 0.0), slope)
         t = evidence.tolerances
-        slack = np.where(
-            which, np.abs(turn) * (t.map / np.maximum(beams.ranges, 0.1) + 0.5 * t.mount_yaw), 0.0
-        )
+        near = np.maximum(np.where(np.isfinite(beams.ranges), beams.ranges, 1.0), 0.1)
+        blur = t.map / near + 0.5 * t.mount_yaw
+        blur = np.where(which, blur, np.hypot(blur, t.pose_yaw + t.pose_xy / near))
+        slack = steepness * blur
         valid = valid | which
     n_rays = beams.ranges.shape[1]
     carried = np.einsum("nkm,nk->nm", pose, evidence.twists)

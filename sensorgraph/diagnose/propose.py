@@ -12,6 +12,7 @@ import numpy as np
 
 from planners.arena import Bools, Floats
 from sensorgraph.diagnose.likelihood import FINEST
+from sensorgraph.diagnose.model import log_likelihood, thin, thin_state
 from sensorgraph.diagnose.screen import Candidate, obstacles
 from sensorgraph.diagnose.view import View, best_run
 from sensorgraph.effects import EFFECTS
@@ -411,9 +412,7 @@ def noises(view: View) -> list[Candidate]:
         found.append(Candidate(amendment=EFFECTS["random_outliers"](p=p), gain=2.0 * odd * 0.5))
     odd = int(view.short.sum())
     if odd > max(FEW, 0.002 * n):
-        found.append(
-            Candidate(amendment=EFFECTS["people"](p=odd / n), gain=2.2 * odd * 0.5 * clustered(view))
-        )
+        found.append(Candidate(amendment=EFFECTS["people"](p=odd / n), gain=2.2 * odd * 0.5))
     return found
 
 
@@ -421,20 +420,6 @@ def self_tail(e: Floats, s: Floats, tail: float) -> float:
     """Return the log-likelihood of residuals under core and tail."""
     q = (e / s) ** 2
     return float(np.log(((1 - tail) * np.exp(-0.5 * q) + tail / 3 * np.exp(-0.5 * q / 9)) / s + 1e-3).sum())
-
-
-def clustered(view: View) -> float:
-    """Return the share of short readings with a short neighbour at a similar range in the same scan."""
-    s = view.short
-    if not s.any():
-        return 0.0
-    z = np.where(s, view.z, np.nan)
-    with np.errstate(invalid="ignore"):
-        pair = np.abs(np.diff(z, axis=1)) < 0.3
-    has = np.zeros(s.shape, dtype=np.bool_)
-    has[:, 1:] |= pair
-    has[:, :-1] |= pair
-    return float(has[s].mean())
 
 
 def optics(view: View) -> list[Candidate]:
@@ -464,26 +449,21 @@ def _between(view: View) -> int:
         high[:, a] = np.maximum(high[:, a], mu[:, b])
     margin = 5 * view.sigma
     with np.errstate(invalid="ignore"):
-        return int(
-            (view.returned & (view.z > low + margin) & (view.z < high - margin) & (high - low > 0.2)).sum()
-        )
+        inside = view.returned & (view.z > low + margin) & (view.z < high - margin) & (high - low > 0.2)
+        return int((inside & (np.abs(view.z - view.mu) > margin)).sum())
 
 
 def _swept(view: View, name: str, parameter: str, values: Floats, fixed: dict[str, float]) -> list[Candidate]:
     """Try values of one parameter on every so-manieth scan, nuisances frozen."""
-    from sensorgraph.diagnose.model import cast, thin
-
     every = max(1, view.evidence.n_scans // 60)
     few = thin(view.evidence, every)
-    sub = View.__new__(View)
-    sub.__dict__.update(view.__dict__)
-    sub.z, sub.sigma = view.z[::every], view.sigma[::every]
+    state = thin_state(view.fitted.state, every)
+    model = view.fitted.model
+    base = log_likelihood(few, model, state)
     best: Candidate | None = None
     for value in values:
         amendment = EFFECTS[name](**{parameter: float(value)}, **fixed)
-        at = cast(few, (*view.fitted.model, amendment))
-        sub.sigma = view.noise.core * at.what.sigma
-        gain = float((sub.likely(at.beams.reading, None, at.beams.p_return) - view.log_p[::every]).sum()) * every
+        gain = (log_likelihood(few, (*model, amendment), state) - base) * every
         if best is None or gain > best.gain:
             best = Candidate(amendment=amendment, gain=gain)
     return [best] if best is not None else []
