@@ -24,7 +24,7 @@ def write(
     *,
     report: str,
     marks: Sequence[tuple[str, tuple[float, float]]] = (),
-    walls: Sequence[str] = (),
+    walls: Sequence[Floats] = (),
 ) -> None:
     """Write `path` (.rrd).
 
@@ -32,7 +32,7 @@ def write(
     ----------
     report : markdown shown beside the scans
     marks : (words, (x, y) [m, map]) of what sits somewhere
-    walls : names of walls to mark
+    walls : (2, 2) [m] sections of walls to mark
     """
     n = len(compared.stamps)
     shown = np.linspace(0, n - 1, min(n, MOST_SCANS)).round().astype(np.intp)
@@ -42,7 +42,7 @@ def write(
         models.append(("amended", compared.after, TEAL))
     with recorded(path, "diagnosis", _layout(compared, ray)) as recording:
         _still(recording, compared, models, report)
-        _marks(recording, compared, marks, walls)
+        _marks(recording, marks, walls)
         _scans(recording, compared, models, shown, ray)
 
 
@@ -85,13 +85,11 @@ def _still(
 
 def _marks(
     recording: rr.RecordingStream,
-    compared: Compared,
     marks: Sequence[tuple[str, tuple[float, float]]],
-    walls: Sequence[str],
+    walls: Sequence[Floats],
 ) -> None:
-    chosen = [w for n, w in zip(compared.arena.names, compared.arena.walls, strict=True) if n in walls]
-    if chosen:
-        recording.log("plan/marks/walls", rr.LineStrips2D(chosen, colors=MARK, radii=-2.5), static=True)
+    if len(walls):
+        recording.log("plan/marks/walls", rr.LineStrips2D(list(walls), colors=MARK, radii=-2.5), static=True)
     if marks:
         recording.log(
             "plan/marks/places",
@@ -139,9 +137,8 @@ def _points(compared: Compared, ranges: Floats, lasers: Floats) -> list[Floats]:
 
 def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
     """Scans on the arena, the gap enlarged and the report above; gap over time, one ray, and bearing below."""
-    x0, y0, x1, y1 = compared.arena.bounds
-    margin = 0.06 * max(x1 - x0, y1 - y0)
-    bounds = rrb.VisualBounds2D(x_range=[x0 - margin, x1 + margin], y_range=[-y1 - margin, -y0 + margin])
+    x0, y0, x1, y1 = compared.frame
+    bounds = rrb.VisualBounds2D(x_range=[x0, x1], y_range=[-y1, -y0])
     amended = ", amended (teal)" if compared.is_amended else ""
     plan = rrb.Spatial2DView(
         name=f"measured (white), nominal (orange){amended}",

@@ -137,6 +137,19 @@ class Compared:
         x0, y0, x1, y1 = self.arena.bounds
         return float(np.hypot(x1 - x0, y1 - y0))
 
+    @cached_property
+    def frame(self) -> tuple[float, float, float, float]:
+        """x0, y0, x1, y1 [m] of what is drawn: the arena with a margin, wider where rays end behind its walls."""
+        x0, y0, x1, y1 = self.arena.bounds
+        side = max(x1 - x0, y1 - y0)
+        low, high = np.array([x0, y0]) - 0.05 * side, np.array([x1, y1]) + 0.05 * side
+        flat = np.flatnonzero(np.isfinite(self.measured))[::37]
+        if len(flat) > 50:
+            ends = self.ends(flat, self.measured.ravel()[flat])
+            low = np.clip(np.quantile(ends, 0.004, axis=0) - 0.03 * side, low - 0.4 * side, low)
+            high = np.clip(np.quantile(ends, 0.996, axis=0) + 0.03 * side, high, high + 0.4 * side)
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
     def set_off(self, side: Side) -> Floats:
         """Return ranges (n_scans, n_rays) [m] with residuals enlarged; large ones stay as measured."""
         large = self.enlarged * side.residual
@@ -190,6 +203,17 @@ class Compared:
         mean = np.where(rays >= LEAST, s.sum(axis=0) / np.maximum(rays, 1), np.nan)
         scatter = np.sqrt(((s - np.nan_to_num(mean) * n) ** 2).sum(axis=0))
         return mean, scatter / np.maximum(rays, 1)
+
+
+def sections(arena: Arena, a: Amendment) -> list[Floats]:
+    """Return the walls, or the part of one, that an effect sits on; each (2, 2) [m]."""
+    pairs = zip(arena.names, arena.walls, strict=True)
+    chosen = [wall for name, wall in pairs if a.place and a.place in (name, name.rsplit("/", 1)[0])]
+    if len(chosen) == 1 and {"a", "b"} <= set(a.parameters):
+        first, last = chosen[0]
+        way = (last - first) / max(float(np.hypot(*(last - first))), 1e-9)
+        return [np.stack([first + a["a"] * way, first + a["b"] * way])]
+    return chosen
 
 
 def compare(finding: Finding) -> Compared | None:

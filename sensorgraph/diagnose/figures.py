@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from planners.arena import Floats
-from sensorgraph.diagnose.compared import Compared, Side
+from sensorgraph.diagnose.compared import Compared, Side, sections
 from sensorgraph.diagnose.decide import THRESHOLD
 from sensorgraph.diagnose.diagnose import Finding
 from sensorgraph.diagnose.finding import Gap, Ledger, Unknown
@@ -52,7 +52,7 @@ def arena_picture(finding: Finding, compared: Compared, path: Path) -> None:
     """Draw where the rays ended, coloured by residual, before and after."""
     from matplotlib.collections import LineCollection
 
-    x0, y0, x1, y1 = _frame(compared)
+    x0, y0, x1, y1 = compared.frame
     aspect = (y1 - y0) / (x1 - x0)
     sides = [
         ("before: the simulator as mapped", compared.before),
@@ -100,19 +100,6 @@ def arena_picture(finding: Finding, compared: Compared, path: Path) -> None:
             borderaxespad=0.0,
         )
     save_figure(figure, path)
-
-
-def _frame(compared: Compared) -> tuple[float, float, float, float]:
-    """Return what is drawn, x0, y0, x1, y1 [m]: the arena with a margin, wider where rays end behind its walls."""
-    x0, y0, x1, y1 = compared.arena.bounds
-    side = max(x1 - x0, y1 - y0)
-    low, high = np.array([x0, y0]) - 0.05 * side, np.array([x1, y1]) + 0.05 * side
-    flat = np.flatnonzero(np.isfinite(compared.measured))[::37]
-    if len(flat) > 50:
-        ends = compared.ends(flat, compared.measured.ravel()[flat])
-        low = np.clip(np.quantile(ends, 0.004, axis=0) - 0.03 * side, low - 0.4 * side, low)
-        high = np.clip(np.quantile(ends, 0.996, axis=0) + 0.03 * side, high, high + 0.4 * side)
-    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
 def _displaced(walls: Floats, other: Floats) -> Floats:
@@ -192,17 +179,11 @@ def _marks(axes: Any, compared: Compared, effects: Sequence[Amendment], unknown:
 
 
 def _mark_walls(axes: Any, compared: Compared, a: Amendment) -> None:
-    names, walls = compared.arena.names, compared.arena.walls
-    chosen = [w for n, w in zip(names, walls, strict=True) if n == a.place or n.rsplit("/", 1)[0] == a.place]
-    if not chosen:
-        return
-    if len(chosen) == 1 and "a" in a.parameters and "b" in a.parameters:
-        first, last = chosen[0]
-        way = (last - first) / max(float(np.hypot(*(last - first))), 1e-9)
-        chosen = [np.stack([first + a["a"] * way, first + a["b"] * way])]
-    _line(axes, chosen)
-    middle = np.mean([w.mean(axis=0) for w in chosen], axis=0)
-    _label(axes, compared, (float(middle[0]), float(middle[1])), a.effect.title)
+    chosen = sections(compared.arena, a)
+    if chosen:
+        _line(axes, chosen)
+        middle = np.mean([wall.mean(axis=0) for wall in chosen], axis=0)
+        _label(axes, compared, (float(middle[0]), float(middle[1])), a.effect.title)
 
 
 def _line(axes: Any, walls: Sequence[Floats]) -> None:

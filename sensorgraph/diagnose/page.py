@@ -13,6 +13,7 @@ from sensorgraph.diagnose.diagnose import Finding
 from sensorgraph.diagnose.finding import Ledger
 from sensorgraph.diagnose.words import (
     deviation,
+    main_ledger,
     minus,
     parameters,
     percent,
@@ -92,15 +93,18 @@ def page(
     settings : configuration, listed at the end
     """
     what = said(finding)
+    body = [
+        _where(finding, pictures),
+        _gap(finding, pictures),
+        _effects(finding),
+        _ranking(finding, pictures),
+    ]
     parts = [
         f'<header class="{what.kind}"><p class="eyebrow">sensorgraph diagnose: {escape(title)}</p>',
         f"<h1>{escape(what.headline)}</h1>",
         *(f'<p class="lead">{escape(text)}</p>' for text in what.details),
         "</header>",
-        _where(finding, pictures),
-        _gap(finding, pictures),
-        _effects(finding),
-        _ranking(finding, pictures),
+        *(body if main_ledger(finding) == "scan" else [*body[1:], body[0]]),
         _deviations(finding, pictures),
         _tolerated(finding),
         _channels(finding),
@@ -108,11 +112,11 @@ def page(
         _next_run(next_run),
         _facts(finding, settings),
     ]
-    body = "\n".join(part for part in parts if part)
+    text = "\n".join(part for part in parts if part)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(what.headline)}</title><style>{STYLE}</style></head>\n<body><main>\n{body}\n</main></body></html>\n"
+        f"<title>{escape(what.headline)}</title><style>{STYLE}</style></head>\n<body><main>\n{text}\n</main></body></html>\n"
     )
 
 
@@ -137,7 +141,8 @@ def _where(finding: Finding, pictures: Mapping[str, Path]) -> str:
     )
     if amended:
         caption += " A model that is right leaves an even, narrow band of noise along every wall."
-    return f"<h2>Where they differ</h2>{_picture(pictures['arena'], 'Residuals in the arena', caption)}"
+    title = "Where they differ" if main_ledger(finding) == "scan" else "The scans in the arena"
+    return f"<h2>{title}</h2>{_picture(pictures['arena'], 'Residuals in the arena', caption)}"
 
 
 def _gap(finding: Finding, pictures: Mapping[str, Path]) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sensorgraph import __version__
-from sensorgraph.diagnose.compared import compare
+from sensorgraph.diagnose.compared import compare, sections
 from sensorgraph.diagnose.diagnose import Finding, sentence
 from sensorgraph.diagnose.finding import Gap, Ledger
 from sensorgraph.diagnose.words import deviation, parameters, percent, place_words, said
@@ -69,7 +69,7 @@ def save(
             files["review.rrd"],
             report=markdown(finding, name),
             marks=marks(finding),
-            walls=[a.place for a in finding.effects if a.effect.place == "wall"],
+            walls=[wall for a in finding.effects for wall in sections(compared.arena, a)],
         )
     done(5)
     return [*files.values(), *pictures.values()]

@@ -149,11 +149,7 @@ def title_of(name: str) -> str:
 def said(finding: Finding) -> Said:
     """Say what came out."""
     effects, unknown, doubt = finding.effects, finding.unknown, undecided(finding)
-    ledger = main_ledger(finding)
-    details = []
-    shrinks = gap_sentence(finding.ledgers[ledger].gap, channel=ledger, is_amended=bool(effects))
-    if shrinks:
-        details.append(shrinks)
+    details = gap_sentences(finding)
     seen = [name for name, one in finding.ledgers.items() if not one.skipped]
     if not seen:
         why = "; ".join(f"{name}: {one.skipped}" for name, one in finding.ledgers.items())
@@ -217,26 +213,38 @@ def main_ledger(finding: Finding) -> str:
     return next(iter(finding.ledgers))
 
 
-def gap_sentence(gap: Gap | None, *, channel: str = "scan", is_amended: bool = True) -> str:
+def gap_sentences(finding: Finding) -> list[str]:
+    """Say how far the gap shrinks in every channel with a name; without one, how large it is."""
+    named = [name for name, ledger in finding.ledgers.items() if ledger.effects]
+    out = []
+    for name in named or [main_ledger(finding)]:
+        ledger = finding.ledgers[name]
+        text = gap_sentence(ledger.gap, channel=name, n_effects=len(ledger.effects))
+        out.append(f"{name.capitalize()}: {text[0].lower()}{text[1:]}" if text and len(named) > 1 else text)
+    return [text for text in out if text]
+
+
+def gap_sentence(gap: Gap | None, *, channel: str = "scan", n_effects: int = 1) -> str:
     """Say how far the gap shrinks, over what noise alone leaves."""
     if gap is None or gap.noise_floor.normalised <= 0:
         return ""
     before, after, floor = (f.normalised for f in (gap.before, gap.after, gap.noise_floor))
     unit, factor = ("cm", 100.0) if channel == "scan" else ("cm/s", 100.0)
-    if not is_amended:
+    if not n_effects:
         return (
             f"The gap is {after / floor:.2f} times the noise floor "
             f"({factor * gap.after.rmse_m:.2f} {unit} over {factor * gap.noise_floor.rmse_m:.2f} {unit})."
         )
+    it = "it" if n_effects == 1 else "them"
     gained = minus(f"{gap.before.nats_per_ray - gap.after.nats_per_ray:.3g} nats")
     if after > 0.97 * before:
         return (
-            f"With it in the model every reading is better explained, by {gained} on average over {gap.n_rays:,} "
+            f"With {it} in the model every reading is better explained, by {gained} on average over {gap.n_rays:,} "
             "readings that no fit has seen; the RMS gap, which it hardly changes, is "
             f"{after / floor:.2f} times the noise floor."
         )
     return (
-        f"With it in the model the gap shrinks from {before / floor:.2f} to {after / floor:.2f} times the noise floor "
+        f"With {it} in the model the gap shrinks from {before / floor:.2f} to {after / floor:.2f} times the noise floor "
         f"({factor * gap.before.rmse_m:.2f} to {factor * gap.after.rmse_m:.2f} {unit}, and {gained} per reading), "
         "on readings that no fit has seen."
     )

@@ -19,7 +19,7 @@ WHEEL_BASE = Effect(
     channel="odometry",
     stage="wheels",
     physics="The odometry takes the wheels for (1 + s) times farther apart than they are: it turns 1 / (1 + s) as much.",
-    equation="odometry ω = ω / (1 + s)",
+    equation="odometry ω = true ω / (1 + s)",
     source="Borenstein and Feng (1996), measurement and correction of systematic odometry errors: E_b",
     varies="error of heading against rotation, the same for both senses",
     rivals={"wheel_radius": "a straight run", "wheel_slip": "another place"},

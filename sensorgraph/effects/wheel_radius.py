@@ -17,7 +17,7 @@ WHEEL_RADIUS = Effect(
     channel="odometry",
     stage="wheels",
     physics="Both wheels are (1 + s) times smaller than assumed, so that way and turn are overstated alike.",
-    equation="odometry (v, ω) = (1 + s) (v, ω)",
+    equation="odometry (v, ω) = (1 + s) × true (v, ω)",
     source="Borenstein and Feng (1996), measurement and correction of systematic odometry errors",
     varies="odometry against pose: way and turn in proportion",
     rivals={"wheel_base": "turn only, and drive straight only"},

@@ -19,7 +19,7 @@ WHEEL_RADIUS_DIFF = Effect(
     channel="odometry",
     stage="wheels",
     physics="One wheel is larger: the odometry turns by s v / base while driving.",
-    equation="odometry ω = ω + s v / base",
+    equation="odometry ω = true ω + s v / base",
     source="Borenstein and Feng (1996), measurement and correction of systematic odometry errors: E_d",
     varies="error of heading against distance",
     rivals={"wheel_base": "a long straight"},

@@ -17,7 +17,7 @@ WHEEL_SLIP = Effect(
     channel="odometry",
     stage="wheels",
     physics="On a slippery patch the body moves only (1 - s) times what the wheels turn.",
-    equation="(v, ω) = (1 − s) odometry (v, ω) within r of (x, y)",
+    equation="true (v, ω) = (1 − s) × odometry (v, ω) within r of (x, y)",
     source="Ojeda, Cruz, Reina and Borenstein (2006), current-based slippage detection",
     varies="place",
     rivals={"wheel_radius": "it acts everywhere", "wheel_base": "cross the patch again, slowly"},
