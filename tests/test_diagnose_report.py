@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -203,6 +204,28 @@ def test_skipped_channels_and_missing_parts_leave_a_report(silent: Finding, tmp_
     assert "Nothing could be compared." in html
     assert "no drive" in html
     assert json.loads((tmp_path / "report.json").read_text())["gap"] is None
+
+
+def test_the_next_run_is_shown_where_one_is_planned(found: Finding, tmp_path: Path) -> None:
+    way = np.column_stack([np.linspace(0.5, 3.5, 40), np.full(40, 0.5), np.zeros(40)])
+    plan = {
+        "why": "drive near and far",
+        "questions": ["range_bias or range_scale?"],
+        "expected_nats": 340.0,
+        "median_random_run_nats": 80.0,
+        "steps": [{"kind": "spin", "place": [0.5, 0.5], "heading": -0.25, "way_m": 0.0}],
+    }
+    planned = SimpleNamespace(trajectory=SimpleNamespace(poses=way), to_dict=lambda: plan)
+    object.__setattr__(found, "next_run", planned)
+    try:
+        save(found, tmp_path)
+    finally:
+        object.__setattr__(found, "next_run", None)
+    html = (tmp_path / "report.html").read_text()
+    assert "drive near and far" in html
+    assert "340 nats" in html
+    assert (tmp_path / "next_run.png").exists()
+    assert json.loads((tmp_path / "report.json").read_text())["next_run"] == plan
 
 
 def test_a_failure_leaves_no_part_behind(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.arena import Floats
+from planners.arena import Arena, Floats
 from sensorgraph.diagnose.compared import Compared, Side, sections
 from sensorgraph.diagnose.decide import THRESHOLD
 from sensorgraph.diagnose.diagnose import Finding
@@ -37,7 +37,33 @@ def draw(finding: Finding, compared: Compared | None, folder: Path) -> dict[str,
     if finding.explained is not None and any(step.tried for step in finding.explained.steps):
         out["ranking"] = folder / "ranking.png"
         ranking_picture(finding, out["ranking"])
+    plan = getattr(finding, "next_run", None)
+    trajectory = getattr(plan, "trajectory", None)
+    if trajectory is not None:
+        out["next_run"] = folder / "next_run.png"
+        next_run_picture(trajectory.poses, finding.evidence.arena, out["next_run"])
     return out
+
+
+def next_run_picture(poses: Floats, arena: Arena, path: Path) -> None:
+    """Draw the way (n, 3) of the next run over the arena, time as colour."""
+    from matplotlib.collections import LineCollection
+
+    x0, y0, x1, y1 = arena.bounds
+    aspect = float(np.clip((y1 - y0) / max(x1 - x0, 1e-9), 0.2, 3.0))
+    wide = min(6.0, 5.5 / aspect)
+    figure = new_figure(wide + 1.2, wide * aspect + 0.8)
+    axes = figure.subplots()
+    draw_floor(axes, arena)
+    moved = np.concatenate([[True], np.hypot(*np.diff(poses[:, :2], axis=0).T) > 1e-4])
+    way = poses[moved][:: max(1, int(moved.sum()) // 2000), :2]
+    share = np.linspace(0, 1, max(len(way) - 1, 1))
+    pieces = list(np.stack([way[:-1], way[1:]], axis=1))
+    line = LineCollection(pieces, array=share[: len(pieces)], cmap="viridis", linewidths=1.4, zorder=3)
+    axes.add_collection(line)
+    axes.plot(*poses[0, :2], "o", ms=8, mfc="white", mec=ALARM, mew=2.0, zorder=6)
+    axes.set_title("from the ring, dark to bright", fontsize=9, color=INK, loc="left")
+    save_figure(figure, path)
 
 
 def _gaps(finding: Finding) -> dict[str, Gap]:

@@ -109,7 +109,7 @@ def page(
         _tolerated(finding),
         _channels(finding),
         _not_observable(finding),
-        _next_run(next_run),
+        _next_run(next_run, pictures),
         _facts(finding, settings),
     ]
     text = "\n".join(part for part in parts if part)
@@ -310,31 +310,45 @@ def _not_observable(finding: Finding) -> str:
     return f"<h2>What this run could not show</h2><table class='pairs'>{head}{rows}{skipped}</table>"
 
 
-def _next_run(plan: Mapping[str, Any] | None) -> str:
+def _next_run(plan: Mapping[str, Any] | None, pictures: Mapping[str, Path]) -> str:
     if not plan:
         return ""
-    picture = plan.get("picture")
-    shown = _picture(Path(picture), "The next run", "") if picture and Path(str(picture)).exists() else ""
-    points = plan.get("waypoints") or []
-    listed = ""
-    if points:
-        rows = "".join(
-            f'<tr><td class="n">{i}</td>'
-            + "".join(f'<td class="n">{_value(v)}</td>' for v in _row(point))
-            + "</tr>"
-            for i, point in enumerate(points, start=1)
-        )
-        listed = f"<details><summary>{len(points)} waypoints (x [m], y [m], φ [rad])</summary><table>{rows}</table></details>"
-    words = [f"<p>{escape(str(plan[k]))}</p>" for k in ("statement", "why", "purpose") if plan.get(k)]
-    return f"<h2>The next run</h2>{''.join(words)}{shown}{listed}"
+    why = str(plan.get("why") or "")
+    questions = [str(q) for q in plan.get("questions") or []]
+    nats, median = plan.get("expected_nats"), plan.get("median_random_run_nats")
+    facts = {
+        "expected evidence": "" if nats is None else f"{nats:,.0f} nats",
+        "a median random run": "" if median is None else f"{median:,.0f} nats",
+        "duration": f"{plan['duration_s']:.0f} s" if plan.get("duration_s") else "",
+        "way": f"{plan['path_m']:.1f} m" if plan.get("path_m") else "",
+    }
+    cells = "".join(f"<div><span>{k}</span>{escape(v)}</div>" for k, v in facts.items() if v)
+    asked = "".join(f"<li>{escape(q)}</li>" for q in questions)
+    points = plan.get("steps") or plan.get("waypoints") or []
+    rows = "".join(
+        "<tr>" + "".join(f"<td>{_value(v)}</td>" for v in _row(point)) + "</tr>" for point in points
+    )
+    listed = f"<details><summary>{len(points)} steps</summary><table>{rows}</table></details>" if rows else ""
+    return (
+        "<h2>The next run</h2>"
+        + (f"<p>{escape(why)}</p>" if why else "")
+        + (f"<ul>{asked}</ul>" if asked else "")
+        + (f"<div class='facts'>{cells}</div>" if cells else "")
+        + _picture(pictures.get("next_run"), "The way of the next run", "")
+        + listed
+    )
 
 
 def _row(point: Any) -> Iterable[Any]:
-    return point.values() if isinstance(point, Mapping) else point
+    if isinstance(point, Mapping):
+        return [f"{k} {_value(v)}" if k != "kind" else v for k, v in point.items()]
+    return list(point)
 
 
 def _value(value: Any) -> str:
-    return escape(f"{value:.3g}" if isinstance(value, float) else str(value))
+    if isinstance(value, list | tuple):
+        return ", ".join(_value(v) for v in value)
+    return minus(escape(f"{value:.3g}" if isinstance(value, float) else str(value)))
 
 
 def _facts(finding: Finding, settings: Mapping[str, Any]) -> str:

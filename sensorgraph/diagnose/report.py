@@ -75,6 +75,14 @@ def save(
     return [*files.values(), *pictures.values()]
 
 
+def next_run(finding: Finding) -> dict[str, Any] | None:
+    """Return the next run as plain data, where one is planned."""
+    plan = getattr(finding, "next_run", None)
+    if plan is None:
+        return None
+    return dict(plan.to_dict()) if hasattr(plan, "to_dict") else dict(plan)
+
+
 def marks(finding: Finding) -> list[tuple[str, tuple[float, float]]]:
     """Return words and points (x, y) [m, map] of what sits somewhere."""
     out = [(a.effect.title, xy) for a in finding.effects if (xy := spot(a)) is not None]
@@ -150,7 +158,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
             for ledger in ledgers.values()
             for name, why in ledger.not_observable.items()
         ],
-        "next_run": getattr(finding, "next_run", None),
+        "next_run": next_run(finding),
         "intake": finding.intake,
         "channels": {name: channel_dict(ledger) for name, ledger in ledgers.items()},
         "cpu_s": finding.seconds,
