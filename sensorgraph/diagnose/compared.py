@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from planners.arena import Arena, Bools, Floats
 from sensorgraph.diagnose.diagnose import Finding
+from sensorgraph.diagnose.finding import Fit, Gap
 from sensorgraph.diagnose.model import Fitted, cast
+from sensorgraph.diagnose.prove import held_out
 from sensorgraph.effects import Amendment
 
 Ints = NDArray[np.intp]
@@ -205,6 +207,39 @@ class Compared:
         return mean, scatter / np.maximum(rays, 1)
 
 
+def bare_gap(finding: Finding) -> Gap | None:
+    """Return the gap of the bare simulator on the held-out scans, beside the nominal noise; None: no scan effect.
+
+    `prove.gap` lets poses and map shift within their tolerances before and after, which hides a part of what an
+    effect does. Here nothing shifts; residuals beyond CLIP sigmas are cut. It has no likelihood: nats are nan.
+    """
+    named = _named(finding)
+    if not named:
+        return None
+    held = held_out(finding.evidence)
+    evidence = finding.evidence.part(held)
+    sigma = evidence.sensor.sigma or 0.01
+    z = evidence.ranges
+    squares: list[float] = []
+    count = 0
+    for effects in ((), named):
+        what = cast(evidence, effects).what
+        with np.errstate(invalid="ignore"):
+            off = np.abs(z - what.reading)
+        there = np.isfinite(off) & (what.p_return > 0.5) & (what.p_alternative < EDGE)
+        count = int(there.sum())
+        squares.append(float(np.mean(np.minimum(off[there], CLIP * sigma) ** 2)) if count else 0.0)
+    before, after = (
+        Fit(rmse_m=s**0.5, normalised=s**0.5 / sigma, nats_per_ray=float("nan")) for s in squares
+    )
+    floor = Fit(rmse_m=sigma, normalised=1.0, nats_per_ray=float("nan"))
+    return Gap(before=before, after=after, noise_floor=floor, n_rays=count)
+
+
+def _named(finding: Finding) -> tuple[Amendment, ...]:
+    return tuple(a for a in finding.effects if a.effect.channel == "scan")
+
+
 def sections(arena: Arena, a: Amendment) -> list[Floats]:
     """Return the walls, or the part of one, that an effect sits on; each (2, 2) [m]."""
     pairs = zip(arena.names, arena.walls, strict=True)
@@ -230,7 +265,7 @@ def compare(finding: Finding) -> Compared | None:
             evidence.poses[:, 2] + (0.0 if evidence.laser_frame else evidence.sensor.mount[2]),
         ]
     )
-    named = tuple(a for a in finding.effects if a.effect.channel == "scan")
+    named = _named(finding)
     before = Side.of(null, ())
     return Compared(
         arena=evidence.arena,

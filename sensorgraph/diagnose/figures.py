@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from planners.arena import Arena, Floats
-from sensorgraph.diagnose.compared import Compared, Side, sections
+from sensorgraph.diagnose.compared import Compared, Side, bare_gap, sections
 from sensorgraph.diagnose.decide import THRESHOLD
 from sensorgraph.diagnose.diagnose import Finding
 from sensorgraph.diagnose.finding import Gap, Ledger, Unknown
@@ -33,7 +33,8 @@ def draw(finding: Finding, compared: Compared | None, folder: Path) -> dict[str,
     gaps = _gaps(finding)
     if gaps:
         out["gap"] = folder / "gap.png"
-        gap_picture(gaps, finding.second_gap, out["gap"])
+        others = {"scan, bare simulator": bare_gap(finding), "scan, second run": finding.second_gap}
+        gap_picture(gaps, {k: g for k, g in others.items() if g is not None}, out["gap"])
     if finding.explained is not None and any(step.tried for step in finding.explained.steps):
         out["ranking"] = folder / "ranking.png"
         ranking_picture(finding, out["ranking"])
@@ -61,8 +62,15 @@ def next_run_picture(poses: Floats, arena: Arena, path: Path) -> None:
     pieces = list(np.stack([way[:-1], way[1:]], axis=1))
     line = LineCollection(pieces, array=share[: len(pieces)], cmap="viridis", linewidths=1.4, zorder=3)
     axes.add_collection(line)
+    some = poses[:: max(1, len(poses) // 150)]
+    axes.quiver(
+        some[:, 0], some[:, 1], np.cos(some[:, 2]), np.sin(some[:, 2]), np.linspace(0, 1, len(some)),
+        cmap="viridis", scale=22, width=0.003, headwidth=0, headlength=0, headaxislength=0, zorder=4,
+    )  # fmt: skip
     axes.plot(*poses[0, :2], "o", ms=8, mfc="white", mec=ALARM, mew=2.0, zorder=6)
-    axes.set_title("from the ring, dark to bright", fontsize=9, color=INK, loc="left")
+    axes.set_title(
+        "from the ring on, dark to bright; strokes: where the robot faces", fontsize=9, color=INK, loc="left"
+    )
     save_figure(figure, path)
 
 
@@ -236,12 +244,16 @@ def _label(axes: Any, compared: Compared, xy: tuple[float, float], text: str) ->
     )  # fmt: skip
 
 
-def gap_picture(gaps: dict[str, Gap], second: Gap | None, path: Path) -> None:
-    """Draw the gap before and after beside the noise floor, in three units, a row per channel."""
+def gap_picture(gaps: dict[str, Gap], others: dict[str, Gap], path: Path) -> None:
+    """Draw the gap before and after beside the noise floor, in three units, a row per channel.
+
+    Parameters
+    ----------
+    others : further gaps of the scan channel, by what to call them
+    """
     rows = [(name, gap, name) for name, gap in gaps.items()]
-    if second is not None:
-        at = next((i + 1 for i, row in enumerate(rows) if row[2] == "scan"), len(rows))
-        rows.insert(at, ("scan, second run", second, "scan"))
+    at = next((i + 1 for i, row in enumerate(rows) if row[2] == "scan"), len(rows))
+    rows[at:at] = [(name, gap, "scan") for name, gap in others.items()]
     figure = new_figure(10.0, 0.35 + 1.15 * len(rows), layout=None)
     grid = figure.subplots(len(rows), 3, squeeze=False)
     figure.subplots_adjust(
@@ -262,6 +274,9 @@ def gap_picture(gaps: dict[str, Gap], second: Gap | None, path: Path) -> None:
             ("nats per reading above the floor", [f.nats_per_ray - least for f in fits]),
         )
         for axes, (label, values) in zip(charts, columns, strict=True):
+            if not np.isfinite(values).all():
+                axes.set_axis_off()
+                continue
             _bars(axes, values, least=0.02 if label.startswith("nats") else 0.0)
             axes.set_title(label, fontsize=8, color=SOFT, loc="left", pad=3)
         charts[0].set_yticks([2, 1, 0], ["before", "after", "noise floor"], fontsize=8.5, color=INK)

@@ -101,8 +101,8 @@ def page(
     ]
     parts = [
         f'<header class="{what.kind}"><p class="eyebrow">sensorgraph diagnose: {escape(title)}</p>',
-        f"<h1>{escape(what.headline)}</h1>",
-        *(f'<p class="lead">{escape(text)}</p>' for text in what.details),
+        f"<h1>{_glued(what.headline)}</h1>",
+        *(f'<p class="lead">{_glued(text)}</p>' for text in what.details),
         "</header>",
         *(body if main_ledger(finding) == "scan" else [*body[1:], body[0]]),
         _deviations(finding, pictures),
@@ -151,8 +151,9 @@ def _gap(finding: Finding, pictures: Mapping[str, Path]) -> str:
     gap = finding.ledgers["scan"].gap if "scan" in finding.ledgers else None
     rays = f" ({gap.n_rays:,} rays)" if gap is not None else ""
     caption = (
-        f"Measured on readings that no fit and no choice has seen{rays}. Noise floor: what a perfect model would leave, "
-        "from readings drawn from the amended model itself. Nats: how much less likely the readings are; smaller is better."
+        f"Measured on readings that no fit and no choice has seen{rays}; map and poses may shift within their "
+        "tolerances, before as after. Noise floor: what a perfect model would leave, from readings drawn from the amended model itself. Nats: how much less likely the readings are; smaller is better. "
+        "Bare simulator: nothing shifts, and the floor is the sensor's nominal noise."
     )
     return (
         f"<h2>How large the gap is</h2>{_picture(pictures['gap'], 'Gap before, after, noise floor', caption)}"
@@ -184,6 +185,14 @@ def _effect(a: Amendment) -> str:
         + f'<div class="facts">{cells}</div>'
         f'<p class="note">Its residual varies with {escape(a.effect.varies)}. Source: {escape(a.effect.source)}.</p></section>'
     )
+
+
+def _glued(text: str) -> str:
+    """Keep numbers with their units and errors on one line."""
+    glued = re.sub(
+        r"(?<=\d) (?=(%|cm|mm|ms|m|s|nats)\b|%)|(?<=[\d°]) (?=±)|(?<=[±<>=]) (?=[\d+−])", "\u00a0", text
+    )
+    return escape(glued)
 
 
 def _lowered(text: str) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sensorgraph import __version__
-from sensorgraph.diagnose.compared import compare, sections
+from sensorgraph.diagnose.compared import bare_gap, compare, sections
 from sensorgraph.diagnose.diagnose import Finding, sentence
 from sensorgraph.diagnose.finding import Gap, Ledger
 from sensorgraph.diagnose.words import deviation, parameters, percent, place_words, said
@@ -141,6 +141,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
     ledgers = finding.ledgers
     unknown = finding.unknown
     gap = ledgers["scan"].gap if "scan" in ledgers else None
+    bare = bare_gap(finding)
     rivals = [asdict(r) for ledger in ledgers.values() for r in ledger.rivals]
     return {
         "effects": [effect_dict(a) for a in finding.effects],
@@ -151,6 +152,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
         "runner_up": rivals[0] if rivals else None,
         "rivals": rivals,
         "gap": None if gap is None else gap_dict(gap),
+        "gap_bare_simulator": None if bare is None else gap_dict(bare),
         "gap_second_run": None if finding.second_gap is None else gap_dict(finding.second_gap),
         "within_tolerance": [effect_dict(a) for ledger in ledgers.values() for a in ledger.within_tolerance],
         "not_observable": [
