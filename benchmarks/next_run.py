@@ -20,9 +20,8 @@ from benchmarks.hidden_effects.world import make_room
 from planners.arena import Arena
 from planners.maps import geojson
 from planners.trajectory import Trajectory
-from sensorgraph.diagnose.decide import refined
 from sensorgraph.diagnose.evidence import Evidence, gather
-from sensorgraph.diagnose.model import start_state
+from sensorgraph.diagnose.model import ROUGH, Fitted, fit, start_state
 from sensorgraph.diagnose.next_run import Ground, between, next_run, random_run
 from sensorgraph.diagnose.nuisance import Freedom
 from sensorgraph.effects import EFFECTS, Amendment
@@ -81,10 +80,24 @@ def measured(
 
 def nats(evidence: Evidence, a: Amendment, b: Amendment) -> tuple[float, Amendment]:
     """Return J(A) - J(B) on measured data, both refitted; and B as fitted."""
-    freedom = Freedom()
-    state = start_state(evidence, freedom)
-    fits = [refined(evidence, (model,), state, freedom, outer=4, inner=4) for model in (a, b)]
+    fits = [fitted(evidence, model) for model in (a, b)]
     return fits[0].j - fits[1].j, fits[1].model[0]
+
+
+def fitted(evidence: Evidence, effect: Amendment) -> Fitted:
+    """Fit an effect with all nuisances: its smooth parameters, and its rough ones by trying both sides."""
+    freedom = Freedom()
+    best = fit(evidence, (effect,), start_state(evidence, freedom), freedom, outer=4, inner=4)
+    for scale in (4.0, 1.0):
+        for name, step in ROUGH.get(effect.name, {}).items():
+            if name not in effect.parameters:
+                continue
+            for sign in (1.0, -1.0):
+                value = best.model[0][name] + sign * scale * step
+                moved = best.model[0].moved_to({name: value})
+                got = fit(evidence, (moved,), best.state, freedom, outer=1, inner=2)
+                best = got if got.j > best.j else best
+    return best
 
 
 def main() -> None:

@@ -30,7 +30,6 @@ Model = tuple[Amendment, ...]
 MOST_RAYS = 46  # of a scan, that are looked at; the others count as much
 CAP = 5.0  # [nats] that a single ray may bring
 FAR = 4.0  # standard deviations, up to which a ray tells little by little whatever it met
-REBUILT = ("moved_obstacle", "missing_obstacle", "unmapped_obstacle", "moved_wall")
 LOSS = 2e-3  # chance of a lost or stray ray under any hypothesis
 EDGE = 2e-3  # chance of being on the other side of an edge, above which a ray is not asked
 GROWTH = 10.0  # [nats] after which more evidence on one question counts half
@@ -120,9 +119,10 @@ class Forecast:
         self.locked = self.solver.locked
         bent = [~b.straight for b in (first.beams, at.beams) if b.straight is not None]
         same = np.asarray((first.beams.wall == at.beams.wall) & ~sum(bent, np.zeros(1, dtype=np.bool_)))
-        other = bool(bent) or _is_rebuilt(question)
-        noisier = np.clip(np.square(first.beams.sigma) / np.square(at.beams.sigma), 0.01, 100.0)
-        weight, self.sure = _weights(self.solver, truth, evidence, same, other, noisier)
+        noisier = np.clip(
+            np.square(first.beams.sigma) / np.maximum(np.square(at.beams.sigma), 1e-12), 0.01, 100.0
+        )
+        weight, self.sure = _weights(self.solver, truth, evidence, same, noisier)
         self.weight, self.sure = every * weight, every * self.sure
 
     def shares(self) -> list[Share]:
@@ -237,21 +237,14 @@ def _readings(what: Predicted, evidence: Evidence) -> Floats:
     return np.where(seen, what.reading, np.inf)
 
 
-def _is_rebuilt(question: Question) -> bool:
-    """Tell whether the models differ in what stands in the room."""
-    there = [{(e.name, e.place) for e in model if e.name in REBUILT} for model in (question.a, question.b)]
-    return there[0] != there[1]
-
-
 def _weights(
-    solver: Solver, truth: Predicted, evidence: Evidence, same: Bools, other: bool, noisier: Floats
+    solver: Solver, truth: Predicted, evidence: Evidence, same: Bools, noisier: Floats
 ) -> tuple[Floats, Floats]:
     """Return weights [1/m²] of the rays that tell little by little, and the nats of those that tell at once.
 
     Parameters
     ----------
     same : (n_scans, n_rays) both models see the same wall, along a straight ray
-    other : rays that meet something else count; if not, they merely pass an edge, which a refit moves as well
     noisier : variance of the readings under the first model over that under the second
     """
     what = solver.what
@@ -264,7 +257,7 @@ def _weights(
     near: Bools = solver.cols.valid & (same | (np.abs(off) <= FAR * sigma)) & evidence.returned
     weight = np.where(near & asked, back_a / sigma**2, 0.0)
     spread = 0.5 * (noisier - 1 - np.log(noisier))
-    at_once = np.minimum(np.where(near | (not other), 0.0, 0.5 * (off / sigma) ** 2) + spread, CAP)
+    at_once = np.minimum(np.where(near, 0.0, 0.5 * (off / sigma) ** 2) + spread, CAP)
     returns = back_a * np.log(back_a / back_b) + (1 - back_a) * np.log((1 - back_a) / (1 - back_b))
     sure = np.where(asked, returns + back_a * back_b * at_once, 0.0)
     return weight, sure
