@@ -7,7 +7,7 @@ errors, count once. The largest z is compared with replicates drawn from the mod
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from sensorgraph.diagnose.finding import Where
 from sensorgraph.diagnose.model import Fitted, bare_cast, fit
 from sensorgraph.diagnose.nuisance import Freedom
 from sensorgraph.diagnose.view import View
+from sensorgraph.world.robot_file import Tolerances
 
 Ints = NDArray[np.intp]
 
@@ -219,6 +220,8 @@ def scores(view: View) -> Scores:
         clear = clear | bent
     u = np.where(clear, judged.residual / view.sigma, 0.0)
     usual = clear & (judged.stray < 0.5)
+    if what.short > 0:
+        usual &= judged.core + judged.tail > 0.5
     psi = np.clip(u, -CLIP, CLIP)
     tail = view.noise.tail
     lattice2 = what.lattice**2 / 12 if what.lattice > 0 else 0.0
@@ -329,19 +332,27 @@ class _Doubt:
 
 
 def check(
-    evidence: Evidence, fitted: Fitted, gained: float, *, rng: np.random.Generator, replicates: int = 12
+    evidence: Evidence,
+    fitted: Fitted,
+    gained: float,
+    gains: Mapping[int, float],
+    *,
+    rng: np.random.Generator,
+    replicates: int = 12,
 ) -> Verdict:
     """Ask whether a model is enough: deviations against replicates, scans against each other, laws of its effects.
 
     Parameters
     ----------
     gained : [nats] by which the model beats the one without effects; a doubt must be worth a share of it
+    gains : [nats] that each effect of the model brings
     """
+    told = evidence.tolerances
     evidence, fitted = _widened(evidence, fitted)
     view = View(evidence, fitted)
     parts = partitions(view)
     found = deviations(view, parts)
-    doubts = [*_laws(view, gained), *_limits(view)]
+    doubts = [*_laws(view, gained, gains), *_limits(view, told)]
     ratio = dispersion(view)
     if ratio > DISPERSED:
         worth = (ratio - 1) / 2 * evidence.n_scans
@@ -353,8 +364,9 @@ def check(
                 threshold=DISPERSED,
             )
         )
-    doubts += _against_replicates(evidence, fitted, parts, found, rng, replicates)
-    doubts = [d for d in doubts if d.misfit > WORTH * gained]
+    doubts += _against_replicates(evidence, fitted, parts, found, told, rng, replicates)
+    worth = COARSE if any(a.name in COARSE_EFFECTS for a in fitted.model) else WORTH
+    doubts = [d for d in doubts if d.misfit > worth * gained]
     failed = frozenset(i for d in doubts for i in d.failed)
     if not doubts:
         return Verdict(statement="", where=None, statistic=0.0, threshold=0.0, found=tuple(found), misfit=0.0)
@@ -372,6 +384,8 @@ def check(
 
 
 WORTH = 0.003  # of the model's gain; a smaller misfit is the coarseness of a right model
+COARSE = 0.02
+COARSE_EFFECTS = ("sonar_cone", "mixed_pixels", "people")  # their models are coarse
 DISPERSED = 1.45  # variance ratio between scans and within; right models have 0.85 to 1.15
 LIMIT = 3.2  # tolerances that would have to be so many times wider
 
@@ -394,12 +408,13 @@ def _widened(evidence: Evidence, fitted: Fitted) -> tuple[Evidence, Fitted]:
     return wider, fit(wider, fitted.model, start, Freedom(most=1.3), outer=1, inner=3)
 
 
-def _limits(view: View) -> list[_Doubt]:
+def _limits(view: View, told: Tolerances) -> list[_Doubt]:
     """Doubt a model that needs tolerances far wider than told."""
     state, t = view.fitted.state, view.evidence.tolerances
     out = []
-    for name, scale in (("reference pose", state.pose_scale), ("map", state.map_scale)):
-        if scale * (t.map / max(view.evidence.tolerances.map, 1e-9)) >= LIMIT:
+    poses = state.pose_scale * t.pose_xy / max(told.pose_xy, 1e-9)
+    for name, scale in (("reference pose", poses), ("map", state.map_scale * t.map / max(told.map, 1e-9))):
+        if scale >= LIMIT:
             out.append(
                 _Doubt(
                     statement=f"the {name} would have to be {scale:.1f} times worse than its tolerance",
@@ -411,7 +426,7 @@ def _limits(view: View) -> list[_Doubt]:
     return out
 
 
-def _laws(view: View, gained: float) -> list[_Doubt]:
+def _laws(view: View, gained: float, gains: Mapping[int, float]) -> list[_Doubt]:
     """Check what effects that absorb anything claim of the readings they absorb; and tell-tale combinations."""
     out = []
     judged = view.fitted.solution.judged
@@ -426,7 +441,7 @@ def _laws(view: View, gained: float) -> list[_Doubt]:
         elif a.name == "random_outliers" and odd.sum() > 20:
             words = _not_random(view, odd)
         if words:
-            worth = max(float(odd.sum()) * 2.0, 20.0)
+            worth = 0.1 * gains[index]  # a fringe of a strong effect's own rays is no doubt
             out.append(
                 _Doubt(statement=words, misfit=worth, statistic=0.0, threshold=0.0, failed=frozenset([index]))
             )
@@ -503,6 +518,7 @@ def _against_replicates(
     fitted: Fitted,
     parts: list[Partition],
     found: list[Where],
+    told: Tolerances,
     rng: np.random.Generator,
     count: int,
 ) -> list[_Doubt]:
@@ -510,6 +526,11 @@ def _against_replicates(
     suspects = {f: z for f, z in statistic(found).items() if z > FLOORS[f]}
     if not suspects:
         return []
+    slack = (
+        evidence.tolerances.map / max(told.map, 1e-9),
+        evidence.tolerances.pose_xy / max(told.pose_xy, 1e-9),
+    )
+    slack = float(np.clip(max(slack), 1.0, 2.0))
     drawn: dict[str, list[float]] = {f: [] for f in FLOORS}
     for _ in range(count):
         again = replicate(evidence, fitted, rng)
@@ -518,7 +539,7 @@ def _against_replicates(
     out = []
     for family, z in suspects.items():
         d = np.array(drawn[family])
-        threshold = max(1.25 * float(d.max()), float(d.mean() + 4 * d.std()), FLOORS[family])
+        threshold = max(1.25 * float(d.max()), float(d.mean() + 4 * d.std()), FLOORS[family]) * slack
         if z > threshold:
             where = next(w for w in found if w.family == family)
             misfit = sum(0.5 * w.z**2 for w in found if w.partition == where.partition and w.family == family)

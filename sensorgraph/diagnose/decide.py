@@ -20,11 +20,14 @@ logger = logging.getLogger(__name__)
 
 THRESHOLD = 12.0  # [nats] of evidence, beyond the price of the parameters
 PRICE = 4.0  # [nats] per parameter
-CRUDE = ("sonar_cone",)
+CRUDE = ("sonar_cone", "mixed_pixels")
 """Effects whose model is so coarse that a hundredth of their gain proves nothing else."""
 MOST = 5  # effects in one model
-MANY = 12  # candidates fitted on a part of the scans
+MANY = 10  # candidates fitted on a part of the scans
 FINALISTS = 3
+SOME = 130  # scans on which all candidates are fitted
+SEARCHED = 5  # candidates whose rough parameters are searched
+NEAR = 0.5  # of the best gain; farther candidates are not fitted to all scans
 FAMILIES = (  # effects that the same data may be read as
     {"people", "random_outliers", "range_noise", "mixed_pixels"},
 )
@@ -110,18 +113,31 @@ def _without(model: Sequence[Amendment], index: int) -> tuple[Amendment, ...]:
 def _try(
     evidence: Evidence, current: Fitted, freedom: Freedom, struck: set[tuple[str, str]], gained: float
 ) -> list[tuple[Fitted, float]]:
-    """Fit the most promising candidates; return (fit, gain [nats])."""
+    """Fit the most promising candidates; return (fit, gain [nats]).
+
+    All are fitted on a part of the scans, the best of them with their rough parameters searched; only those that
+    come near the best of these are fitted to all scans.
+    """
     short = shortlist(evidence, current, struck, gained)
     if not short:
         return []
-    every = max(1, evidence.n_scans // 160)
+    every = max(1, evidence.n_scans // SOME)
     few = thin(evidence, every)
-    state = thin_state(current.state, every)
-    base = fit(few, current.model, state, freedom, outer=1, inner=2)
+    base = fit(few, current.model, thin_state(current.state, every), freedom, outer=1, inner=2)
+    strained = max(current.state.pose_scale, current.state.map_scale) > 1.5
+    fresh = start_state(few, freedom) if strained else base.state
     quick: list[tuple[float, Fitted]] = []
     for candidate in short:
-        got = refined(few, (*current.model, candidate.amendment), base.state, freedom, outer=3, inner=2)
+        start = fresh if candidate.amendment.name in ROUGH else base.state
+        got = fit(few, (*current.model, candidate.amendment), start, freedom, outer=3, inner=2)
         quick.append(((got.j - base.j) * every - price(candidate.amendment, evidence), got))
+    quick.sort(key=lambda pair: -pair[0])
+    for k, (gain, got) in enumerate(quick[:SEARCHED]):
+        if gain > 0.2 * quick[0][0] - 20 and is_rough(got.model[-1]):
+            better = searched(
+                few, got, freedom, rounds=4, first=1.0, turns=3 if got.model[-1].effect.absorber else 1
+            )
+            quick[k] = (gain + (better.j - got.j) * every, better)
     quick.sort(key=lambda pair: -pair[0])
     logger.debug("quick %s", [(f.model[-1].name, f.model[-1].place, round(g)) for g, f in quick])
     finalists = quick[:FINALISTS]
@@ -130,36 +146,34 @@ def _try(
         finalists.append(plain[0])
     out = []
     for gain, got in finalists:
-        if gain < 0.25 * finalists[0][0] - 20 and gain < 60:
+        if gain < NEAR * finalists[0][0] - 20:
+            out.append((got, gain))
             continue
-        full = refined(evidence, got.model, current.state, freedom, outer=3, inner=3)
+        begin = start_state(evidence, freedom) if strained and is_rough(got.model[-1]) else current.state
+        full = fit(evidence, got.model, begin, freedom, outer=3, inner=3)
+        if is_rough(full.model[-1]):
+            full = searched(evidence, full, freedom, rounds=2, first=0.25, turns=1)
         out.append((full, full.j - current.j - price(full.model[-1], evidence)))
     return out
 
 
-def refined(
-    evidence: Evidence,
-    model: tuple[Amendment, ...],
-    state: object,
-    freedom: Freedom,
-    *,
-    outer: int,
-    inner: int,
-) -> Fitted:
-    """Fit smooth parameters, then search the rough ones of the last effect, then fit again."""
-    from sensorgraph.diagnose.solve import State
+def is_rough(amendment: Amendment) -> bool:
+    """Tell whether an effect has parameters that are searched, not solved for."""
+    return any(k in amendment.parameters for k in ROUGH.get(amendment.name, ()))
 
-    assert isinstance(state, State)
-    got = fit(evidence, model, state, freedom, outer=outer, inner=inner)
-    if model[-1].name in ROUGH and any(k in model[-1].parameters for k in ROUGH[model[-1].name]):
-        for _ in range(3 if model[-1].effect.absorber else 1):
-            polished = polish(evidence, got.model, len(model) - 1, got, rounds=4)
-            better = fit(evidence, polished, got.state, freedom, outer=1, inner=inner)
-            gained = better.j - got.j
-            if gained > 0:
-                got = better
-            if gained < 2:
-                break
+
+def searched(
+    evidence: Evidence, got: Fitted, freedom: Freedom, *, rounds: int, first: float, turns: int
+) -> Fitted:
+    """Search the rough parameters of the last effect, then fit again."""
+    for _ in range(turns):
+        polished = polish(evidence, got.model, len(got.model) - 1, got, rounds=rounds, first=first)
+        better = fit(evidence, polished, got.state, freedom, outer=1, inner=2)
+        gained = better.j - got.j
+        if gained > 0:
+            got = better
+        if gained < 2:
+            break
     return got
 
 
@@ -171,7 +185,7 @@ def shortlist(
     broad = [c for c in smooth_candidates(evidence, current, broad=True) if c.gain > 8]
     rough = rough_candidates(View(evidence, current))
     present = {_key(a) for a in current.model}
-    crude = 0.015 * gained if any(a.name in CRUDE for a in current.model) else 0.0
+    crude = 0.03 * gained if any(a.name in CRUDE for a in current.model) else 0.0
     out: list[Candidate] = []
     seen: dict[str, int] = {}
     for group, most in ((sharp, 5), (rough, 8), (broad, 4)):
@@ -191,7 +205,7 @@ def shortlist(
             if taken == most:
                 break
     logger.debug("short %s", [(c.amendment.name, c.amendment.place, round(c.gain)) for c in out])
-    return out[:16]
+    return out[:MANY]
 
 
 def _same(a: Amendment, b: Amendment) -> bool:

@@ -17,7 +17,7 @@ from sensorgraph.diagnose.drive import diagnose_drive
 from sensorgraph.diagnose.evidence import Evidence, gather
 from sensorgraph.diagnose.finding import Gap, Ledger, Rival, Unknown, Where
 from sensorgraph.diagnose.model import Fitted, smooth_parameters
-from sensorgraph.diagnose.nuisance import OWN, Freedom
+from sensorgraph.diagnose.nuisance import DENSE, OWN, Freedom, widths
 from sensorgraph.diagnose.odometry import diagnose_odometry
 from sensorgraph.diagnose.prove import gap, held_out
 from sensorgraph.diagnose.view import View
@@ -94,7 +94,7 @@ def diagnose(
     lap("explain")
     where = tuple(deviations(View(train, explained.null)))[:24]
     gained = explained.final.j - explained.null.j
-    verdict = check(train, explained.final, gained, rng=rng)
+    verdict = check(train, explained.final, gained, explained.gains, rng=rng)
     lap("criticise")
     proof = gap(unseen, explained.null, explained.final, rng=rng)
     second_gap = None
@@ -104,7 +104,7 @@ def diagnose(
     lap("prove")
     scan = _ledger(train, explained, verdict, where, proof)
     odometry = diagnose_odometry(run, robot, seed=seed)
-    drive = diagnose_drive(run, robot, seed=seed)
+    drive = diagnose_drive(run, robot, seed=seed, use_clock=odometry.unknown is None)
     lap("odometry and drive")
     return Finding(
         ledgers={"scan": scan, "odometry": odometry, "drive": drive},
@@ -172,15 +172,36 @@ def _is_struck(explained: Explained, index: int, verdict: Verdict) -> bool:
 
 
 def stderr(fitted: Fitted, index: int) -> dict[str, float]:
-    """Return standard errors of an effect's smooth parameters, from the curvature with all nuisances free."""
+    """Return standard errors of an effect's smooth parameters, from the curvature with all nuisances free.
+
+    What a careful set-up may hide of the same kind (a mount within its tolerance) adds to the error.
+    """
     k, out = 0, {}
     variance = np.diag(fitted.solution.covariance)
     for i, amendment in enumerate(fitted.model):
         for name in smooth_parameters(amendment):
             if i == index:
-                out[name] = float(np.sqrt(max(variance[k], 0.0)))
+                own = widths_of(fitted, amendment.name).get(name, 0.0)
+                out[name] = float(np.sqrt(max(variance[k], 0.0) + own**2))
             k += 1
     return out
+
+
+def widths_of(fitted: Fitted, name: str) -> dict[str, float]:
+    """Return the tolerance of a set-up of the same kind as an effect, by parameter."""
+    tau = dict(zip(DENSE, widths(fitted.solver.evidence.tolerances), strict=True))
+    return {parameter: float(tau[copy]) for parameter, copy in OWN_PARAMETERS.get(name, {}).items()}
+
+
+OWN_PARAMETERS = {
+    "mount_xy": {"dx": "mount_x", "dy": "mount_y"},
+    "mount_yaw": {"delta": "mount_yaw"},
+    "range_bias": {"b": "bias"},
+    "range_scale": {"s": "scale"},
+    "range_drift": {"b1": "drift"},
+    "latency": {"tau": "latency"},
+    "scan_skew": {"T": "skew"},
+}
 
 
 def probability(explained: Explained, index: int, verdict: Verdict) -> float:

@@ -64,7 +64,7 @@ class Motors:
     """[m/s]"""
 
 
-def diagnose_drive(run: Run, robot: RobotFile, *, seed: int = 0) -> Ledger:
+def diagnose_drive(run: Run, robot: RobotFile, *, seed: int = 0, use_clock: bool = True) -> Ledger:
     """Name what makes commands and odometry differ."""
     wheels = increments(run)
     if wheels is None:
@@ -75,7 +75,7 @@ def diagnose_drive(run: Run, robot: RobotFile, *, seed: int = 0) -> Ledger:
         return Ledger(channel="drive", skipped=f"this run has {len(stamps)} commands, expected at least 20")
     if np.ptp(commands, axis=0).max() < 1e-3:
         return Ledger(channel="drive", skipped="the commands of this run never change")
-    clock = clock_offset(run, robot)
+    clock = clock_offset(run, robot) if use_clock else None
     search = _Search(stamps=stamps, commands=commands, wheels=wheels, robot=robot, clock=clock)
     if search.n_valid < LEAST_ROWS:
         return Ledger(

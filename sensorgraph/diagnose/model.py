@@ -294,12 +294,17 @@ def log_likelihood(evidence: Evidence, model: Sequence[Amendment], state: State)
 
 
 def polish(
-    evidence: Evidence, model: tuple[Amendment, ...], index: int, fitted: Fitted, *, rounds: int = 2
+    evidence: Evidence, model: tuple[Amendment, ...], index: int, fitted: Fitted, *, rounds: int, first: float
 ) -> tuple[Amendment, ...]:
-    """Improve the rough parameters of one effect by a pattern search at frozen nuisances."""
+    """Improve the rough parameters of one effect by a pattern search at frozen nuisances.
+
+    Parameters
+    ----------
+    rounds : over all parameters
+    first : scale of the first steps
+    """
     amendment = model[index]
-    steps = dict(ROUGH.get(amendment.name, {}))
-    steps = {k: v for k, v in steps.items() if k in amendment.parameters}
+    steps = {k: first * v for k, v in ROUGH.get(amendment.name, {}).items() if k in amendment.parameters}
     if not steps:
         return model
     bounds = {q.name: (q.low, q.high) for q in amendment.effect.parameters}

@@ -16,6 +16,7 @@ from sensorgraph.effects import Amendment
 from sensorgraph.world.scene import limited
 
 BLOCK = 1.0  # [s] of scans that are held out together
+NEXT_TO_EDGE = 0.002  # chance of reading the other side of an edge; such rays count in the nats only
 EVERY = 8  # one block in so many
 
 
@@ -72,7 +73,8 @@ def gap(
     """Measure the gap before and after on held-out scans, beside what a perfect model would leave.
 
     The pose error of each scan is estimated on its even rays and the gap is measured on the odd ones. Readings that
-    neither model explains (strays) are left out of the RMS, not of the nats.
+    the amended model takes for strays, and rays that a hair would put on the other side of an edge, are left out of
+    the RMS, not of the nats.
     """
     before, after = _Side(evidence, (), null), _Side(evidence, final.model, final)
     judged_before, mu_before = before.judged(evidence)
@@ -80,14 +82,15 @@ def gap(
     odd = np.zeros(mu_after.shape, dtype=np.bool_)
     odd[:, 1::2] = True
     odd &= ~np.isnan(evidence.ranges)
-    strays = (judged_before.stray > 0.5) & (judged_after.stray > 0.5)
     sigma = evidence.sensor.sigma
-    seen = odd & ~strays
+    seen = odd & (after.what.p_alternative < NEXT_TO_EDGE) & (before.what.p_alternative < NEXT_TO_EDGE)
+    seen &= judged_after.stray <= 0.5
     floors = []
     for _ in range(replicates):
         drawn = _drawn(evidence, after, final, rng)
         judged, mu = after.judged(drawn)
-        floors.append(_fit(drawn, mu, judged, odd & (judged.stray <= 0.5), odd, sigma))
+        clear = seen & (judged.stray <= 0.5)
+        floors.append(_fit(drawn, mu, judged, clear, odd, sigma))
     floor = Fit(
         rmse_m=float(np.mean([f.rmse_m for f in floors])),
         normalised=float(np.mean([f.normalised for f in floors])),
