@@ -24,6 +24,9 @@ def diagnose(
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the report.")] = Path(
         "diagnosis"
     ),
+    effects: Annotated[
+        Path | None, typer.Option(help="effects.yaml: effects that are part of the model already.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the replicates: same seed, same report.")] = 0,
     topic: Annotated[
         list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
@@ -36,13 +39,16 @@ def diagnose(
       sensorgraph diagnose run.mcap --arena lab.geojson --robot robot.yaml -o diagnosis
 
       sensorgraph diagnose run.mcap second.mcap -o diagnosis && rerun diagnosis/review.rrd
+
+      sensorgraph diagnose run.mcap --effects diagnosis/effects.yaml -o what_is_left
     """
     from logs import parse_topics, read
-    from sensorgraph.cli.inputs import check_folder, kept_arena, kept_robot, named_arena, named_robot
+    from sensorgraph.cli.inputs import check_folder, kept_arena, kept_robot, named_arena, robot_for
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnose.diagnose import diagnose as work
     from sensorgraph.diagnose.report import save
     from sensorgraph.diagnose.words import said
+    from sensorgraph.effects import effects_file
     from sensorgraph.errors import GapError
 
     if len(runs) > 2:
@@ -59,20 +65,39 @@ def diagnose(
     if walls is None:
         raise GapError(f"{runs[0]} keeps no arena; give one with --arena")
     machine = kept_robot(run) if robot is None else None
-    machine = named_robot(robot) if machine is None else machine
-    with progress("diagnosing"):
-        finding = work(run, walls, machine, second=loaded[1] if len(loaded) > 1 else None, seed=seed)
+    machine = robot_for(run, robot) if machine is None else machine
+    known = []
+    if effects is not None:
+        known = effects_file.read(effects)
+        effects_file.check_places(known, walls)
+    with progress("diagnosing", "parts") as tick:
+        finding = work(
+            run,
+            walls,
+            machine,
+            second=loaded[1] if len(loaded) > 1 else None,
+            known=known,
+            seed=seed,
+            progress=tick,
+        )
     settings = {
         "seed": seed,
         "runs": [path.name for path in runs],
         "arena": arena or "kept in the run",
         "robot": machine.robot.name,
         "tolerances": vars(machine.tolerances),
+        "known_effects": [a.name for a in known],
     }
     with progress("reporting", "files") as tick:
         save(finding, out, name=runs[0].name, settings=settings, progress=tick)
+    if finding.next_run is not None:
+        finding.next_run.save(out / "next_run", walls, machine)
     what = said(finding)
     typer.echo(what.headline)
     for line in what.details:
         typer.echo(line)
     typer.echo(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml, review.rrd")
+    if finding.next_run is not None:
+        typer.echo(
+            f"next run: sensorgraph record {out / 'next_run'} --arena {out / 'next_run' / 'arena.geojson'} …"
+        )

@@ -153,6 +153,18 @@ def kept_robot(run: Run) -> RobotFile | None:
     )
 
 
+def robot_for(run: Run, path: Path | None) -> RobotFile:
+    """Read robot.yaml; where none is named, the shipped robot with the sensor that the run itself describes."""
+    from dataclasses import replace
+
+    from sensorgraph.build import is_same_sensor
+
+    robot = named_robot(path)
+    if path is None and not is_same_sensor(run.sensor.bearings, robot.sensor.bearings):
+        return replace(robot, sensor=replace(run.sensor, height=robot.sensor.height))
+    return robot
+
+
 def kept_arena(run: Run) -> Arena | None:
     """Return the arena kept in a run, if there is one."""
     from planners.errors import PlanError

@@ -67,7 +67,7 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
     rivals: dict[str, tuple[Amendment, float]] = {}
     struck: set[tuple[str, str]] = set()
     while len(current.model) < MOST:
-        tried = _try(evidence, current, freedom, struck, current.j - null.j)
+        tried, also = _try(evidence, current, freedom, struck, current.j - null.j)
         tried = [t for t in tried if t[1] > -50]
         if not tried:
             break
@@ -80,14 +80,16 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
             gain = best.j - current.j - price(best.model[-1], evidence)
         steps.append(
             Step(
-                tried=tuple((f.model[-1], g) for f, g in order),
+                tried=tuple(sorted([*((f.model[-1], g) for f, g in order), *also], key=lambda t: -t[1])),
                 chosen=best.model[-1].name if gain >= threshold else "",
             )
         )
         if gain < threshold:
             break
-        if len(order) > 1:
-            rivals[_key(best.model[-1])] = (order[1][0].model[-1], gain - order[1][1])
+        others = [*((f.model[-1], g) for f, g in order[1:]), *also]
+        if others:
+            rival, nats = max(others, key=lambda t: t[1])
+            rivals[_key(best.model[-1])] = (rival, gain - nats)
         before, small = current, best.model[-1].ratio < current.state.map_scale
         current = _pruned(evidence, best, freedom, threshold, struck)
         if {_key(a) for a in current.model} == {_key(a) for a in before.model}:
@@ -112,15 +114,15 @@ def _without(model: Sequence[Amendment], index: int) -> tuple[Amendment, ...]:
 
 def _try(
     evidence: Evidence, current: Fitted, freedom: Freedom, struck: set[tuple[str, str]], gained: float
-) -> list[tuple[Fitted, float]]:
-    """Fit the most promising candidates; return (fit, gain [nats]).
+) -> tuple[list[tuple[Fitted, float]], list[tuple[Amendment, float]]]:
+    """Fit the most promising candidates; return (fit, gain [nats]), and (effect, gain) of those far behind.
 
     All are fitted on a part of the scans, the best of them with their rough parameters searched; only those that
     come near the best of these are fitted to all scans.
     """
     short = shortlist(evidence, current, struck, gained)
     if not short:
-        return []
+        return [], []
     every = max(1, evidence.n_scans // SOME)
     few = thin(evidence, every)
     base = fit(few, current.model, thin_state(current.state, every), freedom, outer=1, inner=2)
@@ -144,17 +146,17 @@ def _try(
     plain = [q for q in quick if not q[1].model[-1].effect.absorber]
     if finalists[0][1].model[-1].effect.absorber and plain and plain[0] not in finalists:
         finalists.append(plain[0])
-    out = []
+    out, also = [], []
     for gain, got in finalists:
         if gain < NEAR * finalists[0][0] - 20:
-            out.append((got, gain))
+            also.append((got.model[-1], gain))
             continue
         begin = start_state(evidence, freedom) if strained and is_rough(got.model[-1]) else current.state
         full = fit(evidence, got.model, begin, freedom, outer=3, inner=3)
         if is_rough(full.model[-1]):
             full = searched(evidence, full, freedom, rounds=2, first=0.25, turns=1)
         out.append((full, full.j - current.j - price(full.model[-1], evidence)))
-    return out
+    return out, also
 
 
 def is_rough(amendment: Amendment) -> bool:
@@ -185,7 +187,7 @@ def shortlist(
     broad = [c for c in smooth_candidates(evidence, current, broad=True) if c.gain > 8]
     rough = rough_candidates(View(evidence, current))
     present = {_key(a) for a in current.model}
-    crude = 0.03 * gained if any(a.name in CRUDE for a in current.model) else 0.0
+    crude = 0.06 * gained if any(a.name in CRUDE for a in current.model) else 0.0
     out: list[Candidate] = []
     seen: dict[str, int] = {}
     for group, most in ((sharp, 5), (rough, 8), (broad, 4)):
@@ -199,6 +201,9 @@ def shortlist(
                 continue
             if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
                 continue
+            if c.amendment.name == "range_drift":  # it may also be a warm-up
+                warm = c.amendment.moved_to({"tau": 0.2 * evidence.span})
+                out.append(Candidate(amendment=warm, gain=c.gain))
             out.append(c)
             seen[c.amendment.name] = seen.get(c.amendment.name, 0) + 1
             taken += 1
@@ -232,7 +237,7 @@ def _ranked(tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
     elif best.model[-1].ratio < 1:
         for pair in order[1:]:
             last = pair[0].model[-1]
-            if not last.effect.absorber and last.ratio >= 1 and pair[1] > gain - 6:
+            if not last.effect.absorber and last.ratio >= 1 and pair[1] > max(0.3 * gain, THRESHOLD):
                 order.remove(pair)
                 return [pair, *order]
     return order

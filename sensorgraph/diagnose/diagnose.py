@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from logs.run import Run
 from planners.arena import Arena
+from planners.errors import PlanError
 from sensorgraph.diagnose.criticise import Verdict, check, deviations
-from sensorgraph.diagnose.decide import Explained, explain
+from sensorgraph.diagnose.decide import THRESHOLD, Explained, explain
 from sensorgraph.diagnose.drive import diagnose_drive
 from sensorgraph.diagnose.evidence import Evidence, gather
 from sensorgraph.diagnose.finding import Gap, Ledger, Rival, Unknown, Where
+from sensorgraph.diagnose.fits import Placement, placement
 from sensorgraph.diagnose.model import Fitted, smooth_parameters
+from sensorgraph.diagnose.next_run import NextRun, ask, next_run
 from sensorgraph.diagnose.nuisance import DENSE, OWN, Freedom, widths
+from sensorgraph.diagnose.observable import alike, not_observable, separation
 from sensorgraph.diagnose.odometry import diagnose_odometry
 from sensorgraph.diagnose.prove import gap, held_out
 from sensorgraph.diagnose.view import View
@@ -25,7 +30,10 @@ from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.world.robot_file import RobotFile
 
-Progress = Callable[[str], None]
+logger = logging.getLogger(__name__)
+
+Progress = Callable[[int, int], None]
+PARTS = 7
 STRIKE = 0.006  # of an effect's evidence; where more than this stays unexplained, its name falls
 
 
@@ -42,6 +50,8 @@ class Finding:
     verdict: Verdict | None
     second_gap: Gap | None = None
     """On a further run that nothing has seen, where one was given."""
+    next_run: NextRun | None = None
+    """A drive that would tell more; None where none was asked for, or none can be made."""
     seconds: dict[str, float] = field(default_factory=dict)
     """[s] of CPU per part."""
 
@@ -64,8 +74,10 @@ def diagnose(
     second: Run | None = None,
     known: Sequence[Amendment] = (),
     freedom: Freedom | None = None,
-    threshold: float = 12.0,
+    threshold: float = THRESHOLD,
     seed: int = 0,
+    plan_next: bool = True,
+    progress: Progress | None = None,
 ) -> Finding:
     """Compare a run with the simulator of its arena and robot, and name what is missing.
 
@@ -75,6 +87,8 @@ def diagnose(
     known : effects that are part of the model already
     freedom : of the noise; from a commissioning run
     threshold : [nats] of evidence that a name takes
+    plan_next : plan the run that would tell more
+    progress : told how many of the PARTS are done
     """
     rng = np.random.default_rng(seed)
     clock = time.process_time()
@@ -85,8 +99,15 @@ def diagnose(
         now = time.process_time()
         seconds[name] = seconds.get(name, 0.0) + now - clock
         clock = now
+        if progress is not None:
+            progress(len(seconds), PARTS)
 
-    evidence, notes = gather(run, arena, robot)
+    machine = with_known(robot, known)
+    evidence, notes = gather(run, arena, robot, known)
+    place = placement(evidence, rng)
+    notes["arena"] = fit_words(place)
+    if not place.fits:
+        return _misplaced(evidence, notes, place, seconds)
     held = held_out(evidence)
     train, unseen = evidence.part(~held), evidence.part(held)
     lap("intake")
@@ -96,16 +117,23 @@ def diagnose(
     gained = explained.final.j - explained.null.j
     verdict = check(train, explained.final, gained, explained.gains, rng=rng)
     lap("criticise")
-    proof = gap(unseen, explained.null, explained.final, rng=rng)
+    scan = _ledger(train, explained, verdict, where)
+    named = [a for i, a in enumerate(explained.final.model) if i in scan_names(explained, verdict)]
+    proof = gap(unseen, explained.null, explained.final, named, rng=rng)
     second_gap = None
     if second is not None:
-        other, _ = gather(second, arena, robot)
-        second_gap = gap(other, explained.null, explained.final, rng=rng)
+        other, _ = gather(second, arena, robot, known)
+        second_gap = gap(other, explained.null, explained.final, named, rng=rng)
     lap("prove")
-    scan = _ledger(train, explained, verdict, where, proof)
-    odometry = diagnose_odometry(run, robot, seed=seed)
-    drive = diagnose_drive(run, robot, seed=seed, use_clock=odometry.unknown is None)
+    odometry = beside(diagnose_odometry(run, machine, seed=seed), known)
+    drive = beside(diagnose_drive(run, machine, seed=seed, use_clock=odometry.unknown is None), known)
     lap("odometry and drive")
+    scan = replace(scan, gap=proof, not_observable=not_observable(train, explained.final))
+    notes["cannot_tell_apart"] = [asdict(pair) for pair in alike(train, explained.final)]
+    lap("observable")
+    rivals = [explained.rivals[i][0] for i in scan_order(explained, verdict) if i in explained.rivals]
+    plan = _next(scan, named, rivals, arena, robot, seed) if plan_next else None
+    lap("next run")
     return Finding(
         ledgers={"scan": scan, "odometry": odometry, "drive": drive},
         intake={**notes, "rays": int(evidence.ranges.size), "held_out_scans": int(held.sum())},
@@ -113,30 +141,114 @@ def diagnose(
         explained=explained,
         verdict=verdict,
         second_gap=second_gap,
+        next_run=plan,
         seconds=seconds,
     )
 
 
-def _ledger(
-    evidence: Evidence, explained: Explained, verdict: Verdict, where: tuple[Where, ...], proof: Gap
-) -> Ledger:
+def _next(
+    scan: Ledger,
+    named: Sequence[Amendment],
+    rivals: Sequence[Amendment],
+    arena: Arena,
+    robot: RobotFile,
+    seed: int,
+) -> NextRun | None:
+    """Plan the next run; None where the room or the robot does not allow one."""
+    try:
+        return next_run(ask(scan, named, rivals), arena, robot, seed=seed)
+    except PlanError as exc:
+        logger.info("no next run: %s", exc)
+        return None
+
+
+def _misplaced(
+    evidence: Evidence, notes: dict[str, Any], place: Placement, seconds: dict[str, float]
+) -> Finding:
+    """Say that the arena does not fit the run, before anything is named."""
+    unknown = Unknown(statement=fit_words(place), statistic=place.share, threshold=place.best_share)
+    skipped = "the arena does not fit the run; move it first"
+    return Finding(
+        ledgers={
+            "scan": Ledger(channel="scan", unknown=unknown),
+            "odometry": Ledger(channel="odometry", skipped=skipped),
+            "drive": Ledger(channel="drive", skipped=skipped),
+        },
+        intake=notes,
+        evidence=evidence,
+        explained=None,
+        verdict=None,
+        seconds=seconds,
+    )
+
+
+def fit_words(place: Placement) -> str:
+    """Say how well the arena fits the run."""
+    if place.fits:
+        return f"{100 * place.share:.0f} % of the returns end within 15 cm of a wall"
+    return (
+        f"the arena does not fit the run: {100 * place.share:.0f} % of the returns end within 15 cm of a wall; with the "
+        f"poses turned by {np.degrees(place.dphi):.1f} degrees about the map's origin and moved by "
+        f"({place.dx:.2f}, {place.dy:.2f}) m it would be {100 * place.best_share:.0f} %"
+    )
+
+
+def with_known(robot: RobotFile, known: Sequence[Amendment]) -> RobotFile:
+    """Return the robot with the motors that known effects describe."""
+    extra = {a.name: a.parameters for a in known if a.name in ("actuator_lag", "dead_time")}
+    motors = replace(
+        robot.actuators,
+        tau=robot.actuators.tau + extra.get("actuator_lag", {}).get("tau", 0.0),
+        delay=robot.actuators.delay + extra.get("dead_time", {}).get("L", 0.0),
+    )
+    return replace(robot, actuators=motors)
+
+
+def beside(ledger: Ledger, known: Sequence[Amendment]) -> Ledger:
+    """Leave out of a ledger what is known of wheels and top speed: named again only if it is another size."""
+    same = {a.name: a for a in known if a.name not in ("actuator_lag", "dead_time")}
+
+    def is_new(a: Amendment) -> bool:
+        if a.name not in same:
+            return True
+        off = {k: a[k] - same[a.name].parameters.get(k, 0.0) for k in a.effect.sizes}
+        return size_ratio(a.effect, off) >= 1.0
+
+    return replace(ledger, effects=tuple(a for a in ledger.effects if is_new(a)))
+
+
+def scan_order(explained: Explained, verdict: Verdict) -> list[int]:
+    """Return the indices of the effects that are named, strongest evidence first."""
+    return sorted(scan_names(explained, verdict), key=lambda i: -explained.gains[i])
+
+
+def scan_names(explained: Explained, verdict: Verdict) -> set[int]:
+    """Return the indices of the effects that are named: material, and not struck by a doubt."""
+    final = explained.final
+    return {
+        i
+        for i, a in enumerate(final.model)
+        if size_ratio(a.effect, a.parameters) >= slackness(final, a) and not _is_struck(explained, i, verdict)
+    }
+
+
+def _ledger(evidence: Evidence, explained: Explained, verdict: Verdict, where: tuple[Where, ...]) -> Ledger:
     """Turn the accepted model into names, sizes within tolerance, doubt and rivals."""
     final = explained.final
-    named, small, rivals = [], [], []
-    for index, amendment in enumerate(final.model):
-        complete = replace(
+    complete = [
+        replace(
             amendment,
             stderr=stderr(final, index),
             evidence=explained.gains[index],
             probability=probability(explained, index, verdict),
         )
-        material = size_ratio(amendment.effect, amendment.parameters) >= slackness(final, amendment)
-        if not material:
-            small.append(complete)
-            continue
-        if _is_struck(explained, index, verdict):
-            continue
-        named.append(complete)
+        for index, amendment in enumerate(final.model)
+    ]
+    small = [a for a in complete if size_ratio(a.effect, a.parameters) < slackness(final, a)]
+    order = scan_order(explained, verdict)
+    rivals = []
+    for index in order:
+        amendment = complete[index]
         if index in explained.rivals:
             rival, short = explained.rivals[index]
             rivals.append(
@@ -144,18 +256,16 @@ def _ledger(
                     name=rival.name,
                     instead_of=amendment.name,
                     evidence_nats=explained.gains[index] - short,
-                    separates=separates(amendment, rival),
+                    separates=separation(amendment, rival),
                 )
             )
-    named.sort(key=lambda a: -(a.evidence or 0.0))
     return Ledger(
         channel="scan",
-        effects=tuple(named),
+        effects=tuple(complete[i] for i in order),
         within_tolerance=tuple(small),
         unknown=_unknown(verdict),
         rivals=tuple(rivals),
         where=where,
-        gap=proof,
     )
 
 
@@ -213,15 +323,6 @@ def probability(explained: Explained, index: int, verdict: Verdict) -> float:
     if verdict.doubted:
         p *= 0.5
     return float(p)
-
-
-def separates(a: Amendment, rival: Amendment) -> str:
-    """Say what would tell two effects apart."""
-    return (
-        a.effect.rivals.get(rival.name)
-        or rival.effect.rivals.get(a.name)
-        or (f"{a.name} varies with {a.effect.varies}; {rival.name} with {rival.effect.varies}")
-    )
 
 
 def _unknown(verdict: Verdict) -> Unknown | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena, Bools, Floats
+from sensorgraph.effects import Amendment
 from sensorgraph.errors import GapError
 from sensorgraph.world.robot_file import RobotFile, Tolerances
 from sensorgraph.world.scene import Scene
@@ -41,6 +43,8 @@ class Evidence:
     """[s] length of the run."""
     laser_frame: bool
     """The reference is the laser's own pose, so that no mount can be told."""
+    known: tuple[Amendment, ...] = ()
+    """Effects that are part of the simulator already."""
     memo: dict[bytes, object] = field(default_factory=dict)
     """Casts made before."""
 
@@ -103,7 +107,9 @@ class Evidence:
         return replace(self, sensor=sensor, ranges=np.ascontiguousarray(self.ranges[:, rays]), memo={})
 
 
-def gather(run: Run, arena: Arena, robot: RobotFile) -> tuple[Evidence, dict[str, object]]:
+def gather(
+    run: Run, arena: Arena, robot: RobotFile, known: Sequence[Amendment] = ()
+) -> tuple[Evidence, dict[str, object]]:
     """Pair scans with poses; return the evidence and what is worth saying about the pairing."""
     pairing = pair(run)
     kept = pairing.paired & ~np.isnan(run.ranges).all(axis=1)
@@ -139,6 +145,7 @@ def gather(run: Run, arena: Arena, robot: RobotFile) -> tuple[Evidence, dict[str
         begin=float(when[0]),
         span=float(max(when[-1] - when[0], 1e-9)),
         laser_frame=laser_frame,
+        known=tuple(a for a in known if a.effect.channel == "scan"),
     )
     return evidence, notes
 

@@ -94,14 +94,16 @@ class Fitted:
 def cast(evidence: Evidence, model: Sequence[Amendment]) -> Cast:
     """Run the simulator on the poses of the evidence."""
     scene = evidence.scene()
-    beams = scene.run(model)
+    beams = scene.run((*evidence.known, *model))
     cols = columns(evidence, beams, scene.walls, scene.mount, _bent(evidence, model, beams))
     edges = None if any(a.name == "sonar_cone" for a in model) else _edges(evidence, scene)
     what = predicted(beams, cols.steep, edges, scene.outliers, scene.shorts, scene.lattice)
     return Cast(scene=scene, beams=beams, cols=cols, what=what, edges=edges)
 
 
-STIFF = 1e3  # a larger quotient is a jump to another surface
+STIFF = {"beta": 5e3, "theta0": 5e3, "delta": 300.0, "tau": 300.0, "T": 300.0, "s": 300.0}
+"""By parameter: a larger quotient is a jump to another surface."""
+STIFF_ELSE = 25.0
 NUDGE = (5e-4, 5e-4, 3e-4)  # [m, m, rad] of the difference quotients by the pose
 RIGID = 60.0  # [1, 1, m/rad] a larger quotient is a jump to another surface
 
@@ -128,7 +130,7 @@ def _bent(
         scene = few.scene()
         scene.memo = None
         scene.motion = _nudged(few, axis, step)
-        moved = scene.run(model).reading
+        moved = scene.run((*evidence.known, *model)).reading
         with np.errstate(invalid="ignore"):
             q = (moved - beams.reading[rows]) / step
         ok = np.isfinite(q) & (np.abs(q) < RIGID)
@@ -208,11 +210,14 @@ def solver_for(evidence: Evidence, model: Sequence[Amendment], at: Cast | None =
             moved = [*model]
             moved[index] = amendment.moved_to({name: amendment.parameters.get(name, 0.0) + step})
             scene = evidence.scene()
-            beams = scene.run(moved)
+            beams = scene.run((*evidence.known, *moved))
             with np.errstate(invalid="ignore"):
                 slope = (beams.reading - at.beams.reading) / step
             same = (
-                (beams.wall == at.beams.wall) & at.cols.valid & np.isfinite(slope) & (np.abs(slope) < STIFF)
+                (beams.wall == at.beams.wall)
+                & at.cols.valid
+                & np.isfinite(slope)
+                & (np.abs(slope) < STIFF.get(name, STIFF_ELSE))
             )
             quotients.append(np.where(same, slope, 0.0))
     shape = at.what.reading.shape

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from sensorgraph.diagnose.evidence import Evidence
 from sensorgraph.diagnose.finding import Fit, Gap
 from sensorgraph.diagnose.likelihood import Judged, judge
 from sensorgraph.diagnose.model import Fitted, cast, corners_of, locked
+from sensorgraph.diagnose.nuisance import TAIL, Noise, pose_prior
 from sensorgraph.diagnose.solve import Solver, State
 from sensorgraph.effects import Amendment
 from sensorgraph.world.scene import limited
@@ -32,15 +34,15 @@ def held_out(evidence: Evidence) -> Bools:
 class _Side:
     """One model on the held-out scans: poses from every other ray, judged on the rays between."""
 
-    def __init__(self, evidence: Evidence, model: Sequence[Amendment], fitted: Fitted) -> None:
+    def __init__(self, evidence: Evidence, model: Sequence[Amendment], fitted: Fitted, noise: Noise) -> None:
         at = cast(evidence, model)
         corners = corners_of(evidence)
-        self.what = at.what
+        self.what, self.steep = at.what, at.cols.steep
         none = np.zeros((evidence.n_scans, 0, evidence.n_rays))
         self.solver = Solver(
             evidence, at.what, at.cols, at.scene.walls, none, corners, locked(evidence, model, corners)
         )
-        self.fitted = fitted
+        self.fitted, self.noise = fitted, noise
 
     def judged(self, evidence: Evidence) -> tuple[Judged, Floats]:
         """Return the judgement of every reading, and the expected readings."""
@@ -52,7 +54,7 @@ class _Side:
         state = State(
             g=np.where(solver.locked, 0.0, self.fitted.state.g),
             delta=np.zeros((evidence.n_scans, 3)),
-            noise=self.fitted.state.noise,
+            noise=self.noise,
             pose_scale=self.fitted.state.pose_scale,
             map_scale=self.fitted.state.map_scale,
         )
@@ -68,15 +70,25 @@ class _Side:
 
 
 def gap(
-    evidence: Evidence, null: Fitted, final: Fitted, *, rng: np.random.Generator, replicates: int = 4
+    evidence: Evidence,
+    null: Fitted,
+    final: Fitted,
+    named: Sequence[Amendment],
+    *,
+    rng: np.random.Generator,
+    replicates: int = 4,
 ) -> Gap:
     """Measure the gap before and after on held-out scans, beside what a perfect model would leave.
 
+    Before: the nominal simulator; after: with the named effects. Both have the small corrections of the set-up (map,
+    mount, clocks within tolerance) of the final fit, so that what they differ in is the effects alone.
+
     The pose error of each scan is estimated on its even rays and the gap is measured on the odd ones. Readings that
-    the amended model takes for strays, and rays that a hair would put on the other side of an edge, are left out of
-    the RMS, not of the nats.
+    the amended model takes for strays, rays that a hair would put on the other side of an edge, and rays that all but
+    graze their wall are left out of the RMS, not of the nats.
     """
-    before, after = _Side(evidence, (), null), _Side(evidence, final.model, final)
+    before = _Side(evidence, (), final, null.state.noise)
+    after = _Side(evidence, named, final, final.state.noise if named else null.state.noise)
     judged_before, mu_before = before.judged(evidence)
     judged_after, mu_after = after.judged(evidence)
     odd = np.zeros(mu_after.shape, dtype=np.bool_)
@@ -85,6 +97,7 @@ def gap(
     sigma = evidence.sensor.sigma
     seen = odd & (after.what.p_alternative < NEXT_TO_EDGE) & (before.what.p_alternative < NEXT_TO_EDGE)
     seen &= judged_after.stray <= 0.5
+    seen &= (after.steep < sigma) & (before.steep < sigma)
     floors = []
     for _ in range(replicates):
         drawn = _drawn(evidence, after, final, rng)
@@ -115,10 +128,6 @@ def _fit(evidence: Evidence, mu: Floats, judged: Judged, seen: Bools, odd: Bools
 
 def _drawn(evidence: Evidence, side: _Side, final: Fitted, rng: np.random.Generator) -> Evidence:
     """Draw readings of the held-out scans from the final model."""
-    from dataclasses import replace
-
-    from sensorgraph.diagnose.nuisance import TAIL, pose_prior
-
     what, state = side.what, final.state
     prior = pose_prior(evidence, state.pose_scale)
     delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=(evidence.n_scans, 3)))
