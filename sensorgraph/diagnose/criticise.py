@@ -384,7 +384,7 @@ def check(
 
 
 WORTH = 0.003  # of the model's gain; a smaller misfit is the coarseness of a right model
-COARSE = 0.02
+COARSE = 0.06
 COARSE_EFFECTS = ("sonar_cone", "mixed_pixels", "people")  # their models are coarse
 DISPERSED = 1.45  # variance ratio between scans and within; right models have 0.85 to 1.15
 LIMIT = 3.2  # tolerances that would have to be so many times wider

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,8 +20,18 @@ logger = logging.getLogger(__name__)
 
 THRESHOLD = 12.0  # [nats] of evidence, beyond the price of the parameters
 PRICE = 4.0  # [nats] per parameter
-CRUDE = ("sonar_cone", "mixed_pixels")
-"""Effects whose model is so coarse that a hundredth of their gain proves nothing else."""
+CRUDE: tuple[tuple[tuple[str, ...], tuple[str, ...], float], ...] = (
+    (("sonar_cone",), (), 0.06),
+    (("mixed_pixels",), (), 0.03),
+    (("mixed_pixels",), ("people", "random_outliers", "range_noise", "glass", "black_surface"), 0.15),
+    (
+        ("glass", "mirror", "black_surface", "incidence_dropout", "max_range", "tilt", "self_occlusion"),
+        ("glass", "mirror", "black_surface", "incidence_dropout", "people", "random_outliers"),
+        0.03,
+    ),
+)
+"""(Effects in the model, further candidates (none: all), share of the gain): less proves only that the model of the
+former is coarse at its rim."""
 MOST = 5  # effects in one model
 MANY = 10  # candidates fitted on a part of the scans
 FINALISTS = 3
@@ -63,7 +73,7 @@ def price(amendment: Amendment, evidence: Evidence) -> float:
 def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOLD) -> Explained:
     """Search for the effects that the evidence asks for."""
     null = fit(evidence, (), start_state(evidence, freedom), freedom, outer=1, inner=7)
-    current, steps = null, []
+    current, steps, n_small = null, [], 0
     rivals: dict[str, tuple[Amendment, float]] = {}
     struck: set[tuple[str, str]] = set()
     while len(current.model) < MOST:
@@ -81,10 +91,12 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
         steps.append(
             Step(
                 tried=tuple(sorted([*((f.model[-1], g) for f, g in order), *also], key=lambda t: -t[1])),
-                chosen=best.model[-1].name if gain >= threshold else "",
+                chosen=best.model[-1].name
+                if gain >= max(threshold, _least(current.model, best.model[-1], current.j - null.j))
+                else "",
             )
         )
-        if gain < threshold:
+        if gain < max(threshold, _least(current.model, best.model[-1], current.j - null.j)):
             break
         others = [*((f.model[-1], g) for f, g in order[1:]), *also]
         if others:
@@ -94,7 +106,8 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
         current = _pruned(evidence, best, freedom, threshold, struck)
         if {_key(a) for a in current.model} == {_key(a) for a in before.model}:
             break
-        if small:  # what is left is smaller still
+        n_small += small
+        if n_small == 2:  # what is left is smaller still
             break
     gains = {}
     for index in range(len(current.model)):
@@ -106,6 +119,17 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
 
 def _key(a: Amendment) -> str:
     return f"{a.name}@{a.place}"
+
+
+def _least(model: Sequence[Amendment], candidate: Amendment, gained: float) -> float:
+    """Return the gain [nats] below which a candidate only mends the rim of what the model has."""
+    names = {a.name for a in model}
+    shares = [
+        share
+        for inside, further, share in CRUDE
+        if names & set(inside) and (not further or candidate.name in further)
+    ]
+    return max(shares, default=0.0) * gained
 
 
 def _without(model: Sequence[Amendment], index: int) -> tuple[Amendment, ...]:
@@ -120,18 +144,27 @@ def _try(
     All are fitted on a part of the scans, the best of them with their rough parameters searched; only those that
     come near the best of these are fitted to all scans.
     """
+    noise = current.state.noise
+    strained = (
+        max(current.state.pose_scale, current.state.map_scale) > 1.3 or noise.core > 1.1 or noise.tail > 0.1
+    )
     short = shortlist(evidence, current, struck, gained)
+    if strained:  # tolerances that stretch may hide an effect: look again with the ones told
+        told = replace(freedom, most=1.0)
+        tight = fit(evidence, current.model, start_state(evidence, told), told, outer=1, inner=4)
+        more = shortlist(evidence, tight, struck, gained)
+        short += [c for c in more if not any(_same(c.amendment, o.amendment) for o in short)][: MANY // 2]
     if not short:
         return [], []
     every = max(1, evidence.n_scans // SOME)
     few = thin(evidence, every)
     base = fit(few, current.model, thin_state(current.state, every), freedom, outer=1, inner=2)
-    strained = max(current.state.pose_scale, current.state.map_scale) > 1.5
     fresh = start_state(few, freedom) if strained else base.state
     quick: list[tuple[float, Fitted]] = []
     for candidate in short:
-        start = fresh if candidate.amendment.name in ROUGH else base.state
-        got = fit(few, (*current.model, candidate.amendment), start, freedom, outer=3, inner=2)
+        got = fit(
+            few, (*current.model, candidate.amendment), fresh, freedom, outer=3, inner=3 if strained else 2
+        )
         quick.append(((got.j - base.j) * every - price(candidate.amendment, evidence), got))
     quick.sort(key=lambda pair: -pair[0])
     for k, (gain, got) in enumerate(quick[:SEARCHED]):
@@ -151,8 +184,8 @@ def _try(
         if gain < NEAR * finalists[0][0] - 20:
             also.append((got.model[-1], gain))
             continue
-        begin = start_state(evidence, freedom) if strained and is_rough(got.model[-1]) else current.state
-        full = fit(evidence, got.model, begin, freedom, outer=3, inner=3)
+        begin = start_state(evidence, freedom) if strained else current.state
+        full = fit(evidence, got.model, begin, freedom, outer=3, inner=5 if strained else 3)
         if is_rough(full.model[-1]):
             full = searched(evidence, full, freedom, rounds=2, first=0.25, turns=1)
         out.append((full, full.j - current.j - price(full.model[-1], evidence)))
@@ -187,7 +220,6 @@ def shortlist(
     broad = [c for c in smooth_candidates(evidence, current, broad=True) if c.gain > 8]
     rough = rough_candidates(View(evidence, current))
     present = {_key(a) for a in current.model}
-    crude = 0.06 * gained if any(a.name in CRUDE for a in current.model) else 0.0
     out: list[Candidate] = []
     seen: dict[str, int] = {}
     for group, most in ((sharp, 5), (rough, 8), (broad, 4)):
@@ -197,7 +229,9 @@ def shortlist(
             single = c.amendment.effect.place is None
             if key in present and (single or c.amendment.effect.place in ("wall", "obstacle")):
                 continue
-            if (c.amendment.name, c.amendment.place) in struck or c.gain < crude:
+            if (c.amendment.name, c.amendment.place) in struck:
+                continue
+            if c.gain < _least(current.model, c.amendment, gained):
                 continue
             if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
                 continue
@@ -237,7 +271,7 @@ def _ranked(tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
     elif best.model[-1].ratio < 1:
         for pair in order[1:]:
             last = pair[0].model[-1]
-            if not last.effect.absorber and last.ratio >= 1 and pair[1] > max(0.3 * gain, THRESHOLD):
+            if not last.effect.absorber and last.ratio >= 1 and pair[1] > max(gain - 6, THRESHOLD):
                 order.remove(pair)
                 return [pair, *order]
     return order

@@ -271,7 +271,8 @@ def _ledger(evidence: Evidence, explained: Explained, verdict: Verdict, where: t
 
 def slackness(fitted: Fitted, amendment: Amendment) -> float:
     """Return how many times its materiality an effect must be: more, where the tolerances proved too tight."""
-    return max(1.0, fitted.state.map_scale, fitted.state.pose_scale if amendment.name in OWN else 1.0)
+    scale = max(fitted.state.map_scale, fitted.state.pose_scale if amendment.name in OWN else 1.0)
+    return 1.25 * scale if scale > 1.3 else max(1.0, scale)
 
 
 def _is_struck(explained: Explained, index: int, verdict: Verdict) -> bool:
@@ -300,6 +301,8 @@ def stderr(fitted: Fitted, index: int) -> dict[str, float]:
 def widths_of(fitted: Fitted, name: str) -> dict[str, float]:
     """Return the tolerance of a set-up of the same kind as an effect, by parameter."""
     tau = dict(zip(DENSE, widths(fitted.solver.evidence.tolerances), strict=True))
+    t = fitted.solver.evidence.tolerances
+    tau |= {"third of the map": t.map / 3, "pose": t.pose_xy / 2, "half a mrad": 5e-4}
     return {parameter: float(tau[copy]) for parameter, copy in OWN_PARAMETERS.get(name, {}).items()}
 
 
@@ -311,6 +314,9 @@ OWN_PARAMETERS = {
     "range_drift": {"b1": "drift"},
     "latency": {"tau": "latency"},
     "scan_skew": {"T": "skew"},
+    "glass": {"depth": "third of the map"},
+    "unmapped_obstacle": {"x": "third of the map", "y": "third of the map", "r": "third of the map"},
+    "tilt": {"theta0": "half a mrad"},
 }
 
 

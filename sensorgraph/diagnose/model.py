@@ -254,6 +254,10 @@ def fit(
     """Fit the smooth parameters, nuisances and noise; cast again until nothing is gained."""
     best: Fitted | None = None
     model = tuple(model)
+    if any(a.name == "random_outliers" for a in model):  # its share is all of the strays
+        low = freedom.stray[0]
+        freedom, state = replace(freedom, stray=(low, low)), state.copy()
+        state.noise.stray = low
     corners = corners_of(evidence)
     state = state.copy()
     state.g[locked(evidence, model, corners)] = 0.0

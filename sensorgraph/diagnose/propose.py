@@ -12,7 +12,8 @@ import numpy as np
 
 from planners.arena import Bools, Floats
 from sensorgraph.diagnose.likelihood import FINEST
-from sensorgraph.diagnose.model import log_likelihood, thin, thin_state
+from sensorgraph.diagnose.model import log_likelihood, start_state, thin, thin_state
+from sensorgraph.diagnose.nuisance import Freedom
 from sensorgraph.diagnose.screen import Candidate, obstacles
 from sensorgraph.diagnose.view import View, best_run
 from sensorgraph.effects import EFFECTS
@@ -257,6 +258,7 @@ def unmapped(view: View) -> list[Candidate]:
     cell = np.floor(ends / 0.2).astype(np.intp)
     _, index, counts = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
     index = index.ravel()
+    there = [a for a in view.fitted.model if a.name == "unmapped_obstacle"]
     found = []
     for k in np.argsort(-counts)[:3]:
         if counts[k] < FEW:
@@ -266,13 +268,19 @@ def unmapped(view: View) -> list[Candidate]:
         if len(np.unique(scan[near])) < 4:
             continue
         directions = np.stack([view.beams.ux[view.short][near], view.beams.uy[view.short][near]], axis=1)
-        centre, radius, spread = _circle(ends[near], directions)
-        if spread < 0.08:
-            gain = 8.0 * float(near.sum()) * max(0.1, 1 - spread / 0.1)
-            amendment = EFFECTS["unmapped_obstacle"](
-                x=float(centre[0]), y=float(centre[1]), r=float(radius)
-            ).at("", centre)
-            found.append(Candidate(amendment=amendment, gain=gain))
+        fitted = _circle(ends[near], directions)
+        far = np.hypot(*(ends[near] - middle).T)
+        small = float(np.clip(np.quantile(far, 0.5), 0.01, 0.3))
+        compact = (middle + 0.5 * small * directions.mean(axis=0), small, 0.0)
+        for centre, radius, spread in (fitted, compact):
+            if any(np.hypot(a["x"] - centre[0], a["y"] - centre[1]) < a["r"] + radius + 0.1 for a in there):
+                continue
+            if spread < 0.08 and (spread or small < 0.15):
+                gain = 8.0 * float((far < radius + 0.1).sum()) * max(0.1, 1 - spread / 0.1)
+                amendment = EFFECTS["unmapped_obstacle"](
+                    x=float(centre[0]), y=float(centre[1]), r=float(radius)
+                )
+                found.append(Candidate(amendment=amendment.at("", centre), gain=gain))
     return found
 
 
@@ -433,7 +441,7 @@ def optics(view: View) -> list[Candidate]:
                 view,
                 "sonar_cone",
                 "gamma",
-                np.radians([5.0, 10.0, 15.0, 20.0, 30.0]),
+                np.radians([4.0, 6.0, 8.0, 10.0, 12.5, 15.0, 18.0, 22.0, 27.0]),
                 {"alpha_max": float(alpha)},
             )
         found = sorted(found, key=lambda c: -c.gain)[:2]
@@ -458,6 +466,8 @@ def _swept(view: View, name: str, parameter: str, values: Floats, fixed: dict[st
     every = max(1, view.evidence.n_scans // 60)
     few = thin(view.evidence, every)
     state = thin_state(view.fitted.state, every)
+    if state.noise.core > 1.1 or state.noise.tail > 0.1:  # bent by what is looked for
+        state = start_state(few, Freedom())
     model = view.fitted.model
     base = log_likelihood(few, model, state)
     best: Candidate | None = None
@@ -470,31 +480,37 @@ def _swept(view: View, name: str, parameter: str, values: Floats, fixed: dict[st
 
 
 def tilt(view: View) -> list[Candidate]:
-    """Tilt: readings capped by the floor, at a range that depends on the bearing only."""
-    if view.short.sum() < FEW:
-        return []
-    every = max(1, view.evidence.n_scans // 100)
-    mu, sub = view.mu[::every], View.__new__(View)
-    sub.__dict__.update(view.__dict__)
-    sub.z, sub.sigma = view.z[::every], view.sigma[::every]
-    log_p, bearings = view.log_p[::every], view.evidence.sensor.bearings
+    """Tilt: readings capped by the floor. There h / z = sin(beta cos(theta - theta0)): linear in cos and sin theta."""
     h = view.evidence.sensor.height
-    best: Candidate | None = None
-    for beta in np.radians([1.0, 1.5, 2, 2.5, 3, 3.5, 4, 5, 6, 7, 8, 10]):
-        for theta0 in np.arange(-np.pi, np.pi, np.pi / 12):
-            dip = beta * np.cos(bearings - theta0)
-            floor = np.where(dip > 0, h / np.sin(np.maximum(dip, 1e-9)), np.inf)
-            near = floor < view.range_max
-            if not near.any():
-                continue
-            expect = np.minimum(mu[:, near] / np.cos(dip[near]), floor[near])
-            z, sigma = sub.z, sub.sigma
-            sub.z, sub.sigma = z[:, near], sigma[:, near]
-            gain = float((sub.likely(expect) - log_p[:, near]).sum()) * every
-            sub.z, sub.sigma = z, sigma
-            if best is None or gain > best.gain:
-                best = Candidate(amendment=EFFECTS["tilt"](beta=float(beta), theta0=float(theta0)), gain=gain)
-    return [best] if best is not None else []
+    some = view.short & (view.z > 1.5 * h)
+    if h <= 0 or some.sum() < 2 * FEW:
+        return []
+    bearings = np.broadcast_to(view.evidence.sensor.bearings, view.z.shape)[some]
+    z = view.z[some]
+    dip = np.arcsin(h / z)
+    rows = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    width = np.maximum(3 * view.sigma[some] * h / z**2, 1e-4)  # [rad] of a dip, three sigma
+    rng = np.random.default_rng(0)
+    best, most = np.zeros(2), 0
+    for _ in range(120):
+        pair = rng.choice(len(z), 2, replace=False)
+        system = rows[pair]
+        if abs(np.linalg.det(system)) < 0.05:
+            continue
+        x = np.linalg.solve(system, dip[pair])
+        count = int((np.abs(rows @ x - dip) < width).sum())
+        if count > most:
+            best, most = x, count
+    for _ in range(3):
+        inlier = np.abs(rows @ best - dip) < width
+        if inlier.sum() < 2 * FEW:
+            return []
+        w = 1 / width[inlier]
+        best = np.linalg.lstsq(rows[inlier] * w[:, None], dip[inlier] * w, rcond=None)[0]
+    beta, theta0 = float(np.hypot(*best)), float(np.arctan2(best[1], best[0]))
+    if not 0.003 < beta < 0.5 or most < 0.2 * some.sum():
+        return []
+    return [Candidate(amendment=EFFECTS["tilt"](beta=beta, theta0=theta0), gain=8.0 * most)]
 
 
 PROPOSERS: tuple[Callable[[View], list[Candidate]], ...] = (
