@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
-from sensorgraph.world.scene import Scene, each
+from sensorgraph.world.raycast import cast_laser
+from sensorgraph.world.scene import FAR, Scene
 
 N_SPREAD = 33
 """Rays that fill one beam at an edge."""
@@ -27,11 +28,10 @@ def transform(scene: Scene, a: Amendment) -> None:
     edge = step > flat + STEP
     if not edge.any():
         return
-    ox, oy = (np.broadcast_to(o, edge.shape)[edge][:, None] for o in (beams.ox, beams.oy))
+    ox, oy = (np.broadcast_to(o, edge.shape)[edge] for o in (beams.ox, beams.oy))
+    lasers = np.stack([ox, oy, np.arctan2(beams.uy[edge], beams.ux[edge])], axis=1)
     turn = gamma * (2 * (np.arange(N_SPREAD) + 0.5) / N_SPREAD - 1)
-    c, s = np.cos(turn), np.sin(turn)
-    ux, uy = beams.ux[edge][:, None], beams.uy[edge][:, None]
-    ranges, _ = each(scene.walls, ox, oy, c * ux - s * uy, s * ux + c * uy)
+    ranges, _ = cast_laser(scene.walls, lasers, turn, FAR)
     mean = np.where(np.isfinite(ranges).all(axis=1), ranges.mean(axis=1), beams.ranges[edge])
     beams.bent()[edge] = False
     beams.reading = beams.reading.copy()
