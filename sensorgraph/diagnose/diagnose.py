@@ -13,6 +13,7 @@ import numpy as np
 from logs.run import Run
 from planners.arena import Arena
 from planners.errors import PlanError
+from sensorgraph.diagnose.commissioning import Commissioned
 from sensorgraph.diagnose.criticise import Verdict, check, deviations
 from sensorgraph.diagnose.decide import THRESHOLD, Explained, explain
 from sensorgraph.diagnose.drive import diagnose_drive
@@ -75,6 +76,7 @@ def diagnose(
     known: Sequence[Amendment] = (),
     freedom: Freedom | None = None,
     threshold: float = THRESHOLD,
+    commissioned: Commissioned | None = None,
     seed: int = 0,
     plan_next: bool = True,
     progress: Progress | None = None,
@@ -87,6 +89,7 @@ def diagnose(
     known : effects that are part of the model already
     freedom : of the noise; from a commissioning run
     threshold : [nats] of evidence that a name takes
+    commissioned : what a run known to be good showed; the diagnosis is of the difference to it
     plan_next : plan the run that would tell more
     progress : told how many of the PARTS are done
     """
@@ -102,8 +105,12 @@ def diagnose(
         if progress is not None:
             progress(len(seconds), PARTS)
 
+    if commissioned is not None:
+        robot, known, freedom = commissioned.robot, (*commissioned.known, *known), commissioned.freedom
     machine = with_known(robot, known)
     evidence, notes = gather(run, arena, robot, known)
+    if commissioned is not None:
+        evidence = commissioned.told(evidence)
     place = placement(evidence, rng)
     notes["arena"] = fit_words(place)
     if not place.fits:
@@ -116,6 +123,8 @@ def diagnose(
     where = tuple(deviations(View(train, explained.null)))[:24]
     gained = explained.final.j - explained.null.j
     verdict = check(train, explained.final, gained, explained.gains, rng=rng)
+    if commissioned is not None:
+        verdict = commissioned.calmed(verdict, train)
     lap("criticise")
     scan = _ledger(train, explained, verdict, where)
     named = [a for i, a in enumerate(explained.final.model) if i in scan_names(explained, verdict)]
@@ -123,6 +132,7 @@ def diagnose(
     second_gap = None
     if second is not None:
         other, _ = gather(second, arena, robot, known)
+        other = other if commissioned is None else commissioned.told(other)
         second_gap = gap(other, explained.null, explained.final, named, rng=rng)
     lap("prove")
     odometry = beside(diagnose_odometry(run, machine, seed=seed), known)

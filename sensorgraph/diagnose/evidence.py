@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -45,6 +45,8 @@ class Evidence:
     """The reference is the laser's own pose, so that no mount can be told."""
     known: tuple[Amendment, ...] = ()
     """Effects that are part of the simulator already."""
+    floors: Mapping[str, float] = field(default_factory=dict)
+    """Effect -> [nats] further evidence that its name takes at this site (see `commissioning`)."""
     memo: dict[bytes, object] = field(default_factory=dict)
     """Casts made before."""
 

@@ -1,0 +1,228 @@
+"""Commissioning: what a run that is known to be good shows is the baseline of every later run at that site.
+
+A map made of scans, poses made of the same scans and a room full of chairs leave residuals that no robot.yaml
+describes. A run from the day when all was well has them too: how noisy readings are, how many are lost or stray, how
+far its poses jitter, and how much evidence each effect of the library picks up from clutter alone. All that is frozen
+here, so that a later run is asked only for the difference between the two.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from logs.run import Run
+from planners.arena import Arena, Bools, Floats
+from sensorgraph.diagnose.criticise import Verdict, check
+from sensorgraph.diagnose.decide import THRESHOLD, Explained, is_rough, price, searched, shortlist
+from sensorgraph.diagnose.evidence import LEAST_SCANS, Evidence, gather
+from sensorgraph.diagnose.likelihood import judge
+from sensorgraph.diagnose.model import Fitted, fit, solver_for, start_state
+from sensorgraph.diagnose.nuisance import Freedom
+from sensorgraph.diagnose.propose import lattice
+from sensorgraph.diagnose.solve import Solver, State
+from sensorgraph.diagnose.view import View
+from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.world.robot_file import RobotFile, Tolerances
+
+logger = logging.getLogger(__name__)
+
+TIMES = 3.0  # what a name takes, over the most that clutter alone has brought
+WIDE = Freedom(core=(0.3, 4.0), tail=(0.005, 0.6), loss=(1e-4, 0.3), stray=(1e-4, 0.5), pose=1.0, most=1.0)
+SLACK = 1.15  # by which noise levels may leave the range that the good run shows
+MISFIT = 3.0  # over that of the good run, before anything is said to be unknown
+SECTOR = np.radians(20.0)  # of rays that share what is in their way
+FACTORS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.5)  # of the tolerances of the poses
+WINDOWS = (1, 2)  # the run is looked at as a whole, and in halves
+BASELINE: dict[str, dict[str, float]] = {  # what a site or a map may always show, with first values
+    "range_noise": {"k": 0.004},
+    "people": {"p": 0.02},
+    "random_outliers": {"p": 0.02},
+    "range_bias": {"b": 0.0},
+    "range_scale": {"s": 0.0},
+    "mount_xy": {"dx": 0.0, "dy": 0.0},
+    "mount_yaw": {"delta": 0.0},
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Commissioned:
+    """What a run known to be good says of its site, its poses and its sensor."""
+
+    robot: RobotFile
+    """With the tolerances of the poses, and the resolution of the sensor, that the run showed."""
+    known: tuple[Amendment, ...]
+    """What the run itself shows: part of the simulator from now on."""
+    freedom: Freedom
+    """Noise, frozen near what the run showed."""
+    floors: Mapping[str, float]
+    """Effect -> [nats] the most that it gained, its price paid, though nothing was wrong."""
+    misfit: float
+    """[nats] left unexplained though nothing was wrong."""
+    n_readings: int
+    """To which floors and misfit belong."""
+
+    def told(self, evidence: Evidence) -> Evidence:
+        """Return evidence of a later run that is judged against this one.
+
+        Its poses may be the laser's own: a mount that has moved since shows as a difference.
+        """
+        share = evidence.ranges.size / self.n_readings
+        extra = {name: max(TIMES * gain * share - THRESHOLD, 0.0) for name, gain in self.floors.items()}
+        return replace(evidence, laser_frame=False, floors=extra, memo={})
+
+    def calmed(self, verdict: Verdict, evidence: Evidence) -> Verdict:
+        """Take back a doubt that is no larger than the good run's own."""
+        share = evidence.ranges.size / self.n_readings
+        if verdict.misfit > MISFIT * self.misfit * share:
+            return verdict
+        return replace(verdict, statement="", where=None, misfit=0.0, failed=frozenset())
+
+
+def commission(run: Run, arena: Arena, robot: RobotFile, *, seed: int = 0) -> Commissioned:
+    """Learn the baseline of a site from a run that is known to be good."""
+    rng = np.random.default_rng(seed)
+    evidence, _ = gather(run, arena, robot)
+    evidence = replace(evidence, laser_frame=False)
+    null = fit(evidence, (), start_state(evidence, WIDE), WIDE, outer=1, inner=12)
+    sensor = robot.sensor
+    for found in lattice(View(evidence, null)):
+        sensor = replace(sensor, resolution=found.amendment["q"])
+    tolerances = pose_tolerances(evidence, null)
+    robot = replace(robot, sensor=sensor, tolerances=tolerances)
+    evidence = replace(
+        evidence,
+        sensor=replace(evidence.sensor, resolution=sensor.resolution),
+        tolerances=tolerances,
+        memo={},
+    )
+    known = baseline(evidence)
+    evidence = replace(evidence, known=(*evidence.known, *known), memo={})
+    parts = [part for n in WINDOWS for part in windows(evidence, n)]
+    freedom = frozen([fit(p, (), start_state(p, WIDE), WIDE, outer=1, inner=12) for p in parts])
+    floors: dict[str, float] = {}
+    misfit = 0.0
+    for part in parts:
+        share = part.ranges.size / evidence.ranges.size
+        null = fit(part, (), start_state(part, freedom), freedom, outer=1, inner=7)
+        for name, gain in gains(part, null, freedom).items():
+            floors[name] = max(floors.get(name, 0.0), gain / share)
+        misfit = max(misfit, check(part, null, 0.0, {}, rng=rng).misfit / share)
+    logger.debug("known %s; floors %s; misfit %.0f", known, floors, misfit)
+    return Commissioned(
+        robot=robot,
+        known=known,
+        freedom=freedom,
+        floors=floors,
+        misfit=misfit,
+        n_readings=int(evidence.ranges.size),
+    )
+
+
+def windows(evidence: Evidence, n: int) -> list[Evidence]:
+    """Cut the run into n stretches of the same count of scans, unless they get too short."""
+    cuts = np.linspace(0, evidence.n_scans, n + 1).astype(np.intp)
+    if evidence.n_scans < n * LEAST_SCANS:
+        return []
+    parts = []
+    for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+        part = evidence.part(np.arange(low, high))
+        span = float(part.stamps[-1] - part.stamps[0])
+        parts.append(replace(part, begin=float(part.stamps[0]), span=max(span, 1e-9)))
+    return parts
+
+
+def baseline(evidence: Evidence) -> tuple[Amendment, ...]:
+    """Fit what the run itself shows, one effect after another, as long as each is worth its price."""
+    current = fit(evidence, (), start_state(evidence, WIDE), WIDE, outer=1, inner=12)
+    left = dict(BASELINE)
+    while left:
+        tried = []
+        for name, values in left.items():
+            model = (*current.model, EFFECTS[name](**values))
+            got = fit(evidence, model, current.state, WIDE, outer=3, inner=4)
+            if is_rough(model[-1]):
+                got = searched(evidence, got, WIDE, rounds=6, first=1.0, turns=2)
+            tried.append((got.j - current.j - price(got.model[-1], evidence), got))
+        gain, best = max(tried, key=lambda pair: pair[0])
+        if gain < THRESHOLD:
+            break
+        current = best
+        left.pop(best.model[-1].name)
+    return current.model
+
+
+def frozen(fits: list[Fitted]) -> Freedom:
+    """Return the noise levels that the stretches of the good run span, a little widened."""
+    noises = [f.state.noise for f in fits]
+
+    def span(name: str, least: float) -> tuple[float, float]:
+        values = [float(getattr(noise, name)) for noise in noises]
+        return max(min(values) / SLACK, least), max(values) * SLACK
+
+    return Freedom(
+        core=span("core", 0.1),
+        tail=span("tail", 0.001),
+        loss=span("loss", 1e-4),
+        stray=span("stray", 1e-4),
+        pose=1.0,
+        most=1.0,
+    )
+
+
+def gains(evidence: Evidence, null: Fitted, freedom: Freedom) -> dict[str, float]:
+    """Return, per effect, the most that it gains beyond its price [nats]."""
+    out: dict[str, float] = {}
+    for candidate in shortlist(evidence, null, set(), 0.0):
+        got = fit(evidence, (candidate.amendment,), null.state, freedom, outer=3, inner=3)
+        if is_rough(got.model[-1]):
+            got = searched(evidence, got, freedom, rounds=3, first=1.0, turns=1)
+        name = candidate.amendment.name
+        out[name] = max(out.get(name, 0.0), got.j - null.j - price(got.model[-1], evidence))
+    return out
+
+
+def pose_tolerances(evidence: Evidence, null: Fitted) -> Tolerances:
+    """Return the tolerances of the poses under which one half of the bearings predicts the other half best."""
+    t = evidence.tolerances
+    solver, _ = solver_for(evidence, ())
+    side = (
+        np.floor((evidence.sensor.bearings - evidence.sensor.bearings[0]) / SECTOR).astype(np.intp) % 2 == 0
+    )
+    factor = {"pose_xy": 1.0, "pose_yaw": 1.0}
+    memory: dict[tuple[float, ...], float] = {}
+
+    def score(trial: dict[str, float]) -> float:
+        key = tuple(trial.values())
+        if key not in memory:
+            tolerances = replace(t, **{k: v * getattr(t, k) for k, v in trial.items()})
+            solver.evidence = replace(evidence, tolerances=tolerances)
+            memory[key] = sum(crossed(solver, null.state, some) for some in (side, ~side))
+        return memory[key]
+
+    for _ in range(2):
+        for name in factor:
+            factor[name] = max(FACTORS, key=lambda f: score({**factor, name: f}))
+    return replace(t, **{k: v * getattr(t, k) for k, v in factor.items()})
+
+
+def crossed(solver: Solver, state: State, rays: Bools) -> float:
+    """Fit the pose of each scan to some rays; return the log-likelihood of the others [nats]."""
+    evidence, what, none = solver.evidence, solver.what, np.zeros(0)
+    state = state.copy()
+    state.delta = np.zeros_like(state.delta)
+    for _ in range(4):
+        judged = judge(evidence, what, solver.shift(state, none), state.noise)
+        weight: Floats = np.where(rays, judged.weight, 0.0)
+        state.delta = solver.poses_at(solver.assemble(weight, 1.0), state.g)
+    log_p = judge(evidence, what, solver.shift(state, none), state.noise).log_p
+    return float(log_p[:, ~rays].sum())
+
+
+def named(explained: Explained) -> tuple[str, ...]:
+    """Return the names in the accepted model, by falling evidence."""
+    order = sorted(explained.gains, key=lambda i: -explained.gains[i])
+    return tuple(explained.final.model[i].name for i in order)
