@@ -9,6 +9,7 @@ import typer
 
 if TYPE_CHECKING:
     from sensorgraph.demo import Trip
+    from sensorgraph.hidden import Hidden
 
 
 def demo(
@@ -19,7 +20,7 @@ def demo(
     robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of planning and all noise.")] = 0,
 ) -> None:
-    """Plan, record, build, evaluate and review on the shipped arena, beside random driving; offline, no display.
+    """Plan, record, build, evaluate, review on the shipped arena; hide an effect and find it. Offline, no display.
 
     Examples:
 
@@ -35,6 +36,8 @@ def demo(
     from sensorgraph.cli.progress import progress
     from sensorgraph.demo import demo as run_demo
     from sensorgraph.demo import to_dict
+    from sensorgraph.diagnose.report import to_dict as report_dict
+    from sensorgraph.hidden import hide_and_find
 
     began = time.monotonic()
     folder = out or Path("runs") / time.strftime("demo-%Y%m%d-%H%M%S")
@@ -49,14 +52,43 @@ def demo(
     }
     (folder / "config.json").write_text(json.dumps(config, indent=1) + "\n")
     trips = run_demo(folder, walls, machine, seed=seed, progress=progress)
-    (folder / "demo.json").write_text(json.dumps(to_dict(trips), indent=1) + "\n")
+    hidden = hide_and_find(folder / "diagnosis", walls, machine, seed=seed, progress=progress)
+    report = {"planted": hidden.planted.name, **report_dict(hidden.finding)}
+    results = {
+        **to_dict(trips),
+        "hidden_effect": {k: report[k] for k in ("planted", "effects", "gap", "gap_second_run")},
+    }
+    (folder / "demo.json").write_text(json.dumps(results, indent=1) + "\n")
     if out is None:
         _point_to(folder)
     typer.echo("\n".join(table(trips)))
+    typer.echo("\n" + "\n".join(told(hidden)))
     typer.echo(f"\n{time.monotonic() - began:.0f} s; all of it is in {folder}")
     typer.echo(f"look at it:      rerun {folder / 'review.rrd'}   and   {folder / 'coverage.png'}")
+    typer.echo(f"the diagnosis:   {folder / 'diagnosis' / 'report.html'}")
     typer.echo(f"one equation:    sensorgraph show {folder / 'coverage.sensorgraph'} --ray 67")
     typer.echo(f"what is logged:  sensorgraph inspect {folder / 'coverage.mcap'}")
+
+
+def told(hidden: Hidden) -> list[str]:
+    """Say what was hidden, what was found, and what it brought."""
+    from sensorgraph.diagnose.words import said
+
+    planted = hidden.planted
+    place = f" at {planted.place}" if planted.place else ""
+    values = ", ".join(f"{k} {v:g}" for k, v in planted.parameters.items())
+    lines = [
+        f"hidden by seed:  {planted.name}{place} ({values})",
+        f"diagnose says:   {said(hidden.finding).headline}",
+    ]
+    gap = hidden.finding.second_gap
+    if gap is not None:
+        lines.append(
+            f"on a second run that it has not seen: gap {100 * gap.before.rmse_m:.2f} -> {100 * gap.after.rmse_m:.2f} cm, "
+            f"noise floor {100 * gap.noise_floor.rmse_m:.2f} cm; {gap.before.nats_per_ray:.2f} -> "
+            f"{gap.after.nats_per_ray:.2f} nats per ray"
+        )
+    return lines
 
 
 def table(trips: list[Trip]) -> list[str]:

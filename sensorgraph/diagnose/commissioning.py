@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,8 +40,6 @@ FACTORS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.5)  # of the tolerances of the poses
 WINDOWS = (1, 2)  # the run is looked at as a whole, and in halves
 BASELINE: dict[str, dict[str, float]] = {  # what a site or a map may always show, with first values
     "range_noise": {"k": 0.004},
-    "people": {"p": 0.02},
-    "random_outliers": {"p": 0.02},
     "range_bias": {"b": 0.0},
     "range_scale": {"s": 0.0},
     "mount_xy": {"dx": 0.0, "dy": 0.0},
@@ -128,7 +127,7 @@ def windows(evidence: Evidence, n: int) -> list[Evidence]:
     if evidence.n_scans < n * LEAST_SCANS:
         return []
     parts = []
-    for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+    for low, high in pairwise(cuts):
         part = evidence.part(np.arange(low, high))
         span = float(part.stamps[-1] - part.stamps[0])
         parts.append(replace(part, begin=float(part.stamps[0]), span=max(span, 1e-9)))

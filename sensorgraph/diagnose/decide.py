@@ -67,7 +67,8 @@ class Explained:
 def price(amendment: Amendment, evidence: Evidence) -> float:
     """Return what an effect must pay for its parameters and for the choice of its place [nats]."""
     places = {"wall": evidence.arena.n_walls, "obstacle": 6}.get(amendment.effect.place or "", 1)
-    return PRICE * max(len(amendment.parameters), 1) + float(np.log(max(places, 1)))
+    paid = PRICE * max(len(amendment.parameters), 1) + float(np.log(max(places, 1)))
+    return paid + evidence.floors.get(amendment.name, 0.0)
 
 
 def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOLD) -> Explained:
@@ -98,7 +99,9 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
         )
         if gain < max(threshold, _least(current.model, best.model[-1], current.j - null.j)):
             break
+        mine = best.model[-1]
         others = [*((f.model[-1], g) for f, g in order[1:]), *also]
+        others = [(a, g) for a, g in others if (a.name, a.place) != (mine.name, mine.place)]
         if others:
             rival, nats = max(others, key=lambda t: t[1])
             rivals[_key(best.model[-1])] = (rival, gain - nats)

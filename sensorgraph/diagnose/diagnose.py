@@ -247,7 +247,7 @@ def _ledger(evidence: Evidence, explained: Explained, verdict: Verdict, where: t
     final = explained.final
     complete = [
         replace(
-            amendment,
+            placed(amendment, evidence),
             stderr=stderr(final, index),
             evidence=explained.gains[index],
             probability=probability(explained, index, verdict),
@@ -277,6 +277,18 @@ def _ledger(evidence: Evidence, explained: Explained, verdict: Verdict, where: t
         rivals=tuple(rivals),
         where=where,
     )
+
+
+def placed(amendment: Amendment, evidence: Evidence) -> Amendment:
+    """Return an effect with its point moved to where its fitted parameters put it."""
+    values = amendment.parameters
+    if amendment.name == "unmapped_obstacle":
+        return amendment.at("", (values["x"], values["y"]))
+    if {"a", "b"} <= set(values) and amendment.place in evidence.arena.names:
+        start, end = evidence.arena.walls[evidence.arena.names.index(amendment.place)]
+        along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
+        return amendment.at(amendment.place, start + along * (values["a"] + values["b"]) / 2)
+    return amendment
 
 
 def slackness(fitted: Fitted, amendment: Amendment) -> float:

@@ -106,9 +106,9 @@ def judge(evidence: Evidence, what: Predicted, shift: Floats, noise: Noise) -> J
     rest = (1 - stray) * (1 - what.short)
     own = rest * p_back * (1 - what.p_alternative)
     if what.lattice > 0:
-        off = np.abs(z / what.lattice - np.round(z / what.lattice)) * what.lattice > 0.51 * cell + 1e-9
-        with np.errstate(invalid="ignore"):
-            own = np.where(off & both, 1e-9, own)
+        steps = np.where(returned, z, 0.0) / what.lattice
+        off = np.abs(steps - np.round(steps)) * what.lattice > 0.51 * cell + 1e-9
+        own = np.where(off & both, 1e-9, own)
     p_core = own * (1 - noise.tail) * core * both
     p_tail = own * noise.tail * tail * both
     p = p_core + p_tail

@@ -1,0 +1,308 @@
+"""The scan channel of a diagnosis: derivatives, elimination, likelihood, proposals and proof, each against a plain form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import polygon_arena
+
+from logs.run import Run
+from planners.arena import Arena, Floats, wrap
+from sensorgraph.diagnose.criticise import dispersion, replicate
+from sensorgraph.diagnose.evidence import Evidence, gather
+from sensorgraph.diagnose.fits import placement
+from sensorgraph.diagnose.likelihood import judge, predicted
+from sensorgraph.diagnose.model import SMOOTH, Fitted, cast, fit, solver_for, start_state
+from sensorgraph.diagnose.nuisance import BOX, DENSE, Freedom, Noise, pose_prior
+from sensorgraph.diagnose.prove import held_out
+from sensorgraph.diagnose.screen import smooth_candidates
+from sensorgraph.diagnose.solve import boxed
+from sensorgraph.diagnose.view import View, best_run
+from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.errors import GapError
+from sensorgraph.world import robot_file
+from sensorgraph.world.scene import Scene, draw
+
+SIGMA = 0.01
+
+
+@pytest.fixture(scope="module")
+def hall() -> Arena:
+    """Return a 6 x 5 m hall with two pillars."""
+    return polygon_arena(
+        [(0, 0), (6, 0), (6, 5), (0, 5)],
+        [(2.0, 3.0), (2.6, 3.0), (2.6, 3.5), (2.0, 3.5)],
+        [(4.0, 1.0), (4.5, 1.2), (4.3, 1.7)],
+    )
+
+
+def drive(hall: Arena, effects: tuple[Amendment, ...] = (), *, seed: int = 0, n: int = 160) -> Run:
+    """Scan along a circle that breathes, with turns of both senses; noisy reference at every scan."""
+    rng = np.random.default_rng(seed)
+    t = 0.2 * np.arange(n)
+    phase = 0.35 * t
+    x, y = 3.0 + 1.5 * np.cos(phase), 2.3 + 1.0 * np.sin(phase) + 0.2 * np.sin(3 * phase)
+    poses = np.column_stack([x, y, phase + 1.5 * np.sin(0.9 * t)])
+    robot = robot_file.loads("sensor: {n_rays: 61}")
+    fine = np.linspace(0, t[-1], 20 * n)
+    path = np.stack([np.interp(fine, t, c) for c in poses.T], axis=1)
+    scene = Scene(
+        arena=hall,
+        sensor=robot.sensor,
+        stamps=t,
+        motion=lambda times: np.stack([np.interp(times, fine, c) for c in path.T], axis=-1),
+        span=float(t[-1]),
+    )
+    scene.run(effects)
+    noise = rng.normal(size=path.shape) * [0.002, 0.002, 0.0015]
+    reference = path + noise
+    return Run(
+        sensor=robot.sensor,
+        stamps=t,
+        ranges=draw(scene, rng),
+        pose_stamps=fine,
+        poses=np.column_stack([reference[:, :2], wrap(reference[:, 2])]),
+    )
+
+
+def evidence_of(hall: Arena, effects: tuple[Amendment, ...] = (), **options: int) -> Evidence:
+    robot = robot_file.loads("sensor: {n_rays: 61}")
+    return gather(drive(hall, effects, **options), hall, robot)[0]
+
+
+@pytest.fixture(scope="module")
+def quiet(hall: Arena) -> Evidence:
+    """Return the evidence of a run without any effect."""
+    return evidence_of(hall)
+
+
+@pytest.fixture(scope="module")
+def null(quiet: Evidence) -> Fitted:
+    """Return its fit without effects."""
+    return fit(quiet, (), start_state(quiet, Freedom()), Freedom(), outer=1, inner=5)
+
+
+def moved_pose(evidence: Evidence, step: Floats) -> Evidence:
+    stamps, poses = evidence.track
+    return replace(evidence, track=(stamps, poses + step), memo={})
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_columns_by_the_pose_are_difference_quotients(quiet: Evidence, axis: int) -> None:
+    at, h = cast(quiet, ()), 1e-6
+    step = np.zeros(3)
+    step[axis] = h
+    moved = cast(moved_pose(quiet, step), ())
+    same = at.cols.valid & (moved.beams.wall == at.beams.wall)
+    quotient = (moved.what.reading - at.what.reading)[same] / h
+    np.testing.assert_allclose(at.cols.pose[:, axis][same], quotient, atol=2e-3)  # second order over h
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "column"),
+    [
+        ("mount_xy", {"dx": 1e-6, "dy": 0.0}, "mount_x"),
+        ("mount_xy", {"dx": 0.0, "dy": 1e-6}, "mount_y"),
+        ("mount_yaw", {"delta": 1e-6}, "mount_yaw"),
+        ("range_bias", {"b": 1e-6}, "bias"),
+        ("range_scale", {"s": 1e-6}, "scale"),
+        ("range_drift", {"b1": 1e-6}, "drift"),
+        ("latency", {"tau": 1e-6}, "latency"),
+        ("scan_skew", {"T": 1e-6}, "skew"),
+    ],
+)
+def test_a_nuisance_does_what_its_effect_does(
+    quiet: Evidence, name: str, values: dict[str, float], column: str
+) -> None:
+    at = cast(quiet, ())
+    moved = cast(quiet, (EFFECTS[name](**values),))
+    same = at.cols.valid & (moved.beams.wall == at.beams.wall)
+    quotient = (moved.what.reading - at.what.reading)[same] / 1e-6
+    got = at.cols.dense[:, DENSE.index(column)][same]
+    if column in (
+        "latency",
+        "skew",
+    ):  # the velocity is smoothed over 0.4 s, the quotient has the reference's noise
+        assert 0.85 < (got @ quotient) / (got @ got) < 1.15
+    else:
+        assert np.abs(got - quotient).max() < 5e-3 * max(1.0, np.abs(quotient).max())
+
+
+def test_eliminating_the_poses_solves_the_whole_system(quiet: Evidence, null: Fitted) -> None:
+    """Schur complement against one dense least-squares problem with every pose error as an unknown."""
+    few = quiet.part(np.arange(6))
+    solver, _ = solver_for(few, (EFFECTS["range_bias"](b=0.0),))
+    weight = np.random.default_rng(0).uniform(0.5, 1.5, solver.shape) / SIGMA**2
+    system = solver.assemble(weight, 1.0)
+    n_scans, k = 6, len(system.right)
+    columns = []
+    for j in range(k):
+        x = np.zeros(k)
+        x[j] = 1.0
+        state = start_state(few, Freedom())
+        state.g = x[: solver.n_g]
+        columns.append(solver.shift(state, x[solver.n_g :]).ravel())
+    for scan in range(n_scans):
+        for axis in range(3):
+            state = start_state(few, Freedom())
+            state.delta[scan, axis] = 1.0
+            columns.append(solver.shift(state, np.zeros(1)).ravel())
+    a = np.column_stack(columns)
+    w = np.where(solver.cols.valid, weight, 0.0).ravel()
+    normal = a.T @ (a * w[:, None])
+    prior = np.linalg.inv(pose_prior(few, 1.0))
+    for scan in range(n_scans):
+        at = slice(k + 3 * scan, k + 3 * scan + 3)
+        normal[at, at] += prior[scan]
+    right = a.T @ (w * solver.y.ravel())
+    inner = np.linalg.inv(normal[k:, k:])
+    np.testing.assert_allclose(
+        system.matrix, normal[:k, :k] - normal[:k, k:] @ inner @ normal[k:, :k], rtol=1e-6, atol=1e-4
+    )
+    np.testing.assert_allclose(
+        system.right, right[:k] - normal[:k, k:] @ inner @ right[k:], rtol=1e-6, atol=1e-4
+    )
+
+
+def test_the_box_holds_and_binds_only_where_it_must() -> None:
+    rng = np.random.default_rng(3)
+    a = rng.normal(size=(30, 6))
+    matrix, tau = a.T @ a, np.full(5, 0.1)
+    right = matrix @ np.array([0.02, -0.01, 3.0, 0.0, 0.03, 2.0])
+    locked = np.array([False, False, False, True, False])
+    g, p = boxed(matrix, right, tau, BOX * tau, locked)
+    assert (np.abs(g) <= BOX * tau * (1 + 1e-9)).all()
+    assert g[3] == 0.0
+    assert abs(abs(g[2]) - BOX * 0.1) < 1e-9
+    x = np.concatenate([g, p])
+    slope = right - matrix @ x - np.concatenate([g / tau**2, [0.0]])
+    free = np.array([abs(v) < BOX * 0.1 - 1e-9 for v in g] + [True]) & ~np.append(locked, False)
+    np.testing.assert_allclose(slope[free], 0.0, atol=1e-5)
+
+
+def test_a_reading_has_a_probability_of_one_in_all(quiet: Evidence) -> None:
+    """Integrate the density over every reading a ray may give, lost and too close among them."""
+    at = cast(quiet, ())
+    few = quiet.part(np.arange(3))
+    beams = at.beams
+    beams = replace(
+        beams, reading=np.tile(np.linspace(0.5, 7.9, 61), (3, 1)), p_return=0.8, sigma=0.02, ox=beams.ox[:3]
+    )
+    what = predicted(beams, np.zeros((3, 61)), None, 0.03, 0.0, 0.0)
+    grid = np.arange(0.05, 8.0, 0.002)
+    total = np.zeros((3, 61))
+    for z in grid:
+        got = judge(
+            replace(few, ranges=np.full((3, 61), z)), what, np.zeros((3, 61)), Noise(tail=0.1, loss=0.01)
+        )
+        total += 0.002 * np.exp(got.log_p)
+    lost = judge(
+        replace(few, ranges=np.full((3, 61), np.inf)), what, np.zeros((3, 61)), Noise(tail=0.1, loss=0.01)
+    )
+    np.testing.assert_allclose(total + np.exp(lost.log_p), 1.0, atol=0.012)  # of 0.05 to 8 m, and a floor
+
+
+def test_without_an_effect_nuisances_stay_small_and_scales_at_one(null: Fitted) -> None:
+    tau = null.solver.tau
+    assert (np.abs(null.state.g) < 1.5 * tau).all()
+    assert null.state.pose_scale < 1.2
+    assert null.state.map_scale < 1.2
+    assert 0.9 < null.state.noise.core < 1.1
+
+
+def test_screening_foresees_the_gain_of_a_fit(hall: Arena) -> None:
+    evidence = evidence_of(hall, (EFFECTS["range_bias"](b=0.008),))
+    free = Freedom()
+    without = fit(evidence, (), start_state(evidence, free), free, outer=1, inner=6)
+    foreseen = next(c for c in smooth_candidates(evidence, without) if c.amendment.name == "range_bias")
+    with_it = fit(evidence, (foreseen.amendment,), without.state, free, outer=3, inner=4)
+    assert with_it.j - without.j > 20
+    assert 0.4 < foreseen.gain / (with_it.j - without.j) < 2.5
+    assert abs(with_it.model[0]["b"] - 0.008) < 0.002
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "values"),
+    [
+        ("range_bias", "", {"b": 0.02}),
+        ("range_scale", "", {"s": 0.01}),
+        ("mount_yaw", "", {"delta": 0.02}),
+        ("mount_xy", "", {"dx": 0.02, "dy": -0.015}),
+        ("latency", "", {"tau": 0.03}),
+        ("scan_skew", "", {"T": 0.05}),
+        ("moved_wall", "w/edge_1", {"d": 0.05}),
+        ("map_scale", "", {"s": 0.01, "dx": 0.0, "dy": 0.0}),
+        ("range_drift", "", {"b1": 0.03}),
+        ("unmapped_obstacle", "", {"x": 5.0, "y": 4.0, "r": 0.15}),
+    ],
+)
+def test_a_fit_recovers_what_was_planted(
+    hall: Arena, name: str, place: str, values: dict[str, float]
+) -> None:
+    planted = EFFECTS[name](**values)
+    planted = planted.at(place) if place else planted
+    evidence = evidence_of(hall, (planted,))
+    start = planted.moved_to({k: 0.8 * v for k, v in values.items() if k in SMOOTH[name] and k not in "xy"})
+    got = fit(evidence, (start,), start_state(evidence, Freedom()), Freedom(), outer=6, inner=4)
+    sd = np.sqrt(np.diag(got.solution.covariance))
+    for k, (parameter, deviation) in enumerate(zip(SMOOTH[name], sd, strict=True)):
+        assert abs(got.model[0][parameter] - values[parameter]) < 4 * deviation + 1e-4, (k, parameter)
+
+
+def test_best_run_is_the_best_of_all_runs() -> None:
+    values = np.random.default_rng(5).normal(size=(7, 12))
+    first, last, total = best_run(values)
+    for row, i, j, s in zip(values, first, last, total, strict=True):
+        plain = max(row[a : b + 1].sum() for a in range(12) for b in range(a, 12))
+        assert s == pytest.approx(plain)
+        assert row[i : j + 1].sum() == pytest.approx(plain)
+
+
+def test_replicates_are_as_the_model_says(quiet: Evidence, null: Fitted) -> None:
+    rng = np.random.default_rng(1)
+    ratios = [dispersion(View(*replicate(quiet, null, rng))) for _ in range(6)]
+    assert 0.8 < np.mean(ratios) < 1.2
+
+
+def test_scans_that_differ_show_in_the_dispersion(quiet: Evidence) -> None:
+    rng = np.random.default_rng(2)
+    bursts = rng.random(quiet.n_scans) < 0.3
+    noisy = quiet.ranges + rng.normal(size=quiet.ranges.shape) * np.where(bursts, 0.02, 0.0)[:, None]
+    changed = replace(quiet, ranges=noisy, memo={})
+    got = fit(changed, (), start_state(changed, Freedom()), Freedom(), outer=1, inner=5)
+    assert dispersion(View(changed, got)) > 2
+
+
+def test_one_block_in_eight_is_held_out(quiet: Evidence) -> None:
+    held = held_out(quiet)
+    assert 0.05 < held.mean() < 0.2
+    assert (np.diff(np.flatnonzero(held)) == 1).any()  # whole blocks
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7, np.pi])
+def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, turn: float) -> None:
+    run = drive(hall)
+    c, s = np.cos(turn), np.sin(turn)
+    poses = np.column_stack(
+        [c * run.poses[:, 0] - s * run.poses[:, 1] + 3.0, s * run.poses[:, 0] + c * run.poses[:, 1] - 1.5, wrap(run.poses[:, 2] + turn)]
+    )  # fmt: skip
+    evidence, _ = gather(replace(run, poses=poses), hall, robot_file.loads("sensor: {n_rays: 61}"))
+    place = placement(evidence, np.random.default_rng(0))
+    assert not place.fits
+    assert place.best_share > 0.85
+    assert abs(wrap(place.dphi + turn)) < 0.05
+    there = placement(evidence_of(hall), np.random.default_rng(0))
+    assert there.fits
+    assert there.share > 0.95
+
+
+def test_too_few_scans_are_refused_in_one_line(hall: Arena) -> None:
+    with pytest.raises(GapError, match="only 20 of 20 scans have a pose"):
+        evidence_of(hall, n=20)
+
+
+def test_another_sensor_is_refused(hall: Arena) -> None:
+    with pytest.raises(GapError, match="the run has 61 rays"):
+        gather(drive(hall), hall, robot_file.default())

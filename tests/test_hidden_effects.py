@@ -1,0 +1,59 @@
+"""A seeded part of benchmarks/hidden_effects: effects hidden by a generator that shares no code with the diagnosis."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.hidden_effects.cases import CaseSpec, make_case
+from planners.maps import geojson
+from sensorgraph.diagnose.diagnose import Finding, diagnose
+from sensorgraph.world import robot_file
+
+
+def found(**spec: object) -> tuple[Finding, dict[str, object]]:
+    """Diagnose one case; return the finding and the truth."""
+    run, _, arena, robot, truth = make_case(CaseSpec(stream="dev", **spec))  # type: ignore[arg-type]
+    return diagnose(run, geojson.loads(arena), robot_file.loads(robot), plan_next=False), truth
+
+
+@pytest.mark.parametrize("background", ["clean", "dirty"])
+def test_nothing_is_named_where_nothing_is_hidden(background: str) -> None:
+    finding, _ = found(suite="none", index=2, background=background)
+    assert not finding.effects
+    assert finding.unknown is None
+
+
+QUICK = [
+    "range_bias",
+    "mount_yaw",
+    "latency",
+    "moved_wall",
+    "max_range",
+    "quantisation",
+    "wheel_base",
+    "dead_time",
+]
+LONG = [
+    "range_scale", "sector_bias", "mount_xy", "scan_skew", "glass", "mirror", "black_surface", "incidence_dropout",
+    "min_range", "unmapped_obstacle", "moved_obstacle", "missing_obstacle", "map_scale", "people", "range_drift",
+    "wheel_radius", "actuator_lag", "self_occlusion", "tilt", "random_outliers", "pose_clock_offset", "mixed_pixels",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in LONG)])
+def test_a_hidden_effect_is_named_first_on_a_dirty_background(name: str) -> None:
+    finding, truth = found(suite="singles", index=5, background="dirty", effect=name, strength=0.7)
+    assert [a.name for a in finding.effects][:1] == [name], truth
+    assert finding.unknown is None
+    gap = finding.ledgers["scan"].gap
+    assert gap is not None
+    if finding.effects[0].effect.channel == "scan":
+        assert gap.after.nats_per_ray <= gap.before.nats_per_ray
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [0, 3, 6])
+def test_what_the_library_lacks_gets_no_name(index: int) -> None:
+    finding, _ = found(suite="foreign", index=index + 1, background="dirty")
+    assert finding.unknown is not None
+    assert not finding.effects
