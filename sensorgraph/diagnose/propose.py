@@ -142,11 +142,50 @@ def _panes(view: View, wall: int, mine: Bools) -> list[Candidate]:
             table, _ = _by_wall(np.zeros(len(gain), dtype=np.intp), along, gain, 1)
             first, last, total = best_run(table)
             if best is None or total[0] > best.gain:
+                span = (first[0] * BIN, (last[0] + 1) * BIN)
+                a, b, sharp, exact = _pane(along, incidence, through, span)
                 best = _on_wall(
-                    view, "glass", wall, float(total[0]),
-                    a=first[0] * BIN, b=(last[0] + 1) * BIN, alpha_ret=float(max(alpha, 1e-3)), depth=depth,
-                )  # fmt: skip
+                    view,
+                    "glass",
+                    wall,
+                    max(exact, float(total[0])),
+                    a=a,
+                    b=b,
+                    alpha_ret=max(sharp, 1e-3),
+                    depth=depth,
+                )
     return [best] if best is not None else []
+
+
+def _pane(
+    along: Floats, incidence: Floats, through: Floats, span: tuple[float, float]
+) -> tuple[float, float, float, float]:
+    """Sharpen ends and limiting incidence of a pane to the ray; return a, b, alpha_ret and the gain."""
+    a, b = span
+    alpha, gain = 0.0, 0.0
+    for _ in range(2):
+        inside = (along >= a) & (along <= b)
+        order = np.argsort(-incidence[inside])
+        total = np.cumsum(through[inside][order])
+        at = int(total.argmax())
+        sorted_incidence = incidence[inside][order]
+        alpha = float((sorted_incidence[at] + sorted_incidence[min(at + 1, len(order) - 1)]) / 2)
+        a, b, gain = sharp_ends(along, np.where(incidence >= alpha, through, 0.0), a, b)
+    return a, b, alpha, gain
+
+
+def sharp_ends(along: Floats, gain: Floats, a: float, b: float) -> tuple[float, float, float]:
+    """Move the ends [m] of a part of a wall to where the gain of the rays is largest."""
+    near = np.flatnonzero((along >= a - 2 * BIN) & (along <= b + 2 * BIN) & (gain != 0))
+    if len(near) == 0:
+        return a, b, 0.0
+    near = near[np.argsort(along[near])]
+    first, last, total = best_run(gain[near][None])
+    i, j = int(first[0]), int(last[0])
+    place = along[near]
+    low = (place[i] + place[i - 1]) / 2 if i > 0 else place[i]
+    high = (place[j] + place[j + 1]) / 2 if j + 1 < len(place) else place[j]
+    return float(low), float(high), float(total[0])
 
 
 def mirror(view: View) -> list[Candidate]:
@@ -166,6 +205,7 @@ def mirror(view: View) -> list[Candidate]:
         gain = view.likely(seen, mine) - view.log_p[mine]
         table, _ = _by_wall(np.zeros(len(gain), dtype=np.intp), view.along[mine], gain, 1)
         first, last, total = best_run(table)
+        a, b, exact = sharp_ends(view.along[mine], gain, first[0] * BIN, (last[0] + 1) * BIN)
         found.append(
             _on_wall(view, "mirror", int(wall), float(total[0]), a=first[0] * BIN, b=(last[0] + 1) * BIN)
         )
