@@ -365,7 +365,7 @@ def check(
             )
         )
     doubts += _against_replicates(evidence, fitted, parts, found, told, rng, replicates)
-    worth = COARSE if any(a.name in COARSE_EFFECTS for a in fitted.model) else WORTH
+    worth = max((COARSE.get(a.name, WORTH) for a in fitted.model), default=WORTH)
     doubts = [d for d in doubts if d.misfit > worth * gained]
     failed = frozenset(i for d in doubts for i in d.failed)
     if not doubts:
@@ -384,8 +384,10 @@ def check(
 
 
 WORTH = 0.003  # of the model's gain; a smaller misfit is the coarseness of a right model
-COARSE = 0.06
-COARSE_EFFECTS = ("sonar_cone", "mixed_pixels", "people")  # their models are coarse
+COARSE = {
+    "sonar_cone": 0.06, "mixed_pixels": 0.06, "people": 0.06, "glass": 0.012, "mirror": 0.012, "black_surface": 0.012,
+}  # fmt: skip
+"""The same for effects whose model is coarse, or sharp at an end that the map's tolerance blurs."""
 DISPERSED = 1.45  # variance ratio between scans and within; right models have 0.85 to 1.15
 LIMIT = 3.2  # tolerances that would have to be so many times wider
 

@@ -22,7 +22,7 @@ from sensorgraph.diagnose.finding import Gap, Ledger, Rival, Unknown, Where
 from sensorgraph.diagnose.fits import Placement, placement
 from sensorgraph.diagnose.model import Fitted, smooth_parameters
 from sensorgraph.diagnose.next_run import NextRun, ask, next_run
-from sensorgraph.diagnose.nuisance import DENSE, OWN, Freedom, widths
+from sensorgraph.diagnose.nuisance import DENSE, Freedom, widths
 from sensorgraph.diagnose.observable import alike, not_observable, separation
 from sensorgraph.diagnose.odometry import diagnose_odometry
 from sensorgraph.diagnose.prove import gap, held_out
@@ -293,7 +293,7 @@ def placed(amendment: Amendment, evidence: Evidence) -> Amendment:
 
 def slackness(fitted: Fitted, amendment: Amendment) -> float:
     """Return how many times its materiality an effect must be: more, where the tolerances proved too tight."""
-    scale = max(fitted.state.map_scale, fitted.state.pose_scale if amendment.name in OWN else 1.0)
+    scale = max(fitted.state.map_scale, fitted.state.pose_scale)
     return 1.25 * scale if scale > 1.3 else max(1.0, scale)
 
 

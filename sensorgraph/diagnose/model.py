@@ -35,9 +35,9 @@ SMOOTH: dict[str, dict[str, float]] = {  # effect -> parameter -> step of the di
 ROUGH: dict[str, dict[str, float]] = {  # effect -> parameter -> first step of the search
     "range_noise": {"k": 0.002},
     "mixed_pixels": {"gamma": 0.003},
-    "glass": {"a": 0.05, "b": 0.05, "alpha_ret": 0.03},
-    "mirror": {"a": 0.05, "b": 0.05},
-    "black_surface": {"a": 0.05, "b": 0.05, "r0": 0.1},
+    "glass": {"a": 0.01, "b": 0.01, "alpha_ret": 0.01},
+    "mirror": {"a": 0.01, "b": 0.01},
+    "black_surface": {"a": 0.01, "b": 0.01, "r0": 0.05},
     "incidence_dropout": {"alpha_max": 0.01},
     "max_range": {"R": 0.02},
     "min_range": {"r_min": 0.01},

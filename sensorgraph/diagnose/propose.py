@@ -7,6 +7,7 @@ and the gain that the frozen nuisances promise. None of them decides: `decide` f
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -76,21 +77,30 @@ def black(view: View) -> list[Candidate]:
     walls, along = view.beams.wall[on], view.along[on]
     n_walls = len(view.fitted.cast.scene.walls)
     best: dict[int, tuple[float, float, float, float]] = {}
+    gone = view.lost[on]
+
+    def gains(r0: float, some: Any = slice(None)) -> Floats:
+        p = np.clip(np.minimum(1.0, cosine[some] * (r0 / r[some]) ** 2), 1e-4, 1.0)
+        missed = np.log(1 - p * (1 - view.noise.loss) + 1e-5) - log_p[some]
+        return np.where(returned[some], np.log(p), np.where(gone[some], missed, 0.0))
+
     for r0 in np.geomspace(0.3, view.range_max, 14):
-        p = np.minimum(1.0, cosine * (r0 / r) ** 2)
-        p = np.clip(p, 1e-4, 1.0)
-        gain = np.where(
-            returned,
-            np.log(p),
-            np.where(view.lost[on], np.log(1 - p * (1 - view.noise.loss) + 1e-5) - log_p, 0.0),
-        )
+        gain = gains(r0)
         table, _ = _by_wall(walls, along, gain, n_walls)
         first, last, total = best_run(table)
         for wall in np.argsort(-total)[:2]:
             if total[wall] > best.get(int(wall), (LEAST_GAIN,))[0]:
                 best[int(wall)] = (float(total[wall]), first[wall] * BIN, (last[wall] + 1) * BIN, float(r0))
-    for wall, (gain, a, b, r0) in best.items():
-        found.append(_on_wall(view, "black_surface", wall, gain, a=a, b=b, r0=r0))
+    for wall, (promised, a, b, start) in sorted(best.items(), key=lambda item: -item[1][0])[:2]:
+        mine = np.flatnonzero(walls == wall)
+        tries = []
+        for r0 in start * np.geomspace(0.85, 1.18, 9):
+            low, high, exact = sharp_ends(along[mine], gains(r0, mine), a, b)
+            tries.append((exact, low, high, float(r0)))
+        exact, low, high, r0 = max(tries)
+        if exact < promised:
+            low, high, r0 = a, b, start
+        found.append(_on_wall(view, "black_surface", wall, max(exact, promised), a=low, b=high, r0=r0))
     return sorted(found, key=lambda c: -c.gain)[:2]
 
 
@@ -206,9 +216,7 @@ def mirror(view: View) -> list[Candidate]:
         table, _ = _by_wall(np.zeros(len(gain), dtype=np.intp), view.along[mine], gain, 1)
         first, last, total = best_run(table)
         a, b, exact = sharp_ends(view.along[mine], gain, first[0] * BIN, (last[0] + 1) * BIN)
-        found.append(
-            _on_wall(view, "mirror", int(wall), float(total[0]), a=first[0] * BIN, b=(last[0] + 1) * BIN)
-        )
+        found.append(_on_wall(view, "mirror", int(wall), max(exact, float(total[0])), a=a, b=b))
     return sorted(found, key=lambda c: -c.gain)[:2]
 
 
