@@ -18,7 +18,7 @@ import numpy as np
 from logs.run import Run
 from planners.arena import Arena, Bools, Floats
 from sensorgraph.diagnose.criticise import Verdict, check
-from sensorgraph.diagnose.decide import THRESHOLD, Explained, is_rough, price, searched, shortlist
+from sensorgraph.diagnose.decide import THRESHOLD, is_rough, price, searched, shortlist
 from sensorgraph.diagnose.evidence import LEAST_SCANS, Evidence, gather
 from sensorgraph.diagnose.likelihood import judge
 from sensorgraph.diagnose.model import Fitted, fit, solver_for, start_state
@@ -70,7 +70,10 @@ class Commissioned:
         Its poses may be the laser's own: a mount that has moved since shows as a difference.
         """
         share = evidence.ranges.size / self.n_readings
-        extra = {name: max(TIMES * gain * share - THRESHOLD, 0.0) for name, gain in self.floors.items()}
+        extra = {
+            name: max(TIMES * gain * (1.0 if is_local(name) else share) - THRESHOLD, 0.0)
+            for name, gain in self.floors.items()
+        }
         return replace(evidence, laser_frame=False, floors=extra, memo={})
 
     def calmed(self, verdict: Verdict, evidence: Evidence) -> Verdict:
@@ -108,7 +111,7 @@ def commission(run: Run, arena: Arena, robot: RobotFile, *, seed: int = 0) -> Co
         share = part.ranges.size / evidence.ranges.size
         null = fit(part, (), start_state(part, freedom), freedom, outer=1, inner=7)
         for name, gain in gains(part, null, freedom).items():
-            floors[name] = max(floors.get(name, 0.0), gain / share)
+            floors[name] = max(floors.get(name, 0.0), gain if is_local(name) else gain / share)
         misfit = max(misfit, check(part, null, 0.0, {}, rng=rng).misfit / share)
     logger.debug("known %s; floors %s; misfit %.0f", known, floors, misfit)
     return Commissioned(
@@ -119,6 +122,11 @@ def commission(run: Run, arena: Arena, robot: RobotFile, *, seed: int = 0) -> Co
         misfit=misfit,
         n_readings=int(evidence.ranges.size),
     )
+
+
+def is_local(name: str) -> bool:
+    """Tell whether an effect sits at one place of the site: a longer run shows it no more than a shorter one."""
+    return EFFECTS[name].place in ("wall", "obstacle", "spot")
 
 
 def windows(evidence: Evidence, n: int) -> list[Evidence]:
@@ -219,9 +227,3 @@ def crossed(solver: Solver, state: State, rays: Bools) -> float:
         state.delta = solver.poses_at(solver.assemble(weight, 1.0), state.g)
     log_p = judge(evidence, what, solver.shift(state, none), state.noise).log_p
     return float(log_p[:, ~rays].sum())
-
-
-def named(explained: Explained) -> tuple[str, ...]:
-    """Return the names in the accepted model, by falling evidence."""
-    order = sorted(explained.gains, key=lambda i: -explained.gains[i])
-    return tuple(explained.final.model[i].name for i in order)

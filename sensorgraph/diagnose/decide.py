@@ -148,9 +148,8 @@ def _try(
     come near the best of these are fitted to all scans.
     """
     noise = current.state.noise
-    strained = (
-        max(current.state.pose_scale, current.state.map_scale) > 1.3 or noise.core > 1.1 or noise.tail > 0.1
-    )
+    stretched = max(current.state.pose_scale, current.state.map_scale) > 1.3
+    strained = freedom.most > 1.0 and (stretched or noise.core > 1.1 or noise.tail > 0.1)
     short = shortlist(evidence, current, struck, gained)
     if strained:  # tolerances that stretch may hide an effect: look again with the ones told
         told = replace(freedom, most=1.0)

@@ -16,6 +16,7 @@ from sensorgraph.diagnose.likelihood import FINEST
 from sensorgraph.diagnose.model import log_likelihood, start_state, thin, thin_state
 from sensorgraph.diagnose.nuisance import Freedom
 from sensorgraph.diagnose.screen import Candidate, obstacles
+from sensorgraph.diagnose.solve import MOST_CORNERS
 from sensorgraph.diagnose.view import View, best_run
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.places import named_walls, reflected
@@ -511,7 +512,8 @@ def _between(view: View) -> int:
 
 def _swept(view: View, name: str, parameter: str, values: Floats, fixed: dict[str, float]) -> list[Candidate]:
     """Try values of one parameter on every so-manieth scan, nuisances frozen."""
-    every = max(1, view.evidence.n_scans // 60)
+    some = 60 if view.evidence.arena.n_walls <= MOST_CORNERS else 20  # scans
+    every = max(1, view.evidence.n_scans // some)
     few = thin(view.evidence, every)
     state = thin_state(view.fitted.state, every)
     if state.noise.core > 1.1 or state.noise.tail > 0.1:  # bent by what is looked for
