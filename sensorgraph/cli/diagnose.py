@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from sensorgraph.effects import Amendment
 
 
 def diagnose(
@@ -66,7 +70,7 @@ def diagnose(
         raise GapError(f"{runs[0]} keeps no arena; give one with --arena")
     machine = kept_robot(run) if robot is None else None
     machine = robot_for(run, robot) if machine is None else machine
-    known = []
+    known: Sequence[Amendment] = ()
     if effects is not None:
         known = effects_file.read(effects)
         effects_file.check_places(known, walls)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,7 +180,7 @@ def dispersion(view: View) -> float:
 
 
 def _cells(
-    name: str, x: Floats, y: Floats, ok: Floats, bounds: tuple[float, float, float, float]
+    name: str, x: Floats, y: Floats, ok: Bools, bounds: tuple[float, float, float, float]
 ) -> Partition:
     x0, y0, x1, y1 = bounds
     nx, ny = int((x1 - x0 + 0.2) / CELL) + 1, int((y1 - y0 + 0.2) / CELL) + 1
@@ -208,7 +209,7 @@ class Scores:
     """Deviation of every ray from what the model expects, per family; arrays (n_scans, n_rays)."""
 
     values: dict[str, Floats]
-    counted: dict[str, Floats]
+    counted: dict[str, Bools]
 
 
 def scores(view: View) -> Scores:
@@ -258,7 +259,7 @@ def deviations(view: View, parts: list[Partition] | None = None, *, least: float
         group = np.where(ok, blocks[:, None] * part.count + part.index, n_blocks * part.count)
         flat = group.ravel()
         size = n_blocks * part.count + 1
-        counts: dict[int, Floats] = {}
+        counts: dict[int, Any] = {}
         for family, value in score.values.items():
             counted = score.counted[family]
             if id(counted) not in counts:
@@ -528,11 +529,9 @@ def _against_replicates(
     suspects = {f: z for f, z in statistic(found).items() if z > FLOORS[f]}
     if not suspects:
         return []
-    slack = (
-        evidence.tolerances.map / max(told.map, 1e-9),
-        evidence.tolerances.pose_xy / max(told.pose_xy, 1e-9),
-    )
-    slack = float(np.clip(max(slack), 1.0, 2.0))
+    t = evidence.tolerances
+    wider = max(t.map / max(told.map, 1e-9), t.pose_xy / max(told.pose_xy, 1e-9))
+    slack = float(np.clip(wider, 1.0, 2.0))
     drawn: dict[str, list[float]] = {f: [] for f in FLOORS}
     for _ in range(count):
         again = replicate(evidence, fitted, rng)

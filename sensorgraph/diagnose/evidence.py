@@ -58,7 +58,7 @@ class Evidence:
     @property
     def n_rays(self) -> int:
         """Count of rays in a scan."""
-        return self.ranges.shape[1]
+        return int(self.ranges.shape[1])
 
     @cached_property
     def returned(self) -> Bools:

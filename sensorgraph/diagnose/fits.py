@@ -66,8 +66,9 @@ def _ends(evidence: Evidence, rng: np.random.Generator) -> Floats:
     """Return where some of the measured rays end, (n, 2) [m, map]."""
     lasers = laser_poses(evidence.poses, evidence.sensor.mount)
     scan, ray = np.nonzero(evidence.returned)
-    some = rng.choice(len(scan), min(N_POINTS, len(scan)), replace=False) if len(scan) else []
-    scan, ray = scan[some], ray[some]
+    if len(scan) > N_POINTS:
+        some = rng.choice(len(scan), N_POINTS, replace=False)
+        scan, ray = scan[some], ray[some]
     phi = lasers[scan, 2] + evidence.sensor.bearings[ray]
     r = evidence.ranges[scan, ray]
     return np.stack([lasers[scan, 0] + r * np.cos(phi), lasers[scan, 1] + r * np.sin(phi)], axis=1)

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 from planners.arena import Bools, Floats
 from sensorgraph.diagnose.evidence import Evidence
 from sensorgraph.diagnose.nuisance import TAIL, Noise
-from sensorgraph.world.scene import Beams
+from sensorgraph.world.scene import Beams, Ints
 
 ROOT = np.sqrt(2 * np.pi)
 FLOOR = 1e-5  # chance of a reading that nothing explains
@@ -21,7 +21,7 @@ FINEST = 1e-4  # [m] cell of a reading whose resolution is not told
 class Edges:
     """Rays that pass so near a corner in depth that a small error of pose or map takes them to the other side."""
 
-    at: tuple[Floats, Floats]
+    at: tuple[Ints, Ints]
     """Indices (scan, ray) of k rays."""
     other: Floats
     """(k,) [m] what they would read on the other side."""
@@ -159,7 +159,7 @@ def judge(evidence: Evidence, what: Predicted, shift: Floats, noise: Noise) -> J
 def _density(e: Floats, sigma: Floats, lattice: float, cell: float) -> Floats:
     """Return the density [1/m] of a residual; on a lattice, the mass of its step over the resolution's cell."""
     if lattice <= 0:
-        return np.exp(-0.5 * (e / sigma) ** 2) / (ROOT * sigma)
+        return np.asarray(np.exp(-0.5 * (e / sigma) ** 2) / (ROOT * sigma))
     half = lattice / 2
     return np.asarray((ndtr((e + half) / sigma) - ndtr((e - half) / sigma)) / cell)
 
@@ -176,7 +176,7 @@ def find_edges(evidence: Evidence, beams: Beams, walls: Floats) -> Edges | None:
     gap = np.diff(bearings)[left]
     near_left = ranges[scan, left] <= ranges[scan, left + 1]
     near = np.where(near_left, left, left + 1)
-    rows: list[tuple[Floats, ...]] = []
+    rows: list[tuple[Ints, Ints, Floats, Floats]] = []
     # where the nearer surface ends, as an angle from the left ray
     edge = _end_angle(beams, walls, scan, left, near, gap)
     r_near = np.maximum(ranges[scan, near], 0.05)
@@ -193,11 +193,14 @@ def find_edges(evidence: Evidence, beams: Beams, walls: Floats) -> Edges | None:
                 & (beyond > 0)
             )
         rows.append((scan[keep], ray[keep], beyond[keep], chance[keep]))
-    scans, rays, other, chance = (np.concatenate(v) for v in zip(*rows, strict=True))
-    return Edges(at=(scans, rays), other=other, chance=chance)
+    return Edges(
+        at=(np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])),
+        other=np.concatenate([r[2] for r in rows]),
+        chance=np.concatenate([r[3] for r in rows]),
+    )
 
 
-def _end_angle(beams: Beams, walls: Floats, scan: Floats, left: Floats, near: Floats, gap: Floats) -> Floats:
+def _end_angle(beams: Beams, walls: Floats, scan: Ints, left: Ints, near: Ints, gap: Floats) -> Floats:
     """Return the angle [rad] from the left ray to the end of the nearer wall; half the gap where it has none there."""
     index = beams.wall[scan, near]
     middle = gap / 2
@@ -217,7 +220,7 @@ def _end_angle(beams: Beams, walls: Floats, scan: Floats, left: Floats, near: Fl
     return best
 
 
-def _extended(beams: Beams, walls: Floats, scan: Floats, ray: Floats, other: Floats) -> Floats:
+def _extended(beams: Beams, walls: Floats, scan: Ints, ray: Ints, other: Ints) -> Floats:
     """Return where a ray would meet the surface that its neighbour meets, extended; inf where that is nothing."""
     index = beams.wall[scan, other]
     fallback = beams.ranges[scan, other]
@@ -231,7 +234,7 @@ def _extended(beams: Beams, walls: Floats, scan: Floats, ray: Floats, other: Flo
     with np.errstate(divide="ignore", invalid="ignore"):
         r = ((a[:, 0] - ox) * nx + (a[:, 1] - oy) * ny) / across
     usable = (index >= 0) & (across < -0.02)
-    return np.where(usable, r, fallback)
+    return np.asarray(np.where(usable, r, fallback))
 
 
 def broken_share(evidence: Evidence) -> float:

@@ -189,7 +189,7 @@ def corners_of(evidence: Evidence) -> Corners:
     return corners
 
 
-def locked(evidence: Evidence, model: Sequence[Amendment], corners: Corners) -> Floats:
+def locked(evidence: Evidence, model: Sequence[Amendment], corners: Corners) -> Bools:
     """Return which nuisances are held at 0: the copies of effects in the model, and the mount of a bare laser."""
     out = np.zeros(len(DENSE) + 2 * corners.count, dtype=np.bool_)
     names = [name for a in model for name in OWN.get(a.name, ())]

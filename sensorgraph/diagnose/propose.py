@@ -20,7 +20,7 @@ from sensorgraph.diagnose.solve import MOST_CORNERS
 from sensorgraph.diagnose.view import View, best_run
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.places import named_walls, reflected
-from sensorgraph.world.scene import each
+from sensorgraph.world.scene import Ints, each
 
 BIN = 0.1  # [m] along a wall
 LEAST_GAIN = 6.0
@@ -221,12 +221,12 @@ def mirror(view: View) -> list[Candidate]:
     return sorted(found, key=lambda c: -c.gain)[:2]
 
 
-def _by_wall(walls: Floats, along: Floats, gain: Floats, n_walls: int) -> tuple[Floats, int]:
+def _by_wall(walls: Ints, along: Floats, gain: Floats, n_walls: int) -> tuple[Floats, int]:
     """Sum gains by wall and bin along it, (n_walls, n_bins)."""
     place = np.clip(np.nan_to_num(along) / BIN, 0, None).astype(np.intp)
     n_bins = int(place.max(initial=0)) + 1
     table = np.bincount(walls * n_bins + place, gain, n_walls * n_bins).reshape(n_walls, n_bins)
-    return table, n_bins
+    return np.asarray(table, dtype=np.float64), n_bins
 
 
 def _on_wall(view: View, name: str, wall: int, gain: float, **values: float) -> Candidate:
@@ -417,8 +417,8 @@ def lattice(view: View) -> list[Candidate]:
     """Quantisation: few distinct readings, a step apart."""
     z = view.z[view.returned]
     finest = max(view.evidence.sensor.resolution, FINEST)
-    values, counts = np.unique(np.round(z / FINEST).astype(np.int64), return_counts=True)
-    values = values[counts >= 3] * FINEST
+    cells, counts = np.unique(np.round(z / FINEST).astype(np.int64), return_counts=True)
+    values = cells[counts >= 3] * np.float64(FINEST)
     if len(values) < 5 or len(z) < 200 or counts[counts >= 3].sum() < 0.9 * len(z):
         return []
     q = float(np.median(np.diff(values)))
@@ -541,7 +541,8 @@ def tilt(view: View) -> list[Candidate]:
     rows = np.column_stack([np.cos(bearings), np.sin(bearings)])
     width = np.maximum(3 * view.sigma[some] * h / z**2, 1e-4)  # [rad] of a dip, three sigma
     rng = np.random.default_rng(0)
-    best, most = np.zeros(2), 0
+    best: Floats = np.zeros(2)
+    most = 0
     for _ in range(120):
         pair = rng.choice(len(z), 2, replace=False)
         system = rows[pair]
@@ -556,7 +557,9 @@ def tilt(view: View) -> list[Candidate]:
         if inlier.sum() < 2 * FEW:
             return []
         w = 1 / width[inlier]
-        best = np.linalg.lstsq(rows[inlier] * w[:, None], dip[inlier] * w, rcond=None)[0]
+        best = np.asarray(
+            np.linalg.lstsq(rows[inlier] * w[:, None], dip[inlier] * w, rcond=None)[0], dtype=np.float64
+        )
     beta, theta0 = float(np.hypot(*best)), float(np.arctan2(best[1], best[0]))
     if not 0.003 < beta < 0.5 or most < 0.2 * some.sum():
         return []

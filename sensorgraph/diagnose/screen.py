@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planners.arena import Floats
+from planners.arena import Bools, Floats
 from sensorgraph.diagnose.evidence import Evidence
 from sensorgraph.diagnose.model import Fitted, corners_of
 from sensorgraph.diagnose.nuisance import BOX, DENSE, OWN
@@ -96,7 +96,15 @@ def hypotheses(evidence: Evidence, fitted: Fitted) -> list[tuple[Amendment, Floa
         for k, copy in enumerate(copies):
             directions[DENSE.index(copy), k] = 1.0
         out.append((EFFECTS[name](**dict.fromkeys(START[name], 0.0)), directions, copies))
-    corners = corners_of(evidence)
+    return [*out, *_of_the_map(evidence, fitted, present)]
+
+
+def _of_the_map(
+    evidence: Evidence, fitted: Fitted, present: set[tuple[str, str]]
+) -> list[tuple[Amendment, Floats, Sequence[str]]]:
+    """List moved walls, moved obstacles and the scaled map, as shifts of the corners."""
+    corners, n = corners_of(evidence), fitted.solver.n_g
+    out: list[tuple[Amendment, Floats, Sequence[str]]] = []
     if corners.count == 0:
         return out
     arena = evidence.arena
@@ -153,11 +161,11 @@ def _padded(directions: Floats, size: int) -> Floats:
     return out
 
 
-def _value(matrix: Floats, right: Floats, tau: Floats, held: Floats, n: int) -> float:
+def _value(matrix: Floats, right: Floats, tau: Floats, held: Bools, n: int) -> float:
     return _solved(matrix, right, tau, held, n)[0]
 
 
-def _solved(matrix: Floats, right: Floats, tau: Floats, held: Floats, n: int) -> tuple[float, Floats]:
+def _solved(matrix: Floats, right: Floats, tau: Floats, held: Bools, n: int) -> tuple[float, Floats]:
     """Return the maximum of the quadratic and where it is."""
     g, p = boxed(matrix, right, tau, BOX * tau, held)
     x = np.concatenate([g, p])

@@ -125,7 +125,7 @@ class Solver:
         if self.map is not None:
             ends = (self.map @ state.g[len(DENSE) :]).reshape(2, self.n_walls)
             out += self.ends[0] * ends[0][self.cols.wall] + self.ends[1] * ends[1][self.cols.wall]
-        return out
+        return np.asarray(out)
 
     def assemble(self, weight: Floats, pose_scale: float) -> System:
         """Build the normal equations for weights (n_scans, n_rays) [1/m²]."""
@@ -307,12 +307,15 @@ def iterate(
             break
         if turn == rounds:
             break
+        g = state.g
         if nuisance_free:
             g, p = solver.maximise(system, state)
         else:
-            g = state.g
             inner = system.matrix[n:, n:] + 1e-9 * np.diag(1 + np.diag(system.matrix)[n:])
-            p = np.linalg.solve(inner, system.right[n:] - system.matrix[n:, :n] @ g) if len(p) else p
+            if len(p):
+                p = np.asarray(
+                    np.linalg.solve(inner, system.right[n:] - system.matrix[n:, :n] @ g), dtype=np.float64
+                )
         state.g = g
         if poses_free:
             delta = solver.poses_at(system, np.concatenate([g, p]))
