@@ -197,7 +197,7 @@ def test_a_close_runner_up_leaves_it_undecided(found: Finding) -> None:
 
 def test_skipped_channels_and_missing_parts_leave_a_report(silent: Finding, tmp_path: Path) -> None:
     skipped = {name: Ledger(channel=name, skipped=f"no {name}") for name in ("scan", "odometry", "drive")}
-    bare = replace(silent, ledgers=skipped, explained=None, verdict=None)
+    bare = replace(silent, ledgers=skipped, explained=None, verdict=None, next_run=None)
     files = save(bare, tmp_path)
     assert {path.name for path in files} == {"report.json", "report.html", "effects.yaml"}
     html = (tmp_path / "report.html").read_text()

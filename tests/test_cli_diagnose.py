@@ -1,0 +1,155 @@
+"""`sensorgraph diagnose` from the command line: what it writes, what it accepts, and what it says of bad input."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import logs
+from logs.run import Run
+from planners.maps import geojson
+from sensorgraph.cli import run as cli
+from sensorgraph.cli.inputs import named_arena, named_robot
+from sensorgraph.effects import EFFECTS
+from sensorgraph.effects.effects_file import write as write_effects
+from sensorgraph.world import robot_file
+from sensorgraph.world.drive import Driven
+from sensorgraph.world.simulate import simulate
+
+ROBOT = "sensor: {n_rays: 61, rate: 5.0}\n"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with robot.yaml and two runs whose sensor reads 4 cm long."""
+    folder = tmp_path_factory.mktemp("diagnose")
+    (folder / "robot.yaml").write_text(ROBOT)
+    for k, name in enumerate(("run", "second")):
+        logs.write(driven_run(k), folder / f"{name}.mcap")
+    return folder
+
+
+def driven_run(seed: int) -> Run:
+    """Turn to and fro on the spot at a few places of the shipped square."""
+    arena, robot = named_arena("square"), robot_file.loads(ROBOT)
+    t = np.arange(0, 30.0, 0.01)
+    x0, y0, x1, y1 = arena.bounds
+    path = np.column_stack(
+        [
+            x0 + 0.5 * (x1 - x0) + 0.25 * np.sin(0.3 * t + seed),
+            y0 + 0.3 * (y1 - y0) + 0.2 * np.cos(0.2 * t),
+            2.5 * np.sin(0.25 * t + seed),
+        ]
+    )
+    twists = np.column_stack([np.zeros(len(t)), np.gradient(path[:, 2], t)])
+    driven = Driven(stamps=t, poses=path, twists=twists, cmd_stamps=t[::5], commands=twists[::5], contacts=0)
+    attachments = {"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": ROBOT.encode()}
+    return simulate(
+        driven, arena, robot, rng=np.random.default_rng(seed), effects=[EFFECTS["range_bias"](b=0.04)],
+        seed=seed, attachments=attachments,
+    )  # fmt: skip
+
+
+def test_it_finds_what_is_hidden_and_writes_a_model_that_knows_it(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert cli(["diagnose", str(folder / "run.mcap"), str(folder / "second.mcap"), "-o", str(out)]) == 0
+    assert "range bias" in capsys.readouterr().out
+    report = json.loads((out / "report.json").read_text())
+    assert report["effects"][0]["name"] == "range_bias"
+    assert abs(report["effects"][0]["parameters"]["b"] - 0.04) < 0.006
+    assert report["gap_second_run"]["after"]["rmse_m"] < report["gap_second_run"]["before"]["rmse_m"]
+    again = tmp_path / "again"
+    known = ["--effects", str(out / "effects.yaml")]
+    assert cli(["diagnose", str(folder / "run.mcap"), *known, "-o", str(again)]) == 0
+    left = json.loads((again / "report.json").read_text())
+    assert "range_bias" not in [e["name"] for e in left["effects"]]
+    assert (out / "next_run" / "trajectory.csv").is_file()
+
+
+def test_the_same_seed_writes_the_same_report(folder: Path, tmp_path: Path) -> None:
+    texts = []
+    for name in ("a", "b"):
+        assert cli(["diagnose", str(folder / "run.mcap"), "--seed", "3", "-o", str(tmp_path / name)]) == 0
+        report = json.loads((tmp_path / name / "report.json").read_text())
+        del report["cpu_s"]  # how long it took
+        texts.append(json.dumps(report))
+    assert texts[0] == texts[1]
+    assert (tmp_path / "a" / "effects.yaml").read_bytes() == (tmp_path / "b" / "effects.yaml").read_bytes()
+
+
+def test_a_run_without_odometry_and_commands_is_diagnosed_by_its_scans(folder: Path, tmp_path: Path) -> None:
+    run = driven_run(0)
+    bare = replace(
+        run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)),
+        cmd_stamps=np.zeros(0), commands=np.zeros((0, 2)),
+    )  # fmt: skip
+    logs.write(bare, tmp_path / "bare.mcap")
+    assert cli(["diagnose", str(tmp_path / "bare.mcap"), "-o", str(tmp_path / "out")]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["effects"][0]["name"] == "range_bias"
+    assert report["channels"]["odometry"]["skipped"]
+    assert report["channels"]["drive"]["skipped"]
+
+
+def test_poses_that_stop_early_are_counted(folder: Path, tmp_path: Path) -> None:
+    run = driven_run(0)
+    early = run.pose_stamps < 18.0
+    logs.write(
+        replace(run, pose_stamps=run.pose_stamps[early], poses=run.poses[early]), tmp_path / "cut.mcap"
+    )
+    assert cli(["diagnose", str(tmp_path / "cut.mcap"), "-o", str(tmp_path / "out")]) == 0
+    intake = json.loads((tmp_path / "out" / "report.json").read_text())["intake"]
+    assert intake["dropped"]["after the last pose"] > 50
+    assert intake["used"] < 0.65 * intake["scans"]
+
+
+def test_an_arena_of_another_place_is_said_first(folder: Path, tmp_path: Path) -> None:
+    run = driven_run(0)
+    logs.write(replace(run, poses=run.poses + [4.0, 1.0, 0.0]), tmp_path / "off.mcap")
+    assert cli(["diagnose", str(tmp_path / "off.mcap"), "-o", str(tmp_path / "out")]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["effects"] == []
+    assert "does not fit" in report["unknown"]["statement"]
+    assert "-4.0" in report["unknown"]["statement"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["missing.mcap"], "missing.mcap"),
+        (["run.mcap", "--arena", "nowhere"], "nowhere does not exist"),
+        (["run.mcap", "--robot", "missing.yaml"], "missing.yaml"),
+        (["run.mcap", "second.mcap", "run.mcap"], "expected one, or two"),
+        (["run.mcap", "--effects", "robot.yaml"], "robot.yaml"),
+        (["run.mcap", "--robot", "default.yaml"], "the run has 61 rays"),
+        (["short.mcap"], "50 or more"),
+    ],
+)
+def test_bad_input_gets_one_line(
+    folder: Path, tmp_path: Path, arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "default.yaml").write_text("name: other\n")
+    run = driven_run(0)
+    logs.write(replace(run, stamps=run.stamps[:20], ranges=run.ranges[:20]), folder / "short.mcap")
+    paths = [str(folder / a) if a.endswith((".mcap", ".yaml")) else a for a in arguments]
+    assert cli(["diagnose", *paths, "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 1
+    assert words in said[0]
+    assert not (tmp_path / "out" / "report.json").exists()
+
+
+def test_effects_that_are_known_may_name_no_other_place(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_effects([EFFECTS["moved_wall"](d=0.1).at("kitchen/edge_0")], tmp_path / "e.yaml")
+    known = ["--effects", str(tmp_path / "e.yaml")]
+    assert cli(["diagnose", str(folder / "run.mcap"), *known, "-o", str(tmp_path / "out")]) == 2
+    assert "kitchen/edge_0" in capsys.readouterr().err
+    assert named_robot(None).robot.name == "radix"
