@@ -318,7 +318,7 @@ def pillar(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.ran
             r = ahead - np.sqrt(radius**2 - aside**2)
         met = (r > NEAR) & (run.ranges > r + 0.1)
         blocked = (r > NEAR) & (run.ranges < r - 0.1)
-        if met.sum() > 60 and met.any(axis=1).sum() > 15 and blocked.sum() < 0.2 * met.sum():
+        if met.sum() > 150 and met.any(axis=1).sum() > 40 and blocked.sum() < 0.2 * met.sum():
             seen = np.round(r + rng.normal(size=r.shape) * 0.008, 2)
             return _ranges(run, np.where(met, seen, run.ranges))
     raise RuntimeError("no place for a pillar in this stretch")
@@ -425,7 +425,7 @@ def main() -> None:
             )
             if reference is not None:
                 t = reference.robot.tolerances
-                floors = ", ".join(f"{k} {v:.0f}" for k, v in sorted(reference.floors.items()))
+                floors = ", ".join(f"{k} {v:.0f}" for k, v in sorted(reference.floors.items()) if v < 1e9)
                 known = ", ".join(f"{a.name} {dict(a.parameters)}" for a in reference.known)
                 print(
                     f"  poses {t.pose_xy:.4f} m {np.degrees(t.pose_yaw):.3f} deg; known {known}; misfit {reference.misfit:.0f}"

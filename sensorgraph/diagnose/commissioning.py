@@ -32,9 +32,12 @@ from sensorgraph.world.robot_file import RobotFile, Tolerances
 logger = logging.getLogger(__name__)
 
 TIMES = 3.0  # what a name takes, over the most that clutter alone has brought
+LOCAL_TIMES = 2.0  # the same for effects at one place, of which a good run shows the worst of many
+SHORT = 0.3  # [m] a map of shorter walls has no panes
 WIDE = Freedom(core=(0.3, 4.0), tail=(0.005, 0.6), loss=(1e-4, 0.3), stray=(1e-4, 0.5), pose=1.0, most=1.0)
 SLACK = 1.15  # by which noise levels may leave the range that the good run shows
 MISFIT = 3.0  # over that of the good run, before anything is said to be unknown
+STRIKE_SHARE = 0.02  # of what is left beyond that: among clutter, names fall later
 SECTOR = np.radians(20.0)  # of rays that share what is in their way
 FACTORS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.5)  # of the tolerances of the poses
 WINDOWS = (1, 2)  # the run is looked at as a whole, and in halves
@@ -42,8 +45,6 @@ BASELINE: dict[str, dict[str, float]] = {  # what a site or a map may always sho
     "range_noise": {"k": 0.004},
     "range_bias": {"b": 0.0},
     "range_scale": {"s": 0.0},
-    "mount_xy": {"dx": 0.0, "dy": 0.0},
-    "mount_yaw": {"delta": 0.0},
 }
 
 
@@ -70,17 +71,18 @@ class Commissioned:
         Its poses may be the laser's own: a mount that has moved since shows as a difference.
         """
         share = evidence.ranges.size / self.n_readings
-        extra = {
-            name: max(TIMES * gain * (1.0 if is_local(name) else share) - THRESHOLD, 0.0)
-            for name, gain in self.floors.items()
-        }
+        extra = {}
+        for name, gain in self.floors.items():
+            times, size = (LOCAL_TIMES, 1.0) if is_local(name) else (TIMES, share)
+            extra[name] = max(times * gain * size - THRESHOLD, 0.0)
         return replace(evidence, laser_frame=False, floors=extra, memo={})
 
     def calmed(self, verdict: Verdict, evidence: Evidence) -> Verdict:
-        """Take back a doubt that is no larger than the good run's own."""
+        """Take back a doubt that is no larger than the good run's own, and weigh only what is beyond that."""
         share = evidence.ranges.size / self.n_readings
-        if verdict.misfit > MISFIT * self.misfit * share:
-            return verdict
+        beyond = verdict.misfit - MISFIT * self.misfit * share
+        if beyond > 0:
+            return replace(verdict, misfit=STRIKE_SHARE * beyond)
         return replace(verdict, statement="", where=None, misfit=0.0, failed=frozenset())
 
 
@@ -103,10 +105,14 @@ def commission(run: Run, arena: Arena, robot: RobotFile, *, seed: int = 0) -> Co
     )
     known = baseline(evidence)
     evidence = replace(evidence, known=(*evidence.known, *known), memo={})
+    robot = replace(robot, tolerances=mount_tolerances(evidence))
+    evidence = replace(evidence, tolerances=robot.tolerances, memo={})
+    floors = unseen(arena)
+    evidence = replace(evidence, floors=floors)
     parts = [part for n in WINDOWS for part in windows(evidence, n)]
     freedom = frozen([fit(p, (), start_state(p, WIDE), WIDE, outer=1, inner=12) for p in parts])
-    floors: dict[str, float] = {}
     misfit = 0.0
+    floors = dict(floors)
     for part in parts:
         share = part.ranges.size / evidence.ranges.size
         null = fit(part, (), start_state(part, freedom), freedom, outer=1, inner=7)
@@ -122,6 +128,14 @@ def commission(run: Run, arena: Arena, robot: RobotFile, *, seed: int = 0) -> Co
         misfit=misfit,
         n_readings=int(evidence.ranges.size),
     )
+
+
+def unseen(arena: Arena) -> dict[str, float]:
+    """Return infinite floors of effects of whole walls, where the map is made of scraps of them."""
+    size = np.hypot(*(arena.walls[:, 1] - arena.walls[:, 0]).T)
+    if len(size) == 0 or np.median(size) > SHORT:
+        return {}
+    return {name: float("inf") for name, effect in EFFECTS.items() if effect.place in ("wall", "obstacle")}
 
 
 def is_local(name: str) -> bool:
@@ -140,6 +154,18 @@ def windows(evidence: Evidence, n: int) -> list[Evidence]:
         span = float(part.stamps[-1] - part.stamps[0])
         parts.append(replace(part, begin=float(part.stamps[0]), span=max(span, 1e-9)))
     return parts
+
+
+def mount_tolerances(evidence: Evidence) -> Tolerances:
+    """Return the tolerances, those of the mount as wide as the mount seems to shift from one half to the other."""
+    model = [EFFECTS["mount_xy"](dx=0.0, dy=0.0), EFFECTS["mount_yaw"](delta=0.0)]
+    shift, turn = evidence.tolerances.mount_xy, evidence.tolerances.mount_yaw
+    for n in WINDOWS:
+        for part in windows(evidence, n):
+            xy, yaw = fit(part, model, start_state(part, WIDE), WIDE, outer=3, inner=5).model
+            shift = max(shift, abs(xy["dx"]), abs(xy["dy"]))
+            turn = max(turn, abs(yaw["delta"]))
+    return replace(evidence.tolerances, mount_xy=shift, mount_yaw=turn)
 
 
 def baseline(evidence: Evidence) -> tuple[Amendment, ...]:

@@ -233,6 +233,8 @@ def shortlist(
                 continue
             if (c.amendment.name, c.amendment.place) in struck:
                 continue
+            if evidence.floors.get(c.amendment.name) == np.inf:
+                continue
             if c.gain < _least(current.model, c.amendment, gained):
                 continue
             if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
