@@ -91,7 +91,7 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
             gain = best.j - current.j - price(best.model[-1], evidence)
         steps.append(
             Step(
-                tried=tuple(sorted([*((f.model[-1], g) for f, g in order), *also], key=lambda t: -t[1])),
+                tried=_best_of_each([*((f.model[-1], g) for f, g in order), *also]),
                 chosen=best.model[-1].name
                 if gain >= max(threshold, _least(current.model, best.model[-1], current.j - null.j))
                 else "",
@@ -118,6 +118,14 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
         gains[index] = current.j - rest.j - price(current.model[index], evidence)
     kept = {i: rivals[_key(a)] for i, a in enumerate(current.model) if _key(a) in rivals}
     return Explained(null=null, final=current, gains=gains, steps=tuple(steps), rivals=kept)
+
+
+def _best_of_each(tried: Sequence[tuple[Amendment, float]]) -> tuple[tuple[Amendment, float], ...]:
+    """Keep the best start of each effect and place, best first."""
+    out: dict[str, tuple[Amendment, float]] = {}
+    for a, gain in sorted(tried, key=lambda t: -t[1]):
+        out.setdefault(_key(a), (a, gain))
+    return tuple(out.values())
 
 
 def _key(a: Amendment) -> str:

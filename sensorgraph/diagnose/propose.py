@@ -176,6 +176,8 @@ def _pane(
     alpha, gain = 0.0, 0.0
     for _ in range(2):
         inside = (along >= a) & (along <= b)
+        if not inside.any():
+            return *span, 0.0, 0.0
         order = np.argsort(-incidence[inside])
         total = np.cumsum(through[inside][order])
         at = int(total.argmax())
