@@ -31,6 +31,13 @@ def diagnose(
     effects: Annotated[
         Path | None, typer.Option(help="effects.yaml: effects that are part of the model already.")
     ] = None,
+    commissioning: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RUN",
+            help="A run of the same robot and place that is known to be good; what differs from it is found.",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the replicates: same seed, same report.")] = 0,
     topic: Annotated[
         list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
@@ -45,6 +52,8 @@ def diagnose(
       sensorgraph diagnose run.mcap second.mcap -o diagnosis && rerun diagnosis/review.rrd
 
       sensorgraph diagnose run.mcap --effects diagnosis/effects.yaml -o what_is_left
+
+      sensorgraph diagnose today.log.gz --commissioning good.log.gz --arena lab.geojson --robot robot.yaml
     """
     from logs import parse_topics, read
     from sensorgraph.cli.inputs import check_folder, kept_arena, kept_robot, named_arena, robot_for
@@ -74,6 +83,14 @@ def diagnose(
     if effects is not None:
         known = effects_file.read(effects)
         effects_file.check_places(known, walls)
+    baseline = None
+    if commissioning is not None:
+        from sensorgraph.diagnose.commissioning import commission
+
+        with progress("reading", "messages") as tick:
+            good = read(commissioning, topics=parse_topics(topic or []), progress=tick)
+        with progress("commissioning"):
+            baseline = commission(good, walls, machine, seed=seed)
     with progress("diagnosing", "parts") as tick:
         finding = work(
             run,
@@ -81,6 +98,7 @@ def diagnose(
             machine,
             second=loaded[1] if len(loaded) > 1 else None,
             known=known,
+            commissioned=baseline,
             seed=seed,
             progress=tick,
         )
@@ -91,6 +109,9 @@ def diagnose(
         "robot": machine.robot.name,
         "tolerances": vars(machine.tolerances),
         "known_effects": [a.name for a in known],
+        "commissioning": None
+        if baseline is None or commissioning is None
+        else baseline.said(commissioning.name),
     }
     with progress("reporting", "files") as tick:
         save(finding, out, name=runs[0].name, settings=settings, progress=tick)

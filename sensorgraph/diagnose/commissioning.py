@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -64,6 +65,18 @@ class Commissioned:
     """[nats] left unexplained though nothing was wrong."""
     n_readings: int
     """To which floors and misfit belong."""
+
+    def said(self, name: str) -> dict[str, Any]:
+        """Return what was learnt, as plain data for the report."""
+        return {
+            "run": name,
+            "tolerances": asdict(self.robot.tolerances),
+            "resolution": self.robot.sensor.resolution,
+            "noise": asdict(self.freedom),
+            "known": {a.name: dict(a.parameters) for a in self.known},
+            "clutter_floor_nats": {n: round(g, 1) for n, g in self.floors.items() if np.isfinite(g)},
+            "not_looked_for": [n for n, g in self.floors.items() if np.isinf(g)],
+        }
 
     def told(self, evidence: Evidence) -> Evidence:
         """Return evidence of a later run that is judged against this one.
