@@ -353,8 +353,13 @@ def drive(errand: Errand, robot: RobotSpec, motors: Motors, duration: float) -> 
         commands.append((u, w))
         for j in range(substeps):
             t = k * PERIOD + (j + 0.5) * STEP
-            old = math.floor((t - motors.dead_time) / PERIOD)
-            cu, cw = commands[old] if old >= 0 else (0.0, 0.0)
+            begin, end = ((t + side * STEP / 2 - motors.dead_time) / PERIOD for side in (-1, 1))
+            first, last = math.floor(begin + 1e-9), math.floor(end - 1e-9)
+            (au, aw), (bu, bw) = (commands[i] if i >= 0 else (0.0, 0.0) for i in (first, last))
+            part = (
+                (last - begin) * PERIOD / STEP if last > first else 0.0
+            )  # of the step, still under the old command
+            cu, cw = bu + part * (au - bu), bw + part * (aw - bw)
             cu = max(-motors.v_max, min(motors.v_max, cu))
             if motors.backlash and abs(cw) < motors.backlash:
                 cw = 0.0

@@ -35,6 +35,7 @@ former is coarse at its rim."""
 MOST = 5  # effects in one model
 MANY = 10  # candidates fitted on a part of the scans
 FINALISTS = 3
+LOOK = 3.5  # [nats] of expected gain that make a smooth effect worth a fit; boxes hide a part of it
 SOME = 130  # scans on which all candidates are fitted
 SEARCHED = 5  # candidates whose rough parameters are searched
 NEAR = 0.5  # of the best gain; farther candidates are not fitted to all scans
@@ -226,8 +227,8 @@ def shortlist(
     evidence: Evidence, current: Fitted, struck: set[tuple[str, str]], gained: float
 ) -> list[Candidate]:
     """Return the candidates worth fitting, best first."""
-    sharp = [c for c in smooth_candidates(evidence, current) if c.gain > 8]
-    broad = [c for c in smooth_candidates(evidence, current, broad=True) if c.gain > 8]
+    sharp = [c for c in smooth_candidates(evidence, current) if c.gain > LOOK]
+    broad = [c for c in smooth_candidates(evidence, current, broad=True) if c.gain > 2 * LOOK]
     rough = rough_candidates(View(evidence, current))
     present = {_key(a) for a in current.model}
     out: list[Candidate] = []

@@ -159,14 +159,16 @@ def _drive(
     n_commands, period = _n_commands(duration, robot), 1.0 / robot.wheels.rate
     n_steps = round(duration / STEP)
     keep = math.exp(-STEP / machine.tau) if machine.tau > 0 else 0.0
-    late = round(machine.delay / STEP)
+    late = machine.delay / STEP
+    whole = math.floor(late + 1e-9)
+    share = max(late - whole, 0.0)  # of a step that the older command still holds
     v_max, is_slippery, grip = machine.v_max, bool(machine.patches), 1.0
     dv, domega = limits.a * STEP, limits.alpha * STEP
     x, y, phi = (float(value) for value in start)
     v = omega = u_v = u_omega = 0.0
     given: list[tuple[float, float]] = []
     poses, twists = [(x, y, phi)], [(0.0, 0.0)]
-    waiting = [(0.0, 0.0)] * late
+    waiting = [(0.0, 0.0)] * (whole + 1)
     contacts, touching = 0, False
     for k in range(n_steps):
         if len(given) < n_commands and k * STEP >= len(given) * period - 1e-9:
@@ -177,7 +179,10 @@ def _drive(
             if progress is not None and len(given) % 500 == 0:
                 progress(len(given), n_commands)
         waiting.append((u_v, u_omega))
-        m_v, m_omega = waiting[k]
+        m_v, m_omega = waiting[k + 1]
+        if share:
+            m_v += share * (waiting[k][0] - m_v)
+            m_omega += share * (waiting[k][1] - m_omega)
         m_v = min(max(m_v, -v_max), v_max)
         v_next = v + min(max((m_v - v) * (1 - keep), -dv), dv)
         omega_next = omega + min(max((m_omega - omega) * (1 - keep), -domega), domega)
