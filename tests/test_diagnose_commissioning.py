@@ -114,13 +114,13 @@ def test_real_log_is_silent_untouched_and_names_a_planted_bias(real_logs: Path) 
     finally:
         sys.path.pop(0)
     log = planted.read(real_logs / "ple-freiburg-079" / "freiburg-079-corrected.log.gz")
-    window = next(planted.windows(log))
+    _, _, other, window, *_ = planted.windows(log)
     told = planted.robot(log, 0.01)
-    good = commission(planted.measurement(log, window.commissioning), window.arena, told)
-    run = planted.measurement(log, window.test)
+    good = commission(planted.measurement(log, other.scans), other.arena, told)
+    run = planted.measurement(log, window.scans)
     untouched = diagnose(run, window.arena, told, commissioned=good, plan_next=False)
     assert names(untouched) == []
-    longer = planted.bias(run, log, window.test, 0.03, np.random.default_rng(0))
+    longer = planted.bias(run, log, window.scans, 0.03, np.random.default_rng(0))
     named = diagnose(longer, window.arena, told, commissioned=good, plan_next=False).effects[0]
     assert named.name == "range_bias"
     assert named["b"] == pytest.approx(0.03, abs=0.01)  # the map of scans has an offset of its own

@@ -9,7 +9,7 @@ here, so that a later run is asked only for the difference between the two.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -34,6 +34,7 @@ logger = logging.getLogger(__name__)
 
 TIMES = 3.0  # what a name takes, over the most that clutter alone has brought
 LOCAL_TIMES = 2.0  # the same for effects at one place, of which a good run shows the worst of many
+SEVERAL = 1.5  # the same where several good runs show how far clutter goes
 SHORT = 0.3  # [m] a map of shorter walls has no panes
 WIDE = Freedom(core=(0.3, 4.0), tail=(0.005, 0.6), loss=(1e-4, 0.3), stray=(1e-4, 0.5), pose=1.0, most=1.0)
 SLACK = 1.15  # by which noise levels may leave the range that the good run shows
@@ -65,6 +66,8 @@ class Commissioned:
     """[nats] left unexplained though nothing was wrong."""
     n_readings: int
     """To which floors and misfit belong."""
+    n_runs: int = 1
+    """From so many runs, or stretches of them."""
 
     def said(self, name: str) -> dict[str, Any]:
         """Return what was learnt, as plain data for the report."""
@@ -87,6 +90,7 @@ class Commissioned:
         extra = {}
         for name, gain in self.floors.items():
             times, size = (LOCAL_TIMES, 1.0) if is_local(name) else (TIMES, share)
+            times = times if self.n_runs == 1 else SEVERAL
             extra[name] = max(times * gain * size - THRESHOLD, 0.0)
         return replace(evidence, laser_frame=False, floors=extra, memo={})
 
@@ -99,8 +103,15 @@ class Commissioned:
         return replace(verdict, statement="", where=None, misfit=0.0, failed=frozenset())
 
 
-def commission(run: Run, arena: Arena, robot: RobotFile, *, seed: int = 0) -> Commissioned:
-    """Learn the baseline of a site from a run that is known to be good."""
+def commission(
+    run: Run, arena: Arena, robot: RobotFile, *, seed: int = 0, learn: bool = True
+) -> Commissioned:
+    """Learn the baseline of a site from a run that is known to be good.
+
+    Parameters
+    ----------
+    learn : take what the run itself shows into the simulator; not where several runs are merged
+    """
     rng = np.random.default_rng(seed)
     evidence, _ = gather(run, arena, robot)
     evidence = replace(evidence, laser_frame=False)
@@ -116,9 +127,9 @@ def commission(run: Run, arena: Arena, robot: RobotFile, *, seed: int = 0) -> Co
         tolerances=tolerances,
         memo={},
     )
-    known = baseline(evidence)
+    known = baseline(evidence) if learn else ()
     evidence = replace(evidence, known=(*evidence.known, *known), memo={})
-    robot = replace(robot, tolerances=mount_tolerances(evidence))
+    robot = replace(robot, tolerances=shift_tolerances(evidence))
     evidence = replace(evidence, tolerances=robot.tolerances, memo={})
     floors = unseen(arena)
     evidence = replace(evidence, floors=floors)
@@ -169,16 +180,56 @@ def windows(evidence: Evidence, n: int) -> list[Evidence]:
     return parts
 
 
-def mount_tolerances(evidence: Evidence) -> Tolerances:
-    """Return the tolerances, those of the mount as wide as the mount seems to shift from one half to the other."""
-    model = [EFFECTS["mount_xy"](dx=0.0, dy=0.0), EFFECTS["mount_yaw"](delta=0.0)]
-    shift, turn = evidence.tolerances.mount_xy, evidence.tolerances.mount_yaw
+def shift_tolerances(evidence: Evidence) -> Tolerances:
+    """Return the tolerances, those of mount and stamps as wide as these seem to shift though nothing has moved."""
+    model = [
+        EFFECTS["mount_xy"](dx=0.0, dy=0.0),
+        EFFECTS["mount_yaw"](delta=0.0),
+        EFFECTS["latency"](tau=0.0),
+    ]
+    t = evidence.tolerances
+    shift, turn, stamp = t.mount_xy, t.mount_yaw, t.stamp
     for n in WINDOWS:
         for part in windows(evidence, n):
-            xy, yaw = fit(part, model, start_state(part, WIDE), WIDE, outer=3, inner=5).model
+            xy, yaw, late = fit(part, model, start_state(part, WIDE), WIDE, outer=3, inner=5).model
             shift = max(shift, abs(xy["dx"]), abs(xy["dy"]))
             turn = max(turn, abs(yaw["delta"]))
-    return replace(evidence.tolerances, mount_xy=shift, mount_yaw=turn)
+            stamp = max(stamp, abs(late["tau"]))
+    return replace(t, mount_xy=shift, mount_yaw=turn, stamp=stamp)
+
+
+def merged(several: Sequence[Commissioned]) -> Commissioned:
+    """Put together what several good runs of a site show (none of them with `learn`)."""
+    first = several[0]
+    tolerances = [c.robot.tolerances for c in several]
+    widest = {k: max(getattr(t, k) for t in tolerances) for k in ("mount_xy", "mount_yaw", "stamp")}
+    usual = {k: float(np.median([getattr(t, k) for t in tolerances])) for k in ("pose_xy", "pose_yaw")}
+    floors: dict[str, float] = {}
+    for c in several:
+        share = c.n_readings / first.n_readings
+        for name, gain in c.floors.items():
+            floors[name] = max(floors.get(name, 0.0), gain if is_local(name) else gain / share)
+    freedoms = [c.freedom for c in several]
+    freedom = replace(
+        freedoms[0],
+        core=_union([f.core for f in freedoms]),
+        tail=_union([f.tail for f in freedoms]),
+        loss=_union([f.loss for f in freedoms]),
+        stray=_union([f.stray for f in freedoms]),
+    )
+    return Commissioned(
+        robot=replace(first.robot, tolerances=replace(tolerances[0], **widest, **usual)),
+        known=(),
+        freedom=freedom,
+        floors=floors,
+        misfit=max(c.misfit * first.n_readings / c.n_readings for c in several),
+        n_readings=first.n_readings,
+        n_runs=len(several),
+    )
+
+
+def _union(spans: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    return min(low for low, _ in spans), max(high for _, high in spans)
 
 
 def baseline(evidence: Evidence) -> tuple[Amendment, ...]:
