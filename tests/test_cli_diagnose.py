@@ -119,6 +119,15 @@ def test_an_arena_of_another_place_is_said_first(folder: Path, tmp_path: Path) -
     assert "-4.0" in report["unknown"]["statement"]
 
 
+def test_a_mirrored_scan_is_said_first(folder: Path, tmp_path: Path) -> None:
+    run = driven_run(0)
+    logs.write(replace(run, ranges=run.ranges[:, ::-1].copy()), tmp_path / "mirrored.mcap")
+    assert cli(["diagnose", str(tmp_path / "mirrored.mcap"), "-o", str(tmp_path / "out")]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["effects"] == []
+    assert "mirrored" in report["unknown"]["statement"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

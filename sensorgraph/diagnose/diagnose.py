@@ -19,7 +19,7 @@ from sensorgraph.diagnose.decide import THRESHOLD, Explained, explain
 from sensorgraph.diagnose.drive import diagnose_drive
 from sensorgraph.diagnose.evidence import Evidence, gather
 from sensorgraph.diagnose.finding import Gap, Ledger, Rival, Unknown, Where
-from sensorgraph.diagnose.fits import Placement, placement
+from sensorgraph.diagnose.fits import POORLY, Placement, placement
 from sensorgraph.diagnose.model import Fitted, smooth_parameters
 from sensorgraph.diagnose.next_run import NextRun, ask, next_run
 from sensorgraph.diagnose.nuisance import DENSE, Freedom, widths
@@ -29,12 +29,14 @@ from sensorgraph.diagnose.prove import gap, held_out
 from sensorgraph.diagnose.view import View
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
+from sensorgraph.world.orientation import orientation
 from sensorgraph.world.robot_file import RobotFile
 
 logger = logging.getLogger(__name__)
 
 Progress = Callable[[int, int], None]
 PARTS = 7
+WELL = 0.1  # [m] median error of a scan the right way round
 STRIKE = 0.006  # of an effect's evidence; where more than this stays unexplained, its name falls
 
 
@@ -113,8 +115,9 @@ def diagnose(
         evidence = commissioned.told(evidence)
     place = placement(evidence, rng)
     notes["arena"] = fit_words(place)
-    if not place.fits:
-        return _misplaced(evidence, notes, place, seconds)
+    words = wrong_way(run, evidence, arena, place) or ("" if place.fits else fit_words(place))
+    if words:
+        return _misplaced(evidence, notes, place, words, seconds)
     held = held_out(evidence)
     train, unseen = evidence.part(~held), evidence.part(held)
     lap("intake")
@@ -172,11 +175,25 @@ def _next(
         return None
 
 
+def wrong_way(run: Run, evidence: Evidence, arena: Arena, place: Placement) -> str:
+    """Say that the scan is mirrored or turned, if that is why few rays end at walls; else nothing."""
+    if place.share > POORLY:
+        return ""
+    found = orientation(replace(run, sensor=evidence.sensor), arena)
+    if found is None or found.best == "as logged" or found.fits[found.best] > WELL:
+        return ""
+    now, then = found.fits["as logged"], found.fits[found.best]
+    return (
+        f"the scan fits the arena {found.best}: median error {100 * then:.0f} cm instead of {100 * now:.0f} cm; check the "
+        "sign of angle_increment, the mount's yaw and the driver's `inverted` setting"
+    )
+
+
 def _misplaced(
-    evidence: Evidence, notes: dict[str, Any], place: Placement, seconds: dict[str, float]
+    evidence: Evidence, notes: dict[str, Any], place: Placement, words: str, seconds: dict[str, float]
 ) -> Finding:
     """Say that the arena does not fit the run, before anything is named."""
-    unknown = Unknown(statement=fit_words(place), statistic=place.share, threshold=place.best_share)
+    unknown = Unknown(statement=words, statistic=place.share, threshold=place.best_share)
     skipped = "the arena does not fit the run; move it first"
     return Finding(
         ledgers={
