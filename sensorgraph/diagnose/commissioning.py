@@ -110,7 +110,7 @@ def commission(
 
     Parameters
     ----------
-    learn : take what the run itself shows into the simulator; not where several runs are merged
+    learn : take what the run itself shows into the simulator, and look at its halves; not where runs are merged
     """
     rng = np.random.default_rng(seed)
     evidence, _ = gather(run, arena, robot)
@@ -133,7 +133,7 @@ def commission(
     evidence = replace(evidence, tolerances=robot.tolerances, memo={})
     floors = unseen(arena)
     evidence = replace(evidence, floors=floors)
-    parts = [part for n in WINDOWS for part in windows(evidence, n)]
+    parts = [part for n in (WINDOWS if learn else WINDOWS[:1]) for part in windows(evidence, n)]
     freedom = frozen([fit(p, (), start_state(p, WIDE), WIDE, outer=1, inner=12) for p in parts])
     misfit = 0.0
     floors = dict(floors)
