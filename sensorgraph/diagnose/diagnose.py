@@ -36,6 +36,7 @@ logger = logging.getLogger(__name__)
 
 Progress = Callable[[int, int], None]
 PARTS = 7
+SHORTEST = 0.15  # [m] of a pane, a mirror or a black part
 WELL = 0.1  # [m] median error of a scan the right way round
 STRIKE = 0.006  # of an effect's evidence; where more than this stays unexplained, its name falls
 
@@ -255,7 +256,7 @@ def scan_names(explained: Explained, verdict: Verdict) -> set[int]:
     return {
         i
         for i, a in enumerate(final.model)
-        if size_ratio(a.effect, a.parameters) >= slackness(final, a) and not _is_struck(explained, i, verdict)
+        if is_material(final, a) and not _is_struck(explained, i, verdict)
     }
 
 
@@ -271,7 +272,7 @@ def _ledger(evidence: Evidence, explained: Explained, verdict: Verdict, where: t
         )
         for index, amendment in enumerate(final.model)
     ]
-    small = [a for a in complete if size_ratio(a.effect, a.parameters) < slackness(final, a)]
+    small = [a for a in complete if not is_material(final, a)]
     order = scan_order(explained, verdict)
     rivals = []
     for index in order:
@@ -306,6 +307,18 @@ def placed(amendment: Amendment, evidence: Evidence) -> Amendment:
         along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
         return amendment.at(amendment.place, start + along * (values["a"] + values["b"]) / 2)
     return amendment
+
+
+def is_material(fitted: Fitted, amendment: Amendment) -> bool:
+    """Tell whether an effect is large enough for a name; part of a wall shorter than SHORTEST may be a blurred corner."""
+    values = amendment.parameters
+    if (
+        amendment.effect.place == "wall"
+        and {"a", "b"} <= set(values)
+        and values["b"] - values["a"] < SHORTEST
+    ):
+        return False
+    return size_ratio(amendment.effect, values) >= slackness(fitted, amendment)
 
 
 def slackness(fitted: Fitted, amendment: Amendment) -> float:
