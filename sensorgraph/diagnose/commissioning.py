@@ -34,7 +34,7 @@ logger = logging.getLogger(__name__)
 
 TIMES = 3.0  # what a name takes, over the most that clutter alone has brought
 LOCAL_TIMES = 2.0  # the same for effects at one place, of which a good run shows the worst of many
-SEVERAL = 1.5  # the same where several good runs show how far clutter goes
+SEVERAL = 1.25  # the same where several good runs show how far clutter goes
 SHORT = 0.3  # [m] a map of shorter walls has no panes
 WIDE = Freedom(core=(0.3, 4.0), tail=(0.005, 0.6), loss=(1e-4, 0.3), stray=(1e-4, 0.5), pose=1.0, most=1.0)
 SLACK = 1.15  # by which noise levels may leave the range that the good run shows
@@ -89,7 +89,7 @@ class Commissioned:
         share = evidence.ranges.size / self.n_readings
         extra = {}
         for name, gain in self.floors.items():
-            times, size = (LOCAL_TIMES, 1.0) if is_local(name) else (TIMES, share)
+            times, size = (LOCAL_TIMES, 1.0) if is_local(name) else (TIMES, np.sqrt(share))
             times = times if self.n_runs == 1 else SEVERAL
             extra[name] = max(times * gain * size - THRESHOLD, 0.0)
         return replace(evidence, laser_frame=False, floors=extra, memo={})
@@ -129,11 +129,12 @@ def commission(
     )
     known = baseline(evidence) if learn else ()
     evidence = replace(evidence, known=(*evidence.known, *known), memo={})
-    robot = replace(robot, tolerances=shift_tolerances(evidence))
+    cuts = WINDOWS if learn else WINDOWS[:1]
+    robot = replace(robot, tolerances=shift_tolerances(evidence, cuts))
     evidence = replace(evidence, tolerances=robot.tolerances, memo={})
     floors = unseen(arena)
     evidence = replace(evidence, floors=floors)
-    parts = [part for n in (WINDOWS if learn else WINDOWS[:1]) for part in windows(evidence, n)]
+    parts = [part for n in cuts for part in windows(evidence, n)]
     freedom = frozen([fit(p, (), start_state(p, WIDE), WIDE, outer=1, inner=12) for p in parts])
     misfit = 0.0
     floors = dict(floors)
@@ -141,7 +142,7 @@ def commission(
         share = part.ranges.size / evidence.ranges.size
         null = fit(part, (), start_state(part, freedom), freedom, outer=1, inner=7)
         for name, gain in gains(part, null, freedom).items():
-            floors[name] = max(floors.get(name, 0.0), gain if is_local(name) else gain / share)
+            floors[name] = max(floors.get(name, 0.0), gain if is_local(name) else gain / np.sqrt(share))
         misfit = max(misfit, check(part, null, 0.0, {}, rng=rng).misfit / share)
     logger.debug("known %s; floors %s; misfit %.0f", known, floors, misfit)
     return Commissioned(
@@ -180,35 +181,38 @@ def windows(evidence: Evidence, n: int) -> list[Evidence]:
     return parts
 
 
-def shift_tolerances(evidence: Evidence) -> Tolerances:
+def shift_tolerances(evidence: Evidence, cuts: Sequence[int]) -> Tolerances:
     """Return the tolerances, those of mount and stamps as wide as these seem to shift though nothing has moved."""
     model = [
         EFFECTS["mount_xy"](dx=0.0, dy=0.0),
         EFFECTS["mount_yaw"](delta=0.0),
         EFFECTS["latency"](tau=0.0),
     ]
-    t = evidence.tolerances
-    shift, turn, stamp = t.mount_xy, t.mount_yaw, t.stamp
-    for n in WINDOWS:
-        for part in windows(evidence, n):
-            xy, yaw, late = fit(part, model, start_state(part, WIDE), WIDE, outer=3, inner=5).model
-            shift = max(shift, abs(xy["dx"]), abs(xy["dy"]))
-            turn = max(turn, abs(yaw["delta"]))
-            stamp = max(stamp, abs(late["tau"]))
-    return replace(t, mount_xy=shift, mount_yaw=turn, stamp=stamp)
+    t, rows = evidence.tolerances, []
+    for part in (part for n in cuts for part in windows(evidence, n)):
+        xy, yaw, late = fit(part, model, start_state(part, WIDE), WIDE, outer=3, inner=5).model
+        rows.append([xy["dx"] ** 2 / 2 + xy["dy"] ** 2 / 2, yaw["delta"] ** 2, late["tau"] ** 2])
+    shift, turn, stamp = np.sqrt(np.mean(rows, axis=0))
+    return replace(
+        t,
+        mount_xy=max(t.mount_xy, float(shift)),
+        mount_yaw=max(t.mount_yaw, float(turn)),
+        stamp=max(t.stamp, float(stamp)),
+    )
 
 
 def merged(several: Sequence[Commissioned]) -> Commissioned:
     """Put together what several good runs of a site show (none of them with `learn`)."""
     first = several[0]
     tolerances = [c.robot.tolerances for c in several]
-    widest = {k: max(getattr(t, k) for t in tolerances) for k in ("mount_xy", "mount_yaw", "stamp")}
+    shifts = {k: np.array([getattr(t, k) for t in tolerances]) for k in ("mount_xy", "mount_yaw", "stamp")}
+    widest = {k: float(np.sqrt(np.mean(v**2))) for k, v in shifts.items()}
     usual = {k: float(np.median([getattr(t, k) for t in tolerances])) for k in ("pose_xy", "pose_yaw")}
     floors: dict[str, float] = {}
     for c in several:
         share = c.n_readings / first.n_readings
         for name, gain in c.floors.items():
-            floors[name] = max(floors.get(name, 0.0), gain if is_local(name) else gain / share)
+            floors[name] = max(floors.get(name, 0.0), gain if is_local(name) else gain / np.sqrt(share))
     freedoms = [c.freedom for c in several]
     freedom = replace(
         freedoms[0],
