@@ -182,15 +182,16 @@ def windows(evidence: Evidence, n: int) -> list[Evidence]:
 
 
 def shift_tolerances(evidence: Evidence, cuts: Sequence[int]) -> Tolerances:
-    """Return the tolerances, those of mount and stamps as wide as these seem to shift though nothing has moved."""
-    model = [
-        EFFECTS["mount_xy"](dx=0.0, dy=0.0),
-        EFFECTS["mount_yaw"](delta=0.0),
-        EFFECTS["latency"](tau=0.0),
-    ]
+    """Return the tolerances, those of mount and stamps as wide as these seem to shift though nothing has moved.
+
+    The clock is fitted by itself: while a robot turns one way only, a late clock looks like a yaw.
+    """
+    mount = [EFFECTS["mount_xy"](dx=0.0, dy=0.0), EFFECTS["mount_yaw"](delta=0.0)]
+    clock = [EFFECTS["latency"](tau=0.0)]
     t, rows = evidence.tolerances, []
     for part in (part for n in cuts for part in windows(evidence, n)):
-        xy, yaw, late = fit(part, model, start_state(part, WIDE), WIDE, outer=3, inner=5).model
+        xy, yaw = fit(part, mount, start_state(part, WIDE), WIDE, outer=3, inner=5).model
+        (late,) = fit(part, clock, start_state(part, WIDE), WIDE, outer=3, inner=5).model
         rows.append([xy["dx"] ** 2 / 2 + xy["dy"] ** 2 / 2, yaw["delta"] ** 2, late["tau"] ** 2])
     shift, turn, stamp = np.sqrt(np.mean(rows, axis=0))
     return replace(
