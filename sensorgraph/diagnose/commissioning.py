@@ -37,7 +37,8 @@ LOCAL_TIMES = 2.0  # the same for effects at one place, of which a good run show
 SEVERAL = 1.25  # the same where several good runs show how far clutter goes
 SHORT = 0.3  # [m] a map of shorter walls has no panes
 WIDE = Freedom(core=(0.3, 4.0), tail=(0.005, 0.6), loss=(1e-4, 0.3), stray=(1e-4, 0.5), pose=1.0, most=1.0)
-SLACK = 1.15  # by which noise levels may leave the range that the good run shows
+SLACK = 1.15  # by which noise levels may rise above those of the good run
+CALMER = 2.0  # by which they may be lower: less noise is no effect
 MISFIT = 3.0  # over that of the good run, before anything is said to be unknown
 STRIKE_SHARE = 0.02  # of what is left beyond that: among clutter, names fall later
 SECTOR = np.radians(20.0)  # of rays that share what is in their way
@@ -142,7 +143,9 @@ def commission(
         share = part.ranges.size / evidence.ranges.size
         null = fit(part, (), start_state(part, freedom), freedom, outer=1, inner=7)
         for name, gain in gains(part, null, freedom).items():
-            floors[name] = max(floors.get(name, 0.0), gain if is_local(name) else gain / np.sqrt(share))
+            floors[name] = max(
+                floors.get(name, 0.0), gain if is_local(name) else gain / float(np.sqrt(share))
+            )
         misfit = max(misfit, check(part, null, 0.0, {}, rng=rng).misfit / share)
     logger.debug("known %s; floors %s; misfit %.0f", known, floors, misfit)
     return Commissioned(
@@ -156,11 +159,13 @@ def commission(
 
 
 def unseen(arena: Arena) -> dict[str, float]:
-    """Return infinite floors of effects of whole walls, where the map is made of scraps of them."""
+    """Return infinite floors of effects of whole walls and of true edges, where the map is made of scraps."""
     size = np.hypot(*(arena.walls[:, 1] - arena.walls[:, 0]).T)
     if len(size) == 0 or np.median(size) > SHORT:
         return {}
-    return {name: float("inf") for name, effect in EFFECTS.items() if effect.place in ("wall", "obstacle")}
+    optics = ("mixed_pixels", "sonar_cone")
+    whole = [name for name, effect in EFFECTS.items() if effect.place in ("wall", "obstacle")]
+    return dict.fromkeys((*whole, *optics), float("inf"))
 
 
 def is_local(name: str) -> bool:
@@ -213,7 +218,9 @@ def merged(several: Sequence[Commissioned]) -> Commissioned:
     for c in several:
         share = c.n_readings / first.n_readings
         for name, gain in c.floors.items():
-            floors[name] = max(floors.get(name, 0.0), gain if is_local(name) else gain / np.sqrt(share))
+            floors[name] = max(
+                floors.get(name, 0.0), gain if is_local(name) else gain / float(np.sqrt(share))
+            )
     freedoms = [c.freedom for c in several]
     freedom = replace(
         freedoms[0],
@@ -263,7 +270,7 @@ def frozen(fits: list[Fitted]) -> Freedom:
 
     def span(name: str, least: float) -> tuple[float, float]:
         values = [float(getattr(noise, name)) for noise in noises]
-        return max(min(values) / SLACK, least), max(values) * SLACK
+        return max(min(values) / CALMER, least), max(values) * SLACK
 
     return Freedom(
         core=span("core", 0.1),

@@ -483,6 +483,8 @@ def self_tail(e: Floats, s: Floats, tail: float) -> float:
 
 def optics(view: View) -> list[Candidate]:
     """mixed_pixels, sonar_cone: fits of whole rays on a few scans."""
+    if view.evidence.floors.get("mixed_pixels") == np.inf:
+        return []
     found = []
     if _between(view) >= FEW and "mixed_pixels" not in view.fitted.names():
         found += _swept(view, "mixed_pixels", "gamma", np.radians([0.12, 0.2, 0.35, 0.6, 1.0, 1.6]), {})
