@@ -35,6 +35,7 @@ logger = logging.getLogger(__name__)
 TIMES = 3.0  # what a name takes, over the most that clutter alone has brought
 LOCAL_TIMES = 2.0  # the same for effects at one place, of which a good run shows the worst of many
 SEVERAL = 1.25  # the same where several good runs show how far clutter goes
+STEADY = 0.43  # share of a stamp's tolerance that is the same all through a run (see `nuisance.widths`)
 SHORT = 0.3  # [m] a map of shorter walls has no panes
 WIDE = Freedom(core=(0.3, 4.0), tail=(0.005, 0.6), loss=(1e-4, 0.3), stray=(1e-4, 0.5), pose=1.0, most=1.0)
 SLACK = 1.15  # by which noise levels may rise above those of the good run
@@ -203,7 +204,7 @@ def shift_tolerances(evidence: Evidence, cuts: Sequence[int]) -> Tolerances:
         t,
         mount_xy=max(t.mount_xy, float(shift)),
         mount_yaw=max(t.mount_yaw, float(turn)),
-        stamp=max(t.stamp, float(stamp)),
+        stamp=max(t.stamp, float(stamp) / STEADY),
     )
 
 
