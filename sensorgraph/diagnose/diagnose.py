@@ -61,8 +61,9 @@ class Finding:
 
     @property
     def effects(self) -> tuple[Amendment, ...]:
-        """Named effects of all channels: the scan channel first, each by falling evidence."""
-        return tuple(a for ledger in self.ledgers.values() for a in ledger.effects)
+        """Named effects of all channels, strongest evidence first."""
+        named = [a for ledger in self.ledgers.values() for a in ledger.effects]
+        return tuple(sorted(named, key=lambda a: -(a.evidence or 0.0)))
 
     @property
     def unknown(self) -> Unknown | None:
