@@ -25,6 +25,7 @@ from sensorgraph.diagnose.likelihood import judge
 from sensorgraph.diagnose.model import Fitted, fit, solver_for, start_state
 from sensorgraph.diagnose.nuisance import Freedom
 from sensorgraph.diagnose.propose import lattice
+from sensorgraph.diagnose.screen import START
 from sensorgraph.diagnose.solve import Solver, State
 from sensorgraph.diagnose.view import View
 from sensorgraph.effects import EFFECTS, Amendment
@@ -34,6 +35,7 @@ logger = logging.getLogger(__name__)
 
 TIMES = 3.0  # what a name takes, over the most that clutter alone has brought
 LOCAL_TIMES = 2.0  # the same for effects at one place, of which a good run shows the worst of many
+MANY_RUNS = 6  # from here on one of them may be an odd one
 SEVERAL = 1.25  # the same where several good runs show how far clutter goes
 STEADY = 0.43  # share of a stamp's tolerance that is the same all through a run (see `nuisance.widths`)
 SHORT = 0.3  # [m] a map of shorter walls has no panes
@@ -215,13 +217,16 @@ def merged(several: Sequence[Commissioned]) -> Commissioned:
     shifts = {k: np.array([getattr(t, k) for t in tolerances]) for k in ("mount_xy", "mount_yaw", "stamp")}
     widest = {k: float(np.sqrt(np.mean(v**2))) for k, v in shifts.items()}
     usual = {k: float(np.median([getattr(t, k) for t in tolerances])) for k in ("pose_xy", "pose_yaw")}
-    floors: dict[str, float] = {}
+    gained: dict[str, list[float]] = {}
     for c in several:
-        share = c.n_readings / first.n_readings
+        share = float(np.sqrt(c.n_readings / first.n_readings))
         for name, gain in c.floors.items():
-            floors[name] = max(
-                floors.get(name, 0.0), gain if is_local(name) else gain / float(np.sqrt(share))
-            )
+            gained.setdefault(name, []).append(gain if is_local(name) else gain / share)
+    floors = {}
+    for name, values in gained.items():
+        # one run may have a real shift of its own: a single number that fits all of it, not clutter
+        odd = 1 if len(several) >= MANY_RUNS and name in START and not is_local(name) else 0
+        floors[name] = sorted([0.0, *values], reverse=True)[odd]
     freedoms = [c.freedom for c in several]
     freedom = replace(
         freedoms[0],
