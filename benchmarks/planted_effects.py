@@ -130,7 +130,7 @@ def aligned(walls: Floats, poses: Floats, ranges: Floats, bearings: Floats) -> F
         ux, uy = np.cos(angle), np.sin(angle)
         nx, ny = tangent[np.where(seen, wall, 0), 1], -tangent[np.where(seen, wall, 0), 0]
         across = ux * nx + uy * ny
-        off = np.where(seen, ranges - expected, 0.0) * across
+        off = (np.where(seen, ranges, 0.0) - np.where(seen, expected, 0.0)) * across
         r = np.where(seen, ranges, 0.0)
         rows = np.stack([nx, ny, r * (ux * ny - uy * nx)], axis=-1)
         weight = seen * (np.abs(across) > 0.2) / (1 + (off / SIGMA) ** 2) ** 2 / (2 * SIGMA) ** 2

@@ -43,6 +43,7 @@ WIDE = Freedom(core=(0.3, 4.0), tail=(0.005, 0.6), loss=(1e-4, 0.3), stray=(1e-4
 SLACK = 1.15  # by which noise levels may rise above those of the good run
 CALMER = 2.0  # by which they may be lower: less noise is no effect
 MISFIT = 3.0  # over that of the good run, before anything is said to be unknown
+CLEAR = 1.5  # times a doubt's threshold: the clutter of two days is never quite the same
 STRIKE_SHARE = 0.02  # of what is left beyond that: among clutter, names fall later
 SECTOR = np.radians(20.0)  # of rays that share what is in their way
 FACTORS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.5)  # of the tolerances of the poses
@@ -102,7 +103,8 @@ class Commissioned:
         """Take back a doubt that is no larger than the good run's own, and weigh only what is beyond that."""
         share = evidence.ranges.size / self.n_readings
         beyond = verdict.misfit - MISFIT * self.misfit * share
-        if beyond > 0:
+        clear = verdict.threshold <= 0 or verdict.statistic > CLEAR * verdict.threshold
+        if beyond > 0 and clear:
             return replace(verdict, misfit=STRIKE_SHARE * beyond)
         return replace(verdict, statement="", where=None, misfit=0.0, failed=frozenset())
 
