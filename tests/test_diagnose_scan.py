@@ -299,7 +299,7 @@ def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, tur
 
 
 def test_too_few_scans_are_refused_in_one_line(hall: Arena) -> None:
-    with pytest.raises(GapError, match="only 20 of 20 scans have a pose"):
+    with pytest.raises(GapError, match="the run has 20 scans, expected 50"):
         evidence_of(hall, n=20)
 
 

@@ -68,6 +68,8 @@ def diagnose(
         raise GapError(
             f"{len(runs)} runs given, expected one, or two of which the second is only for the proof"
         )
+    if len(runs) == 2 and all(p.exists() for p in runs) and runs[0].samefile(runs[1]):
+        raise GapError(f"{runs[1]} is given twice; the second run is for the proof and must be another")
     check_folder(out)
     loaded = []
     for path in runs:
@@ -123,6 +125,7 @@ def diagnose(
         typer.echo(line)
     typer.echo(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml, review.rrd")
     if finding.next_run is not None:
+        plan = out / "next_run"
         typer.echo(
-            f"next run: sensorgraph record {out / 'next_run'} --arena {out / 'next_run' / 'arena.geojson'} …"
+            f"next run: sensorgraph record {plan} --arena {plan / 'arena.geojson'} --robot {plan / 'robot.yaml'} -o next.mcap"
         )

@@ -454,7 +454,11 @@ def _laws(view: View, gained: float, gains: Mapping[int, float]) -> list[_Doubt]
         if enough >= (least or len(names)):
             out.append(
                 _Doubt(
-                    statement=words, misfit=gained, statistic=0.0, threshold=0.0, failed=frozenset(members)
+                    statement=words,
+                    misfit=0.1 * sum(gains[i] for i in members),
+                    statistic=float(enough),
+                    threshold=float(least or len(names)),
+                    failed=frozenset(members),
                 )
             )
     return out

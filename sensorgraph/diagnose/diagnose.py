@@ -29,6 +29,7 @@ from sensorgraph.diagnose.prove import gap, held_out
 from sensorgraph.diagnose.view import View
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
+from sensorgraph.errors import GapError
 from sensorgraph.world.orientation import orientation
 from sensorgraph.world.robot_file import RobotFile
 
@@ -36,8 +37,9 @@ logger = logging.getLogger(__name__)
 
 Progress = Callable[[int, int], None]
 PARTS = 7
+LEAST_SIGMA = 2e-4  # [m, rad, m/s, rad/s] no reference and no wheel is better
 SHORTEST = 0.15  # [m] of a pane, a mirror or a black part
-WELL = 0.1  # [m] median error of a scan the right way round
+WELL = 0.3  # [m] median error of a scan the right way round
 STRIKE = 0.006  # of an effect's evidence; where more than this stays unexplained, its name falls
 
 
@@ -137,6 +139,12 @@ def diagnose(
     second_gap = None
     if second is not None:
         other, _ = gather(second, arena, robot, known)
+        there = placement(other, rng)
+        if there.share < min(POORLY, 0.6 * place.share):
+            raise GapError(
+                f"the second run does not fit the arena: {100 * there.share:.0f} % of its returns end at walls, "
+                f"{100 * place.share:.0f} % of the first run's; give a run of the same place"
+            )
         other = other if commissioned is None else commissioned.told(other)
         second_gap = gap(other, explained.null, explained.final, named, rng=rng)
     lap("prove")
@@ -182,7 +190,11 @@ def wrong_way(run: Run, evidence: Evidence, arena: Arena, place: Placement) -> s
     if place.share > POORLY:
         return ""
     found = orientation(replace(run, sensor=evidence.sensor), arena)
-    if found is None or found.best == "as logged" or found.fits[found.best] > WELL:
+    if (
+        found is None
+        or found.best == "as logged"
+        or found.fits[found.best] > min(WELL, 0.5 * found.fits["as logged"])
+    ):
         return ""
     now, then = found.fits["as logged"], found.fits[found.best]
     return (
@@ -217,7 +229,7 @@ def fit_words(place: Placement) -> str:
         return f"{100 * place.share:.0f} % of the returns end within 15 cm of a wall"
     return (
         f"the arena does not fit the run: {100 * place.share:.0f} % of the returns end within 15 cm of a wall; with the "
-        f"poses turned by {np.degrees(place.dphi):.1f} degrees about the map's origin and moved by "
+        f"poses turned by {np.degrees(place.dphi):.1f} degrees about their middle and moved by "
         f"({place.dx:.2f}, {place.dy:.2f}) m it would be {100 * place.best_share:.0f} %"
     )
 
@@ -230,7 +242,19 @@ def with_known(robot: RobotFile, known: Sequence[Amendment]) -> RobotFile:
         tau=robot.actuators.tau + extra.get("actuator_lag", {}).get("tau", 0.0),
         delay=robot.actuators.delay + extra.get("dead_time", {}).get("L", 0.0),
     )
-    return replace(robot, actuators=motors)
+    pose, wheels = robot.pose, robot.wheels
+    return replace(
+        robot,
+        actuators=motors,
+        pose=replace(
+            pose, sigma_xy=max(pose.sigma_xy, LEAST_SIGMA), sigma_yaw=max(pose.sigma_yaw, LEAST_SIGMA)
+        ),
+        wheels=replace(
+            wheels,
+            sigma_v=max(wheels.sigma_v, LEAST_SIGMA),
+            sigma_omega=max(wheels.sigma_omega, LEAST_SIGMA),
+        ),
+    )
 
 
 def beside(ledger: Ledger, known: Sequence[Amendment]) -> Ledger:
@@ -243,7 +267,17 @@ def beside(ledger: Ledger, known: Sequence[Amendment]) -> Ledger:
         off = {k: a[k] - same[a.name].parameters.get(k, 0.0) for k in a.effect.sizes}
         return size_ratio(a.effect, off) >= 1.0
 
-    return replace(ledger, effects=tuple(a for a in ledger.effects if is_new(a)))
+    wild = [
+        a for a in ledger.effects if a.effect.channel == "odometry" and abs(a.parameters.get("s", 0.0)) > 0.5
+    ]
+    if wild:  # no wheel is that wrong
+        words = "odometry and reference do not belong together: way or turn differ in sign or by half"
+        return replace(ledger, effects=(), unknown=Unknown(statement=words))
+    slips = [a for a in ledger.effects if a.name == "wheel_slip"]
+    doubtful = (
+        slips if len(slips) > 1 and ledger.unknown is not None else []
+    )  # patches that only mimic the unknown
+    return replace(ledger, effects=tuple(a for a in ledger.effects if is_new(a) and a not in doubtful))
 
 
 def scan_order(explained: Explained, verdict: Verdict) -> list[int]:

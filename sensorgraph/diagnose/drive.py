@@ -44,7 +44,7 @@ LAG = 0.004
 """[s] tolerance of the time constant."""
 CLOCKS = (0.0015, 0.0035)
 """[s] least and largest tolerance of the clocks."""
-FOREIGN = 30.0
+FOREIGN = 70.0
 """[nats] that structure outside the library needs."""
 LEAST_ROWS = 100
 CLUSTER = 2.0
@@ -340,6 +340,7 @@ class _Search:
                 z=float(np.sqrt(2 * size)),
                 size=size,
                 n_rays=self.n_valid,
+                channel="drive",
             ),
             statistic=size,
             threshold=FOREIGN,
@@ -513,6 +514,7 @@ class _Search:
                         z=z,
                         size=size,
                         n_rays=int(mask.sum()),
+                        channel="drive",
                     )
                 )
         return tuple(sorted(out, key=lambda w: -abs(w.z)))

@@ -17,6 +17,8 @@ from sensorgraph.world.robot_file import RobotFile, Tolerances
 from sensorgraph.world.scene import Scene
 
 LEAST_SCANS = 50
+LEAST_RAYS = 3
+LEAST_SIGMA = 5e-4  # [m] of a return
 SMOOTH = 0.2  # [s] either side, over which the reference is fitted to tell the speed
 
 
@@ -123,6 +125,12 @@ def gather(
             "with nothing but broken readings": int((pairing.paired & ~kept).sum()),
         },
     }
+    if run.n_scans < LEAST_SCANS:
+        raise GapError(
+            f"the run has {run.n_scans} scans, expected {LEAST_SCANS} or more; record a longer run"
+        )
+    if not np.isfinite(run.ranges).any():
+        raise GapError("no ray of the run ever returned; there is nothing to compare with the arena")
     if kept.sum() < LEAST_SCANS:
         raise GapError(
             f"only {int(kept.sum())} of {run.n_scans} scans have a pose ({pairing}), expected {LEAST_SCANS} or more; "
@@ -138,7 +146,7 @@ def gather(
     evidence = Evidence(
         arena=arena,
         sensor=sensor,
-        tolerances=robot.tolerances,
+        tolerances=_tolerances(robot.tolerances),
         stamps=when,
         ranges=run.ranges[kept],
         poses=np.stack([np.interp(when, stamps, column) for column in poses.T], axis=-1),
@@ -174,6 +182,19 @@ def velocities(stamps: Floats, poses: Floats, when: Floats) -> Floats:
     return np.stack(slopes, axis=1)
 
 
+def _tolerances(told: Tolerances) -> Tolerances:
+    """Return tolerances that are never nothing: no set-up is perfect, and a zero has no logarithm."""
+    least = {
+        "map": 2e-4,
+        "mount_xy": 1e-4,
+        "mount_yaw": 2e-5,
+        "pose_xy": 2e-4,
+        "pose_yaw": 1e-4,
+        "stamp": 1e-4,
+    }
+    return replace(told, **{name: max(getattr(told, name), value) for name, value in least.items()})
+
+
 def _sensor(run: Run, robot: RobotFile, laser_frame: bool) -> RangeSensor:
     """Return what robot.yaml says of the sensor, at the bearings that the run has."""
     told, seen = robot.sensor, run.sensor
@@ -182,5 +203,16 @@ def _sensor(run: Run, robot: RobotFile, laser_frame: bool) -> RangeSensor:
             f"the run has {seen.n_rays} rays from {seen.bearings[0]:.3f} to {seen.bearings[-1]:.3f} rad, robot.yaml "
             f"describes {told.n_rays} from {told.bearings[0]:.3f} to {told.bearings[-1]:.3f}; give the robot that recorded it"
         )
+    if told.n_rays < LEAST_RAYS:
+        raise GapError(
+            f"the sensor has {told.n_rays} rays, expected {LEAST_RAYS} or more to tell effects apart"
+        )
+    beyond = float((np.where(np.isfinite(run.ranges), run.ranges, 0.0) > 1.02 * told.range_max + 0.05).mean())
+    if beyond > 0.01:
+        raise GapError(
+            f"{100 * beyond:.0f} % of the readings are beyond sensor.range_max = {told.range_max:g} m of robot.yaml; "
+            "give the robot that recorded the run"
+        )
     mount = np.zeros(3) if laser_frame else told.mount
-    return replace(told, mount=mount, range_min=told.range_min, bearings=told.bearings)
+    sigma = max(told.sigma, told.resolution / np.sqrt(12), LEAST_SIGMA)
+    return replace(told, mount=mount, sigma=float(sigma))

@@ -27,8 +27,14 @@ class Where:
     xy: tuple[float, float] | None = None
     """[m, map] where it has a place."""
 
+    channel: str = "scan"
+    """Whose readings differ."""
+
     def sentence(self) -> str:
         """Say it in words."""
+        if self.channel != "scan":
+            who = {"odometry": "odometry and reference", "drive": "commands and odometry"}[self.channel]
+            return f"{who} differ by {self.partition}: {self.label} ({abs(self.z):.1f} standard errors)"
         what = {
             "bias": f"readings are {abs(self.size) * 100:.1f} cm too {'long' if self.size > 0 else 'short'}",
             "spread": f"readings scatter {100 * self.size:.0f} % more than the noise",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, map_coordinates
 from scipy.signal import fftconvolve
 
 from planners.arena import Floats
@@ -29,10 +29,10 @@ class Placement:
     best_share: float
     """The same after the motion below."""
     dx: float = 0.0
-    """[m] to be added to the poses, after turning them."""
+    """[m] to be added to the poses, after turning them about their middle."""
     dy: float = 0.0
     dphi: float = 0.0
-    """[rad] by which the poses are to be turned about the map's origin."""
+    """[rad] by which the poses are to be turned about their middle."""
 
     @property
     def fits(self) -> bool:
@@ -49,7 +49,9 @@ def placement(evidence: Evidence, rng: np.random.Generator) -> Placement:
     share = raster.share(points)
     if share > POORLY:
         return Placement(share=share, best_share=share)
-    best = (share, 0.0, np.zeros(2))
+    middle = evidence.poses[:, :2].mean(axis=0)
+    points = points - middle
+    best = (share, 0.0, middle)
     for turn in np.linspace(-np.pi, np.pi, N_TURNS, endpoint=False):
         turned = points @ _rotation(turn).T
         shift, count = raster.correlated(turned)
@@ -57,8 +59,9 @@ def placement(evidence: Evidence, rng: np.random.Generator) -> Placement:
             got = _refined(raster, points, turn, shift)
             if got[0] > best[0]:
                 best = got
+    shift = best[2] - middle
     return Placement(
-        share=share, best_share=best[0], dx=float(best[2][0]), dy=float(best[2][1]), dphi=float(best[1])
+        share=share, best_share=best[0], dx=float(shift[0]), dy=float(shift[1]), dphi=float(best[1])
     )
 
 
@@ -98,6 +101,12 @@ class _Raster:
         self.near = (self.distance < NEAR).astype(np.float64)
         self.middle = (low + high) / 2
 
+    def score(self, points: Floats) -> float:
+        """Return how near the points are to walls: 1 on them, falling over NEAR."""
+        at = (points - self.low) / self.cell
+        distance = map_coordinates(self.distance, at.T, order=1, mode="nearest")
+        return float(np.exp(-0.5 * (distance / (0.5 * NEAR)) ** 2).mean())
+
     def share(self, points: Floats) -> float:
         """Return the share of points within NEAR of a wall."""
         at = ((points - self.low) / self.cell).round().astype(int)
@@ -122,16 +131,20 @@ class _Raster:
 
 def _refined(raster: _Raster, points: Floats, turn: float, shift: Floats) -> tuple[float, float, Floats]:
     """Improve a placement by small steps; return share, turn, shift."""
-    best = (raster.share(points @ _rotation(turn).T + shift), turn, shift)
+    best = (raster.score(points @ _rotation(turn).T + shift), turn, shift)
     step, size = np.radians(2.0), 0.1
-    for _ in range(6):
+    for _ in range(40):
+        before = best[0]
         for dt, dx, dy in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)):
             t, s = best[1] + dt * step, best[2] + np.array([dx, dy]) * size
             if dt:  # turn about the middle of the points
                 centre = points.mean(axis=0)
                 s = s + (_rotation(best[1]) - _rotation(t)) @ centre
-            share = raster.share(points @ _rotation(t).T + s)
-            if share > best[0]:
-                best = (share, t, s)
-        step, size = step * 0.6, size * 0.6
-    return best
+            score = raster.score(points @ _rotation(t).T + s)
+            if score > best[0]:
+                best = (score, t, s)
+        if best[0] == before:
+            step, size = step * 0.5, size * 0.5
+        if size < 1e-3:
+            break
+    return raster.share(points @ _rotation(best[1]).T + best[2]), best[1], best[2]

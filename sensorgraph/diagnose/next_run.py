@@ -96,7 +96,7 @@ class NextRun:
             "why": self.why,
             "expected_nats": self.evidence,
             "median_random_run_nats": self.median,
-            "times_a_median_run": self.evidence / self.median if self.median > 0 else None,
+            "times_a_median_run": self.evidence / self.median if self.median >= 1 else None,
             "duration_s": self.trajectory.duration,
             "path_m": self.trajectory.length,
             "min_clearance_m": self.min_clearance,

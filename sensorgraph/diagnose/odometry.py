@@ -53,7 +53,7 @@ RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92)
 """[m] of patches that are tried."""
 PLACE_DOUBT = 2.0
 """Widens the spread of a patch's place: set on development cases, where the search alone was too sure of it."""
-FOREIGN = 30.0
+FOREIGN = 70.0
 """[nats] that structure outside the library needs."""
 
 
@@ -747,6 +747,7 @@ class _Search:
                         z=float(z[i]),
                         size=float(Z[:, i] @ left / info[i]),
                         n_rays=n,
+                        channel="odometry",
                     )
                 )
         out.sort(key=lambda w: -abs(w.z))
@@ -760,7 +761,15 @@ class _Search:
         text = _STATEMENTS[name]
         return Unknown(
             statement=f"odometry and reference pose differ {text}, which no effect of the library explains",
-            where=Where(family="bias", partition=name, label=text, z=z, size=z, n_rays=int(self.ok.sum())),
+            where=Where(
+                family="bias",
+                partition=name,
+                label=text,
+                z=z,
+                size=z,
+                n_rays=int(self.ok.sum()),
+                channel="odometry",
+            ),
             statistic=z,
             threshold=threshold,
         )
