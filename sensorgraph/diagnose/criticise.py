@@ -562,29 +562,16 @@ def _against_replicates(
 
 def replicate(evidence: Evidence, fitted: Fitted, rng: np.random.Generator) -> tuple[Evidence, Fitted]:
     """Draw readings from a fitted model, with pose errors and tails, and refit nuisances linearly."""
-    from sensorgraph.diagnose.likelihood import judge
-    from sensorgraph.diagnose.nuisance import TAIL, pose_prior
+    from sensorgraph.diagnose.likelihood import judge, sample
+    from sensorgraph.diagnose.nuisance import pose_prior
     from sensorgraph.diagnose.solve import Solution, Solver
-    from sensorgraph.world.scene import limited
 
     solution, what, cols = fitted.solution, fitted.cast.what, fitted.cast.cols
     state = solution.state.copy()
     prior = pose_prior(evidence, state.pose_scale)
     state.delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=state.delta.shape))
     mu = what.reading + fitted.solver.shift(state, solution.p)
-    shape = mu.shape
-    other = rng.random(shape) < what.p_alternative
-    mu = np.where(other & np.isfinite(what.alternative), what.alternative, mu)
-    wide = np.where(rng.random(shape) < state.noise.tail, TAIL, 1.0)
-    z = np.where(np.isfinite(mu), mu + rng.normal(size=shape) * wide * state.noise.core * what.sigma, np.inf)
-    z = np.where(rng.random(shape) < what.p_return * (1 - state.noise.loss), z, np.inf)
-    stray = rng.random(shape) < 1 - (1 - state.noise.stray) * (1 - what.stray)
-    z = np.where(stray, rng.random(shape) * evidence.sensor.range_max, z)
-    if what.short > 0:
-        short = rng.random(shape) < what.short
-        z = np.where(short, rng.random(shape) * np.where(np.isfinite(mu), mu, evidence.sensor.range_max), z)
-    z = limited(z, evidence.sensor, what.lattice)
-    z[np.isnan(evidence.ranges)] = np.nan
+    z = sample(evidence, what, mu, state.noise, rng)
     drawn = replace(evidence, ranges=z)
     corners = fitted.solver.corners
     solver = Solver(

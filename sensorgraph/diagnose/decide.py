@@ -39,9 +39,6 @@ LOOK = 3.5  # [nats] of expected gain that make a smooth effect worth a fit; box
 SOME = 130  # scans on which all candidates are fitted
 SEARCHED = 5  # candidates whose rough parameters are searched
 NEAR = 0.5  # of the best gain; farther candidates are not fitted to all scans
-FAMILIES = (  # effects that the same data may be read as
-    {"people", "random_outliers", "range_noise", "mixed_pixels"},
-)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

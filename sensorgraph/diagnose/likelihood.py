@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from planners.arena import Bools, Floats
+from planners.arena import Floats
 from sensorgraph.diagnose.evidence import Evidence
 from sensorgraph.diagnose.nuisance import TAIL, Noise
-from sensorgraph.world.scene import Beams, Ints
+from sensorgraph.world.scene import Beams, Ints, limited
 
 ROOT = np.sqrt(2 * np.pi)
 FLOOR = 1e-5  # chance of a reading that nothing explains
@@ -237,11 +237,19 @@ def _extended(beams: Beams, walls: Floats, scan: Ints, ray: Ints, other: Ints) -
     return np.asarray(np.where(usable, r, fallback))
 
 
-def broken_share(evidence: Evidence) -> float:
-    """Return the share of readings that are nan."""
-    return float(np.isnan(evidence.ranges).mean())
-
-
-def usable(evidence: Evidence) -> Bools:
-    """Return the readings that say something, (n_scans, n_rays)."""
-    return ~np.isnan(evidence.ranges)
+def sample(evidence: Evidence, what: Predicted, mu: Floats, noise: Noise, rng: np.random.Generator) -> Floats:
+    """Draw readings (n_scans, n_rays) [m] around `mu` from the mixture that `judge` judges by; broken ones stay broken."""
+    shape, sensor = mu.shape, evidence.sensor
+    other = (rng.random(shape) < what.p_alternative) & np.isfinite(what.alternative)
+    mu = np.where(other, what.alternative, mu)
+    wide = np.where(rng.random(shape) < noise.tail, TAIL, 1.0)
+    z = np.where(np.isfinite(mu), mu + rng.normal(size=shape) * wide * noise.core * what.sigma, np.inf)
+    z = np.where(rng.random(shape) < what.p_return * (1 - noise.loss), z, np.inf)
+    stray = rng.random(shape) < 1 - (1 - noise.stray) * (1 - what.stray)
+    z = np.where(stray, rng.random(shape) * sensor.range_max, z)
+    if what.short > 0:
+        short = rng.random(shape) < what.short
+        z = np.where(short, rng.random(shape) * np.where(np.isfinite(mu), mu, sensor.range_max), z)
+    z = limited(z, sensor, what.lattice)
+    z[np.isnan(evidence.ranges)] = np.nan
+    return z

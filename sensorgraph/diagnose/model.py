@@ -266,7 +266,7 @@ def fit(
         zero = np.zeros(solver.n_effects)
         solution = iterate(solver, state, zero, freedom, rounds=inner, **held)
         got = Fitted(model=model, solution=solution, cast=at, solver=solver)
-        better = best is None or _at_cast(got) > _at_cast(best) + 0.3
+        better = best is None or got.j > best.j + 0.3
         if best is None or got.j > best.j:
             best = got
         if solver.n_effects == 0 or not better:
@@ -277,10 +277,6 @@ def fit(
     assert best is not None
     final = with_increments(best.model, best.solution.p)
     return Fitted(model=final, solution=best.solution, cast=best.cast, solver=best.solver)
-
-
-def _at_cast(fitted: Fitted) -> float:
-    return fitted.j
 
 
 def _settled(solution: Solution) -> bool:

@@ -10,12 +10,11 @@ import numpy as np
 from planners.arena import Bools, Floats
 from sensorgraph.diagnose.evidence import Evidence
 from sensorgraph.diagnose.finding import Fit, Gap
-from sensorgraph.diagnose.likelihood import Judged, judge
+from sensorgraph.diagnose.likelihood import Judged, judge, sample
 from sensorgraph.diagnose.model import Fitted, cast, corners_of, locked
-from sensorgraph.diagnose.nuisance import TAIL, Noise, pose_prior
+from sensorgraph.diagnose.nuisance import Noise, pose_prior
 from sensorgraph.diagnose.solve import Solver, State
 from sensorgraph.effects import Amendment
-from sensorgraph.world.scene import limited
 
 BLOCK = 1.0  # [s] of scans that are held out together
 NEXT_TO_EDGE = 0.002  # chance of reading the other side of an edge; such rays count in the nats only
@@ -133,17 +132,4 @@ def _drawn(evidence: Evidence, side: _Side, final: Fitted, rng: np.random.Genera
     delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=(evidence.n_scans, 3)))
     there = State(g=np.where(side.solver.locked, 0.0, state.g), delta=delta, noise=state.noise)
     mu = what.reading + side.solver.shift(there, np.zeros(0))
-    shape = mu.shape
-    other = (rng.random(shape) < what.p_alternative) & np.isfinite(what.alternative)
-    mu = np.where(other, what.alternative, mu)
-    wide = np.where(rng.random(shape) < state.noise.tail, TAIL, 1.0)
-    z = np.where(np.isfinite(mu), mu + rng.normal(size=shape) * wide * state.noise.core * what.sigma, np.inf)
-    z = np.where(rng.random(shape) < what.p_return * (1 - state.noise.loss), z, np.inf)
-    stray = rng.random(shape) < 1 - (1 - state.noise.stray) * (1 - what.stray)
-    z = np.where(stray, rng.random(shape) * evidence.sensor.range_max, z)
-    if what.short > 0:
-        short = rng.random(shape) < what.short
-        z = np.where(short, rng.random(shape) * np.where(np.isfinite(mu), mu, evidence.sensor.range_max), z)
-    z = limited(z, evidence.sensor, what.lattice)
-    z[np.isnan(evidence.ranges)] = np.nan
-    return replace(evidence, ranges=z)
+    return replace(evidence, ranges=sample(evidence, what, mu, state.noise, rng))

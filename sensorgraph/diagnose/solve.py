@@ -200,10 +200,6 @@ class Solver:
         """Count of nuisances."""
         return len(self.tau)
 
-    def order(self, system: System) -> tuple[Floats, Floats]:
-        """Return matrix and right-hand side of the system, effects last."""
-        return system.matrix, system.right
-
     def maximise(self, system: System, state: State) -> tuple[Floats, Floats]:
         """Solve for (g, p) under prior and boxes."""
         tau = self.scaled(state)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -249,17 +249,6 @@ def limited(readings: Floats, sensor: RangeSensor, lattice: float = 0.0) -> Floa
             readings = np.round(readings / step) * step
     readings = np.where(hit & (readings > sensor.range_max), np.inf, readings)
     return np.where(hit & (readings < sensor.range_min), -np.inf, readings)
-
-
-def without(arena: Arena, walls: Bools) -> Arena:
-    """Return an arena that lacks some walls (bool (n_walls,)); its free space is left as it is."""
-    keep = np.flatnonzero(~walls)
-    return replace(
-        arena,
-        walls=arena.walls[keep],
-        names=tuple(arena.names[i] for i in keep),
-        surfaces=tuple(arena.surfaces[i] for i in keep),
-    )
 
 
 def fade(margin: Floats, width: Floats | float) -> Floats:
