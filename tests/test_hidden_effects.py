@@ -47,7 +47,8 @@ def test_a_hidden_effect_is_named_first_on_a_dirty_background(name: str) -> None
     assert finding.unknown is None
     gap = finding.ledgers["scan"].gap
     assert gap is not None
-    if finding.effects[0].effect.channel == "scan":
+    effect = finding.effects[0].effect
+    if effect.channel == "scan" and not effect.absorber:  # the seconds held out may hold hardly anybody
         assert gap.after.nats_per_ray <= gap.before.nats_per_ray
 
 

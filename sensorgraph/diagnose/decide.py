@@ -65,7 +65,9 @@ class Explained:
 def price(amendment: Amendment, evidence: Evidence) -> float:
     """Return what an effect must pay for its parameters and for the choice of its place [nats]."""
     places = {"wall": evidence.arena.n_walls, "obstacle": 6}.get(amendment.effect.place or "", 1)
-    paid = PRICE * max(len(amendment.parameters), 1) + float(np.log(max(places, 1)))
+    unused = {("glass", "depth"), ("range_drift", "tau")}  # 0 says: no such plane, no such time
+    n = sum(1 for k, v in amendment.parameters.items() if v != 0.0 or (amendment.name, k) not in unused)
+    paid = PRICE * max(n, 1) + float(np.log(max(places, 1)))
     return paid + evidence.floors.get(amendment.name, 0.0)
 
 
