@@ -192,10 +192,3 @@ def probabilities(evidence: Mapping[str, float], *, none: float = 0.0) -> dict[s
     share = np.exp(values - values.max())
     share /= share.sum()
     return dict(zip([*evidence, "none"], share.tolist(), strict=True))
-
-
-def chi_to_z(statistic: Floats | float, dof: int) -> Floats:
-    """Return the normal deviate as unlikely as chi-squared statistics (Wilson and Hilferty 1931)."""
-    share = np.asarray(statistic, dtype=np.float64) / dof
-    out: Floats = (np.cbrt(share) - (1 - 2 / (9 * dof))) / np.sqrt(2 / (9 * dof))
-    return out

@@ -357,15 +357,6 @@ def ranking_picture(finding: Finding, path: Path) -> None:
     save_figure(figure, path)
 
 
-def _outcome(chosen: str, gain: float, *, is_first: bool) -> str:
-    if chosen:
-        return "the first is accepted"
-    words = "nothing is accepted" if is_first else "nothing more is accepted"
-    return words + (
-        ", as refitting what was there does as well" if gain >= THRESHOLD and not is_first else ""
-    )
-
-
 def _distinct(tried: Sequence[tuple[Amendment, float]]) -> list[tuple[Amendment, float]]:
     """Return at most five candidates, those of one effect at one place once."""
     out: list[tuple[Amendment, float]] = []

@@ -18,9 +18,7 @@ from sensorgraph.diagnose.model import Fitted, corners_of
 from sensorgraph.diagnose.nuisance import BOX, DENSE, OWN
 from sensorgraph.diagnose.solve import boxed
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.effects.places import named_walls
-
-FLAT = 30.0  # [m] prior width of what is not bounded
+from sensorgraph.effects.places import named_walls, outward
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +49,7 @@ def smooth_candidates(evidence: Evidence, fitted: Fitted, *, broad: bool = False
     n = solver.n_g
     tau = solver.scaled(state)
     held = solver.locked
-    reference = _value(system.matrix, system.right, tau, held, n)
+    reference, _ = _solved(system.matrix, system.right, tau, held, n)
     found = []
     for amendment, directions, own in hypotheses(evidence, fitted):
         big = np.concatenate([np.eye(len(system.right)), _padded(directions, len(system.right))], axis=1)
@@ -112,7 +110,7 @@ def _of_the_map(
     for index, name in enumerate(arena.names):
         if name.split("/")[0] != arena.names[0].split("/")[0] or ("moved_wall", name) in present:
             continue
-        normal = _outward(evidence, index)
+        normal = outward(arena, index)
         directions = np.zeros((n, 1))
         for corner in set(corners.ends[index]):
             directions[len(DENSE) + 2 * corner : len(DENSE) + 2 * corner + 2, 0] = normal
@@ -147,22 +145,10 @@ def obstacles(evidence: Evidence) -> list[str]:
     return [f for f in dict.fromkeys(name.rsplit("/", 1)[0] for name in names) if f != outline]
 
 
-def _outward(evidence: Evidence, index: int) -> Floats:
-    a, b = evidence.arena.walls[index]
-    d = (b - a) / max(float(np.hypot(*(b - a))), 1e-12)
-    normal = np.array([d[1], -d[0]])
-    inside = evidence.arena.contains((a + b) / 2 + 1e-3 * normal)
-    return -normal if inside else normal
-
-
 def _padded(directions: Floats, size: int) -> Floats:
     out = np.zeros((size, directions.shape[1]))
     out[: len(directions)] = directions
     return out
-
-
-def _value(matrix: Floats, right: Floats, tau: Floats, held: Bools, n: int) -> float:
-    return _solved(matrix, right, tau, held, n)[0]
 
 
 def _solved(matrix: Floats, right: Floats, tau: Floats, held: Bools, n: int) -> tuple[float, Floats]:

@@ -14,7 +14,7 @@ SAME = 1e-6  # [m] ends nearer than this are one corner
 def transform(scene: Scene, a: Amendment) -> None:
     """Shift a wall along its outward normal, with the ends of its neighbours."""
     (index,) = walls_of(scene, a.place)
-    shift = a["d"] * outward(scene, index)
+    shift = a["d"] * outward(scene.arena, index)
     for end in scene.walls[index].copy():
         scene.walls[(np.abs(scene.walls - end) < SAME).all(axis=2)] += shift
 

@@ -45,13 +45,13 @@ def part_of_wall(scene: Scene, beams: Beams, a: Amendment) -> Bools:
         return np.asarray(on & (along >= a["a"]) & (along <= a["b"]))
 
 
-def outward(scene: Scene, index: int) -> Floats:
+def outward(arena: Arena, index: int) -> Floats:
     """Return the unit normal (2,) of a wall that points away from free space."""
-    a, b = scene.arena.walls[index]
+    a, b = arena.walls[index]
     d = (b - a) / max(float(np.hypot(*(b - a))), 1e-12)
     normal = np.array([d[1], -d[0]])
     middle = (a + b) / 2
-    return normal if not scene.arena.contains(middle + 1e-3 * normal) else -normal
+    return normal if not arena.contains(middle + 1e-3 * normal) else -normal
 
 
 def seen_without(scene: Scene, beams: Beams, some: Bools, name: str) -> Floats:
