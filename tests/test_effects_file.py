@@ -9,7 +9,7 @@ import pytest
 from effects_samples import arena, neutral, strong
 
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.effects.effects_file import dumps, loads, read, write
+from sensorgraph.effects.effects_file import check_places, dumps, loads, read, write
 from sensorgraph.errors import GapError
 
 ROOM = arena()
@@ -60,6 +60,25 @@ def test_an_empty_file_is_no_effect(text: str) -> None:
     assert loads(text) == ()
 
 
+def test_a_file_without_an_effect_is_said_in_one_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "effects.yaml").write_text("[]\n")
+    assert read(tmp_path / "effects.yaml", ROOM) == ()
+    (line,) = caplog.messages
+    assert line == f"{tmp_path / 'effects.yaml'} holds no effect; the model stays as it is"
+
+
+def test_places_are_checked_later_against_the_arena_of_a_run() -> None:
+    (pane,) = loads(
+        f"- {{name: glass, parameters: {{a: 90, b: 91, {PANE}}}, location: {{name: room/edge_0}}}}"
+    )
+    with pytest.raises(
+        GapError, match=r"mine.yaml: effect 1 \(glass\): the part .* lies beside `room/edge_0`"
+    ):
+        check_places([pane], ROOM, name="mine.yaml")
+
+
 def test_a_hand_may_leave_out_what_has_a_default() -> None:
     warm, scale = loads(
         "- {name: range_drift, parameters: {b1: 1e-2}}\n- {name: map_scale, parameters: {s: 0.01}}\n"
@@ -69,6 +88,7 @@ def test_a_hand_may_leave_out_what_has_a_default() -> None:
 
 
 BIAS = "name: range_bias, parameters: {b: 0.1}"
+PANE = "alpha_ret: 0.3, depth: 1.0"
 
 
 @pytest.mark.parametrize(
@@ -105,6 +125,15 @@ BIAS = "name: range_bias, parameters: {b: 0.1}"
             "no wall `room`; did you mean `room/",
         ),
         ("- {name: missing_obstacle, location: {name: bx}}", "no obstacle `bx`; did you mean `box`?"),
+        (
+            f"- {{name: glass, parameters: {{a: 2.0, b: 0.5, {PANE}}}, location: {{name: room/edge_0}}}}",
+            "expected a < b",
+        ),
+        ("- {name: mirror, parameters: {a: 1, b: 1}, location: {name: room/edge_0}}", "expected a < b"),
+        (
+            f"- {{name: glass, parameters: {{a: 90, b: 91, {PANE}}}, location: {{name: room/edge_0}}}}",
+            "lies beside `room/edge_0`",
+        ),
     ],
 )
 def test_a_mistake_is_one_line(text: str, said: str, tmp_path: Path) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import logging
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from planners.arena import Arena
@@ -15,6 +17,8 @@ from sensorgraph.effects import EFFECTS, Amendment, Effect, Location
 from sensorgraph.effects.places import named_walls
 from sensorgraph.errors import GapError
 from sensorgraph.files import whole
+
+logger = logging.getLogger(__name__)
 
 KEYS = ("name", "parameters", "stderr", "location", "probability", "evidence")
 OPTIONAL = {"map_scale": ("dx", "dy"), "range_drift": ("tau",)}
@@ -58,7 +62,10 @@ def read(path: Path, arena: Arena | None = None) -> tuple[Amendment, ...]:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as exc:
         raise GapError(f"{path} is not a text file; expected an effects.yaml") from exc
-    return loads(text, arena, name=str(path))
+    amendments = loads(text, arena, name=str(path))
+    if not amendments:
+        logger.warning("%s holds no effect; the model stays as it is", path)
+    return amendments
 
 
 def loads(text: str, arena: Arena | None = None, *, name: str = "effects.yaml") -> tuple[Amendment, ...]:
@@ -74,9 +81,11 @@ def loads(text: str, arena: Arena | None = None, *, name: str = "effects.yaml") 
 
 
 def check_places(amendments: Sequence[Amendment], arena: Arena, *, name: str = "effects") -> None:
-    """Refuse amendments that name a wall or an obstacle the arena lacks."""
-    for a in amendments:
-        _check_place(a.effect, a.location, arena, f"{name}: {a.name}")
+    """Refuse amendments that name a wall or an obstacle the arena lacks, or a part beyond the wall's end."""
+    for i, a in enumerate(amendments, start=1):
+        where = f"{name}: effect {i} ({a.name})"
+        _check_place(a.effect, a.location, arena, where)
+        _check_part(a.effect, a.parameters, a.place, arena, where)
 
 
 def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
@@ -100,6 +109,7 @@ def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
             )
     location = _location(entry.get("location"), where)
     _check_place(effect, location, arena, where)
+    _check_part(effect, parameters, location.name if location is not None else "", arena, where)
     return Amendment(
         effect=effect,
         parameters=parameters,
@@ -142,6 +152,28 @@ def _check_place(effect: Effect, location: Location | None, arena: Arena | None,
     if name not in known:
         raise GapError(f"{where}: the arena has no {effect.place} `{name}`; {_nearest(name, known)}")
     named_walls(arena, name)
+
+
+def _check_part(
+    effect: Effect, values: Mapping[str, float], wall: str, arena: Arena | None, where: str
+) -> None:
+    """Refuse a part of a wall that ends before it begins, or begins where the wall has ended."""
+    if effect.place != "wall" or not {"a", "b"} <= set(values):
+        return
+    a, b = values["a"], values["b"]
+    if a >= b:
+        raise GapError(
+            f"{where}: the part begins at a = {a:g} m and ends at b = {b:g} m; expected a < b, both along "
+            "the wall from its first corner"
+        )
+    if arena is None:
+        return
+    length = float(np.hypot(*np.diff(arena.walls[arena.names.index(wall)], axis=0)[0]))
+    if a >= length or b <= 0:
+        raise GapError(
+            f"{where}: the part from a = {a:g} m to b = {b:g} m lies beside `{wall}`, which is {length:.2f} m "
+            "long; expected a and b along the wall from its first corner"
+        )
 
 
 def _numbers(
