@@ -23,11 +23,12 @@ OWNERS = {
     "rich": {"sensorgraph/cli/"},
     "yaml": {"sensorgraph/", "planners/", "logs/"},
     "PIL": {"planners/maps/"},
+    "numba": {"sensorgraph/models/kernel.py"},
     "numpy": set(PACKAGES),
     "scipy": set(PACKAGES),
 }
 LIGHT = {"sensorgraph/cli"}  # start-up counts: no heavy import at module level
-HEAVY = {"ompl", "mcap", "rosbags", "rerun", "shapely", "matplotlib", "numpy", "scipy", "PIL"}
+HEAVY = {"ompl", "mcap", "rosbags", "rerun", "shapely", "matplotlib", "numpy", "scipy", "PIL", "numba"}
 
 
 def modules() -> list[Path]:

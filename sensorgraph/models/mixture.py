@@ -1,0 +1,164 @@
+"""What a ray may hit: a mixture of Gaussian candidates and the chance of no return, summarised as `Prediction` asks.
+
+Where candidates come from is the models' business; here n of them, sorted by range r [m], carry weights w and
+standard deviations s [m], and `leftover` is the chance that none of them stops the ray: sum(w) + leftover = 1.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ndtr
+
+from sensorgraph.models.base import OFF, POINTS, Bools, Floats, Point, Prediction
+from sensorgraph.models.kernel import kernel
+
+WINDOW = 6.0
+"""Width of the mode's window, in standard deviations of a candidate: all of one surface, little of the next."""
+MEDIAN, MODE, MEAN, SIGMA, NO_RETURN, P_OFF = range(6)
+"""Columns that `summarise` gives."""
+_CLEAR = 0.999  # share of one candidate above which the median is its range: off by less than 0.003 sigma
+_HALVINGS = 30  # of 16 sigma: 1e-8 sigma
+
+
+@kernel
+def chance_below(x: float, r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
+    """Return the weight of candidates first ... last - 1 that falls below x [m], Gaussian tails counted."""
+    total = 0.0
+    for i in range(first, last):
+        z = (x - r[i]) / s[i]
+        if z > 6.0:
+            total += w[i]
+        elif z > -6.0:
+            total += 0.5 * w[i] * math.erfc(-z * 0.7071067811865476)
+    return total
+
+
+@kernel
+def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
+    """Return the median [m] of candidates first ... last - 1 as a mixture of Gaussians."""
+    total = 0.0
+    heaviest = first
+    for i in range(first, last):
+        total += w[i]
+        if w[i] > w[heaviest]:
+            heaviest = i
+    if w[heaviest] >= _CLEAR * total:
+        return float(r[heaviest])
+    below, k, widest = 0.0, last - 1, 0.0
+    for i in range(first, last):
+        below += w[i]
+        widest = max(widest, s[i])
+        if below >= 0.5 * total:
+            k = i
+            break
+    for i in range(k + 1, last):
+        widest = max(widest, s[i])
+    low, high = r[k] - 8.0 * widest, r[k] + 8.0 * widest
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if chance_below(middle, r, w, s, first, last) < 0.5 * total:
+            low = middle
+        else:
+            high = middle
+    return float(0.5 * (low + high))
+
+
+@kernel
+def densest(r: Floats, w: Floats, s: Floats, n: int) -> tuple[int, int]:
+    """Return first and last (excluded) of the heaviest run of candidates within `WINDOW` sigma of its first."""
+    best, first, last = -1.0, 0, n
+    for i in range(n):
+        total = 0.0
+        j = i
+        while j < n and r[j] <= r[i] + WINDOW * s[i]:
+            total += w[j]
+            j += 1
+        if total > best:
+            best, first, last = total, i, j
+    return first, last
+
+
+@kernel
+def summarise(
+    r: Floats, w: Floats, s: Floats, n: int, leftover: float, farthest: float, which: int
+) -> tuple[float, float, float, float, float, float]:
+    """Summarise one ray.
+
+    Parameters
+    ----------
+    r, w, s : (n or more,) range [m], weight, sigma [m] > 0 of the candidates, sorted by r; the first n count
+    leftover : chance that nothing is seen out to range_max
+    farthest : [m] what is said of a return where no candidate has weight
+    which : place in `POINTS` of the point value that the chance of being off belongs to
+
+    Returns
+    -------
+    median, mode, mean, sigma [m] given a return, chance of no return, chance that a return is off
+    """
+    total = 0.0
+    mean = 0.0
+    for i in range(n):
+        total += w[i]
+        mean += w[i] * r[i]
+    if total <= 1e-12:
+        return farthest, farthest, farthest, farthest, leftover, 1.0
+    mean /= total
+    variance = 0.0
+    for i in range(n):
+        variance += w[i] * ((r[i] - mean) ** 2 + s[i] ** 2)
+    median = median_of(r, w, s, 0, n)
+    first, last = densest(r, w, s, n)
+    mode = median_of(r, w, s, first, last)
+    point = mode if which == 0 else (median if which == 1 else mean)
+    near = chance_below(point + OFF, r, w, s, 0, n) - chance_below(point - OFF, r, w, s, 0, n)
+    off = min(max(1.0 - near / total, 0.0), 1.0)
+    return median, mode, mean, math.sqrt(variance / total), leftover, off
+
+
+def summarise_plain(
+    r: Floats, w: Floats, s: Floats, n: int, leftover: float, farthest: float, which: int
+) -> tuple[float, float, float, float, float, float]:
+    """Do what `summarise` does, in numpy: the definition that the kernel is held against."""
+    r, w, s = r[:n], w[:n], s[:n]
+    total = float(w.sum())
+    if total <= 1e-12:
+        return farthest, farthest, farthest, farthest, leftover, 1.0
+    mean = float(w @ r) / total
+    sigma = math.sqrt(float(w @ ((r - mean) ** 2 + s**2)) / total)
+    median = _median_plain(r, w, s)
+    inside = (r >= r[:, None]) & (r <= (r + WINDOW * s)[:, None])  # (window, candidate)
+    inside &= np.arange(n) >= np.arange(n)[:, None]
+    window = inside[int(np.argmax(inside @ w))]
+    mode = _median_plain(r[window], w[window], s[window])
+    point = (mode, median, mean)[which]
+    near = w @ (ndtr((point + OFF - r) / s) - ndtr((point - OFF - r) / s))
+    return median, mode, mean, sigma, leftover, min(max(1.0 - float(near) / total, 0.0), 1.0)
+
+
+def _median_plain(r: Floats, w: Floats, s: Floats) -> float:
+    total = float(w.sum())
+    low, high = float((r - 9 * s).min()), float((r + 9 * s).max())
+    return float(brentq(lambda x: float(w @ ndtr((x - r) / s)) - total / 2, low, high, xtol=1e-12))
+
+
+def to_prediction(table: NDArray[np.float64], point: Point, answered: Bools) -> Prediction:
+    """Name the columns of (n_poses, n_rays, 6) summaries; `table` was made with `which_of(point)`."""
+    values = {"median": table[..., MEDIAN], "mode": table[..., MODE], "mean": table[..., MEAN]}
+    none = table[..., NO_RETURN]
+    return Prediction(
+        ranges=np.where(none > 0.5, np.inf, values[point]),
+        sigma=table[..., SIGMA],
+        p_no_return=none,
+        p_off=table[..., P_OFF],
+        answered=answered,
+        **values,
+    )
+
+
+def which_of(point: Point) -> int:
+    """Return the number of a point value for `summarise`."""
+    return POINTS.index(point)
