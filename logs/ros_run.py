@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,7 +36,7 @@ def to_run(recording: Recording, source: str, topics: Mapping[str, str] | None =
 
     check_roles(topics)
     if own_run.is_own(recording, topics):
-        return own_run.to_run(recording, source)
+        return _led_by_odometry(own_run.to_run(recording, source))
     scan_name = choose(recording, "scan", topics)
     if scan_name is None:
         several = recording.of_type((SCAN,))
@@ -118,7 +119,7 @@ def _reference(
     name = choose(recording, "pose", topics)
     asked = (topics or {}).get("pose") is not None
     if name is not None and (asked or name == ROLES["pose"][0]) and recording.topics[name].type != TF:
-        return _poses(recording, name), "base_link", _pose_source(recording, name)
+        return _poses(recording, name), "base_link", _pose_source(recording, name, odom_name)
     for root in MAPS:
         for frame, whose in ((base, "base_link"), ("base_link", "base_link"), (scans.frame, "laser")):
             place = tree.place(root, frame) if frame else None
@@ -126,7 +127,7 @@ def _reference(
                 found = Track(place.stamps, place.poses, root)
                 return found, ("laser" if whose == "laser" else "base_link"), f"/tf {root} -> {frame}"
     if name is not None and recording.topics[name].type != TF:
-        return _poses(recording, name), "base_link", _pose_source(recording, name)
+        return _poses(recording, name), "base_link", _pose_source(recording, name, odom_name)
     if odom is not None:
         return Track(odom.stamps, odom.values[:, :3], odom.frame), "base_link", f"odometry {odom_name}"
     if choices(recording, "pose"):
@@ -136,9 +137,22 @@ def _reference(
     return None, "base_link", "none"
 
 
-def _pose_source(recording: Recording, name: str) -> str:
-    is_odometry = recording.topics[name].type == ODOMETRY and "odom" in name
+def _pose_source(recording: Recording, name: str, odom_name: str | None) -> str:
+    is_odometry = recording.topics[name].type == ODOMETRY and ("odom" in name or name == odom_name)
     return f"odometry {name}" if is_odometry else name
+
+
+def _led_by_odometry(run: Run) -> Run:
+    """Return a run that has odometry and no other poses with the odometry as its poses, and say so."""
+    if len(run.pose_stamps) or not len(run.odom_stamps):
+        return run
+    return replace(
+        run,
+        pose_stamps=run.odom_stamps,
+        poses=run.odometry,
+        pose_frame="base_link",
+        meta={**run.meta, "pose_source": "odometry /odom"},
+    )
 
 
 def _poses(recording: Recording, name: str) -> Track:

@@ -57,6 +57,14 @@ def test_run_without_odometry_is_skipped_with_reason() -> None:
     assert "odometry" in diagnose_odometry(without_odometry(make_run(1, duration=10.0)), ROBOT).skipped
 
 
+@pytest.mark.parametrize("source", ["odometry /odom", "odometry", "/wheels"])
+def test_odometry_is_not_compared_with_itself(source: str) -> None:
+    run = make_run(1, duration=10.0, radius=0.05)
+    itself = replace(run, pose_stamps=run.odom_stamps, poses=run.odometry, meta={"pose_source": source})
+    ledger = diagnose_odometry(itself, ROBOT)
+    assert "are its odometry" in ledger.skipped and source in ledger.skipped and ledger.effects == ()
+
+
 def test_poses_that_stop_early_are_used_and_said() -> None:
     run = make_run(6, radius=0.03)
     n = len(run.poses) // 2

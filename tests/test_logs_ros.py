@@ -275,6 +275,23 @@ def test_pose_source_is_the_best_there_is_and_said(tmp_path: Path, extra: list[M
     np.testing.assert_allclose(run.poses, want, atol=1e-12)
 
 
+def test_odometry_stands_in_for_poses_in_a_file_of_ours_too(tmp_path: Path) -> None:
+    with_poses = read(tmp_path, trip())
+    alone = dataclasses.replace(with_poses, pose_stamps=np.zeros(0), poses=np.zeros((0, 3)), meta={})
+    logs.write(alone, tmp_path / "ours.mcap")
+    run = logs.read(tmp_path / "ours.mcap")
+    assert run.meta["pose_source"] == "odometry /odom"
+    np.testing.assert_array_equal(run.poses, run.odometry)
+    np.testing.assert_array_equal(run.pose_stamps, run.odom_stamps)
+
+
+def test_odometry_chosen_as_the_pose_is_said_whatever_it_is_called(tmp_path: Path) -> None:
+    wheels = [odometry(0.1 * i, 0.1 * i, 0, 0, topic="/wheel/state") for i in range(3)]
+    run = read(tmp_path, [scan(0, [1, 2, 3]), pose(0, 9, 9, 0), *wheels], pose="/wheel/state")
+    assert run.meta["pose_source"] == "odometry /wheel/state"
+    np.testing.assert_allclose(run.poses[:, 0], [0, 0.1, 0.2], atol=1e-12)
+
+
 def test_stamps_that_are_zero_take_the_log_time_and_disorder_is_sorted(tmp_path: Path) -> None:
     first = scan(-EPOCH / 1e9, [1, 2, 3], log=0.5)
     run = read(tmp_path, [first, scan(0.3, [4, 5, 6]), scan(0.3, [7, 8, 9])])

@@ -78,6 +78,21 @@ def increments(run: Run) -> Increments | None:
     return Increments(start=stamps[:-1], end=stamps[1:], way=way, turn=turn, source=source)
 
 
+def own_reference(run: Run) -> str:
+    """Return why the odometry has no reference but itself; empty if the poses come from elsewhere."""
+    source = run.meta.get("pose_source", "")
+    is_said = source.partition(" ")[0].strip("/") in ("odom", "odometry")
+    is_same = (
+        len(run.pose_stamps) == len(run.odom_stamps) > 0
+        and np.array_equal(run.pose_stamps, run.odom_stamps)
+        and np.array_equal(run.poses, run.odometry, equal_nan=True)
+    )
+    if not (is_said or is_same):
+        return ""
+    named = f" ({source})" if source else ""
+    return f"the poses of this run are its odometry{named}: there is no other reference to compare it with"
+
+
 def autoregression(series: Sequence[Floats], valid: Sequence[Bools], order: int) -> tuple[Floats, float]:
     """Fit one autoregressive model to several series (Yule-Walker); return its filter (order + 1,) and sigma."""
     gamma = np.zeros(order + 1)

@@ -26,6 +26,7 @@ from sensorgraph.diagnose.channel import (
     autoregression,
     huber,
     increments,
+    own_reference,
     probabilities,
     whiten,
 )
@@ -129,8 +130,8 @@ def clock_offset(run: Run, robot: RobotFile) -> tuple[float, float] | None:
 
 def _signals(run: Run) -> tuple[Floats, Floats, Increments, dict[str, object]] | str:
     """Return reference stamps and poses of base_link, the wheels' increments and notes; or why not."""
-    if run.meta.get("pose_source", "").strip("/") in ("odom", "odometry"):
-        return "the poses of this run are its odometry: there is no reference to compare with"
+    if skipped := own_reference(run):
+        return skipped
     wheels = increments(run)
     if wheels is None:
         return "this run has no odometry that moves"
