@@ -11,6 +11,7 @@ import numpy as np
 from sensorgraph.diagnose.evidence import Evidence
 from sensorgraph.diagnose.model import ROUGH, Fitted, fit, polish, start_state, thin, thin_state
 from sensorgraph.diagnose.nuisance import Freedom
+from sensorgraph.diagnose.precision import standard_errors
 from sensorgraph.diagnose.propose import rough_candidates
 from sensorgraph.diagnose.screen import Candidate, smooth_candidates
 from sensorgraph.diagnose.view import View
@@ -55,6 +56,7 @@ class Explained:
 
     null: Fitted
     final: Fitted
+    """Its effects carry their standard errors."""
     gains: dict[int, float]
     """Index in the final model -> evidence [nats] that is lost without it."""
     steps: tuple[Step, ...] = field(default_factory=tuple)
@@ -117,7 +119,10 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
         rest = fit(evidence, _without(current.model, index), current.state, freedom, outer=2, inner=4)
         gains[index] = current.j - rest.j - price(current.model[index], evidence)
     kept = {i: rivals[_key(a)] for i, a in enumerate(current.model) if _key(a) in rivals}
-    return Explained(null=null, final=current, gains=gains, steps=tuple(steps), rivals=kept)
+    errors = standard_errors(current, freedom)
+    model = tuple(replace(a, stderr=e) for a, e in zip(current.model, errors, strict=True))
+    final = replace(current, model=model)
+    return Explained(null=null, final=final, gains=gains, steps=tuple(steps), rivals=kept)
 
 
 def _best_of_each(tried: Sequence[tuple[Amendment, float]]) -> tuple[tuple[Amendment, float], ...]:
@@ -212,7 +217,7 @@ def searched(
 ) -> Fitted:
     """Search the rough parameters of the last effect, then fit again."""
     for _ in range(turns):
-        polished = polish(evidence, got.model, len(got.model) - 1, got, rounds=rounds, first=first)
+        polished = polish(evidence, got.model, len(got.model) - 1, got, freedom, rounds=rounds, first=first)
         better = fit(evidence, polished, got.state, freedom, outer=1, inner=2)
         gained = better.j - got.j
         if gained > 0:

@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from planners.arena import Bools, Floats
 from sensorgraph.diagnose.evidence import Evidence
 from sensorgraph.diagnose.likelihood import Edges, Predicted, find_edges, judge, predicted
 from sensorgraph.diagnose.nuisance import DENSE, OWN, Columns, Corners, Freedom, columns
-from sensorgraph.diagnose.solve import MOST_CORNERS, Solution, Solver, State, iterate
+from sensorgraph.diagnose.solve import MOST_CORNERS, Solution, Solver, State, fitted_noise, iterate
 from sensorgraph.effects import Amendment
 from sensorgraph.world.scene import Beams, Scene
 
@@ -101,6 +102,9 @@ def cast(evidence: Evidence, model: Sequence[Amendment]) -> Cast:
     return Cast(scene=scene, beams=beams, cols=cols, what=what, edges=edges)
 
 
+FINE = 0.02  # relative step at which the search for a share or a width ends
+MOST_PEAKED = 9  # casts of it
+NOISE_ROUNDS = 3  # of the noise, where it is estimated again at a step of a rough parameter
 STIFF = {"beta": 5e3, "theta0": 5e3, "delta": 300.0, "tau": 300.0, "T": 300.0, "s": 300.0}
 """By parameter: a larger quotient is a jump to another surface."""
 STIFF_ELSE = 25.0
@@ -254,12 +258,9 @@ def fit(
     """Fit the smooth parameters, nuisances and noise; cast again until nothing is gained."""
     best: Fitted | None = None
     model = tuple(model)
-    if any(a.name == "random_outliers" for a in model):  # its share is all of the strays
-        low = freedom.stray[0]
-        freedom, state = replace(freedom, stray=(low, low)), state.copy()
-        state.noise.stray = low
+    freedom, state = strays_taken(model, freedom), state.copy()
+    state.noise.stray = float(np.clip(state.noise.stray, *freedom.stray))
     corners = corners_of(evidence)
-    state = state.copy()
     state.g[locked(evidence, model, corners)] = 0.0
     for _ in range(outer):
         solver, at = solver_for(evidence, model)
@@ -285,8 +286,15 @@ def _settled(solution: Solution) -> bool:
     return bool((np.abs(solution.p) < 0.2 * sd).all())
 
 
-def log_likelihood(evidence: Evidence, model: Sequence[Amendment], state: State) -> float:
-    """Return the log-likelihood of a model at given nuisances [nats]; one cast, no solve."""
+def log_p_at(
+    evidence: Evidence, model: Sequence[Amendment], state: State, freedom: Freedom | None = None
+) -> Floats:
+    """Return the log-likelihood of every reading (n_scans, n_rays) [nats] at given nuisances; one cast, no solve.
+
+    Parameters
+    ----------
+    freedom : the noise is estimated again within it; None: it stays
+    """
     at = cast(evidence, model)
     corners = corners_of(evidence)
     shape = at.what.reading.shape
@@ -294,14 +302,45 @@ def log_likelihood(evidence: Evidence, model: Sequence[Amendment], state: State)
         evidence, at.what, at.cols, at.scene.walls, np.zeros((shape[0], 0, shape[1])), corners,
         np.zeros(len(state.g), dtype=np.bool_),
     )  # fmt: skip
-    shift = solver.shift(state, np.zeros(0))
-    return float(judge(evidence, at.what, shift, state.noise).log_p.sum())
+    shift, noise = solver.shift(state, np.zeros(0)), state.noise
+    judged = judge(evidence, at.what, shift, noise)
+    if freedom is not None:
+        freedom = strays_taken(model, freedom)
+        for _ in range(NOISE_ROUNDS):
+            noise = fitted_noise(solver, judged, noise, freedom)
+            judged = judge(evidence, at.what, shift, noise)
+    return judged.log_p
+
+
+def log_likelihood(
+    evidence: Evidence, model: Sequence[Amendment], state: State, freedom: Freedom | None = None
+) -> float:
+    """Return the log-likelihood of a model [nats]; see `log_p_at`."""
+    return float(log_p_at(evidence, model, state, freedom).sum())
+
+
+def strays_taken(model: Sequence[Amendment], freedom: Freedom) -> Freedom:
+    """Leave no strays to the noise where random_outliers is in the model: its share is all of them."""
+    if not any(a.name == "random_outliers" for a in model):
+        return freedom
+    low = freedom.stray[0]
+    return replace(freedom, stray=(low, low))
 
 
 def polish(
-    evidence: Evidence, model: tuple[Amendment, ...], index: int, fitted: Fitted, *, rounds: int, first: float
+    evidence: Evidence,
+    model: tuple[Amendment, ...],
+    index: int,
+    fitted: Fitted,
+    freedom: Freedom,
+    *,
+    rounds: int,
+    first: float,
 ) -> tuple[Amendment, ...]:
-    """Improve the rough parameters of one effect by a pattern search at frozen nuisances.
+    """Improve the rough parameters of one effect at frozen nuisances.
+
+    What widens or mixes the readings has one parameter and shares its freedom with the noise, which is estimated again
+    at every value; the others are improved one after another by a pattern search.
 
     Parameters
     ----------
@@ -312,6 +351,8 @@ def polish(
     steps = {k: first * v for k, v in ROUGH.get(amendment.name, {}).items() if k in amendment.parameters}
     if not steps:
         return model
+    if amendment.effect.absorber:
+        return _peaked(evidence, model, index, fitted.state, freedom, factor=1 + 2 * first)
     bounds = {q.name: (q.low, q.high) for q in amendment.effect.parameters}
     current = [*model]
     best = log_likelihood(evidence, current, fitted.state)
@@ -332,6 +373,32 @@ def polish(
         if not moved and all(s < 0.2 * ROUGH[amendment.name][k] for k, s in steps.items()):
             break
     return tuple(current)
+
+
+def _peaked(
+    evidence: Evidence,
+    model: tuple[Amendment, ...],
+    index: int,
+    state: State,
+    freedom: Freedom,
+    *,
+    factor: float,
+) -> tuple[Amendment, ...]:
+    """Move the one rough parameter of an effect to its most likely value, at most `factor` times up or down."""
+    (name,) = ROUGH[model[index].name]
+    start = model[index][name]
+
+    def at(u: float) -> tuple[Amendment, ...]:
+        return (*model[:index], model[index].moved_to({name: start * float(np.exp(u))}), *model[index + 1 :])
+
+    reach = float(np.log(factor))
+    found = minimize_scalar(
+        lambda u: -log_likelihood(evidence, at(u), state, freedom),
+        bounds=(-reach, reach),
+        method="bounded",
+        options={"xatol": FINE, "maxiter": MOST_PEAKED},
+    )
+    return at(float(found.x))
 
 
 def thin(evidence: Evidence, every: int) -> Evidence:

@@ -1,0 +1,97 @@
+"""Standard errors of rough parameters and the chance that a size is material: recovered from planted effects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import polygon_arena
+from scipy.stats import norm
+from test_diagnose_scan import drive
+
+from planners.arena import Arena
+from sensorgraph.diagnose.decide import searched
+from sensorgraph.diagnose.evidence import gather
+from sensorgraph.diagnose.model import Fitted, fit, start_state
+from sensorgraph.diagnose.nuisance import Freedom
+from sensorgraph.diagnose.precision import lattice_error, material_probability, standard_errors
+from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.world import robot_file
+
+
+@pytest.fixture(scope="module")
+def hall() -> Arena:
+    """Return a 6 x 5 m hall with two pillars."""
+    return polygon_arena(
+        [(0, 0), (6, 0), (6, 5), (0, 5)],
+        [(2.0, 3.0), (2.6, 3.0), (2.6, 3.5), (2.0, 3.5)],
+        [(4.0, 1.0), (4.5, 1.2), (4.3, 1.7)],
+    )
+
+
+def fitted(
+    hall: Arena, planted: Amendment, start: Amendment, seed: int = 0
+) -> tuple[Fitted, dict[str, float]]:
+    """Plant an effect, fit it from a start; return the fit and its standard errors."""
+    evidence, _ = gather(
+        drive(hall, (planted,), seed=seed), hall, robot_file.loads("sensor: {n_rays: 61}"), ()
+    )
+    freedom = Freedom()
+    first = fit(evidence, (start,), start_state(evidence, freedom), freedom)
+    got = searched(evidence, first, freedom, rounds=4, first=1.0, turns=3)
+    return got, standard_errors(got, freedom)[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "true", "start"),
+    [
+        ("max_range", "R", 3.2, 3.22),
+        ("incidence_dropout", "alpha_max", 1.15, 1.16),
+        ("range_noise", "k", 0.006, 0.003),
+        ("random_outliers", "p", 0.012, 0.02),
+    ],
+)
+def test_a_rough_parameter_is_within_its_error(
+    hall: Arena, name: str, key: str, true: float, start: float
+) -> None:
+    got, errors = fitted(hall, EFFECTS[name](**{key: true}), EFFECTS[name](**{key: start}))
+    assert abs(got.model[0][key] - true) < 3 * errors[key]
+    assert errors[key] < 0.15 * true
+
+
+def test_the_error_of_scattered_strays_is_that_of_counting(hall: Arena) -> None:
+    p = 0.02
+    got, errors = fitted(hall, EFFECTS["random_outliers"](p=p), EFFECTS["random_outliers"](p=0.01))
+    counting = np.sqrt(p * (1 - p) / got.solver.evidence.ranges.size)
+    assert 0.7 * counting < errors["p"] < 1.8 * counting
+
+
+def test_a_lattice_that_is_off_by_its_error_still_holds_every_reading(hall: Arena) -> None:
+    q = 0.05
+    evidence, _ = gather(
+        drive(hall, (EFFECTS["quantisation"](q=q),)), hall, robot_file.loads("sensor: {n_rays: 61}"), ()
+    )
+    z = evidence.ranges[evidence.returned]
+    cell = max(evidence.sensor.resolution, 1e-4)
+    off = lattice_error(evidence, q)
+    for step, holds in ((q + 0.99 * off, True), (q + 1.5 * off, False)):
+        assert (np.abs(np.round(z / q) * step - z).max() <= 0.5 * cell + 1e-9) == holds
+
+
+def test_a_size_at_its_limit_is_as_likely_material_as_not() -> None:
+    limit = EFFECTS["range_bias"].sizes["b"]
+    at = EFFECTS["range_bias"](b=-limit)
+    assert material_probability(at, {"b": 0.1 * limit}) == pytest.approx(0.5, abs=1e-6)
+    assert material_probability(at, {"b": 0.1 * limit}, slack=1.2) == pytest.approx(norm.cdf(-2), abs=1e-6)
+
+
+def test_sizes_of_two_axes_add_as_a_vector() -> None:
+    limit = EFFECTS["mount_xy"].sizes["dx"]
+    along = EFFECTS["mount_xy"](dx=1.3 * limit, dy=0.0)
+    aslant = EFFECTS["mount_xy"](dx=1.3 * limit / np.sqrt(2), dy=1.3 * limit / np.sqrt(2))
+    error = {"dx": 0.2 * limit, "dy": 0.2 * limit}
+    assert material_probability(aslant, error) == pytest.approx(material_probability(along, error))
+    assert material_probability(along, error) == pytest.approx(norm.cdf(1.5), abs=1e-6)
+
+
+def test_what_has_no_limit_of_size_is_material() -> None:
+    assert material_probability(EFFECTS["max_range"](R=3.0), {"R": 1.0}) == 1.0
