@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -119,6 +120,38 @@ def test_an_arena_of_another_place_is_said_first(folder: Path, tmp_path: Path) -
     assert report["effects"] == []
     assert "does not fit" in report["unknown"]["statement"]
     assert "moved by (-" in report["unknown"]["statement"]
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.3])
+def test_an_arena_of_another_scale_is_said_first(
+    scale: float, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arena = json.loads(geojson.dumps(named_arena("square")))
+    for feature in arena["features"]:
+        rings = feature["geometry"]["coordinates"]
+        feature["geometry"]["coordinates"] = [[[scale * x, scale * y] for x, y in ring] for ring in rings]
+    (tmp_path / "scaled.geojson").write_text(json.dumps(arena))
+    options = ["--arena", str(tmp_path / "scaled.geojson"), "-o", str(tmp_path / "out")]
+    assert cli(["diagnose", str(folder / "run.mcap"), *options]) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    found = re.fullmatch(
+        r"The arena does not fit the run, it is drawn (\d\.\d\d) times as large as the place\.", first
+    )
+    assert found is not None
+    assert abs(float(found[1]) - scale) < 0.02 * scale  # the sensor reads 4 cm long
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["effects"] == []
+
+
+def test_an_arena_that_lacks_obstacles_is_said_first(tmp_path: Path, folder: Path) -> None:
+    arena = json.loads(geojson.dumps(named_arena("square")))
+    arena["features"] = [f for f in arena["features"] if f["properties"]["kind"] == "arena"]
+    (tmp_path / "bare.geojson").write_text(json.dumps(arena))
+    options = ["--arena", str(tmp_path / "bare.geojson"), "-o", str(tmp_path / "out")]
+    assert cli(["diagnose", str(folder / "run.mcap"), *options]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    named = {e["name"] for e in report["effects"]}
+    is_said = "<h1>The arena fits the run only in part" in (tmp_path / "out" / "report.html").read_text()
+    assert is_said or "unmapped_obstacle" in named
 
 
 def test_a_mirrored_scan_is_said_first(folder: Path, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from planners.arena import Arena
 from sensorgraph.cli import run as cli
 from sensorgraph.diagnose.diagnose import Finding, diagnose
 from sensorgraph.diagnose.finding import Fit, Gap, Ledger, Rival, Unknown, Where
-from sensorgraph.diagnose.report import plain, save
+from sensorgraph.diagnose.report import plain, save, to_dict
 from sensorgraph.diagnose.words import gap_sentence, number, parameters, percent, said
 from sensorgraph.effects import EFFECTS, effects_file
 from sensorgraph.world import robot_file
@@ -180,6 +180,41 @@ def test_something_unknown_is_said_with_its_place(unknown: Finding, tmp_path: Pa
     save(unknown, tmp_path)
     assert json.loads((tmp_path / "report.json").read_text())["unknown"]["where"]["label"] == "w/edge_1"
     assert "Something unknown at wall w/edge_1." in (tmp_path / "report.html").read_text()
+
+
+def test_a_script_reads_the_gap_of_the_channel_that_the_headline_is_about(found: Finding) -> None:
+    a = replace(EFFECTS["wheel_radius"](s=0.02), evidence=1e6, probability=1.0)
+    fit = Fit(rmse_m=0.02, normalised=2.0, nats_per_ray=-1.0)
+    wheels = Gap(before=fit, after=replace(fit, rmse_m=0.01), noise_floor=fit, n_rays=70)
+    where = Where(
+        family="bias", partition="turn", label="left", z=9.0, size=0.1, n_rays=70, channel="odometry"
+    )
+    odometry = Ledger(channel="odometry", effects=(a,), gap=wheels, where=(where,))
+    report = to_dict(replace(found, ledgers={**found.ledgers, "odometry": odometry}))
+    assert report["gap"]["channel"] == "odometry"
+    assert (report["gap"]["unit"], report["gap"]["before"]["rmse_m"]) == ("m/s", 0.02)
+    assert report["where"][0]["channel"] == "odometry"
+    assert report["channels"]["scan"]["gap"]["channel"] == "scan"
+    alone = to_dict(found)
+    assert (alone["gap"]["channel"], alone["gap"]["unit"]) == ("scan", "m")
+    assert alone["gap"] == alone["channels"]["scan"]["gap"]
+
+
+def test_wide_tolerances_say_what_they_hide(room: Arena, silent: Finding) -> None:
+    machine = robot_file.loads(ROBOT)
+    machine = replace(machine, tolerances=replace(machine.tolerances, mount_yaw=0.03))
+    turned = replace(machine.sensor, mount=machine.sensor.mount + [0.0, 0.0, 0.03])
+    run = drive(room)
+    ranges = cast(room, run.poses, turned).ranges + 0.01 * np.random.default_rng(1).normal(
+        size=run.ranges.shape
+    )
+    hidden = diagnose(replace(run, ranges=ranges), room, machine, plan_next=False)
+    assert "mount_yaw" not in [a.name for a in hidden.effects]
+    text = said(hidden).details[-1]
+    assert re.search(r"wide \(mount_yaw\): .*mounting yaw up to 4\.\d+° \(here 1\.[67]\d*°\)", text)
+    assert not any(
+        "tolerances" in line for line in said(silent).details
+    )  # those of a careful set-up hide nothing
 
 
 def test_a_close_runner_up_leaves_it_undecided(found: Finding) -> None:

@@ -118,10 +118,11 @@ def diagnose(
     if commissioned is not None:
         evidence = commissioned.told(evidence)
     place = placement(evidence, rng)
-    notes["arena"] = fit_words(place)
-    words = wrong_way(run, evidence, arena, place) or ("" if place.fits else fit_words(place))
+    notes["arena"], notes["share_at_walls"] = place.sentence(), place.share
+    words = wrong_way(run, evidence, arena, place) or ("" if place.fits else place.sentence())
     if words:
         return _misplaced(evidence, notes, place, words, seconds)
+    further = None if second is None else other_run(second, arena, robot, known, commissioned, place, rng)
     held = held_out(evidence)
     train, unseen = evidence.part(~held), evidence.part(held)
     lap("intake")
@@ -220,17 +221,6 @@ def _misplaced(
         explained=None,
         verdict=None,
         seconds=seconds,
-    )
-
-
-def fit_words(place: Placement) -> str:
-    """Say how well the arena fits the run."""
-    if place.fits:
-        return f"{100 * place.share:.0f} % of the returns end within 15 cm of a wall"
-    return (
-        f"the arena does not fit the run: {100 * place.share:.0f} % of the returns end within 15 cm of a wall; with the "
-        f"poses turned by {np.degrees(place.dphi):.1f} degrees about their middle and moved by "
-        f"({place.dx:.2f}, {place.dy:.2f}) m it would be {100 * place.best_share:.0f} %"
     )
 
 

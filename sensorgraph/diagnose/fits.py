@@ -1,4 +1,4 @@
-"""Does the arena fit the run at all? If not, the rigid motion of the map that would make it fit."""
+"""Does the arena fit the run at all? If not, the rigid motion or the scale of the map that would make it fit."""
 
 from __future__ import annotations
 
@@ -14,8 +14,12 @@ from sensorgraph.world.raycast import laser_poses
 
 CELL = 0.1  # [m] of the raster
 NEAR = 0.15  # [m] from a wall: the ray ends at it
+HARDLY = 0.3  # share of rays that end at walls, below which no name would mean anything
 POORLY = 0.45  # share of rays that end at walls, below which a better place is looked for
+PARTLY = 0.8  # share of rays that end at walls, below which another scale of the map is looked for
 CLEARLY = 0.25  # by which another place must be better
+SCALES = np.geomspace(0.5, 2.0, 47)  # of the map that are tried, 3 % apart
+MARGIN = 0.05  # by which another scale must be better than another place
 N_POINTS = 3000
 N_TURNS = 90
 
@@ -33,11 +37,37 @@ class Placement:
     dy: float = 0.0
     dphi: float = 0.0
     """[rad] by which the poses are to be turned about their middle."""
+    scale: float = 1.0
+    """How many times as large as the place the arena is drawn; then it, not the poses, is to be mended."""
 
     @property
     def fits(self) -> bool:
         """Tell whether the map may stay where it is."""
-        return self.best_share < max(self.share + CLEARLY, POORLY)
+        is_lost = max(self.share, self.best_share) < HARDLY
+        return not is_lost and self.best_share < max(self.share + CLEARLY, POORLY)
+
+    def sentence(self) -> str:
+        """Say how well the arena fits the run, and what would mend it."""
+        now = f"{100 * self.share:.0f} % of the returns end within {100 * NEAR:.0f} cm of a wall"
+        if self.fits and self.share >= PARTLY:
+            return now
+        if self.fits:
+            return (
+                f"the arena fits the run only in part: {now}; it lacks something, or holds what is not there"
+            )
+        if self.best_share < self.share + CLEARLY:
+            return f"the arena does not fit the run: {now}; no turn, shift or scale of it would mend that"
+        if self.scale != 1.0:
+            dx, dy = (round(-d / self.scale, 2) + 0.0 for d in (self.dx, self.dy))
+            lead = f"the arena does not fit the run, it is drawn {self.scale:.2f} times as large as the place"
+            mend = f"with its coordinates divided by {self.scale:.2f} and moved by ({dx:.2f}, {dy:.2f}) m"
+        else:
+            lead = "the arena does not fit the run"
+            mend = (
+                f"with the poses turned by {np.degrees(self.dphi):.1f} degrees about their middle and moved by "
+                f"({self.dx:.2f}, {self.dy:.2f}) m"
+            )
+        return f"{lead}: {now}; {mend} it would be {100 * self.best_share:.0f} %"
 
 
 def placement(evidence: Evidence, rng: np.random.Generator) -> Placement:
@@ -47,6 +77,16 @@ def placement(evidence: Evidence, rng: np.random.Generator) -> Placement:
         return Placement(share=1.0, best_share=1.0)
     raster = _Raster(evidence)
     share = raster.share(points)
+    if share >= PARTLY:
+        return Placement(share=share, best_share=share)
+    moved = _moved(evidence, raster, points, share)
+    scaled = _scaled(raster, points, share)
+    is_better = scaled.best_share > max(moved.best_share + MARGIN, PARTLY)
+    return scaled if is_better and not scaled.fits else moved
+
+
+def _moved(evidence: Evidence, raster: _Raster, points: Floats, share: float) -> Placement:
+    """Look for the rigid motion of the poses that lays most ends of rays on walls."""
     if share > POORLY:
         return Placement(share=share, best_share=share)
     middle = evidence.poses[:, :2].mean(axis=0)
@@ -63,6 +103,39 @@ def placement(evidence: Evidence, rng: np.random.Generator) -> Placement:
     return Placement(
         share=share, best_share=best[0], dx=float(shift[0]), dy=float(shift[1]), dphi=float(best[1])
     )
+
+
+def _scaled(raster: _Raster, points: Floats, share: float) -> Placement:
+    """Look for the scale (about the origin, then moved) of all that was measured that lays most ends on walls."""
+    shifts, counts = zip(*(raster.correlated(scale * points) for scale in SCALES), strict=True)
+    if max(counts) < (share + CLEARLY - 0.1) * len(points):
+        return Placement(share=share, best_share=share)
+    found = [_rescaled(raster, points, float(SCALES[k]), shifts[k]) for k in np.argsort(counts)[-3:]]
+    _, scale, shift = max(found, key=lambda one: one[0])
+    best_share = raster.share(scale * points + shift)
+    return Placement(share=share, best_share=best_share, dx=float(shift[0]), dy=float(shift[1]), scale=scale)
+
+
+def _rescaled(raster: _Raster, points: Floats, scale: float, shift: Floats) -> tuple[float, float, Floats]:
+    """Improve a scale by small steps about the middle of the points; return score, scale, shift.
+
+    It stays near where it began: all points on one spot of a wall would be a perfect fit.
+    """
+    low, high = 0.95 * scale, 1.05 * scale
+    middle = points.mean(axis=0)
+    best = (raster.score(scale * points + shift), scale, shift)
+    step, size = 0.015, 0.1
+    while size > 1e-3:
+        before = best[0]
+        for ds, dx, dy in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)):
+            s = float(np.clip(best[1] * (1 + ds * step), low, high))
+            t = best[2] + (best[1] - s) * middle + np.array([dx, dy]) * size
+            score = raster.score(s * points + t)
+            if score > best[0]:
+                best = (score, s, t)
+        if best[0] == before:
+            step, size = 0.5 * step, 0.5 * size
+    return best
 
 
 def _ends(evidence: Evidence, rng: np.random.Generator) -> Floats:

@@ -32,7 +32,7 @@ body { margin: 0; color: var(--ink); background: #fff; font: 16px/1.55 system-ui
   "Helvetica Neue", Arial, sans-serif; }
 main { max-width: 60rem; margin: 0 auto; padding: 3.5rem 1.5rem 5rem; }
 header { border-left: 5px solid var(--calm); padding-left: 1.4rem; margin-bottom: 3rem; }
-header.found, header.unknown, header.undecided { border-color: var(--alarm); }
+header.found, header.unknown, header.undecided, header.misplaced { border-color: var(--alarm); }
 header.skipped { border-color: var(--line); }
 .eyebrow { color: var(--soft); font-size: .85rem; letter-spacing: .02em; margin: 0 0 .5rem; }
 h1 { font-size: 1.75rem; line-height: 1.28; font-weight: 650; margin: 0 0 .8rem; letter-spacing: -.01em; }

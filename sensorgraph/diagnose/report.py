@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,8 @@ from typing import Any
 from sensorgraph import __version__
 from sensorgraph.diagnose.compared import bare_gap, compare, sections
 from sensorgraph.diagnose.diagnose import Finding, sentence
-from sensorgraph.diagnose.finding import Gap, Ledger
-from sensorgraph.diagnose.words import deviation, parameters, percent, place_words, said
+from sensorgraph.diagnose.finding import Gap, Ledger, Where
+from sensorgraph.diagnose.words import deviation, main_ledger, parameters, percent, place_words, said
 from sensorgraph.effects import Amendment, effects_file
 from sensorgraph.files import whole
 
@@ -137,21 +137,19 @@ def plain(data: Any) -> Any:
 
 
 def to_dict(finding: Finding) -> dict[str, Any]:
-    """Return the report as plain data."""
-    ledgers = finding.ledgers
+    """Return the report as plain data; `gap`, `where` and `runner_up` begin with what the headline is about."""
+    main = main_ledger(finding)
+    ledgers = dict(sorted(finding.ledgers.items(), key=lambda item: item[0] != main))
     unknown = finding.unknown
-    gap = ledgers["scan"].gap if "scan" in ledgers else None
     bare = bare_gap(finding)
     rivals = [asdict(r) for ledger in ledgers.values() for r in ledger.rivals]
     return {
         "effects": [effect_dict(a) for a in finding.effects],
         "unknown": None if unknown is None else asdict(unknown),
-        "where": [{**asdict(w), "statement": sentence(w)} for w in ledgers["scan"].where]
-        if "scan" in ledgers
-        else [],
-        "runner_up": rivals[0] if rivals else None,
+        "where": [where_dict(w) for ledger in ledgers.values() for w in ledger.where],
+        "runner_up": runner_up(finding, rivals),
         "rivals": rivals,
-        "gap": None if gap is None else gap_dict(gap),
+        "gap": next((gap_dict(one.gap, name) for name, one in ledgers.items() if one.gap is not None), None),
         "gap_bare_simulator": None if bare is None else gap_dict(bare),
         "gap_second_run": None if finding.second_gap is None else gap_dict(finding.second_gap),
         "within_tolerance": [effect_dict(a) for ledger in ledgers.values() for a in ledger.within_tolerance],
@@ -162,7 +160,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
         ],
         "next_run": next_run(finding),
         "intake": finding.intake,
-        "channels": {name: channel_dict(ledger) for name, ledger in ledgers.items()},
+        "channels": {name: channel_dict(ledger) for name, ledger in finding.ledgers.items()},
         "cpu_s": finding.seconds,
     }
 
@@ -183,9 +181,20 @@ def effect_dict(a: Amendment) -> dict[str, Any]:
     }
 
 
-def gap_dict(gap: Gap) -> dict[str, Any]:
-    """Return a gap as plain data."""
-    return asdict(gap)
+def runner_up(finding: Finding, rivals: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
+    """Return the rival of the first-named effect; where it has none, the first rival of another."""
+    first = finding.effects[0].name if finding.effects else ""
+    return next((r for r in rivals if r["instead_of"] == first), rivals[0] if rivals else None)
+
+
+def where_dict(where: Where) -> dict[str, Any]:
+    """Return one deviation as plain data."""
+    return {**asdict(where), "statement": sentence(where)}
+
+
+def gap_dict(gap: Gap, channel: str = "scan") -> dict[str, Any]:
+    """Return a gap as plain data, with its channel and the unit of `rmse_m` (m/s but for scans)."""
+    return {"channel": channel, "unit": "m" if channel == "scan" else "m/s", **asdict(gap)}
 
 
 def channel_dict(ledger: Ledger) -> dict[str, Any]:
@@ -195,6 +204,7 @@ def channel_dict(ledger: Ledger) -> dict[str, Any]:
         "within_tolerance": [a.name for a in ledger.within_tolerance],
         "unknown": None if ledger.unknown is None else ledger.unknown.statement,
         "skipped": ledger.skipped,
-        "gap": None if ledger.gap is None else gap_dict(ledger.gap),
+        "gap": None if ledger.gap is None else gap_dict(ledger.gap, ledger.channel),
+        "where": [where_dict(w) for w in ledger.where],
         "notes": dict(ledger.notes),
     }

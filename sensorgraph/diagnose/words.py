@@ -7,7 +7,8 @@ import re
 from dataclasses import dataclass
 
 from sensorgraph.diagnose.diagnose import Finding, sentence
-from sensorgraph.diagnose.finding import Gap, Rival, Where
+from sensorgraph.diagnose.finding import Gap, Rival, Unknown, Where
+from sensorgraph.diagnose.fits import PARTLY
 from sensorgraph.effects import Amendment, Parameter
 
 SYMBOLS = {
@@ -26,7 +27,7 @@ class Said:
     """What the top of the report says."""
 
     kind: str
-    """`found`, `undecided`, `unknown`, `nothing` or `skipped`."""
+    """`found`, `undecided`, `unknown`, `nothing`, `misplaced` or `skipped`."""
     headline: str
     details: tuple[str, ...]
     """Further sentences."""
@@ -150,6 +151,8 @@ def said(finding: Finding) -> Said:
     """Say what came out."""
     effects, unknown, doubt = finding.effects, finding.unknown, undecided(finding)
     details = gap_sentences(finding)
+    if finding.explained is None and unknown is not None and unknown.where is None:
+        return misplaced(unknown)
     seen = [name for name, one in finding.ledgers.items() if not one.skipped]
     if not seen:
         why = "; ".join(f"{name}: {one.skipped}" for name, one in finding.ledgers.items())
@@ -184,7 +187,48 @@ def said(finding: Finding) -> Said:
             else "No effect of the library explains it: "
         )
         details.insert(0, f"{lead}{text}.")
+        if finding.intake.get("share_at_walls", 1.0) < PARTLY:  # said first: names mean little there
+            fit, _, rest = str(finding.intake["arena"]).partition(": ")
+            details[:0] = [sentence_case(rest), headline]
+            headline = sentence_case(fit)
+    details += tolerance_sentences(finding)
     return Said(kind=kind, headline=headline, details=tuple(details))
+
+
+def misplaced(unknown: Unknown) -> Said:
+    """Say that arena and run do not belong together, before anything else."""
+    head, _, rest = unknown.statement.partition(": ")
+    return Said(
+        kind="misplaced", headline=sentence_case(head), details=tuple(map(sentence_case, rest.split("; ")))
+    )
+
+
+def sentence_case(text: str) -> str:
+    """Return words as a sentence: a capital first, one full stop at the end."""
+    return text[:1].upper() + text[1:].rstrip(".") + "."
+
+
+def tolerance_sentences(finding: Finding) -> list[str]:
+    """Say what robot.yaml's tolerances are too wide to show, and what they took in this run."""
+    from sensorgraph.diagnose.tolerated import tolerated
+
+    found = tolerated(finding)
+    if not found:
+        return []
+    passed = [
+        f"{one.most.effect.title} up to {largest(one.most)}"
+        + (f" (here {largest(one.taken)})" if one.taken is not None else "")
+        for one in found
+    ]
+    keys = ", ".join(one.tolerance for one in found)
+    return [f"The tolerances in robot.yaml are wide ({keys}): without a name pass {'; '.join(passed)}."]
+
+
+def largest(a: Amendment) -> str:
+    """Return the size of an effect, several sizes taken together, without a sign."""
+    name = next(iter(a.effect.sizes))
+    size = math.hypot(*(a.parameters.get(key, 0.0) for key in a.effect.sizes))
+    return quantity(a.effect(**{name: size}), name).lstrip("+")
 
 
 def deviation(where: Where) -> str:
@@ -203,10 +247,9 @@ def _at(where: Where | None) -> str:
 
 
 def main_ledger(finding: Finding) -> str:
-    """Return the channel that the headline is about."""
-    for name, ledger in finding.ledgers.items():
-        if ledger.effects:
-            return name
+    """Return the channel that the headline is about: the first-named effect's, or that of the unknown."""
+    if finding.effects:
+        return finding.effects[0].effect.channel
     for name, ledger in finding.ledgers.items():
         if ledger.unknown is not None:
             return name
