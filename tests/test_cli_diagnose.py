@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +19,7 @@ from logs.run import Run
 from planners.maps import geojson
 from sensorgraph.cli import run as cli
 from sensorgraph.cli.inputs import named_arena, named_robot
+from sensorgraph.diagnose import figures
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effects_file import write as write_effects
 from sensorgraph.world import robot_file
@@ -86,7 +91,9 @@ def test_the_same_seed_writes_the_same_report(folder: Path, tmp_path: Path) -> N
     assert (tmp_path / "a" / "effects.yaml").read_bytes() == (tmp_path / "b" / "effects.yaml").read_bytes()
 
 
-def test_a_run_without_odometry_and_commands_is_diagnosed_by_its_scans(folder: Path, tmp_path: Path) -> None:
+def test_a_run_without_odometry_and_commands_is_diagnosed_by_its_scans(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = driven_run(0)
     bare = replace(
         run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)),
@@ -98,9 +105,14 @@ def test_a_run_without_odometry_and_commands_is_diagnosed_by_its_scans(folder: P
     assert report["effects"][0]["name"] == "range_bias"
     assert report["channels"]["odometry"]["skipped"]
     assert report["channels"]["drive"]["skipped"]
+    lines = capsys.readouterr().out.splitlines()
+    for channel in ("odometry", "drive"):
+        assert f"{channel}: not looked at, {report['channels'][channel]['skipped']}" in lines
 
 
-def test_poses_that_stop_early_are_counted(folder: Path, tmp_path: Path) -> None:
+def test_poses_that_stop_early_are_counted(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = driven_run(0)
     early = run.pose_stamps < 18.0
     logs.write(
@@ -110,6 +122,9 @@ def test_poses_that_stop_early_are_counted(folder: Path, tmp_path: Path) -> None
     intake = json.loads((tmp_path / "out" / "report.json").read_text())["intake"]
     assert intake["dropped"]["after the last pose"] > 50
     assert intake["used"] < 0.65 * intake["scans"]
+    out = capsys.readouterr().out
+    assert f"used {intake['used']} of {intake['scans']} scans; dropped: " in out
+    assert "after the last pose" in out
 
 
 def test_an_arena_of_another_place_is_said_first(folder: Path, tmp_path: Path) -> None:
@@ -200,5 +215,40 @@ def test_effects_that_are_known_may_name_no_other_place(
     write_effects([EFFECTS["moved_wall"](d=0.1).at("kitchen/edge_0")], tmp_path / "e.yaml")
     known = ["--effects", str(tmp_path / "e.yaml")]
     assert cli(["diagnose", str(folder / "run.mcap"), *known, "-o", str(tmp_path / "out")]) == 2
-    assert "kitchen/edge_0" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "kitchen/edge_0" in said
+    assert f"{tmp_path / 'e.yaml'}: effect 1 (moved_wall)" in said
     assert named_robot(None).robot.name == "radix"
+
+
+@pytest.mark.parametrize("where", ["residuals_picture", "next_run_picture"])
+def test_ctrl_c_leaves_the_last_report_as_it_was(
+    where: str,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def interrupted(*args: object, **kwargs: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    (tmp_path / "report.json").write_text("of the last run")
+    monkeypatch.setattr(figures, where, interrupted)
+    assert cli(["diagnose", str(folder / "run.mcap"), "-o", str(tmp_path)]) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == "interrupted"
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+    assert (tmp_path / "report.json").read_text() == "of the last run"
+
+
+@pytest.mark.slow
+def test_ctrl_c_half_way_leaves_nothing(folder: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from sensorgraph.cli import main; main()"]
+    options = ["diagnose", str(folder / "run.mcap"), "-o", str(tmp_path / "out")]
+    work = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    while not (tmp_path / "out").exists():
+        time.sleep(0.02)
+    time.sleep(2.0)  # it is fitting by now
+    work.send_signal(signal.SIGINT)
+    out, err = work.communicate(timeout=30)
+    assert (work.returncode, out, err.splitlines()[-1]) == (130, "", "interrupted")
+    assert list((tmp_path / "out").iterdir()) == []

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
+    from logs.run import Run
+    from planners.arena import Arena
+    from sensorgraph.diagnose.commissioning import Commissioned
+    from sensorgraph.diagnose.diagnose import Finding
     from sensorgraph.effects import Amendment
+    from sensorgraph.world.robot_file import RobotFile
 
 
 def diagnose(
@@ -55,47 +60,19 @@ def diagnose(
 
       sensorgraph diagnose today.log.gz --commissioning good.log.gz --arena lab.geojson --robot robot.yaml
     """
-    from logs import parse_topics, read
-    from sensorgraph.cli.inputs import check_folder, kept_arena, kept_robot, named_arena, robot_for
+    from sensorgraph.cli.inputs import check_folder
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnose.diagnose import diagnose as work
-    from sensorgraph.diagnose.report import save
-    from sensorgraph.diagnose.words import said
-    from sensorgraph.effects import effects_file
-    from sensorgraph.errors import GapError
 
-    if len(runs) > 2:
-        raise GapError(
-            f"{len(runs)} runs given, expected one, or two of which the second is only for the proof"
-        )
-    if len(runs) == 2 and all(p.exists() for p in runs) and runs[0].samefile(runs[1]):
-        raise GapError(f"{runs[1]} is given twice; the second run is for the proof and must be another")
+    _check_runs(runs)
     check_folder(out)
-    loaded = []
-    for path in runs:
-        with progress("reading", "messages") as tick:
-            loaded.append(read(path, topics=parse_topics(topic or []), progress=tick))
-    run = loaded[0]
-    walls = named_arena(arena) if arena is not None else kept_arena(run)
-    if walls is None:
-        raise GapError(f"{runs[0]} keeps no arena; give one with --arena")
-    machine = kept_robot(run) if robot is None else None
-    machine = robot_for(run, robot) if machine is None else machine
-    known: Sequence[Amendment] = ()
-    if effects is not None:
-        known = effects_file.read(effects)
-        effects_file.check_places(known, walls)
-    baseline = None
-    if commissioning is not None:
-        from sensorgraph.diagnose.commissioning import commission
-
-        with progress("reading", "messages") as tick:
-            good = read(commissioning, topics=parse_topics(topic or []), progress=tick)
-        with progress("commissioning"):
-            baseline = commission(good, walls, machine, seed=seed)
+    loaded = [_read(path, topic) for path in runs]
+    walls, machine = _place(loaded[0], runs[0], arena, robot)
+    known = _known(effects, walls)
+    baseline = None if commissioning is None else _commission(commissioning, topic, walls, machine, seed)
     with progress("diagnosing", "parts") as tick:
         finding = work(
-            run,
+            loaded[0],
             walls,
             machine,
             second=loaded[1] if len(loaded) > 1 else None,
@@ -111,21 +88,92 @@ def diagnose(
         "robot": machine.robot.name,
         "tolerances": vars(machine.tolerances),
         "known_effects": [a.name for a in known],
-        "commissioning": None
-        if baseline is None or commissioning is None
-        else baseline.said(commissioning.name),
+        "commissioning": baseline.said(commissioning.name) if baseline and commissioning else None,
     }
-    with progress("reporting", "files") as tick:
-        save(finding, out, name=runs[0].name, settings=settings, progress=tick)
-    if finding.next_run is not None:
-        finding.next_run.save(out / "next_run", walls, machine)
-    what = said(finding)
-    typer.echo(what.headline)
-    for line in what.details:
+    _save(finding, out, walls, machine, name=runs[0].name, settings=settings)
+    for line in _lines(finding, out):
         typer.echo(line)
-    typer.echo(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml, review.rrd")
+
+
+def _check_runs(runs: Sequence[Path]) -> None:
+    """Refuse more than two runs, and one run given as its own proof."""
+    from sensorgraph.errors import GapError
+
+    if len(runs) > 2:
+        raise GapError(
+            f"{len(runs)} runs given, expected one, or two of which the second is only for the proof"
+        )
+    if len(runs) == 2 and all(p.exists() for p in runs) and runs[0].samefile(runs[1]):
+        raise GapError(f"{runs[1]} is given twice; the second run is for the proof and must be another")
+
+
+def _read(path: Path, topic: list[str] | None) -> Run:
+    from logs import parse_topics, read
+    from sensorgraph.cli.progress import progress
+
+    with progress("reading", "messages") as tick:
+        return read(path, topics=parse_topics(topic or []), progress=tick)
+
+
+def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple[Arena, RobotFile]:
+    """Read arena and robot, or take those kept in the run."""
+    from sensorgraph.cli.inputs import kept_arena, kept_robot, named_arena, robot_for
+    from sensorgraph.errors import GapError
+
+    walls = named_arena(arena) if arena is not None else kept_arena(run)
+    if walls is None:
+        raise GapError(f"{name} keeps no arena; give one with --arena")
+    machine = kept_robot(run) if robot is None else None
+    return walls, robot_for(run, robot) if machine is None else machine
+
+
+def _known(path: Path | None, walls: Arena) -> Sequence[Amendment]:
+    """Read the effects that are part of the model already."""
+    from sensorgraph.effects import effects_file
+
+    if path is None:
+        return ()
+    known = effects_file.read(path)
+    effects_file.check_places(known, walls, name=str(path))
+    return known
+
+
+def _commission(
+    path: Path, topic: list[str] | None, walls: Arena, machine: RobotFile, seed: int
+) -> Commissioned:
+    """Learn from a run that is known to be good."""
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.diagnose.commissioning import commission
+
+    good = _read(path, topic)
+    with progress("commissioning"):
+        return commission(good, walls, machine, seed=seed)
+
+
+def _save(
+    finding: Finding, out: Path, walls: Arena, machine: RobotFile, *, name: str, settings: Mapping[str, Any]
+) -> None:
+    """Write report and next run; all of it, or nothing if it is interrupted."""
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.diagnose.report import save
+    from sensorgraph.files import together
+
+    with progress("reporting", "files") as tick, together(out) as part:
+        save(finding, part, name=name, settings=settings, progress=tick)
+        if finding.next_run is not None:
+            finding.next_run.save(part / "next_run", walls, machine)
+
+
+def _lines(finding: Finding, out: Path) -> list[str]:
+    """Return what is said on the console."""
+    from sensorgraph.diagnose.words import intake_sentences, said
+
+    what = said(finding)
+    shown = "" if finding.explained is None else ", review.rrd"
+    lines = [what.headline, *what.details, *intake_sentences(finding)]
+    lines.append(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml{shown}")
     if finding.next_run is not None:
         plan = out / "next_run"
-        typer.echo(
-            f"next run: sensorgraph record {plan} --arena {plan / 'arena.geojson'} --robot {plan / 'robot.yaml'} -o next.mcap"
-        )
+        kept = f"--arena {plan / 'arena.geojson'} --robot {plan / 'robot.yaml'}"
+        lines.append(f"next run: sensorgraph record {plan} {kept} -o next.mcap")
+    return lines

@@ -188,8 +188,8 @@ def said(finding: Finding) -> Said:
         )
         details.insert(0, f"{lead}{text}.")
         if finding.intake.get("share_at_walls", 1.0) < PARTLY:  # said first: names mean little there
-            fit, _, rest = str(finding.intake["arena"]).partition(": ")
-            details[:0] = [sentence_case(rest), headline]
+            fit, _, why = str(finding.intake["arena"]).partition(": ")
+            details[:0] = [sentence_case(why), headline]
             headline = sentence_case(fit)
     details += tolerance_sentences(finding)
     return Said(kind=kind, headline=headline, details=tuple(details))
@@ -229,6 +229,20 @@ def largest(a: Amendment) -> str:
     name = next(iter(a.effect.sizes))
     size = math.hypot(*(a.parameters.get(key, 0.0) for key in a.effect.sizes))
     return quantity(a.effect(**{name: size}), name).lstrip("+")
+
+
+def intake_sentences(finding: Finding) -> list[str]:
+    """Say which scans were dropped and which channels were not looked at, one line each."""
+    out = []
+    scans, used = finding.intake.get("scans", 0), finding.intake.get("used", 0)
+    dropped = {why: n for why, n in finding.intake.get("dropped", {}).items() if n}
+    if dropped and used < scans:
+        counted = ", ".join(f"{n:,} {why}" for why, n in dropped.items())
+        out.append(f"used {used:,} of {scans:,} scans; dropped: {counted}")
+    for name, ledger in finding.ledgers.items():
+        if ledger.skipped and finding.explained is not None:
+            out.append(f"{name}: not looked at, {ledger.skipped}")
+    return out
 
 
 def deviation(where: Where) -> str:
