@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
 
 from logs.run import Run
 from planners.arena import Bools, Floats, wrap
@@ -109,8 +108,10 @@ def autoregression(series: Sequence[Floats], valid: Sequence[Bools], order: int)
 
 def whiten(columns: Floats, taps: Floats, sigma: float) -> Floats:
     """Filter columns (n, ...) along time and divide by sigma."""
-    out: Floats = lfilter(taps, [1.0], columns, axis=0) / sigma
-    return out
+    out = np.zeros_like(columns, dtype=np.float64)
+    for lag, tap in enumerate(taps.tolist()):
+        out[lag:] += tap * columns[: len(columns) - lag]
+    return out / sigma
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

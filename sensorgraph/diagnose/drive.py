@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.linalg import solve_banded
 
 from logs.run import Run
 from planners.arena import Bools, Floats
@@ -157,7 +157,8 @@ class _Search:
         held = held + late[:, None] * (old - held)
         held[:, 0] = np.clip(held[:, 0], -motors.v_max, motors.v_max)
         keep = float(np.exp(-STEP / motors.tau)) if motors.tau > 1e-6 else 0.0
-        speed = lfilter([1 - keep], [1.0, -keep], held, axis=0)
+        bands = np.array([[1.0], [-keep]]) * np.ones(len(held))
+        speed = solve_banded((1, 0), bands, (1 - keep) * held)  # speed[k] - keep speed[k - 1]
         if self.is_limited:
             for i, most in enumerate(self.slew):
                 if np.abs(np.diff(speed[:, i])).max(initial=0.0) > 1.02 * most * STEP:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
-from scipy.signal import fftconvolve
 
 from planners.arena import Floats
 from sensorgraph.diagnose.evidence import Evidence
@@ -190,6 +189,8 @@ class _Raster:
 
     def correlated(self, points: Floats) -> tuple[Floats, float]:
         """Return the shift [m] that lays most points on walls, and how many."""
+        from scipy.signal import fftconvolve  # 0.3 s to import, for a map that fits badly only
+
         low = points.min(axis=0)
         at = ((points - low) / self.cell).round().astype(int)
         shape = np.minimum(at.max(axis=0) + 1, 900)
