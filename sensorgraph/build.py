@@ -81,6 +81,7 @@ def build(
         ranges=np.concatenate(ranges) if len(ranges) > 1 else ranges[0],
         run=np.concatenate(owner),
         bounds=None if arena is None else arena.bounds,
+        pose_frame=runs[0].pose_frame,
     )
     fitted = MODELS[model].fit(scans, progress=progress, **options)
     origin = {

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal, Protocol, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.run import RangeSensor
+from logs.run import PoseFrame, RangeSensor
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -34,6 +34,13 @@ class Scans:
     """(n_scans,) which run a scan comes from; neighbours in time stand beside each other."""
     bounds: tuple[float, float, float, float] | None = None
     """(x_min, y_min, x_max, y_max) [m] of the arena, if it is known."""
+    pose_frame: PoseFrame = "base_link"
+    """Whose poses these are; base_link carries the laser at `sensor.mount`."""
+
+    @property
+    def laser_mount(self) -> Floats:
+        """(3,) [m, m, rad] laser in the frame of the poses."""
+        return np.zeros(3) if self.pose_frame == "laser" else self.sensor.mount
 
     def __len__(self) -> int:
         return len(self.poses)

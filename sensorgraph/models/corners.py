@@ -1,0 +1,87 @@
+"""Corners: ends of faces that are where two lines meet."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.models.base import Floats, Ints
+from sensorgraph.models.edges import looks_by_face
+from sensorgraph.models.face_march import FaceSet
+from sensorgraph.models.visibility import Noise, Rays
+
+CORNER = 0.03  # [m] within which two ends may be one corner
+TOLERATED = 6.0  # [nats] that moving an end to a corner may cost: a look or two on the wrong side
+
+
+def join_corners(rays: Rays, faces: FaceSet, noise: Noise) -> FaceSet:
+    """Move the ends of faces to where their lines meet, if the looks there allow it.
+
+    An end known to a few millimetres from its looks becomes a corner known as well as both lines, and no
+    ray slips between the two.
+    """
+    t, stop, weight, bounds = looks_by_face(rays, faces, noise)
+    edges, neighbour, blur = faces.edges.copy(), faces.neighbour.copy(), faces.blur.copy()
+    neighbour[:] = -1
+    ends, owners = _ends(faces)
+    places = faces.normals[owners] * faces.offsets[owners, None] + faces.tangents[owners] * edges[ends, None]
+    for e, k, p in zip(ends, owners, places, strict=True):
+        part = slice(bounds[k], bounds[k + 1])
+        best = (TOLERATED, -1, 0.0)
+        for other, s in _meetings(faces, k, p):
+            cost = _cost(faces, e, k, s, t[part], stop[part], weight[part])
+            cost += 0.5 * ((s - edges[e]) / CORNER) ** 2
+            if cost < best[0]:
+                best = (cost, other, s)
+        if best[1] >= 0:
+            edges[e], neighbour[e], blur[e] = best[2], best[1], 0.0
+    out = faces._replace(edges=edges, neighbour=neighbour, blur=blur)
+    return _in_order(out)
+
+
+def _ends(faces: FaceSet) -> tuple[Ints, Ints]:
+    """List edges where a visible stretch begins or ends, and their faces."""
+    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    after = faces.levels
+    before = np.concatenate([[0.0], faces.levels[:-1]])
+    before[faces.first[:-1]] = 0.0
+    at = np.flatnonzero((np.minimum(before, after) < 0.1) & (np.maximum(before, after) > 0.5))
+    return at, owner[at]
+
+
+def _meetings(faces: FaceSet, k: int, p: Floats) -> list[tuple[int, float]]:
+    """List the faces whose visible stretch line k meets near its point p, and the abscissa on k."""
+    cross = faces.normals @ faces.tangents[k]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ahead = (faces.offsets - faces.normals @ p) / cross  # along t_k from p
+    near = np.flatnonzero((np.abs(cross) > 0.05) & (np.abs(ahead) < CORNER))
+    out = []
+    for m in near:
+        meet = p + ahead[m] * faces.tangents[k]
+        s = float(faces.tangents[m] @ meet)
+        a, b = int(faces.first[m]), int(faces.first[m + 1]) - 1
+        seen = np.flatnonzero(faces.levels[a:b] > 0.5) + a
+        if len(seen) and ((faces.edges[seen] - CORNER <= s) & (s <= faces.edges[seen + 1] + CORNER)).any():
+            out.append((int(m), float(faces.tangents[k] @ meet)))
+    return out
+
+
+def _cost(faces: FaceSet, e: int, k: int, s: float, t: Floats, stop: Floats, weight: Floats) -> float:
+    """Return the nats lost by moving edge e of face k to abscissa s."""
+    old = faces.edges[e]
+    low, high = min(old, s), max(old, s)
+    a, b = np.searchsorted(t, [low, high])
+    after = faces.levels[e]
+    before = faces.levels[e - 1] if e > faces.first[k] else 0.0
+    now, then = (before, after) if s < old else (after, before)  # what was said there, what would be said
+    now, then = np.clip([now, then], 0.002, 0.998)
+    y, w = stop[a:b], weight[a:b]
+    return float((w * (y * np.log(now / then) + (1 - y) * np.log((1 - now) / (1 - then)))).sum())
+
+
+def _in_order(faces: FaceSet) -> FaceSet:
+    """Keep the edges of each face increasing after some were moved."""
+    edges = faces.edges.copy()
+    for k in range(faces.n_faces):
+        part = slice(faces.first[k], faces.first[k + 1])
+        edges[part] = np.maximum.accumulate(edges[part])
+    return faces._replace(edges=edges)

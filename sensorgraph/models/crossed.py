@@ -1,0 +1,125 @@
+"""Space that training rays have crossed: where a prediction may be trusted, because someone has looked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensorgraph.models.base import Bools, Floats
+from sensorgraph.models.kernel import kernel
+
+CELL = 0.10  # [m]
+LARGEST = 1 << 26  # cells of a grid; a larger one is made coarser
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Crossed:
+    """A grid of counts: how many training rays went through each cell, up to and with the cell of the return."""
+
+    origin: Floats
+    """(2,) [m] corner of cell (0, 0)."""
+    cell: float
+    """[m]"""
+    counts: NDArray[np.uint8]
+    """(nx, ny) rays, 255 at most."""
+
+    @classmethod
+    def of(cls, origins: Floats, directions: Floats, reach: Floats, *, cell: float = CELL) -> Crossed:
+        """Count rays (n, 2), (n, 2) that were free up to `reach` (n,) [m]."""
+        ends = origins + reach[:, None] * directions
+        low = np.minimum(origins.min(axis=0), ends.min(axis=0))
+        high = np.maximum(origins.max(axis=0), ends.max(axis=0))
+        cell = max(cell, float(np.sqrt(np.prod(high - low + 4 * cell) / LARGEST)))
+        corner = np.floor(low / cell - 1) * cell
+        shape = np.ceil((high - corner) / cell).astype(int) + 2
+        counts = np.zeros((int(shape[0]), int(shape[1])), dtype=np.uint8)
+        _count(origins, directions, reach, corner, cell, counts)
+        return cls(origin=corner, cell=cell, counts=counts)
+
+    def merge(self, other: Crossed) -> Crossed:
+        """Add the counts of two sets of rays; both grids have the same cell."""
+        if self.cell != other.cell:
+            raise ValueError(f"cells are {self.cell:g} and {other.cell:g} m, expected the same")
+        corners = np.round(np.stack([self.origin, other.origin]) / self.cell).astype(int)
+        low = corners.min(axis=0)
+        high = np.max([corners[0] + self.counts.shape, corners[1] + other.counts.shape], axis=0)
+        total = np.zeros(high - low, dtype=np.uint16)
+        for corner, grid in zip(corners, (self.counts, other.counts), strict=True):
+            i, j = corner - low
+            total[i : i + grid.shape[0], j : j + grid.shape[1]] += grid
+        return Crossed(origin=low * self.cell, cell=self.cell, counts=np.minimum(total, 255).astype(np.uint8))
+
+    def supports(self, origins: Floats, directions: Floats, reach: Floats) -> Bools:
+        """Tell for rays (n, 2), (n, 2) whether every cell up to `reach` (n,) [m] was crossed."""
+        out = np.zeros(len(origins), dtype=np.bool_)
+        _supported(origins, directions, reach, self.origin, self.cell, self.counts, out)
+        return out
+
+
+@kernel
+def is_crossed(px, py, ux, uy, reach, origin, cell, counts):  # type: ignore[no-untyped-def]
+    """Walk the cells of a ray (Amanatides and Woo 1987); stop at one that nothing crossed."""
+    nx, ny = counts.shape
+    x, y = (px - origin[0]) / cell, (py - origin[1]) / cell
+    i, j = int(np.floor(x)), int(np.floor(y))
+    if i < 0 or j < 0 or i >= nx or j >= ny:
+        return False
+    step_x = 1 if ux > 0 else -1
+    step_y = 1 if uy > 0 else -1
+    per_x = cell / abs(ux) if abs(ux) > 1e-12 else 1e300
+    per_y = cell / abs(uy) if abs(uy) > 1e-12 else 1e300
+    next_x = ((i + 1 - x) if ux > 0 else (x - i)) * per_x
+    next_y = ((j + 1 - y) if uy > 0 else (y - j)) * per_y
+    while True:
+        if counts[i, j] == 0:
+            return False
+        if next_x < next_y:
+            if next_x > reach:
+                return True
+            next_x += per_x
+            i += step_x
+        else:
+            if next_y > reach:
+                return True
+            next_y += per_y
+            j += step_y
+        if i < 0 or j < 0 or i >= nx or j >= ny:
+            return False
+
+
+@kernel
+def _supported(origins, directions, reach, origin, cell, counts, out):  # type: ignore[no-untyped-def]
+    for k in range(len(out)):
+        out[k] = is_crossed(
+            origins[k, 0], origins[k, 1], directions[k, 0], directions[k, 1], reach[k], origin, cell, counts
+        )
+
+
+@kernel
+def _count(origins, directions, reach, origin, cell, counts):  # type: ignore[no-untyped-def]
+    nx, ny = counts.shape
+    for k in range(len(reach)):
+        ux, uy = directions[k, 0], directions[k, 1]
+        x, y = (origins[k, 0] - origin[0]) / cell, (origins[k, 1] - origin[1]) / cell
+        i, j = int(np.floor(x)), int(np.floor(y))
+        step_x = 1 if ux > 0 else -1
+        step_y = 1 if uy > 0 else -1
+        per_x = cell / abs(ux) if abs(ux) > 1e-12 else 1e300
+        per_y = cell / abs(uy) if abs(uy) > 1e-12 else 1e300
+        next_x = ((i + 1 - x) if ux > 0 else (x - i)) * per_x
+        next_y = ((j + 1 - y) if uy > 0 else (y - j)) * per_y
+        while 0 <= i < nx and 0 <= j < ny:
+            if counts[i, j] < 255:
+                counts[i, j] += 1
+            if next_x < next_y:
+                if next_x > reach[k]:
+                    break
+                next_x += per_x
+                i += step_x
+            else:
+                if next_y > reach[k]:
+                    break
+                next_y += per_y
+                j += step_y

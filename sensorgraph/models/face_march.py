@@ -1,0 +1,216 @@
+"""Faces in a bucket grid, and the march of one ray through it: which faces it crosses, in order.
+
+A face is a one-sided line n·p = d with a visibility that is constant between edges along it: the chance that a
+ray crossing there stops. Kernels take the arrays of a `FaceSet`, in this order, as `faces`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sensorgraph.models.base import Floats, Ints
+from sensorgraph.models.kernel import kernel
+
+BUCKET = 0.5  # [m] uncritical: 0.3 to 1.2 are alike
+MARGIN = 0.02  # [m] beyond its ends a face is still offered, so that a blurred end can be seen
+FAINT = 0.003  # visibility below which a stretch is not there
+MOST = 96  # candidates of one ray
+
+
+class FaceSet(NamedTuple):
+    """Faces as plain arrays, for kernels; lengths in m."""
+
+    normals: Floats
+    """(n_faces, 2) unit, towards the side that is seen."""
+    offsets: Floats
+    """(n_faces,)"""
+    first: Ints
+    """(n_faces + 1,) where each face's edges start; face k has edges first[k] to first[k + 1] - 1."""
+    edges: Floats
+    """(n_edges,) abscissae t·p, increasing on a face, t = (-n_y, n_x)."""
+    levels: Floats
+    """(n_edges,) visibility from an edge to the next; that of a face's last edge is 0."""
+    blur: Floats
+    """(n_edges,) standard error of an edge's place."""
+    neighbour: Ints
+    """(n_edges,) the face that goes on where this one ends; -1 for none."""
+
+    @property
+    def n_faces(self) -> int:
+        """Count of faces."""
+        return len(self.offsets)
+
+    @property
+    def tangents(self) -> Floats:
+        """(n_faces, 2) unit, n turned by +90°."""
+        return np.stack([-self.normals[:, 1], self.normals[:, 0]], axis=1)
+
+
+class Buckets(NamedTuple):
+    """Which faces pass through each bucket of a grid."""
+
+    origin: Floats
+    """(2,) [m]"""
+    shape: tuple[int, int]
+    start: Ints
+    """(nx * ny + 1,)"""
+    members: Ints
+    """(n,) faces, bucket by bucket."""
+
+
+def index(faces: FaceSet) -> Buckets:
+    """Note for every bucket the faces that it must offer."""
+    if faces.n_faces == 0:
+        return Buckets(np.zeros(2), (1, 1), np.zeros(2, dtype=np.intp), np.zeros(0, dtype=np.intp))
+    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    seen = faces.levels > FAINT
+    last = np.flatnonzero(seen)
+    ends = np.concatenate([faces.edges[last], faces.edges[last + 1]])
+    owners = np.concatenate([owner[last], owner[last]])
+    points = faces.normals[owners] * faces.offsets[owners, None] + faces.tangents[owners] * ends[:, None]
+    if len(points) == 0:
+        points = np.zeros((1, 2))
+    origin = points.min(axis=0) - 2 * MARGIN - 0.01
+    size = np.floor((points.max(axis=0) + 2 * MARGIN - origin) / BUCKET).astype(int) + 1
+    shape = (int(size[0]), int(size[1]))
+    counts = np.zeros(shape[0] * shape[1] + 1, dtype=np.intp)
+    _rasterise(*faces[:5], origin, shape[0], shape[1], counts, np.zeros(0, dtype=np.intp))
+    start = np.cumsum(counts) - counts
+    members = np.zeros(int(counts.sum()), dtype=np.intp)
+    _rasterise(*faces[:5], origin, shape[0], shape[1], start.copy(), members)
+    return Buckets(origin, shape, start, members)
+
+
+@kernel
+def _rasterise(normals, offsets, first, edges, levels, origin, nx, ny, at, members):  # type: ignore[no-untyped-def]
+    """Count the buckets of each face in `at`, or fill `members` from there on if it is not empty."""
+    fill = len(members) > 0
+    for k in range(len(offsets)):
+        low, high = 1e300, -1e300
+        for j in range(first[k], first[k + 1] - 1):
+            if levels[j] > FAINT:
+                low = min(low, edges[j])
+                high = max(high, edges[j + 1])
+        if high < low:
+            continue
+        low -= MARGIN
+        high += MARGIN
+        n_x, n_y = normals[k, 0], normals[k, 1]
+        ax, ay = n_x * offsets[k] - n_y * low, n_y * offsets[k] + n_x * low
+        dx, dy = -n_y * (high - low), n_x * (high - low)
+        i0 = max(int((min(ax, ax + dx) - 1e-6 - origin[0]) / BUCKET), 0)
+        i1 = min(int((max(ax, ax + dx) + 1e-6 - origin[0]) / BUCKET), nx - 1)
+        j0 = max(int((min(ay, ay + dy) - 1e-6 - origin[1]) / BUCKET), 0)
+        j1 = min(int((max(ay, ay + dy) + 1e-6 - origin[1]) / BUCKET), ny - 1)
+        for i in range(i0, i1 + 1):
+            for j in range(j0, j1 + 1):
+                s_in, s_out = 0.0, 1.0
+                for axis in range(2):
+                    a = ax if axis == 0 else ay
+                    v = dx if axis == 0 else dy
+                    lo = origin[axis] + (i if axis == 0 else j) * BUCKET - 1e-6
+                    hi = lo + BUCKET + 2e-6
+                    if abs(v) < 1e-12:
+                        if a < lo or a > hi:
+                            s_out = -1.0
+                    else:
+                        p, q = (lo - a) / v, (hi - a) / v
+                        s_in = max(s_in, min(p, q))
+                        s_out = min(s_out, max(p, q))
+                if s_in <= s_out:
+                    bucket = i * ny + j
+                    if fill:
+                        members[at[bucket]] = k
+                    at[bucket] += 1
+
+
+@kernel
+def place(edges, a, b, t):  # type: ignore[no-untyped-def]
+    """Return j in a - 1 ... b - 1 with edges[j] <= t < edges[j + 1]: a - 1 before the first, b - 1 after the last."""
+    low, high = a, b
+    while low < high:
+        middle = (low + high) // 2
+        if edges[middle] <= t:
+            low = middle + 1
+        else:
+            high = middle
+    return low - 1
+
+
+@kernel
+def gather(qx, qy, ux, uy, reach, least, faces, buckets, r, k, j, t):  # type: ignore[no-untyped-def]
+    """List the faces that a ray crosses up to `reach` [m], nearest first.
+
+    Fills range r, face k, edge j before the crossing and abscissa t; stops early once the chance of
+    getting so far is under `least`. Returns how many.
+    """
+    normals, offsets, first, edges, levels, _, _ = faces
+    origin, shape, start, members = buckets
+    nx, ny = shape
+    n = 0
+    enter, leave = 0.0, reach
+    for axis in range(2):
+        p = (qx if axis == 0 else qy) - origin[axis]
+        v = ux if axis == 0 else uy
+        side = (nx if axis == 0 else ny) * BUCKET
+        if abs(v) < 1e-15:
+            if p < 0 or p > side:
+                return 0
+        else:
+            a, b = -p / v, (side - p) / v
+            enter = max(enter, min(a, b))
+            leave = min(leave, max(a, b))
+    if enter >= leave:
+        return 0
+    x, y = qx + enter * ux - origin[0], qy + enter * uy - origin[1]
+    i_x = min(max(int(x / BUCKET), 0), nx - 1)
+    i_y = min(max(int(y / BUCKET), 0), ny - 1)
+    step_x = 1 if ux > 0 else -1
+    step_y = 1 if uy > 0 else -1
+    per_x = BUCKET / abs(ux) if abs(ux) > 1e-15 else 1e300
+    per_y = BUCKET / abs(uy) if abs(uy) > 1e-15 else 1e300
+    edge_x = origin[0] + (i_x + (1 if ux > 0 else 0)) * BUCKET
+    edge_y = origin[1] + (i_y + (1 if uy > 0 else 0)) * BUCKET
+    next_x = (edge_x - qx) / ux if abs(ux) > 1e-15 else 1e300
+    next_y = (edge_y - qy) / uy if abs(uy) > 1e-15 else 1e300
+    r_in = enter
+    survival = 1.0
+    while True:
+        r_out = min(next_x, next_y)
+        since = n
+        bucket = i_x * ny + i_y
+        for m in range(start[bucket], start[bucket + 1]):
+            f = members[m]
+            den = normals[f, 0] * ux + normals[f, 1] * uy
+            if den > -1e-6:
+                continue
+            rho = (offsets[f] - normals[f, 0] * qx - normals[f, 1] * qy) / den
+            if rho < r_in or rho >= r_out or rho > reach or rho <= 0:
+                continue
+            s = -normals[f, 1] * (qx + rho * ux) + normals[f, 0] * (qy + rho * uy)
+            a, b = first[f], first[f + 1]
+            if s < edges[a] - MARGIN or s > edges[b - 1] + MARGIN or n >= MOST:
+                continue
+            at = n
+            while at > since and r[at - 1] > rho:
+                r[at], k[at], j[at], t[at] = r[at - 1], k[at - 1], j[at - 1], t[at - 1]
+                at -= 1
+            r[at], k[at], t[at] = rho, f, s
+            j[at] = place(edges, a, b, s)
+            n += 1
+        for m in range(since, n):
+            if j[m] >= first[k[m]]:
+                survival *= 1.0 - levels[j[m]]
+        if survival < least or r_out >= leave:
+            return n
+        r_in = r_out
+        if next_x < next_y:
+            next_x += per_x
+            i_x += step_x
+        else:
+            next_y += per_y
+            i_y += step_y
+        if i_x < 0 or i_x >= nx or i_y < 0 or i_y >= ny:
+            return n

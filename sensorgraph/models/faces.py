@@ -1,0 +1,152 @@
+"""Model `faces`: on each visible face the range is exactly rational in (x, y, cos phi, sin phi).
+
+For a ray of direction u from q that meets the face n·p = d:  r = (d - n·q) / (n·u), linear to identify. Faces come
+from forward selection on pooled moments, their visible stretches from EM on hits and passes and from change
+points; a prediction is the mixture of all faces a ray crosses, each with the chance that it stops there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.run import RangeSensor
+from sensorgraph.errors import GapError
+from sensorgraph.models.base import Bools, Floats, Ints, Point, Prediction, Progress, Scans
+from sensorgraph.models.crossed import Crossed, is_crossed
+from sensorgraph.models.face_fit import fit_faces
+from sensorgraph.models.face_march import MOST, Buckets, FaceSet, gather, index
+from sensorgraph.models.kernel import kernel
+from sensorgraph.models.mixture import NO_RETURN, P_OFF, summarise, to_prediction, which_of
+from sensorgraph.models.visibility import Noise, Rays, variance
+
+SURE = 0.10
+"""Chance of being off above which a ray is not answered."""
+SHORT_OF = 0.10
+"""[m] before the predicted range the ray needs no support any more: the surface itself was seen."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Faces:
+    """Faces with their visible stretches, the noise about them, and the space that was looked through."""
+
+    name: ClassVar[str] = "faces"
+
+    sensor: RangeSensor
+    faces: FaceSet
+    noise: Noise
+    hits: Floats
+    """(n_faces,) training returns that each face explains."""
+    crossed: Crossed
+    returns: float
+    """Share of the training rays that returned."""
+    mount: Floats
+    """(3,) [m, m, rad] laser in the frame of the poses."""
+
+    @classmethod
+    def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
+        """Identify faces from scans."""
+        if options:
+            raise GapError(f"option {', '.join(sorted(options))} is not known to the model faces; it takes none")
+        mount = scans.laser_mount
+        rays = rays_of(scans, mount)
+        if not np.isfinite(rays.ranges).any():
+            raise GapError("no ray of the log returned; check range_max and the no-return code of the log")
+        fitted = fit_faces(rays, progress=progress)
+        reach = np.where(np.isfinite(rays.ranges), rays.ranges, scans.sensor.range_max)
+        return cls(
+            sensor=scans.sensor,
+            faces=fitted.faces,
+            noise=fitted.noise,
+            hits=fitted.hits,
+            crossed=Crossed.of(rays.origins, rays.directions, reach),
+            returns=float(np.isfinite(rays.ranges).mean()),
+            mount=mount,
+        )
+
+    def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
+        """Predict rays (n_rays,) at poses (n_poses, 3)."""
+        table = np.empty((len(poses), len(rays), 6))
+        supported = np.empty((len(poses), len(rays)), dtype=np.bool_)
+        x, y, cos, sin = self._lasers(poses)
+        bearings = self.sensor.bearings[rays]
+        _predict(
+            x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces, index(self.faces),
+            self.noise.array, self.crossed.origin, self.crossed.cell, self.crossed.counts, self.returns,
+            which_of(point), table, supported,
+        )  # fmt: skip
+        sure = (table[..., P_OFF] < SURE) | (table[..., NO_RETURN] > 1 - SURE)
+        return to_prediction(table, point, supported & sure)
+
+    def _lasers(self, poses: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return x, y, cos and sin (n_poses,) of the laser's heading."""
+        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        mx, my, yaw = self.mount
+        x, y = poses[:, 0] + cos * mx - sin * my, poses[:, 1] + sin * mx + cos * my
+        c, s = math.cos(yaw), math.sin(yaw)
+        return x, y, cos * c - sin * s, sin * c + cos * s
+
+
+def rays_of(scans: Scans, mount: Floats) -> Rays:
+    """Turn scans into rays from the laser mounted at `mount` (3,); broken and too near readings are left out."""
+    cos, sin = np.cos(scans.poses[:, 2]), np.sin(scans.poses[:, 2])
+    x = scans.poses[:, 0] + cos * mount[0] - sin * mount[1]
+    y = scans.poses[:, 1] + sin * mount[0] + cos * mount[1]
+    theta = (scans.poses[:, 2] + mount[2])[:, None] + scans.sensor.bearings
+    keep = ~np.isnan(scans.ranges) & (scans.ranges > 0)
+    row = np.broadcast_to(np.arange(len(scans.poses))[:, None], keep.shape)[keep]
+    theta = theta[keep]
+    return Rays(
+        origins=np.stack([x[row], y[row]], axis=1),
+        directions=np.stack([np.cos(theta), np.sin(theta)], axis=1),
+        ranges=np.ascontiguousarray(scans.ranges[keep]),
+        range_max=scans.sensor.range_max,
+    )
+
+
+@kernel
+def _predict(x, y, cos, sin, cos_b, sin_b, range_max, faces, buckets, noise, origin, cell, counts, returns, which, table, supported):  # type: ignore[no-untyped-def]
+    normals, _, first, edges, levels, blur, neighbour = faces
+    r, t = np.empty(MOST), np.empty(MOST)
+    k, j = np.empty(MOST, np.int64), np.empty(MOST, np.int64)
+    rho, w, s = np.empty(MOST), np.empty(MOST), np.empty(MOST)
+    for i in range(len(x)):
+        for b in range(len(cos_b)):
+            ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
+            n = gather(x[i], y[i], ux, uy, range_max, 0.001, faces, buckets, r, k, j, t)
+            left, c = 1.0, 0
+            for m in range(n):
+                f = k[m]
+                den = normals[f, 0] * ux + normals[f, 1] * uy
+                across = (noise[1] + r[m] ** 2 * noise[2]) / (den * den)
+                alpha = levels[j[m]] if j[m] >= first[f] else 0.0
+                e = j[m]  # the nearer edge
+                if e < first[f]:
+                    e = first[f]
+                elif e + 1 < first[f + 1] and edges[e + 1] - t[m] < t[m] - edges[e]:
+                    e += 1
+                spread = math.sqrt(blur[e] ** 2 + across + 1e-8)
+                off = (t[m] - edges[e]) / spread
+                if abs(off) < 4.0:
+                    beside = neighbour[e]
+                    if beside < 0 or normals[beside, 0] * ux + normals[beside, 1] * uy >= 0:
+                        before = levels[e - 1] if e > first[f] else 0.0
+                        alpha = before + (levels[e] - before) * 0.5 * math.erfc(-off * 0.7071067811865476)
+                if alpha < 1e-4:
+                    continue
+                rho[c], w[c] = r[m], left * alpha
+                s[c] = math.sqrt(variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise))
+                c += 1
+                left *= 1.0 - alpha
+                if left < 0.001:
+                    break
+            median, mode, mean, sigma, none, off = summarise(rho, w, s, c, left, range_max, which)
+            row = table[i, b]
+            row[0], row[1], row[2], row[3], row[4], row[5] = median, mode, mean, sigma, none, off
+            reach = range_max if none > 0.5 else mode - 0.10
+            supported[i, b] = is_crossed(x[i], y[i], ux, uy, reach, origin, cell, counts)

@@ -1,0 +1,115 @@
+"""Pooled moments of where rays ended: the one pass over the data that faces are selected from.
+
+Hits fall in small cells; each cell keeps count, first and second moments of its end points and the sum of the
+ray directions. Moments of several runs add up (`merge`), so logs can be streamed, merged and distributed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sensorgraph.models.base import Floats
+
+CELL = 0.02
+"""[m] side of a cell."""
+N_MOMENTS = 8  # count, x, y, xx, xy, yy (about the cell's centre), ux, uy
+_HALF = 1 << 30  # cells along an axis that a key can tell apart: ± this
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surfaces:
+    """Moments of hits in the cells of a grid whose cell (0, 0) has its corner at the origin of map."""
+
+    cells: NDArray[np.int64]
+    """(n_cells, 2) column and row, in order of the key (row by column)."""
+    moments: Floats
+    """(n_cells, 8) count, x, y, xx, xy, yy [m about the cell's centre], sum of ray directions."""
+
+    @classmethod
+    def empty(cls) -> Surfaces:
+        """Hold nothing yet."""
+        return cls(cells=np.zeros((0, 2), dtype=np.int64), moments=np.zeros((0, N_MOMENTS)))
+
+    @classmethod
+    def of(cls, points: Floats, directions: Floats, weights: Floats | None = None) -> Surfaces:
+        """Pool end points (n, 2) [m] of rays with directions (n, 2); `weights` (n,) count them, default 1."""
+        weights = np.ones(len(points)) if weights is None else weights
+        keys, moments = _pool(points, directions, weights, CELL)
+        order = np.argsort(keys, kind="stable")
+        keys = keys[order]
+        cells = np.stack([(keys >> 32) - _HALF, (keys & 0xFFFFFFFF) - _HALF], axis=1)
+        return cls(cells=cells, moments=moments[order])
+
+    def merge(self, other: Surfaces) -> Surfaces:
+        """Add the moments of two disjoint sets of hits."""
+        cells = np.concatenate([self.cells, other.cells])
+        unique, place = np.unique(cells, axis=0, return_inverse=True)
+        moments = np.zeros((len(unique), N_MOMENTS))
+        np.add.at(moments, place.ravel(), np.concatenate([self.moments, other.moments]))
+        return Surfaces(cells=unique, moments=moments)
+
+    @property
+    def counts(self) -> Floats:
+        """(n_cells,) hits."""
+        return self.moments[:, 0]
+
+    @property
+    def centres(self) -> Floats:
+        """(n_cells, 2) [m] in map."""
+        return (self.cells + 0.5) * CELL
+
+
+@njit(cache=True)
+def _pool(points, directions, weights, cell):  # type: ignore[no-untyped-def]
+    """Add up moments by cell in an open hash table; keys are column << 32 | row, shifted to be positive."""
+    size = 1 << 12
+    table = np.full(size, -1, np.int64)  # slot -> row of moments
+    keys = np.empty(size, np.int64)
+    moments = np.zeros((size, 8))
+    n = 0
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        if not (np.isfinite(x) and np.isfinite(y)):
+            continue
+        cx, cy = np.int64(np.floor(x / cell)), np.int64(np.floor(y / cell))
+        key = ((cx + _HALF) << 32) | (cy + _HALF)
+        slot = (key * 0x9E3779B97F4A7C1 >> 20) & (size - 1)
+        while table[slot] >= 0 and keys[table[slot]] != key:
+            slot = (slot + 1) & (size - 1)
+        row = table[slot]
+        if row < 0:
+            row = n
+            keys[row] = key
+            table[slot] = row
+            n += 1
+        x -= (cx + 0.5) * cell
+        y -= (cy + 0.5) * cell
+        w = weights[i]
+        m = moments[row]
+        m[0] += w
+        m[1] += w * x
+        m[2] += w * y
+        m[3] += w * x * x
+        m[4] += w * x * y
+        m[5] += w * y * y
+        m[6] += w * directions[i, 0]
+        m[7] += w * directions[i, 1]
+        if n * 2 > size:
+            size *= 2
+            grown = np.empty(size, np.int64)
+            grown[:n] = keys[:n]
+            keys = grown
+            larger = np.zeros((size, 8))
+            larger[:n] = moments[:n]
+            moments = larger
+            table = np.full(size, -1, np.int64)
+            for row in range(n):
+                slot = (keys[row] * 0x9E3779B97F4A7C1 >> 20) & (size - 1)
+                while table[slot] >= 0:
+                    slot = (slot + 1) & (size - 1)
+                table[slot] = row
+    return keys[:n].copy(), moments[:n].copy()
