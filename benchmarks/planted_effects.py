@@ -276,7 +276,12 @@ def offset(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.ran
 def latency(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:
     """Stamp scans late: they were taken where the robot was before; all poses of the stretch are told."""
     around = np.arange(scans[0], scans[-1] + 1)
-    return replace(run, stamps=run.stamps + size, pose_stamps=log.stamps[around], poses=log.poses[around])
+    told = np.arange(
+        log.stamps[scans[0]], log.stamps[scans[-1]], 0.1
+    )  # scans between two far poses are dropped
+    columns = [log.poses[around, 0], log.poses[around, 1], np.unwrap(log.poses[around, 2])]
+    poses = np.stack([np.interp(told, log.stamps[around], column) for column in columns], axis=1)
+    return replace(run, stamps=run.stamps + size, pose_stamps=told, poses=poses)
 
 
 def occlusion(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:

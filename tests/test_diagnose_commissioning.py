@@ -13,9 +13,11 @@ from conftest import polygon_arena
 
 from logs.run import RangeSensor, Run
 from planners.arena import Arena, Floats
-from sensorgraph.diagnose.commissioning import Commissioned, commission
+from sensorgraph.diagnose.commissioning import Commissioned, commission, commission_all
 from sensorgraph.diagnose.diagnose import Finding, diagnose
 from sensorgraph.diagnose.evidence import gather
+from sensorgraph.diagnose.usual import Sighting, usual_sizes
+from sensorgraph.effects import EFFECTS
 from sensorgraph.world import robot_file
 
 ARENA = polygon_arena(
@@ -110,6 +112,67 @@ def test_the_good_run_loosens_pose_tolerances_to_what_its_poses_deserve(good: Co
     assert 0.006 < t.pose_xy < 0.02  # 10 mm planted
     assert 0.002 < t.pose_yaw < 0.008  # 4 mrad planted
     assert 0.01 < good.freedom.stray[1] < 0.2
+
+
+def sightings(name: str, key: str, values: list[float], wobbles: list[float] | None = None) -> list[Sighting]:
+    """Make windows of 100 scans that show these sizes."""
+    errors = [0.5] * len(values) if wobbles is None else wobbles
+    return [
+        Sighting(
+            n_scans=100, n_readings=9000, gains={}, sizes={name: {key: v}}, wobbles={name: w}, misfit=0.0
+        )
+        for v, w in zip(values, errors, strict=True)
+    ]
+
+
+def test_usual_sizes_contain_a_further_window_of_the_same_site_and_not_what_is_far_off() -> None:
+    rng = np.random.default_rng(0)
+    missed = 0
+    for _ in range(400):
+        values = [float(v) for v in rng.normal(0.003, 0.004, 12)]
+        usual = usual_sizes(sightings("range_bias", "b", values[:11]), 100)["range_bias"]
+        missed += not usual.contains(EFFECTS["range_bias"](b=values[11]))
+        assert not usual.contains(EFFECTS["range_bias"](b=0.05))
+    assert missed <= 6  # 0.8 expected: 99.9 % either side
+
+
+def test_a_window_whose_parts_disagree_does_not_widen_what_is_usual() -> None:
+    values = [0.001, 0.003, 0.0, 0.002, 0.001, 0.03]
+    calm = usual_sizes(sightings("range_drift", "b1", values[:5]), 100)["range_drift"]
+    wobbles = [0.5, 0.5, 0.5, 0.5, 0.5, 3.0]
+    odd = usual_sizes(sightings("range_drift", "b1", values, wobbles), 100)["range_drift"]
+    assert odd.reach == calm.reach
+    even = usual_sizes(sightings("range_drift", "b1", values), 100)["range_drift"]
+    assert even.reach["b1"] > 2 * calm.reach["b1"]
+
+
+def test_wobble_shrinks_with_the_root_of_the_length_and_disagreement_is_judged_at_that_length() -> None:
+    usual = usual_sizes(sightings("range_drift", "b1", [0.0, 0.001, 0.002, 0.003]), 400)["range_drift"]
+    assert usual.wobble == pytest.approx(0.25)
+    assert usual.is_unsteady(1.0)
+    assert not usual.is_unsteady(0.4)
+
+
+def test_shares_are_usual_on_the_scale_of_their_root() -> None:
+    usual = usual_sizes(sightings("people", "p", [0.01, 0.04, 0.09, 0.04]), 100)["people"]
+    assert usual.middle["p"] == pytest.approx(0.2)
+    low, high = usual.said("people")["p"]
+    assert low >= 0.0
+    assert high > 0.09
+
+
+def test_too_few_windows_say_nothing_of_what_is_usual() -> None:
+    assert usual_sizes(sightings("range_bias", "b", [0.0, 0.001, 0.002]), 100) == {}
+
+
+@pytest.mark.slow
+def test_several_good_runs_are_silent_on_a_further_one_and_name_a_bias() -> None:
+    several = commission_all([site_run(seed) for seed in (1, 5, 6)], ARENA, ROBOT)
+    assert several.n_runs == 3
+    assert names(against(several, site_run(2))) == []
+    effect = against(several, site_run(3, bias=0.04)).effects[0]
+    assert effect.name == "range_bias"
+    assert effect["b"] == pytest.approx(0.04, abs=0.006)
 
 
 @pytest.mark.slow

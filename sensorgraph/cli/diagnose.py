@@ -37,10 +37,11 @@ def diagnose(
         Path | None, typer.Option(help="effects.yaml: effects that are part of the model already.")
     ] = None,
     commissioning: Annotated[
-        Path | None,
+        list[Path] | None,
         typer.Option(
             metavar="RUN",
-            help="A run of the same robot and place that is known to be good; what differs from it is found.",
+            help="A run of the same robot and place that is known to be good; what differs from it is found. "
+            "Repeat it for several: they show how far good runs spread.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the replicates: same seed, same report.")] = 0,
@@ -69,7 +70,7 @@ def diagnose(
     loaded = [_read(path, topic) for path in runs]
     walls, machine = _place(loaded[0], runs[0], arena, robot)
     known = _known(effects, walls)
-    baseline = None if commissioning is None else _commission(commissioning, topic, walls, machine, seed)
+    baseline = None if not commissioning else _commission(commissioning, topic, walls, machine, seed)
     with progress("diagnosing", "parts") as tick:
         finding = work(
             loaded[0],
@@ -88,7 +89,9 @@ def diagnose(
         "robot": machine.robot.name,
         "tolerances": vars(machine.tolerances),
         "known_effects": [a.name for a in known],
-        "commissioning": baseline.said(commissioning.name) if baseline and commissioning else None,
+        "commissioning": baseline.said(", ".join(path.name for path in commissioning))
+        if baseline and commissioning
+        else None,
     }
     _save(finding, out, walls, machine, name=runs[0].name, settings=settings)
     for line in _lines(finding, out):
@@ -139,15 +142,15 @@ def _known(path: Path | None, walls: Arena) -> Sequence[Amendment]:
 
 
 def _commission(
-    path: Path, topic: list[str] | None, walls: Arena, machine: RobotFile, seed: int
+    runs: list[Path], topic: list[str] | None, walls: Arena, machine: RobotFile, seed: int
 ) -> Commissioned:
     """Learn from a run that is known to be good."""
     from sensorgraph.cli.progress import progress
-    from sensorgraph.diagnose.commissioning import commission
+    from sensorgraph.diagnose.commissioning import commission_all
 
-    good = _read(path, topic)
+    good = [_read(path, topic) for path in runs]
     with progress("commissioning"):
-        return commission(good, walls, machine, seed=seed)
+        return commission_all(good, walls, machine, seed=seed)
 
 
 def _save(

@@ -2,8 +2,8 @@
 
 A map made of scans, poses made of the same scans and a room full of chairs leave residuals that no robot.yaml
 describes. A run from the day when all was well has them too: how noisy readings are, how many are lost or stray, how
-far its poses jitter, and how much evidence each effect of the library picks up from clutter alone. All that is frozen
-here, so that a later run is asked only for the difference between the two.
+far its poses jitter, how much evidence each effect of the library picks up from clutter alone, and how large it seems
+(see `usual`). All that is frozen here, so that a later run is asked only for the difference between the two.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from sensorgraph.diagnose.decide import THRESHOLD, is_rough, price, searched, sh
 from sensorgraph.diagnose.evidence import LEAST_SCANS, Evidence, gather
 from sensorgraph.diagnose.likelihood import judge
 from sensorgraph.diagnose.model import Fitted, fit, solver_for, start_state
-from sensorgraph.diagnose.nuisance import Freedom
+from sensorgraph.diagnose.nuisance import OWN, Freedom
 from sensorgraph.diagnose.propose import lattice
-from sensorgraph.diagnose.screen import START
 from sensorgraph.diagnose.solve import Solver, State
+from sensorgraph.diagnose.usual import FEW, Sighting, Usual, alone, usual_sizes
 from sensorgraph.diagnose.view import View
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot_file import RobotFile, Tolerances
@@ -35,7 +35,6 @@ logger = logging.getLogger(__name__)
 
 TIMES = 3.0  # what a name takes, over the most that clutter alone has brought
 LOCAL_TIMES = 2.0  # the same for effects at one place, of which a good run shows the worst of many
-MANY_RUNS = 6  # from here on one of them may be an odd one
 SEVERAL = 1.25  # the same where several good runs show how far clutter goes
 STEADY = 0.43  # share of a stamp's tolerance that is the same all through a run (see `nuisance.widths`)
 SHORT = 0.3  # [m] a map of shorter walls has no panes
@@ -47,7 +46,7 @@ CLEAR = 1.5  # times a doubt's threshold: the clutter of two days is never quite
 STRIKE_SHARE = 0.02  # of what is left beyond that: among clutter, names fall later
 SECTOR = np.radians(20.0)  # of rays that share what is in their way
 FACTORS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.5)  # of the tolerances of the poses
-WINDOWS = (1, 2)  # the run is looked at as a whole, and in halves
+WINDOWS = (1, 2, 4)  # the run is looked at as a whole, in halves and in quarters
 BASELINE: dict[str, dict[str, float]] = {  # what a site or a map may always show, with first values
     "range_noise": {"k": 0.004},
     "range_bias": {"b": 0.0},
@@ -65,44 +64,81 @@ class Commissioned:
     """What the run itself shows: part of the simulator from now on."""
     freedom: Freedom
     """Noise, frozen near what the run showed."""
-    floors: Mapping[str, float]
-    """Effect -> [nats] the most that it gained, its price paid, though nothing was wrong."""
-    misfit: float
-    """[nats] left unexplained though nothing was wrong."""
-    n_readings: int
-    """To which floors and misfit belong."""
-    n_runs: int = 1
-    """From so many runs, or stretches of them."""
+    unseen: Mapping[str, float]
+    """Effect -> inf, where a map like this one cannot show it."""
+    runs: tuple[tuple[tuple[Sighting, ...], ...], ...]
+    """Of each run, as a whole and cut finer: what its windows showed though nothing was wrong."""
+
+    @property
+    def n_runs(self) -> int:
+        """From so many runs, or stretches of them."""
+        return len(self.runs)
 
     def said(self, name: str) -> dict[str, Any]:
-        """Return what was learnt, as plain data for the report."""
+        """Return what was learnt, as plain data for the report; floors are those of a run as long as the first."""
+        first = self.runs[0][0][0]
+        seen = self.alike(first.n_scans)
+        usual = usual_sizes(seen, first.n_scans)
+        floors = self.floors(seen, usual, first.n_scans, first.n_readings)
         return {
             "run": name,
+            "runs": self.n_runs,
             "tolerances": asdict(self.robot.tolerances),
             "resolution": self.robot.sensor.resolution,
             "noise": asdict(self.freedom),
             "known": {a.name: dict(a.parameters) for a in self.known},
-            "clutter_floor_nats": {n: round(g, 1) for n, g in self.floors.items() if np.isfinite(g)},
-            "not_looked_for": [n for n, g in self.floors.items() if np.isinf(g)],
+            "clutter_floor_nats": {n: round(g, 1) for n, g in floors.items()},
+            "usual_sizes": {n: u.said(n) for n, u in usual.items()},
+            "not_looked_for": list(self.unseen),
         }
+
+    def alike(self, n_scans: int) -> list[Sighting]:
+        """Return windows of the good runs that are nearly as long; shorter ones too, where these are few."""
+        levels = []
+        for cuts in self.runs:
+            apart = [abs(np.log(level[0].n_scans / n_scans)) for level in cuts]
+            levels.append(cuts[int(np.argmin(apart)) :])
+        seen: list[Sighting] = []
+        for depth in range(max(len(level) for level in levels)):
+            seen += [s for finer in levels for level in finer[depth : depth + 1] for s in level]
+            if len(seen) >= FEW:
+                break
+        return seen
+
+    def floors(
+        self, seen: Sequence[Sighting], usual: Mapping[str, Usual], n_scans: int, n_readings: int
+    ) -> dict[str, float]:
+        """Return, per effect, the most that it gained though nothing was wrong [nats], in a run of this length.
+
+        Not of smooth effects of the whole sensor whose usual size is known: that is the finer sieve.
+        """
+        out: dict[str, float] = {}
+        for s in seen:
+            size = float(np.sqrt(n_readings / s.n_readings))
+            for name, gain in s.gains.items():
+                if not (name in usual and name in OWN):
+                    out[name] = max(out.get(name, 0.0), gain if is_local(name) else gain * size)
+        return out
 
     def told(self, evidence: Evidence) -> Evidence:
         """Return evidence of a later run that is judged against this one.
 
         Its poses may be the laser's own: a mount that has moved since shows as a difference.
         """
-        share = evidence.ranges.size / self.n_readings
-        extra = {}
-        for name, gain in self.floors.items():
-            times, size = (LOCAL_TIMES, 1.0) if is_local(name) else (TIMES, np.sqrt(share))
+        seen = self.alike(evidence.n_scans)
+        usual = usual_sizes(seen, evidence.n_scans)
+        extra: dict[str, float] = dict(self.unseen)
+        for name, gain in self.floors(seen, usual, evidence.n_scans, evidence.ranges.size).items():
+            times = LOCAL_TIMES if is_local(name) else TIMES
             times = times if self.n_runs == 1 else SEVERAL
-            extra[name] = max(times * gain * size - THRESHOLD, 0.0)
-        return replace(evidence, laser_frame=False, floors=extra, memo={})
+            extra[name] = max(times * gain - THRESHOLD, 0.0)
+        return replace(evidence, laser_frame=False, floors=extra, usual=usual, memo={})
 
     def calmed(self, verdict: Verdict, evidence: Evidence) -> Verdict:
         """Take back a doubt that is no larger than the good run's own, and weigh only what is beyond that."""
-        share = evidence.ranges.size / self.n_readings
-        beyond = verdict.misfit - MISFIT * self.misfit * share
+        seen = [s for cuts in self.runs for level in cuts[:2] for s in level]
+        own = max(s.misfit / s.n_readings for s in seen) * evidence.ranges.size
+        beyond = verdict.misfit - MISFIT * own
         clear = verdict.threshold <= 0 or verdict.statistic > CLEAR * verdict.threshold
         if beyond > 0 and clear:
             return replace(verdict, misfit=STRIKE_SHARE * beyond)
@@ -116,7 +152,8 @@ def commission(
 
     Parameters
     ----------
-    learn : take what the run itself shows into the simulator, and look at its halves; not where runs are merged
+    learn : take what the run itself shows into the simulator, and look at its halves for the tolerances; not where
+    runs are merged
     """
     rng = np.random.default_rng(seed)
     evidence, _ = gather(run, arena, robot)
@@ -135,31 +172,41 @@ def commission(
     )
     known = baseline(evidence) if learn else ()
     evidence = replace(evidence, known=(*evidence.known, *known), memo={})
-    cuts = WINDOWS if learn else WINDOWS[:1]
+    cuts = WINDOWS[:2] if learn else WINDOWS[:1]
     robot = replace(robot, tolerances=shift_tolerances(evidence, cuts))
-    evidence = replace(evidence, tolerances=robot.tolerances, memo={})
-    floors = unseen(arena)
-    evidence = replace(evidence, floors=floors)
+    evidence = replace(evidence, tolerances=robot.tolerances, floors=unseen(arena), memo={})
     parts = [part for n in cuts for part in windows(evidence, n)]
     freedom = frozen([fit(p, (), start_state(p, WIDE), WIDE, outer=1, inner=12) for p in parts])
-    misfit = 0.0
-    floors = dict(floors)
-    for part in parts:
-        share = part.ranges.size / evidence.ranges.size
-        null = fit(part, (), start_state(part, freedom), freedom, outer=1, inner=7)
-        for name, gain in gains(part, null, freedom).items():
-            floors[name] = max(
-                floors.get(name, 0.0), gain if is_local(name) else gain / float(np.sqrt(share))
-            )
-        misfit = max(misfit, check(part, null, 0.0, {}, rng=rng).misfit / share)
-    logger.debug("known %s; floors %s; misfit %.0f", known, floors, misfit)
+    seen = [tuple(sighting(part, freedom, rng) for part in windows(evidence, n)) for n in WINDOWS]
+    logger.debug("known %s; sightings %s", known, seen)
     return Commissioned(
         robot=robot,
         known=known,
         freedom=freedom,
-        floors=floors,
-        misfit=misfit,
+        unseen=evidence.floors,
+        runs=(tuple(level for level in seen if level),),
+    )
+
+
+def commission_all(runs: Sequence[Run], arena: Arena, robot: RobotFile, *, seed: int = 0) -> Commissioned:
+    """Learn the baseline of a site from one run that is known to be good, or from several."""
+    if len(runs) == 1:
+        return commission(runs[0], arena, robot, seed=seed)
+    return merged([commission(run, arena, robot, seed=seed, learn=False) for run in runs])
+
+
+def sighting(evidence: Evidence, freedom: Freedom, rng: np.random.Generator) -> Sighting:
+    """Look at one window of a good run as if it were a run under test."""
+    null = fit(evidence, (), start_state(evidence, freedom), freedom, outer=1, inner=7)
+    gained, sizes = gains(evidence, null, freedom)
+    smooth, wobbles = alone(null)
+    return Sighting(
+        n_scans=evidence.n_scans,
         n_readings=int(evidence.ranges.size),
+        gains=gained,
+        sizes={**sizes, **smooth},
+        wobbles=wobbles,
+        misfit=check(evidence, null, 0.0, {}, rng=rng).misfit,
     )
 
 
@@ -219,16 +266,6 @@ def merged(several: Sequence[Commissioned]) -> Commissioned:
     shifts = {k: np.array([getattr(t, k) for t in tolerances]) for k in ("mount_xy", "mount_yaw", "stamp")}
     widest = {k: float(np.sqrt(np.mean(v**2))) for k, v in shifts.items()}
     usual = {k: float(np.median([getattr(t, k) for t in tolerances])) for k in ("pose_xy", "pose_yaw")}
-    gained: dict[str, list[float]] = {}
-    for c in several:
-        share = float(np.sqrt(c.n_readings / first.n_readings))
-        for name, gain in c.floors.items():
-            gained.setdefault(name, []).append(gain if is_local(name) else gain / share)
-    floors = {}
-    for name, values in gained.items():
-        # one run may have a real shift of its own: a single number that fits all of it, not clutter
-        odd = 1 if len(several) >= MANY_RUNS and name in START and not is_local(name) else 0
-        floors[name] = sorted([0.0, *values], reverse=True)[odd]
     freedoms = [c.freedom for c in several]
     freedom = replace(
         freedoms[0],
@@ -241,10 +278,8 @@ def merged(several: Sequence[Commissioned]) -> Commissioned:
         robot=replace(first.robot, tolerances=replace(tolerances[0], **widest, **usual)),
         known=(),
         freedom=freedom,
-        floors=floors,
-        misfit=max(c.misfit * first.n_readings / c.n_readings for c in several),
-        n_readings=first.n_readings,
-        n_runs=len(several),
+        unseen=dict(item for c in several for item in c.unseen.items()),
+        runs=tuple(cuts for c in several for cuts in c.runs),
     )
 
 
@@ -290,16 +325,22 @@ def frozen(fits: list[Fitted]) -> Freedom:
     )
 
 
-def gains(evidence: Evidence, null: Fitted, freedom: Freedom) -> dict[str, float]:
-    """Return, per effect, the most that it gains beyond its price [nats]."""
+def gains(
+    evidence: Evidence, null: Fitted, freedom: Freedom
+) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Return, per effect, the most that it gains beyond its price [nats], and the sizes of those of the whole sensor."""
     out: dict[str, float] = {}
+    sizes: dict[str, dict[str, float]] = {}
     for candidate in shortlist(evidence, null, set(), 0.0):
         got = fit(evidence, (candidate.amendment,), null.state, freedom, outer=3, inner=3)
         if is_rough(got.model[-1]):
             got = searched(evidence, got, freedom, rounds=3, first=1.0, turns=1)
-        name = candidate.amendment.name
-        out[name] = max(out.get(name, 0.0), got.j - null.j - price(got.model[-1], evidence))
-    return out
+        (effect,) = got.model
+        gain = got.j - null.j - price(effect, evidence)
+        if gain > out.get(effect.name, -np.inf) and effect.effect.place is None:
+            sizes[effect.name] = {k: effect[k] for k in effect.effect.sizes}
+        out[effect.name] = max(out.get(effect.name, 0.0), gain)
+    return out, {name: values for name, values in sizes.items() if values}
 
 
 def pose_tolerances(evidence: Evidence, null: Fitted) -> Tolerances:

@@ -26,6 +26,7 @@ from sensorgraph.diagnose.nuisance import DENSE, Freedom, widths
 from sensorgraph.diagnose.observable import alike, not_observable, separation
 from sensorgraph.diagnose.odometry import diagnose_odometry
 from sensorgraph.diagnose.prove import gap, held_out
+from sensorgraph.diagnose.usual import is_usual
 from sensorgraph.diagnose.view import View
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
@@ -342,6 +343,8 @@ def is_material(fitted: Fitted, amendment: Amendment) -> bool:
         and {"a", "b"} <= set(values)
         and values["b"] - values["a"] < SHORTEST
     ):
+        return False
+    if is_usual(fitted, amendment):
         return False
     return size_ratio(amendment.effect, values) >= slackness(fitted, amendment)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from sensorgraph.effects import Amendment
 from sensorgraph.errors import GapError
 from sensorgraph.world.robot_file import RobotFile, Tolerances
 from sensorgraph.world.scene import Scene
+
+if TYPE_CHECKING:
+    from sensorgraph.diagnose.usual import Usual
 
 LEAST_SCANS = 50
 LEAST_RAYS = 3
@@ -49,6 +53,8 @@ class Evidence:
     """Effects that are part of the simulator already."""
     floors: Mapping[str, float] = field(default_factory=dict)
     """Effect -> [nats] further evidence that its name takes at this site (see `commissioning`)."""
+    usual: Mapping[str, Usual] = field(default_factory=dict)
+    """Effect -> the sizes that the site shows though nothing is wrong."""
     memo: dict[bytes, object] = field(default_factory=dict)
     """Casts made before."""
 
