@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,7 +78,7 @@ def test_the_run_takes_about_the_time_it_was_given(words: str, chosen: dict[str,
 
 
 def test_same_seed_same_trajectory(arena: Arena, robot: RobotFile) -> None:
-    question = QUESTIONS["latency or mount_xy"]
+    question = QUESTIONS["latency between pose and scan or mounting offset"]
     one, other = (next_run([question], arena, robot, seed=5, minutes=MINUTES) for _ in range(2))
     assert np.array_equal(one.trajectory.poses, other.trajectory.poses)
     assert one.to_dict() == other.to_dict()
@@ -85,12 +86,21 @@ def test_same_seed_same_trajectory(arena: Arena, robot: RobotFile) -> None:
 
 def test_the_run_begins_where_the_robot_stands(arena: Arena, robot: RobotFile) -> None:
     start = np.array([1.0, 2.0, 0.5])
-    run = next_run([QUESTIONS["latency or mount_xy"]], arena, robot, minutes=MINUTES, start=start)
+    run = next_run(
+        [QUESTIONS["latency between pose and scan or mounting offset"]],
+        arena,
+        robot,
+        minutes=MINUTES,
+        start=start,
+    )
     assert np.allclose(run.trajectory.poses[0], start)
 
 
 def test_a_question_of_latency_is_answered_by_motion(chosen: dict[str, NextRun]) -> None:
-    busy = np.abs(chosen["latency or mount_xy"].trajectory.twists) / [0.4, 1.0]  # of the limits
+    busy = np.abs(chosen["latency between pose and scan or mounting offset"].trajectory.twists) / [
+        0.4,
+        1.0,
+    ]  # of the limits
     assert busy.max(axis=1).mean() > 0.5
 
 
@@ -128,7 +138,7 @@ def test_evidence_grows_with_the_size_of_the_effect_and_with_time(arena: Arena, 
 def test_a_folder_is_written_that_record_can_drive(
     tmp_path: Path, chosen: dict[str, NextRun], arena: Arena, robot: RobotFile
 ) -> None:
-    run = chosen["latency or mount_xy"]
+    run = chosen["latency between pose and scan or mounting offset"]
     run.save(tmp_path / "next_run", arena, robot)
     again = read_csv(tmp_path / "next_run" / "trajectory.csv")
     assert np.allclose(again.poses[:, :2], run.trajectory.poses[:, :2], atol=1e-6)  # six decimals
@@ -142,20 +152,38 @@ def test_the_rival_is_asked_about_first(arena: Arena) -> None:
     rival = Rival(name="mount_xy", instead_of="latency", evidence_nats=20.0, separates="")
     ledger = Ledger(channel="scan", effects=(own,), rivals=(rival,), not_observable={"min_range": "too far"})
     (question,) = ask(ledger, [own], [other])
-    assert question.words == "latency or mount_xy"
+    assert question.words == "latency between pose and scan or mounting offset"
+
+
+def test_a_rival_far_behind_is_asked_about_no_more() -> None:
+    own, other = effect("latency", tau=0.02), effect("mount_xy", dx=0.01, dy=0.0)
+    sure = replace(own, evidence=900.0)
+    rival = Rival(name="mount_xy", instead_of="latency", evidence_nats=20.0, separates="")
+    hidden = {"mirror": "box/edge_2: hardly met by a ray", "min_range": "no return from nearer than 0.40 m"}
+    ledger = Ledger(channel="scan", effects=(sure,), rivals=(rival,), not_observable=hidden)
+    assert [q.a[-1].name for q in ask(ledger, [own], [other])] == ["min_range"]
+    ledger = replace(
+        ledger, not_observable={"mirror": hidden["mirror"]}
+    )  # a little wall is little to ask for
+    assert ask(ledger, [own], [other])[0].words.startswith("how large is the effect of latency")
+    near = replace(ledger, effects=(replace(own, evidence=40.0),))
+    assert ask(near, [own], [other])[0].words == "latency between pose and scan or mounting offset"
 
 
 def test_without_a_rival_what_was_not_observable_is_asked_for() -> None:
-    hidden = {"latency": "the robot stood still", "glass": "room/edge_2, room/edge_3: hardly met"}
-    questions = ask(Ledger(channel="scan", not_observable=hidden), [], [])
-    assert [q.a[-1].name for q in questions] == ["latency", "glass"]
-    assert questions[1].a[-1].place == "room/edge_2"
+    hidden = {"glass": "room/edge_2, room/edge_3: hardly met", "latency": "the robot stood still"}
+    (question,) = ask(Ledger(channel="scan", not_observable=hidden), [], [])
+    assert question.a[-1].name == "latency"
+    del hidden["latency"]
+    (question,) = ask(Ledger(channel="scan", not_observable=hidden), [], [])
+    assert (question.a[-1].name, question.a[-1].place) == ("glass", "room/edge_2")
 
 
 def test_there_is_always_a_question() -> None:
     assert ask(Ledger(channel="scan"), [], [])
     assert (
-        ask(Ledger(channel="scan"), [effect("range_bias", b=0.02)], [])[0].words == "how large is range_bias"
+        ask(Ledger(channel="scan"), [effect("range_bias", b=0.02)], [])[0].words
+        == "how large is the effect of range bias"
     )
 
 
@@ -170,14 +198,14 @@ def test_a_typical_effect_can_be_simulated(name: str) -> None:
 
 
 def test_a_car_is_refused_in_one_line(arena: Arena) -> None:
-    from dataclasses import replace
-
     from planners.robot import Limits
 
     robot = default()
     car = replace(robot.robot, drive="dubins", limits=Limits(turning_radius=0.5))
     with pytest.raises(PlanError, match="turn in place"):
-        next_run([QUESTIONS["latency or mount_xy"]], arena, replace(robot, robot=car))
+        next_run(
+            [QUESTIONS["latency between pose and scan or mounting offset"]], arena, replace(robot, robot=car)
+        )
 
 
 def test_random_runs_keep_clear_too(arena: Arena, robot: RobotFile) -> None:

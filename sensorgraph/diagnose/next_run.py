@@ -48,6 +48,7 @@ KEPT = (1, 2, 4, 7)  # motions in a plan
 MIXES = (("spin", "sweep", "shuttle"), ("spin",), ("sweep",), ("shuttle",))  # kinds of them
 WORTH = 4.0  # [s] that must be left to go on to another place
 LONGER = 1.05  # times the length asked for, that a run may take
+OPEN = 50.0  # [nats] between a name and its rival, above which nothing is left to ask
 LEAST = 0.05  # share of the time below which a motion is left out
 
 
@@ -173,7 +174,7 @@ def next_run(
         questions=tuple(q.words for q in questions),
         evidence=float(nats[0, k]),
         median=float(np.median(nats[0, len(drawn) :])),
-        why=_why(questions[0], used, arena, robot),
+        why=_why(questions[0], used, arena, robot) + _easily(float(np.median(nats[0, len(drawn) :]))),
         steps=tuple(used),
         min_clearance=found.min_clearance,
         candidates=tuple(float(v) for v in nats[0, : len(drawn)]),
@@ -201,7 +202,11 @@ def expected(
 
 
 def ask(ledger: Ledger, model: Sequence[Amendment], rivals: Sequence[Amendment]) -> list[Question]:
-    """Make the questions of a scan ledger: rivals first; without, what was not observable; without, what is least sure.
+    """Make the questions of a scan ledger.
+
+    What is open comes first: rivals within OPEN nats of a name; then effects that the run could not have shown at
+    all; then how large the least sure effect is, or those that could not be shown at some places. A rival that lies
+    far behind is asked about no more.
 
     Parameters
     ----------
@@ -209,31 +214,44 @@ def ask(ledger: Ledger, model: Sequence[Amendment], rivals: Sequence[Amendment])
     rivals : of each effect the second best explanation, in the order of `ledger.rivals`
     """
     accepted = tuple(model)
-    out = []
-    for told, rival in zip(ledger.rivals, rivals, strict=True):
-        own = next((a for a in accepted if a.name == told.instead_of), None)
-        if own is not None:
-            rest = tuple(a for a in accepted if a is not own)
-            out.append(between((*rest, own), (*rest, rival)))
-    if out:
-        return out[:1]
-    for name, why in ledger.not_observable.items():
-        unseen = typical(name, why)
-        if unseen is not None:
-            out.append(
-                Question(a=(*accepted, unseen), b=accepted, words=f"is there {name}", hint=f"this time {why}")
-            )
-    if out:
-        return out[:3]
+    close = _close(ledger, accepted, rivals)
+    if close:
+        return close[:1]
+    hidden = [(name, why, typical(name, why)) for name, why in ledger.not_observable.items()]
+    everywhere = [
+        _is_there(one, accepted, why) for _, why, one in hidden if one is not None and not one.place
+    ]
+    if everywhere:
+        return everywhere[:3]
     if accepted:
         worst = max(accepted, key=_doubt)
         rest = tuple(a for a in accepted if a is not worst)
-        return [Question(a=accepted, b=rest, words=f"how large is {worst.name}", hint=worst.effect.varies)]
-    return [
-        Question(a=(unseen,), b=(), words=f"is there {name}", hint=f"it varies with {EFFECTS[name].varies}")
-        for name in ("latency", "mount_yaw", "range_scale")
-        if (unseen := typical(name)) is not None
-    ]
+        words, hint = f"how large is the effect of {_called(worst)}", f"it varies with {worst.effect.varies}"
+        return [Question(a=accepted, b=rest, words=words, hint=hint)]
+    somewhere = [_is_there(one, accepted, why) for _, why, one in hidden if one is not None]
+    if somewhere:
+        return somewhere[:3]
+    usual = (typical(name) for name in ("latency", "mount_yaw", "range_scale"))
+    return [_is_there(one, (), "") for one in usual if one is not None]
+
+
+def _close(ledger: Ledger, accepted: tuple[Amendment, ...], rivals: Sequence[Amendment]) -> list[Question]:
+    """Ask about the rivals that the run leaves open, the closest first."""
+    evidence = {a.name: a.evidence or 0.0 for a in ledger.effects}
+    found = []
+    for told, rival in zip(ledger.rivals, rivals, strict=True):
+        own = next((a for a in accepted if a.name == told.instead_of), None)
+        margin = evidence.get(told.instead_of, 0.0) - told.evidence_nats
+        if own is not None and margin < OPEN:
+            rest = tuple(a for a in accepted if a is not own)
+            found.append((margin, between((*rest, own), (*rest, rival))))
+    return [question for _, question in sorted(found, key=lambda pair: pair[0])]
+
+
+def _is_there(unseen: Amendment, accepted: tuple[Amendment, ...], why: str) -> Question:
+    """Ask whether an effect of a size that should show is there as well."""
+    hint = f"this time {why}" if why else f"it varies with {unseen.effect.varies}"
+    return Question(a=(*accepted, unseen), b=accepted, words=f"is there {_called(unseen)}", hint=hint)
 
 
 def between(a: Sequence[Amendment], b: Sequence[Amendment]) -> Question:
@@ -277,7 +295,8 @@ def _doubt(a: Amendment) -> float:
 
 
 def _called(a: Amendment) -> str:
-    return f"{a.name} of {a.place}" if a.place else a.name
+    """Return an effect as people say it."""
+    return f"{a.effect.title} at {a.place}" if a.place else a.effect.title
 
 
 # where to move -------------------------------------------------------------------------------------------------------
@@ -573,6 +592,13 @@ def _why(question: Question, steps: Sequence[Step], arena: Arena, robot: RobotFi
             )
     more = f" and {len(steps) - 3} more" if len(steps) > 3 else ""
     return f"{'; '.join(said)}{more}: {question.words}? {question.hint}"
+
+
+def _easily(median: float) -> str:
+    """Say that any run would tell, where that is so."""
+    if median < OPEN:
+        return ""
+    return f" (any lively run would tell: a median random one is expected to bring {median:,.0f} nats)"
 
 
 def _facing(arena: Arena, step: Step) -> str:

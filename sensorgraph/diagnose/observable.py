@@ -553,15 +553,16 @@ def _correlation(view: _View, x: Floats, others: Floats, own: Sequence[str]) -> 
 
 
 def _said_alike(a: Amendment, b: Amendment, correlation: float, nats: float) -> Alike:
-    name_a, name_b = (f"{e.name} of {e.place}" if e.place else e.name for e in (a, b))
+    name_a, name_b = (f"{e.effect.title} at {e.place}" if e.place else e.effect.title for e in (a, b))
     why = f"this run can hardly tell {name_a} from {name_b} ({nats:.0f} nats between them)"
-    return Alike(a=name_a, b=name_b, correlation=correlation, nats=nats, why=f"{why}; {separation(a, b)}")
+    raw_a, raw_b = (f"{e.name} of {e.place}" if e.place else e.name for e in (a, b))
+    return Alike(a=raw_a, b=raw_b, correlation=correlation, nats=nats, why=f"{why}; {separation(a, b)}")
 
 
 def separation(a: Amendment, b: Amendment) -> str:
     """Say what would tell two effects apart."""
     hint = a.effect.rivals.get(b.name) or b.effect.rivals.get(a.name)
-    return hint or f"{a.name} varies with {a.effect.varies}, {b.name} with {b.effect.varies}"
+    return hint or f"{a.effect.title} varies with {a.effect.varies}, {b.effect.title} with {b.effect.varies}"
 
 
 def _alike_rough(view: _View) -> list[Alike]:
@@ -586,4 +587,5 @@ def _alike_rough(view: _View) -> list[Alike]:
 
 def _pair(a: str, b: str, why: str) -> Alike:
     hint = EFFECTS[a].rivals[b]
-    return Alike(a=a, b=b, correlation=1.0, nats=0.0, why=f"this run cannot tell {a} from {b}: {why}; {hint}")
+    told = f"this run cannot tell {EFFECTS[a].title} from {EFFECTS[b].title}"
+    return Alike(a=a, b=b, correlation=1.0, nats=0.0, why=f"{told}: {why}; {hint}")
