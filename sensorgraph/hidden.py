@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from planners import plan as make_plan
 from planners.arena import Arena, Floats
 from sensorgraph.diagnose.diagnose import Finding, diagnose
-from sensorgraph.diagnose.report import save
+from sensorgraph.diagnose.report import effect_dict, save
+from sensorgraph.diagnose.report import to_dict as report_dict
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.record import Progress, record
 from sensorgraph.world.clearance import WallDistance
@@ -30,6 +32,19 @@ class Hidden:
     def found(self) -> Amendment | None:
         """The effect of that name among those found."""
         return next((a for a in self.finding.effects if a.name == self.planted.name), None)
+
+
+def to_dict(hidden: Hidden) -> dict[str, Any]:
+    """Return as plain data what was planted, what was found in its place, and the gap before and after."""
+    report = report_dict(hidden.finding)
+    planted, found = hidden.planted, hidden.found
+    return {
+        "planted": planted.name,
+        "planted_parameters": dict(planted.parameters),
+        "planted_at": planted.place or None,
+        "found": None if found is None else effect_dict(found),
+        **{key: report[key] for key in ("effects", "gap", "gap_second_run")},
+    }
 
 
 def hide_and_find(folder: Path, arena: Arena, robot: RobotFile, *, seed: int, progress: Progress) -> Hidden:

@@ -21,6 +21,8 @@ from sensorgraph.diagnose.finding import Fit, Gap, Ledger, Rival, Unknown, Where
 from sensorgraph.diagnose.report import plain, save, to_dict
 from sensorgraph.diagnose.words import gap_sentence, number, parameters, percent, said
 from sensorgraph.effects import EFFECTS, effects_file
+from sensorgraph.hidden import Hidden
+from sensorgraph.hidden import to_dict as hidden_dict
 from sensorgraph.world import robot_file
 from sensorgraph.world.raycast import cast
 
@@ -198,6 +200,15 @@ def test_a_script_reads_the_gap_of_the_channel_that_the_headline_is_about(found:
     alone = to_dict(found)
     assert (alone["gap"]["channel"], alone["gap"]["unit"]) == ("scan", "m")
     assert alone["gap"] == alone["channels"]["scan"]["gap"]
+
+
+def test_the_demo_keeps_what_was_planted_and_what_was_found(found: Finding) -> None:
+    kept = hidden_dict(Hidden(planted=EFFECTS["range_bias"](b=0.03), finding=found))
+    assert (kept["planted"], kept["planted_parameters"]) == ("range_bias", {"b": 0.03})
+    assert kept["found"]["parameters"]["b"] == found.effects[0]["b"]
+    assert kept["gap"]["before"]["rmse_m"] > kept["gap"]["after"]["rmse_m"] > 0
+    other = hidden_dict(Hidden(planted=EFFECTS["latency"](tau=0.1), finding=found))
+    assert other["found"] is None
 
 
 def test_wide_tolerances_say_what_they_hide(room: Arena, silent: Finding) -> None:

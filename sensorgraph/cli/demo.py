@@ -36,8 +36,8 @@ def demo(
     from sensorgraph.cli.progress import progress
     from sensorgraph.demo import demo as run_demo
     from sensorgraph.demo import to_dict
-    from sensorgraph.diagnose.report import to_dict as report_dict
     from sensorgraph.hidden import hide_and_find
+    from sensorgraph.hidden import to_dict as hidden_dict
 
     began = time.monotonic()
     folder = out or Path("runs") / time.strftime("demo-%Y%m%d-%H%M%S")
@@ -53,11 +53,7 @@ def demo(
     (folder / "config.json").write_text(json.dumps(config, indent=1) + "\n")
     trips = run_demo(folder, walls, machine, seed=seed, progress=progress)
     hidden = hide_and_find(folder / "diagnosis", walls, machine, seed=seed, progress=progress)
-    report = {"planted": hidden.planted.name, **report_dict(hidden.finding)}
-    results = {
-        **to_dict(trips),
-        "hidden_effect": {k: report[k] for k in ("planted", "effects", "gap", "gap_second_run")},
-    }
+    results = {**to_dict(trips), "hidden_effect": hidden_dict(hidden)}
     (folder / "demo.json").write_text(json.dumps(results, indent=1) + "\n")
     if out is None:
         _point_to(folder)
@@ -78,7 +74,7 @@ def told(hidden: Hidden) -> list[str]:
     place = f" at {planted.place}" if planted.place else ""
     values = ", ".join(f"{k} {v:g}" for k, v in planted.parameters.items())
     lines = [
-        f"hidden by seed:  {planted.name}{place} ({values})",
+        f"hidden by seed:  {planted.effect.title}{place} ({values})",
         f"diagnose says:   {said(hidden.finding).headline}",
     ]
     gap = hidden.finding.second_gap
