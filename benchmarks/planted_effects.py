@@ -3,8 +3,8 @@
     OPENBLAS_NUM_THREADS=1 python benchmarks/planted_effects.py [LOG] [--effects bias,yaw] [--windows 0,3] [--half]
 
 The log's poses come from the scans themselves (SLAM), and nobody drew a map. So the even scans of each unbroken
-stretch of the log make a map of short surfaces, and the odd scans, every fourth ray of them, are the measurement, in
-two windows. One window is the run under test, all others are known to be good: the commissioning. Effects are planted
+stretch of the log make a map of short surfaces, and the odd scans, some 90 rays of each, are the measurement, in two
+windows. (A log with a scan every few seconds only is one stretch, in windows of 72 scans or a few more.) One window is the run under test, all others are known to be good: the commissioning. Effects are planted
 in the window under test alone, by code of its own that knows nothing of the project's effects: ranges are altered, real
 beams given another bearing, poses and stamps shifted. The laser reports whole centimetres, which robot.yaml says here;
 `--undithered` leaves that and the commissioning out, and the diagnosis should find the lattice.
@@ -38,8 +38,10 @@ Floats = NDArray[np.float64]
 LOG = Path(__file__).parents[2] / "shared" / "data" / "ple-freiburg-079" / "freiburg-079-corrected.log.gz"
 FAR = 12.0  # [m] the map is made up to here; a longer reading counts as nothing seen
 NEAR = 0.05  # [m] a shorter reading is broken
-EVERY = 4  # of the rays
-GAP = 3.0  # [s] without a scan: the log is broken here
+RAYS = 90  # of a scan that are measured, evenly spread
+GAP = 3.0  # [s] without a scan: a dense log is broken here
+SPARSE = 1.0  # [s] between scans: the log is taken as one stretch, whose map needs all of them
+LONG = 72  # scans of a window of such a log
 CELL = 0.08  # [m]
 SIGMA = 0.015  # [m]
 
@@ -164,9 +166,15 @@ def limited(ranges: Floats) -> Floats:
     return np.where(ranges < NEAR, np.nan, np.where(ranges > FAR, np.inf, ranges))
 
 
+def measured_rays(log: Run) -> NDArray[np.intp]:
+    """Return which rays of the log are measured."""
+    every = max(1, log.sensor.n_rays // RAYS)
+    return np.arange(every // 2, log.sensor.n_rays, every)
+
+
 def measurement(log: Run, scans: NDArray[np.intp]) -> Run:
-    """Return some scans of the log, every fourth ray."""
-    rays = np.arange(EVERY // 2, log.sensor.n_rays, EVERY)
+    """Return some scans of the log, some 90 rays of each."""
+    rays = measured_rays(log)
     sensor = replace(log.sensor, bearings=log.sensor.bearings[rays], range_max=FAR)
     return replace(
         log,
@@ -198,14 +206,15 @@ class Window:
 
 
 def windows(log: Run) -> Iterator[Window]:
-    """Cut the log where it is broken, and every stretch into two halves of odd scans."""
-    cuts = [0, *(np.flatnonzero(np.diff(log.stamps) > GAP) + 1), log.n_scans]
+    """Cut the log where it is broken, and every stretch into two halves of odd scans; a sparse log is one stretch."""
+    is_sparse = np.median(np.diff(log.stamps)) > SPARSE
+    breaks = [] if is_sparse else np.flatnonzero(np.diff(log.stamps) > GAP) + 1
+    cuts = [0, *breaks, log.n_scans]
     for low, high in pairwise(cuts):
         even, odd = np.arange(low, high, 2), np.arange(low + 1, high, 2)
         arena = site(log.poses[even], log.ranges[even], log.sensor.bearings)
-        halves = odd[: len(odd) // 2], odd[len(odd) // 2 :]
-        for half in halves:
-            yield Window(f"{half[0]}-{half[-1]}", half, arena)
+        for part in np.array_split(odd, len(odd) // LONG if is_sparse else 2):
+            yield Window(f"{part[0]}-{part[-1]}", part, arena)
 
 
 # --- what is planted ---------------------------------------------------------------------------------------
@@ -258,7 +267,7 @@ def yaw(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random
     """Give every ray the reading of the real beam that points further to the left by a whole count of rays."""
     step = float(np.diff(log.sensor.bearings).mean())
     turn = round(np.radians(size) / step)
-    rays = np.arange(EVERY // 2, log.sensor.n_rays, EVERY) + turn
+    rays = measured_rays(log) + turn
     inside = (rays >= 0) & (rays < log.sensor.n_rays)
     ranges = log.ranges[scans][:, np.clip(rays, 0, log.sensor.n_rays - 1)]
     return _ranges(run, np.where(inside, ranges, np.nan))
