@@ -95,3 +95,14 @@ def test_sizes_of_two_axes_add_as_a_vector() -> None:
 
 def test_what_has_no_limit_of_size_is_material() -> None:
     assert material_probability(EFFECTS["max_range"](R=3.0), {"R": 1.0}) == 1.0
+
+
+def test_the_end_of_a_part_that_is_the_end_of_its_wall_has_an_error(hall: Arena) -> None:
+    pane = EFFECTS["glass"](a=0.0, b=1.0, alpha_ret=0.3, depth=1.5).at(
+        hall.names[0], hall.walls[0].mean(axis=0)
+    )
+    length = float(np.hypot(*(hall.walls[0][1] - hall.walls[0][0])))
+    planted = pane.moved_to({"a": 0.4 * length, "b": length})
+    got, errors = fitted(hall, planted, planted)
+    assert abs(got.model[0]["a"] - 0.4 * length) < 3 * errors["a"]
+    assert 0 < errors["b"] < 0.1

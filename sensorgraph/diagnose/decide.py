@@ -8,14 +8,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from planners.arena import Bools
 from sensorgraph.diagnose.evidence import Evidence
-from sensorgraph.diagnose.model import ROUGH, Fitted, fit, polish, start_state, thin, thin_state
+from sensorgraph.diagnose.model import ROUGH, Fitted, bare_cast, fit, polish, start_state, thin, thin_state
 from sensorgraph.diagnose.nuisance import Freedom
 from sensorgraph.diagnose.precision import standard_errors
 from sensorgraph.diagnose.propose import rough_candidates
 from sensorgraph.diagnose.screen import Candidate, smooth_candidates
 from sensorgraph.diagnose.view import View
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.places import named_walls
 
 logger = logging.getLogger(__name__)
 
@@ -33,6 +35,8 @@ CRUDE: tuple[tuple[tuple[str, ...], tuple[str, ...], float], ...] = (
 )
 """(Effects in the model, further candidates (none: all), share of the gain): less proves only that the model of the
 former is coarse at its rim."""
+PARTS = ("glass", "mirror", "black_surface")
+END = 2.0  # standard deviations of where a ray meets its wall
 MOST = 5  # effects in one model
 MANY = 10  # candidates fitted on a part of the scans
 FINALISTS = 3
@@ -84,7 +88,7 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
         tried = [t for t in tried if t[1] > -50]
         if not tried:
             break
-        order = _ranked(tried)
+        order = _ranked(without_ends(evidence, tried))
         best, gain = order[0]
         if gain >= threshold:
             again = fit(evidence, current.model, best.state, freedom, outer=1, inner=4)
@@ -106,7 +110,7 @@ def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOL
         others = [(a, g) for a, g in others if (a.name, a.place) != (mine.name, mine.place)]
         if others:
             rival, nats = max(others, key=lambda t: t[1])
-            rivals[_key(best.model[-1])] = (rival, gain - nats)
+            rivals[_key(best.model[-1])] = (rival, order[0][1] - nats)
         before, small = current, best.model[-1].ratio < current.state.map_scale
         current = _pruned(evidence, best, freedom, threshold, struck)
         if {_key(a) for a in current.model} == {_key(a) for a in before.model}:
@@ -292,6 +296,37 @@ def _ranked(tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
                 order.remove(pair)
                 return [pair, *order]
     return order
+
+
+def without_ends(evidence: Evidence, tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
+    """Compare panes, mirrors and black parts of one wall by the rays that clearly meet them or clearly do not.
+
+    Rays next to an end may be on either side of it, which a law of certain loss pays dearer than one of likely loss.
+    """
+    order = sorted(tried, key=lambda pair: -pair[1])
+    best, gain = order[0]
+    if best.model[-1].name not in PARTS:
+        return tried
+    out = [order[0]]
+    for got, nats in order[1:]:
+        a = got.model[-1]
+        if a.name in PARTS and a.place == best.model[-1].place:
+            clear = ~(_near_ends(evidence, best) | _near_ends(evidence, got))
+            nats = gain - float((best.solution.judged.log_p - got.solution.judged.log_p)[clear].sum())
+        out.append((got, nats))
+    return out
+
+
+def _near_ends(evidence: Evidence, fitted: Fitted) -> Bools:
+    """Tell which rays (n_scans, n_rays) meet the wall of the last effect within END blurs of one of its ends."""
+    a, t, scene = fitted.model[-1], evidence.tolerances, fitted.cast.scene
+    bare = bare_cast(scene)
+    on = np.isin(bare.wall, named_walls(evidence.arena, a.place))
+    blur = (t.pose_xy + t.pose_yaw * bare.ranges) / np.maximum(bare.cosine, 0.1) + t.map
+    with np.errstate(invalid="ignore"):
+        along = bare.along(scene.walls)
+        near = np.minimum(np.abs(along - a["a"]), np.abs(along - a["b"])) < END * blur
+    return np.asarray(on & near)
 
 
 def _pruned(

@@ -20,11 +20,12 @@ from sensorgraph.diagnose.drive import diagnose_drive
 from sensorgraph.diagnose.evidence import Evidence, gather
 from sensorgraph.diagnose.finding import Gap, Ledger, Rival, Unknown, Where
 from sensorgraph.diagnose.fits import POORLY, Placement, placement
-from sensorgraph.diagnose.model import Fitted, smooth_parameters
+from sensorgraph.diagnose.model import Fitted
 from sensorgraph.diagnose.next_run import NextRun, ask, next_run
-from sensorgraph.diagnose.nuisance import DENSE, Freedom, widths
+from sensorgraph.diagnose.nuisance import Freedom
 from sensorgraph.diagnose.observable import alike, not_observable, separation
 from sensorgraph.diagnose.odometry import diagnose_odometry
+from sensorgraph.diagnose.precision import material_probability
 from sensorgraph.diagnose.prove import gap, held_out
 from sensorgraph.diagnose.usual import is_usual
 from sensorgraph.diagnose.view import View
@@ -41,6 +42,8 @@ PARTS = 7
 LEAST_SIGMA = 2e-4  # [m, rad, m/s, rad/s] no reference and no wheel is better
 SHORTEST = 0.15  # [m] of a pane, a mirror or a black part
 WELL = 0.3  # [m] median error of a scan the right way round
+SURELY = 0.65  # chance that a size is material, which a name takes
+TRUST = 0.975  # most that a name deserves: now and then something outside the library looks like it
 STRIKE = 0.006  # of an effect's evidence; where more than this stays unexplained, its name falls
 
 
@@ -138,17 +141,7 @@ def diagnose(
     scan = _ledger(train, explained, verdict, where)
     named = [a for i, a in enumerate(explained.final.model) if i in scan_names(explained, verdict)]
     proof = gap(unseen, explained.null, explained.final, named, rng=rng)
-    second_gap = None
-    if second is not None:
-        other, _ = gather(second, arena, robot, known)
-        there = placement(other, rng)
-        if there.share < min(POORLY, 0.6 * place.share):
-            raise GapError(
-                f"the second run does not fit the arena: {100 * there.share:.0f} % of its returns end at walls, "
-                f"{100 * place.share:.0f} % of the first run's; give a run of the same place"
-            )
-        other = other if commissioned is None else commissioned.told(other)
-        second_gap = gap(other, explained.null, explained.final, named, rng=rng)
+    second_gap = None if further is None else gap(further, explained.null, explained.final, named, rng=rng)
     lap("prove")
     odometry = beside(diagnose_odometry(run, machine, seed=seed), known)
     drive = beside(diagnose_drive(run, machine, seed=seed, use_clock=odometry.unknown is None), known)
@@ -169,6 +162,31 @@ def diagnose(
         next_run=plan,
         seconds=seconds,
     )
+
+
+def other_run(
+    second: Run,
+    arena: Arena,
+    robot: RobotFile,
+    known: Sequence[Amendment],
+    commissioned: Commissioned | None,
+    place: Placement,
+    rng: np.random.Generator,
+) -> Evidence:
+    """Return the evidence of a further run; refuse one of another place.
+
+    Parameters
+    ----------
+    place : how the first run lies in the arena
+    """
+    evidence, _ = gather(second, arena, robot, known)
+    there = placement(evidence, rng)
+    if there.share < min(POORLY, 0.6 * place.share):
+        raise GapError(
+            f"the second run does not fit the arena: {100 * there.share:.0f} % of its returns end at walls, "
+            f"{100 * place.share:.0f} % of the first run's; give a run of the same place"
+        )
+    return evidence if commissioned is None else commissioned.told(evidence)
 
 
 def _next(
@@ -292,7 +310,6 @@ def _ledger(evidence: Evidence, explained: Explained, verdict: Verdict, where: t
     complete = [
         replace(
             placed(amendment, evidence),
-            stderr=stderr(final, index),
             evidence=explained.gains[index],
             probability=probability(explained, index, verdict),
         )
@@ -346,7 +363,7 @@ def is_material(fitted: Fitted, amendment: Amendment) -> bool:
         return False
     if is_usual(fitted, amendment):
         return False
-    return size_ratio(amendment.effect, values) >= slackness(fitted, amendment)
+    return material_probability(amendment, amendment.stderr, slackness(fitted, amendment)) >= SURELY
 
 
 def slackness(fitted: Fitted, amendment: Amendment) -> float:
@@ -362,52 +379,17 @@ def _is_struck(explained: Explained, index: int, verdict: Verdict) -> bool:
     return verdict.doubted and verdict.misfit > STRIKE * explained.gains[index]
 
 
-def stderr(fitted: Fitted, index: int) -> dict[str, float]:
-    """Return standard errors of an effect's smooth parameters, from the curvature with all nuisances free.
-
-    What a careful set-up may hide of the same kind (a mount within its tolerance) adds to the error.
-    """
-    k, out = 0, {}
-    variance = np.diag(fitted.solution.covariance)
-    for i, amendment in enumerate(fitted.model):
-        for name in smooth_parameters(amendment):
-            if i == index:
-                own = widths_of(fitted, amendment.name).get(name, 0.0)
-                out[name] = float(np.sqrt(max(variance[k], 0.0) + own**2))
-            k += 1
-    return out
-
-
-def widths_of(fitted: Fitted, name: str) -> dict[str, float]:
-    """Return the tolerance of a set-up of the same kind as an effect, by parameter."""
-    tau = dict(zip(DENSE, widths(fitted.solver.evidence.tolerances), strict=True))
-    t = fitted.solver.evidence.tolerances
-    tau |= {"third of the map": t.map / 3, "pose": t.pose_xy / 2, "half a mrad": 5e-4}
-    return {parameter: float(tau[copy]) for parameter, copy in OWN_PARAMETERS.get(name, {}).items()}
-
-
-OWN_PARAMETERS = {
-    "mount_xy": {"dx": "mount_x", "dy": "mount_y"},
-    "mount_yaw": {"delta": "mount_yaw"},
-    "range_bias": {"b": "bias"},
-    "range_scale": {"s": "scale"},
-    "range_drift": {"b1": "drift"},
-    "latency": {"tau": "latency"},
-    "scan_skew": {"T": "skew"},
-    "glass": {"depth": "third of the map"},
-    "unmapped_obstacle": {"x": "third of the map", "y": "third of the map", "r": "third of the map"},
-    "tilt": {"theta0": "half a mrad"},
-}
-
-
 def probability(explained: Explained, index: int, verdict: Verdict) -> float:
-    """Return the chance that a name is right, calibrated on development cases."""
+    """Return the chance that a name is right and its size material, calibrated on development cases."""
     gain = explained.gains[index]
     margin = explained.rivals[index][1] if index in explained.rivals else gain
     score = 0.15 * min(gain, margin)
-    p = 1 / (1 + np.exp(-score))
+    p = TRUST / (1 + np.exp(-score))
     if verdict.doubted:
         p *= 0.5
+    fitted = explained.final
+    amendment = fitted.model[index]
+    p *= material_probability(amendment, amendment.stderr, slackness(fitted, amendment))
     return float(p)
 
 

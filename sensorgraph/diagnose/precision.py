@@ -17,10 +17,11 @@ from scipy.special import ndtr
 from planners.arena import Floats
 from sensorgraph.diagnose.evidence import Evidence
 from sensorgraph.diagnose.likelihood import FINEST
-from sensorgraph.diagnose.model import ROUGH, Fitted, log_p_at, smooth_parameters
+from sensorgraph.diagnose.model import ROUGH, Fitted, fit, log_p_at, smooth_parameters
 from sensorgraph.diagnose.nuisance import DENSE, Freedom, widths
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
+from sensorgraph.effects.sonar_cone import RAY
 
 BLOCK = 1.0  # [s] of scans that share their errors
 HALF = 0.5  # [nats] by which the log-likelihood falls over one standard error
@@ -30,6 +31,7 @@ BROAD = (
     12.0,
 )  # [nats] the same for what acts on single readings, whose likelihood is jagged in the small
 LOOKS = 7  # casts per side, at most
+REFITTED = ("range_drift",)  # whose rough parameter changes little that its smooth one cannot
 FIRST = 0.1  # of the search's first step
 FARTHEST = 20.0  # times the search's first step; beyond, a parameter is not known
 OWN_TOLERANCE: dict[str, dict[str, str]] = {
@@ -54,6 +56,7 @@ OWN_TOLERANCE: dict[str, dict[str, str]] = {
     "sector_bias": {"theta1": "between rays", "theta2": "between rays"},
     "self_occlusion": {"theta1": "between rays", "theta2": "between rays"},
     "mixed_pixels": {"gamma": "edges"},
+    "sonar_cone": {"gamma": "between rays of the cone"},
     "max_range": {"R": "map"},
     "min_range": {"r_min": "map"},
 }
@@ -113,18 +116,24 @@ def _profiled(fitted: Fitted, index: int, freedom: Freedom, name: str, step: flo
     at = amendment[name]
 
     def log_p(value: float) -> Floats:
+        """Return the log-likelihood per scan."""
         moved = (
             *fitted.model[:index],
             amendment.moved_to({name: float(np.clip(value, spec.low, spec.high))}),
             *fitted.model[index + 1 :],
         )
-        return log_p_at(evidence, moved, fitted.state, shares_noise)
+        if amendment.name in REFITTED:
+            j = fit(evidence, moved, fitted.state, freedom, outer=1, inner=1).j
+            return np.full(evidence.n_scans, j / evidence.n_scans)
+        return np.asarray(log_p_at(evidence, moved, fitted.state, shares_noise).sum(axis=1))
 
     here = log_p(at)
     bounds = NEAR_HALF if shares_noise is None else BROAD
     sides = [_fall(log_p, here, at, sign * step, bounds) for sign in (1.0, -1.0)]
-    width = max(width for width, _ in sides)
-    if shares_noise is None or not np.isfinite(width):
+    width = max(
+        (width for width, _ in sides if np.isfinite(width)), default=np.inf
+    )  # one side may end the wall
+    if shares_noise is None or not all(np.isfinite(w) for w, _ in sides):
         return width
     slope = sum(sign * change / w for sign, (w, change) in zip((0.5, -0.5), sides, strict=True))
     return width * max(1.0, width * float(np.sqrt(_by_block(evidence, np.asarray(slope)))))
@@ -144,7 +153,7 @@ def _fall(
     h, low, high = FIRST * reach, 0.0, np.inf
     change = np.zeros(len(here))
     for _ in range(LOOKS):
-        change = (log_p(at + sign * h) - here).sum(axis=1)
+        change = log_p(at + sign * h) - here
         fall = -float(change.sum())
         if bounds[0] < fall < bounds[1]:
             scale = float(np.sqrt(HALF / fall))
@@ -171,6 +180,7 @@ def widths_of(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
     tau |= {"map": t.map, "third of the map": t.map / 3, "half a mrad": 5e-4}
     middle = float(np.median(evidence.ranges[evidence.returned])) if evidence.returned.any() else 1.0
     tau |= {"edges": 0.5 * t.map / max(middle, 0.1)}  # a few corners, each off by the map's tolerance
+    tau |= {"between rays of the cone": RAY / np.sqrt(12)}
     tau |= {"end of a part": float(np.hypot(t.map, t.pose_xy + t.pose_yaw * middle))}  # told by single rays
     tau |= {"between rays": spacing(evidence) / np.sqrt(12)}
     walls = np.diff(evidence.arena.walls, axis=1)[:, 0]
