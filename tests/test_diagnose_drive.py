@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from diagnose_samples import ROBOT, make_run, without_commands, without_odometry
 
@@ -36,6 +38,18 @@ def test_planted_effect_is_named_with_its_size(
 )
 def test_wheel_effects_are_no_drive_effects(effect: dict[str, float]) -> None:
     assert diagnose_drive(make_run(4, **effect), ROBOT).effects == ()
+
+
+@pytest.mark.parametrize(("column", "least"), [(1, 0.3), (0, 0.2)], ids=["turns", "ways"])
+def test_motors_that_ignore_small_commands_are_unknown(column: int, least: float) -> None:
+    """The run is driven by what the motors obey; the log shows what they were told beside it: 0.6 of `least`."""
+    for seed in (5, 6):
+        run = make_run(seed)
+        told, still = run.commands.copy(), np.abs(run.commands[:, column]) < 1e-9
+        shift = np.sign(np.sin(run.cmd_stamps / 3.0))
+        told[still, column] = 0.6 * least * shift[still]
+        ledger = diagnose_drive(replace(run, commands=told), ROBOT)
+        assert ledger.unknown is not None and "small" in ledger.unknown.statement and ledger.effects == ()
 
 
 def test_run_without_commands_or_odometry_is_skipped_with_reason() -> None:

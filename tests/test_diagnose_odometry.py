@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 from diagnose_samples import ROBOT, make_run, without_odometry
 
+from logs.run import Run
+from planners.arena import wrap
 from sensorgraph.diagnose.odometry import diagnose_odometry
 
 PLANTED: list[tuple[str, dict[str, Any], dict[str, float]]] = [
@@ -51,6 +54,59 @@ def test_slippery_patch_is_found_where_it_is() -> None:
 def test_two_effects_are_both_named() -> None:
     ledger = diagnose_odometry(make_run(5, base=0.03, clock=0.05), ROBOT)
     assert {a.name for a in ledger.effects} == {"wheel_base", "pose_clock_offset"}
+
+
+def turned_by_place(run: Run) -> Run:
+    """Return the run as a camera sees it whose sense of direction depends on the place."""
+    poses = run.poses.copy()
+    poses[:, 2] += 0.045 * np.sin(2.0 * poses[:, 0]) * np.cos(1.7 * poses[:, 1])
+    return replace(run, poses=poses)
+
+
+def bent_by_place(run: Run) -> Run:
+    """Return the run as a camera with a distorted lens sees it: 8 cm at the corner of what was driven."""
+    poses, off = run.poses.copy(), run.poses[:, :2] - run.poses[:, :2].mean(axis=0)
+    poses[:, :2] += 0.08 * off * (off**2).sum(axis=1, keepdims=True) / np.abs(off).max() ** 3
+    return replace(run, poses=poses)
+
+
+def worn_half_way(run: Run) -> Run:
+    """Return the run as wheels report it that lose 6 % of their radius at 35 s."""
+    grown = np.where(run.odom_stamps > 35.0, 1.06, 1.0)[:, None]
+    odometry = run.odometry.copy()
+    step = np.diff(odometry[:, :2], axis=0, prepend=0.0)
+    turn = np.asarray(wrap(np.diff(odometry[:, 2], prepend=0.0)))
+    phi = np.cumsum(turn * grown[:, 0])
+    angle = np.cumsum(turn * (grown[:, 0] - 1.0)) - turn * (grown[:, 0] - 1.0) / 2
+    c, s = np.cos(angle), np.sin(angle)
+    moved = np.stack([c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1]], axis=1) * grown
+    odometry = np.column_stack([np.cumsum(moved, axis=0), wrap(phi)])
+    return replace(run, odometry=odometry, odom_twists=run.odom_twists * grown)
+
+
+@pytest.mark.parametrize(
+    ("distort", "said"),
+    [
+        (turned_by_place, "yaw of the reference"),
+        (bent_by_place, "reference"),
+        (worn_half_way, "changes once"),
+    ],
+    ids=["turned by place", "bent by place", "worn half-way"],
+)
+def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: str) -> None:
+    for seed in (11, 12):
+        ledger = diagnose_odometry(distort(make_run(seed)), ROBOT)
+        assert ledger.unknown is not None and said in ledger.unknown.statement
+        assert not {a.name for a in ledger.effects} & {"wheel_slip", "wheel_base", "wheel_radius_diff"}
+
+
+def test_camera_louder_than_said_is_no_structure() -> None:
+    rng = np.random.default_rng(3)
+    for seed in (13, 14):
+        run = make_run(seed, memory=0.9)
+        louder = run.poses + rng.normal(size=run.poses.shape) * [0.005, 0.005, 0.004]
+        ledger = diagnose_odometry(replace(run, poses=louder), ROBOT)
+        assert ledger.effects == () and ledger.unknown is None
 
 
 def test_run_without_odometry_is_skipped_with_reason() -> None:

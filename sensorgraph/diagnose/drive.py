@@ -29,7 +29,9 @@ from sensorgraph.diagnose.channel import (
     whiten,
 )
 from sensorgraph.diagnose.finding import Fit, Gap, Ledger, Rival, Unknown, Where
+from sensorgraph.diagnose.noise import Noise
 from sensorgraph.diagnose.odometry import clock_offset
+from sensorgraph.diagnose.structure import Family, Judge, kind_of
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot_file import RobotFile
 
@@ -44,8 +46,12 @@ LAG = 0.004
 """[s] tolerance of the time constant."""
 CLOCKS = (0.0015, 0.0035)
 """[s] least and largest tolerance of the clocks."""
-FOREIGN = 70.0
+FOREIGN = THRESHOLD
 """[nats] that structure outside the library needs."""
+SHARE = 0.01
+"""Of the evidence of the strongest name: structure below it is where that effect's model is not exact."""
+DEADBANDS = (0.03, 0.06, 0.09, 0.12, 0.15, 0.18, 0.21, 0.24, 0.28, 0.33)
+"""Shares of the largest command below which motors may do nothing."""
 LEAST_ROWS = 100
 CLUSTER = 2.0
 DRIVE = ("actuator_lag", "dead_time", "speed_saturation")
@@ -306,21 +312,14 @@ class _Search:
 
     def compete(self, names: list[str], here: Fitted) -> tuple[list[str], Fitted, Unknown | None]:
         """Let structure that no effect makes stand beside the effects, or in their stead."""
-        kept = list(self.taps), list(self.sigmas), self.weights
-        left = self.residual(here)
         own = here.A[:, [0, 1, 2, 3, 4] + ([5] if "speed_saturation" in names else [])]
-        n0 = self.whiten_rows(self._cleared(own, left))
-        best = (0.0, "", np.zeros((0, 0)))
-        for name, columns in self._families(here).items():
-            self.taps, self.sigmas, self.weights = list(kept[0]), list(kept[1]), kept[2]
-            both = np.concatenate([own, columns], axis=1)
-            gain = self.whiten_rows(self._cleared(both, left)) - n0 - PENALTY * columns.shape[1] - FOREIGN
-            if gain > best[0]:
-                best = (gain, name, columns)
-        self.taps, self.sigmas, self.weights = list(kept[0]), list(kept[1]), kept[2]
-        gain, name, columns = best
-        if not name:
+        judge = Judge(self.ok, np.where(self.ok2, self.y - here.base, 0.0), free_noise)
+        found = self._families(here)
+        name, size = judge.best(own, found)
+        needed = max(FOREIGN, SHARE * max(self.evidence(names, here).values(), default=0.0))
+        if size < needed:
             return names, here, None
+        columns = found[name].columns
         self.extra = columns
         full = self.fit(names, here.motors)
         self.whiten_rows(self.residual(full))
@@ -330,13 +329,12 @@ class _Search:
             without = self.fit(rest, full.motors)
             if full.solution.J - without.solution.J - PENALTY < THRESHOLD:
                 names, full = rest, without
-        text = _STATEMENTS[name]
-        size = gain + FOREIGN
+        text = found[name].statement
         unknown = Unknown(
             statement=f"commands and odometry differ {text}, which no effect of the library explains",
             where=Where(
                 family="bias",
-                partition=name,
+                partition=kind_of(name),
                 label=text,
                 z=float(np.sqrt(2 * size)),
                 size=size,
@@ -344,21 +342,12 @@ class _Search:
                 channel="drive",
             ),
             statistic=size,
-            threshold=FOREIGN,
+            threshold=needed,
         )
         return names, full, unknown
 
-    def _cleared(self, columns: Floats, values: Floats) -> Floats:
-        Z = self._white(columns)
-        G = Z.T @ Z
-        scale = np.sqrt(np.maximum(np.diag(G), 1e-12))
-        theta = np.linalg.solve(
-            G / np.outer(scale, scale) + 1e-7 * np.eye(len(G)), (Z.T @ self._white(values)) / scale
-        )
-        return np.where(self.ok2, values - columns @ (theta / scale), 0.0)
-
-    def _families(self, here: Fitted) -> dict[str, Floats]:
-        """Return columns (2 n, k) of differences that no effect makes."""
+    def _families(self, here: Fitted) -> dict[str, Family]:
+        """Return differences that no effect makes."""
         n = len(self.ok)
         v, omega = here.base[:n], here.base[n:]
         nil = np.zeros(n)
@@ -375,26 +364,39 @@ class _Search:
         top_v, top_omega = max(float(np.abs(v).max()), 1e-3), max(float(np.abs(omega).max()), 1e-3)
         slow = [(np.abs(v) < q * top_v).astype(np.float64) for q in (0.25, 0.5)]
         slow_turns = [(np.abs(omega) < q * top_omega).astype(np.float64) for q in (0.12, 0.2, 0.35, 0.6)]
-        return {
+        columns = {
             "time": split(times, times),
             "speed": split(slow, slow_turns),
             "direction": split([(v < 0).astype(np.float64)], [(omega < 0).astype(np.float64)]),
-            "deadband": np.stack(self._deadbands(here), axis=1),
             "timing": np.stack(
                 [np.concatenate([here.A[:n, 1] * m, here.A[n:, 1] * m]) for m in times], axis=1
             ),
         }
+        columns |= {f"jump {k}": split([late], [late]) for k, late in enumerate(_moments(share))}
+        columns |= {f"deadband {k}": part[:, None] for k, part in enumerate(self._deadbands(here))}
+        kinds = [kind_of(name) for name in columns]
+        return {
+            name: Family(
+                columns=part,
+                labels=[],
+                sigma=SIGMAS[kind_of(name)],
+                choices=float(np.log(kinds.count(kind_of(name)))),
+                statement=_STATEMENTS[kind_of(name)],
+            )
+            for name, part in columns.items()
+        }
 
     def _deadbands(self, here: Fitted) -> list[Floats]:
-        """Return what it would change if small commands did nothing (2 n,) each."""
+        """Return what it would change if commands below some size did nothing (2 n,) each."""
         kept, out = self.commands, []
         top = np.maximum(np.abs(kept).max(axis=0), 1e-3)
-        for column, share in ((1, 0.1), (1, 0.18), (1, 0.26), (0, 0.15)):
-            self.commands = kept.copy()
-            self.commands[np.abs(kept[:, column]) < share * top[column], column] = 0.0
-            ends, travelled = self._travelled(here.motors)
-            moved = [np.interp(self.end, ends, c) - np.interp(self.start, ends, c) for c in travelled.T]
-            out.append(np.concatenate(moved) / np.tile(self.end - self.start, 2) - here.base)
+        for column in (0, 1):
+            for share in DEADBANDS:
+                self.commands = kept.copy()
+                self.commands[np.abs(kept[:, column]) < share * top[column], column] = 0.0
+                ends, travelled = self._travelled(here.motors)
+                moved = [np.interp(self.end, ends, c) - np.interp(self.start, ends, c) for c in travelled.T]
+                out.append(np.concatenate(moved) / np.tile(self.end - self.start, 2) - here.base)
         self.commands = kept
         return [np.where(self.ok2, column, 0.0) for column in out]
 
@@ -594,8 +596,23 @@ def _limited(held: Floats, keep: float, most: float) -> Floats:
     return np.array(out)
 
 
+def free_noise(i: int, residual: Floats, ok: Bools) -> Noise:
+    """Return autoregressive noise as the residual (n,) shows it, whichever kind of row it is."""
+    limit = 4.0 * 1.4826 * np.median(np.abs(residual[ok])) + 1e-9
+    taps, sigma = autoregression([np.clip(residual, -limit, limit)], [ok], ORDER)
+    return Noise(taps=taps, sigma=max(sigma, 1e-6))
+
+
+def _moments(share: Floats) -> list[Floats]:
+    """Return masks (n,) of what comes after each of some moments; `share` (n,) of the run has passed."""
+    return [(share > k / 16).astype(np.float64) for k in range(1, 16)]
+
+
+SIGMAS = {"time": 0.1, "jump": 0.1, "speed": 0.1, "direction": 0.1, "timing": 0.05, "deadband": 1.0}
+"""Of each coefficient, a priori: gains and shares; timing in seconds."""
 _STATEMENTS = {
     "time": "by a gain that changes in time",
+    "jump": "by a gain that changes once",
     "speed": "by a gain that depends on speed or turn rate",
     "direction": "differently forward and backward, or to the left and to the right",
     "deadband": "where commands are small",

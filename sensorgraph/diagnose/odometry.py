@@ -12,10 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
 from logs.run import Run
-from planners.arena import Bools, Floats, wrap
+from planners.arena import Bools, Floats
 from sensorgraph.diagnose.channel import (
     PENALTY,
     THRESHOLD,
@@ -25,22 +24,17 @@ from sensorgraph.diagnose.channel import (
     Solution,
     autoregression,
     huber,
-    increments,
-    own_reference,
     probabilities,
     whiten,
 )
 from sensorgraph.diagnose.finding import Fit, Gap, Ledger, Rival, Unknown, Where
+from sensorgraph.diagnose.rows import Rows, aligned, lay_out, signals_of, stack
+from sensorgraph.diagnose.structure import Family, Judge, LimitedNoise, families, kind_of, limits_of
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot_file import RobotFile
 
-GROUP = 0.1
-"""[s] over which reference poses are averaged."""
 ORDER = 24
 """Of the whitening filters."""
-LARGEST_GAP = 0.35
-"""[s] without poses or odometry across which nothing is compared."""
-LEAST_ROWS = 60
 CLUSTER = 2.0
 """[s] within which errors may be correlated beyond the filter."""
 GLOBAL = ("wheel_radius", "wheel_radius_diff", "wheel_base", "pose_clock_offset")
@@ -54,57 +48,26 @@ RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92)
 """[m] of patches that are tried."""
 PLACE_DOUBT = 2.0
 """Widens the spread of a patch's place: set on development cases, where the search alone was too sure of it."""
-FOREIGN = 70.0
+FOREIGN = 15.0
 """[nats] that structure outside the library needs."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rows:
-    """Both sides of the comparison, for one assumed clock offset."""
-
-    clock: float
-    """[s] the odometry is taken to be older than its stamp."""
-    stamps: Floats
-    """(n,) [s]"""
-    poses: Floats
-    """(n, 3) reference pose between both averages."""
-    levels: Floats
-    """(n + 1, 3) averaged reference poses, positions smoothed by the wheels, yaw not wrapped."""
-    is_valid: Bools
-    """(n,)"""
-    along: Floats
-    """(n,) [m] of the reference along its heading."""
-    yaw: Floats
-    """(n,) [rad] of the reference."""
-    D_along: sparse.csr_array
-    """(n, n_increments) turns way into rows."""
-    D_yaw: sparse.csr_array
-    """(n, n_increments) turns turn into rows."""
-    slopes: Floats
-    """(n, 2) derivative of what the wheels say by the clock [m/s, rad/s]."""
-    spots: Floats
-    """(n_increments, 3) reference pose in the middle of each increment."""
-
-    @property
-    def n(self) -> int:
-        """Count of rows of one kind."""
-        return len(self.stamps)
+SHARE = 0.02
+"""Of the evidence of all names: structure below it is where an effect's model is not exact."""
 
 
 def diagnose_odometry(run: Run, robot: RobotFile, *, seed: int = 0) -> Ledger:
     """Name what makes odometry and reference pose differ."""
-    signals = _signals(run)
+    signals = signals_of(run)
     if isinstance(signals, str):
         return Ledger(channel="odometry", skipped=signals)
     stamps, poses, wheels, notes = signals
-    rows = _aligned(stamps, poses, wheels)
+    rows = aligned(stamps, poses, wheels)
     if isinstance(rows, str):
         return Ledger(channel="odometry", skipped=rows)
     search = _Search(rows=rows, wheels=wheels, robot=robot, rng=np.random.default_rng(seed))
     search.whiten_rows()
     late = search.late()
     if abs(late) > 3e-4:
-        moved = _rows(stamps, poses, wheels, rows.clock + late)
+        moved = lay_out(stamps, poses, wheels, rows.clock + late)
         if moved is not None:
             search = _Search(rows=moved, wheels=wheels, robot=robot, rng=np.random.default_rng(seed))
             search.whiten_rows()
@@ -113,11 +76,11 @@ def diagnose_odometry(run: Run, robot: RobotFile, *, seed: int = 0) -> Ledger:
 
 def clock_offset(run: Run, robot: RobotFile) -> tuple[float, float] | None:
     """Return how much older the odometry is than its stamp, and its standard error [s]; None if unknown."""
-    signals = _signals(run)
+    signals = signals_of(run)
     if isinstance(signals, str):
         return None
     stamps, poses, wheels, _ = signals
-    rows = _aligned(stamps, poses, wheels)
+    rows = aligned(stamps, poses, wheels)
     if isinstance(rows, str):
         return None
     search = _Search(rows=rows, wheels=wheels, robot=robot, rng=np.random.default_rng(0))
@@ -126,223 +89,6 @@ def clock_offset(run: Run, robot: RobotFile) -> tuple[float, float] | None:
     solution = search.normal.solve(prior)
     spread = search.normal.sandwich(solution, search.clusters)
     return search.rows.clock + float(solution.theta[3]), float(np.sqrt(spread[3, 3]))
-
-
-def _signals(run: Run) -> tuple[Floats, Floats, Increments, dict[str, object]] | str:
-    """Return reference stamps and poses of base_link, the wheels' increments and notes; or why not."""
-    if skipped := own_reference(run):
-        return skipped
-    wheels = increments(run)
-    if wheels is None:
-        return "this run has no odometry that moves"
-    good: Bools = np.asarray(np.isfinite(run.poses).all(axis=1))
-    good[1:] &= np.diff(run.pose_stamps) > 1e-6
-    stamps, poses = run.pose_stamps[good], run.poses[good].copy()
-    if len(stamps) < LEAST_ROWS:
-        return f"this run has {len(stamps)} reference poses, expected at least {LEAST_ROWS}"
-    if np.ptp(poses[:, :2], axis=0).max() < 0.02 and np.ptp(wrap(poses[:, 2] - poses[0, 2])) < 0.05:
-        return "the reference poses of this run do not move"
-    poses[:, 2] = np.unwrap(poses[:, 2])
-    if run.pose_frame == "laser":
-        mount = run.sensor.mount
-        poses[:, 2] -= mount[2]
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        poses[:, :2] -= np.stack([c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]], axis=1)
-    notes: dict[str, object] = {"odometry_from": wheels.source}
-    first, last = max(stamps[0], wheels.start[0]), min(stamps[-1], wheels.end[-1])
-    whole = max(stamps[-1], wheels.end[-1]) - min(stamps[0], wheels.start[0])
-    if last - first < 0.9 * whole:
-        notes["overlap"] = (
-            f"poses and odometry overlap from {first:.1f} to {last:.1f} s, {last - first:.1f} of {whole:.1f} s; the rest is not used"
-        )
-    return stamps, poses, wheels, notes
-
-
-def _aligned(stamps: Floats, poses: Floats, wheels: Increments) -> Rows | str:
-    """Return rows at the clock offset that fits best."""
-    clock = _coarse_clock(stamps, poses, wheels)
-    rows: Rows | None = None
-    for turn in range(4):
-        rows = _rows(stamps, poses, wheels, clock)
-        if rows is None or int(rows.is_valid.sum()) < LEAST_ROWS:
-            n = 0 if rows is None else int(rows.is_valid.sum())
-            return f"poses and odometry overlap in {n} tenths of a second, expected at least {LEAST_ROWS}"
-        if turn == 3:
-            break
-        ok = rows.is_valid
-        A, y = _stack(rows, wheels, 0.4)
-        fit = np.concatenate([ok, ok])
-        scale = np.repeat([np.std(y[: rows.n][ok]) + 1e-9, np.std(y[rows.n :][ok]) + 1e-9], rows.n)
-        for _ in range(2):  # each kind of row by its own spread
-            theta = np.linalg.lstsq((A / scale[:, None])[fit], (y / scale)[fit], rcond=1e-9)[0]
-            left = y - A @ theta
-            scale = np.repeat([np.std(left[: rows.n][ok]) + 1e-9, np.std(left[rows.n :][ok]) + 1e-9], rows.n)
-        step = float(np.clip(theta[3], -0.05, 0.05))
-        clock += step
-        if abs(step) < 2e-4:
-            break
-    assert rows is not None
-    return rows
-
-
-def _coarse_clock(stamps: Floats, poses: Floats, wheels: Increments, reach: float = 0.8) -> float:
-    """Return the clock offset [s] at which turn rate and speed of wheels and reference go together best."""
-    step = 0.025
-    first, last = max(stamps[0], wheels.start[0]) + reach, min(stamps[-1], wheels.end[-1]) - reach
-    if last - first < 5.0:
-        return 0.0
-    grid = np.arange(first - reach, last + reach, step)
-    half = 0.1
-    at = [np.interp(grid + d, stamps, poses[:, i]) for d in (-half, half) for i in range(3)]
-    heading = np.interp(grid, stamps, poses[:, 2])
-    turn = at[5] - at[2]
-    way = (at[3] - at[0]) * np.cos(heading) + (at[4] - at[1]) * np.sin(heading)
-    ends = np.append(wheels.start, wheels.end[-1])
-    best = np.zeros(round(2 * reach / step) + 1)
-    margin = round(reach / step)
-    for seen, said in ((turn, wheels.turn), (way, wheels.way)):
-        total = np.concatenate([[0.0], np.cumsum(said)])
-        move = np.interp(grid + half, ends, total) - np.interp(grid - half, ends, total)
-        inner = seen[margin : len(seen) - margin]
-        power = np.sum((inner - inner.mean()) ** 2)
-        if power < 1e-12:
-            continue
-        for k in range(len(best)):  # the odometry at t + tau shows the reference at t
-            shifted = move[k : k + len(inner)]
-            best[k] -= np.sum((inner - shifted) ** 2) / power
-    k = int(np.argmax(best))
-    if not 0 < k < len(best) - 1:
-        return 0.0
-    a, b, c = best[k - 1 : k + 2]
-    bend = a - 2 * b + c
-    return float((k - margin + (0.5 * (a - c) / bend if bend < 0 else 0.0)) * step)
-
-
-def _rows(stamps: Floats, poses: Floats, wheels: Increments, clock: float) -> Rows | None:
-    """Group the poses and lay the increments out under them."""
-    start, end = wheels.start - clock, wheels.end - clock
-    inside = (stamps >= start[0]) & (stamps <= end[-1])
-    stamps, poses = stamps[inside], poses[inside]
-    if len(stamps) < 10:
-        return None
-    period = float(np.median(np.diff(stamps)))
-    m = max(1, round(GROUP / period))
-    n = len(stamps) // m
-    t = stamps[: n * m].reshape(n, m)
-    levels = poses[: n * m].reshape(n, m, 3).mean(axis=1)
-    total = np.concatenate([[0.0], np.cumsum(wheels.turn)])
-    ends = np.append(start, end[-1])
-    off = levels[:, 2] - np.interp(t, ends, total).mean(axis=1)
-    width = _odd(1.0 / (m * period), n)
-    padded = np.pad(off, width // 2, mode="edge")
-    off = np.convolve(padded, np.ones(width) / width, mode="valid")
-    centre = t.mean(axis=1)
-    middle = (start + end) / 2
-    heading = np.interp(middle, ends, total) + np.interp(middle, centre, off)
-    border = (centre[1:] + centre[:-1]) / 2
-    phi = np.interp(border, ends, total) + np.interp(border, centre, off)
-    step = np.diff(levels, axis=0)
-    along = step[:, 0] * np.cos(phi) + step[:, 1] * np.sin(phi)
-    valid = (np.diff(centre) < max(LARGEST_GAP, 2.5 * m * period)) & (
-        np.ptp(t, axis=1) < LARGEST_GAP + m * period
-    )[1:]
-    valid &= (np.ptp(t, axis=1) < LARGEST_GAP + m * period)[:-1]
-    D, index, ok = _layout(t, start, end)
-    valid &= ok
-    D_along = _sparse(D * np.cos(heading[index] - phi[:, None]), index, len(start))
-    D_yaw = _sparse(D, index, len(start))
-    slopes = _slopes(t, wheels, clock, heading, phi)
-    between = (levels[1:] + levels[:-1]) / 2
-    steps = wheels.way[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    trail = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    told = np.stack([np.interp(centre, ends, column) for column in trail.T], axis=1)
-    width = _odd(2.0 / (m * period), n)
-    apart = np.pad(levels[:, :2] - told, ((width // 2, width // 2), (0, 0)), mode="edge")
-    apart = np.stack(
-        [np.convolve(column, np.ones(width) / width, mode="valid") for column in apart.T], axis=1
-    )
-    smooth = told + apart
-    spots = np.stack([np.interp(middle, centre, column) for column in (*smooth.T, levels[:, 2])], axis=1)
-    spots[:, 2] = heading
-    return Rows(
-        clock=clock,
-        stamps=border,
-        poses=np.column_stack([between[:, :2], phi]),
-        levels=np.column_stack([smooth, levels[:, 2]]),
-        is_valid=valid,
-        along=along,
-        yaw=step[:, 2],
-        D_along=D_along,
-        D_yaw=D_yaw,
-        slopes=slopes,
-        spots=spots,
-    )
-
-
-def _odd(width: float, n: int) -> int:
-    return max(3, min(round(width), n)) // 2 * 2 + 1
-
-
-def _layout(t: Floats, start: Floats, end: Floats) -> tuple[Floats, np.ndarray, Bools]:
-    """Return how much of each increment lies between two averages: weights (n, o), indices (n, o), validity (n,)."""
-    first = np.clip(np.searchsorted(end, t[:-1, 0], side="right"), 0, len(end) - 1)
-    last = np.clip(np.searchsorted(start, t[1:, -1], side="left"), 0, len(end) - 1)
-    reach = int(np.quantile(last - first, 0.995)) + 2
-    index = np.minimum(first[:, None] + np.arange(reach), len(end) - 1)
-    twice = first[:, None] + np.arange(reach) > len(end) - 1
-    a, span = start[index][..., None], (end - start)[index][..., None]
-    weights = np.clip((t[1:, None, :] - a) / span, 0, 1).mean(axis=2)
-    weights -= np.clip((t[:-1, None, :] - a) / span, 0, 1).mean(axis=2)
-    weights[twice] = 0.0
-    ok = (last - first < reach) & ((end - start)[index].max(axis=1) < LARGEST_GAP)
-    return weights, index, ok
-
-
-def _sparse(weights: Floats, index: np.ndarray, n: int) -> sparse.csr_array:
-    rows = np.repeat(np.arange(len(weights)), weights.shape[1])
-    return sparse.csr_array(
-        sparse.coo_array((weights.ravel(), (rows, index.ravel())), shape=(len(weights), n))
-    )
-
-
-def _slopes(t: Floats, wheels: Increments, clock: float, heading: Floats, phi: Floats) -> Floats:
-    """Return the derivative by the clock of what the wheels say (n, 2), from smoothed increments."""
-    kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9
-    way, turn = (
-        np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in (wheels.way, wheels.turn)
-    )
-    out = []
-    for late in (-0.01, 0.01):
-        D, index, _ = _layout(t, wheels.start - clock - late, wheels.end - clock - late)
-        out.append(
-            np.stack(
-                [
-                    ((D * np.cos(heading[index] - phi[:, None])) * way[index]).sum(axis=1),
-                    (D * turn[index]).sum(axis=1),
-                ],
-                axis=1,
-            )
-        )
-    return np.asarray((out[1] - out[0]) / 0.02)
-
-
-def _stack(rows: Rows, wheels: Increments, base: float) -> tuple[Floats, Floats]:
-    """Return columns (2 n, 5) and rows (2 n,): along first, then yaw.
-
-    Columns: both wheels, difference, base, clock, marker beside the axle.
-    """
-    way, turn = rows.D_along @ wheels.way, rows.D_yaw @ wheels.turn
-    straight = rows.D_yaw @ wheels.way
-    nil = np.zeros(rows.n)
-    A = np.concatenate(
-        [
-            np.stack([way, nil, nil, rows.slopes[:, 0], -turn], axis=1),
-            np.stack([turn, -straight / base, turn, rows.slopes[:, 1], nil], axis=1),
-        ]
-    )
-    y = np.concatenate([rows.along - way, rows.yaw - turn])
-    ok = np.concatenate([rows.is_valid, rows.is_valid])
-    return np.where(ok[:, None], A, 0.0), np.where(ok, y, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -373,12 +119,13 @@ class _Search:
     def __init__(self, *, rows: Rows, wheels: Increments, robot: RobotFile, rng: np.random.Generator) -> None:
         self.rows, self.wheels, self.robot, self.rng = rows, wheels, robot, rng
         self.base = robot.wheels.base
-        self.A, self.y = _stack(rows, wheels, self.base)
+        self.A, self.y = stack(rows, wheels, self.base)
         self.ok = np.concatenate([rows.is_valid, rows.is_valid])
         block = ((rows.stamps - rows.stamps[0]) / CLUSTER).astype(np.intp)
         self.clusters = np.concatenate([block, block]).astype(np.float64)
         self.patches: list[Patch] = []
-        self.families = _families(rows, wheels)
+        self.families = families(rows, wheels)
+        self.limits = limits_of(rows, wheels, robot)
         self.foreign: list[str] = []
         self.tests: dict[str, tuple[float, float]] = {}
         self.taps: list[Floats] = []
@@ -535,20 +282,18 @@ class _Search:
 
     def _compete(self, names: list[str]) -> None:
         """Let structure that no effect makes stand beside the effects, or in their stead."""
-        own = self.columns()
-        here = self._profile(own)
-        best = (0.0, "", False)
-        for name, family in self.families.items():
-            cost = PENALTY * min(len(family.labels), np.linalg.matrix_rank(family.columns)) + FOREIGN
-            add = self._profile(np.concatenate([own, family.columns], axis=1)) - here - cost
-            best = max(best, (add, name, False))
-            if self.patches:
-                alone = self._profile(np.concatenate([self.A, family.columns], axis=1)) - here - cost
-                best = max(best, (alone + 4 * PENALTY * len(self.patches), name, True))
-        gain, name, is_instead = best
-        if not name:
+        own = np.concatenate([self.columns(), self._edges(names)], axis=1)
+        judge = Judge(self.rows.is_valid, self.y, LimitedNoise(self.limits))
+        name, gain = judge.best(own, self.families)
+        is_instead = False
+        if self.patches and name:
+            alone = judge.gain(self.A, self.families[name]) - judge.gain_of(own, self.A)
+            is_instead = alone + 4 * PENALTY * len(self.patches) > gain
+            gain = max(gain, alone)
+        needed = max(FOREIGN, SHARE * (self.score(names) - self.score([])))
+        if gain < needed:
             return
-        self.tests[name] = (gain + FOREIGN, FOREIGN)
+        self.tests[name] = (gain, needed)
         if is_instead:
             self.patches = []
             names[:] = [other for other in names if other in GLOBAL]
@@ -725,12 +470,16 @@ class _Search:
 
     # criticism
 
+    def _steady(self) -> dict[str, Family]:
+        """Return the families whose columns stand for themselves; the moments of a jump are one choice of many."""
+        return {name: family for name, family in self.families.items() if not family.choices}
+
     def _where(self) -> tuple[Where, ...]:
         """Say where the bare simulator differs, before any effect is named."""
         solution = self.normal.solve(self.prior([]))
         left = self.normal.y - self.normal.A @ solution.theta
         out = []
-        for name, family in self.families.items():
+        for name, family in self._steady().items():
             columns, labels = family.columns, family.labels
             Z = self._white(columns)
             sums = np.stack(
@@ -759,12 +508,12 @@ class _Search:
         if not self.foreign:
             return None
         name, (z, threshold) = self.foreign[0], self.tests[self.foreign[0]]
-        text = _STATEMENTS[name]
+        text = self.families[name].statement
         return Unknown(
             statement=f"odometry and reference pose differ {text}, which no effect of the library explains",
             where=Where(
                 family="bias",
-                partition=name,
+                partition=kind_of(name),
                 label=text,
                 z=z,
                 size=z,
@@ -784,7 +533,7 @@ class _Search:
             here = np.array([patch.x, patch.y, patch.r])
             moved = np.concatenate([here + 0.06 * np.eye(3), here - 0.06 * np.eye(3)])
             masks = _inside(self.rows.spots, moved)
-            parts.append(self._white(self._gained(masks[:, :3] - masks[:, 3:])))
+            parts.append(self._gained(masks[:, :3] - masks[:, 3:]))
         return np.concatenate(parts, axis=1)
 
     def _gap(self, names: Sequence[str]) -> Gap:
@@ -801,7 +550,7 @@ class _Search:
         nominal = np.zeros(columns.shape[1])
         nominal[3] = -self.rows.clock
         before = self.y - columns @ nominal
-        rich = np.concatenate([columns, *[f.columns for f in self.families.values()]], axis=1)
+        rich = np.concatenate([columns, *[f.columns for f in self._steady().values()]], axis=1)
         Z = self._white(rich)
         G = Z.T @ Z
         theta = np.linalg.solve(G + 1e-8 * np.trace(G) / len(G) * np.eye(len(G)), Z.T @ self.normal.y)
@@ -850,151 +599,6 @@ _LACKS = {
     "wheel_base": "too little turning",
     "pose_clock_offset": "too little acceleration",
 }
-_STATEMENTS = {
-    "time": "by a scale that changes in time",
-    "speed": "by a scale that depends on speed or turn rate",
-    "direction": "differently forward and backward, or to the left and to the right",
-    "acceleration": "when the robot accelerates",
-    "place": "by a scale that depends on the place",
-    "clock": "by a clock offset that changes in time",
-    "reference yaw": "by a yaw of the reference that depends on the place",
-    "reference place": "by a position of the reference that is distorted over the place",
-}
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Family:
-    """Differences that no library effect makes."""
-
-    columns: Floats
-    """(2 n, k)"""
-    labels: list[str]
-    sigma: float
-    """Of each parameter, a priori."""
-    choices: float = 0.0
-    """[nats] for having been chosen among several."""
-
-
-def _families(rows: Rows, wheels: Increments) -> dict[str, Family]:
-    """Return columns (2 n, k) of differences that no library effect makes, and what to call each."""
-    rates = wheels.rates
-    v, omega = np.abs(rates[:, 0]), np.abs(rates[:, 1])
-    kernel = np.ones(5) / 5
-    smooth = np.stack([np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in rates.T], axis=1)
-    gain = np.abs(np.gradient(smooth, wheels.middle, axis=0))
-    pieces = np.clip(
-        (6 * (wheels.middle - wheels.start[0]) / (wheels.end[-1] - wheels.start[0])).astype(np.intp), 0, 5
-    )
-    span = [f"{a:.0f} to {b:.0f} s" for a, b in _spans(wheels, 6)]
-    out: dict[str, Family] = {}
-
-    def both(name: str, masks: list[tuple[str, str, Floats]]) -> None:
-        columns, labels = [], []
-        nil = np.zeros(rows.n)
-        for label, kind, mask in masks:
-            along = rows.D_along @ (wheels.way * mask) if kind in ("v", "both") else nil
-            yaw = rows.D_yaw @ (wheels.turn * mask) if kind in ("omega", "both") else nil
-            columns.append(np.where(np.tile(rows.is_valid, 2), np.concatenate([along, yaw]), 0.0))
-            labels.append(
-                f"{label}, {'way' if kind == 'v' else 'turn' if kind == 'omega' else 'way and turn'}"
-            )
-        if columns:
-            out[name] = Family(columns=np.stack(columns, axis=1), labels=labels, sigma=0.1)
-
-    as_float = np.float64
-    both(
-        "time", [(span[k], kind, (pieces == k).astype(as_float)) for k in range(6) for kind in ("v", "omega")]
-    )
-    cuts = np.array([0.12, 0.22, 0.32]) * max(1.0, float(np.quantile(v, 0.98)) / 0.4)
-    turns = np.array([0.25, 0.5, 0.75]) * max(1.0, float(np.quantile(omega, 0.98)))
-    both(
-        "speed",
-        [(f"|v| above {c:.2f} m/s", "v", (v > c).astype(as_float)) for c in cuts]
-        + [(f"|omega| above {c:.2f} rad/s", "omega", (omega > c).astype(as_float)) for c in turns],
-    )
-    both(
-        "direction",
-        [
-            ("backward", "v", (rates[:, 0] < 0).astype(as_float)),
-            ("to the right", "omega", (rates[:, 1] < 0).astype(as_float)),
-        ],
-    )
-    both(
-        "acceleration",
-        [
-            (
-                f"above {np.quantile(gain[:, 0], 0.85):.2f} m/s²",
-                "v",
-                (gain[:, 0] > np.quantile(gain[:, 0], 0.85)).astype(as_float),
-            ),
-            (
-                f"above {np.quantile(gain[:, 1], 0.85):.2f} rad/s²",
-                "omega",
-                (gain[:, 1] > np.quantile(gain[:, 1], 0.85)).astype(as_float),
-            ),
-        ],
-    )
-    cells = np.floor(rows.spots[:, :2] / 1.0).astype(np.intp)
-    keys, which = np.unique(cells, axis=0, return_inverse=True)
-    way = np.bincount(which.ravel(), weights=np.abs(wheels.way))
-    large = np.argsort(-way)[:24]
-    large = large[way[large] > 0.3]
-    both(
-        "place",
-        [
-            (
-                f"round ({keys[k][0] + 0.5:.1f}, {keys[k][1] + 0.5:.1f})",
-                "both",
-                (which.ravel() == k).astype(as_float),
-            )
-            for k in large
-        ],
-    )
-    part = np.clip((5 * (rows.stamps - rows.stamps[0]) / np.ptp(rows.stamps)).astype(np.intp), 0, 4)
-    masks = [(part == k)[:, None] * rows.slopes for k in range(5)]
-    clock = np.stack([np.where(np.tile(rows.is_valid, 2), m.T.ravel(), 0.0) for m in masks], axis=1)
-    out["clock"] = Family(
-        columns=clock, labels=[f"{a:.0f} to {b:.0f} s, clock" for a, b in _spans(wheels, 5)], sigma=0.5
-    )
-    out |= _reference_families(rows)
-    return out
-
-
-def _spans(wheels: Increments, n: int) -> list[tuple[float, float]]:
-    edges = np.linspace(wheels.start[0], wheels.end[-1], n + 1)
-    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
-
-
-def _reference_families(rows: Rows) -> dict[str, Family]:
-    """Return columns of a reference that is distorted over the place."""
-    xy = rows.levels[:, :2]
-    low, size = xy.min(axis=0), max(float(np.ptp(xy, axis=0).max()), 0.5)
-    u = (xy - low) / size
-    waves = [
-        np.cos(np.pi * a * u[:, 0]) * np.cos(np.pi * b * u[:, 1])
-        for a in range(5)
-        for b in range(5)
-        if 0 < a + b < 7
-    ]
-    nil = np.zeros(rows.n)
-    ok = np.tile(rows.is_valid, 2)
-    yaw = np.stack([np.where(ok, np.concatenate([nil, np.diff(w)]), 0.0) for w in waves], axis=1)
-    c, s = np.cos(rows.poses[:, 2]), np.sin(rows.poses[:, 2])
-    powers = [
-        (u[:, 0] - 0.5) ** a * (u[:, 1] - 0.5) ** b for a in range(4) for b in range(4) if 1 < a + b < 4
-    ]
-    place = np.stack(
-        [np.where(ok, np.concatenate([axis * np.diff(p), nil]), 0.0) for p in powers for axis in (c, s)],
-        axis=1,
-    )
-    return {
-        "reference yaw": Family(
-            columns=yaw, labels=["yaw of the reference by place"] * yaw.shape[1], sigma=0.02
-        ),
-        "reference place": Family(
-            columns=place, labels=["position of the reference by place"] * place.shape[1], sigma=0.2
-        ),
-    }
 
 
 def _is_material(a: Amendment) -> bool:
