@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from sensorgraph.models.base import Model
+from sensorgraph.models.faces import Faces
 from sensorgraph.models.polynomial import Polynomial
 
 MODELS: dict[str, type[Model]] = {
+    "faces": Faces,
     "polynomial": Polynomial,
 }
 """Name -> class with `fit`, `predict`, `state`, `restore`."""

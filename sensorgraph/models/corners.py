@@ -10,6 +10,7 @@ from sensorgraph.models.face_march import FaceSet
 from sensorgraph.models.visibility import Noise, Rays
 
 CORNER = 0.03  # [m] within which two ends may be one corner
+MOST_BLUR = 0.03  # [m]
 TOLERATED = 6.0  # [nats] that moving an end to a corner may cost: a look or two on the wrong side
 
 
@@ -85,3 +86,26 @@ def _in_order(faces: FaceSet) -> FaceSet:
         part = slice(faces.first[k], faces.first[k + 1])
         edges[part] = np.maximum.accumulate(edges[part])
     return faces._replace(edges=edges)
+
+
+def with_errors(faces: FaceSet, sums: Floats) -> FaceSet:
+    """Add to each edge's blur what the lines it lies on are uncertain by; `sums` are `Expectation.lines`.
+
+    A corner is as uncertain as both lines, divided by the sine of the angle between them.
+    """
+    w = np.maximum(sums[:, 0], 1.0)
+    c = sums[:, 1] / w
+    sway = np.maximum(sums[:, 2] - w * c**2, 0.0) + 1.0 / 0.3**2
+
+    def variance_at(k: Ints, s: Floats) -> Floats:
+        return np.asarray(1.0 / w[k] + (s - c[k]) ** 2 / sway[k])
+
+    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    own = variance_at(owner, faces.edges)
+    points = faces.normals[owner] * faces.offsets[owner, None] + faces.tangents[owner] * faces.edges[:, None]
+    beside = faces.neighbour
+    sine = np.abs((faces.normals[owner] * faces.tangents[beside]).sum(axis=1))
+    there = variance_at(beside, (faces.tangents[beside] * points).sum(axis=1))
+    corner = (own + there) / np.maximum(sine, 0.05) ** 2
+    blur = np.sqrt(np.where(beside >= 0, corner, faces.blur**2 + own))
+    return faces._replace(blur=np.minimum(blur, MOST_BLUR))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,7 @@ class Crossed:
 
 
 @kernel
-def is_crossed(px, py, ux, uy, reach, origin, cell, counts):  # type: ignore[no-untyped-def]
+def is_crossed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any, cell: Any, counts: Any) -> Any:
     """Walk the cells of a ray (Amanatides and Woo 1987); stop at one that nothing crossed."""
     nx, ny = counts.shape
     x, y = (px - origin[0]) / cell, (py - origin[1]) / cell
@@ -90,7 +91,9 @@ def is_crossed(px, py, ux, uy, reach, origin, cell, counts):  # type: ignore[no-
 
 
 @kernel
-def _supported(origins, directions, reach, origin, cell, counts, out):  # type: ignore[no-untyped-def]
+def _supported(
+    origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, counts: Any, out: Any
+) -> Any:
     for k in range(len(out)):
         out[k] = is_crossed(
             origins[k, 0], origins[k, 1], directions[k, 0], directions[k, 1], reach[k], origin, cell, counts
@@ -98,7 +101,7 @@ def _supported(origins, directions, reach, origin, cell, counts, out):  # type: 
 
 
 @kernel
-def _count(origins, directions, reach, origin, cell, counts):  # type: ignore[no-untyped-def]
+def _count(origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, counts: Any) -> Any:
     nx, ny = counts.shape
     for k in range(len(reach)):
         ux, uy = directions[k, 0], directions[k, 1]

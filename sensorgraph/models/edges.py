@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from sensorgraph.models.base import Floats, Ints
@@ -58,10 +60,7 @@ def looks_by_face(rays: Rays, faces: FaceSet, noise: Noise) -> tuple[Floats, Flo
 def _without_unseen(faces: FaceSet) -> FaceSet:
     """Drop faces that stop nothing."""
     keep = np.array(
-        [
-            (faces.levels[faces.first[k] : faces.first[k + 1]] > FAINT).any()
-            for k in range(faces.n_faces)
-        ],
+        [(faces.levels[faces.first[k] : faces.first[k + 1]] > FAINT).any() for k in range(faces.n_faces)],
         dtype=np.bool_,
     )
     return subset(faces, np.flatnonzero(keep))
@@ -85,7 +84,9 @@ def subset(faces: FaceSet, index: Ints) -> FaceSet:
 
 
 @kernel
-def _events(origins, directions, ranges, range_max, faces, buckets, noise):  # type: ignore[no-untyped-def]
+def _events(
+    origins: Any, directions: Any, ranges: Any, range_max: Any, faces: Any, buckets: Any, noise: Any
+) -> Any:
     """List all looks: face, abscissa, chance that the ray stopped given that it came so far, and that chance."""
     size = 3 * len(ranges) + 64
     face, at = np.empty(size, np.int32), np.empty(size)
@@ -131,7 +132,7 @@ def _stretches(t: Floats, stop: Floats, weight: Floats) -> tuple[Floats, Floats,
 
 
 @kernel
-def _partition(stop, weight, price):  # type: ignore[no-untyped-def]
+def _partition(stop: Any, weight: Any, price: Any) -> Any:
     """Cut outcomes where it pays: the first look of every stretch, and their count."""
     n = len(stop)
     starts = np.empty(n + 1, np.int64)  # runs of equal outcome: edges lie between them

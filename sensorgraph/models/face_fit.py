@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.models.base import Floats, Progress
-from sensorgraph.models.corners import join_corners
-from sensorgraph.models.edges import sharpen
+from sensorgraph.models.corners import join_corners, with_errors
+from sensorgraph.models.edges import sharpen, subset
 from sensorgraph.models.face_march import FaceSet
 from sensorgraph.models.selection import Lines, select_lines
 from sensorgraph.models.splits import split_bent
@@ -22,8 +22,10 @@ DRAFT_RAYS = 400_000
 """Rays that lines and bins are fitted to in the first rounds."""
 FINAL_RAYS = 2_000_000
 """Rays that edges and visibility are taken from in the end."""
-ROUNDS = 2
+ROUNDS = 3
 """Of splitting and of selecting among what no face explains."""
+WORTH = 8.0
+"""[nats] that a face must be worth to stay."""
 FEW = 4.0
 """Hits that make a face of their own in the later rounds: a chair's leg has few."""
 
@@ -60,6 +62,7 @@ def fit_faces(rays: Rays, *, sigma: float = 0.01, progress: Progress | None = No
     steps.tick()
     for _ in range(ROUNDS):
         more = _left(draft, seen, noise)
+        faces = subset(faces, np.flatnonzero(seen.lines[:, 7] > WORTH))
         faces = faces_of(split_bent(draft, faces, noise).joined(more))
         steps.tick()
         faces, noise, seen = _em(draft, faces, noise, passes=4)
@@ -73,6 +76,7 @@ def fit_faces(rays: Rays, *, sigma: float = 0.01, progress: Progress | None = No
     steps.tick()
     faces = join_corners(final, faces, noise)
     seen = expect(final, faces, noise)
+    faces = with_errors(faces, seen.lines)
     steps.tick()
     return FittedFaces(faces=faces, noise=noise, seen=seen, n_rays=len(final))
 
@@ -95,7 +99,7 @@ def _spread(seen: Expectation, noise: Noise) -> float:
     total = sums[:, 5].sum()
     if total <= 0:
         return noise.sigma
-    across = np.where(sums[:, 0] > 0, sums[:, 7] / np.maximum(sums[:, 0], 1e-300), 0.0)
+    across = np.where(sums[:, 0] > 0, sums[:, 6] / np.maximum(sums[:, 0], 1e-300), 0.0)
     return float(np.sqrt((sums[:, 5] * across).sum() / total))
 
 

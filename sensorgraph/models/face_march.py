@@ -6,7 +6,7 @@ ray crossing there stops. Kernels take the arrays of a `FaceSet`, in this order,
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -84,7 +84,18 @@ def index(faces: FaceSet) -> Buckets:
 
 
 @kernel
-def _rasterise(normals, offsets, first, edges, levels, origin, nx, ny, at, members):  # type: ignore[no-untyped-def]
+def _rasterise(
+    normals: Any,
+    offsets: Any,
+    first: Any,
+    edges: Any,
+    levels: Any,
+    origin: Any,
+    nx: Any,
+    ny: Any,
+    at: Any,
+    members: Any,
+) -> Any:
     """Count the buckets of each face in `at`, or fill `members` from there on if it is not empty."""
     fill = len(members) > 0
     for k in range(len(offsets)):
@@ -127,7 +138,7 @@ def _rasterise(normals, offsets, first, edges, levels, origin, nx, ny, at, membe
 
 
 @kernel
-def place(edges, a, b, t):  # type: ignore[no-untyped-def]
+def place(edges: Any, a: Any, b: Any, t: Any) -> Any:
     """Return j in a - 1 ... b - 1 with edges[j] <= t < edges[j + 1]: a - 1 before the first, b - 1 after the last."""
     low, high = a, b
     while low < high:
@@ -140,7 +151,20 @@ def place(edges, a, b, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def gather(qx, qy, ux, uy, reach, least, faces, buckets, r, k, j, t):  # type: ignore[no-untyped-def]
+def gather(
+    qx: Any,
+    qy: Any,
+    ux: Any,
+    uy: Any,
+    reach: Any,
+    least: Any,
+    faces: Any,
+    buckets: Any,
+    r: Any,
+    k: Any,
+    j: Any,
+    t: Any,
+) -> Any:
     """List the faces that a ray crosses up to `reach` [m], nearest first.
 
     Fills range r, face k, edge j before the crossing and abscissa t; stops early once the chance of

@@ -17,18 +17,19 @@ from numpy.typing import NDArray
 
 from logs.run import RangeSensor
 from sensorgraph.errors import GapError
-from sensorgraph.models.base import Bools, Floats, Ints, Point, Prediction, Progress, Scans
+from sensorgraph.models.base import Floats, Ints, Point, Prediction, Progress, Scans
 from sensorgraph.models.crossed import Crossed, is_crossed
 from sensorgraph.models.face_fit import fit_faces
-from sensorgraph.models.face_march import MOST, Buckets, FaceSet, gather, index
+from sensorgraph.models.face_march import FAINT, MOST, FaceSet, gather, index
 from sensorgraph.models.kernel import kernel
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, summarise, to_prediction, which_of
 from sensorgraph.models.visibility import Noise, Rays, variance
 
-SURE = 0.10
+SURE = 0.05
 """Chance of being off above which a ray is not answered."""
-SHORT_OF = 0.10
-"""[m] before the predicted range the ray needs no support any more: the surface itself was seen."""
+SHORT_OF = (
+    0.10  # [m] before the predicted range the ray needs no support any more: the surface itself was seen
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +53,9 @@ class Faces:
     def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
         """Identify faces from scans."""
         if options:
-            raise GapError(f"option {', '.join(sorted(options))} is not known to the model faces; it takes none")
+            raise GapError(
+                f"option {', '.join(sorted(options))} is not known to the model faces; it takes none"
+            )
         mount = scans.laser_mount
         rays = rays_of(scans, mount)
         if not np.isfinite(rays.ranges).any():
@@ -83,6 +86,84 @@ class Faces:
         sure = (table[..., P_OFF] < SURE) | (table[..., NO_RETURN] > 1 - SURE)
         return to_prediction(table, point, supported & sure)
 
+    def equation(self, ray: int) -> str:
+        """Print the explicit equations of one ray, face by face, those that explain most returns first."""
+        bearing = float(self.sensor.bearings[ray] + self.mount[2])
+        lines = [
+            f"ray {ray}, bearing {math.degrees(self.sensor.bearings[ray]):.2f}°: the first of these faces that stops it",
+            "(x, y, phi: pose; c = cos phi, s = sin phi; a face counts where its denominator is negative)",
+        ]
+        for k in np.argsort(-self.hits, kind="stable"):
+            lines.append(f"face {k}: r = {self._rational(int(k), bearing)}")
+            lines.append(f"    stops it where {self._stretches(int(k))}")
+        spread = f"{self.noise.sigma:.4f} m"
+        if self.noise.sigma_xy > 0 or self.noise.sigma_yaw > 0:
+            spread += f" of range, {self.noise.sigma_xy:.4f} m and {self.noise.sigma_yaw:.5f} rad of pose"
+        return "\n".join([*lines, f"returns spread by {spread}"])
+
+    def _rational(self, k: int, bearing: float) -> str:
+        """Write (d - n·q) / (n·u) in x, y, c, s for a ray at `bearing` [rad] in the frame of the poses."""
+        (nx, ny), d = self.faces.normals[k], self.faces.offsets[k]
+        mx, my = self.mount[:2]
+        cos, sin = math.cos(bearing), math.sin(bearing)
+        above = _sum([(d, ""), (-nx, "x"), (-ny, "y"), (-(nx * mx + ny * my), "c"), (nx * my - ny * mx, "s")])
+        below = _sum([(nx * cos + ny * sin, "c"), (ny * cos - nx * sin, "s")])
+        return f"({above}) / ({below})"
+
+    def _stretches(self, k: int) -> str:
+        """Write the visible stretches of a face over t, the abscissa along it."""
+        a, b = self.faces.first[k], self.faces.first[k + 1] - 1
+        (nx, ny), edges, levels = self.faces.normals[k], self.faces.edges, self.faces.levels
+        parts = [
+            f"{edges[j]:.3f} < t < {edges[j + 1]:.3f} (chance {levels[j]:.3f})"
+            for j in range(a, b)
+            if levels[j] > FAINT
+        ]
+        return f"{', '.join(parts)}; t = {_sum([(-ny, 'x_hit'), (nx, 'y_hit')])}"
+
+    def summary(self) -> Mapping[str, str]:
+        """Return what a reader wants to know first."""
+        stretches = int((self.faces.levels > FAINT).sum())
+        noise = f"{1e3 * self.noise.sigma:.1f} mm of range"
+        noise += f", {1e3 * self.noise.sigma_xy:.1f} mm and {math.degrees(self.noise.sigma_yaw):.3f}° of pose"
+        return {
+            "faces": f"{self.faces.n_faces}, with {stretches} visible stretches",
+            "noise": noise,
+            "unexplained": f"{self.noise.stray:.2g} returns a metre travelled",
+        }
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return plain data and arrays that hold the whole model."""
+        noise = {name: getattr(self.noise, name) for name in Noise.__dataclass_fields__}
+        header = {"noise": noise, "returns": self.returns, "cell": self.crossed.cell}
+        arrays: dict[str, NDArray[Any]] = {name: getattr(self.faces, name) for name in FaceSet._fields}
+        arrays |= {"hits": self.hits, "mount": self.mount}
+        arrays |= {"crossed.origin": self.crossed.origin, "crossed.counts": self.crossed.counts}
+        return header, arrays
+
+    @classmethod
+    def restore(
+        cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+    ) -> Self:
+        """Build the model from what `state` gave; a wrong shape is a ValueError."""
+        faces = FaceSet(
+            **{name: np.asarray(arrays[name], _TYPES.get(name, float)) for name in FaceSet._fields}
+        )
+        _check(faces)
+        return cls(
+            sensor=sensor,
+            faces=faces,
+            noise=Noise(**{name: float(value) for name, value in header["noise"].items()}),
+            hits=np.asarray(arrays["hits"], dtype=np.float64),
+            crossed=Crossed(
+                origin=np.asarray(arrays["crossed.origin"], dtype=np.float64),
+                cell=float(header["cell"]),
+                counts=np.asarray(arrays["crossed.counts"], dtype=np.uint8),
+            ),
+            returns=float(header["returns"]),
+            mount=np.asarray(arrays["mount"], dtype=np.float64),
+        )
+
     def _lasers(self, poses: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return x, y, cos and sin (n_poses,) of the laser's heading."""
         cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
@@ -90,6 +171,38 @@ class Faces:
         x, y = poses[:, 0] + cos * mx - sin * my, poses[:, 1] + sin * mx + cos * my
         c, s = math.cos(yaw), math.sin(yaw)
         return x, y, cos * c - sin * s, sin * c + cos * s
+
+
+_TYPES: dict[str, type] = {"first": np.intp, "neighbour": np.intp}
+
+
+def _check(faces: FaceSet) -> None:
+    """Refuse arrays that kernels would read beyond their ends."""
+    k, e = faces.n_faces, len(faces.edges)
+    shapes = {name: np.shape(getattr(faces, name)) for name in FaceSet._fields}
+    right = {"normals": (k, 2), "offsets": (k,), "first": (k + 1,)} | dict.fromkeys(
+        ("edges", "levels", "blur", "neighbour"), (e,)
+    )
+    if shapes != right:
+        raise ValueError(f"faces have shapes {shapes}, expected {right}")
+    if faces.first[0] != 0 or faces.first[-1] != e or (np.diff(faces.first) < 1).any():
+        raise ValueError(
+            f"faces' edges start at {faces.first.tolist()[:8]} ..., expected 0 to {e}, increasing"
+        )
+    if len(faces.neighbour) and not (faces.neighbour.min() >= -1 and faces.neighbour.max() < k):
+        raise ValueError(f"neighbours reach {faces.neighbour.max()}, expected less than {k} faces")
+
+
+def _sum(parts: list[tuple[float, str]]) -> str:
+    """Write a sum of products, leaving zeros out."""
+    text = ""
+    for value, name in parts:
+        if abs(value) < 5e-6:
+            continue
+        sign = "-" if value < 0 else "+"
+        text += f" {sign} " if text else ("-" if value < 0 else "")
+        text += f"{abs(value):.5f}" + (f" {name}" if name else "")
+    return text or "0"
 
 
 def rays_of(scans: Scans, mount: Floats) -> Rays:
@@ -110,7 +223,25 @@ def rays_of(scans: Scans, mount: Floats) -> Rays:
 
 
 @kernel
-def _predict(x, y, cos, sin, cos_b, sin_b, range_max, faces, buckets, noise, origin, cell, counts, returns, which, table, supported):  # type: ignore[no-untyped-def]
+def _predict(
+    x: Any,
+    y: Any,
+    cos: Any,
+    sin: Any,
+    cos_b: Any,
+    sin_b: Any,
+    range_max: Any,
+    faces: Any,
+    buckets: Any,
+    noise: Any,
+    origin: Any,
+    cell: Any,
+    counts: Any,
+    returns: Any,
+    which: Any,
+    table: Any,
+    supported: Any,
+) -> Any:
     normals, _, first, edges, levels, blur, neighbour = faces
     r, t = np.empty(MOST), np.empty(MOST)
     k, j = np.empty(MOST, np.int64), np.empty(MOST, np.int64)
@@ -148,5 +279,5 @@ def _predict(x, y, cos, sin, cos_b, sin_b, range_max, faces, buckets, noise, ori
             median, mode, mean, sigma, none, off = summarise(rho, w, s, c, left, range_max, which)
             row = table[i, b]
             row[0], row[1], row[2], row[3], row[4], row[5] = median, mode, mean, sigma, none, off
-            reach = range_max if none > 0.5 else mode - 0.10
+            reach = range_max if none > 0.5 else mode - SHORT_OF
             supported[i, b] = is_crossed(x[i], y[i], ux, uy, reach, origin, cell, counts)

@@ -8,11 +8,12 @@ The cost depends on the cells that were hit, not on the length of the log.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numba import njit
 
-from sensorgraph.models.base import Floats
+from sensorgraph.models.base import Floats, Ints
+from sensorgraph.models.kernel import kernel
 from sensorgraph.models.surfaces import CELL, Surfaces
 
 N_ANGLES = 240  # normals over the full turn: faces have one side
@@ -42,7 +43,7 @@ class Lines:
             spans=np.concatenate([self.spans, other.spans]),
         )
 
-    def take(self, index: np.ndarray) -> Lines:  # type: ignore[type-arg]
+    def take(self, index: Ints) -> Lines:
         """Return a subset, in the order of `index`."""
         return Lines(normals=self.normals[index], offsets=self.offsets[index], spans=self.spans[index])
 
@@ -85,8 +86,18 @@ def select_lines(
     )
 
 
-@njit(cache=True)
-def _select(grid, column, row, centres, moments, band, least, gap, shortest):  # type: ignore[no-untyped-def]
+@kernel
+def _select(
+    grid: Any,
+    column: Any,
+    row: Any,
+    centres: Any,
+    moments: Any,
+    band: Any,
+    least: Any,
+    gap: Any,
+    shortest: Any,
+) -> Any:
     n_cells = len(column)
     angle = _normals(grid, column, row, centres, moments)
     mean = np.empty((n_cells, 2))
@@ -97,7 +108,10 @@ def _select(grid, column, row, centres, moments, band, least, gap, shortest):  #
     for i in range(n_cells):
         reach = max(reach, np.hypot(mean[i, 0], mean[i, 1]))
     n_d = int(2 * reach / D_BIN) + 5
-    cos, sin = np.cos(2 * np.pi * np.arange(N_ANGLES) / N_ANGLES), np.sin(2 * np.pi * np.arange(N_ANGLES) / N_ANGLES)
+    cos, sin = (
+        np.cos(2 * np.pi * np.arange(N_ANGLES) / N_ANGLES),
+        np.sin(2 * np.pi * np.arange(N_ANGLES) / N_ANGLES),
+    )
     votes = np.zeros((N_ANGLES, n_d))
     tops = np.zeros(N_ANGLES)
     places = np.zeros(N_ANGLES, np.int64)
@@ -117,9 +131,19 @@ def _select(grid, column, row, centres, moments, band, least, gap, shortest):  #
         best = np.argmax(tops)
         if tops[best] < 0.5 * least:
             break
-        a, k = best, places[best]
+        a, k = int(best), int(places[best])
         line, members = _grow(
-            cos[a], sin[a], (k - 2 + 0.5) * D_BIN - reach, mean, moments, live, angle, band, gap, shortest, least
+            cos[a],
+            sin[a],
+            (k - 2 + 0.5) * D_BIN - reach,
+            mean,
+            moments,
+            live,
+            angle,
+            band,
+            gap,
+            shortest,
+            least,
         )
         if len(members) == 0:
             votes[a, k] = 0.0  # nothing there after all
@@ -138,8 +162,10 @@ def _select(grid, column, row, centres, moments, band, least, gap, shortest):  #
     return found[:n_found].copy()
 
 
-@njit(cache=True)
-def _vote(votes, i, angle, mean, moments, cos, sin, reach, sign):  # type: ignore[no-untyped-def]
+@kernel
+def _vote(
+    votes: Any, i: Any, angle: Any, mean: Any, moments: Any, cos: Any, sin: Any, reach: Any, sign: Any
+) -> Any:
     if angle[i] < 0:
         return
     for s in range(-SPREAD, SPREAD + 1):
@@ -152,8 +178,8 @@ def _vote(votes, i, angle, mean, moments, cos, sin, reach, sign):  # type: ignor
         votes[a, k + 1] += f * w
 
 
-@njit(cache=True)
-def _normals(grid, column, row, centres, moments):  # type: ignore[no-untyped-def]
+@kernel
+def _normals(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -> Any:
     """Find each cell's angle bin by the moments of 5 x 5 cells seen from the same side; -1 where unclear."""
     n_cells = len(column)
     nx, ny = grid.shape
@@ -193,8 +219,20 @@ def _normals(grid, column, row, centres, moments):  # type: ignore[no-untyped-de
     return angle
 
 
-@njit(cache=True)
-def _grow(c, s, d, mean, moments, live, angle, band, gap, shortest, least):  # type: ignore[no-untyped-def]
+@kernel
+def _grow(
+    c: Any,
+    s: Any,
+    d: Any,
+    mean: Any,
+    moments: Any,
+    live: Any,
+    angle: Any,
+    band: Any,
+    gap: Any,
+    shortest: Any,
+    least: Any,
+) -> Any:
     """Fit the line near (c, s, d) to its strongest run of live cells; no members where there is none."""
     nx, ny = c, s
     none = np.empty(0, np.int64)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from sensorgraph.models.base import Floats
@@ -67,7 +69,7 @@ def _pieces(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, f
 
 
 @kernel
-def _line_fit(s, e, w):  # type: ignore[no-untyped-def]
+def _line_fit(s: Any, e: Any, w: Any) -> Any:
     """Fit e = a + b s by weighted least squares, b held near 0 by a prior of 0.3."""
     m = w.sum()
     cs, ce = (w * s).sum() / m, (w * e).sum() / m
@@ -76,7 +78,7 @@ def _line_fit(s, e, w):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _best_cut(s, e, w, fewest):  # type: ignore[no-untyped-def]
+def _best_cut(s: Any, e: Any, w: Any, fewest: Any) -> Any:
     """Find where two lines beat one by most nats; return the first index of the second, and the gain."""
     n = len(s)
     best, place_ = 0.0, 0
@@ -100,7 +102,7 @@ def _best_cut(s, e, w, fewest):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _explained(m):  # type: ignore[no-untyped-def]
+def _explained(m: Any) -> Any:
     """Return the weighted squares that a line explains, from its moments."""
     if m[0] <= 0:
         return 0.0
@@ -110,7 +112,9 @@ def _explained(m):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _hits(origins, directions, ranges, range_max, faces, buckets, noise):  # type: ignore[no-untyped-def]
+def _hits(
+    origins: Any, directions: Any, ranges: Any, range_max: Any, faces: Any, buckets: Any, noise: Any
+) -> Any:
     """List all hits: face, abscissa of the end point, distance off the face [m], 1 / variance of that."""
     n_rays = len(ranges)
     face, at = np.empty(n_rays, np.int32), np.empty(n_rays)

@@ -7,12 +7,13 @@ ray directions. Moments of several runs add up (`merge`), so logs can be streame
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from sensorgraph.models.base import Floats
+from sensorgraph.models.kernel import kernel
 
 CELL = 0.02
 """[m] side of a cell."""
@@ -55,7 +56,7 @@ class Surfaces:
     @property
     def counts(self) -> Floats:
         """(n_cells,) hits."""
-        return self.moments[:, 0]
+        return np.asarray(self.moments[:, 0], dtype=np.float64)
 
     @property
     def centres(self) -> Floats:
@@ -63,8 +64,8 @@ class Surfaces:
         return (self.cells + 0.5) * CELL
 
 
-@njit(cache=True)
-def _pool(points, directions, weights, cell):  # type: ignore[no-untyped-def]
+@kernel
+def _pool(points: Any, directions: Any, weights: Any, cell: Any) -> Any:
     """Add up moments by cell in an open hash table; keys are column << 32 | row, shifted to be positive."""
     size = 1 << 12
     table = np.full(size, -1, np.int64)  # slot -> row of moments

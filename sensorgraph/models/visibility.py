@@ -8,6 +8,7 @@ that into stops and looks for each stretch, and into weighted moments that refit
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
@@ -80,7 +81,10 @@ class Expectation:
     looks: Floats
     """(n_edges,) expected rays that came so far."""
     lines: Floats
-    """(n_faces, 8) sums of w, w s, w s², w e', w s e', gamma, gamma s, w e'² with e' = e·(n·u) [m], s abscissa."""
+    """(n_faces, 8) sums of w, w s, w s², w e', w s e', gamma, w e'², nats; e' = e·(n·u) [m], s abscissa.
+
+    The nats are what the log would be less likely by, if the face were not there.
+    """
     spread: Floats
     """(3, 4) normal equations of e² on 1, 1/(n·u)², (r u·t / n·u)²."""
     unexplained: Floats
@@ -199,13 +203,28 @@ def _noise(noise: Noise, spread: Floats, stray: float) -> Noise:
 
 
 @kernel
-def variance(rho, t_u, den, noise):  # type: ignore[no-untyped-def]
+def variance(rho: Any, t_u: Any, den: Any, noise: Any) -> Any:
     """Return the variance [m²] of a return from a face at range rho, t_u = t·u, den = n·u."""
     return noise[0] + (noise[1] + (rho * t_u) ** 2 * noise[2]) / max(den * den, 0.0025)
 
 
 @kernel
-def share(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive):  # type: ignore[no-untyped-def]
+def share(
+    qx: Any,
+    qy: Any,
+    ux: Any,
+    uy: Any,
+    z: Any,
+    faces: Any,
+    noise: Any,
+    r: Any,
+    k: Any,
+    j: Any,
+    t: Any,
+    n: Any,
+    gamma: Any,
+    survive: Any,
+) -> Any:
     """Fill for n candidates the chance gamma that the ray stopped there and the chance that it came so far.
 
     Returns the likelihood [1/m] of the measured range, and its part that no face explains.
@@ -245,7 +264,21 @@ def share(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive):  # ty
 
 
 @kernel
-def _expect(origins, directions, ranges, range_max, faces, buckets, noise, stops, looks, lines, spread, unexplained, total):  # type: ignore[no-untyped-def]
+def _expect(
+    origins: Any,
+    directions: Any,
+    ranges: Any,
+    range_max: Any,
+    faces: Any,
+    buckets: Any,
+    noise: Any,
+    stops: Any,
+    looks: Any,
+    lines: Any,
+    spread: Any,
+    unexplained: Any,
+    total: Any,
+) -> Any:
     normals, _, first, _, levels, _, _ = faces
     r, t = np.empty(MOST), np.empty(MOST)
     k, j = np.empty(MOST, np.int64), np.empty(MOST, np.int64)
@@ -265,6 +298,9 @@ def _expect(origins, directions, ranges, range_max, faces, buckets, noise, stops
             looks[j[m]] += survive[m]
             stops[j[m]] += gamma[m]
             g = gamma[m]
+            lines[f, 7] -= np.log(max(1.0 - g, 1e-5))
+            if survive[m] > 0 and g < 0.5:
+                lines[f, 7] += survive[m] * np.log(max(1.0 - levels[j[m]], 1e-5))
             if g < 0.01:
                 continue
             den = normals[f, 0] * ux + normals[f, 1] * uy
@@ -285,8 +321,7 @@ def _expect(origins, directions, ranges, range_max, faces, buckets, noise, stops
             line[3] += w * across
             line[4] += w * s * across
             line[5] += g
-            line[6] += g * s
-            line[7] += w * across * across
+            line[6] += w * across * across
             if g > 0.5:
                 x1, x2 = 1.0 / (den * den), (r[m] * t_u / den) ** 2
                 v = 1.0 / (var * var)
