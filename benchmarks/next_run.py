@@ -21,10 +21,13 @@ from benchmarks.hidden_effects.world import make_room
 from planners.arena import Arena
 from planners.maps import geojson
 from planners.trajectory import Trajectory
+from sensorgraph.diagnose.drawing import random_run
 from sensorgraph.diagnose.evidence import Evidence, gather
+from sensorgraph.diagnose.ground import Ground
 from sensorgraph.diagnose.model import ROUGH, Fitted, fit, start_state
-from sensorgraph.diagnose.next_run import OPEN, Ground, between, next_run, random_run
+from sensorgraph.diagnose.next_run import next_run
 from sensorgraph.diagnose.nuisance import Freedom
+from sensorgraph.diagnose.questions import OPEN, between
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow
@@ -144,7 +147,7 @@ def main() -> None:
         best = nats(measured(chosen.trajectory, arena, robot, a, seed + 99), a, b)[0]
         best *= seconds / chosen.trajectory.duration
         median = float(np.median(got))
-        ratios[name], medians[name] = best / max(median, 1e-9), median
+        ratios[name], medians[name] = best / max(median, 1.0), median
         print(
             f"{name:34} {best:9.0f} {median:8.0f} {max(got):8.0f} {ratios[name]:6.1f}   {chosen.evidence:8.0f} "
             f"{chosen.evidence / max(chosen.median, 1e-9):9.1f} {clock:6.2f} s",

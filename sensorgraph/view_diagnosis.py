@@ -147,8 +147,9 @@ def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
         visual_bounds=bounds,
         background=BACK,
     )
+    larger = f", {compared.enlarged} times as large" if compared.enlarged > 1 else ""
     off = rrb.Spatial2DView(
-        name=f"the gap, {compared.enlarged} times as large: on the wall is right",
+        name=f"the gap{larger}: on the wall is right",
         origin="/",
         contents=["/plan/arena", "/plan/enlarged/**", "/plan/marks/**", "/plan/robot"],
         visual_bounds=bounds,

@@ -21,12 +21,13 @@ from sensorgraph.diagnose.evidence import Evidence, gather
 from sensorgraph.diagnose.finding import Gap, Ledger, Rival, Unknown, Where
 from sensorgraph.diagnose.fits import POORLY, Placement, placement
 from sensorgraph.diagnose.model import Fitted
-from sensorgraph.diagnose.next_run import NextRun, ask, next_run
+from sensorgraph.diagnose.next_run import NextRun, next_run
 from sensorgraph.diagnose.nuisance import Freedom
 from sensorgraph.diagnose.observable import alike, not_observable, separation
 from sensorgraph.diagnose.odometry import diagnose_odometry
 from sensorgraph.diagnose.precision import material_probability
 from sensorgraph.diagnose.prove import gap, held_out
+from sensorgraph.diagnose.questions import ask
 from sensorgraph.diagnose.usual import is_usual
 from sensorgraph.diagnose.view import View
 from sensorgraph.effects import Amendment
