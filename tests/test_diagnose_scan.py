@@ -10,7 +10,7 @@ from conftest import polygon_arena
 
 from logs.run import Run
 from planners.arena import Arena, Floats, wrap
-from sensorgraph.diagnose.criticise import dispersion, replicate
+from sensorgraph.diagnose.criticise import check, dispersion, replicate
 from sensorgraph.diagnose.evidence import Evidence, gather
 from sensorgraph.diagnose.fits import placement
 from sensorgraph.diagnose.likelihood import judge, predicted
@@ -306,3 +306,22 @@ def test_too_few_scans_are_refused_in_one_line(hall: Arena) -> None:
 def test_another_sensor_is_refused(hall: Arena) -> None:
     with pytest.raises(GapError, match="the run has 61 rays"):
         gather(drive(hall), hall, robot_file.default())
+
+
+@pytest.mark.parametrize(("away", "doubted"), [(0, False), (60, True)])
+def test_a_pane_that_is_away_for_a_stretch_of_the_run_is_no_pane(
+    hall: Arena, away: int, doubted: bool
+) -> None:
+    wall = max(range(4), key=lambda i: float(np.hypot(*(hall.walls[i][1] - hall.walls[i][0]))))
+    pane = EFFECTS["glass"](a=0.5, b=4.5, alpha_ret=0.3, depth=1.5).at(hall.names[wall])
+    with_pane, without = drive(hall, (pane,)), drive(hall)
+    ranges = with_pane.ranges.copy()
+    ranges[:away] = without.ranges[:away]
+    run = replace(with_pane, ranges=ranges)
+    evidence, _ = gather(run, hall, robot_file.loads("sensor: {n_rays: 61}"), ())
+    null = fit(evidence, (), start_state(evidence, Freedom()), Freedom())
+    fitted = fit(evidence, (pane,), start_state(evidence, Freedom()), Freedom())
+    gained = fitted.j - null.j
+    verdict = check(evidence, fitted, gained, {0: gained}, rng=np.random.default_rng(0))
+    assert gained > 500
+    assert (0 in verdict.failed) == doubted

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from planners.arena import Bools, Floats
 from sensorgraph.diagnose.evidence import Evidence
 from sensorgraph.diagnose.finding import Where
-from sensorgraph.diagnose.model import Fitted, bare_cast, fit
+from sensorgraph.diagnose.model import Fitted, bare_cast, fit, log_p_at
 from sensorgraph.diagnose.nuisance import Freedom
-from sensorgraph.diagnose.view import View
+from sensorgraph.diagnose.view import View, best_run
 from sensorgraph.world.robot_file import Tolerances
 
 Ints = NDArray[np.intp]
@@ -353,7 +353,7 @@ def check(
     view = View(evidence, fitted)
     parts = partitions(view)
     found = deviations(view, parts)
-    doubts = [*_laws(view, gained, gains), *_limits(view, told)]
+    doubts = [*_laws(view, gained, gains), *_limits(view, told), *_unsteady(view)]
     ratio = dispersion(view)
     if ratio > DISPERSED:
         worth = (ratio - 1) / 2 * evidence.n_scans
@@ -390,6 +390,8 @@ COARSE = {
 }  # fmt: skip
 """The same for effects whose model is coarse, or sharp at an end that the map's tolerance blurs."""
 DISPERSED = 1.45  # variance ratio between scans and within; right models have 0.85 to 1.15
+AWAY = 100.0  # [nats] that the absence of something for one stretch of the run must explain
+AWAY_RAYS = 20  # rays that must ask for it
 LIMIT = 3.2  # tolerances that would have to be so many times wider
 
 
@@ -480,6 +482,34 @@ TELLTALES: tuple[
     ),
     (("moved_wall",), 3, "several walls seem moved: the error may not be the map's"),
 )
+
+
+def _unsteady(view: View) -> list[_Doubt]:
+    """Doubt what stands in the world but seems to be away for one stretch of the run: a door, not a pane."""
+    out = []
+    evidence, fitted = view.evidence, view.fitted
+    for index, a in enumerate(fitted.model):
+        if a.effect.place not in ("wall", "obstacle", "spot"):
+            continue
+        rest = (*fitted.model[:index], *fitted.model[index + 1 :])
+        bare = log_p_at(evidence, rest, fitted.state)
+        clear = fitted.cast.what.p_alternative < 0.002
+        better = np.where(clear, bare - view.log_p, 0.0)
+        first, last, gain = best_run(better.sum(axis=1)[None])
+        some = better[first[0] : last[0] + 1]
+        if gain[0] > AWAY and (some > 1.0).sum() > AWAY_RAYS:
+            begin, end = evidence.stamps[first[0]], evidence.stamps[last[0]]
+            out.append(
+                _Doubt(
+                    statement=f"{a.effect.title} at {a.place or 'its spot'} is not there from "
+                    f"{begin - evidence.begin:.0f} s to {end - evidence.begin:.0f} s of the run",
+                    misfit=float(gain[0]),
+                    statistic=float(gain[0]),
+                    threshold=AWAY,
+                    failed=frozenset([index]),
+                )
+            )
+    return out
 
 
 def _not_people(view: View, short: Bools) -> str:
