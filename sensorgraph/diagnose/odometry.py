@@ -17,6 +17,7 @@ from logs.run import Run
 from planners.arena import Bools, Floats
 from sensorgraph.diagnose.channel import (
     PENALTY,
+    TEMPER,
     THRESHOLD,
     Increments,
     Normal,
@@ -111,6 +112,14 @@ def _inside(spots: Floats, discs: Floats) -> Floats:
     """Return (n_increments, n_discs) soft membership, 1 inside; the edge is as wide as an increment is long."""
     far = np.hypot(spots[:, 0, None] - discs[None, :, 0], spots[:, 1, None] - discs[None, :, 1])
     return np.clip((discs[None, :, 2] - far) / 0.02 + 0.5, 0.0, 1.0)
+
+
+def _grid_about(disc: Floats) -> Floats:
+    """Return discs (n, 3) of every size whose centres lie within 0.9 m of a disc's, and the disc itself."""
+    steps, radii = np.arange(-0.9, 0.91, 0.3), np.arange(0.15, 1.26, 0.15)
+    dx, dy, r = (axis.ravel() for axis in np.meshgrid(steps, steps, radii, indexing="ij"))
+    near = np.hypot(dx, dy) <= 0.91
+    return np.concatenate([disc[None], np.column_stack([disc[0] + dx, disc[1] + dy, r])[near]])
 
 
 class _Search:
@@ -354,7 +363,9 @@ class _Search:
         rest = [name for name in names if name != f"wheel_slip {i}"]
         patch = self.patches[i]
         disc = np.array([patch.x, patch.y, patch.r])
-        cloud, height, motion = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+        cloud = _grid_about(disc)
+        height, motion = self._disc_gains(cloud, rest)
+        disc = cloud[int(np.argmax(height))]
         scale = 0.25
         for turn_no in range(5):
             # a larger disc whose near edge stays where it was fits almost as well: look along that ridge too
@@ -371,14 +382,20 @@ class _Search:
             height, motion = np.append(height, gains), np.append(motion, lost)
             disc = cloud[int(np.argmax(height))]
             scale = (0.25, 0.12, 0.06, 0.03, 0.03)[turn_no]
-        # all that fits about as well counts alike: the cloud is dense where it was searched, not where it is likely
-        weight = (height > height.max() - 6.0).astype(np.float64)
-        values = np.column_stack([motion, cloud])
-        middle = 0.5 * (values[weight > 0].max(axis=0) + values[weight > 0].min(axis=0))
-        nearest = int(np.argmin(np.where(weight > 0, ((values - middle) ** 2).sum(axis=1), np.inf)))
-        disc = cloud[nearest]
+        # one disc for each cell of the search: it is dense where it was searched, not where a disc is likely
+        best = np.argsort(-height)
+        best = best[height[best] > height[best[0]] - 6.0]
+        _, first = np.unique(np.round(cloud[best] / 0.05), axis=0, return_index=True)
+        best = best[first]
+        # discs of every size are as likely as their mirror images under a magnifying glass: 1 / r³
+        weight = np.exp((height[best] - height.max()) / TEMPER) / cloud[best, 2] ** 3
+        weight /= weight.sum()
+        values = np.column_stack([motion, cloud])[best]
+        middle = weight @ values
+        nearest = int(np.argmin(((values[:, 1:] - middle[1:]) ** 2).sum(axis=1)))
+        disc = cloud[best[nearest]]
         off = values - values[nearest]
-        covariance = (off * (weight / weight.sum())[:, None]).T @ off
+        covariance = (off * weight[:, None]).T @ off
         self.patches[i] = Patch(x=float(disc[0]), y=float(disc[1]), r=float(disc[2]), spread=covariance)
         self._form()
 
