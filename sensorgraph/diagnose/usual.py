@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtri, stdtrit
 
 from planners.arena import Bools, Floats
 from sensorgraph.diagnose.model import Fitted, smooth_parameters
@@ -92,7 +92,7 @@ def is_usual(fitted: Fitted, amendment: Amendment) -> bool:
     if not usual.is_unsteady(wobble):
         return False
     off = {k: amendment[k] - usual.middle[k] for k in usual.reach}
-    return in_materialities(amendment.name, off) < wobble * float(stats.t.ppf(SURE, PARTS - 2))
+    return in_materialities(amendment.name, off) < wobble * float(stdtrit(PARTS - 2, SURE))
 
 
 def in_materialities(name: str, values: Mapping[str, float]) -> float:
@@ -218,7 +218,7 @@ def steady(seen: Sequence[Sighting], name: str, n_scans: int) -> list[Sighting]:
 
 def is_unsteady(wobble: float, pooled: float, n_windows: int) -> bool:
     """Tell whether the parts of a window disagree more than those of good windows (F test)."""
-    limit = stats.f.ppf(SURE, PARTS - 1, (PARTS - 1) * n_windows)
+    limit = fdtri(PARTS - 1, (PARTS - 1) * n_windows, SURE)
     return wobble**2 > float(limit) * pooled**2
 
 
@@ -232,4 +232,4 @@ def _reach(values: Floats, told: float | None) -> float:
     if told is not None:
         freedom, squares = freedom + TOLD, squares + TOLD * told**2
     spread = np.sqrt(squares / freedom)
-    return max(float(stats.t.ppf(SURE, freedom) * spread * np.sqrt(1 + 1 / n)), 1e-9)
+    return max(float(stdtrit(freedom, SURE) * spread * np.sqrt(1 + 1 / n)), 1e-9)
