@@ -10,6 +10,7 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
@@ -18,7 +19,9 @@ import rerun.blueprint as rrb
 from planners.arena import Floats
 from sensorgraph.errors import GapError
 from sensorgraph.files import whole
-from sensorgraph.review import HEADINGS, Review, report
+
+if TYPE_CHECKING:  # whoever has a review has imported it; a diagnosis needs neither models nor numba
+    from sensorgraph.review import Review
 
 BLOCK = 500  # scans a chunk; below, a negative radius is in points of the screen, not in metres
 WHITE, ORANGE, GREEN = (235, 235, 240), (255, 150, 40), (90, 220, 140)
@@ -88,6 +91,8 @@ def _still(recording: rr.RecordingStream, seen: Review, top: float) -> None:
     recording.log("plan/path", rr.LineStrips2D([path], colors=DIM, radii=-0.4), static=True)
     _maps(recording, seen, top)
     _voxels(recording, seen, top)
+    from sensorgraph.review import report
+
     recording.log("report", rr.TextDocument(report(seen), media_type="text/markdown"), static=True)
     if seen.evaluation is not None:
         rmse = np.nan_to_num(seen.evaluation.rmse_per_ray) * 100
@@ -114,6 +119,8 @@ def _voxels(recording: rr.RecordingStream, seen: Review, top: float) -> None:
     """Log the (x, y, phi) cells over the floor; a full turn is half as high as the floor is wide."""
     cells = seen.cells
     nx, ny, _ = cells.counts.shape
+    from sensorgraph.review import HEADINGS
+
     high = 0.5 * max(nx, ny) * cells.cell / HEADINGS
     if cells.error is not None:
         chosen = np.isfinite(cells.error)
@@ -190,6 +197,8 @@ def _layout(seen: Review, ray: int, top: float) -> rrb.Blueprint:
         visual_bounds=bounds,
         background=back,
     )
+    from sensorgraph.review import HEADINGS
+
     maps = []
     if seen.cells.error is not None:
         maps.append(("error", f"error, 0 (dark) to {100 * top:.3g} cm (yellow)"))
