@@ -176,6 +176,15 @@ def test_several_good_runs_are_silent_on_a_further_one_and_name_a_bias() -> None
 
 
 @pytest.mark.slow
+def test_a_lattice_keeps_its_name_where_the_site_leaves_much_unexplained() -> None:
+    run = site_run(2)
+    finding = against(None, replace(run, ranges=np.round(run.ranges / 0.02) * 0.02))
+    assert finding.unknown is not None
+    found = {a.name: a for a in finding.effects}
+    assert found["quantisation"]["q"] == pytest.approx(0.02, abs=1e-4)
+
+
+@pytest.mark.slow
 def test_real_log_is_silent_untouched_and_names_a_planted_bias(real_logs: Path) -> None:
     sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
     try:
