@@ -102,7 +102,10 @@ def _furnish(space: Box, rng: np.random.Generator) -> list[tuple[str, Corners]]:
         radius, n = float(rng.uniform(0.12, 0.22)), int(rng.integers(24, 33))
         angles = 2 * np.pi * np.arange(n) / n
         things.append(
-            ("column", [(at[0] + radius * float(np.cos(a)), at[1] + radius * float(np.sin(a))) for a in angles])
+            (
+                "column",
+                [(at[0] + radius * float(np.cos(a)), at[1] + radius * float(np.sin(a))) for a in angles],
+            )
         )
     for i in range(int(rng.integers(0, 3))):
         size = float(rng.uniform(0.4, 0.7))

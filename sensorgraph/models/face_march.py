@@ -13,7 +13,7 @@ import numpy as np
 from sensorgraph.models.base import Floats, Ints
 from sensorgraph.models.kernel import kernel
 
-BUCKET = 0.5  # [m] uncritical: 0.3 to 1.2 are alike
+BUCKET = 0.8  # [m] uncritical: 0.3 to 1.2 are alike
 MARGIN = 0.02  # [m] beyond its ends a face is still offered, so that a blurred end can be seen
 FAINT = 0.003  # visibility below which a stretch is not there
 MOST = 96  # candidates of one ray
@@ -210,8 +210,11 @@ def gather(
             den = normals[f, 0] * ux + normals[f, 1] * uy
             if den > -1e-6:
                 continue
-            rho = (offsets[f] - normals[f, 0] * qx - normals[f, 1] * qy) / den
-            if rho < r_in or rho >= r_out or rho > reach or rho <= 0:
+            above = offsets[f] - normals[f, 0] * qx - normals[f, 1] * qy
+            if above >= 0 or above > r_in * den or above <= r_out * den:
+                continue
+            rho = above / den
+            if rho > reach:
                 continue
             s = -normals[f, 1] * (qx + rho * ux) + normals[f, 0] * (qy + rho * uy)
             a, b = first[f], first[f + 1]

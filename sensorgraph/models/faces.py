@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from logs.run import RangeSensor
 from sensorgraph.errors import GapError
-from sensorgraph.models.base import Floats, Ints, Point, Prediction, Progress, Scans
+from sensorgraph.models.base import OFF, Floats, Ints, Point, Prediction, Progress, Scans
 from sensorgraph.models.crossed import Crossed, is_crossed
 from sensorgraph.models.face_fit import fit_faces
 from sensorgraph.models.face_march import FAINT, MOST, FaceSet, gather, index
@@ -27,9 +27,10 @@ from sensorgraph.models.visibility import Noise, Rays, variance
 
 SURE = 0.05
 """Chance of being off above which a ray is not answered."""
-SHORT_OF = (
-    0.10  # [m] before the predicted range the ray needs no support any more: the surface itself was seen
-)
+SHORT_OF = 0.10
+"""[m] before the predicted range a ray needs no support any more: the surface itself was seen."""
+CERTAIN = 1e-3
+"""Chance of passing the only face of a ray under which the mixture is that face."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -261,13 +262,15 @@ def _predict(
                     e = first[f]
                 elif e + 1 < first[f + 1] and edges[e + 1] - t[m] < t[m] - edges[e]:
                     e += 1
-                spread = math.sqrt(blur[e] ** 2 + across + 1e-8)
-                off = (t[m] - edges[e]) / spread
-                if abs(off) < 4.0:
+                spread = blur[e] ** 2 + across + 1e-8
+                off = t[m] - edges[e]
+                if off * off < 16.0 * spread:
                     beside = neighbour[e]
                     if beside < 0 or normals[beside, 0] * ux + normals[beside, 1] * uy >= 0:
                         before = levels[e - 1] if e > first[f] else 0.0
-                        alpha = before + (levels[e] - before) * 0.5 * math.erfc(-off * 0.7071067811865476)
+                        alpha = before + (levels[e] - before) * 0.5 * math.erfc(
+                            -off / math.sqrt(2.0 * spread)
+                        )
                 if alpha < 1e-4:
                     continue
                 rho[c], w[c] = r[m], left * alpha
@@ -276,8 +279,13 @@ def _predict(
                 left *= 1.0 - alpha
                 if left < 0.001:
                     break
-            median, mode, mean, sigma, none, off = summarise(rho, w, s, c, left, range_max, which)
             row = table[i, b]
-            row[0], row[1], row[2], row[3], row[4], row[5] = median, mode, mean, sigma, none, off
-            reach = range_max if none > 0.5 else mode - SHORT_OF
+            if c == 1 and left < CERTAIN:  # most rays: one face, nothing else
+                row[0], row[1], row[2], row[3], row[4] = rho[0], rho[0], rho[0], s[0], left
+                row[5] = math.erfc(OFF / s[0] * 0.7071067811865476) if OFF < 4.5 * s[0] else 0.0
+            else:
+                row[0], row[1], row[2], row[3], row[4], row[5] = summarise(
+                    rho, w, s, c, left, range_max, which
+                )
+            reach = range_max if row[4] > 0.5 else row[1] - SHORT_OF
             supported[i, b] = is_crossed(x[i], y[i], ux, uy, reach, origin, cell, counts)
