@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from sensorgraph.models.base import Model
+from sensorgraph.models.cells import Cells
 from sensorgraph.models.faces import Faces
 from sensorgraph.models.polynomial import Polynomial
 
 MODELS: dict[str, type[Model]] = {
+    "cells": Cells,
     "faces": Faces,
     "polynomial": Polynomial,
 }
