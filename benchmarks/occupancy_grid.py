@@ -2,8 +2,8 @@
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/occupancy_grid.py LOG.log.gz [LOG ...] [--split block|every10]
 
-The grid (5 cm) counts hits and passes of the training scans at their exact poses; a cell stops a ray where its
-share of hits reaches a threshold. The threshold is tuned on ten stretches of the training scans that the grid
+The grid (5 cm) counts hits and passes of the training scans at their given poses; a cell stops a ray where its
+share of hits reaches a threshold. Beside it stands a TSDF of the same cells (`tsdf.py`), tuned in the same way. The threshold is tuned on ten stretches of the training scans that the grid
 leaves out for this: once for the least MAE, once for the largest share within 10 cm. A ray that meets no such
 cell is given the cell with the largest share on its way, because errors are scored given a return.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Point, Prediction
 from sensorgraph.split import held_out
 
+from benchmarks.tsdf import Tsdf
+
 Floats = NDArray[np.float64]
 CELL = 0.05  # [m]
 STEP = 0.025  # [m] of the march
@@ -33,13 +35,27 @@ THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 COLUMNS = ("mae_m", "median_m", "rmse_m", "within_0.1m", "within_0.5m", "pearson_r", "chamfer_m", "f_score")
 
 
+class Map(Protocol):
+    """What can be tuned and compared: built from scans, and cast with a threshold."""
+
+    name: ClassVar[str]
+    thresholds: ClassVar[tuple[float, ...]]
+
+    def __init__(self, poses: Floats, ranges: Floats, bearings: Floats) -> None: ...
+
+    def cast(self, poses: Floats, threshold: float) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return ranges (n, n_rays) [m], and whether they are more than a best guess."""
+        ...
+
+
 class Grid:
     """Share of hits in each cell, and where along a ray it first reaches the threshold."""
 
-    name: ClassVar[str] = "occupancy grid"
+    name: ClassVar[str] = "grid"
+    thresholds: ClassVar[tuple[float, ...]] = THRESHOLDS
 
-    def __init__(self, poses: Floats, ranges: Floats, bearings: Floats, threshold: float) -> None:
-        self.bearings, self.threshold = bearings, threshold
+    def __init__(self, poses: Floats, ranges: Floats, bearings: Floats) -> None:
+        self.bearings = bearings
         self.low = poses[:, :2].min(axis=0) - CAP - 2 * CELL
         self.shape = np.ceil((poses[:, :2].max(axis=0) + CAP + 2 * CELL - self.low) / CELL).astype(np.int64)
         n_cells = int(self.shape.prod())
@@ -135,7 +151,7 @@ def compare(run: Run, name: str, split: str) -> None:
     print(f"{name}, {split}: {int(train.sum())} scans to train, {run.sensor.n_rays} rays")
     print(f"{'':<34}" + "".join(f"{column:>13}" for column in COLUMNS) + f"{'fit [s]':>9}")
     start = time.perf_counter()
-    graph = build([run], split=split)
+    graph = build([run], model="polynomial", split=split)
     took = time.perf_counter() - start
     print(line("polynomial", evaluate(graph, run, split=split, cap=CAP), took))
     for label, threshold in tuned(poses, ranges, bearings).items():

@@ -28,7 +28,7 @@ def build(
     runs: Sequence[Run],
     *,
     arena: Arena | None = None,
-    model: str = "polynomial",
+    model: str = "faces",
     split: str | None = None,
     names: Sequence[str] | None = None,
     progress: Progress | None = None,

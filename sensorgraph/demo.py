@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,8 @@ from sensorgraph.world.simulate import EPOCH_NS, occupancy
 
 Progress = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
 N_CHECK = 1000
+BASELINE = "polynomial"
+"""What the faces are shown beside: the form of 2004."""
 MARGIN = 0.02  # [m] that the checked poses keep from walls, beyond the robot's radius
 
 
@@ -39,6 +41,7 @@ class Trip:
     """One way of driving, and what came of it."""
 
     planner: str
+    model: str
     drive_time: float
     """[s]"""
     coverage: Coverage
@@ -57,9 +60,14 @@ def demo(folder: Path, arena: Arena, robot: RobotFile, *, seed: int, progress: P
     trips: list[Trip] = []
     for planner in ("coverage", "random_bounce"):
         trips.append(_trip(folder, arena, robot, planner, trips, check, seed=seed, progress=progress))
+    with progress("build polynomial", "blocks") as tick:
+        run = logs.read(folder / "coverage.mcap")
+        plain = build([run], arena=arena, model=BASELINE, names=["coverage.mcap"], progress=tick)
+    plain.save(folder / f"coverage.{BASELINE}.sensorgraph")
+    trips.append(replace(trips[0], model=BASELINE, graph=plain, checked=evaluate(plain, check)))
     races = {
         label: (trip.growth[0] / 60, trip.growth[1], trip.coverage)
-        for label, trip in zip(("planned", "random"), trips, strict=True)
+        for label, trip in zip(("planned", "random"), trips[:2], strict=True)
     }
     figures.race_picture(races, arena, folder / "coverage.png")
     return trips
@@ -87,7 +95,8 @@ def check_run(arena: Arena, robot: RobotFile, rng: np.random.Generator, n: int =
 def to_dict(trips: list[Trip]) -> dict[str, Any]:
     """Return the numbers of the demo as plain data."""
     return {
-        trip.planner: {
+        trip.planner if trip.model != BASELINE else f"{trip.planner}_{BASELINE}": {
+            "model": trip.model,
             "drive_time_s": trip.drive_time,
             "coverage": trip.coverage.fraction,
             "answered": trip.checked.answered,
@@ -139,6 +148,7 @@ def _trip(
         view.write(shown, folder / "review.rrd")
     return Trip(
         planner=planner,
+        model=graph.model.name,
         drive_time=planned.trajectory.duration,
         coverage=coverage,
         growth=coverage.growth(run.stamps, poses),

@@ -12,6 +12,7 @@ import logs
 from logs.run import RangeSensor, Run
 from sensorgraph.cli import run as command
 
+BUILD = ["build", "--model", "polynomial"]
 BEARINGS = np.radians(np.arange(-90.0, 91.0, 10.0))
 
 
@@ -29,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)
     logs.write(run, folder / "run.mcap")
     (folder / "poses.csv").write_text("x,y,phi\n0.5,0.1,0.2\n30,30,0\n")
-    arguments = ["build", str(folder / "run.mcap"), "--split", "every10", "-o", str(folder / "g.sensorgraph")]
+    arguments = [*BUILD, str(folder / "run.mcap"), "--split", "every10", "-o", str(folder / "g.sensorgraph")]
     assert command(arguments) == 0
     return folder
 
@@ -38,7 +39,7 @@ def test_build_says_what_was_paired_held_out_and_written(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = folder / "again.sensorgraph"
-    arguments = ["build", str(folder / "run.mcap"), "--split", "every10", "--degree", "2", "--harmonics", "1"]
+    arguments = [*BUILD, str(folder / "run.mcap"), "--split", "every10", "--degree", "2", "--harmonics", "1"]
     assert command([*arguments, "--terms", "8", "-o", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "400 of 400 scans paired with poses, 40 held out (every10); 360 fitted" in printed
@@ -48,7 +49,7 @@ def test_build_says_what_was_paired_held_out_and_written(
 
 def test_same_command_gives_the_same_bytes(folder: Path) -> None:
     out = folder / "twin.sensorgraph"
-    assert command(["build", str(folder / "run.mcap"), "--split", "every10", "-o", str(out)]) == 0
+    assert command([*BUILD, str(folder / "run.mcap"), "--split", "every10", "-o", str(out)]) == 0
     assert out.read_bytes() == (folder / "g.sensorgraph").read_bytes()
 
 
@@ -104,6 +105,10 @@ BAD = {
     "bad degree": (
         ["build", "{folder}/run.mcap", "--degree", "two", "-o", "{tmp}/g.sensorgraph"],
         "degree is 'two'",
+    ),
+    "degree of faces": (
+        ["build", "{folder}/run.mcap", "--degree", "2", "-o", "{tmp}/g.sensorgraph"],
+        "give --model polynomial",
     ),
     "bad model": (
         ["build", "{folder}/run.mcap", "--model", "net", "-o", "{tmp}/g.sensorgraph"],

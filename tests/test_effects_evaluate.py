@@ -34,7 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     twists = np.column_stack([np.full(len(stamps), 0.2), 0.5 * np.sin(0.3 * stamps) + 0.2])
     commands = Commands(stamps=stamps, twists=twists, start=motion(np.zeros(1))[0])
     run = record(path / "run.mcap", ROOM, ROBOT, commands, effects=EFFECTS, seed=4)
-    build([run], arena=ROOM, degree=2, harmonics=2).save(path / "g.sensorgraph")
+    build([run], arena=ROOM, model="polynomial", degree=2, harmonics=2).save(path / "g.sensorgraph")
     write(EFFECTS, path / "effects.yaml")
     return path
 
@@ -81,7 +81,7 @@ def test_people_and_outliers_are_said_as_a_chance_of_being_off(folder: Path) -> 
 
 def test_without_effects_of_the_scan_channel_both_are_the_same(folder: Path) -> None:
     run = logs.read(folder / "run.mcap")
-    result = evaluate(build([run], degree=1, harmonics=1), run)
+    result = evaluate(build([run], model="polynomial", degree=1, harmonics=1), run)
     both = compare(result, run, ROOM, ROBOT.sensor, [LIBRARY["wheel_base"](s=0.1)])
     assert both["nominal"] == both["amended"]
 

@@ -75,7 +75,9 @@ def test_no_split_holds_out_nothing_and_short_log_is_refused() -> None:
 def test_held_out_scans_do_not_touch_the_graph_and_are_what_is_evaluated(run: Run, split: str) -> None:
     held = held_out(run, split)
     spoiled = replace(run, ranges=np.where(held[:, None], 0.3, run.ranges))
-    graph, other = (build([r], split=split, degree=2, harmonics=2) for r in (run, spoiled))
+    graph, other = (
+        build([r], split=split, model="polynomial", degree=2, harmonics=2) for r in (run, spoiled)
+    )
     np.testing.assert_array_equal(graph.predict(run.poses).mode, other.predict(run.poses).mode)
     result = evaluate(graph, run, split=split)
     np.testing.assert_array_equal(result.scan_indices, np.flatnonzero(held))
@@ -131,7 +133,7 @@ def plain_numbers(graph, run: Run, cap: float, answered_only: bool) -> dict[str,
 
 @pytest.mark.parametrize("cap", [2.9, 8.0])
 def test_every_number_equals_its_plain_recomputation(run: Run, cap: float) -> None:
-    graph = build([make_run(3, 200)], degree=2, harmonics=1, n_terms=8)
+    graph = build([make_run(3, 200)], model="polynomial", degree=2, harmonics=1, n_terms=8)
     result = evaluate(graph, run, cap=cap)
     for block, only in ((result.all, False), (result.answered_only, True)):
         expected = plain_numbers(graph, run, cap, only)
@@ -147,7 +149,7 @@ def test_every_number_equals_its_plain_recomputation(run: Run, cap: float) -> No
 
 
 def test_calibration_counts_every_scored_ray_once(run: Run) -> None:
-    result = evaluate(build([run], degree=2, harmonics=1), run)
+    result = evaluate(build([run], model="polynomial", degree=2, harmonics=1), run)
     assert sum(row["n"] for row in result.calibration) == result.n_rays
     seen = sum(row["seen"] * row["n"] for row in result.calibration) / result.n_rays
     assert seen == pytest.approx(result.all["wrong_5cm"])
@@ -155,19 +157,21 @@ def test_calibration_counts_every_scored_ray_once(run: Run) -> None:
 
 def test_report_is_json_with_the_promised_keys(run: Run) -> None:
     data = json.loads(
-        json.dumps(evaluate(build([run], degree=1, harmonics=1), run).to_dict(), allow_nan=False)
+        json.dumps(
+            evaluate(build([run], model="polynomial", degree=1, harmonics=1), run).to_dict(), allow_nan=False
+        )
     )
     assert {"n_rays", "answered", "all", "answered_only", "calibration", "scored", "point"} <= set(data)
     assert set(KEYS) <= set(data["all"]) and set(KEYS) <= set(data["answered_only"])
     assert data["point"]["mae_m"] == "median" and data["point"]["rmse_m"] == "mean"
     assert data["point"]["within_0.1m"] == "mode"
-    one = evaluate(build([run], degree=1, harmonics=1), run, point="mean").to_dict()
+    one = evaluate(build([run], model="polynomial", degree=1, harmonics=1), run, point="mean").to_dict()
     assert set(one["point"].values()) == {"mean"}
 
 
 def test_graph_of_base_poses_evaluates_a_run_of_laser_poses(run: Run) -> None:
     mount = np.array([0.3, -0.1, 0.4])
-    graph = build([run], degree=3, harmonics=3)
+    graph = build([run], model="polynomial", degree=3, harmonics=3)
     c, s = np.cos(run.poses[:, 2]), np.sin(run.poses[:, 2])
     laser = np.column_stack(
         [
@@ -183,7 +187,7 @@ def test_graph_of_base_poses_evaluates_a_run_of_laser_poses(run: Run) -> None:
 
 
 def test_nothing_to_score_is_said(run: Run) -> None:
-    graph = build([run], degree=1, harmonics=1)
+    graph = build([run], model="polynomial", degree=1, harmonics=1)
     with pytest.raises(GapError, match="nothing to score"):
         evaluate(graph, replace(run, ranges=np.full_like(run.ranges, np.inf)))
     with pytest.raises(GapError, match="nothing to evaluate"):

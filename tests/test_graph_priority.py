@@ -24,7 +24,7 @@ def left(room: Arena, sensor: RangeSensor) -> Sensorgraph:
     stamps = 0.1 * np.arange(len(poses))
     ranges = cast(room, poses, sensor).ranges + 0.01 * rng.normal(size=(len(poses), sensor.n_rays))
     run = Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)
-    return build([run], degree=2, harmonics=3)
+    return build([run], model="polynomial", degree=2, harmonics=3)
 
 
 def test_doubt_is_one_where_nothing_is_answered_and_lower_elsewhere(left: Sensorgraph) -> None:

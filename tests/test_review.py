@@ -38,7 +38,7 @@ def run(room: Arena, sensor: RangeSensor) -> Run:
 
 @pytest.fixture(scope="module")
 def graph(run: Run) -> Sensorgraph:
-    return build([run], split="every10", degree=2, harmonics=3)
+    return build([run], split="every10", model="polynomial", degree=2, harmonics=3)
 
 
 @pytest.fixture(scope="module")
@@ -78,10 +78,12 @@ def test_the_report_counts_on_held_out_scans(seen: Review) -> None:
 
 
 def test_the_report_says_when_a_graph_was_fitted_to_what_it_is_scored_on(run: Run) -> None:
-    own = review(run, graph=build([run], degree=2, harmonics=2))
+    own = review(run, graph=build([run], model="polynomial", degree=2, harmonics=2))
     assert "fitted to this run" in report(own)
     other = replace(run, ranges=run.ranges + 0.01)
-    assert "has not seen" in report(review(other, graph=build([run], degree=2, harmonics=2)))
+    assert "has not seen" in report(
+        review(other, graph=build([run], model="polynomial", degree=2, harmonics=2))
+    )
 
 
 def test_a_long_run_is_thinned_evenly_and_says_so(run: Run, graph: Sensorgraph) -> None:

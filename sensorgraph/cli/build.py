@@ -23,11 +23,15 @@ def build(
     robot: Annotated[
         Path | None, typer.Option(help="Robot yaml: its sensor must be the one that recorded.")
     ] = None,
-    model: Annotated[str, typer.Option(help="What to fit: polynomial.")] = "polynomial",
+    model: Annotated[
+        str, typer.Option(help="What to fit: faces, cells, or polynomial, the form of 2004.")
+    ] = "faces",
     split: Annotated[str | None, typer.Option(help="Hold scans out: every10 or block.")] = None,
-    degree: Annotated[str, typer.Option(help="Degree in x and y, or auto.")] = "auto",
-    harmonics: Annotated[str, typer.Option(help="Harmonics of the heading, or auto.")] = "auto",
-    terms: Annotated[str, typer.Option(help="Terms kept for each ray, or auto.")] = "auto",
+    degree: Annotated[str, typer.Option(help="Of polynomial: degree in x and y, or auto.")] = "auto",
+    harmonics: Annotated[
+        str, typer.Option(help="Of polynomial: harmonics of the heading, or auto.")
+    ] = "auto",
+    terms: Annotated[str, typer.Option(help="Of polynomial: terms kept for each ray, or auto.")] = "auto",
     topic: Annotated[
         list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
     ] = None,
@@ -39,6 +43,8 @@ def build(
       sensorgraph build run.mcap -o square.sensorgraph
 
       sensorgraph build intel.log.gz --split block -o intel.sensorgraph
+
+      sensorgraph build run.mcap --model polynomial --degree 4 -o plain.sensorgraph
     """
     from logs import parse_topics, read
     from sensorgraph.build import build as build_graph

@@ -90,7 +90,7 @@ def told(hidden: Hidden) -> list[str]:
 def table(trips: list[Trip]) -> list[str]:
     """Return the demo's table, markdown."""
     names = {"coverage": "planned", "random_bounce": "random, as long"}
-    heads = [names[trip.planner] for trip in trips]
+    heads = [names[trip.planner] + (", 2004 form" if trip.model == "polynomial" else "") for trip in trips]
     rows = [
         ("driven", [f"{trip.drive_time / 60:.0f} min" for trip in trips]),
         ("reachable (x, y, φ) bins visited", [f"{100 * trip.coverage.fraction:.1f} %" for trip in trips]),

@@ -55,7 +55,7 @@ class Faces:
         """Identify faces from scans."""
         if options:
             raise GapError(
-                f"option {', '.join(sorted(options))} is not known to the model faces; it takes none"
+                f"option {', '.join(sorted(options))} is not known to the model faces, which takes none; give --model polynomial"
             )
         mount = scans.laser_mount
         rays = rays_of(scans, mount)
