@@ -1,6 +1,6 @@
 """What a user would pick instead: an occupancy grid with ray casting, beside our graph, on the same held-out scans.
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/occupancy_grid.py LOG.log.gz [LOG ...] [--split block|every10]
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.occupancy_grid LOG.log.gz [LOG ...] [--split block|every10]
 
 The grid (5 cm) counts hits and passes of the training scans at their given poses; a cell stops a ray where its
 share of hits reaches a threshold. Beside it stands a TSDF of the same cells (`tsdf.py`), tuned in the same way. The threshold is tuned on ten stretches of the training scans that the grid
@@ -18,14 +18,13 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.tsdf import Tsdf
 from logs import Run, pair, read
 from sensorgraph.build import build
 from sensorgraph.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Point, Prediction
 from sensorgraph.split import held_out
-
-from benchmarks.tsdf import Tsdf
 
 Floats = NDArray[np.float64]
 CELL = 0.05  # [m]
@@ -102,9 +101,18 @@ class Grid:
             )
         return ranges, found
 
+
+class Tuned:
+    """A map with its threshold, in the shape of our models, so that the same code scores both."""
+
+    name: ClassVar[str] = "map"
+
+    def __init__(self, made: Map, threshold: float) -> None:
+        self.made, self.threshold = made, threshold
+
     def predict(self, poses: Floats, rays: NDArray[np.intp], point: Point) -> Prediction:
-        """Predict as our models do, so that the same code scores both."""
-        ranges, found = self.cast(poses, self.threshold)
+        """Predict; one value stands for median, mode and mean."""
+        ranges, found = self.made.cast(poses, self.threshold)
         ranges, found = ranges[:, rays], found[:, rays]
         constant: dict[str, Any] = {
             "sigma": np.full(ranges.shape, CELL),
@@ -116,20 +124,20 @@ class Grid:
         return Prediction(ranges=seen, median=ranges, mode=ranges, mean=ranges, **constant)
 
 
-def tuned(poses: Floats, ranges: Floats, bearings: Floats) -> dict[str, float]:
+def tuned(kind: type[Map], poses: Floats, ranges: Floats, bearings: Floats) -> dict[str, float]:
     """Return the threshold with the least MAE, and that with the largest share within 10 cm."""
     stretch = np.arange(len(poses)) * 50 // len(poses)  # fifty stretches of 2 %, every fifth left out
     left_out = stretch % 5 == 2
-    grid = Grid(poses[~left_out], ranges[~left_out], bearings, 0.5)
+    made = kind(poses[~left_out], ranges[~left_out], bearings)
     measured = ranges[left_out]
     scored = np.isfinite(measured) & (measured > 0.1) & (measured < CAP)
     mae, near = {}, {}
-    for threshold in THRESHOLDS:
-        error = np.abs(grid.cast(poses[left_out], threshold)[0] - measured)[scored]
+    for threshold in kind.thresholds:
+        error = np.abs(made.cast(poses[left_out], threshold)[0] - measured)[scored]
         mae[threshold], near[threshold] = float(error.mean()), float((error <= 0.1).mean())
     return {
-        "grid, least MAE": min(mae, key=mae.__getitem__),
-        "grid, most < 10 cm": max(near, key=near.__getitem__),
+        f"{kind.name}, least MAE": min(mae, key=mae.__getitem__),
+        f"{kind.name}, most < 10 cm": max(near, key=near.__getitem__),
     }
 
 
@@ -150,17 +158,21 @@ def compare(run: Run, name: str, split: str) -> None:
     poses, ranges, bearings = pairing.poses[train], run.ranges[train], run.sensor.bearings
     print(f"{name}, {split}: {int(train.sum())} scans to train, {run.sensor.n_rays} rays")
     print(f"{'':<34}" + "".join(f"{column:>13}" for column in COLUMNS) + f"{'fit [s]':>9}")
-    start = time.perf_counter()
-    graph = build([run], model="polynomial", split=split)
-    took = time.perf_counter() - start
-    print(line("polynomial", evaluate(graph, run, split=split, cap=CAP), took))
-    for label, threshold in tuned(poses, ranges, bearings).items():
+    for model in ("polynomial", "cells"):
         start = time.perf_counter()
-        grid: Any = Grid(poses, ranges, bearings, threshold)
+        graph = build([run], model=model, split=split)
         took = time.perf_counter() - start
-        origin = {"inputs": [], "split": split}
-        wrapped = Sensorgraph(model=grid, sensor=run.sensor, pose_frame=run.pose_frame, origin=origin)
-        print(line(f"{label} (threshold {threshold:g})", evaluate(wrapped, run, split=split, cap=CAP), took))
+        print(line(model, evaluate(graph, run, split=split, cap=CAP), took), flush=True)
+    kinds: tuple[type[Map], ...] = (Grid, Tsdf)
+    for kind in kinds:
+        for label, threshold in tuned(kind, poses, ranges, bearings).items():
+            start = time.perf_counter()
+            stand_in: Any = Tuned(kind(poses, ranges, bearings), threshold)
+            took = time.perf_counter() - start
+            origin = {"inputs": [], "split": split}
+            wrapped = Sensorgraph(model=stand_in, sensor=run.sensor, pose_frame=run.pose_frame, origin=origin)
+            result = evaluate(wrapped, run, split=split, cap=CAP)
+            print(line(f"{label} (threshold {threshold:g})", result, took), flush=True)
 
 
 def main() -> None:

@@ -140,7 +140,7 @@ def newton(
 def samples(
     evidence: Evidence, poses: Floats, ranges: Floats, bearings: Floats, table: Table, most: int = MOST
 ) -> tuple[Small, Floats, Floats]:
-    """Return phi (n, 147), label (n,) and weight (n,) of the cells that set-aside rays were at risk in."""
+    """Return phi (n, n_terms), label (n,) and weight (n,) of the cells that set-aside rays were at risk in."""
     size = max(len(poses) * len(bearings) * 150, 1000)
     rows, sectors = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     label, weight = np.empty(size), np.empty(size)

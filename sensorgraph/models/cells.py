@@ -43,7 +43,7 @@ STEPS = 4
 
 @cache
 def shipped() -> tuple[float, ...]:
-    """Return the 147 coefficients that come with the software, learned from several buildings."""
+    """Return the coefficients that come with the software, learned from several buildings."""
     table = json.loads((files("sensorgraph.data") / "visibility.json").read_text())["beta"]
     if tuple(table) != TERMS:
         raise ValueError("visibility.json has other terms than the polynomial; learn it again")
@@ -61,7 +61,7 @@ class Cells:
     """(3,) [m, m, rad] laser in the frame of the poses."""
     table: Table
     beta: Floats
-    """(147,) coefficients of visibility."""
+    """(n_terms,) coefficients of visibility."""
     said: Floats
     """(3, n_knots) seen chance of being off at `KNOTS` of the said one, for each of `POINTS`."""
     counts: Mapping[str, int]
@@ -206,7 +206,7 @@ def lasers(poses: Floats, mount: Floats) -> Floats:
 def learn(
     poses: Floats, ranges: Floats, bearings: Floats, cell: float, reach: float, report: Progress
 ) -> tuple[Floats, float, Floats]:
-    """Return beta (147,), sigma [m] and the calibration (3, n_knots), learned on stretches the evidence leaves out."""
+    """Return beta (n_terms,), sigma [m] and the calibration (3, n_knots), learned on stretches the evidence leaves out."""
     beta = np.array(shipped())
     said = np.tile(KNOTS, (len(POINTS), 1))
     if len(poses) < LEARN_FROM:

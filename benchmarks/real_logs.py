@@ -1,0 +1,153 @@
+"""Cells on real logs: what is held out, with visibility learned here or only in other buildings; and learning it.
+
+    python -m benchmarks.real_logs LOG [LOG ...] [--split block|every10] [--others] [--learn OUT.json]
+
+Each log is built without what the split holds out, and scored on it. `--others` also learns visibility from the other
+logs alone, as a stranger to this building would use it. `--learn` writes the visibility that is shipped: learned
+from what the split leaves of all the logs given, five stretches in fifty of each left out of its own evidence.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs import Run, pair, read
+from sensorgraph.build import build
+from sensorgraph.evaluate import Evaluation, evaluate
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models import cells
+from sensorgraph.models.cell_evidence import Evidence
+from sensorgraph.models.cell_learning import newton, samples, set_aside
+from sensorgraph.models.cell_march import prepare
+from sensorgraph.models.cell_visibility import TERMS
+from sensorgraph.split import held_out
+
+Floats = NDArray[np.float64]
+COLUMNS = ("mae_m", "median_m", "within_0.1m", "within_0.5m", "pearson_r", "wrong_5cm", "f_score")
+EACH = 3e5
+"""Weight that every log has, however long it is."""
+SAMPLES = 25_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Log:
+    """A log and what of it may be learned from."""
+
+    name: str
+    run: Run
+    poses: Floats
+    ranges: Floats
+
+    @classmethod
+    def read(cls, path: Path, split: str) -> Log:
+        """Read a log; keep the key frames that the split does not hold out."""
+        run = read(path)
+        pairing = pair(run)
+        train = np.flatnonzero(pairing.paired & ~held_out(run, split))
+        keep = train[cells.key_frames(pairing.poses[train], np.zeros(len(train), dtype=np.intp))]
+        poses = pairing.poses[keep]
+        if run.pose_frame == "base_link":
+            poses = cells.lasers(poses, run.sensor.mount)
+        return cls(name=path.name, run=run, poses=poses, ranges=run.ranges[keep])
+
+
+def learned_from(logs: list[Log]) -> Floats:
+    """Learn visibility (n_terms,) from scratch, in two rounds; every log counts alike."""
+    beta: Floats | None = None
+    for steps in (10, 4):
+        parts = []
+        for log in logs:
+            aside, bearings = set_aside(len(log.poses)), log.run.sensor.bearings
+            evidence = Evidence.of(log.poses[~aside], log.ranges[~aside], bearings).widened()
+            table = prepare(evidence, beta, cells.SIGMA)
+            phi, label, weight = samples(
+                evidence, log.poses[aside], log.ranges[aside], bearings, table, SAMPLES
+            )
+            parts.append((phi, label, weight * (EACH / weight.sum())))
+        phi, label, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
+        zero = np.zeros(len(TERMS))
+        start = np.append(-4.0, zero[1:]) if beta is None else beta
+        beta = newton(phi, label, weight, start, zero, steps=steps)
+    assert beta is not None
+    return beta
+
+
+def line(label: str, result: Evaluation, seconds: float) -> str:
+    """Format one row."""
+    values = "".join(f"{result.all[name] or 0.0:>12.3f}" for name in COLUMNS)
+    near = result.answered_only["within_0.1m"] or 0.0
+    return f"{label:<34}{values}{result.answered:>10.3f}{near:>12.3f}{seconds:>8.1f}"
+
+
+def calibration(result: Evaluation) -> str:
+    """Return said -> seen (share of rays) of the bins of the chance of being off, and the largest difference."""
+    rows = [row for row in result.calibration if row["n"] >= 0.01 * result.n_rays]
+    bins = ", ".join(
+        f"{row['said']:.2f} -> {row['seen']:.2f} ({row['n'] / result.n_rays:.0%})" for row in rows
+    )
+    worst = max(abs(row["said"] - row["seen"]) for row in rows)
+    return f"  off by > 5 cm, said -> seen: {bins}; largest difference {100 * worst:.1f} points"
+
+
+def compare(logs: list[Log], split: str, *, others: bool) -> None:
+    """Print the table."""
+    heads = "".join(f"{name:>12}" for name in COLUMNS)
+    print(f"{'log':<34}{heads}{'answered':>10}{'of it <.1m':>12}{'CPU s':>8}")
+    for log in logs:
+        start = time.process_time()
+        graph = build([log.run], model="cells", split=split)
+        took = time.process_time() - start
+        result = evaluate(graph, log.run, split=split, cap=10.0)
+        print(line(log.name, result, took))
+        print(calibration(result), flush=True)
+        if others:
+            beta = learned_from([other for other in logs if other is not log])
+            evidence = Evidence.of(log.poses, log.ranges, log.run.sensor.bearings).widened()
+            model = cells.Cells(
+                **{**vars(graph.model), "beta": beta, "table": prepare(evidence, beta, cells.SIGMA)}
+            )
+            stranger = Sensorgraph(
+                model=model, sensor=graph.sensor, pose_frame=graph.pose_frame, origin=graph.origin
+            )
+            print(
+                line("  visibility of the other logs", evaluate(stranger, log.run, split=split, cap=10.0), 0),
+                flush=True,
+            )
+
+
+def write(path: Path, logs: list[Log], split: str) -> None:
+    """Write what is shipped as sensorgraph/data/visibility.json."""
+    provenance = (
+        f"learned by benchmarks/real_logs.py from {', '.join(log.name for log in logs)} (public 2-D laser logs, "
+        f"poses corrected by SLAM), without what split {split} holds out; features and weights only, no scan"
+    )
+    beta = {name: float(f"{value:.6g}") for name, value in zip(TERMS, learned_from(logs), strict=True)}
+    path.write_text(json.dumps({"provenance": provenance, "beta": beta}, indent=1) + "\n")
+
+
+def main() -> None:
+    """Compare on, or learn from, every log given."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("logs", nargs="+", type=Path)
+    parser.add_argument("--split", default="block", choices=["block", "every10"])
+    parser.add_argument("--others", action="store_true")
+    parser.add_argument("--learn", type=Path)
+    arguments = parser.parse_args()
+    logs = [Log.read(path, arguments.split) for path in arguments.logs]
+    if arguments.learn is not None:
+        write(arguments.learn, logs, arguments.split)
+    else:
+        compare(logs, arguments.split, others=arguments.others)
+
+
+if __name__ == "__main__":
+    main()
