@@ -330,6 +330,17 @@ def test_options_that_mean_nothing_are_refused(options: dict, words: str) -> Non
         Cells.fit(scans_of(poses, room(poses)), **options)
 
 
+def test_what_returns_from_beyond_reach_is_no_missing_return_and_is_not_answered() -> None:
+    rng = np.random.default_rng(16)
+    poses = some_poses(rng, 40)
+    ranges = np.full((40, 91), 25.0)  # cells reach 10 m
+    ranges[:, 45] = room(poses)[:, 45]
+    cells = Cells.fit(scans_of(poses, ranges, RangeSensor(bearings=BEARINGS, range_max=50.0)))
+    assert cells.nothing == 0.0
+    said = cells.predict(np.array([[-20.0, 2.0, np.pi]]), np.arange(91), "mode")
+    assert (said.p_no_return == 0.0).all() and not said.answered.any()
+
+
 def test_log_without_returns_is_refused() -> None:
     poses = some_poses(np.random.default_rng(0), 20)
     with pytest.raises(GapError, match="no ray of any training scan returned"):

@@ -64,6 +64,8 @@ class Cells:
     """(n_terms,) coefficients of visibility."""
     said: Floats
     """(3, n_knots) seen chance of being off at `KNOTS` of the said one, for each of `POINTS`."""
+    nothing: float
+    """Share of no return at all among the readings beyond reach; the others saw something farther."""
     counts: Mapping[str, int]
     """What it was made from: scans, key_frames, set_aside, hits."""
 
@@ -88,19 +90,30 @@ class Cells:
         evidence = Evidence.of(poses, ranges, bearings, cell=cell, reach=reach)
         table = prepare(evidence.widened(), beta, sigma)
         report(5, 5)
+        far, none = int((ranges >= reach).sum()), int(np.isposinf(ranges).sum())
         counts = {
             "scans": len(scans),
             "key_frames": len(poses),
             "set_aside": int(set_aside(len(poses)).sum()) if len(poses) >= LEARN_FROM else 0,
             "hits": int(evidence.hits[: evidence.n_rows].sum()),
         }
-        return cls(sensor=scans.sensor, mount=mount, table=table, beta=beta, said=said, counts=counts)
+        return cls(
+            sensor=scans.sensor,
+            mount=mount,
+            table=table,
+            beta=beta,
+            said=said,
+            nothing=none / max(far, 1),
+            counts=counts,
+        )
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
         """Predict rays (n_rays,) at poses (n_poses, 3)."""
         out, near, dark = summaries(self.table, lasers(poses, self.mount), self.sensor.bearings[rays], point)
         out[..., P_OFF] = np.interp(out[..., P_OFF], KNOTS, self.said[which_of(point)])
-        answered = (dark <= UNSEEN) & ((near >= SURE) | (out[..., NO_RETURN] > 0.5))
+        beyond = out[..., NO_RETURN] > 0.5
+        out[..., NO_RETURN] *= self.nothing
+        answered = (dark <= UNSEEN) & np.where(beyond, out[..., NO_RETURN] > 0.5, near >= SURE)
         return to_prediction(out, point, answered)
 
     def equation(self, ray: int) -> str:
@@ -126,7 +139,7 @@ class Cells:
             "from": f"{c['hits']} hits of {c['key_frames']} key frames ({c['scans']} scans); "
             f"{c['set_aside']} of them set aside to learn visibility",
             "sigma": f"{self.table.sigma:.3g} m about a face",
-            "reach": f"{self.table.reach:g} m; farther returns count as none",
+            "reach": f"{self.table.reach:g} m; {100 * self.nothing:.0f} % of what goes farther returns nothing, the rest is not answered",
         }
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -136,6 +149,7 @@ class Cells:
             "cell": t.cell,
             "reach": t.reach,
             "sigma": t.sigma,
+            "nothing": self.nothing,
             "counts": dict(self.counts),
             "shape": list(t.rows.shape),
         }
@@ -176,7 +190,7 @@ class Cells:
         )  # fmt: skip
         return cls(
             sensor=sensor, mount=arrays["mount"], table=table, beta=arrays["beta"], said=arrays["said"],
-            counts=header["counts"],
+            nothing=float(header["nothing"]), counts=header["counts"],
         )  # fmt: skip
 
 
