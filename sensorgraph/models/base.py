@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Protocol, Self, get_args
 
 import numpy as np
@@ -41,6 +41,10 @@ class Scans:
     def laser_mount(self) -> Floats:
         """(3,) [m, m, rad] laser in the frame of the poses."""
         return np.zeros(3) if self.pose_frame == "laser" else self.sensor.mount
+
+    def part(self, index: slice) -> Scans:
+        """Return some of the scans."""
+        return replace(self, poses=self.poses[index], ranges=self.ranges[index], run=self.run[index])
 
     def __len__(self) -> int:
         return len(self.poses)

@@ -5,31 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.models.base import Floats, Ints
-from sensorgraph.models.edges import looks_by_face
+from sensorgraph.models.edges import Looks
 from sensorgraph.models.face_march import FaceSet
-from sensorgraph.models.visibility import Noise, Rays
 
 CORNER = 0.03  # [m] within which two ends may be one corner
 MOST_BLUR = 0.03  # [m]
 TOLERATED = 6.0  # [nats] that moving an end to a corner may cost: a look or two on the wrong side
 
 
-def join_corners(rays: Rays, faces: FaceSet, noise: Noise) -> FaceSet:
+def join_corners(faces: FaceSet, looks: Looks) -> FaceSet:
     """Move the ends of faces to where their lines meet, if the looks there allow it.
 
     An end known to a few millimetres from its looks becomes a corner known as well as both lines, and no
     ray slips between the two.
     """
-    t, stop, weight, bounds = looks_by_face(rays, faces, noise)
     edges, neighbour, blur = faces.edges.copy(), faces.neighbour.copy(), faces.blur.copy()
     neighbour[:] = -1
     ends, owners = _ends(faces)
     places = faces.normals[owners] * faces.offsets[owners, None] + faces.tangents[owners] * edges[ends, None]
     for e, k, p in zip(ends, owners, places, strict=True):
-        part = slice(bounds[k], bounds[k + 1])
         best = (TOLERATED, -1, 0.0)
         for other, s in _meetings(faces, k, p):
-            cost = _cost(faces, e, k, s, t[part], stop[part], weight[part])
+            cost = _cost(faces, e, k, s, *looks.at(k))
             cost += 0.5 * ((s - edges[e]) / CORNER) ** 2
             if cost < best[0]:
                 best = (cost, other, s)

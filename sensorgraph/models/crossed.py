@@ -29,10 +29,9 @@ class Crossed:
     @classmethod
     def of(cls, origins: Floats, directions: Floats, reach: Floats, *, cell: float = CELL) -> Crossed:
         """Count rays (n, 2), (n, 2) that were free up to `reach` (n,) [m]."""
-        ends = origins + reach[:, None] * directions
-        low = np.minimum(origins.min(axis=0), ends.min(axis=0))
-        high = np.maximum(origins.max(axis=0), ends.max(axis=0))
-        cell = max(cell, float(np.sqrt(np.prod(high - low + 4 * cell) / LARGEST)))
+        low, high = _extent(origins, directions, reach)
+        while np.prod((high - low) / cell + 4) > LARGEST:
+            cell *= 2
         corner = np.floor(low / cell - 1) * cell
         shape = np.ceil((high - corner) / cell).astype(int) + 2
         counts = np.zeros((int(shape[0]), int(shape[1])), dtype=np.uint8)
@@ -40,17 +39,34 @@ class Crossed:
         return cls(origin=corner, cell=cell, counts=counts)
 
     def merge(self, other: Crossed) -> Crossed:
-        """Add the counts of two sets of rays; both grids have the same cell."""
+        """Add the counts of two sets of rays; the finer grid, or both where that is too many cells, is made coarser."""
         if self.cell != other.cell:
-            raise ValueError(f"cells are {self.cell:g} and {other.cell:g} m, expected the same")
+            fine, coarse = sorted((self, other), key=lambda grid: grid.cell)
+            return fine.coarser().merge(coarse)
         corners = np.round(np.stack([self.origin, other.origin]) / self.cell).astype(int)
         low = corners.min(axis=0)
         high = np.max([corners[0] + self.counts.shape, corners[1] + other.counts.shape], axis=0)
+        if np.prod((high - low).astype(float)) > LARGEST:
+            return self.coarser().merge(other.coarser())
         total = np.zeros(high - low, dtype=np.uint16)
         for corner, grid in zip(corners, (self.counts, other.counts), strict=True):
             i, j = corner - low
             total[i : i + grid.shape[0], j : j + grid.shape[1]] += grid
         return Crossed(origin=low * self.cell, cell=self.cell, counts=np.minimum(total, 255).astype(np.uint8))
+
+    def coarser(self) -> Crossed:
+        """Return the grid of cells twice as wide; a ray counts once for each fine cell it went through."""
+        corner = np.round(self.origin / self.cell).astype(int)
+        before = corner % 2
+        after = (before + self.counts.shape) % 2
+        padded = np.pad(self.counts.astype(np.uint16), np.stack([before, after], axis=1))
+        nx, ny = padded.shape
+        total = padded.reshape(nx // 2, 2, ny // 2, 2).sum(axis=(1, 3))
+        return Crossed(
+            origin=(corner - before) * self.cell,
+            cell=2 * self.cell,
+            counts=np.minimum(total, 255).astype(np.uint8),
+        )
 
     def supports(self, origins: Floats, directions: Floats, reach: Floats) -> Bools:
         """Tell for rays (n, 2), (n, 2) whether every cell up to `reach` (n,) [m] was crossed."""
@@ -98,6 +114,19 @@ def _supported(
         out[k] = is_crossed(
             origins[k, 0], origins[k, 1], directions[k, 0], directions[k, 1], reach[k], origin, cell, counts
         )
+
+
+@kernel
+def _extent(origins: Any, directions: Any, reach: Any) -> Any:
+    """Return the corners of the box around all rays."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for k in range(len(reach)):
+        for axis in range(2):
+            a = origins[k, axis]
+            b = a + reach[k] * directions[k, axis]
+            low[axis] = min(low[axis], a, b)
+            high[axis] = max(high[axis], a, b)
+    return low, high
 
 
 @kernel

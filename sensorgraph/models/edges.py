@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sensorgraph.models.base import Floats, Ints
+from sensorgraph.models.base import Bools, Floats, Ints
 from sensorgraph.models.face_march import FAINT, MOST, FaceSet, gather, index
 from sensorgraph.models.kernel import kernel
 from sensorgraph.models.visibility import Noise, Rays, share
@@ -15,24 +15,47 @@ CHANGE = 4.0  # [nats] that an edge must be worth, beside half the log of the lo
 LOOK_BACK = 600  # runs of equal outcome that one stretch may hold
 
 
-def sharpen(rays: Rays, faces: FaceSet, noise: Noise) -> FaceSet:
+class Looks(NamedTuple):
+    """What rays did where they crossed faces, sorted along each face."""
+
+    t: Floats
+    """(n_looks,) [m] abscissa."""
+    stop: Floats
+    """(n_looks,) chance that the ray stopped there, given that it came so far."""
+    weight: Floats
+    """(n_looks,) chance that it came so far."""
+    bounds: Ints
+    """(n_faces + 1,) where each face's looks begin."""
+
+    def at(self, k: int) -> tuple[Floats, Floats, Floats]:
+        """Return abscissae, stops and weights of face k."""
+        part = slice(self.bounds[k], self.bounds[k + 1])
+        return self.t[part], self.stop[part], self.weight[part]
+
+    def of_faces(self, index: Ints) -> Looks:
+        """Return the looks at some faces, in the order of `index`."""
+        parts = [np.arange(self.bounds[k], self.bounds[k + 1]) for k in index]
+        place = np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
+        bounds = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.intp)
+        return Looks(self.t[place], self.stop[place], self.weight[place], bounds)
+
+
+def sharpen(faces: FaceSet, looks: Looks) -> FaceSet:
     """Replace bins by stretches of constant visibility whose edges lie where outcomes change.
 
     The outcomes of all looks at a face, sorted along it, are cut by dynamic programming (optimal partitioning,
     Jackson et al. 2005) at the places that are worth more than `CHANGE` nats; an edge lies midway between the
-    looks on both sides of it.
+    looks on both sides of it. A face may be left that stops nothing: see `is_seen`.
     """
-    t, stop, weight, bounds = looks_by_face(rays, faces, noise)
     first, edges, levels, blur = [0], [], [], []
     for k in range(faces.n_faces):
-        part = slice(bounds[k], bounds[k + 1])
-        cut, level, gap = _stretches(t[part], stop[part], weight[part])
+        cut, level, gap = _stretches(*looks.at(k))
         edges.append(cut)
         levels.append(level)
         blur.append(gap)
         first.append(first[-1] + len(cut))
     n_edges = first[-1]
-    sharp = FaceSet(
+    return FaceSet(
         normals=faces.normals,
         offsets=faces.offsets,
         first=np.array(first, dtype=np.intp),
@@ -41,29 +64,37 @@ def sharpen(rays: Rays, faces: FaceSet, noise: Noise) -> FaceSet:
         blur=np.concatenate(blur) if blur else np.zeros(0),
         neighbour=np.full(n_edges, -1, dtype=np.intp),
     )
-    return _without_unseen(sharp)
 
 
-def looks_by_face(rays: Rays, faces: FaceSet, noise: Noise) -> tuple[Floats, Floats, Floats, Ints]:
-    """Return abscissa, chance of stopping and chance of coming so far of all looks, sorted along each face.
-
-    The fourth array (n_faces + 1,) says where each face's looks begin.
-    """
+def looks_at(rays: Rays, faces: FaceSet, noise: Noise) -> Looks:
+    """List what rays did at faces."""
     face, t, stop, weight = _events(
         rays.origins, rays.directions, rays.ranges, rays.range_max, faces, index(faces), noise.array
     )
-    order = np.lexsort((t, face))
-    bounds = np.searchsorted(face[order], np.arange(faces.n_faces + 1))
-    return t[order], stop[order], weight[order], bounds
+    return sorted_looks(face, t, stop, weight, faces.n_faces)
 
 
-def _without_unseen(faces: FaceSet) -> FaceSet:
-    """Drop faces that stop nothing."""
-    keep = np.array(
+def sorted_looks(face: Ints, t: Floats, stop: Floats, weight: Floats, n_faces: int) -> Looks:
+    """Sort looks (n,) by face, then along it."""
+    order = np.argsort(_along(face, t), kind="stable")
+    bounds = np.searchsorted(face[order], np.arange(n_faces + 1))
+    return Looks(t[order], stop[order], weight[order], bounds)
+
+
+def is_seen(faces: FaceSet) -> Bools:
+    """Tell which faces (n_faces,) stop anything."""
+    return np.array(
         [(faces.levels[faces.first[k] : faces.first[k + 1]] > FAINT).any() for k in range(faces.n_faces)],
         dtype=np.bool_,
     )
-    return subset(faces, np.flatnonzero(keep))
+
+
+def _along(face: Ints, t: Floats) -> Floats:
+    """Return a key (n,) that sorts by face, then by abscissa: one sort instead of two."""
+    if len(t) == 0:
+        return np.zeros(0)
+    low, high = t.min(), t.max()
+    return np.asarray(face * (2 * (high - low) + 1.0) + (t - low), dtype=np.float64)
 
 
 def subset(faces: FaceSet, index: Ints) -> FaceSet:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sensorgraph.models.base import Floats, Progress
 from sensorgraph.models.corners import join_corners, with_errors
-from sensorgraph.models.edges import sharpen, subset
+from sensorgraph.models.edges import is_seen, looks_at, sharpen, subset
 from sensorgraph.models.face_march import FaceSet
 from sensorgraph.models.selection import Lines, select_lines
 from sensorgraph.models.splits import split_bent
@@ -18,12 +18,14 @@ from sensorgraph.models.visibility import Expectation, Noise, Rays, expect, face
 
 logger = logging.getLogger(__name__)
 
-DRAFT_RAYS = 400_000
+DRAFT_RAYS = 300_000
 """Rays that lines and bins are fitted to in the first rounds."""
-FINAL_RAYS = 2_000_000
+FINAL_RAYS = 1_500_000
 """Rays that edges and visibility are taken from in the end."""
 ROUNDS = 3
 """Of splitting and of selecting among what no face explains."""
+STEPS = 5 + 2 * ROUNDS
+"""That `fit_faces` reports to its progress."""
 WORTH = 8.0
 """[nats] that a face must be worth to stay."""
 FEW = 4.0
@@ -46,16 +48,19 @@ class FittedFaces:
         return self.seen.lines[:, 5]
 
 
-def fit_faces(rays: Rays, *, sigma: float = 0.01, progress: Progress | None = None) -> FittedFaces:
+def fit_faces(
+    rays: Rays, *, surfaces: Surfaces | None = None, sigma: float = 0.01, progress: Progress | None = None
+) -> FittedFaces:
     """Find the faces that explain rays.
 
     Parameters
     ----------
+    surfaces : pooled hits of all rays that `rays` are a sample of; None: of `rays` themselves
     sigma : [m] range noise to begin with; it is then estimated, and so is the noise of the poses
     """
-    steps = _Steps(progress, 5 + 2 * ROUNDS)
-    hit = np.isfinite(rays.ranges)
-    surfaces = Surfaces.of(rays.hits[hit], rays.directions[hit])
+    steps = Steps(progress, STEPS)
+    if surfaces is None:
+        surfaces = Surfaces.of(rays.hits, rays.directions)
     steps.tick()
     draft = _sample(rays, DRAFT_RAYS)
     faces, noise, seen = _start(draft, surfaces, sigma)
@@ -69,12 +74,16 @@ def fit_faces(rays: Rays, *, sigma: float = 0.01, progress: Progress | None = No
         steps.tick()
         logger.info("%d faces, %.4f nats a ray", faces.n_faces, seen.nats / len(draft))
     final = _sample(rays, FINAL_RAYS)
-    faces = sharpen(final, faces, noise)
+    faces = sharpen(faces, looks_at(draft, faces, noise))
+    faces = subset(faces, np.flatnonzero(is_seen(faces)))
     steps.tick()
     faces, noise, seen = _em(final, faces, noise, passes=1)
-    faces = sharpen(final, faces, noise)
+    looks = looks_at(final, faces, noise)
+    faces = sharpen(faces, looks)
+    seen_faces = np.flatnonzero(is_seen(faces))
+    faces, looks = subset(faces, seen_faces), looks.of_faces(seen_faces)
     steps.tick()
-    faces = join_corners(final, faces, noise)
+    faces = join_corners(faces, looks)
     seen = expect(final, faces, noise)
     faces = with_errors(faces, seen.lines)
     steps.tick()
@@ -124,13 +133,16 @@ def _sample(rays: Rays, most: int) -> Rays:
     return rays if step == 1 else rays.take(slice(None, None, step + 1 - step % 2))
 
 
-class _Steps:
+class Steps:
     """Count steps for a progress bar."""
 
     def __init__(self, progress: Progress | None, total: int) -> None:
         self.progress, self.total, self.done = progress, total, 0
 
     def tick(self) -> None:
-        self.done += 1
+        self.to(self.done + 1)
+
+    def to(self, done: int) -> None:
+        self.done = done
         if self.progress is not None:
             self.progress(self.done, self.total)

@@ -8,7 +8,7 @@ points; a prediction is the mixture of all faces a ray crosses, each with the ch
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -19,11 +19,12 @@ from logs.run import RangeSensor
 from sensorgraph.errors import GapError
 from sensorgraph.models.base import OFF, Floats, Ints, Point, Prediction, Progress, Scans
 from sensorgraph.models.crossed import Crossed, is_crossed
-from sensorgraph.models.face_fit import fit_faces
+from sensorgraph.models.face_fit import STEPS, Steps, fit_faces
 from sensorgraph.models.face_march import FAINT, MOST, FaceSet, gather, index
 from sensorgraph.models.kernel import kernel
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, summarise, to_prediction, which_of
-from sensorgraph.models.visibility import Noise, Rays, variance
+from sensorgraph.models.reduction import BLOCK, Block, Spread, blocks_of, reduce_blocks
+from sensorgraph.models.visibility import Noise, variance
 
 SURE = 0.05
 """Chance of being off above which a ray is not answered."""
@@ -57,19 +58,46 @@ class Faces:
             raise GapError(
                 f"option {', '.join(sorted(options))} is not known to the model faces, which takes none; give --model polynomial"
             )
-        mount = scans.laser_mount
-        rays = rays_of(scans, mount)
-        if not np.isfinite(rays.ranges).any():
+        return cls.fit_blocks(
+            blocks_of(scans), scans.sensor, scans.laser_mount, n_scans=len(scans), progress=progress
+        )
+
+    @classmethod
+    def fit_blocks(
+        cls,
+        blocks: Iterable[Block],
+        sensor: RangeSensor,
+        mount: Floats,
+        *,
+        n_scans: int,
+        spread: Spread = map,
+        progress: Progress | None = None,
+    ) -> Self:
+        """Identify faces from blocks of scans that need not be in memory together.
+
+        Parameters
+        ----------
+        n_scans : how many scans all blocks hold, about
+        spread : where the blocks are reduced; `map`: here, one after the other
+        """
+        n_blocks = -(-n_scans // BLOCK)
+        steps = Steps(progress, n_blocks + STEPS)
+        reduced = reduce_blocks(
+            blocks, mount=mount, n_rays=n_scans * sensor.n_rays, spread=spread, tick=steps.tick
+        )
+        if reduced is None or reduced.n_returns == 0:
             raise GapError("no ray of the log returned; check range_max and the no-return code of the log")
-        fitted = fit_faces(rays, progress=progress)
-        reach = np.where(np.isfinite(rays.ranges), rays.ranges, scans.sensor.range_max)
+        rays = reduced.sample.rays(sensor, mount)
+        fitted = fit_faces(
+            rays, surfaces=reduced.surfaces, progress=lambda done, _: steps.to(n_blocks + done)
+        )
         return cls(
-            sensor=scans.sensor,
+            sensor=sensor,
             faces=fitted.faces,
             noise=fitted.noise,
-            hits=fitted.hits,
-            crossed=Crossed.of(rays.origins, rays.directions, reach),
-            returns=float(np.isfinite(rays.ranges).mean()),
+            hits=fitted.hits * (reduced.n_rays / max(fitted.n_rays, 1)),
+            crossed=reduced.crossed,
+            returns=reduced.n_returns / reduced.n_rays,
             mount=mount,
         )
 
@@ -204,23 +232,6 @@ def _sum(parts: list[tuple[float, str]]) -> str:
         text += f" {sign} " if text else ("-" if value < 0 else "")
         text += f"{abs(value):.5f}" + (f" {name}" if name else "")
     return text or "0"
-
-
-def rays_of(scans: Scans, mount: Floats) -> Rays:
-    """Turn scans into rays from the laser mounted at `mount` (3,); broken and too near readings are left out."""
-    cos, sin = np.cos(scans.poses[:, 2]), np.sin(scans.poses[:, 2])
-    x = scans.poses[:, 0] + cos * mount[0] - sin * mount[1]
-    y = scans.poses[:, 1] + sin * mount[0] + cos * mount[1]
-    theta = (scans.poses[:, 2] + mount[2])[:, None] + scans.sensor.bearings
-    keep = ~np.isnan(scans.ranges) & (scans.ranges > 0)
-    row = np.broadcast_to(np.arange(len(scans.poses))[:, None], keep.shape)[keep]
-    theta = theta[keep]
-    return Rays(
-        origins=np.stack([x[row], y[row]], axis=1),
-        directions=np.stack([np.cos(theta), np.sin(theta)], axis=1),
-        ranges=np.ascontiguousarray(scans.ranges[keep]),
-        range_max=scans.sensor.range_max,
-    )
 
 
 @kernel

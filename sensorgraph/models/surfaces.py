@@ -42,16 +42,16 @@ class Surfaces:
         keys, moments = _pool(points, directions, weights, CELL)
         order = np.argsort(keys, kind="stable")
         keys = keys[order]
-        cells = np.stack([(keys >> 32) - _HALF, (keys & 0xFFFFFFFF) - _HALF], axis=1)
-        return cls(cells=cells, moments=moments[order])
+        return cls(cells=_cells(keys), moments=moments[order])
 
     def merge(self, other: Surfaces) -> Surfaces:
         """Add the moments of two disjoint sets of hits."""
-        cells = np.concatenate([self.cells, other.cells])
-        unique, place = np.unique(cells, axis=0, return_inverse=True)
-        moments = np.zeros((len(unique), N_MOMENTS))
-        np.add.at(moments, place.ravel(), np.concatenate([self.moments, other.moments]))
-        return Surfaces(cells=unique, moments=moments)
+        mine, theirs = _keys(self.cells), _keys(other.cells)
+        keys = np.union1d(mine, theirs)
+        moments = np.zeros((len(keys), N_MOMENTS))
+        moments[np.searchsorted(keys, mine)] = self.moments
+        moments[np.searchsorted(keys, theirs)] += other.moments
+        return Surfaces(cells=_cells(keys), moments=moments)
 
     @property
     def counts(self) -> Floats:
@@ -61,7 +61,15 @@ class Surfaces:
     @property
     def centres(self) -> Floats:
         """(n_cells, 2) [m] in map."""
-        return (self.cells + 0.5) * CELL
+        return np.asarray((self.cells + 0.5) * CELL, dtype=np.float64)
+
+
+def _keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.asarray(((cells[:, 0] + _HALF) << 32) | (cells[:, 1] + _HALF))
+
+
+def _cells(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.stack([(keys >> 32) - _HALF, (keys & 0xFFFFFFFF) - _HALF], axis=1)
 
 
 @kernel

@@ -40,9 +40,9 @@ class Rays:
     def take(self, index: Ints | slice) -> Rays:
         """Return some of the rays."""
         return Rays(
-            origins=self.origins[index],
-            directions=self.directions[index],
-            ranges=self.ranges[index],
+            origins=np.ascontiguousarray(self.origins[index]),  # kernels are compiled for this layout
+            directions=np.ascontiguousarray(self.directions[index]),
+            ranges=np.ascontiguousarray(self.ranges[index]),
             range_max=self.range_max,
         )
 
