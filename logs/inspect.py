@@ -120,7 +120,7 @@ def inspect(
     if run is not None:
         usable += _usable(run)
         missing += _missing(run, recording)
-        warnings += _warnings(run)
+        warnings += warnings_of(run)
         pairing = str(pair(run))
     return Inspection(
         path=str(path),
@@ -250,7 +250,8 @@ def _ros_warnings(recording: Recording) -> list[str]:
     return out
 
 
-def _warnings(run: Run) -> list[str]:
+def warnings_of(run: Run) -> list[str]:
+    """Say what looks wrong in a run."""
     out = [note for note in run.meta.get("notes", "").split("; ") if note]
     source = run.meta.get("pose_source", "")
     if source == "slam":
@@ -276,6 +277,11 @@ def _stamp_warnings(run: Run) -> list[str]:
         steps = np.diff(stamps)
         if len(steps) < 2:
             continue
+        same = int((steps == 0).sum())
+        if same and "duplicates" not in run.meta.get("notes", ""):
+            out.append(
+                f"{same} {name} stamps are duplicates: do two sources publish, was a bag played into itself?"
+            )
         gaps = steps > max(GAP * float(np.median(steps)), GAP_LEAST)
         if gaps.any():
             at = float(stamps[int(np.argmax(steps))])

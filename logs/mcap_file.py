@@ -301,7 +301,7 @@ def collect(
     def take(channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
         if channel not in logged:
             logged[channel], payloads[channel], counts[channel] = [], [], 0
-            if channel in walk.contents.channels and _type_of(walk.contents, channel) not in KNOWN:
+            if channel in walk.contents.channels and type_of(walk.contents, channel) not in KNOWN:
                 ignored.add(channel)
         counts[channel] += 1
         logged[channel].append(log_time)
@@ -322,7 +322,7 @@ def collect(
         recording.metadata.setdefault(name, {}).update(pairs)
     recording.attachments = {attachment.name: attachment.data for attachment in contents.attachments}
     for key, channel in contents.channels.items():
-        kind = _type_of(contents, key)
+        kind = type_of(contents, key)
         topic = recording.topics.setdefault(channel.topic, Topic(channel.topic, kind, channel.encoding))
         if topic.type != kind or topic.encoding != channel.encoding:
             topic = recording.topics.setdefault(f"{channel.topic}#{key}", Topic(channel.topic, kind))
@@ -335,6 +335,6 @@ def collect(
     return recording, contents
 
 
-def _type_of(contents: Contents, channel: int) -> str:
+def type_of(contents: Contents, channel: int) -> str:
     schema = contents.schemas.get(contents.channels[channel].schema_id)
     return full_type(schema.name) if schema is not None else "without schema"

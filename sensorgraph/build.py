@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import logging
 from collections.abc import Sequence
 from pathlib import PurePath
 from typing import Any
@@ -11,26 +9,29 @@ from typing import Any
 import numpy as np
 
 from logs.run import Run, pair
+from logs.stream import Log, Whole
 from planners.arena import Arena
 from sensorgraph import __version__
 from sensorgraph.errors import GapError
+from sensorgraph.feed import Feed, begin_digest, ranges_bytes, together
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models import MODELS
-from sensorgraph.models.base import Bools, Floats, Progress, Scans
+from sensorgraph.models.base import Bools, Floats, Model, Progress
+from sensorgraph.models.faces import Faces
+from sensorgraph.models.reduction import Spread
 from sensorgraph.split import held_out
-
-logger = logging.getLogger(__name__)
 
 MIN_SCANS = 10
 
 
 def build(
-    runs: Sequence[Run],
+    runs: Sequence[Run | Log],
     *,
     arena: Arena | None = None,
     model: str = "faces",
     split: str | None = None,
     names: Sequence[str] | None = None,
+    spread: Spread = map,
     progress: Progress | None = None,
     **options: Any,
 ) -> Sensorgraph:
@@ -38,67 +39,61 @@ def build(
 
     Parameters
     ----------
-    runs : recordings of one sensor, with poses of one frame
+    runs : recordings of one sensor, with poses of one frame; a `Log` is read piece by piece
     arena : its bounds give the scale of x and y, so that graphs of several runs share it
     model : a name in MODELS
     names : what to call each run in messages and in the graph; None: the file it says it came from
     split : `every10` or `block` hold scans out of each run; the graph remembers it
+    spread : where blocks of scans are reduced; `map`: here. See `sensorgraph.cluster`
     options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
     """
     if model not in MODELS:
         raise GapError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
     names = [_name(run, i) for i, run in enumerate(runs)] if names is None else names
-    _check_alike(runs, names)
-    inputs: list[dict[str, Any]] = []
-    poses, ranges, owner = [], [], []
-    for i, (run, name) in enumerate(zip(runs, names, strict=True)):
-        pairing = pair(run)
-        held = held_out(run, split)
-        empty = np.isnan(run.ranges).all(axis=1)
-        use = pairing.paired & ~held & ~empty
-        inputs.append(
-            {
-                "name": name,
-                "sha256": digest(run),
-                "n_scans": run.n_scans,
-                "paired": int(pairing.paired.sum()),
-                "dropped": dict(pairing.dropped),
-                "held_out": int((held & pairing.paired).sum()),
-                "empty": int((empty & pairing.paired & ~held).sum()),
-                "trained": int(use.sum()),
-            }
-        )
-        logger.info("%s: %s", name, pairing)
-        poses.append(pairing.poses[use])
-        ranges.append(run.ranges[use])
-        owner.append(np.full(int(use.sum()), i, dtype=np.intp))
-    n_trained = sum(entry["trained"] for entry in inputs)
-    if n_trained < MIN_SCANS:
-        raise GapError(_too_few(n_trained, inputs))
-    scans = Scans(
-        sensor=runs[0].sensor,
-        poses=np.concatenate(poses),
-        ranges=np.concatenate(ranges) if len(ranges) > 1 else ranges[0],
-        run=np.concatenate(owner),
-        bounds=None if arena is None else arena.bounds,
-        pose_frame=runs[0].pose_frame,
-    )
-    fitted = MODELS[model].fit(scans, progress=progress, **options)
+    sources = [Whole(head=run) if isinstance(run, Run) else run for run in runs]
+    _check_alike([source.head for source in sources], names)
+    feed = Feed(sources, names, split=split, bounds=None if arena is None else arena.bounds)
+    fitted = _fit(feed, MODELS[model], spread, progress, options)
     origin = {
         "software": __version__,
-        "inputs": inputs,
+        "inputs": feed.entries,
         "split": split,
         "options": {name: options[name] for name in sorted(options)},
         "arena_bounds": None if arena is None else list(arena.bounds),
     }
-    return Sensorgraph(model=fitted, sensor=runs[0].sensor, pose_frame=runs[0].pose_frame, origin=origin)
+    return Sensorgraph(model=fitted, sensor=feed.sensor, pose_frame=feed.pose_frame, origin=origin)
+
+
+def _fit(
+    feed: Feed, model: type[Model], spread: Spread, progress: Progress | None, options: dict[str, Any]
+) -> Model:
+    """Fit a model to blocks, if it can take them one after the other, else to all scans together."""
+    if issubclass(model, Faces) and not options:
+        mount = np.zeros(3) if feed.pose_frame == "laser" else feed.sensor.mount
+        try:
+            fitted: Model = model.fit_blocks(
+                feed, feed.sensor, mount, n_scans=feed.n_scans, spread=spread, progress=progress
+            )
+        finally:
+            _check_enough(feed)
+        return fitted
+    scans = together(feed)
+    _check_enough(feed)
+    assert scans is not None
+    return model.fit(scans, progress=progress, **options)
+
+
+def _check_enough(feed: Feed) -> None:
+    """Refuse to build from next to nothing, once all was read."""
+    n_trained = sum(entry["trained"] for entry in feed.entries)
+    if len(feed.entries) == len(feed.logs) and n_trained < MIN_SCANS:
+        raise GapError(_too_few(n_trained, feed.entries))
 
 
 def digest(run: Run) -> str:
-    """Return the sha256 of what a run measured: scans, reference poses and bearings, not its file's layout."""
-    total = hashlib.sha256()
-    for array in (run.stamps, run.ranges, run.pose_stamps, run.poses, run.sensor.bearings):
-        total.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+    """Return the sha256 of what a run measured: bearings and ranges, not its file's layout nor its poses."""
+    total = begin_digest(run.sensor)
+    total.update(ranges_bytes(run.ranges))
     return total.hexdigest()
 
 
@@ -133,8 +128,9 @@ def _check_alike(runs: Sequence[Run], names: Sequence[str]) -> None:
             )
 
 
-def _name(run: Run, i: int) -> str:
+def _name(run: Run | Log, i: int) -> str:
     """Return the file's name without its folder, so that a graph does not depend on where the log lay."""
+    run = run if isinstance(run, Run) else run.head
     return PurePath(run.meta["source"]).name if "source" in run.meta else f"run {i}"
 
 

@@ -23,12 +23,25 @@ OWNERS = {
     "rich": {"sensorgraph/cli/"},
     "yaml": {"sensorgraph/", "planners/", "logs/"},
     "PIL": {"planners/maps/"},
+    "distributed": {"sensorgraph/cluster.py"},
     "numba": {"sensorgraph/models/kernel.py"},
     "numpy": set(PACKAGES),
     "scipy": set(PACKAGES),
 }
 LIGHT = {"sensorgraph/cli"}  # start-up counts: no heavy import at module level
-HEAVY = {"ompl", "mcap", "rosbags", "rerun", "shapely", "matplotlib", "numpy", "scipy", "PIL", "numba"}
+HEAVY = {
+    "ompl",
+    "mcap",
+    "rosbags",
+    "rerun",
+    "shapely",
+    "matplotlib",
+    "numpy",
+    "scipy",
+    "PIL",
+    "numba",
+    "distributed",
+}
 
 
 def modules() -> list[Path]:

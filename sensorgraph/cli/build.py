@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -32,6 +33,10 @@ def build(
         str, typer.Option(help="Of polynomial: harmonics of the heading, or auto.")
     ] = "auto",
     terms: Annotated[str, typer.Option(help="Of polynomial: terms kept for each ray, or auto.")] = "auto",
+    dask: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Scheduler of a Dask cluster that reduces the scans of faces."),
+    ] = None,
     topic: Annotated[
         list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
     ] = None,
@@ -46,16 +51,18 @@ def build(
 
       sensorgraph build run.mcap --model polynomial --degree 4 -o plain.sensorgraph
     """
-    from logs import parse_topics, read
+    from logs import parse_topics
+    from logs.stream import open_log
     from sensorgraph.build import build as build_graph
     from sensorgraph.cli.inputs import check_output, named_arena, read_robot_sensor
+    from sensorgraph.cluster import cluster
     from sensorgraph.errors import GapError
     from sensorgraph.models import MODELS
 
     check_output(output, *runs)
     if model not in MODELS:
         raise GapError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
-    options = {
+    options: dict[str, Any] = {
         "n_terms" if name == "terms" else name: value
         for name, text in (("degree", degree), ("harmonics", harmonics), ("terms", terms))
         if (value := _number(name, text)) != "auto"
@@ -64,17 +71,23 @@ def build(
     names = parse_topics(topic or [])
     loaded = []
     for path in runs:
-        with progress("reading", "messages") as tick:
-            loaded.append(read(path, topics=names, progress=tick))
+        with progress("reading", "bytes") as tick:
+            loaded.append(open_log(path, topics=names, progress=tick))
     if robot is not None:
-        read_robot_sensor(robot, [(str(path), run.sensor) for path, run in zip(runs, loaded, strict=True)])
-    with progress("building", "blocks") as tick:
+        read_robot_sensor(
+            robot, [(str(path), log.head.sensor) for path, log in zip(runs, loaded, strict=True)]
+        )
+    with (
+        cluster(dask) if dask is not None else nullcontext(map) as spread,
+        progress("building", "blocks") as tick,
+    ):
         graph = build_graph(
             loaded,
             arena=space,
             model=model,
             split=split,
             names=[path.name for path in runs],
+            spread=spread,
             progress=tick,
             **options,
         )
@@ -86,6 +99,8 @@ def build(
             f"{entry['name']}: {entry['paired']} of {entry['n_scans']} scans paired with poses{dropped}{held}; "
             f"{entry['trained']} fitted"
         )
+        for text in entry.get("warnings", ()):
+            typer.echo(f"warning: {entry['name']}: {text}", err=True)
     for label, text in graph.model.summary().items():
         typer.echo(f"{label}: {text}")
     typer.echo(f"wrote {output}: {graph.sensor.n_rays} rays, poses of {graph.pose_frame}")

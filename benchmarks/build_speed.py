@@ -1,0 +1,57 @@
+"""How long `build` takes for 50,000 scans x 181 rays of the office, on one core, and how much memory.
+
+    python benchmarks/build_speed.py [--scans 50000] [--file RUN.mcap]
+
+Compilation is done before (on 300 scans). With `--file` the scans are written to that MCAP file and streamed from it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+import logs
+from logs.run import RangeSensor, Run
+from logs.stream import open_log
+from planners.maps import geojson
+from sensorgraph.build import build
+from sensorgraph.demo import check_run
+from sensorgraph.world.robot_file import default
+
+
+def recording(n: int) -> Run:
+    """Return scans from n poses spread evenly over the office, with a sensor of 30 m."""
+    arena = geojson.loads(files("sensorgraph.data").joinpath("office.geojson").read_text())
+    robot = default()
+    sensor = RangeSensor(bearings=robot.sensor.bearings, range_max=30.0, sigma=0.01, rate=10.0)
+    return check_run(arena, replace(robot, sensor=sensor), np.random.default_rng(0), n)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scans", type=int, default=50_000)
+    parser.add_argument("--file", type=Path)
+    options = parser.parse_args()
+    build([recording(300)])
+    run = recording(options.scans)
+    if options.file is not None:
+        logs.write(run, options.file)
+        del run
+    wall, cpu = time.perf_counter(), time.process_time()
+    graph = build([run] if options.file is None else [open_log(options.file)])
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    print(
+        f"{options.scans:,} scans x {graph.sensor.n_rays} rays: {cpu:.2f} s of one core, {wall:.2f} s by the clock"
+    )
+    print("; ".join(f"{label}: {text}" for label, text in graph.model.summary().items()))
+    print(f"memory at its highest: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:,.0f} MiB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,244 @@
+"""Logs read piece by piece: runs of some thousand scans with the poses around them, for logs larger than memory.
+
+`open_log(path)` looks through the file once (what is in it, is it whole) and keeps nothing of it; `pieces` then
+walks it again. An MCAP file is streamed; other formats are read whole and handed out as one piece.
+"""
+
+from __future__ import annotations
+
+import mmap
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from logs import mcap_file, ros_run
+from logs.errors import LogError
+from logs.mcap_records import Contents, Loss
+from logs.mcap_walk import Walk
+from logs.recording import ENCODINGS, KNOWN, SCAN, Recording, Topic, check_roles, choose
+from logs.run import Run
+
+Progress = Callable[[int, int], None]
+
+PIECE = 4096
+"""Scans of a piece."""
+AHEAD = 64
+"""Scans read beyond a piece, so that poses after its last scan are at hand."""
+MARGIN = 5_000_000_000
+"""[ns] of log time for which other messages are kept before a piece."""
+LOOKED_AT = 500
+"""Messages of each topic that the first look keeps, to tell which topic plays which role."""
+
+
+class Log(Protocol):
+    """A recording that is read piece by piece."""
+
+    @property
+    def head(self) -> Run:
+        """A run with the log's sensor, frame and meta, and perhaps only a few of its scans."""
+        ...
+
+    @property
+    def n_scans(self) -> int:
+        """All scans of the log."""
+        ...
+
+    def pieces(self) -> Iterator[Run]:
+        """Yield runs of consecutive scans, each with the poses around it."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Whole:
+    """A run in memory, as a log of one piece."""
+
+    head: Run
+
+    @property
+    def n_scans(self) -> int:
+        return self.head.n_scans
+
+    def pieces(self) -> Iterator[Run]:
+        yield self.head
+
+
+def open_log(
+    path: Path | str, *, topics: Mapping[str, str] | None = None, progress: Progress | None = None
+) -> Log:
+    """Look through a file; a damaged one is refused before anything is made of it."""
+    from logs import format_of, read
+
+    path = Path(path)
+    check_roles(topics)
+    if format_of(path) == "mcap" and path.stat().st_size > 0:
+        return McapLog.open(path, topics, progress)
+    return Whole(head=read(path, topics=topics, progress=progress))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class McapLog:
+    """An MCAP file; memory holds a piece at a time, and the file itself is mapped."""
+
+    path: Path
+    head: Run
+    n_scans: int
+    scan_topic: str
+    roles: Mapping[str, str]
+    _contents: Contents = field(repr=False)
+
+    @classmethod
+    def open(cls, path: Path, topics: Mapping[str, str] | None, progress: Progress | None) -> McapLog:
+        """Check every record, count scans, and tell from the first messages what plays which role."""
+        counts: dict[int, int] = {}
+        look: dict[int, Topic] = {}
+
+        def take(channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
+            counts[channel] = counts.get(channel, 0) + 1
+            if counts[channel] <= LOOKED_AT:
+                kept = look.setdefault(channel, Topic("", ""))
+                kept.log_times.append(log_time)
+                kept.payloads.append(payload)
+
+        def refuse(loss: Loss) -> None:
+            raise LogError(mcap_file.damage_text(path, loss))
+
+        contents = _walk(path, take, refuse, progress)
+        recording = _skeleton(contents)
+        for key, channel in contents.channels.items():
+            topic = recording.topics[channel.topic]
+            topic.n_messages += counts.get(key, 0)
+            if key in look and topic.type in KNOWN and topic.encoding in ENCODINGS:
+                topic.log_times += look[key].log_times
+                topic.payloads += look[key].payloads
+        head = ros_run.to_run(recording, path.name, topics)
+        name = head.meta.get("scan_topic") or choose(recording, "scan", topics) or "/scan"
+        name = name if name in recording.topics else "/scan"
+        n_scans = recording.topics[name].n_messages if name in recording.topics else 0
+        return cls(
+            path=path,
+            head=head,
+            n_scans=n_scans,
+            scan_topic=name,
+            roles=dict(topics or {}),
+            _contents=contents,
+        )
+
+    def pieces(self) -> Iterator[Run]:
+        """Walk the file again and yield runs of `PIECE` scans."""
+        window = _Window(self._contents, self.scan_topic)
+        for done in _steps(self.path, window.take):
+            del done
+            while window.n_scans >= PIECE + AHEAD:
+                yield self._run(window.cut(PIECE))
+        if window.n_scans:
+            yield self._run(window.cut(window.n_scans))
+
+    def _run(self, recording: Recording) -> Run:
+        """Interpret a piece; poses of another source than the log's are none."""
+        run = ros_run.to_run(recording, self.path.name, self.roles)
+        if run.meta.get("pose_source") != self.head.meta.get("pose_source"):
+            run = replace(
+                run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3)), pose_frame=self.head.pose_frame
+            )
+        if run.sensor.n_rays != self.head.sensor.n_rays:
+            raise LogError(
+                f"{self.path}: its scans change from {self.head.sensor.n_rays} to {run.sensor.n_rays} rays; "
+                "cut the log where the sensor changes, and build from the parts of one sensor"
+            )
+        return replace(run, sensor=self.head.sensor)
+
+
+class _Window:
+    """Messages of a stretch of the file: its scans, and what was logged a little before, between and after."""
+
+    def __init__(self, contents: Contents, scan_topic: str) -> None:
+        self.contents = contents
+        self.scans: deque[tuple[int, bytes]] = deque()
+        self.others: deque[tuple[str, int, bytes]] = deque()
+        self.fixed: list[tuple[str, int, bytes]] = []
+        self.names: dict[int, str] = {}
+        for key, channel in contents.channels.items():
+            kind = mcap_file.type_of(contents, key)
+            if (
+                channel.encoding in ENCODINGS
+                and kind in KNOWN
+                and (kind != SCAN or channel.topic == scan_topic)
+            ):
+                self.names[key] = channel.topic
+        self.scan_topic = scan_topic
+
+    @property
+    def n_scans(self) -> int:
+        return len(self.scans)
+
+    def take(self, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
+        """Keep a message, if anyone can use it."""
+        name = self.names.get(channel)
+        if name is None:
+            return
+        if name == self.scan_topic:
+            self.scans.append((log_time, payload))
+        elif name.rstrip("/").endswith("tf_static"):
+            self.fixed.append((name, log_time, payload))
+        else:
+            self.others.append((name, log_time, payload))
+
+    def cut(self, n: int) -> Recording:
+        """Return the first n scans with everything at hand, and forget what no later scan needs."""
+        recording = _skeleton(self.contents)
+        taken = [self.scans.popleft() for _ in range(n)]
+        topic = recording.topics[self.scan_topic]
+        topic.log_times, topic.payloads = [at for at, _ in taken], [payload for _, payload in taken]
+        for name, at, payload in (*self.fixed, *self.others):
+            recording.topics[name].log_times.append(at)
+            recording.topics[name].payloads.append(payload)
+        while self.others and self.others[0][1] < taken[-1][0] - MARGIN:
+            self.others.popleft()
+        for topic in recording.topics.values():
+            topic.n_messages = len(topic.log_times)
+        return recording
+
+
+def _skeleton(contents: Contents) -> Recording:
+    """Return a recording with the topics of a file and no messages."""
+    recording = Recording(format="mcap")
+    for name, pairs in contents.metadata:
+        recording.metadata.setdefault(name, {}).update(pairs)
+    recording.attachments = {attachment.name: attachment.data for attachment in contents.attachments}
+    for key, channel in contents.channels.items():
+        kind = mcap_file.type_of(contents, key)
+        recording.topics.setdefault(channel.topic, Topic(channel.topic, kind, channel.encoding))
+    return recording
+
+
+def _walk(
+    path: Path,
+    take: Callable[[int, int, int, int, bytes], None],
+    on_damage: Callable[[Loss], None],
+    progress: Progress | None,
+) -> Contents:
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        walk = Walk(data, take, on_damage)
+        for done, pos in enumerate(walk.steps()):
+            if progress is not None and done % 64 == 0:
+                progress(pos, len(data))
+        if progress is not None:
+            progress(len(data), len(data))
+        contents = walk.contents
+        if contents.n_claimed is not None and contents.n_claimed != contents.n_messages:
+            on_damage(
+                Loss(len(data), len(data), f"{contents.n_messages} messages, it says {contents.n_claimed}")
+            )
+        return contents
+
+
+def _steps(path: Path, take: Callable[[int, int, int, int, bytes], None]) -> Iterator[int]:
+    def changed(loss: Loss) -> None:
+        raise LogError(f"{path} has changed while it was read: {loss.why}")
+
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        yield from Walk(data, take, changed).steps()
