@@ -67,7 +67,16 @@ def choose_views(
 
 
 @kernel
-def _gain(at: Floats, cos: Floats, sin: Floats, ranges: Floats, hit: Floats, space: Floats, surface: Floats, mark: bool) -> float:
+def _gain(
+    at: Floats,
+    cos: Floats,
+    sin: Floats,
+    ranges: Floats,
+    hit: Floats,
+    space: Floats,
+    surface: Floats,
+    mark: bool,
+) -> float:
     """Add up what the rays of one pose would add; note them if `mark`."""
     total = 0.0
     for k in range(len(ranges)):

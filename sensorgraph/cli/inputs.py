@@ -110,7 +110,7 @@ def parse_pose(text: str) -> Floats:
 
 
 def named_arena(name: str) -> Arena:
-    """Read an arena from a file, or a shipped one by its name."""
+    """Read an arena from a file, a shipped one by its name, or the one that a sensorgraph of faces holds."""
     from importlib.resources import as_file, files
 
     from planners import maps
@@ -125,8 +125,14 @@ def named_arena(name: str) -> Arena:
             return maps.load(path)
     if not Path(name).exists():
         raise GapError(
-            f"{name} does not exist; give a *.geojson, a map_server *.yaml, or one of {', '.join(shipped)}"
+            f"{name} does not exist; give a *.geojson, a map_server *.yaml, a *.sensorgraph, "
+            f"or one of {', '.join(shipped)}"
         )
+    if name.endswith(".sensorgraph"):
+        from sensorgraph.graph import Sensorgraph
+        from sensorgraph.identified_arena import arena_of
+
+        return arena_of(Sensorgraph.load(Path(name)))
     return maps.load(Path(name))
 
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from sensorgraph.diagnose.usual import Usual
 
 LEAST_SCANS = 50
+MOST_RAYS = 100_000  # more say little new: map and poses, not noise, then bound what can be told
 LEAST_RAYS = 3
 LEAST_SIGMA = 5e-4  # [m] of a return
 SMOOTH = 0.2  # [s] either side, over which the reference is fitted to tell the speed
@@ -123,12 +124,15 @@ def gather(
     """Pair scans with poses; return the evidence and what is worth saying about the pairing."""
     pairing = pair(run)
     kept = pairing.paired & ~np.isnan(run.ranges).all(axis=1)
+    broken = int((pairing.paired & ~kept).sum())
+    kept, thinned = _thinned(kept, run.sensor.n_rays)
     notes: dict[str, object] = {
         "scans": run.n_scans,
         "used": int(kept.sum()),
         "dropped": {
             **pairing.dropped,
-            "with nothing but broken readings": int((pairing.paired & ~kept).sum()),
+            "with nothing but broken readings": broken,
+            **thinned,
         },
     }
     if run.n_scans < LEAST_SCANS:
@@ -164,6 +168,17 @@ def gather(
         known=tuple(a for a in known if a.effect.channel == "scan"),
     )
     return evidence, notes
+
+
+def _thinned(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:
+    """Keep every n-th of the usable scans of a long run; say how many that leaves out."""
+    count = int(kept.sum())
+    step = -(-count * n_rays // MOST_RAYS)
+    if step <= 1:
+        return kept, {}
+    some = np.zeros_like(kept)
+    some[np.flatnonzero(kept)[step // 2 :: step]] = True
+    return some, {f"beyond every {step}th, which say enough": count - int(some.sum())}
 
 
 def velocities(stamps: Floats, poses: Floats, when: Floats) -> Floats:

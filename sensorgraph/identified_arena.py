@@ -1,0 +1,114 @@
+"""The arena that a sensorgraph of faces holds: visible stretches as walls, crossed space as free space.
+
+With it a later run is diagnosed, planned or simulated against what was identified, as against a drawn map.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from shapely.geometry import MultiPolygon, Polygon
+
+from planners.arena import Arena
+from sensorgraph.errors import GapError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.base import Floats, Ints
+from sensorgraph.models.crossed import Crossed
+from sensorgraph.models.faces import Faces
+
+LEAST = 0.5
+"""Visibility above which a stretch is a wall."""
+SHORTEST = 0.01  # [m] of a wall
+CORNER = 0.004  # [m] ends this near are one corner
+TOUCHING = 0.06  # [m] walls whose ends are this near belong to one thing
+THICK = 0.05  # [m] behind a wall is not free, whatever a grid of 10 cm cells says
+SLIVER = 0.15  # [m] free space nowhere twice as wide is what the grid smeared behind a wall
+
+
+def arena_of(graph: Sensorgraph) -> Arena:
+    """Return walls and free space of a graph of model `faces`.
+
+    Connected walls have one name: `room/edge_i` for those that reach farthest, `thing_k/edge_i` for the others.
+    """
+    model = graph.model
+    if not isinstance(model, Faces):
+        raise GapError(
+            f"the graph's model is {model.name}, which has no walls; build it with --model faces, or give a map"
+        )
+    walls, normals = _walls(model)
+    if len(walls) == 0:
+        raise GapError("the graph has no face that is surely seen; build it from a longer log, or give a map")
+    thing = _things(walls)
+    size = [
+        float(np.prod(np.ptp(walls[thing == k].reshape(-1, 2), axis=0) + 0.1)) for k in range(thing.max() + 1)
+    ]
+    rank = np.argsort(-np.array(size), kind="stable")
+    order = np.concatenate([np.flatnonzero(thing == k) for k in rank])
+    names = []
+    for place, k in enumerate(rank):
+        name = "room" if place == 0 else f"thing_{place}"
+        names += [f"{name}/edge_{i}" for i in range(int((thing == k).sum()))]
+    return Arena(
+        free=_free(model.crossed, walls, normals),
+        walls=walls[order],
+        names=tuple(names),
+        surfaces=("wall",) * len(walls),
+    )
+
+
+def _walls(model: Faces) -> tuple[Floats, Floats]:
+    """Return the ends (n, 2, 2) of all stretches that are surely seen, corners made one, and their normals."""
+    faces = model.faces
+    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    at = np.flatnonzero(faces.levels > LEAST)
+    joined = np.flatnonzero(
+        (np.diff(at) == 1) & (owner[at[1:]] == owner[at[:-1]])
+    )  # a step in visibility is no end
+    starts, stops = np.delete(at, joined + 1), np.delete(at, joined) + 1
+    keep = faces.edges[stops] - faces.edges[starts] > SHORTEST
+    starts, stops = starts[keep], stops[keep]
+    k = owner[starts]
+    foot = faces.normals[k] * faces.offsets[k, None]
+    tangents = faces.tangents[k]
+    ends = np.stack([foot + tangents * faces.edges[e][:, None] for e in (starts, stops)], axis=1)
+    flat = ends.reshape(-1, 2)
+    _, group = _linked(flat, CORNER)
+    total = np.zeros((group.max() + 1 if len(group) else 0, 2))
+    np.add.at(total, group, flat)
+    corners = total / np.bincount(group)[:, None] if len(group) else total
+    return corners[group].reshape(-1, 2, 2), faces.normals[k]
+
+
+def _things(walls: Floats) -> Ints:
+    """Number connected walls alike: ends that touch, or an end that touches another wall's middle."""
+    lines = shapely.linestrings(walls)
+    a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=TOUCHING)
+    n = len(walls)
+    return np.asarray(
+        connected_components(coo_matrix((np.ones(len(a)), (a, b)), shape=(n, n)))[1], dtype=np.intp
+    )
+
+
+def _linked(points: Floats, distance: float) -> tuple[int, Ints]:
+    pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
+    n = len(points)
+    count, group = connected_components(coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(n, n)))
+    return int(count), np.asarray(group, dtype=np.intp)
+
+
+def _free(crossed: Crossed, walls: Floats, normals: Floats) -> Polygon | MultiPolygon:
+    """Return the crossed cells, a little wider, without what lies behind walls."""
+    i, j = np.nonzero(crossed.counts)
+    x, y = crossed.origin[0] + i * crossed.cell, crossed.origin[1] + j * crossed.cell
+    cells = shapely.union_all(shapely.box(x, y, x + crossed.cell, y + crossed.cell))
+    behind = np.concatenate([walls, walls[:, ::-1] - THICK * normals[:, None]], axis=1)  # (n_walls, 4, 2)
+    free = cells.buffer(crossed.cell / 2, join_style="mitre").difference(
+        shapely.union_all(shapely.polygons(behind))
+    )
+    parts = [p for p in shapely.get_parts(free) if isinstance(p, Polygon) and p.buffer(-SLIVER).area > 0]
+    if not parts:
+        raise GapError("the graph knows no free space; build it from a longer log, or give a map")
+    return MultiPolygon(parts) if len(parts) > 1 else parts[0]
