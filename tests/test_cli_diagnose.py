@@ -169,6 +169,20 @@ def test_an_arena_that_lacks_obstacles_is_said_first(tmp_path: Path, folder: Pat
     assert is_said or "unmapped_obstacle" in named
 
 
+def test_a_folder_used_again_keeps_nothing_of_the_last_report(folder: Path, tmp_path: Path) -> None:
+    run, out = driven_run(0), tmp_path / "out"
+    (out / "next_run").mkdir(parents=True)
+    old = ["gap.png", "ranking.png", "review.rrd", "next_run/plan.json"]
+    for name in [*old, "notes.txt", "next_run/next.mcap"]:
+        (out / name).write_text("of the last run")
+    logs.write(replace(run, poses=run.poses + [4.0, 1.0, 0.0]), tmp_path / "off.mcap")
+    assert cli(["diagnose", str(tmp_path / "off.mcap"), "-o", str(out)]) == 0
+    assert not any((out / name).exists() for name in ("ranking.png", "review.rrd", "next_run/plan.json"))
+    assert (out / "notes.txt").exists() and (out / "next_run/next.mcap").exists()  # not ours
+    html = (out / "report.html").read_text()
+    assert "of the last run" not in html
+
+
 def test_a_mirrored_scan_is_said_first(folder: Path, tmp_path: Path) -> None:
     run = driven_run(0)
     logs.write(replace(run, ranges=run.ranges[:, ::-1].copy()), tmp_path / "mirrored.mcap")
@@ -247,7 +261,7 @@ def test_ctrl_c_half_way_leaves_nothing(folder: Path, tmp_path: Path) -> None:
     work = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     while not (tmp_path / "out").exists():
         time.sleep(0.02)
-    time.sleep(2.0)  # it is fitting by now
+    time.sleep(0.7)  # it is fitting by now
     work.send_signal(signal.SIGINT)
     out, err = work.communicate(timeout=30)
     assert (work.returncode, out, err.splitlines()[-1]) == (130, "", "interrupted")

@@ -12,7 +12,9 @@ from diagnose_samples import ROBOT, make_run, without_odometry
 
 from logs.run import Run
 from planners.arena import wrap
+from sensorgraph.diagnose.noise import Noise
 from sensorgraph.diagnose.odometry import diagnose_odometry
+from sensorgraph.diagnose.structure import Family, Judge
 
 PLANTED: list[tuple[str, dict[str, Any], dict[str, float]]] = [
     ("wheel_radius", {"radius": 0.02}, {"s": 0.02}),
@@ -49,6 +51,30 @@ def test_slippery_patch_is_found_where_it_is() -> None:
     found = ledger.effects[0]
     assert abs(found["s"] - 0.3) < max(3 * found.stderr["s"], 0.03)
     assert np.hypot(found["x"] - moving[0], found["y"] - moving[1]) < 0.3  # place, as the issue asks
+
+
+@pytest.mark.parametrize("share", [0.03, 0.07])
+def test_a_faint_patch_is_no_reason_to_doubt(share: float) -> None:
+    spot = make_run(4).poses[600]
+    ledger = diagnose_odometry(make_run(4, slip=(share, spot[0], spot[1], 0.5)), ROBOT)
+    found = [*ledger.effects, *ledger.within_tolerance]
+    assert ledger.unknown is None
+    assert [a.name for a in found] == ["wheel_slip"]
+    assert abs(found[0]["s"] - share) < 0.01
+
+
+@pytest.mark.parametrize(("memory", "low", "high"), [(0.0, 1.0, 1.5), (0.9, 5.0, 30.0)])
+def test_dispersion_is_one_for_white_rows_and_more_where_neighbours_agree(
+    memory: float, low: float, high: float
+) -> None:
+    rng = np.random.default_rng(0)
+    n, plain = 4000, Noise(taps=np.eye(1, 25)[0], sigma=1.0)
+    rows = np.zeros((2, n))
+    for k in range(1, n):
+        rows[:, k] = memory * rows[:, k - 1] + np.sqrt(1 - memory**2) * rng.normal(size=2)
+    judge = Judge(np.ones(n, dtype=np.bool_), rows.ravel(), lambda *_: plain)
+    judge.gain(np.ones((2 * n, 1)), Family(columns=rng.normal(size=(2 * n, 1)), labels=[""], sigma=0.1))
+    assert low <= judge.dispersion(4.0, 0.1) < high
 
 
 def test_two_effects_are_both_named() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import polygon_arena
@@ -10,6 +12,7 @@ from test_diagnose_scan import drive
 
 from planners.arena import Arena
 from sensorgraph.diagnose.decide import searched
+from sensorgraph.diagnose.diagnose import is_known
 from sensorgraph.diagnose.evidence import gather
 from sensorgraph.diagnose.model import Fitted, fit, start_state
 from sensorgraph.diagnose.nuisance import Freedom
@@ -106,3 +109,10 @@ def test_the_end_of_a_part_that_is_the_end_of_its_wall_has_an_error(hall: Arena)
     got, errors = fitted(hall, planted, planted)
     assert abs(got.model[0]["a"] - 0.4 * length) < 3 * errors["a"]
     assert 0 < errors["b"] < 0.1
+
+
+def test_a_size_that_the_run_does_not_tell_is_no_name() -> None:
+    pillar = EFFECTS["unmapped_obstacle"](x=1.0, y=2.0, r=3.0)
+    assert is_known(replace(pillar, stderr={"x": 0.01, "y": 0.01, "r": 0.1}))
+    assert not is_known(replace(pillar, stderr={"x": 0.01, "y": 0.01, "r": 31623.0}))
+    assert is_known(replace(EFFECTS["max_range"](R=3.0), stderr={"R": 100.0}))  # it has no size

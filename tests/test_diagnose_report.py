@@ -241,6 +241,27 @@ def test_a_close_runner_up_leaves_it_undecided(found: Finding) -> None:
     assert said(with_scan(found, rivals=(far,))).kind == "found"
 
 
+@pytest.mark.parametrize(("lead", "named"), [(2.0, False), (-2.0, False), (5.0, True), (-40.0, True)])
+def test_a_name_that_its_rival_equals_is_no_name(found: Finding, lead: float, named: bool) -> None:
+    [a] = found.effects
+    rival = Rival(
+        name="range_scale",
+        instead_of=a.name,
+        evidence_nats=(a.evidence or 0) - lead,
+        separates="near and far",
+    )
+    ledger = replace(found.ledgers["scan"], rivals=(rival,)).settled()
+    one = replace(found, ledgers={**found.ledgers, "scan": ledger})
+    report = to_dict(one)
+    assert [e["name"] for e in report["effects"]] == ([a.name] if named else [])
+    assert [e["name"] for e in report["undecided"]] == ([] if named else [a.name])
+    assert report["runner_up"]["name"] == "range_scale"
+    if not named:
+        assert said(one).headline.startswith("Undecided between range bias")
+        also = replace(ledger, effects=(EFFECTS["range_scale"](s=0.01),), undecided=())
+        assert replace(also, effects=(*also.effects, a)).settled().undecided == ()  # both are there
+
+
 def test_skipped_channels_and_missing_parts_leave_a_report(silent: Finding, tmp_path: Path) -> None:
     skipped = {name: Ledger(channel=name, skipped=f"no {name}") for name in ("scan", "odometry", "drive")}
     bare = replace(silent, ledgers=skipped, explained=None, verdict=None, next_run=None)

@@ -325,3 +325,17 @@ def test_a_pane_that_is_away_for_a_stretch_of_the_run_is_no_pane(
     verdict = check(evidence, fitted, gained, {0: gained}, rng=np.random.default_rng(0))
     assert gained > 500
     assert (0 in verdict.failed) == doubted
+
+
+def test_a_run_in_an_arena_full_of_walls_is_of_another_place_though_rays_end_at_walls(hall: Arena) -> None:
+    shelves = [
+        [(x, y), (x + 0.08, y), (x + 0.08, y + 4.6), (x, y + 4.6)]
+        for x, y in zip(np.arange(0.3, 5.9, 0.4), 14 * [0.2], strict=True)
+    ]
+    store = polygon_arena([(0, 0), (6, 0), (6, 5), (0, 5)], *shelves)
+    evidence, _ = gather(drive(hall), store, robot_file.loads("sensor: {n_rays: 61}"))
+    place = placement(evidence, np.random.default_rng(0))
+    assert place.share > 0.6  # by chance
+    assert place.alike < 0.3 and not place.fits
+    assert "as long as the arena would make them" in place.sentence()
+    assert placement(evidence_of(hall), np.random.default_rng(0)).alike > 0.95

@@ -158,13 +158,14 @@ def _save(
 ) -> None:
     """Write report and next run; all of it, or nothing if it is interrupted."""
     from sensorgraph.cli.progress import progress
-    from sensorgraph.diagnose.report import save
+    from sensorgraph.diagnose.report import clear, save
     from sensorgraph.files import together
 
     with progress("reporting", "files") as tick, together(out) as part:
         save(finding, part, name=name, settings=settings, progress=tick)
         if finding.next_run is not None:
             finding.next_run.save(part / "next_run", walls, machine)
+        clear(out)
 
 
 def _lines(finding: Finding, out: Path) -> list[str]:

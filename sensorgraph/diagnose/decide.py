@@ -38,6 +38,9 @@ former is coarse at its rim."""
 PARTS = ("glass", "mirror", "black_surface")
 END = 2.0  # standard deviations of where a ray meets its wall
 MOST = 5  # effects in one model
+FEW = (
+    3  # effects where the arena fits the run only in part: whatever is missing, many names would not mend it
+)
 MANY = 10  # candidates fitted on a part of the scans
 FINALISTS = 3
 LOOK = 3.5  # [nats] of expected gain that make a smooth effect worth a fit; boxes hide a part of it
@@ -77,13 +80,15 @@ def price(amendment: Amendment, evidence: Evidence) -> float:
     return paid + evidence.floors.get(amendment.name, 0.0)
 
 
-def explain(evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOLD) -> Explained:
-    """Search for the effects that the evidence asks for."""
+def explain(
+    evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOLD, most: int = MOST
+) -> Explained:
+    """Search for the effects that the evidence asks for, at most so many."""
     null = fit(evidence, (), start_state(evidence, freedom), freedom, outer=1, inner=7)
     current, steps, n_small = null, [], 0
     rivals: dict[str, tuple[Amendment, float]] = {}
     struck: set[tuple[str, str]] = set()
-    while len(current.model) < MOST:
+    while len(current.model) < most:
         tried, also = _try(evidence, current, freedom, struck, current.j - null.j)
         tried = [t for t in tried if t[1] > -50]
         if not tried:

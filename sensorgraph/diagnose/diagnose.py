@@ -9,13 +9,14 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import expit
 
 from logs.run import Run
 from planners.arena import Arena
 from planners.errors import PlanError
 from sensorgraph.diagnose.commissioning import Commissioned
 from sensorgraph.diagnose.criticise import Verdict, check, deviations
-from sensorgraph.diagnose.decide import THRESHOLD, Explained, explain
+from sensorgraph.diagnose.decide import FEW, MOST, THRESHOLD, Explained, explain
 from sensorgraph.diagnose.drive import diagnose_drive
 from sensorgraph.diagnose.evidence import Evidence, gather
 from sensorgraph.diagnose.finding import Gap, Ledger, Rival, Unknown, Where
@@ -41,6 +42,7 @@ logger = logging.getLogger(__name__)
 Progress = Callable[[int, int], None]
 PARTS = 7
 LEAST_SIGMA = 2e-4  # [m, rad, m/s, rad/s] no reference and no wheel is better
+PARTLY_ALIKE = 0.65  # share of readings as long as the arena makes them; with fewer, names mean little
 SHORTEST = 0.15  # [m] of a pane, a mirror or a black part
 WELL = 0.3  # [m] median error of a scan the right way round
 SURELY = 0.65  # chance that a size is material, which a name takes
@@ -71,6 +73,11 @@ class Finding:
         """Named effects of all channels, strongest evidence first."""
         named = [a for ledger in self.ledgers.values() for a in ledger.effects]
         return tuple(sorted(named, key=lambda a: -(a.evidence or 0.0)))
+
+    @property
+    def undecided(self) -> tuple[Amendment, ...]:
+        """Effects of all channels that a rival explains as well."""
+        return tuple(a for ledger in self.ledgers.values() for a in ledger.undecided)
 
     @property
     def unknown(self) -> Unknown | None:
@@ -131,7 +138,8 @@ def diagnose(
     held = held_out(evidence)
     train, unseen = evidence.part(~held), evidence.part(held)
     lap("intake")
-    explained = explain(train, freedom or Freedom(), threshold=threshold)
+    most = FEW if place.alike < PARTLY_ALIKE else MOST
+    explained = explain(train, freedom or Freedom(), threshold=threshold, most=most)
     lap("explain")
     where = tuple(deviations(View(train, explained.null)))[:24]
     gained = explained.final.j - explained.null.j
@@ -139,19 +147,22 @@ def diagnose(
     if commissioned is not None:
         verdict = commissioned.calmed(verdict, train)
     lap("criticise")
-    scan = _ledger(train, explained, verdict, where)
-    named = [a for i, a in enumerate(explained.final.model) if i in scan_names(explained, verdict)]
+    scan = _ledger(train, explained, verdict, where).settled()
+    found = [a for i, a in enumerate(explained.final.model) if i in scan_names(explained, verdict)]
+    open_names = {(a.name, a.place) for a in scan.undecided}
+    named = [a for a in found if (a.name, a.place) not in open_names]
     proof = gap(unseen, explained.null, explained.final, named, rng=rng)
     second_gap = None if further is None else gap(further, explained.null, explained.final, named, rng=rng)
     lap("prove")
-    odometry = beside(diagnose_odometry(run, machine, seed=seed), known)
-    drive = beside(diagnose_drive(run, machine, seed=seed, use_clock=odometry.unknown is None), known)
+    odometry = beside(diagnose_odometry(run, machine, seed=seed), known).settled()
+    use_clock = odometry.unknown is None
+    drive = beside(diagnose_drive(run, machine, seed=seed, use_clock=use_clock), known).settled()
     lap("odometry and drive")
     scan = replace(scan, gap=proof, not_observable=not_observable(train, explained.final))
     notes["cannot_tell_apart"] = [asdict(pair) for pair in alike(train, explained.final)]
     lap("observable")
     rivals = [explained.rivals[i][0] for i in scan_order(explained, verdict) if i in explained.rivals]
-    plan = _next(scan, named, rivals, arena, robot, seed) if plan_next else None
+    plan = _next(scan, found, rivals, arena, robot, seed) if plan_next else None
     lap("next run")
     return Finding(
         ledgers={"scan": scan, "odometry": odometry, "drive": drive},
@@ -362,9 +373,16 @@ def is_material(fitted: Fitted, amendment: Amendment) -> bool:
         and values["b"] - values["a"] < SHORTEST
     ):
         return False
-    if is_usual(fitted, amendment):
+    if is_usual(fitted, amendment) or not is_known(amendment):
         return False
     return material_probability(amendment, amendment.stderr, slackness(fitted, amendment)) >= SURELY
+
+
+def is_known(amendment: Amendment) -> bool:
+    """Tell whether the run says how large an effect is: no size is less than its own standard error."""
+    sizes = [k for k in amendment.effect.sizes if k in amendment.parameters]
+    off = sum((amendment.stderr.get(k, 0.0) / amendment.effect.sizes[k]) ** 2 for k in sizes) ** 0.5
+    return not sizes or off < size_ratio(amendment.effect, amendment.parameters)
 
 
 def slackness(fitted: Fitted, amendment: Amendment) -> float:
@@ -377,7 +395,9 @@ def _is_struck(explained: Explained, index: int, verdict: Verdict) -> bool:
     """Tell whether a name falls because too much of its own feature is left unexplained."""
     if index in verdict.failed:
         return True
-    if explained.final.model[index].name == "quantisation":  # every reading lies on it, whatever else is amiss
+    if (
+        explained.final.model[index].name == "quantisation"
+    ):  # every reading lies on it, whatever else is amiss
         return False
     return verdict.doubted and verdict.misfit > STRIKE * explained.gains[index]
 
@@ -387,7 +407,7 @@ def probability(explained: Explained, index: int, verdict: Verdict) -> float:
     gain = explained.gains[index]
     margin = explained.rivals[index][1] if index in explained.rivals else gain
     score = 0.15 * min(gain, margin)
-    p = TRUST / (1 + np.exp(-score))
+    p = TRUST * float(expit(score))
     if verdict.doubted:
         p *= 0.5
     fitted = explained.final

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from planners.arena import Floats
 from sensorgraph.diagnose.evidence import Evidence
-from sensorgraph.world.raycast import laser_poses
+from sensorgraph.world.raycast import cast_laser, laser_poses
 
 CELL = 0.1  # [m] of the raster
 NEAR = 0.15  # [m] from a wall: the ray ends at it
 HARDLY = 0.3  # share of rays that end at walls, below which no name would mean anything
 POORLY = 0.45  # share of rays that end at walls, below which a better place is looked for
 PARTLY = 0.8  # share of rays that end at walls, below which another scale of the map is looked for
+ALIKE = 0.45  # share of readings as long as the arena makes them, below which the run is of another place
+LONGER = (0.15, 0.05)  # [m], of the range, that a reading may differ for that
+LOOKED = 100  # scans that are cast for it
 CLEARLY = 0.25  # by which another place must be better
 SCALES = np.geomspace(0.5, 2.0, 47)  # of the map that are tried, 3 % apart
 MARGIN = 0.05  # by which another scale must be better than another place
@@ -36,13 +39,15 @@ class Placement:
     dy: float = 0.0
     dphi: float = 0.0
     """[rad] by which the poses are to be turned about their middle."""
+    alike: float = 1.0
+    """Share of the readings that are about as long as the arena makes them."""
     scale: float = 1.0
     """How many times as large as the place the arena is drawn; then it, not the poses, is to be mended."""
 
     @property
     def fits(self) -> bool:
         """Tell whether the map may stay where it is."""
-        is_lost = max(self.share, self.best_share) < HARDLY
+        is_lost = max(self.share, self.best_share) < HARDLY or self.alike < ALIKE
         return not is_lost and self.best_share < max(self.share + CLEARLY, POORLY)
 
     def sentence(self) -> str:
@@ -55,7 +60,8 @@ class Placement:
                 f"the arena fits the run only in part: {now}; it lacks something, or holds what is not there"
             )
         if self.best_share < self.share + CLEARLY:
-            return f"the arena does not fit the run: {now}; no turn, shift or scale of it would mend that"
+            longs = f"{100 * self.alike:.0f} % of the readings are as long as the arena would make them"
+            return f"the arena does not fit the run: {now}, {longs}; no turn, shift or scale of it would mend that"
         if self.scale != 1.0:
             dx, dy = (round(-d / self.scale, 2) + 0.0 for d in (self.dx, self.dy))
             lead = f"the arena does not fit the run, it is drawn {self.scale:.2f} times as large as the place"
@@ -75,19 +81,33 @@ def placement(evidence: Evidence, rng: np.random.Generator) -> Placement:
     if len(points) < 100:
         return Placement(share=1.0, best_share=1.0)
     raster = _Raster(evidence)
-    share = raster.share(points)
-    if share >= PARTLY:
-        return Placement(share=share, best_share=share)
-    moved = _moved(evidence, raster, points, share)
+    share, alike = raster.share(points), _alike(evidence)
+    if share >= PARTLY and alike >= ALIKE:
+        return Placement(share=share, best_share=share, alike=alike)
+    moved = Placement(share=share, best_share=share)
+    if share <= POORLY or alike < ALIKE:
+        moved = _moved(evidence, raster, points, share)
     scaled = _scaled(raster, points, share)
     is_better = scaled.best_share > max(moved.best_share + MARGIN, PARTLY)
-    return scaled if is_better and not scaled.fits else moved
+    return replace(scaled if is_better and not scaled.fits else moved, alike=alike)
+
+
+def _alike(evidence: Evidence) -> float:
+    """Return the share of the returns that are about as long as the arena makes them.
+
+    In an arena full of walls rays end at one by chance; that they are as long as the first wall allows, they are not.
+    """
+    some = np.linspace(0, evidence.n_scans - 1, min(evidence.n_scans, LOOKED)).astype(np.intp)
+    sensor, measured = evidence.sensor, evidence.ranges[some]
+    lasers = laser_poses(evidence.poses[some], sensor.mount)
+    cast, _ = cast_laser(evidence.arena.walls, lasers, sensor.bearings, sensor.range_max)
+    returned = np.isfinite(measured)
+    off = np.abs(measured[returned] - cast[returned])
+    return float((off < LONGER[0] + LONGER[1] * measured[returned]).mean()) if returned.any() else 1.0
 
 
 def _moved(evidence: Evidence, raster: _Raster, points: Floats, share: float) -> Placement:
     """Look for the rigid motion of the poses that lays most ends of rays on walls."""
-    if share > POORLY:
-        return Placement(share=share, best_share=share)
     middle = evidence.poses[:, :2].mean(axis=0)
     points = points - middle
     best = (share, 0.0, middle)

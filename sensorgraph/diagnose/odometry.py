@@ -49,10 +49,14 @@ RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92)
 """[m] of patches that are tried."""
 PLACE_DOUBT = 2.0
 """Widens the spread of a patch's place: set on development cases, where the search alone was too sure of it."""
-FOREIGN = 15.0
-"""[nats] that structure outside the library needs."""
+FOREIGN = 20.0
+"""[nats] that structure outside the library needs where what is left is noise; in proportion more where it is not."""
 SHARE = 0.02
 """Of the evidence of all names: structure below it is where an effect's model is not exact."""
+RIM = 0.1
+"""The same of the evidence of a patch: none is a sharp round disc, and what its rim does looks like structure."""
+FURTHER = 0.005
+"""Of the evidence of all names that a further patch must bring: less mends the rim of the others."""
 
 
 def diagnose_odometry(run: Run, robot: RobotFile, *, seed: int = 0) -> Ledger:
@@ -294,12 +298,16 @@ class _Search:
         own = np.concatenate([self.columns(), self._edges(names)], axis=1)
         judge = Judge(self.rows.is_valid, self.y, LimitedNoise(self.limits))
         name, gain = judge.best(own, self.families)
+        noise = judge.dispersion(CLUSTER, self.limits[0].period)
         is_instead = False
-        if self.patches and name:
-            alone = judge.gain(self.A, self.families[name]) - judge.gain_of(own, self.A)
+        if self.patches:
+            other, alone = name, judge.gain(self.A, self.families[name])
+            if len(self.patches) > 1:  # what several patches mimic need not be what they leave
+                other, alone = judge.best(self.A, self.families)
+            alone -= judge.gain_of(own, self.A)
             is_instead = alone + 4 * PENALTY * len(self.patches) > gain
-            gain = max(gain, alone)
-        needed = max(FOREIGN, SHARE * (self.score(names) - self.score([])))
+            name, gain = (other, alone) if alone > gain else (name, gain)
+        needed = FOREIGN * noise if is_instead else max(FOREIGN * noise, self._inexact(names))
         if gain < needed:
             return
         self.tests[name] = (gain, needed)
@@ -310,14 +318,29 @@ class _Search:
         self.whiten_rows()
         self._delete(names)
 
+    def _inexact(self, names: Sequence[str]) -> float:
+        """Return what the models of the effects themselves may leave for structure to explain [nats]."""
+        wheels = [name for name in names if name in GLOBAL]
+        patch = max(self.score(names) - self.score(wheels), 0.0)
+        if len(names) - len(wheels) > 1:  # several patches and still structure: they mimic something else
+            patch = 0.0
+        return SHARE * (self.score(wheels) - self.score([])) + RIM * patch
+
     def _delete(self, names: list[str]) -> None:
         """Take superfluous effects back, the weakest first."""
         while names:
-            evidence = {name: self.evidence(names, name) for name in names}
-            weakest = min(names, key=lambda name: evidence[name])
-            if evidence[weakest] >= THRESHOLD:
+            spare = {name: self.evidence(names, name) - self._needed(names, name) for name in names}
+            weakest = min(names, key=lambda name: spare[name])
+            if spare[weakest] >= 0.0:
                 return
             names.remove(weakest)
+
+    def _needed(self, names: Sequence[str], name: str) -> float:
+        """Return the evidence that an effect must bring beside the others [nats]."""
+        others = [other for other in names if other.startswith("wheel_slip") and other != name]
+        if not (name.startswith("wheel_slip") and others):
+            return THRESHOLD
+        return max(THRESHOLD, FURTHER * (self.score(names) - self.score([])))
 
     def _best_patch(self, names: Sequence[str]) -> tuple[Patch | None, float]:
         moving = np.abs(self.wheels.way) > 1e-3

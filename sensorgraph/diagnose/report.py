@@ -18,6 +18,8 @@ from sensorgraph.effects import Amendment, effects_file
 from sensorgraph.files import whole
 
 Tick = Callable[[int, int], None]
+PICTURES = ("arena", "residuals", "gap", "ranking", "next_run")
+NEXT_RUN = ("trajectory.csv", "arena.geojson", "robot.yaml", "plan.json")
 PARTS = 5  # report.json, effects.yaml, pictures, report.html, review.rrd
 
 
@@ -73,6 +75,17 @@ def save(
         )
     done(5)
     return [*files.values(), *pictures.values()]
+
+
+def clear(folder: Path) -> None:
+    """Remove what an earlier report left and a later one may lack: pictures, review and next run."""
+    for name in ("review.rrd", *(f"{picture}.png" for picture in PICTURES)):
+        (folder / name).unlink(missing_ok=True)
+    plan = folder / "next_run"
+    for name in NEXT_RUN:
+        (plan / name).unlink(missing_ok=True)
+    if plan.is_dir() and not any(plan.iterdir()):
+        plan.rmdir()
 
 
 def next_run(finding: Finding) -> dict[str, Any] | None:
@@ -145,6 +158,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
     rivals = [asdict(r) for ledger in ledgers.values() for r in ledger.rivals]
     return {
         "effects": [effect_dict(a) for a in finding.effects],
+        "undecided": [effect_dict(a) for a in finding.undecided],
         "unknown": None if unknown is None else asdict(unknown),
         "where": [where_dict(w) for ledger in ledgers.values() for w in ledger.where],
         "runner_up": runner_up(finding, rivals),
@@ -183,7 +197,7 @@ def effect_dict(a: Amendment) -> dict[str, Any]:
 
 def runner_up(finding: Finding, rivals: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
     """Return the rival of the first-named effect; where it has none, the first rival of another."""
-    first = finding.effects[0].name if finding.effects else ""
+    first = next((a.name for a in (*finding.effects, *finding.undecided)), "")
     return next((r for r in rivals if r["instead_of"] == first), rivals[0] if rivals else None)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from planners.arena import Bools, Floats
 from sensorgraph.diagnose.channel import Increments, huber
-from sensorgraph.diagnose.noise import Limits, Noise, fit_noise
+from sensorgraph.diagnose.noise import HUBER, Limits, Noise, fit_noise
 from sensorgraph.diagnose.rows import Rows
 from sensorgraph.world.robot_file import RobotFile
 
@@ -193,6 +193,7 @@ class Judge:
         self.ok, self.y, self.noise_of, self.n = ok, y, noise_of, len(ok)
         self.both = np.concatenate([ok, ok])
         self.noises: list[Noise] = []
+        self.left = y
         self.weights = np.ones(len(y))
 
     def best(self, own: Floats, candidates: Mapping[str, Family]) -> tuple[str, float]:
@@ -201,6 +202,21 @@ class Judge:
         screened = {name: self._screened(own, family) for name, family in candidates.items()}
         name = max(screened, key=lambda key: screened[key])
         return name, max(self._level(own, candidates[name]) - here, screened[name])
+
+    def dispersion(self, span: float, period: float) -> float:
+        """Return how much more than noise of the fitted kind the last fit left, over blocks of `span` [s]; at least 1.
+
+        A ratio of variances: that of the blocks' sums over what uncorrelated whitened rows, `period` [s] apart, give.
+        """
+        block = np.arange(self.n) // max(round(span / period), 1)
+        halves = (self.left[: self.n], self.left[self.n :])
+        sums, squares = 0.0, 0.0
+        for noise, half in zip(self.noises, halves, strict=True):
+            white = np.where(self.ok, noise.white(half), 0.0)
+            limited = np.clip(white, -HUBER, HUBER)
+            sums += float(np.square(np.bincount(block, limited)).sum())
+            squares += float(np.square(limited).sum())
+        return max(1.0, sums / max(squares, 1e-12))
 
     def gain(self, own: Floats, family: Family) -> float:
         """Return the evidence of one family beside columns (2 n, k) [nats]."""
@@ -217,6 +233,7 @@ class Judge:
             self._fit(left)
             left, price = self._left(own, family)
         self._fit(left)
+        self.left = left
         parts = zip(self.noises, (left[: self.n], left[self.n :]), strict=True)
         return sum(noise.loglik(part, self.ok) for noise, part in parts) - price
 

@@ -131,7 +131,7 @@ def undecided(finding: Finding) -> list[tuple[Amendment, Rival]]:
     """Return the names that a runner-up explains almost as well (a runner-up that is itself named is none)."""
     names = {a.name for a in finding.effects}
     out = []
-    for a in finding.effects:
+    for a in (*finding.undecided, *finding.effects):
         for ledger in finding.ledgers.values():
             for rival in ledger.rivals:
                 close = (a.evidence or 0.0) - rival.evidence_nats < UNDECIDED
@@ -262,8 +262,8 @@ def _at(where: Where | None) -> str:
 
 def main_ledger(finding: Finding) -> str:
     """Return the channel that the headline is about: the first-named effect's, or that of the unknown."""
-    if finding.effects:
-        return finding.effects[0].effect.channel
+    if finding.effects or finding.undecided:
+        return (*finding.effects, *finding.undecided)[0].effect.channel
     for name, ledger in finding.ledgers.items():
         if ledger.unknown is not None:
             return name
