@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planners.arena import Arena
+from planners.arena import Arena, Floats
 from sensorgraph.files import whole
 
 if TYPE_CHECKING:
@@ -187,4 +188,21 @@ def race_picture(races: dict[str, tuple[Any, Any, Any]], arena: Arena, path: Pat
     bar.set_label("headings [%]", color=INK, fontsize=8)
     bar.ax.tick_params(labelsize=8, colors=INK)
     bar.outline.set_visible(False)
+    save_figure(figure, path)
+
+
+def tracks_picture(tracks: Mapping[str, Floats], arena: Arena, path: Path) -> None:
+    """Draw tracks (n, 2) [m] side by side over the same floor, one panel each."""
+    x0, y0, x1, y1 = arena.bounds
+    width = 5.0
+    tall = float(np.clip(width * (y1 - y0) / max(x1 - x0, 1e-9), 2.0, 8.0))
+    figure = new_figure(width * len(tracks), tall + 0.6)
+    for axes, (name, track) in zip(
+        figure.subplots(1, len(tracks), squeeze=False)[0], tracks.items(), strict=True
+    ):
+        draw_floor(axes, arena)
+        every = max(len(track) // MOST_POINTS, 1)
+        axes.plot(*track[::every].T, color=ALARM, lw=0.7, alpha=0.8, zorder=3)
+        axes.plot(*track[0], "o", ms=7, mfc="white", mec=INK, mew=1.5, zorder=6)
+        axes.set_title(name.replace("_", " "), loc="left", fontsize=10.5, color=INK)
     save_figure(figure, path)

@@ -18,8 +18,18 @@ def record(
         Path,
         typer.Argument(help="A plan's folder, its trajectory.csv, or a run whose /cmd_vel is driven again."),
     ],
-    arena: Annotated[str, typer.Option(help="GeoJSON, map_server yaml, or a shipped one: square, office.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="The run to write, *.mcap.")],
+    arena: Annotated[
+        str | None, typer.Option(help="GeoJSON, map_server yaml, or a shipped one: square, office.")
+    ] = None,
+    graph: Annotated[
+        Path | None,
+        typer.Option(metavar="GRAPH", help="Drive in the world that a sensorgraph has identified."),
+    ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(help="With --graph: plan, wall_following, random_bounce; several are compared."),
+    ] = None,
     robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")] = None,
     start: Annotated[
         str | None, typer.Option(help="X,Y,PHI in m, m, rad: where a replay of commands begins.")
@@ -39,6 +49,8 @@ def record(
       sensorgraph record old_run.mcap --arena lab.geojson --robot robot.yaml -o again.mcap
 
       sensorgraph record runs/plan --arena office --effects runs/found/effects.yaml -o amended.mcap
+
+      sensorgraph record runs/plan --graph lab.sensorgraph --controller plan --controller wall_following -o race.mcap
     """
     from sensorgraph.cli.inputs import check_output, named_arena, named_robot
     from sensorgraph.cli.progress import progress
@@ -51,6 +63,15 @@ def record(
     check_output(out, plan, *([effects] if effects is not None else []))
     if out.suffix != ".mcap":
         raise GapError(f"{out}: a run is written as *.mcap; name it {out.with_suffix('.mcap').name}")
+    if graph is not None:
+        if effects is not None or start is not None:
+            raise GapError("--graph holds what was perceived; --effects and --start go with --arena")
+        _record_in_graph(plan, graph, out, controller or ["plan"], arena, robot, seed)
+        return
+    if controller:
+        raise GapError("--controller steers by what a graph perceives; give --graph as well")
+    if arena is None:
+        raise GapError("nowhere to drive; give --arena NAME or --graph GRAPH")
     walls, machine = named_arena(arena), named_robot(robot)
     amendments = () if effects is None else read_effects(effects, walls)
     trajectory, commands = _read(plan)
@@ -76,6 +97,57 @@ def record(
     said = f", with {run.meta['effects']}" if amendments else ""
     typer.echo(f"{run.n_scans:,} scans of {run.sensor.n_rays} rays in {run.stamps[-1]:,.0f} s{touched}{said}")
     typer.echo(f"wrote {out}")
+
+
+def _record_in_graph(
+    plan: Path,
+    path: Path,
+    out: Path,
+    controllers: list[str],
+    arena: str | None,
+    robot: Path | None,
+    seed: int,
+) -> None:
+    """Drive in an identified world, once for each controller, and say how the drives compare."""
+    from sensorgraph.behaviour import behaviour, table
+    from sensorgraph.cli.inputs import check_output, named_arena, named_robot
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.controllers import CONTROLLERS
+    from sensorgraph.errors import GapError
+    from sensorgraph.figures import tracks_picture
+    from sensorgraph.graph import Sensorgraph
+    from sensorgraph.identified_arena import arena_of
+    from sensorgraph.identified_world import PLAN, IdentifiedWorld, record_in
+    from sensorgraph.world.clearance import WallDistance
+
+    known = (PLAN, *CONTROLLERS)
+    for name in controllers:
+        if name not in known or controllers.count(name) > 1:
+            raise GapError(f"controller is {name!r}, expected each of {', '.join(known)} at most once")
+    trajectory, _ = _read(plan)
+    if trajectory is None:
+        raise GapError(f"{plan} is a run; with --graph give a plan: its start and its time count")
+    known_graph, machine = Sensorgraph.load(path), named_robot(robot)
+    walls = arena_of(known_graph) if arena is None else named_arena(arena)
+    _check_start(trajectory.poses[0], WallDistance(walls), machine.robot.footprint_radius, arena or str(path))
+    outs = {name: out if i == 0 else out.with_suffix(f".{name}.mcap") for i, name in enumerate(controllers)}
+    for file in outs.values():
+        check_output(file, plan, path)
+    runs = {}
+    for name, file in outs.items():
+        world = IdentifiedWorld(known_graph, machine, seed)
+        run = record_in(file, world, walls, machine, trajectory, name, name=path.name, progress=progress)
+        runs[name] = run
+        contacts = int(run.meta["contacts"])
+        touched = f", touched a wall {contacts} times" if contacts else ""
+        typer.echo(
+            f"{name}: {run.n_scans:,} scans{touched}; the graph has no answer for {world.unanswered:,} of "
+            f"{world.n_rays:,} rays ({world.unanswered / max(world.n_rays, 1):.2%}), drawn all the same"
+        )
+    typer.echo("\n" + "\n".join(table({name: behaviour(run, walls) for name, run in runs.items()})) + "\n")
+    picture = out.with_suffix(".png")
+    tracks_picture({name: run.poses[:, :2] for name, run in runs.items()}, walls, picture)
+    typer.echo(f"wrote {', '.join(map(str, [*outs.values(), picture]))}")
 
 
 def _read(plan: Path) -> tuple[Trajectory | None, Run | None]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -18,11 +18,14 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from sensorgraph.errors import GapError
 from sensorgraph.models.base import OFF, Floats, Ints, Point, Prediction, Progress, Scans
+from sensorgraph.models.calibration import Calibration, crossed_by, identify
 from sensorgraph.models.crossed import Crossed, is_crossed
+from sensorgraph.models.face_draw import draw_rays
 from sensorgraph.models.face_fit import STEPS, Steps, fit_faces
 from sensorgraph.models.face_march import FAINT, MOST, FaceSet, gather, index
 from sensorgraph.models.kernel import kernel
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, summarise, to_prediction, which_of
+from sensorgraph.models.ray_terms import incidence_bias
 from sensorgraph.models.reduction import BLOCK, Block, Spread, blocks_of, reduce_blocks
 from sensorgraph.models.visibility import Noise, variance
 
@@ -49,17 +52,26 @@ class Faces:
     returns: float
     """Share of the training rays that returned."""
     mount: Floats
-    """(3,) [m, m, rad] laser in the frame of the poses."""
+    """(3,) [m, m, rad] laser in the frame of the poses, as identified."""
+    calibration: Calibration
+    """How the laser differs from what was stated; identity for a perfect one."""
 
     @classmethod
     def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
-        """Identify faces from scans."""
-        if options:
+        """Identify faces from scans; option `calibrate` (None: where worth it) the laser with them."""
+        if unknown := sorted(options.keys() - {"calibrate"}):
             raise GapError(
-                f"option {', '.join(sorted(options))} is not known to the model faces, which takes none; give --model polynomial"
+                f"option {', '.join(unknown)} is not known to the model faces, which takes calibrate; "
+                "give --model polynomial"
             )
         return cls.fit_blocks(
-            blocks_of(scans), scans.sensor, scans.laser_mount, n_scans=len(scans), progress=progress
+            blocks_of(scans),
+            scans.sensor,
+            scans.laser_mount,
+            n_scans=len(scans),
+            can_mount=scans.pose_frame != "laser",
+            calibrate=options.get("calibrate"),
+            progress=progress,
         )
 
     @classmethod
@@ -71,6 +83,8 @@ class Faces:
         *,
         n_scans: int,
         spread: Spread = map,
+        can_mount: bool = True,
+        calibrate: bool | None = None,
         progress: Progress | None = None,
     ) -> Self:
         """Identify faces from blocks of scans that need not be in memory together.
@@ -79,6 +93,8 @@ class Faces:
         ----------
         n_scans : how many scans all blocks hold, about
         spread : where the blocks are reduced; `map`: here, one after the other
+        can_mount : the poses are of a base that carries the laser; False where they are the laser's own
+        calibrate : identify the laser with the faces; None: where that is worth it
         """
         n_blocks = -(-n_scans // BLOCK)
         steps = Steps(progress, n_blocks + STEPS)
@@ -91,6 +107,11 @@ class Faces:
         fitted = fit_faces(
             rays, surfaces=reduced.surfaces, progress=lambda done, _: steps.to(n_blocks + done)
         )
+        found = identify(reduced.sample, sensor, mount, fitted, can_mount=can_mount, calibrate=calibrate)
+        if not found.calibration.is_as_stated and len(found.rays) == reduced.n_rays:
+            # of a larger log the grid of all its rays, a few cm off, tells more than that of a sample
+            reduced = replace(reduced, crossed=crossed_by(found.rays))
+        fitted = found.fitted
         return cls(
             sensor=sensor,
             faces=fitted.faces,
@@ -98,7 +119,8 @@ class Faces:
             hits=fitted.hits * (reduced.n_rays / max(fitted.n_rays, 1)),
             crossed=reduced.crossed,
             returns=reduced.n_returns / reduced.n_rays,
-            mount=mount,
+            mount=found.mount,
+            calibration=found.calibration,
         )
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
@@ -106,14 +128,29 @@ class Faces:
         table = np.empty((len(poses), len(rays), 6))
         supported = np.empty((len(poses), len(rays)), dtype=np.bool_)
         x, y, cos, sin = self._lasers(poses)
-        bearings = self.sensor.bearings[rays]
+        bearings, terms = self.sensor.bearings[rays], self.calibration.terms
         _predict(
             x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces, index(self.faces),
             self.noise.array, self.crossed.origin, self.crossed.cell, self.crossed.counts, self.returns,
+            terms.constant[rays], terms.slope[rays], terms.incidence, not terms.is_none,
             which_of(point), table, supported,
         )  # fmt: skip
         sure = (table[..., P_OFF] < SURE) | (table[..., NO_RETURN] > 1 - SURE)
         return to_prediction(table, point, supported & sure)
+
+    def draw(self, poses: Floats, uniform: Floats, normal: Floats) -> Floats:
+        """Draw one reading of every ray at poses (n_poses, 3), with range noise and without the poses' noise.
+
+        `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes.
+        """
+        out = np.empty(uniform.shape)
+        x, y, cos, sin = self._lasers(poses)
+        bearings = self.sensor.bearings
+        draw_rays(
+            x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces,
+            index(self.faces), self.noise.sigma, uniform, normal, out,
+        )  # fmt: skip
+        return out
 
     def equation(self, ray: int) -> str:
         """Print the explicit equations of one ray, face by face, those that explain most returns first."""
@@ -128,7 +165,18 @@ class Faces:
         spread = f"{self.noise.sigma:.4f} m"
         if self.noise.sigma_xy > 0 or self.noise.sigma_yaw > 0:
             spread += f" of range, {self.noise.sigma_xy:.4f} m and {self.noise.sigma_yaw:.5f} rad of pose"
+        lines += self._added(ray)
         return "\n".join([*lines, f"returns spread by {spread}"])
+
+    def _added(self, ray: int) -> list[str]:
+        """Write what the laser adds to the range of a face."""
+        added = self.calibration.terms.equation(ray)
+        if not added:
+            return []
+        line = f"the laser shows r{added.replace('rho', 'r')}"
+        if self.calibration.terms.has_incidence:
+            line += " (v = 1 - |denominator|, q = min(r, 4 m) / 4 m)"
+        return [line]
 
     def _rational(self, k: int, bearing: float) -> str:
         """Write (d - n·q) / (n·u) in x, y, c, s for a ray at `bearing` [rad] in the frame of the poses."""
@@ -159,14 +207,22 @@ class Faces:
             "faces": f"{self.faces.n_faces}, with {stretches} visible stretches",
             "noise": noise,
             "unexplained": f"{self.noise.stray:.2g} returns a metre travelled",
+            **self.calibration.summary(),
         }
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return plain data and arrays that hold the whole model."""
         noise = {name: getattr(self.noise, name) for name in Noise.__dataclass_fields__}
-        header = {"noise": noise, "returns": self.returns, "cell": self.crossed.cell}
+        calibration, terms = self.calibration.state()
+        header = {
+            "noise": noise,
+            "returns": self.returns,
+            "cell": self.crossed.cell,
+            "calibration": calibration,
+        }
         arrays: dict[str, NDArray[Any]] = {name: getattr(self.faces, name) for name in FaceSet._fields}
         arrays |= {"hits": self.hits, "mount": self.mount}
+        arrays |= {f"calibration.{name}": array for name, array in terms.items()}
         arrays |= {"crossed.origin": self.crossed.origin, "crossed.counts": self.crossed.counts}
         return header, arrays
 
@@ -191,6 +247,7 @@ class Faces:
             ),
             returns=float(header["returns"]),
             mount=np.asarray(arrays["mount"], dtype=np.float64),
+            calibration=_calibration(sensor, header, arrays),
         )
 
     def _lasers(self, poses: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -200,6 +257,15 @@ class Faces:
         x, y = poses[:, 0] + cos * mx - sin * my, poses[:, 1] + sin * mx + cos * my
         c, s = math.cos(yaw), math.sin(yaw)
         return x, y, cos * c - sin * s, sin * c + cos * s
+
+
+def _calibration(
+    sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+) -> Calibration:
+    """Restore the calibration."""
+    prefix = "calibration."
+    own = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+    return Calibration.restore(sensor.n_rays, header["calibration"], own)
 
 
 _TYPES: dict[str, type] = {"first": np.intp, "neighbour": np.intp}
@@ -250,6 +316,10 @@ def _predict(
     cell: Any,
     counts: Any,
     returns: Any,
+    constant: Any,
+    slope: Any,
+    incidence: Any,
+    is_biased: Any,
     which: Any,
     table: Any,
     supported: Any,
@@ -285,6 +355,8 @@ def _predict(
                 if alpha < 1e-4:
                     continue
                 rho[c], w[c] = r[m], left * alpha
+                if is_biased:
+                    rho[c] += constant[b] + slope[b] * r[m] + incidence_bias(den, r[m], incidence)
                 s[c] = math.sqrt(variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise))
                 c += 1
                 left *= 1.0 - alpha
@@ -293,7 +365,7 @@ def _predict(
             row = table[i, b]
             if c == 1 and left < CERTAIN:  # most rays: one face, nothing else
                 row[0], row[1], row[2], row[3], row[4] = rho[0], rho[0], rho[0], s[0], left
-                row[5] = math.erfc(OFF / s[0] * 0.7071067811865476) if OFF < 4.5 * s[0] else 0.0
+                row[5] = math.erfc(OFF / s[0] * 0.7071067811865476) if 4.5 * s[0] > OFF else 0.0
             else:
                 row[0], row[1], row[2], row[3], row[4], row[5] = summarise(
                     rho, w, s, c, left, range_max, which

@@ -117,6 +117,38 @@ def replay(
     return _drive(start, duration, command, robot, machine, clearance=clearance, progress=progress)
 
 
+def react(
+    controller: Callable[[Floats], tuple[float, float]],
+    scan: Callable[[int, Floats], Floats],
+    start: Floats,
+    duration: float,
+    robot: RobotFile,
+    *,
+    clearance: Clearance,
+    progress: Callable[[int, int], None] | None = None,
+) -> Driven:
+    """Drive closed loop for `duration` [s] from `start` (3,): every new scan gives the next command.
+
+    Parameters
+    ----------
+    controller : readings (n_rays,) [m] -> (v, omega) [m/s, rad/s]
+    scan : (number of the scan, pose (3,)) -> readings (n_rays,) [m]
+    """
+    period = 1.0 / robot.wheels.rate
+    last, held = -1, (0.0, 0.0)
+
+    def command(k: float, x: float, y: float, phi: float) -> tuple[float, float]:
+        nonlocal last, held
+        number = math.floor(k * period * robot.sensor.rate + 1e-9)
+        if number != last and k * period <= duration:
+            last, held = number, controller(scan(number, np.array([x, y, phi])))
+        return held if k * period <= duration else (0.0, 0.0)
+
+    return _drive(
+        start, duration + SETTLE, command, robot, Machine.of(robot), clearance=clearance, progress=progress
+    )
+
+
 def odometry(
     driven: Driven, robot: RobotFile, rng: np.random.Generator, *, machine: Machine | None = None
 ) -> tuple[Floats, Floats, Floats]:

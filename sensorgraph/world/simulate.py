@@ -40,6 +40,7 @@ def simulate(
     machine: Machine | None = None,
     meta: Mapping[str, str] | None = None,
     attachments: Mapping[str, bytes] | None = None,
+    perceive: Callable[[int, Floats], Floats] | None = None,
     progress: Progress | None = None,
 ) -> Run:
     """Log a drive as the robot would: scans, reference poses, odometry and commands, each at its own rate.
@@ -48,22 +49,22 @@ def simulate(
     ----------
     effects : of the scan channel, what the sensor and the room have beyond robot.yaml and the map
     seed : of people who walk about; noise comes from `rng`
+    perceive : (number of the first scan, poses (n, 3)) -> readings (n, n_rays) [m], in place of the arena
     machine : what the odometry is measured with; as in robot.yaml if not given
     """
     sensor = robot.sensor
     stamps = scan_stamps(driven, sensor)
     parts = []
     for start in range(0, len(stamps), BLOCK):
-        scene = Scene(
-            arena=arena,
-            sensor=sensor,
-            stamps=stamps[start : start + BLOCK],
-            motion=driven.at,
-            span=float(stamps[-1]),
-            seed=seed,
-        )
-        scene.run(effects)
-        parts.append(draw(scene, rng))
+        part = stamps[start : start + BLOCK]
+        if perceive is not None:
+            parts.append(perceive(start, driven.at(part)))
+        else:
+            scene = Scene(
+                arena=arena, sensor=sensor, stamps=part, motion=driven.at, span=float(stamps[-1]), seed=seed
+            )
+            scene.run(effects)
+            parts.append(draw(scene, rng))
         if progress is not None:
             progress(start + len(parts[-1]), len(stamps))
     ranges = np.concatenate(parts)

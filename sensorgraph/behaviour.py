@@ -1,0 +1,142 @@
+"""Quantities of behaviour: what a drive is, in numbers that two drives can be compared by.
+
+After Nehmzow, Scientific Methods in Mobile Robotics (Springer 2006), chapters 4 to 6; the Lyapunov exponent by
+Rosenstein, Collins and De Luca, A practical method for calculating largest Lyapunov exponents from small data
+sets, Physica D 65 (1993).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from logs.run import Run, pair
+from planners.arena import Arena, Floats
+from sensorgraph.errors import GapError
+
+CELL = 0.25  # [m] of the coverage
+STEP = 0.5  # [s] between samples of the embedded track
+DELAYS = 4  # coordinates of the embedding, each DELAY apart
+DELAY = 2.0  # [s]
+APART = 20.0  # [s] neighbours nearer in time are of the same visit
+HORIZON = 8.0  # [s] over which neighbours' distance is followed
+LEAST = 200  # samples that an exponent needs
+
+
+@dataclass(frozen=True, kw_only=True)
+class Behaviour:
+    """One drive in numbers."""
+
+    duration_s: float
+    path_m: float
+    """Length of the way of base_link, forward and backward, by means over 0.5 s: noise of the poses is no way."""
+    speed_m_s: float
+    """Mean: path over duration."""
+    turn_rate_rad_s: float
+    """Mean of |heading change| per second, by means over 0.5 s."""
+    clearance_mean_m: float
+    """Mean over scans of the nearest return."""
+    clearance_min_m: float
+    """Nearest return of all."""
+    covered_m2: float
+    """Area of the 0.25 m cells that base_link was in."""
+    coverage: float | None
+    """The same as a share of the arena's free area; None without an arena."""
+    lyapunov_1_s: float | None
+    """Largest Lyapunov exponent of the track (x, y): how fast near tracks part; None where there is too little."""
+
+
+LABELS: Mapping[str, tuple[str, float, str]] = {
+    "duration_s": ("duration", 1, "s"),
+    "path_m": ("path", 1, "m"),
+    "speed_m_s": ("mean speed", 1, "m/s"),
+    "turn_rate_rad_s": ("mean turn rate", 1, "rad/s"),
+    "clearance_mean_m": ("nearest return, mean", 1, "m"),
+    "clearance_min_m": ("nearest return, least", 1, "m"),
+    "covered_m2": ("floor visited", 1, "m²"),
+    "coverage": ("share of the floor", 100, "%"),
+    "lyapunov_1_s": ("Lyapunov exponent", 1, "1/s"),
+}
+
+
+def behaviour(run: Run, arena: Arena | None = None) -> Behaviour:
+    """Measure a run by its reference poses and its scans."""
+    pairing = pair(run)
+    if int(pairing.paired.sum()) < 2:
+        raise GapError(f"{pairing}; a behaviour needs two poses or more")
+    stamps, poses = run.stamps[pairing.paired], pairing.poses[pairing.paired]
+    duration = float(stamps[-1] - stamps[0])
+    calm = _means(stamps, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
+    path = float(np.hypot(*np.diff(calm[:, :2], axis=0).T).sum())
+    turned = float(np.abs(np.diff(calm[:, 2])).sum())
+    nearest = np.where(np.isfinite(run.ranges), run.ranges, np.inf).min(axis=1)
+    nearest = nearest[np.isfinite(nearest)]
+    cells = np.unique(np.floor(poses[:, :2] / CELL).astype(np.int64), axis=0)
+    covered = len(cells) * CELL**2
+    return Behaviour(
+        duration_s=duration,
+        path_m=path,
+        speed_m_s=path / max(duration, 1e-9),
+        turn_rate_rad_s=turned / max(duration, 1e-9),
+        clearance_mean_m=float(nearest.mean()) if len(nearest) else np.inf,
+        clearance_min_m=float(nearest.min()) if len(nearest) else np.inf,
+        covered_m2=covered,
+        coverage=None if arena is None else covered / float(arena.free.area),
+        lyapunov_1_s=lyapunov(stamps, poses[:, :2]),
+    )
+
+
+def _means(stamps: Floats, poses: Floats) -> Floats:
+    """Return the mean of poses (n, 3) in every STEP that has any."""
+    _, place = np.unique(np.floor((stamps - stamps[0]) / STEP).astype(np.int64), return_inverse=True)
+    count = np.bincount(place)
+    return np.stack([np.bincount(place, weights=column) / count for column in poses.T], axis=1)
+
+
+def lyapunov(stamps: Floats, track: Floats) -> float | None:
+    """Estimate the largest Lyapunov exponent [1/s] of a track (n, 2) [m] at stamps (n,) [s].
+
+    The track is embedded by delays; each point's nearest neighbour of another visit is followed for `HORIZON`,
+    and the exponent is the slope of the mean log distance.
+    """
+    t = np.arange(stamps[0], stamps[-1], STEP)
+    xy = np.stack([np.interp(t, stamps, column) for column in track.T], axis=1)
+    lag, ahead = round(DELAY / STEP), round(HORIZON / STEP)
+    n = len(t) - (DELAYS - 1) * lag
+    if n - ahead < LEAST:
+        return None
+    embedded = np.concatenate([xy[i * lag : i * lag + n] for i in range(DELAYS)], axis=1)
+    start = np.arange(n - ahead)
+    tree = cKDTree(embedded[start])
+    near, index = (np.asarray(part) for part in tree.query(embedded[start], k=min(64, len(start))))
+    other = np.abs(index - start[:, None]) * STEP > APART
+    found = other.any(axis=1) & (np.take_along_axis(near, other.argmax(axis=1)[:, None], axis=1)[:, 0] > 1e-6)
+    mine = start[found]
+    theirs = np.take_along_axis(index, other.argmax(axis=1)[:, None], axis=1)[found, 0]
+    if len(mine) < LEAST // 2:
+        return None
+    steps = np.arange(ahead)
+    gaps = np.linalg.norm(embedded[mine[:, None] + steps] - embedded[theirs[:, None] + steps], axis=2)
+    mean = np.log(np.maximum(gaps, 1e-6)).mean(axis=0)
+    return float(np.polyfit(steps * STEP, mean, 1)[0])
+
+
+def table(drives: Mapping[str, Behaviour]) -> list[str]:
+    """Return a markdown table, one column for each drive."""
+    lines = ["| | " + " | ".join(drives) + " |", "|---|" + "---:|" * len(drives)]
+    for field in fields(Behaviour):
+        label, scale, unit = LABELS[field.name]
+        values = [getattr(drive, field.name) for drive in drives.values()]
+        cells = [
+            "–"
+            if v is None
+            else f"{scale * v:,.3g} {unit}"
+            if abs(scale * v) < 1000
+            else f"{scale * v:,.0f} {unit}"
+            for v in values
+        ]
+        lines.append(f"| {label} | " + " | ".join(cells) + " |")
+    return lines

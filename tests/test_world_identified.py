@@ -1,0 +1,193 @@
+"""The identified world: readings follow the graph's mixture, noise belongs to time and ray, not to who drives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import logs
+from logs.run import RangeSensor, Run
+from planners import plan as make_plan
+from planners.arena import Arena
+from sensorgraph.behaviour import behaviour, lyapunov, table
+from sensorgraph.build import build
+from sensorgraph.cli import run as command
+from sensorgraph.errors import GapError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.identified_arena import arena_of
+from sensorgraph.identified_world import IdentifiedWorld
+from sensorgraph.plan_folder import save
+from sensorgraph.world.raycast import cast
+from sensorgraph.world.robot_file import RobotFile, default
+
+
+@pytest.fixture(scope="module")
+def robot(sensor: RangeSensor) -> RobotFile:
+    machine = default()
+    return replace(
+        machine, sensor=sensor, text=machine.text.replace("n_rays: 181", f"n_rays: {sensor.n_rays}")
+    )
+
+
+@pytest.fixture(scope="module")
+def graph(room: Arena, sensor: RangeSensor) -> Sensorgraph:
+    """Return a graph of the room, from 1,500 exact poses and 1 cm of noise."""
+    rng = np.random.default_rng(5)
+    poses = rng.uniform([0.2, 0.2, -np.pi], [3.8, 2.8, np.pi], (4000, 3))
+    poses = poses[room.contains(poses[:, :2])][:1500]
+    ranges = cast(room, poses, sensor).ranges
+    stamps = np.arange(len(poses)) / 10
+    run = Run(
+        sensor=sensor, stamps=stamps, ranges=ranges + 0.01 * rng.normal(size=ranges.shape),
+        pose_stamps=stamps, poses=poses,
+    )  # fmt: skip
+    return build([run])
+
+
+def test_readings_spread_about_the_prediction_as_it_says(graph: Sensorgraph, robot: RobotFile) -> None:
+    pose = np.array([1.3, 1.4, 0.2])
+    readings = IdentifiedWorld(graph, robot, seed=1).scans(0, np.tile(pose, (4000, 1)))
+    said = graph.predict(pose[None])
+    sure = said.answered[0] & (said.p_off[0] < 1e-4)
+    assert sure.mean() > 0.8
+    off = readings[:, sure] - said.mode[0, sure]
+    assert np.abs(off.mean(axis=0)).max() < 5 * 0.01 / np.sqrt(4000)
+    assert (np.abs(off) > 0.06).mean() < 1e-4  # a prediction leaves out what is less likely than 1e-3
+    off = np.where(np.abs(off) < 0.06, off, 0.0)
+    np.testing.assert_allclose(off.std(axis=0), said.sigma[0, sure], rtol=0.1)
+    assert np.median(said.sigma[0, sure]) == pytest.approx(0.01, rel=0.05)
+
+
+def test_no_return_is_drawn_as_often_as_it_is_said(graph: Sensorgraph, robot: RobotFile) -> None:
+    model = graph.model
+    faces = model.faces._replace(levels=np.where(model.faces.levels > 0.5, 0.7, model.faces.levels))
+    thin = replace(graph, model=replace(model, faces=faces))
+    pose = np.array([1.3, 1.4, 0.2])
+    readings = IdentifiedWorld(thin, robot, seed=2).scans(0, np.tile(pose, (3000, 1)))
+    said = thin.predict(pose[None]).p_no_return[0]
+    seen = np.isinf(readings).mean(axis=0)
+    assert said.max() > 0.05
+    assert np.abs(seen - said).max() < 5 * 0.5 / np.sqrt(3000)
+
+
+def test_noise_belongs_to_seed_scan_and_ray(graph: Sensorgraph, robot: RobotFile) -> None:
+    poses = np.tile([1.3, 1.4, 0.2], (600, 1))
+    world, other = IdentifiedWorld(graph, robot, seed=1), IdentifiedWorld(graph, robot, seed=1)
+    whole = world.scans(0, poses)
+    np.testing.assert_array_equal(whole[250:270], other.scans(250, poses[:20]))
+    np.testing.assert_array_equal(whole[511], other.scan(511, poses[0]))
+    assert (IdentifiedWorld(graph, robot, seed=3).scans(0, poses) != whole).mean() > 0.5
+    assert len(np.unique(whole[:, 30])) > 20  # other scans, other noise
+
+
+def test_rays_without_an_answer_are_counted(graph: Sensorgraph, robot: RobotFile) -> None:
+    world = IdentifiedWorld(graph, robot, seed=1)
+    world.scans(0, np.array([[40.0, 40.0, 0.0], [1.3, 1.4, 0.2]]))
+    assert world.n_rays == 2 * 61
+    assert 61 <= world.unanswered < 70
+
+
+def test_a_robot_with_another_sensor_is_refused(graph: Sensorgraph) -> None:
+    with pytest.raises(GapError, match="61 rays, the robot 181"):
+        IdentifiedWorld(graph, default(), seed=0)
+
+
+def test_behaviour_of_a_circle_is_known() -> None:
+    stamps = np.arange(0, 600, 0.1)
+    phi = 0.2 * stamps
+    poses = np.column_stack([np.cos(phi), np.sin(phi), (phi + np.pi / 2 + np.pi) % (2 * np.pi) - np.pi])
+    run = Run(
+        sensor=RangeSensor(bearings=np.array([-0.1, 0.1])), stamps=stamps, pose_stamps=stamps, poses=poses,
+        ranges=np.column_stack([np.full(6000, 0.5), np.full(6000, np.inf)]),
+    )  # fmt: skip
+    found = behaviour(run)
+    assert found.speed_m_s == pytest.approx(0.2, rel=0.01)
+    assert found.turn_rate_rad_s == pytest.approx(0.2, rel=0.01)
+    assert found.clearance_mean_m == found.clearance_min_m == 0.5
+    assert found.coverage is None and "–" in "\n".join(table({"a": found}))
+
+
+def test_lyapunov_exponent_tells_chaos_from_a_circle() -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 900, 0.5)
+    circle = np.stack([np.cos(0.2 * t), np.sin(0.2 * t)], axis=1)
+    steady = lyapunov(t, circle + 1e-3 * rng.normal(size=circle.shape))
+    x = np.empty(len(t))
+    x[0] = 0.3
+    for i in range(len(t) - 1):  # logistic map at r = 4: exponent ln 2 a step
+        x[i + 1] = 4 * x[i] * (1 - x[i])
+    chaotic = lyapunov(t, np.stack([x, np.zeros(len(t))], axis=1))
+    assert steady is not None and chaotic is not None
+    assert abs(steady) < 0.02 < chaotic
+    assert lyapunov(t[:100], circle[:100]) is None
+
+
+@pytest.fixture(scope="module")
+def folder(
+    graph: Sensorgraph, room: Arena, robot: RobotFile, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """Hold a graph, a robot and a short plan."""
+    folder = tmp_path_factory.mktemp("identified")
+    graph.save(folder / "g.sensorgraph")
+    (folder / "robot.yaml").write_text(
+        "name: small\nsensor: {n_rays: 61, mount: [0.1, 0.02, 0.01]}\nfootprint_radius: 0.15\n"
+    )
+    made = make_plan(room, robot.robot, planner="wall_following", duration=40, seed=0, rate=10.0)
+    save(made, folder / "plan", room, robot)
+    return folder
+
+
+def test_walls_of_the_graph_are_those_of_the_room(graph: Sensorgraph, room: Arena) -> None:
+    found = arena_of(graph)
+    np.testing.assert_allclose(found.bounds, room.bounds, atol=0.15)
+
+
+def race(folder: Path, out: Path, *controllers: str, seed: int = 0) -> int:
+    names = [word for name in controllers for word in ("--controller", name)]
+    return command(
+        ["record", str(folder / "plan"), "--graph", str(folder / "g.sensorgraph"), "--robot",
+         str(folder / "robot.yaml"), *names, "--seed", str(seed), "-o", str(out)]
+    )  # fmt: skip
+
+
+def test_controllers_are_compared_on_one_seed(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert race(folder, tmp_path / "a.mcap", "plan", "wall_following", "random_bounce") == 0
+    said = capsys.readouterr().out
+    assert "| mean turn rate |" in said and "has no answer for" in said
+    runs = [
+        logs.read(tmp_path / name) for name in ("a.mcap", "a.wall_following.mcap", "a.random_bounce.mcap")
+    ]
+    assert [run.meta["controller"] for run in runs] == ["plan", "wall_following", "random_bounce"]
+    assert len({run.n_scans for run in runs}) == 1
+    start = [logs.pair(run).poses[0] for run in runs]
+    np.testing.assert_allclose(start[1], start[0], atol=0.02)
+    np.testing.assert_array_equal(runs[1].ranges[0], runs[0].ranges[0])  # same place, same noise
+    assert all(int(run.meta["contacts"]) == 0 for run in runs[1:])
+    assert (tmp_path / "a.png").is_file()
+    assert race(folder, tmp_path / "b.mcap", "plan") == 0
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--graph", "{g}", "--controller", "dwa"], "expected each of plan, wall_following, random_bounce"),
+        (["--graph", "{g}", "--controller", "plan", "--controller", "plan"], "at most once"),
+        (["--arena", "square", "--controller", "wall_following"], "give --graph as well"),
+        ([], "give --arena NAME or --graph GRAPH"),
+        (["--graph", "{g}", "--start", "1,1,0"], "go with --arena"),
+    ],
+)
+def test_mistakes_are_one_line(
+    words: list[str], said: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [word.format(g=folder / "g.sensorgraph") for word in words]
+    assert command(["record", str(folder / "plan"), *words, "-o", str(tmp_path / "a.mcap")]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert said in line
+    assert not list(tmp_path.iterdir())
