@@ -18,6 +18,8 @@ from sensorgraph.diagnose.noise import HUBER, Limits, Noise, fit_noise
 from sensorgraph.diagnose.rows import Rows
 from sensorgraph.world.robot_file import RobotFile
 
+ROOM = 1.5
+"""[m] that a run must cover for its reference to be called distorted over the place: no camera bends within less."""
 MOMENTS = 15
 """Of a run at which something may change once."""
 STATEMENTS = {
@@ -134,7 +136,8 @@ def families(rows: Rows, wheels: Increments) -> dict[str, Family]:
     out["clock"] = Family(
         columns=clock, labels=[f"{a:.0f} to {b:.0f} s, clock" for a, b in _spans(wheels, 5)], sigma=0.1
     )
-    out |= _reference_families(rows)
+    if np.ptp(rows.levels[:, :2], axis=0).max() >= ROOM:
+        out |= _reference_families(rows)
     said = {name: STATEMENTS[kind_of(name)] for name in out}
     for name in said:
         if kind_of(name) == "jump":
@@ -156,7 +159,7 @@ def _spans(wheels: Increments, n: int) -> list[tuple[float, float]]:
 def _reference_families(rows: Rows) -> dict[str, Family]:
     """Return columns of a reference that is distorted over the place."""
     xy = rows.levels[:, :2]
-    low, size = xy.min(axis=0), max(float(np.ptp(xy, axis=0).max()), 0.5)
+    low, size = xy.min(axis=0), float(np.ptp(xy, axis=0).max())
     u = (xy - low) / size
     waves = [
         np.cos(np.pi * a * u[:, 0]) * np.cos(np.pi * b * u[:, 1])
