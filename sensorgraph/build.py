@@ -68,11 +68,18 @@ def _fit(
     feed: Feed, model: type[Model], spread: Spread, progress: Progress | None, options: dict[str, Any]
 ) -> Model:
     """Fit a model to blocks, if it can take them one after the other, else to all scans together."""
-    if issubclass(model, Faces) and not options:
+    if issubclass(model, Faces) and not options.keys() - {"calibrate"}:
         mount = np.zeros(3) if feed.pose_frame == "laser" else feed.sensor.mount
         try:
             fitted: Model = model.fit_blocks(
-                feed, feed.sensor, mount, n_scans=feed.n_scans, spread=spread, progress=progress
+                feed,
+                feed.sensor,
+                mount,
+                n_scans=feed.n_scans,
+                spread=spread,
+                can_mount=feed.pose_frame != "laser",
+                progress=progress,
+                **options,
             )
         finally:
             _check_enough(feed)

@@ -33,6 +33,13 @@ def build(
         str, typer.Option(help="Of polynomial: harmonics of the heading, or auto.")
     ] = "auto",
     terms: Annotated[str, typer.Option(help="Of polynomial: terms kept for each ray, or auto.")] = "auto",
+    calibrate: Annotated[
+        bool | None,
+        typer.Option(
+            "--calibrate/--no-calibrate",
+            help="Of faces: identify the laser with them (mount, ray terms, training poses); where it pays.",
+        ),
+    ] = None,
     dask: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="Scheduler of a Dask cluster that reduces the scans of faces."),
@@ -67,6 +74,8 @@ def build(
         for name, text in (("degree", degree), ("harmonics", harmonics), ("terms", terms))
         if (value := _number(name, text)) != "auto"
     }
+    if calibrate is not None:
+        options["calibrate"] = calibrate
     space = None if arena is None else named_arena(arena)
     names = parse_topics(topic or [])
     loaded = []

@@ -90,6 +90,16 @@ def fit_faces(
     return FittedFaces(faces=faces, noise=noise, seen=seen, n_rays=len(final))
 
 
+def draft_faces(rays: Rays, *, sigma: float) -> FittedFaces:
+    """Find straight faces of a draft of the rays, whose returns may be off by `sigma` [m] for any reason.
+
+    Nothing is split: what bends a face may be the sensor.
+    """
+    draft = _sample(rays, DRAFT_RAYS)
+    faces, noise, seen = _start(draft, Surfaces.of(rays.hits, rays.directions), sigma)
+    return FittedFaces(faces=faces, noise=noise, seen=seen, n_rays=len(draft))
+
+
 def _start(rays: Rays, surfaces: Surfaces, sigma: float) -> tuple[FaceSet, Noise, Expectation]:
     """Select faces; once more with a wider band if hits spread wider than was thought (noise of the poses)."""
     for _ in range(3):

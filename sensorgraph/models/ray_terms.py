@@ -1,0 +1,90 @@
+"""What a laser adds to the true range: reading = rho + c_j0 + c_j1 rho + S(v, q) for ray j.
+
+v = 1 - |n·u| grows with the incidence, q = min(rho, 4 m) / 4 m with the range up to where optics settle; S is a
+polynomial in both that all rays share. The inverse takes a reading back to where its surface is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from sensorgraph.models.base import Floats
+from sensorgraph.models.kernel import kernel
+
+POWERS = ((1, 0), (2, 0), (3, 0), (1, 1), (2, 1), (1, 2), (2, 2))
+"""Of v and q in the terms of S."""
+N_SHARED = len(POWERS)
+SETTLED = 4.0
+"""[m] beyond which the incidence terms depend on the range no more."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RayTerms:
+    """Residual polynomial of every ray."""
+
+    constant: Floats
+    """(n_rays,) [m]"""
+    slope: Floats
+    """(n_rays,) metres a metre of range."""
+    incidence: Floats
+    """(N_SHARED,) [m] coefficients of S, in the order of `POWERS`."""
+
+    @classmethod
+    def none(cls, n_rays: int) -> Self:
+        """Leave readings as they are."""
+        return cls(constant=np.zeros(n_rays), slope=np.zeros(n_rays), incidence=np.zeros(N_SHARED))
+
+    @property
+    def is_none(self) -> bool:
+        """Tell whether readings are left as they are."""
+        return not (self.constant.any() or self.slope.any() or self.has_incidence)
+
+    @property
+    def has_incidence(self) -> bool:
+        """Tell whether the incidence counts."""
+        return bool((self.incidence != 0).any())
+
+    def reading(self, rho: Floats, incidence_cos: Floats) -> Floats:
+        """Return what the laser shows (n, n_rays) at true ranges and |n·u| of the same shape: the plain form."""
+        v, q = 1 - incidence_cos, np.minimum(rho, SETTLED) / SETTLED
+        shared = sum(s * v**a * q**b for s, (a, b) in zip(self.incidence, POWERS, strict=True))
+        return np.asarray(rho + self.constant + self.slope * rho + shared, dtype=np.float64)
+
+    def equation(self, ray: int) -> str:
+        """Write what is added to the range rho of one ray; empty for nothing."""
+        parts = [(self.constant[ray], ""), (self.slope[ray], "rho")]
+        parts += [(s, _name(a, b)) for s, (a, b) in zip(self.incidence, POWERS, strict=True)]
+        text = ""
+        for value, name in parts:
+            if value != 0:
+                text += f" {'-' if value < 0 else '+'} {abs(value):.5f}{' ' + name if name else ''}"
+        return text
+
+
+def _name(a: int, b: int) -> str:
+    """Write v^a q^b."""
+    powers = [("v", a), ("q", b)]
+    return " ".join(f"{x}^{p}" if p > 1 else x for x, p in powers if p > 0)
+
+
+@kernel
+def shared_terms(v: Any, q: Any, out: Any) -> Any:
+    """Fill the terms of S, in the order of `POWERS`."""
+    out[0] = v
+    out[1] = v * v
+    out[2] = v * v * v
+    out[3] = v * q
+    out[4] = v * v * q
+    out[5] = v * q * q
+    out[6] = v * v * q * q
+
+
+@kernel
+def incidence_bias(den: Any, rho: Any, s: Any) -> Any:
+    """Return S [m] for |den| = |n·u| at range rho."""
+    v = 1.0 - abs(den)
+    q = min(rho, 4.0) * 0.25
+    return v * (s[0] + q * (s[3] + q * s[5]) + v * (s[1] + q * (s[4] + q * s[6]) + v * s[2]))
