@@ -9,6 +9,7 @@ import numpy as np
 
 from sensorgraph.models.face_march import MOST, gather
 from sensorgraph.models.kernel import kernel
+from sensorgraph.models.ray_terms import incidence_bias
 
 
 @kernel
@@ -23,13 +24,16 @@ def draw_rays(
     faces: Any,
     buckets: Any,
     sigma: Any,
+    constant: Any,
+    slope: Any,
+    incidence: Any,
     uniform: Any,
     normal: Any,
     out: Any,
 ) -> Any:
     """Fill out (n_poses, n_rays) [m]: the first face in whose share of the mixture `uniform` falls, else +inf.
 
-    `sigma` [m] times `normal` is added. Edges are blurred by what is not known of them, as in a prediction.
+    The laser adds what its terms say (`constant`, `slope`, `incidence`), and `sigma` [m] times `normal`. Edges are blurred by what is not known of them, as in a prediction.
     """
     normals, _, first, edges, levels, blur, neighbour = faces
     r, t = np.empty(MOST), np.empty(MOST)
@@ -55,5 +59,7 @@ def draw_rays(
                     alpha = before + (levels[e] - before) * share
                 passed *= 1.0 - alpha
                 if uniform[i, b] >= passed:
-                    out[i, b] = r[m] + sigma * normal[i, b]
+                    den = normals[f, 0] * ux + normals[f, 1] * uy
+                    shown = constant[b] + slope[b] * r[m] + incidence_bias(den, r[m], incidence)
+                    out[i, b] = r[m] + shown + sigma * normal[i, b]
                     break

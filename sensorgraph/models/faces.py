@@ -145,10 +145,10 @@ class Faces:
         """
         out = np.empty(uniform.shape)
         x, y, cos, sin = self._lasers(poses)
-        bearings = self.sensor.bearings
+        bearings, terms = self.sensor.bearings, self.calibration.terms
         draw_rays(
             x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces,
-            index(self.faces), self.noise.sigma, uniform, normal, out,
+            index(self.faces), self.noise.sigma, terms.constant, terms.slope, terms.incidence, uniform, normal, out,
         )  # fmt: skip
         return out
 
