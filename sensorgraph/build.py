@@ -32,6 +32,7 @@ def build(
     split: str | None = None,
     names: Sequence[str] | None = None,
     spread: Spread = map,
+    update: Sensorgraph | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> Sensorgraph:
@@ -45,6 +46,7 @@ def build(
     names : what to call each run in messages and in the graph; None: the file it says it came from
     split : `every10` or `block` hold scans out of each run; the graph remembers it
     spread : where blocks of scans are reduced; `map`: here. See `sensorgraph.cluster`
+    update : a graph of faces to which the runs are added; its own runs are not needed
     options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
     """
     if model not in MODELS:
@@ -53,6 +55,8 @@ def build(
     sources = [Whole(head=run) if isinstance(run, Run) else run for run in runs]
     _check_alike([source.head for source in sources], names)
     feed = Feed(sources, names, split=split, bounds=None if arena is None else arena.bounds)
+    if update is not None:
+        return _updated(update, feed, spread, progress, options)
     fitted = _fit(feed, MODELS[model], spread, progress, options)
     origin = {
         "software": __version__,
@@ -88,6 +92,33 @@ def _fit(
     _check_enough(feed)
     assert scans is not None
     return model.fit(scans, progress=progress, **options)
+
+
+def _updated(
+    graph: Sensorgraph, feed: Feed, spread: Spread, progress: Progress | None, options: dict[str, Any]
+) -> Sensorgraph:
+    """Add the runs of a feed to a graph."""
+    model = graph.model
+    if not isinstance(model, Faces) or options:
+        asked = f", and option {', '.join(sorted(options))} is of a new fit" if options else ""
+        raise GapError(f"--update adds runs to a graph of faces; this one is of {model.name}{asked}")
+    if not is_same_sensor(graph.sensor.bearings, feed.sensor.bearings):
+        raise GapError(
+            f"{feed.names[0]} has {feed.sensor.n_rays} rays at other bearings than the {graph.sensor.n_rays} of "
+            "the graph; build one graph for each sensor"
+        )
+    if feed.pose_frame != graph.pose_frame:
+        raise GapError(f"{feed.names[0]} has poses of {feed.pose_frame}, the graph of {graph.pose_frame}")
+    if feed.split != graph.origin["split"]:
+        raise GapError(f"the graph was built with split {graph.origin['split']}; update it with the same")
+    fitted = model.updated(feed, n_scans=feed.n_scans, spread=spread, progress=progress)
+    _check_enough(feed)
+    known = {entry["sha256"] for entry in graph.origin["inputs"]}
+    for entry in feed.entries:
+        if entry["sha256"] in known:
+            raise GapError(f"{entry['name']} is part of the graph already; give runs that it has not seen")
+    origin = {**graph.origin, "inputs": [*graph.origin["inputs"], *feed.entries]}
+    return Sensorgraph(model=fitted, sensor=graph.sensor, pose_frame=graph.pose_frame, origin=origin)
 
 
 def _check_enough(feed: Feed) -> None:

@@ -40,6 +40,9 @@ def build(
             help="Of faces: identify the laser with them (mount, ray terms, training poses); where it pays.",
         ),
     ] = None,
+    update: Annotated[
+        Path | None, typer.Option(metavar="GRAPH", help="Add the runs to this graph of faces.")
+    ] = None,
     dask: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="Scheduler of a Dask cluster that reduces the scans of faces."),
@@ -56,6 +59,8 @@ def build(
 
       sensorgraph build intel.log.gz --split block -o intel.sensorgraph
 
+      sensorgraph build second.mcap --update lab.sensorgraph -o lab2.sensorgraph
+
       sensorgraph build run.mcap --model polynomial --degree 4 -o plain.sensorgraph
     """
     from logs import parse_topics
@@ -64,9 +69,12 @@ def build(
     from sensorgraph.cli.inputs import check_output, named_arena, read_robot_sensor
     from sensorgraph.cluster import cluster
     from sensorgraph.errors import GapError
+    from sensorgraph.graph import Sensorgraph
     from sensorgraph.models import MODELS
 
     check_output(output, *runs)
+    if update is not None and (model != "faces" or arena is not None):
+        raise GapError("--update adds runs to a graph as it was built; leave --model and --arena away")
     if model not in MODELS:
         raise GapError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
     options: dict[str, Any] = {
@@ -78,6 +86,7 @@ def build(
         options["calibrate"] = calibrate
     space = None if arena is None else named_arena(arena)
     names = parse_topics(topic or [])
+    known = None if update is None else Sensorgraph.load(update)
     loaded = []
     for path in runs:
         with progress("reading", "bytes") as tick:
@@ -97,6 +106,7 @@ def build(
             split=split,
             names=[path.name for path in runs],
             spread=spread,
+            update=known,
             progress=tick,
             **options,
         )

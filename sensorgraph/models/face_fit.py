@@ -11,6 +11,7 @@ from sensorgraph.models.base import Floats, Progress
 from sensorgraph.models.corners import join_corners, with_errors
 from sensorgraph.models.edges import is_seen, looks_at, sharpen, subset
 from sensorgraph.models.face_march import FaceSet
+from sensorgraph.models.face_memory import Memory
 from sensorgraph.models.selection import Lines, select_lines
 from sensorgraph.models.splits import split_bent
 from sensorgraph.models.surfaces import Surfaces
@@ -41,6 +42,8 @@ class FittedFaces:
     seen: Expectation
     """Of the last pass, over `n_rays` rays."""
     n_rays: int
+    memory: Memory | None = None
+    """What new runs are added to; None in drafts."""
 
     @property
     def hits(self) -> Floats:
@@ -85,9 +88,10 @@ def fit_faces(
     steps.tick()
     faces = join_corners(faces, looks)
     seen = expect(final, faces, noise)
+    memory = Memory.of(final, faces, seen, looks, n_rays=len(final))
     faces = with_errors(faces, seen.lines)
     steps.tick()
-    return FittedFaces(faces=faces, noise=noise, seen=seen, n_rays=len(final))
+    return FittedFaces(faces=faces, noise=noise, seen=seen, n_rays=len(final), memory=memory)
 
 
 def draft_faces(rays: Rays, *, sigma: float) -> FittedFaces:

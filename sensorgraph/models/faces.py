@@ -23,6 +23,8 @@ from sensorgraph.models.crossed import Crossed, is_crossed
 from sensorgraph.models.face_draw import draw_rays
 from sensorgraph.models.face_fit import STEPS, Steps, fit_faces
 from sensorgraph.models.face_march import FAINT, MOST, FaceSet, gather, index
+from sensorgraph.models.face_memory import Memory
+from sensorgraph.models.face_update import update_faces
 from sensorgraph.models.kernel import kernel
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, summarise, to_prediction, which_of
 from sensorgraph.models.ray_terms import incidence_bias
@@ -55,6 +57,10 @@ class Faces:
     """(3,) [m, m, rad] laser in the frame of the poses, as identified."""
     calibration: Calibration
     """How the laser differs from what was stated; identity for a perfect one."""
+    n_rays: int = 0
+    """Training rays."""
+    memory: Memory | None = None
+    """What new runs are added to."""
 
     @classmethod
     def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
@@ -121,6 +127,48 @@ class Faces:
             returns=reduced.n_returns / reduced.n_rays,
             mount=found.mount,
             calibration=found.calibration,
+            n_rays=reduced.n_rays,
+            memory=None
+            if fitted.memory is None
+            else fitted.memory.scaled(reduced.n_rays / max(fitted.n_rays, 1)),
+        )
+
+    def updated(
+        self,
+        blocks: Iterable[Block],
+        *,
+        n_scans: int,
+        spread: Spread = map,
+        progress: Progress | None = None,
+    ) -> Self:
+        """Add blocks of new scans, of the same laser, without the old ones."""
+        if self.memory is None:
+            raise GapError("the graph remembers too little of its rays to be updated; build it again")
+        steps = Steps(progress, -(-n_scans // BLOCK) + 1)
+        new = reduce_blocks(
+            blocks, mount=self.mount, n_rays=n_scans * self.sensor.n_rays, spread=spread, tick=steps.tick
+        )
+        if new is None or new.n_returns == 0:
+            raise GapError(
+                "no ray of the new log returned; check range_max and the no-return code of the log"
+            )
+        rays = new.sample.rays(self.sensor, self.mount)
+        terms, beams = self.calibration.terms, new.sample.beams
+        rays = replace(rays, ranges=(rays.ranges - terms.constant[beams]) / (1 + terms.slope[beams]))
+        faces, noise, memory = update_faces(
+            self.faces, self.noise, self.memory, self.crossed, rays, n_rays=new.n_rays
+        )
+        steps.tick()
+        n_rays = self.n_rays + new.n_rays
+        return replace(
+            self,
+            faces=faces,
+            noise=noise,
+            hits=memory.lines[:, 5].copy(),
+            crossed=self.crossed.merge(new.crossed),
+            returns=(self.returns * self.n_rays + new.n_returns) / n_rays,
+            n_rays=n_rays,
+            memory=memory,
         )
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
@@ -219,10 +267,13 @@ class Faces:
             "returns": self.returns,
             "cell": self.crossed.cell,
             "calibration": calibration,
+            "n_rays": self.n_rays,
         }
         arrays: dict[str, NDArray[Any]] = {name: getattr(self.faces, name) for name in FaceSet._fields}
         arrays |= {"hits": self.hits, "mount": self.mount}
         arrays |= {f"calibration.{name}": array for name, array in terms.items()}
+        if self.memory is not None:
+            arrays |= {f"memory.{name}": array for name, array in self.memory.arrays().items()}
         arrays |= {"crossed.origin": self.crossed.origin, "crossed.counts": self.crossed.counts}
         return header, arrays
 
@@ -235,6 +286,11 @@ class Faces:
             **{name: np.asarray(arrays[name], _TYPES.get(name, float)) for name in FaceSet._fields}
         )
         _check(faces)
+        memory = {
+            name.removeprefix("memory."): array
+            for name, array in arrays.items()
+            if name.startswith("memory.")
+        }
         return cls(
             sensor=sensor,
             faces=faces,
@@ -246,6 +302,8 @@ class Faces:
                 counts=np.asarray(arrays["crossed.counts"], dtype=np.uint8),
             ),
             returns=float(header["returns"]),
+            n_rays=int(header.get("n_rays", 0)),
+            memory=Memory.from_arrays(memory, faces) if memory else None,
             mount=np.asarray(arrays["mount"], dtype=np.float64),
             calibration=_calibration(sensor, header, arrays),
         )

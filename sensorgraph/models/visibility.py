@@ -160,13 +160,13 @@ def improve(faces: FaceSet, seen: Expectation, noise: Noise, *, refit: bool) -> 
     levels[faces.first[1:] - 1] = 0.0
     better = faces._replace(levels=levels)
     if refit:
-        better = _moved(better, seen.lines)
+        better = moved(better, seen.lines)
     returned = float(seen.unexplained.sum())
     stray = float(np.clip((returned + 1.0) / max(seen.metres, 1.0), 1e-6, 0.05))
-    return better, _noise(noise, seen.spread, stray)
+    return better, spread_of(noise, seen.spread, stray)
 
 
-def _moved(faces: FaceSet, sums: Floats) -> FaceSet:
+def moved(faces: FaceSet, sums: Floats) -> FaceSet:
     """Shift and turn every line about the middle of its hits by weighted least squares."""
     w, ws, wss, we, wse = sums[:, 0], sums[:, 1], sums[:, 2], sums[:, 3], sums[:, 4]
     enough = (sums[:, 5] > 2.0) & (w > 0)
@@ -188,7 +188,7 @@ def _moved(faces: FaceSet, sums: Floats) -> FaceSet:
     return faces._replace(normals=turned, offsets=offsets, edges=edges)
 
 
-def _noise(noise: Noise, spread: Floats, stray: float) -> Noise:
+def spread_of(noise: Noise, spread: Floats, stray: float) -> Noise:
     """Split the spread of returns into range noise and pose noise, none of them negative."""
     scale = np.sqrt(np.maximum(np.diag(spread[:, :3]), 1e-300))
     if spread[0, 0] <= 0:
