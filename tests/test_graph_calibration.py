@@ -304,3 +304,28 @@ def test_mount_cannot_be_told_from_poses_of_the_laser() -> None:
     model = Faces.fit(scans_of(poses, ranges, pose_frame="laser"))
     assert not model.calibration.offset.any() and model.calibration.n_own > 30
     assert model.summary()["mount"] == "cannot be told: the poses are the laser's own"
+
+
+@pytest.mark.slow
+def test_calibration_asked_for_finds_the_one_ray_that_is_off() -> None:
+    poses, ranges, _ = log(np.random.default_rng(13), 300)
+    ranges[:, 5] += 0.05
+    model = Faces.fit(scans_of(poses, ranges), calibrate=True)
+    assert model.calibration.n_own == 1
+    assert model.calibration.terms.constant[5] == pytest.approx(0.05, abs=0.002)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("broken", ["mirrored", "noise", "one scan"])
+def test_log_that_makes_no_sense_is_not_calibrated(broken: str) -> None:
+    rng = np.random.default_rng(14)
+    poses, ranges, _ = log(rng, 200)
+    if broken == "mirrored":
+        ranges = ranges[:, ::-1]
+    elif broken == "noise":
+        ranges = rng.uniform(0.2, 9.0, ranges.shape)
+    else:
+        poses, ranges = poses[:1], ranges[:1]
+    model = Faces.fit(scans_of(poses, ranges))
+    np.testing.assert_array_equal(model.mount, STATED)
+    assert model.calibration.terms.is_none

@@ -22,6 +22,7 @@ from sensorgraph.models.adjustment import (
     INCIDENCE,
     MOUNT,
     N_COMMON,
+    REACH,
     Matches,
     Normal,
     Readings,
@@ -55,6 +56,10 @@ REACHES = (0.012, 0.003)
 """[m] of the searches for the walls' common shift."""
 WORTH = 20.0
 """[nats] that calibration must be worth beyond the price of its terms."""
+FARTHEST = (0.10, 0.10)
+"""[m, rad] noise of poses beyond which the log is broken (mirrored, other units) and no small step mends it."""
+MOST_OFFSET, MOST_TURN, MOST_SLOPE = 0.5, 0.35, 0.1
+"""[m], [rad] and metres a metre that a laser is off at most."""
 SHARE = 0.01
 """[nats] a reading that ray terms must be worth: a seventh of the noise, rms; clutter feigns less than that."""
 
@@ -97,6 +102,16 @@ class Calibration:
     def is_as_stated(self) -> bool:
         """Tell whether neither the laser nor a pose was changed."""
         return self.terms.is_none and not self.offset.any() and self.sigma_xy == 0 == self.sigma_yaw
+
+    @property
+    def is_plausible(self) -> bool:
+        """Tell whether such a laser may exist; a log whose poses and scans do not belong together gives another."""
+        return bool(
+            np.hypot(*self.offset[:2]) < MOST_OFFSET
+            and abs(self.offset[2]) < MOST_TURN
+            and np.abs(self.terms.constant).max() < REACH
+            and np.abs(self.terms.slope).max() < MOST_SLOPE
+        )
 
     def summary(self) -> dict[str, str]:
         """Return what a reader wants to know first."""
@@ -232,13 +247,20 @@ def identify(
     work = _Work(readings, poses, mount, can_mount=can_mount)
     work.take(fitted)
     if calibrate is not False and work.is_worth(force=calibrate is True):
-        return work.run()
+        found = work.run()
+        if found.calibration.is_plausible and _nats_a_ray(found.fitted) > _nats_a_ray(fitted):
+            return found
+        logger.info("calibration is absurd or explains no more than none: left out")
     return Identified(
         fitted=fitted,
         calibration=Calibration.none(sensor.n_rays, can_mount=can_mount),
         rays=sample.rays(sensor, mount),
         mount=mount,
     )
+
+
+def _nats_a_ray(fitted: FittedFaces) -> float:
+    return fitted.seen.nats / max(fitted.n_rays, 1)
 
 
 class _Work:
@@ -268,8 +290,10 @@ class _Work:
         origins, directions = directions_of(readings, self.lasers)
         return Rays(origins=origins, directions=directions, ranges=ranges, range_max=readings.range_max)
 
-    def take(self, fitted: FittedFaces) -> None:
-        self.faces, self.noise = fitted.faces, fitted.noise
+    def take(self, fitted: FittedFaces, *, least: float = 0.0) -> None:
+        """Go on from new faces; returns may be off by `least` [m] or more."""
+        self.faces = fitted.faces
+        self.noise = replace(fitted.noise, sigma=max(fitted.noise.sigma, least))
 
     def match(self, readings: Readings | None = None) -> Matches:
         """Match readings to faces; the mean incidence term follows."""
@@ -284,6 +308,9 @@ class _Work:
         Noise of a pose moves all returns of a scan together, and many such scans look like terms that are not
         there. So the mount counts against the poses' noise, and all others after the poses were refined.
         """
+        if self.noise.sigma_xy > FARTHEST[0] or self.noise.sigma_yaw > FARTHEST[1]:
+            logger.info("calibration: returns and poses do not belong together: %s", self.noise)
+            return False
         better = self._poses(self.match())
         mount = self._found(better)[0] if self.can_mount else 0.0
         if better.nats > WORTH:
@@ -316,7 +343,7 @@ class _Work:
             self.shifts = np.zeros_like(self.shifts)  # they tried to make up for the laser
             self.pose_noise = (0.0, 0.0)
             for i, sigma in enumerate(COARSE):
-                self.take(draft_faces(self.corrected(), sigma=sigma))
+                self.take(draft_faces(self.corrected(), sigma=sigma), least=sigma)
                 self.adjust(incidence=i > 0)
                 self.adjust(incidence=i > 0)
         for reach in REACHES if self.is_amiss else REACHES[:1]:
@@ -400,7 +427,11 @@ class _Work:
         )
 
     def _poses(self, matches: Matches) -> Refined:
-        return refine(self.readings, self.lasers, matches, self.faces, self.shifts, self.noise.sigma)
+        found = refine(self.readings, self.lasers, matches, self.faces, self.shifts, self.noise.sigma)
+        if found.sigma_xy > FARTHEST[0] or found.sigma_yaw > FARTHEST[1]:
+            logger.info("poses off by %.2f m, %.2f rad: not refined", found.sigma_xy, found.sigma_yaw)
+            return replace(found, nats=0.0)
+        return found
 
     def _prices(self, normal: Normal, *, incidence: bool) -> Floats:
         """Nats that each term must be worth: BIC, and the log of how many there are to choose from."""

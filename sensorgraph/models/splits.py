@@ -47,7 +47,11 @@ def split_bent(rays: Rays, faces: FaceSet, noise: Noise) -> Lines:
             normals.append(normal)
             offsets.append(float(normal @ ends[0]))
             spans.append(np.array([along @ ends[0], along @ ends[1]]))
-    return Lines(normals=np.array(normals), offsets=np.array(offsets), spans=np.array(spans))
+    return Lines(
+        normals=np.array(normals).reshape(-1, 2),
+        offsets=np.array(offsets),
+        spans=np.array(spans).reshape(-1, 2),
+    )
 
 
 def _pieces(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, float, float]]:
