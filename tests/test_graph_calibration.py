@@ -28,6 +28,7 @@ from sensorgraph.models.faces import Faces
 from sensorgraph.models.gauge import Gauge, search, settle
 from sensorgraph.models.poses_refined import refine, shifted
 from sensorgraph.models.ray_terms import N_SHARED, POWERS, RayTerms, incidence_bias
+from sensorgraph.models.reduction import blocks_of
 from sensorgraph.models.selection import Lines
 from sensorgraph.models.visibility import Noise, Rays, faces_of
 from sensorgraph.world.raycast import cast
@@ -267,6 +268,11 @@ def test_uncalibrated_laser_is_identified_with_its_faces() -> None:
     assert (np.abs(model.calibration.offset - OFFSET) < [5e-4, 5e-4, 3e-4]).all()
     assert np.median(error) < 0.001 < 0.01 < np.median(np.abs(plain - exact))
     assert (error < 3 * SIGMA).mean() > 0.99
+    more = model.updated(
+        blocks_of(scans_of(*log(rng, 300, mount=STATED + OFFSET, terms=terms)[:2])), n_scans=300
+    )
+    later = np.abs(more.predict(fresh, np.arange(61), "mode").mode - exact)
+    assert np.median(later) < 0.001 and (later < 3 * SIGMA).mean() > 0.99
     again = Faces.restore(model.sensor, *model.state())
     np.testing.assert_array_equal(
         again.predict(fresh, np.arange(61), "mode").mode, model.predict(fresh, np.arange(61), "mode").mode

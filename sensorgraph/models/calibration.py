@@ -225,6 +225,21 @@ def crossed_by(rays: Rays) -> Crossed:
     return Crossed.of(rays.origins, rays.directions, reach)
 
 
+def corrected(
+    sample: Sample, sensor: RangeSensor, mount: Floats, calibration: Calibration, faces: FaceSet, noise: Noise
+) -> Rays:
+    """Return the rays of a sample as they are by what was identified before: ray terms off, poses as they came."""
+    rays = sample.rays(sensor, mount)
+    if calibration.terms.is_none:
+        return rays
+    readings, poses = readings_of(sample, sensor)
+    lasers = shifted(poses, mount)
+    first = match(readings, lasers, calibration.terms, faces, noise, 0.0)
+    typical = mean_incidence(first, calibration.terms)
+    found = match(readings, lasers, calibration.terms, faces, noise, typical)
+    return replace(rays, ranges=found.ranges)
+
+
 def identify(
     sample: Sample,
     sensor: RangeSensor,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from sensorgraph.errors import GapError
 from sensorgraph.models.base import OFF, Floats, Ints, Point, Prediction, Progress, Scans
-from sensorgraph.models.calibration import Calibration, crossed_by, identify
+from sensorgraph.models.calibration import Calibration, corrected, crossed_by, identify
 from sensorgraph.models.crossed import Crossed, is_crossed
 from sensorgraph.models.face_draw import draw_rays
 from sensorgraph.models.face_fit import STEPS, Steps, fit_faces
@@ -152,9 +152,7 @@ class Faces:
             raise GapError(
                 "no ray of the new log returned; check range_max and the no-return code of the log"
             )
-        rays = new.sample.rays(self.sensor, self.mount)
-        terms, beams = self.calibration.terms, new.sample.beams
-        rays = replace(rays, ranges=(rays.ranges - terms.constant[beams]) / (1 + terms.slope[beams]))
+        rays = corrected(new.sample, self.sensor, self.mount, self.calibration, self.faces, self.noise)
         faces, noise, memory = update_faces(
             self.faces, self.noise, self.memory, self.crossed, rays, n_rays=new.n_rays
         )
