@@ -72,10 +72,12 @@ def _fit(
     feed: Feed, model: type[Model], spread: Spread, progress: Progress | None, options: dict[str, Any]
 ) -> Model:
     """Fit a model to blocks, if it can take them one after the other, else to all scans together."""
-    if issubclass(model, Faces) and not options.keys() - {"calibrate"}:
+    if issubclass(model, Faces) and not options.keys() - {"calibrate", "cells"}:
         mount = np.zeros(3) if feed.pose_frame == "laser" else feed.sensor.mount
+        own = dict(options)
+        wanted = own.pop("cells", None)
         try:
-            fitted: Model = model.fit_blocks(
+            fitted = model.fit_blocks(
                 feed,
                 feed.sensor,
                 mount,
@@ -83,11 +85,15 @@ def _fit(
                 spread=spread,
                 can_mount=feed.pose_frame != "laser",
                 progress=progress,
-                **options,
+                **own,
             )
         finally:
             _check_enough(feed)
-        return fitted
+        if not (fitted.is_cluttered if wanted is None else wanted):
+            return fitted
+        scans = together(Feed(feed.logs, feed.names, split=feed.split, bounds=feed.bounds))
+        assert scans is not None
+        return fitted.with_cells(scans, progress=progress)
     scans = together(feed)
     _check_enough(feed)
     assert scans is not None

@@ -84,7 +84,7 @@ def _walls(model: Faces) -> tuple[Floats, Floats]:
 
 def _things(walls: Floats) -> Ints:
     """Number connected walls alike: ends that touch, or an end that touches another wall's middle."""
-    lines = shapely.linestrings(walls)
+    lines = [shapely.LineString(wall) for wall in walls]
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=TOUCHING)
     n = len(walls)
     return np.asarray(

@@ -23,7 +23,7 @@ from sensorgraph.models.base import POINTS, Bools, Floats, Ints, Point, Predicti
 from sensorgraph.models.cell_calibration import KNOTS, best_sigma, seen_for_said
 from sensorgraph.models.cell_evidence import CELL, NEAREST, REACH, Evidence
 from sensorgraph.models.cell_learning import newton, samples, set_aside
-from sensorgraph.models.cell_march import Table, march, prepare
+from sensorgraph.models.cell_march import Table, list_candidates, march, prepare
 from sensorgraph.models.cell_visibility import TERMS
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
 
@@ -115,6 +115,23 @@ class Cells:
         out[..., NO_RETURN] *= self.nothing
         answered = (dark <= UNSEEN) & np.where(beyond, out[..., NO_RETURN] > 0.5, near >= SURE)
         return to_prediction(out, point, answered)
+
+    def draw(self, poses: Floats, uniform: Floats, normal: Floats) -> Floats:
+        """Draw one reading of every ray at poses (n_poses, 3) from the mixture.
+
+        `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes.
+        """
+        out = np.full(uniform.shape, np.inf)
+        for i, pose in enumerate(lasers(poses, self.mount)):
+            r, w, sigma, left = list_candidates(self.table, pose[None], self.sensor.bearings)
+            stopped = np.cumsum(
+                w[0], axis=1
+            )  # (n_rays, n_most); beyond reach a share `nothing` returns nothing
+            share = uniform[i] * (stopped[:, -1] + left[0] * self.nothing)
+            k = (stopped < share[:, None]).sum(axis=1)
+            hit = np.flatnonzero((k < w.shape[2]) & (share <= stopped[:, -1]))
+            out[i, hit] = r[0, hit, k[hit]] + sigma[0, hit, k[hit]] * normal[i, hit]
+        return out
 
     def equation(self, ray: int) -> str:
         """Print how a ray's range comes about, and the polynomial of visibility with its numbers."""

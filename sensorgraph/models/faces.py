@@ -3,6 +3,7 @@
 For a ray of direction u from q that meets the face n·p = d:  r = (d - n·q) / (n·u), linear to identify. Faces come
 from forward selection on pooled moments, their visible stretches from EM on hits and passes and from change
 points; a prediction is the mixture of all faces a ray crosses, each with the chance that it stops there.
+Where long faces leave much unexplained (clutter, poses from SLAM), short ones in cells predict instead (`cells`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from logs.run import RangeSensor
 from sensorgraph.errors import GapError
 from sensorgraph.models.base import OFF, Floats, Ints, Point, Prediction, Progress, Scans
 from sensorgraph.models.calibration import Calibration, corrected, crossed_by, identify
+from sensorgraph.models.cells import Cells
 from sensorgraph.models.crossed import Crossed, is_crossed
 from sensorgraph.models.face_draw import draw_rays
 from sensorgraph.models.face_fit import STEPS, Steps, fit_faces
@@ -35,6 +37,8 @@ SURE = 0.05
 """Chance of being off above which a ray is not answered."""
 SHORT_OF = 0.10
 """[m] before the predicted range a ray needs no support any more: the surface itself was seen."""
+CLUTTER = 2e-3
+"""[1/m] returns that no face explains, above which cells predict; 1e-4 in clean rooms, 7e-3 on logs of real floors."""
 CERTAIN = 1e-3
 """Chance of passing the only face of a ray under which the mixture is that face."""
 
@@ -61,16 +65,18 @@ class Faces:
     """Training rays."""
     memory: Memory | None = None
     """What new runs are added to."""
+    cells: Cells | None = None
+    """What predicts where long faces do not explain enough."""
 
     @classmethod
     def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
-        """Identify faces from scans; option `calibrate` (None: where worth it) the laser with them."""
-        if unknown := sorted(options.keys() - {"calibrate"}):
+        """Identify faces from scans; options `calibrate` the laser and add `cells`: None where worth it."""
+        if unknown := sorted(options.keys() - {"calibrate", "cells"}):
             raise GapError(
-                f"option {', '.join(unknown)} is not known to the model faces, which takes calibrate; "
+                f"option {', '.join(unknown)} is not known to the model faces, which takes calibrate and cells; "
                 "give --model polynomial"
             )
-        return cls.fit_blocks(
+        fitted = cls.fit_blocks(
             blocks_of(scans),
             scans.sensor,
             scans.laser_mount,
@@ -79,6 +85,20 @@ class Faces:
             calibrate=options.get("calibrate"),
             progress=progress,
         )
+        wanted = options.get("cells")
+        cluttered = fitted.is_cluttered if wanted is None else bool(wanted)
+        return fitted.with_cells(scans, progress=progress) if cluttered else fitted
+
+    @property
+    def is_cluttered(self) -> bool:
+        """Tell whether faces leave so much unexplained that cells predict better."""
+        return self.noise.stray > CLUTTER
+
+    def with_cells(self, scans: Scans, *, progress: Progress | None = None) -> Self:
+        """Add cells from the same scans; from then on they predict."""
+        if scans.pose_frame == "base_link":
+            scans = replace(scans, sensor=replace(scans.sensor, mount=self.mount))
+        return replace(self, cells=Cells.fit(scans, progress=progress))
 
     @classmethod
     def fit_blocks(
@@ -142,6 +162,10 @@ class Faces:
         progress: Progress | None = None,
     ) -> Self:
         """Add blocks of new scans, of the same laser, without the old ones."""
+        if self.cells is not None:
+            raise GapError(
+                "the graph predicts with cells, which are not updated; build it again from all runs"
+            )
         if self.memory is None:
             raise GapError("the graph remembers too little of its rays to be updated; build it again")
         steps = Steps(progress, -(-n_scans // BLOCK) + 1)
@@ -171,6 +195,8 @@ class Faces:
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
         """Predict rays (n_rays,) at poses (n_poses, 3)."""
+        if self.cells is not None:
+            return self.cells.predict(poses, rays, point)
         table = np.empty((len(poses), len(rays), 6))
         supported = np.empty((len(poses), len(rays)), dtype=np.bool_)
         x, y, cos, sin = self._lasers(poses)
@@ -189,6 +215,8 @@ class Faces:
 
         `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes.
         """
+        if self.cells is not None:
+            return self.cells.draw(poses, uniform, normal)
         out = np.empty(uniform.shape)
         x, y, cos, sin = self._lasers(poses)
         bearings, terms = self.sensor.bearings, self.calibration.terms
@@ -212,7 +240,11 @@ class Faces:
         if self.noise.sigma_xy > 0 or self.noise.sigma_yaw > 0:
             spread += f" of range, {self.noise.sigma_xy:.4f} m and {self.noise.sigma_yaw:.5f} rad of pose"
         lines += self._added(ray)
-        return "\n".join([*lines, f"returns spread by {spread}"])
+        lines.append(f"returns spread by {spread}")
+        if self.cells is not None:
+            lines += ["", "where these leave too much unexplained, as in this log, cells predict:"]
+            lines.append(self.cells.equation(ray))
+        return "\n".join(lines)
 
     def _added(self, ray: int) -> list[str]:
         """Write what the laser adds to the range of a face."""
@@ -254,13 +286,14 @@ class Faces:
             "noise": noise,
             "unexplained": f"{self.noise.stray:.2g} returns a metre travelled",
             **self.calibration.summary(),
+            **({} if self.cells is None else {f"cells, {k}": v for k, v in self.cells.summary().items()}),
         }
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return plain data and arrays that hold the whole model."""
         noise = {name: getattr(self.noise, name) for name in Noise.__dataclass_fields__}
         calibration, terms = self.calibration.state()
-        header = {
+        header: dict[str, Any] = {
             "noise": noise,
             "returns": self.returns,
             "cell": self.crossed.cell,
@@ -273,6 +306,9 @@ class Faces:
         if self.memory is not None:
             arrays |= {f"memory.{name}": array for name, array in self.memory.arrays().items()}
         arrays |= {"crossed.origin": self.crossed.origin, "crossed.counts": self.crossed.counts}
+        if self.cells is not None:
+            header["cells"], own = self.cells.state()
+            arrays |= {f"cells.{name}": array for name, array in own.items()}
         return header, arrays
 
     @classmethod
@@ -304,6 +340,7 @@ class Faces:
             memory=Memory.from_arrays(memory, faces) if memory else None,
             mount=np.asarray(arrays["mount"], dtype=np.float64),
             calibration=_calibration(sensor, header, arrays),
+            cells=_cells(sensor, header, arrays),
         )
 
     def _lasers(self, poses: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -322,6 +359,16 @@ def _calibration(
     prefix = "calibration."
     own = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
     return Calibration.restore(sensor.n_rays, header["calibration"], own)
+
+
+def _cells(
+    sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+) -> Cells | None:
+    """Restore the cells, if there are any."""
+    if "cells" not in header:
+        return None
+    own = {name.removeprefix("cells."): array for name, array in arrays.items() if name.startswith("cells.")}
+    return Cells.restore(sensor, header["cells"], own)
 
 
 _TYPES: dict[str, type] = {"first": np.intp, "neighbour": np.intp}
