@@ -130,7 +130,7 @@ def named_arena(name: str) -> Arena:
         )
     if name.endswith(".sensorgraph"):
         from sensorgraph.graph import Sensorgraph
-        from sensorgraph.identified_arena import arena_of
+        from sensorgraph.world.identified_arena import arena_of
 
         return arena_of(Sensorgraph.load(Path(name)))
     return maps.load(Path(name))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from sensorgraph.models.base import Bools, Floats, Ints
-from sensorgraph.models.face_march import MOST, FaceSet, gather, index
+from sensorgraph.models.face_march import ROOM, FaceSet, gather, index
 from sensorgraph.models.kernel import kernel
 from sensorgraph.models.ray_terms import N_SHARED, RayTerms, incidence_bias, shared_terms
 from sensorgraph.models.visibility import Noise, variance
@@ -314,8 +314,8 @@ def _match(
     values: Any,
 ) -> Any:
     normals, _, first, _, levels, _, _ = faces
-    r, t = np.empty(MOST), np.empty(MOST)
-    k, j = np.empty(MOST, np.int64), np.empty(MOST, np.int64)
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
     for i in range(len(ranges)):
         z = ranges[i]
         if z > 1e300:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sensorgraph.models.base import Bools, Floats, Ints
-from sensorgraph.models.face_march import FAINT, MOST, FaceSet, gather, index
+from sensorgraph.models.face_march import FAINT, ROOM, FaceSet, gather, index
 from sensorgraph.models.kernel import kernel
 from sensorgraph.models.visibility import Noise, Rays, share
 
@@ -122,9 +122,9 @@ def _events(
     size = 3 * len(ranges) + 64
     face, at = np.empty(size, np.int32), np.empty(size)
     stop, weight = np.empty(size), np.empty(size)
-    r, t = np.empty(MOST), np.empty(MOST)
-    k, j = np.empty(MOST, np.int64), np.empty(MOST, np.int64)
-    gamma, survive = np.empty(MOST), np.empty(MOST)
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+    gamma, survive = np.empty(ROOM), np.empty(ROOM)
     count = 0
     for i in range(len(ranges)):
         qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sensorgraph.models.face_march import MOST, gather
+from sensorgraph.models.face_march import ROOM, gather
 from sensorgraph.models.kernel import kernel
 from sensorgraph.models.ray_terms import incidence_bias
 
@@ -36,8 +36,8 @@ def draw_rays(
     The laser adds what its terms say (`constant`, `slope`, `incidence`), and `sigma` [m] times `normal`. Edges are blurred by what is not known of them, as in a prediction.
     """
     normals, _, first, edges, levels, blur, neighbour = faces
-    r, t = np.empty(MOST), np.empty(MOST)
-    k, j = np.empty(MOST, np.int64), np.empty(MOST, np.int64)
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
     for i in range(len(x)):
         for b in range(len(cos_b)):
             ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]

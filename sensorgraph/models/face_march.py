@@ -17,6 +17,8 @@ BUCKET = 0.8  # [m] uncritical: 0.3 to 1.2 are alike
 MARGIN = 0.02  # [m] beyond its ends a face is still offered, so that a blurred end can be seen
 FAINT = 0.003  # visibility below which a stretch is not there
 MOST = 96  # candidates of one ray
+ROOM = MOST + 1  # length of the arrays they are listed in
+SURELY = 0.01  # [m] off its ends a ray that meets a face's back has come through what is solid
 
 
 class FaceSet(NamedTuple):
@@ -167,13 +169,15 @@ def gather(
 ) -> Any:
     """List the faces that a ray crosses up to `reach` [m], nearest first.
 
-    Fills range r, face k, edge j before the crossing and abscissa t; stops early once the chance of
-    getting so far is under `least`. Returns how many.
+    Fills range r, face k, edge j before the crossing and abscissa t, arrays of length `ROOM`; stops early once
+    the chance of getting so far is under `least`. Returns how many. r[MOST] is the range at which the ray meets
+    a face from behind: it can only come from where nobody has looked.
     """
     normals, offsets, first, edges, levels, _, _ = faces
     origin, shape, start, members = buckets
     nx, ny = shape
     n = 0
+    r[MOST] = 1e300
     enter, leave = 0.0, reach
     for axis in range(2):
         p = (qx if axis == 0 else qy) - origin[axis]
@@ -208,6 +212,19 @@ def gather(
         for m in range(start[bucket], start[bucket + 1]):
             f = members[m]
             den = normals[f, 0] * ux + normals[f, 1] * uy
+            if den > 1e-6:
+                above = offsets[f] - normals[f, 0] * qx - normals[f, 1] * qy
+                if r_in * den <= above < r_out * den and above < r[MOST] * den:
+                    rho = above / den
+                    s = -normals[f, 1] * (qx + rho * ux) + normals[f, 0] * (qy + rho * uy)
+                    at = place(edges, first[f], first[f + 1], s)
+                    if (
+                        first[f] <= at < first[f + 1] - 1
+                        and levels[at] > 0.5
+                        and edges[at] + SURELY < s < edges[at + 1] - SURELY
+                    ):
+                        r[MOST] = rho
+                continue
             if den > -1e-6:
                 continue
             above = offsets[f] - normals[f, 0] * qx - normals[f, 1] * qy

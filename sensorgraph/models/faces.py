@@ -24,7 +24,7 @@ from sensorgraph.models.cells import Cells
 from sensorgraph.models.crossed import Crossed, is_crossed
 from sensorgraph.models.face_draw import draw_rays
 from sensorgraph.models.face_fit import STEPS, Steps, fit_faces
-from sensorgraph.models.face_march import FAINT, MOST, FaceSet, gather, index
+from sensorgraph.models.face_march import FAINT, MOST, ROOM, FaceSet, gather, index
 from sensorgraph.models.face_memory import Memory
 from sensorgraph.models.face_update import update_faces
 from sensorgraph.models.kernel import kernel
@@ -428,9 +428,9 @@ def _predict(
     supported: Any,
 ) -> Any:
     normals, _, first, edges, levels, blur, neighbour = faces
-    r, t = np.empty(MOST), np.empty(MOST)
-    k, j = np.empty(MOST, np.int64), np.empty(MOST, np.int64)
-    rho, w, s = np.empty(MOST), np.empty(MOST), np.empty(MOST)
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+    rho, w, s = np.empty(ROOM), np.empty(ROOM), np.empty(ROOM)
     for i in range(len(x)):
         for b in range(len(cos_b)):
             ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
@@ -474,4 +474,4 @@ def _predict(
                     rho, w, s, c, left, range_max, which
                 )
             reach = range_max if row[4] > 0.5 else row[1] - SHORT_OF
-            supported[i, b] = is_crossed(x[i], y[i], ux, uy, reach, origin, cell, counts)
+            supported[i, b] = r[MOST] > reach and is_crossed(x[i], y[i], ux, uy, reach, origin, cell, counts)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sensorgraph.models.base import Floats
-from sensorgraph.models.face_march import MOST, FaceSet, gather, index
+from sensorgraph.models.face_march import ROOM, FaceSet, gather, index
 from sensorgraph.models.kernel import kernel
 from sensorgraph.models.selection import Lines
 from sensorgraph.models.visibility import STEEP, Noise, Rays, lines_of, share, variance
@@ -123,9 +123,9 @@ def _hits(
     n_rays = len(ranges)
     face, at = np.empty(n_rays, np.int32), np.empty(n_rays)
     off, weight = np.empty(n_rays), np.empty(n_rays)
-    r, t = np.empty(MOST), np.empty(MOST)
-    k, j = np.empty(MOST, np.int64), np.empty(MOST, np.int64)
-    gamma, survive = np.empty(MOST), np.empty(MOST)
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+    gamma, survive = np.empty(ROOM), np.empty(ROOM)
     normals = faces[0]
     count = 0
     for i in range(n_rays):

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from sensorgraph.models.base import Floats, Ints
-from sensorgraph.models.face_march import MARGIN, MOST, Buckets, FaceSet, gather, index
+from sensorgraph.models.face_march import MARGIN, ROOM, Buckets, FaceSet, gather, index
 from sensorgraph.models.kernel import kernel
 from sensorgraph.models.selection import Lines
 
@@ -280,9 +280,9 @@ def _expect(
     total: Any,
 ) -> Any:
     normals, _, first, _, levels, _, _ = faces
-    r, t = np.empty(MOST), np.empty(MOST)
-    k, j = np.empty(MOST, np.int64), np.empty(MOST, np.int64)
-    gamma, survive = np.empty(MOST), np.empty(MOST)
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+    gamma, survive = np.empty(ROOM), np.empty(ROOM)
     for i in range(len(ranges)):
         qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
         reach = range_max if z > 1e300 else z + 0.08 + 6 * np.sqrt(noise[0])
