@@ -17,9 +17,9 @@ from sensorgraph.build import build
 from sensorgraph.cli import run as command
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.identified_arena import arena_of
 from sensorgraph.identified_world import IdentifiedWorld
 from sensorgraph.plan_folder import save
+from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot_file import RobotFile, default
 

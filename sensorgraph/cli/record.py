@@ -116,9 +116,9 @@ def _record_in_graph(
     from sensorgraph.errors import GapError
     from sensorgraph.figures import tracks_picture
     from sensorgraph.graph import Sensorgraph
-    from sensorgraph.identified_arena import arena_of
     from sensorgraph.identified_world import PLAN, IdentifiedWorld, record_in
     from sensorgraph.world.clearance import WallDistance
+    from sensorgraph.world.identified_arena import arena_of
 
     known = (PLAN, *CONTROLLERS)
     for name in controllers:
