@@ -106,6 +106,7 @@ class _View:
         self.incidence = np.where(self.seen, np.nan_to_num(beams.incidence), 0.0)
         self.range = np.where(self.seen, self.reading, 0.0)
         self.n_seen = int(self.seen.sum())
+        self._projected: dict[frozenset[str], Floats] = {}
 
     def need(self, amendment: Amendment) -> float:
         """Return the nats that the name takes."""
@@ -121,6 +122,22 @@ class _View:
         held = self.solver.locked.copy()
         held[[DENSE.index(name) for name in own]] = True
         return held
+
+    def projected(self, own: Sequence[str]) -> Floats:
+        """Return the information (n_g, n_g) that is left when the nuisances took their share, copies `own` held."""
+        key = frozenset(own)
+        if key not in self._projected:
+            free = ~self.locked(own)
+            matrix = self.system.matrix
+            k = len(matrix)
+            rest = np.concatenate([free, np.ones(k - self.n, dtype=np.bool_)])
+            inner = matrix[np.ix_(rest, rest)].copy()
+            inner[np.diag_indices_from(inner)] += np.concatenate(
+                [1 / self.tau[free] ** 2, np.full(k - self.n, 1e-9)]
+            )
+            across = matrix[rest][:, : self.n]
+            self._projected[key] = matrix[: self.n, : self.n] - across.T @ np.linalg.solve(inner, across)
+        return self._projected[key]
 
     def nats(self, shift: Floats, free: Floats | None = None, own: Sequence[str] = ()) -> float:
         """Return the evidence expected if the truth is off by `shift` (n_g,) and a model lacks it.
@@ -530,23 +547,16 @@ def _compare(
     correlation, strength = _correlation(view, shift, others, own)
     if strength < 1.0 or (correlation < ALIKE and not shown):
         return None
+    if correlation < ALIKE and strength * (1 - correlation**2) > view.threshold:
+        return None  # boxes on the nuisances can only leave more
     nats = view.nats(shift, others, own)
     return (correlation, nats) if correlation >= ALIKE or nats < view.threshold else None
 
 
 def _correlation(view: _View, x: Floats, others: Floats, own: Sequence[str]) -> tuple[float, float]:
     """Return how one column correlates with the span of others, nuisances projected out, and its own nats."""
-    free = ~view.locked(own)
-    matrix = view.system.matrix
-    k = len(matrix)
-    columns = np.zeros((k, 1 + others.shape[1]))
-    columns[: view.n, 0], columns[: view.n, 1:] = x, others
-    rest = np.concatenate([free, np.ones(k - view.n, dtype=np.bool_)])
-    inner = matrix[np.ix_(rest, rest)].copy()
-    prior = np.concatenate([1 / view.tau[free] ** 2, np.full(k - view.n, 1e-9)])
-    inner[np.diag_indices_from(inner)] += prior
-    cross = (matrix @ columns)[rest]
-    f = columns.T @ matrix @ columns - cross.T @ np.linalg.solve(inner, cross)
+    columns = np.column_stack([x, others])
+    f = columns.T @ view.projected(own) @ columns
     explained = f[0, 1:] @ np.linalg.lstsq(f[1:, 1:], f[1:, 0], rcond=1e-9)[0]
     share = float(np.clip(explained / max(f[0, 0], 1e-300), 0.0, 1.0))
     return float(np.sqrt(share)), float(0.5 * f[0, 0])
