@@ -58,6 +58,8 @@ class Task:
     duration: float | None
     """[s] for planners that never finish."""
     progress: Progress | None
+    targets: Floats | None = None
+    """(n, 3) [m, m, rad] poses to visit, for the planner of views."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

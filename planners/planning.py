@@ -23,6 +23,7 @@ from planners.reach import Reach, reach
 from planners.robot import Robot
 from planners.steering import Curve
 from planners.trajectory import Trajectory
+from planners.views_planner import plan_views
 
 logger = logging.getLogger(__name__)
 
@@ -30,6 +31,7 @@ PLANNERS: dict[str, Callable[[Task], Driven]] = {
     "coverage": plan_coverage,
     "random_bounce": baselines.random_bounce,
     "wall_following": baselines.wall_following,
+    "views": plan_views,
 }
 
 MARGIN = 0.02
@@ -75,6 +77,7 @@ def plan(
     margin: float = MARGIN,
     priority: Floats | Callable[[Coverage], Floats] | None = None,
     visited: Floats | None = None,
+    targets: Floats | Callable[[Reach], Floats] | None = None,
     duration: float | None = None,
     progress: Progress | None = None,
 ) -> Plan:
@@ -88,6 +91,7 @@ def plan(
     rate : [Hz] at which poses are logged; a bin counts when a logged pose falls in it
     priority : (nx, ny, n_phi) higher comes earlier; or what makes it from the empty grid
     visited : (n, 3) [m, m, rad] poses of earlier runs, whose bins need no visit
+    targets : (n, 3) [m, m, rad] poses that the planner `views` visits; or what chooses them within reach
     duration : [s] of the baselines, which never finish; default: the reference time of the coverage planner
     """
     began = time.perf_counter()
@@ -101,8 +105,8 @@ def plan(
     x0, y0, x1, y1 = arena.bounds
     if cell > max(x1 - x0, y1 - y0):
         raise PlanError(f"cell is {cell:g} m, larger than the whole arena; expected metres, such as 0.25")
-    if duration is not None and planner == "coverage":
-        raise PlanError("the coverage planner drives until all is covered; duration is for the baselines")
+    if duration is not None and planner in ("coverage", "views"):
+        raise PlanError(f"the planner {planner} drives until all is visited; duration is for the baselines")
     barriers = Barriers(arena)
     free = reach(arena, barriers, clearance=robot.footprint_radius + margin, cell=float(cell), start=start)
     grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
@@ -116,6 +120,8 @@ def plan(
         raise PlanError(f"priority has shape {np.shape(priority)}, expected {grid.counts.shape}")
     if visited is not None:
         grid.add(np.asarray(visited, dtype=np.float64).reshape(-1, 3))
+    if (targets is None) != (planner != "views"):
+        raise PlanError(f"targets are for the planner views, and views needs them; the planner is {planner}")
     task = Task(
         arena=arena,
         robot=robot,
@@ -128,12 +134,14 @@ def plan(
         priority=priority,
         duration=duration if duration is not None else reference_time(grid, robot),
         progress=progress,
+        targets=targets(free) if callable(targets) else targets,
     )
     driven = PLANNERS[planner](task)
     trajectory = driven.curve.trajectory()
     before = grid.fraction
     grid.add(driven.curve.log(rate))
     report = _report(task, driven, trajectory, planner) | {
+        **({} if task.targets is None else {"views": task.targets.round(6).tolist()}),
         "coverage_before": before,
         "planning_s": round(time.perf_counter() - began, 3),
     }

@@ -17,6 +17,12 @@ def plan(
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write the plan to.")],
     robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")] = None,
     planner: Annotated[str, typer.Option(help="coverage, random_bounce or wall_following.")] = "coverage",
+    views: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Instead of filling (x, y, φ), visit so many poses: those that show most surface."
+        ),
+    ] = None,
     cell: Annotated[float, typer.Option(help="Side of a position cell, in m.")] = 0.25,
     headings: Annotated[int, typer.Option(help="Heading bins of a full turn.")] = 16,
     start: Annotated[
@@ -43,6 +49,8 @@ def plan(
       sensorgraph plan lab.geojson --robot robot.yaml --cell 0.2 --start 1.0,0.5,0 -o runs/lab
 
       sensorgraph plan square --priority lab.sensorgraph -o runs/next
+
+      sensorgraph plan office --views 100 -o runs/views
     """
     from functools import partial
 
@@ -53,12 +61,19 @@ def plan(
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.plan_folder import save
     from sensorgraph.priority import doubt
+    from sensorgraph.views import views_within
 
     if out.exists() and not out.is_dir():
         raise PlanError(f"{out} is a file; give a folder to write the plan to")
     world, machine = named_arena(arena), named_robot(robot)
     visited = None if resume is None else _visited(resume)
-    wanted = None if priority is None else partial(doubt, Sensorgraph.load(priority))
+    graph = None if priority is None else Sensorgraph.load(priority)
+    targets = None
+    if views is not None:
+        planner = _planner_of_views(planner, resume)
+        targets = partial(views_within, n=views, arena=world, sensor=machine.sensor, graph=graph, seed=seed)
+    elif planner == "views":
+        raise PlanError("the planner views needs to know how many; give --views N")
     with progress("planning", "stops") as tick:
         made = make_plan(
             world,
@@ -71,7 +86,8 @@ def plan(
             rate=machine.sensor.rate,
             duration=duration,
             visited=visited,
-            priority=wanted,
+            priority=None if graph is None or targets is not None else partial(doubt, graph),
+            targets=targets,
             progress=tick,
         )
     made.report["arena"] = Path(arena).name
@@ -87,13 +103,27 @@ def plan(
     typer.echo(f"wrote {out}")
 
 
+def _planner_of_views(planner: str, resume: Path | None) -> str:
+    """Return the planner that --views means; refuse what does not go with it."""
+    from planners.errors import PlanError
+
+    if planner not in ("coverage", "views"):
+        raise PlanError(f"--views has its own planner; leave out --planner {planner}")
+    if resume is not None:
+        raise PlanError(
+            "--resume is for coverage; build a graph from that run, and give it with --priority GRAPH --views N"
+        )
+    return "views"
+
+
 def _summary(report: dict[str, Any]) -> str:
     """Say in one line what a plan achieves."""
     hours, minutes = divmod(round(report["drive_time_s"] / 60), 60)
     joins = report["joins"]
     failed = f", {joins['failed']} failed" if joins["failed"] else ""
+    views = f"{len(report['views']) - joins['failed']:,} views, " if "views" in report else ""
     return (
-        f"{report['covered_cells']:,} of {report['reachable_cells']:,} (x, y, phi) bins "
+        f"{views}{report['covered_cells']:,} of {report['reachable_cells']:,} (x, y, phi) bins "
         f"({100 * report['coverage']:.2f} %) in {hours} h {minutes:02d} min and {report['path_m']:.0f} m, "
         f"{report['ratio']:.2f} of the reference time; {joins['direct']:,} straight joins, "
         f"{joins['planned']} by OMPL{failed}; clearance {report['min_clearance_m']:.3f} m; "

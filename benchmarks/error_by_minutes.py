@@ -1,0 +1,177 @@
+"""What driving buys: error of the graph against minutes driven, for ways of driving with one robot in one place.
+
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.error_by_minutes [--arena office] [--seed 1] [--out docs/error_by_minutes.png]
+
+Each way is planned, driven by the embedded robot (lag, slip, noise of robot.yaml) and scanned; graphs are built from
+its first minutes. A graph is asked for 1,000 fresh poses spread evenly over the floor and all headings. `views` are
+planned for each length anew, since a tour is worth most at its end; the others are one drive, cut. With `--thin` n
+only every n-th scan is built from.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from logs.run import Run
+from planners import plan
+from planners.arena import Arena
+from planners.trajectory import Trajectory
+from sensorgraph.build import build
+from sensorgraph.cli.inputs import named_arena
+from sensorgraph.demo import check_run
+from sensorgraph.evaluate import Evaluation, evaluate
+from sensorgraph.figures import INK, SOLID, new_figure, quiet, save_figure
+from sensorgraph.world.clearance import WallDistance
+from sensorgraph.world.drive import follow
+from sensorgraph.world.robot_file import RobotFile, default
+from sensorgraph.world.simulate import simulate
+
+MINUTES = (2, 5, 10, 20, 40)
+SECONDS_A_VIEW = 10.0
+"""Of a tour through the office, about; the tour is cut where it takes longer."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One graph: how it was driven for, how long, and how good it is on fresh poses."""
+
+    way: str
+    minutes: float
+    scans: int
+    wrong: float
+    """Share of all rays more than 5 cm off."""
+    answered: float
+    wrong_of_answered: float
+    median: float
+    """[m]"""
+
+
+def ways(arena: Arena, robot: RobotFile, seed: int, thin: int) -> dict[str, Callable[[float], Run]]:
+    """Return ways of driving: minutes -> the run of so many minutes."""
+
+    def one_drive(planner: str, cell: float) -> Callable[[float], Run]:
+        runs: list[Run] = []
+
+        def cut(minutes: float) -> Run:
+            if not runs:
+                duration = None if planner == "coverage" else 60.0 * max(MINUTES)
+                made = plan(
+                    arena, robot.robot, planner=planner, cell=cell, seed=seed, rate=robot.sensor.rate, duration=duration
+                )  # fmt: skip
+                runs.append(drive_and_scan(made.trajectory, max(MINUTES), arena, robot, seed))
+            return first(runs[0], minutes, thin)
+
+        return cut
+
+    return {
+        "coverage, 0.25 m cells": one_drive("coverage", 0.25),
+        "coverage, 1 m cells": one_drive("coverage", 1.0),
+        "random bounce": one_drive("random_bounce", 0.25),
+        "wall following": one_drive("wall_following", 0.25),
+    }
+
+
+def drive_and_scan(trajectory: Trajectory, minutes: float, arena: Arena, robot: RobotFile, seed: int) -> Run:
+    """Drive the first minutes of a trajectory (all of it where it is shorter) and log."""
+    keep = trajectory.stamps <= 60.0 * minutes
+    part = replace(
+        trajectory,
+        stamps=trajectory.stamps[keep],
+        poses=trajectory.poses[keep],
+        twists=trajectory.twists[keep],
+        primitives=trajectory.primitives[keep],
+    )
+    rng = np.random.default_rng(seed)
+    driven = follow(part, robot, clearance=WallDistance(arena), rng=rng)
+    return simulate(driven, arena, robot, rng=rng, seed=seed)
+
+
+def first(run: Run, minutes: float, thin: int) -> Run:
+    """Return every `thin`-th scan of the first minutes."""
+    keep = np.flatnonzero(run.stamps <= 60.0 * minutes)[::thin]
+    return replace(run, stamps=run.stamps[keep], ranges=run.ranges[keep])
+
+
+def row(way: str, run: Run, found: Evaluation) -> Row:
+    """Collect the numbers of one graph."""
+    wrong, of_answered, median = (
+        found.all["wrong_5cm"],
+        found.answered_only["wrong_5cm"],
+        found.all["median_m"],
+    )
+    assert wrong is not None and of_answered is not None and median is not None
+    return Row(
+        way=way,
+        minutes=float(run.stamps[-1]) / 60,
+        scans=run.n_scans,
+        wrong=wrong,
+        answered=found.answered,
+        wrong_of_answered=of_answered,
+        median=median,
+    )
+
+
+def picture(rows: list[Row], path: Path) -> None:
+    """Draw the share wrong and the share answered against minutes, a line for each way of driving."""
+    figure = new_figure(9.0, 3.4)
+    left, right = figure.subplots(1, 2)
+    colours = dict(
+        zip(
+            dict.fromkeys(r.way for r in rows),
+            ("#7fb8c4", "#2a788e", "#c9892b", "#8b90a0", "#d1345b"),
+            strict=False,
+        )
+    )
+    for way, colour in colours.items():
+        own = [r for r in rows if r.way == way]
+        minutes = [r.minutes for r in own]
+        style = {"color": colour, "lw": 1.8, "marker": "o", "ms": 4}
+        left.plot(minutes, [100 * r.wrong for r in own], label=way, **style)
+        right.plot(minutes, [100 * r.answered for r in own], **style)
+    left.set_yscale("log")
+    left.set_ylabel("rays wrong by more than 5 cm [%]", color=INK)
+    right.set_ylabel("rays answered [%]", color=INK)
+    for axes in (left, right):
+        axes.set_xscale("log")
+        axes.set_xticks(MINUTES, [str(m) for m in MINUTES])
+        axes.minorticks_off()
+        axes.set_xlabel("driven [min]", color=INK)
+        axes.grid(color=SOLID, lw=0.6)
+        quiet(axes)
+    left.legend(frameon=False, fontsize=8, labelcolor=INK)
+    save_figure(figure, path)
+
+
+def main() -> None:
+    """Drive, build, ask; print a table and draw it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--arena", default="office")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--thin", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("docs/error_by_minutes.png"))
+    options = parser.parse_args()
+    arena, robot = named_arena(options.arena), default()
+    check = check_run(arena, robot, np.random.default_rng([options.seed, 99]))
+    rows: list[Row] = []
+    print("| driven by | minutes | scans | wrong by > 5 cm | answered | of these wrong | median error |")
+    print("|---|---:|---:|---:|---:|---:|---:|")
+    for way, drive in ways(arena, robot, options.seed, options.thin).items():
+        for minutes in MINUTES:
+            run = drive(minutes)
+            rows.append(row(way, run, evaluate(build([run], names=[way]), check)))
+            r = rows[-1]
+            print(
+                f"| {way} | {r.minutes:.1f} | {r.scans:,} | {100 * r.wrong:.2f} % | {100 * r.answered:.1f} % | "
+                f"{100 * r.wrong_of_answered:.2f} % | {100 * r.median:.2f} cm |",
+                flush=True,
+            )
+    picture(rows, options.out)
+
+
+if __name__ == "__main__":
+    main()
