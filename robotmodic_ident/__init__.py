@@ -1,8 +1,9 @@
 """Which law the numbers follow: polynomial, ARMAX and NARMAX identification; knows no robot."""
 
-from robotmodic_ident.bases import BASES, fourier, polynomial
+from robotmodic_ident.bases import BASES, bspline, chebyshev, fourier, legendre, polynomial, wavelet
 from robotmodic_ident.errors import IdentError
-from robotmodic_ident.model import Narmax, fit
+from robotmodic_ident.fit import fit
+from robotmodic_ident.model import Narmax
 from robotmodic_ident.moments import Moments
 from robotmodic_ident.records import Lagged, Record, lagged, lags
 from robotmodic_ident.scale import Scale
@@ -19,10 +20,14 @@ __all__ = [
     "Scale",
     "Selection",
     "Terms",
+    "bspline",
+    "chebyshev",
     "fit",
     "fourier",
     "lagged",
     "lags",
+    "legendre",
     "polynomial",
     "select",
+    "wavelet",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from math import comb
 
@@ -24,6 +25,7 @@ def expand(terms: Terms, theta: Sequence[float] | Floats, scale: Scale) -> tuple
     -------
     terms in the user's variables; theta (n,); map (n, len(terms)) from scaled to expanded coefficients.
     Where every variable is only divided by its width, terms keep their places and the map is diagonal.
+    A spline, wavelet or orthogonal polynomial stays one function, with its domain in its name.
     """
     total: Polynomial = {}
     names: dict[frozenset[Factor], Term] = {}
@@ -45,6 +47,8 @@ def _expand_term(term: Term, scale: Scale) -> Polynomial:
     result: Polynomial = {(): Fraction(1)}
     for f in term:
         centre, width = map(Fraction, scale.pair(f.variable))
+        if f.is_shape and f.domain is None and f.variable in scale.variables:
+            f = replace(f, domain=scale.pair(f.variable))
         if f.function or (centre == 0 and width == 1):
             powers: dict[int, Fraction] = {f.power: Fraction(1)}
         else:
@@ -57,7 +61,7 @@ def _expand_term(term: Term, scale: Scale) -> Polynomial:
                 down /= width
             powers = {i: comb(p, i) * shift[p - i] * down for i in range(p + 1)}
         result = {
-            head + ((Factor(f.variable, f.lag, i, f.function, f.harmonic),) if i else ()): value * factor
+            head + ((replace(f, power=i),) if i else ()): value * factor
             for head, value in result.items()
             for i, factor in powers.items()
             if factor

@@ -4,27 +4,34 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.expand import expand
-from robotmodic_ident.moments import Moments
-from robotmodic_ident.records import Record, as_records, lagged
+from robotmodic_ident.records import Record, as_records
+from robotmodic_ident.recursion import Recursion, Stretch
 from robotmodic_ident.scale import UNSCALED, Scale
-from robotmodic_ident.select import Criterion, Selection, select
-from robotmodic_ident.terms import Factor, Floats, Terms
+from robotmodic_ident.select import Selection
+from robotmodic_ident.terms import CONSTANT, Floats, Terms
 
 FORMAT = "robotmodic-narmax-1"
+NO_TERMS = Terms(())
+ONE = Terms.parse(CONSTANT)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Narmax:
-    """A polynomial model of one output; without lagged inputs it is a static equation."""
+    """A model of one output; without lagged inputs it is a static equation.
+
+    ŷ(k) = Σ theta * terms / (1 + Σ denominator_theta * denominator) + Σ noise_theta * noise_terms, where
+    noise terms hold e(k-1), ...: what the one-step prediction left unexplained. Mostly both are empty.
+    """
 
     output: str
     """Name of the output, as the terms call it."""
@@ -32,7 +39,7 @@ class Narmax:
     theta: Floats
     """(n_terms,) coefficients of the scaled terms."""
     covariance: Floats
-    """(n_terms, n_terms) of theta."""
+    """(n_parameters, n_parameters) of theta, then denominator_theta, then noise_theta."""
     err: Floats
     """(n_terms,) error reduction ratio when the term was chosen, 0...1."""
     sigma: float
@@ -42,12 +49,29 @@ class Narmax:
     scale: Scale = field(default=UNSCALED)
     stop: str = "n_terms"
     """Why the selection ended."""
+    denominator: Terms = NO_TERMS
+    """Of a rational model, without its constant 1."""
+    denominator_theta: Floats = field(default_factory=lambda: np.empty(0))
+    """(len(denominator),)"""
+    noise_terms: Terms = NO_TERMS
+    """Terms with past noise e(k-1), kept in the predictor."""
+    noise_theta: Floats = field(default_factory=lambda: np.empty(0))
+    """(len(noise_terms),)"""
+    estimator: str = "ls"
+    """`ls`, `els`, `pem` (prediction error) or `simulation` (error of the free run)."""
+    notes: tuple[str, ...] = ()
+    """What the user should know: dependent terms left out, few samples, ..."""
 
     def __post_init__(self) -> None:
         k = len(self.terms)
-        shapes = (self.theta.shape, self.covariance.shape, self.err.shape)
-        if shapes != ((k,), (k, k), (k,)):
-            raise ValueError(f"theta, covariance, err have shapes {shapes} with {k} terms")
+        shapes = (self.theta.shape, self.err.shape, self.denominator_theta.shape, self.noise_theta.shape)
+        if shapes != ((k,), (k,), (len(self.denominator),), (len(self.noise_terms),)):
+            raise ValueError(
+                f"theta, err, denominator_theta, noise_theta have shapes {shapes} with {k} terms"
+            )
+        n = len(self.parameters)
+        if self.covariance.shape != (n, n):
+            raise ValueError(f"covariance has shape {self.covariance.shape}, expected ({n}, {n})")
 
     @classmethod
     def of(cls, selection: Selection, index: int, output: str) -> Narmax:
@@ -66,14 +90,37 @@ class Narmax:
         )
 
     @property
+    def parameters(self) -> Floats:
+        """(n_parameters,) theta, denominator_theta, noise_theta."""
+        return np.concatenate([self.theta, self.denominator_theta, self.noise_theta])
+
+    @property
     def stderr(self) -> Floats:
         """(n_terms,) standard error of theta."""
-        return np.sqrt(np.diagonal(self.covariance))
+        return np.sqrt(np.diagonal(self.covariance))[: len(self.terms)]
+
+    @property
+    def denominator_stderr(self) -> Floats:
+        """(len(denominator),) standard error of denominator_theta."""
+        first = len(self.terms)
+        return np.sqrt(np.diagonal(self.covariance))[first : first + len(self.denominator)]
+
+    @property
+    def noise_stderr(self) -> Floats:
+        """(len(noise_terms),) standard error of noise_theta."""
+        return np.sqrt(np.diagonal(self.covariance))[len(self.terms) + len(self.denominator) :]
 
     @property
     def is_dynamic(self) -> bool:
         """Tell whether any term has a lag."""
-        return any(f.lag is not None for term in self.terms for f in term)
+        groups = (self.terms, self.denominator, self.noise_terms)
+        return any(f.lag is not None for terms in groups for term in terms for f in term)
+
+    def recursion(self) -> Recursion:
+        """Return the model prepared to run."""
+        return Recursion(
+            self.output, self.terms, self.denominator, self.noise_terms, self.scale, self.parameters
+        )
 
     def in_user_units(self) -> Narmax:
         """Return the same model with the scaling multiplied out.
@@ -82,113 +129,94 @@ class Narmax:
         have none (nan).
         """
         terms, theta, linear = expand(self.terms, self.theta, self.scale)
-        kept = terms.names == self.terms.names
+        below, below_theta, below_linear = expand(self.denominator, self.denominator_theta, self.scale)
+        noise, noise_theta, noise_linear = expand(self.noise_terms, self.noise_theta, self.scale)
+        constant = [i for i, name in enumerate(below.names) if name == CONSTANT]
+        if constant:  # centring puts a constant below the line: divide by 1 + it to have 1 there again
+            raise IdentError(
+                "a rational model of centred variables has no form in the user's units; do not centre"
+            )
+        total = block_diag(linear, below_linear, noise_linear)
         return replace(
             self,
             terms=terms,
             theta=theta,
-            covariance=linear @ self.covariance @ linear.T,
-            err=self.err if kept else np.full(len(terms), np.nan),
+            covariance=total @ self.covariance @ total.T,
+            err=self.err
+            if len(terms) == len(self.terms) and not any(self.scale.centres)
+            else np.full(len(terms), np.nan),
             scale=UNSCALED,
+            denominator=below,
+            denominator_theta=below_theta,
+            noise_terms=noise,
+            noise_theta=noise_theta,
         )
 
     def equation(self, *, digits: int = 6, scaled: bool = False) -> str:
         """Print the model; in the user's units, or in the scaled variables if `scaled`."""
-        terms, theta = (self.terms, self.theta) if scaled else expand(self.terms, self.theta, self.scale)[:2]
+        model = self if scaled else self.in_user_units()
         left = f"{self.output}(k)" if self.is_dynamic else self.output
-        return f"{left} = {sum_text(terms, theta, digits=digits)}"
+        text = sum_text(model.terms, model.theta, digits=digits)
+        if len(model.denominator):
+            below = sum_text(ONE + model.denominator, np.r_[1.0, model.denominator_theta], digits=digits)
+            text = f"({text}) / ({below})"
+        if len(model.noise_terms):
+            tail = sum_text(model.noise_terms, model.noise_theta, digits=digits)
+            text += f" - {tail[1:]}" if tail.startswith("-") else f" + {tail}"
+        return f"{left} = {text}"
 
     def predict_osa(self, record: Record | Mapping[str, Floats]) -> Floats:
-        """Predict each sample from the measured past (n,); nan where that is not known."""
-        (record,) = as_records(record)
-        out = np.full(len(record), np.nan)
-        signals = dict(record.signals)
-        name = self.output if self.output in signals else next(iter(signals))  # static: any signal will do
-        rows = lagged(
-            Record(signals=signals, stamps=record.stamps, max_gap=record.max_gap), self.terms, [name]
-        )
-        out[rows.sample] = self.terms.matrix(rows.columns, self.scale, n=len(rows.sample)) @ self.theta
-        return out
+        """Predict each sample from the measured past and the noise found in it (n,); nan where not known."""
+        return self._predict(record, lambda recursion, stretch: recursion.run(stretch, free=False)[0])
 
     def predict_mpo(self, record: Record | Mapping[str, Floats]) -> Floats:
         """Predict in free run (n,): past outputs are predictions, measured ones only start each stretch.
 
-        The first `max_lag` samples of a stretch are nan. Where an input is not known the prediction stops,
-        and starts again from measured outputs.
+        The first `max_lag` samples of a stretch are nan; noise terms count as 0. Where an input is not known the
+        prediction stops, and starts again from measured outputs.
         """
+        return self._predict(record, lambda recursion, stretch: recursion.run(stretch, free=True)[0])
+
+    def predict_k(self, record: Record | Mapping[str, Floats], steps: int) -> Floats:
+        """Predict each sample from what was measured up to `steps` samples before it (n,); inputs are known."""
+        if steps < 1:
+            raise ValueError(f"steps is {steps}, expected 1 or more")
+        return self._predict(record, lambda recursion, stretch: recursion.run_ahead(stretch, steps))
+
+    def residuals(self, record: Record | Mapping[str, Floats]) -> Floats:
+        """Return measured - predict_osa (n,)."""
         (record,) = as_records(record)
-        if self.output not in {f.variable for term in self.terms for f in term}:
-            return self.predict_osa(record)
+        return np.asarray(record.signals[self.output], dtype=np.float64) - self.predict_osa(record)
+
+    def _predict(
+        self, record: Record | Mapping[str, Floats], run: Callable[[Recursion, Stretch], Floats]
+    ) -> Floats:
+        (record,) = as_records(record)
         out = np.full(len(record), np.nan)
-        measured = np.asarray(record.signals[self.output], dtype=np.float64)
-        fixed, feedback = self._split(record)
-        for piece in record.segments():
-            self._free_run(out[piece], measured[piece], fixed[piece], feedback)
+        recursion = self.recursion()
+        for stretch in recursion.stretches(record):
+            out[stretch.piece] = run(recursion, stretch)
         return out
-
-    def _split(self, record: Record) -> tuple[Floats, list[list[tuple[int, Callable[[float], float]]]]]:
-        """Return what each term owes to inputs (n, n_terms), and its factors of past outputs."""
-        n = len(record)
-        fixed = np.ones((n, len(self.terms)))
-        feedback: list[list[tuple[int, Callable[[float], float]]]] = []
-        for j, term in enumerate(self.terms):
-            past: list[tuple[int, Callable[[float], float]]] = []
-            for f in term:
-                if f.variable == self.output:
-                    if not f.lag:
-                        raise IdentError(f"term {self.terms.names[j]} explains {self.output} by itself")
-                    past.append((f.lag, _scalar(f, self.scale)))
-                    continue
-                values = np.full(n, np.nan)
-                lag = f.lag or 0
-                source = np.asarray(record.signals[f.variable], dtype=np.float64)
-                values[lag:] = source[: n - lag] if lag else source
-                fixed[:, j] *= Terms(((f,),)).matrix({f.signal: values}, self.scale)[:, 0]
-            feedback.append(past)
-        return fixed, feedback
-
-    def _free_run(
-        self,
-        out: Floats,
-        measured: Floats,
-        fixed: Floats,
-        feedback: list[list[tuple[int, Callable[[float], float]]]],
-    ) -> None:
-        """Fill `out` (a view of one stretch) sample by sample."""
-        look_back = self.terms.max_lag
-        lags = sorted({lag for past in feedback for lag, _ in past})
-        weights = self.theta.tolist()
-        for k in range(look_back, len(out)):
-            past = {lag: out[k - lag] if np.isfinite(out[k - lag]) else measured[k - lag] for lag in lags}
-            total = 0.0
-            for weight, base, factors in zip(weights, fixed[k].tolist(), feedback, strict=True):
-                value = weight * base
-                for lag, function in factors:
-                    value *= function(past[lag])
-                total += value
-            if not math.isfinite(total):
-                total = math.nan
-            elif abs(total) > 1e150:  # diverged: nothing after it means anything
-                return
-            out[k] = total
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain data."""
-        rows = zip(
-            self.terms.names, self.theta.tolist(), self.stderr.tolist(), self.err.tolist(), strict=True
-        )
+        rows = _rows(self.terms, self.theta, self.stderr)
         return {
             "format": FORMAT,
             "output": self.output,
             "terms": [
-                {"name": a, "theta": b, "stderr": c, "err": None if math.isnan(d) else d}
-                for a, b, c, d in rows
+                {**row, "err": None if math.isnan(err) else err}
+                for row, err in zip(rows, self.err.tolist(), strict=True)
             ],
+            "denominator": _rows(self.denominator, self.denominator_theta, self.denominator_stderr),
+            "noise_terms": _rows(self.noise_terms, self.noise_theta, self.noise_stderr),
             "covariance": self.covariance.tolist(),
             "sigma": self.sigma if math.isfinite(self.sigma) else None,
             "n_samples": self.n_samples,
             "scale": self.scale.to_dict(),
             "stop": self.stop,
+            "estimator": self.estimator,
+            "notes": list(self.notes),
         }
 
     def save(self, path: Path) -> None:
@@ -204,38 +232,46 @@ class Narmax:
             data = json.loads(path.read_text())
             if data["format"] != FORMAT:
                 raise IdentError(f"{path}: format {data['format']!r}, expected {FORMAT!r}")
-            terms = data["terms"]
-            return cls(
-                output=data["output"],
-                terms=Terms.parse(*(t["name"] for t in terms)),
-                theta=np.array([t["theta"] for t in terms], dtype=np.float64),
-                covariance=np.array(data["covariance"], dtype=np.float64).reshape(len(terms), len(terms)),
-                err=np.array([math.nan if t["err"] is None else t["err"] for t in terms], dtype=np.float64),
-                sigma=math.nan if data["sigma"] is None else float(data["sigma"]),
-                n_samples=int(data["n_samples"]),
-                scale=Scale.from_dict(data["scale"]),
-                stop=data["stop"],
-            )
+            return cls._from_dict(data)
         except (KeyError, TypeError, ValueError) as exc:
             if isinstance(exc, IdentError):
                 raise
             raise IdentError(f"{path}: not a model ({exc}); write one with Narmax.save") from exc
 
+    @classmethod
+    def _from_dict(cls, data: Mapping[str, Any]) -> Narmax:
+        terms, theta = _read_rows(data["terms"])
+        denominator, denominator_theta = _read_rows(data.get("denominator", []))
+        noise_terms, noise_theta = _read_rows(data.get("noise_terms", []))
+        n = len(terms) + len(denominator) + len(noise_terms)
+        err = [math.nan if row["err"] is None else row["err"] for row in data["terms"]]
+        return cls(
+            output=data["output"],
+            terms=terms,
+            theta=theta,
+            covariance=np.array(data["covariance"], dtype=np.float64).reshape(n, n),
+            err=np.array(err, dtype=np.float64),
+            sigma=math.nan if data["sigma"] is None else float(data["sigma"]),
+            n_samples=int(data["n_samples"]),
+            scale=Scale.from_dict(data["scale"]),
+            stop=data["stop"],
+            denominator=denominator,
+            denominator_theta=denominator_theta,
+            noise_terms=noise_terms,
+            noise_theta=noise_theta,
+            estimator=data.get("estimator", "ls"),
+            notes=tuple(data.get("notes", ())),
+        )
 
-def _scalar(f: Factor, scale: Scale) -> Callable[[float], float]:
-    """Return a factor as a function of one number; a power that overflows is infinite."""
-    if f.function:
-        wave = math.cos if f.function == "cos" else math.sin
-        return lambda v: wave(f.harmonic * v) ** f.power
-    centre, width = scale.pair(f.variable)
 
-    def power(v: float) -> float:
-        try:
-            return float((v - centre) / width) ** f.power
-        except OverflowError:
-            return math.inf
+def _rows(terms: Terms, theta: Floats, stderr: Floats) -> list[dict[str, Any]]:
+    rows = zip(terms.names, theta.tolist(), stderr.tolist(), strict=True)
+    return [{"name": name, "theta": value, "stderr": spread} for name, value, spread in rows]
 
-    return power
+
+def _read_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[Terms, Floats]:
+    theta = np.array([row["theta"] for row in rows], dtype=np.float64)
+    return Terms.parse(*(row["name"] for row in rows)), theta
 
 
 def sum_text(terms: Terms, theta: Sequence[float] | Floats, *, digits: int = 6) -> str:
@@ -247,32 +283,3 @@ def sum_text(terms: Terms, theta: Sequence[float] | Floats, *, digits: int = 6) 
         sign = "-" if value < 0 else "+"
         parts.append(f"{sign} {body}" if parts else (f"-{body}" if value < 0 else body))
     return " ".join(parts) or "0"
-
-
-def fit(
-    records: Record | Mapping[str, Floats] | Iterable[Record | Mapping[str, Floats]],
-    output: str,
-    terms: Terms,
-    *,
-    n_terms: int | None = None,
-    criterion: Criterion | None = None,
-    err_tol: float = 1e-4,
-    scale: Scale | None = None,
-) -> Narmax:
-    """Identify one output from records by forward selection among `terms`.
-
-    Variables are divided by their largest size but not centred unless `scale` says so: centring keeps
-    the span of a full polynomial but changes which few terms describe it. Without centring the result
-    is in the user's units.
-    """
-    rows = lagged(records, terms, [output])
-    if scale is None:
-        sizes: dict[str, list[Floats]] = {}
-        for term in terms:
-            for f in term:
-                if not f.function:
-                    sizes.setdefault(f.variable, []).append(rows.columns[f.signal])
-        scale = Scale.of({name: np.concatenate(parts) for name, parts in sizes.items()}, centre=False)
-    moments = Moments(terms, 1, scale=scale).add(rows.columns, rows.targets)
-    model = Narmax.of(select(moments, n_terms, criterion=criterion, err_tol=err_tol), 0, output)
-    return model if any(scale.centres) else model.in_user_units()

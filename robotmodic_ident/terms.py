@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,28 +12,38 @@ from numpy.typing import NDArray
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.scale import UNSCALED, Scale
+from robotmodic_ident.shapes import SHAPES, check_shape, evaluate, shape_name
 
 Floats = NDArray[np.float64]
 
 CONSTANT = "1"
 _SIGNAL = r"(?P<variable>[A-Za-z_]\w*)(?:\(\s*k\s*(?:-\s*(?P<lag>\d+)\s*)?(?P<lagged>\)))?"
+_NUMBER = r"\d+\.?\d*(?:e[+-]?\d+)?"
+_WAVE = r"(?P<wave>cos|sin)\(\s*(?:(?P<times>\d+)\s*\*\s*)?"
+_SHAPE = r"(?P<shape>[PTBW])(?P<order>\d+)(?:_(?P<first>\d+))?(?:of(?P<second>\d+))?\((?!\s*k\s*[-)])\s*"
+_DOMAIN = rf"\s*(?P<sign>[+-])\s*(?P<centre>{_NUMBER})\s*\)\s*/\s*(?P<width>{_NUMBER})\s*"
 _FACTOR = re.compile(
-    rf"\s*(?:(?P<function>cos|sin)\(\s*(?:(?P<harmonic>\d+)\s*\*\s*)?)?{_SIGNAL}\s*(?P<close>\))?"
+    rf"\s*(?:{_WAVE}|{_SHAPE}(?P<open>\()?)?{_SIGNAL}(?:{_DOMAIN})?\s*(?P<close>\))?"
     r"\s*(?:\^\s*(?P<power>\d+))?\s*(?P<more>\*|$)"
 )
 
 
 @dataclass(frozen=True)
 class Factor:
-    """One signal, its lag, and what is done to it: a power, or a harmonic."""
+    """One signal, its lag, and what is done to it: a power, a harmonic, or another function of `shapes`."""
 
     variable: str
     lag: int | None = None
     """[samples]; None: a static variable, printed without `(k)`."""
     power: int = 1
     function: str = ""
-    """`cos`, `sin`, or nothing."""
+    """`cos`, `sin`, a letter of `shapes.SHAPES`, or nothing."""
     harmonic: int = 1
+    """Of cos and sin; degree of a polynomial or spline; level of a wavelet."""
+    part: tuple[int, int] = (0, 0)
+    """Which spline of how many; shift of a wavelet."""
+    domain: tuple[float, float] | None = None
+    """(centre, width) of a shape's argument; None: as the model scales the variable."""
 
     @property
     def signal(self) -> str:
@@ -42,17 +52,31 @@ class Factor:
 
     @property
     def degree(self) -> int:
-        """Power of a plain signal; the harmonic counts as a degree."""
-        return self.power * self.harmonic
+        """Power of a plain signal; the harmonic counts as a degree, a wavelet's level from 1."""
+        return self.power * (self.harmonic + (self.function == "W"))
+
+    @property
+    def is_shape(self) -> bool:
+        """Tell whether it is a function of the scaled variable other than a power."""
+        return self.function in SHAPES
 
     def __str__(self) -> str:
         inner = self.signal
-        if self.function:
+        if self.is_shape:
+            inner = f"{shape_name(self.function, self.harmonic, self.part)}({_argument(inner, self.domain)})"
+        elif self.function:
             inner = f"{self.function}({'' if self.harmonic == 1 else f'{self.harmonic}*'}{inner})"
         return inner if self.power == 1 else f"{inner}^{self.power}"
 
 
 Term = tuple[Factor, ...]
+
+
+def _argument(signal: str, domain: tuple[float, float] | None) -> str:
+    if domain is None:
+        return signal
+    centre, width = domain
+    return f"({signal}{'+' if centre < 0 else '-'}{abs(centre)!r})/{width!r}"
 
 
 def signal_name(variable: str, lag: int | None) -> str:
@@ -69,29 +93,47 @@ def _parse_term(text: str) -> Term:
     position = 0
     while True:
         match = _FACTOR.match(text, position)
-        found = match and match["variable"] not in ("cos", "sin")
-        if not match or not found or bool(match["function"]) != bool(match["close"]):
+        if not match or match["variable"] in ("cos", "sin") or not _is_closed(match):
             raise IdentError(
                 f"cannot read the term {text!r} at {text[position:]!r}; "
-                "expected a form like y(k-1)*u(k)^2, x^2*y, cos(2*phi) or 1"
+                "expected a form like y(k-1)*u(k)^2, x^2*y, cos(2*phi), P3(x), B3_0of8(x), W2_1(x) or 1"
             )
-        lag = int(match["lag"] or 0) if match["lagged"] else None
-        power, harmonic = int(match["power"] or 1), int(match["harmonic"] or 1)
-        if power < 1 or harmonic < 1:
-            raise IdentError(f"term {text!r} has a power or harmonic of 0; leave that factor out")
-        factors.append(Factor(match["variable"], lag, power, match["function"] or "", harmonic))
+        factors.append(_factor(match, text))
         position = match.end()
         if match["more"] != "*":
             return _merged(factors)
 
 
+def _is_closed(match: re.Match[str]) -> bool:
+    """Tell whether every bracket that was opened is closed, and no other."""
+    if (match["open"] is not None) != (match["sign"] is not None):
+        return False
+    return bool(match["wave"] or match["shape"]) == bool(match["close"])
+
+
+def _factor(match: re.Match[str], text: str) -> Factor:
+    lag = int(match["lag"] or 0) if match["lagged"] else None
+    power = int(match["power"] or 1)
+    harmonic = int(match["order"] or match["times"] or 1)
+    part = (int(match["first"] or 0), int(match["second"] or 0))
+    domain = None
+    if match["sign"]:
+        domain = float(match["sign"] + match["centre"]) * -1.0, float(match["width"])
+    function = match["shape"] or match["wave"] or ""
+    if power < 1 or (harmonic < 1 and function not in ("B", "W")):
+        raise IdentError(f"term {text!r} has a power or harmonic of 0; leave that factor out")
+    if match["shape"]:
+        check_shape(function, match["first"] is not None, match["second"] is not None, part, harmonic, text)
+    return Factor(match["variable"], lag, power, function, harmonic, part, domain)
+
+
 def _merged(factors: Iterable[Factor]) -> Term:
     """Add up the powers of equal factors, in the order of first appearance."""
-    powers: dict[tuple[str, int | None, str, int], int] = {}
+    powers: dict[Factor, int] = {}
     for f in factors:
-        key = (f.variable, f.lag, f.function, f.harmonic)
-        powers[key] = powers.get(key, 0) + f.power
-    return tuple(Factor(v, lag, power, fn, h) for (v, lag, fn, h), power in powers.items())
+        base = replace(f, power=1)
+        powers[base] = powers.get(base, 0) + f.power
+    return tuple(replace(f, power=power) for f, power in powers.items())
 
 
 def term_name(term: Term) -> str:
@@ -169,14 +211,14 @@ class Terms:
     def __mul__(self, other: Terms) -> Terms:
         """Multiply every term of one with every term of the other.
 
-        Harmonics of one variable are never multiplied with each other: such products are sums of
-        other harmonics (cos² + sin² = 1), and the columns would depend on each other exactly.
+        Functions of one signal are never multiplied with each other: such products are sums of
+        other functions of the family (cos² + sin² = 1), and the columns would depend on each other exactly.
         """
         both = _harmonic_signals(self) & _harmonic_signals(other)
         if both:
             raise IdentError(
-                f"both factors hold harmonics of {', '.join(sorted(both))}, whose products depend on each "
-                "other exactly; use one basis with more harmonics instead"
+                f"both factors hold functions of {', '.join(sorted(both))}, whose products depend on each "
+                "other exactly; use one basis of a higher degree instead"
             )
         product: dict[frozenset[Factor], Term] = {}
         for a in self.table:
@@ -227,13 +269,21 @@ def _product(term: Term, columns: Mapping[str, Floats], scale: Scale, known: dic
     else:
         (f,) = term
         if f.power > 1:
-            lower = (Factor(f.variable, f.lag, f.power - 1, f.function, f.harmonic),)
-            first = (Factor(f.variable, f.lag, 1, f.function, f.harmonic),)
+            lower, first = (replace(f, power=f.power - 1),), (replace(f, power=1),)
             value = _product(lower, columns, scale, known) * _product(first, columns, scale, known)
-        elif f.function:
-            angle = f.harmonic * np.asarray(columns[f.signal], dtype=np.float64)
-            value = np.cos(angle) if f.function == "cos" else np.sin(angle)
         else:
-            value = scale.apply(f.variable, columns[f.signal])
+            value = _values(f, np.asarray(columns[f.signal], dtype=np.float64), scale)
     known[term] = value
     return value
+
+
+def _values(f: Factor, signal: Floats, scale: Scale) -> Floats:
+    """Evaluate a factor of power 1 on its signal (n,)."""
+    if f.function in ("cos", "sin"):
+        angle = f.harmonic * signal
+        return np.cos(angle) if f.function == "cos" else np.sin(angle)
+    if f.domain is not None:
+        scaled = (signal - f.domain[0]) / f.domain[1]
+    else:
+        scaled = scale.apply(f.variable, signal)
+    return evaluate(f.function, f.harmonic, f.part, scaled) if f.is_shape else scaled
