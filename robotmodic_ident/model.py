@@ -232,14 +232,15 @@ class Narmax:
             data = json.loads(path.read_text())
             if data["format"] != FORMAT:
                 raise IdentError(f"{path}: format {data['format']!r}, expected {FORMAT!r}")
-            return cls._from_dict(data)
+            return cls.from_dict(data)
         except (KeyError, TypeError, ValueError) as exc:
             if isinstance(exc, IdentError):
                 raise
             raise IdentError(f"{path}: not a model ({exc}); write one with Narmax.save") from exc
 
     @classmethod
-    def _from_dict(cls, data: Mapping[str, Any]) -> Narmax:
+    def from_dict(cls, data: Mapping[str, Any]) -> Narmax:
+        """Restore what `to_dict` gave."""
         terms, theta = _read_rows(data["terms"])
         denominator, denominator_theta = _read_rows(data.get("denominator", []))
         noise_terms, noise_theta = _read_rows(data.get("noise_terms", []))

@@ -1,0 +1,37 @@
+"""What an equation says: slopes, shares of variance, frequency response, chaos; beside it the same from a series."""
+
+from robotmodic_ident.analysis.calculus import (
+    antiderivative_model,
+    derivative,
+    integral,
+    jacobian,
+    partial_model,
+    sensitivity,
+    surface,
+)
+from robotmodic_ident.analysis.dimension import Dimension, correlation_dimension
+from robotmodic_ident.analysis.gfrf import gfrf, rest_point
+from robotmodic_ident.analysis.lyapunov import Exponents, Parting, lyapunov, lyapunov_of_series, states_of
+from robotmodic_ident.analysis.sobol import Distribution, Sobol, sobol
+
+__all__ = [
+    "Dimension",
+    "Distribution",
+    "Exponents",
+    "Parting",
+    "Sobol",
+    "antiderivative_model",
+    "correlation_dimension",
+    "derivative",
+    "gfrf",
+    "integral",
+    "jacobian",
+    "lyapunov",
+    "lyapunov_of_series",
+    "partial_model",
+    "rest_point",
+    "sensitivity",
+    "sobol",
+    "states_of",
+    "surface",
+]

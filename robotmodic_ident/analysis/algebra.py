@@ -1,0 +1,173 @@
+"""Sums of terms as plain algebra: add, multiply, shift in time, differentiate, integrate, substitute.
+
+A `Sum` maps a term, its factors in a fixed order, to a coefficient. Everything here is exact but for rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.model import Narmax
+from robotmodic_ident.terms import Factor, Floats, Term, Terms, canonical_key, term_name
+
+Sum = dict[Term, float]
+KNOWN = ("", "cos", "sin")
+
+
+def ordered(factors: Iterable[Factor]) -> Term:
+    """Multiply factors: equal ones add their powers, and the order is fixed."""
+    powers: dict[Factor, int] = {}
+    for f in factors:
+        base = replace(f, power=1)
+        powers[base] = powers.get(base, 0) + f.power
+    chosen = [replace(base, power=p) for base, p in powers.items() if p]
+    return tuple(
+        sorted(chosen, key=lambda f: (f.variable, -1 if f.lag is None else f.lag, f.function, f.harmonic))
+    )
+
+
+def sum_of(model: Narmax) -> Sum:
+    """Return the deterministic part of a model in the user's units."""
+    plain = deterministic(model)
+    return collect((ordered(term), float(c)) for term, c in zip(plain.terms, plain.theta, strict=True))
+
+
+def deterministic(model: Narmax) -> Narmax:
+    """Return a polynomial model in the user's units without its noise terms: what it says of y, not of e."""
+    if len(model.denominator):
+        raise IdentError("the analysis is of polynomial models; this one has a denominator")
+    plain = model.in_user_units()
+    k = len(plain.terms)
+    for term in plain.terms:
+        for f in term:
+            if f.function not in KNOWN:
+                raise IdentError(
+                    f"term {term_name(term)!r} has the function {f.function!r}; the analysis knows powers, cos and sin"
+                )
+    return replace(plain, covariance=plain.covariance[:k, :k], noise_terms=Terms(()), noise_theta=np.empty(0))
+
+
+def collect(parts: Iterable[tuple[Term, float]]) -> Sum:
+    """Add up equal terms; what cancels exactly is left out."""
+    total: Sum = {}
+    for term, value in parts:
+        total[term] = total.get(term, 0.0) + value
+    return {term: value for term, value in total.items() if value != 0.0}
+
+
+def plus(a: Sum, b: Sum) -> Sum:
+    """Add two sums."""
+    return collect([*a.items(), *b.items()])
+
+
+def times(a: Sum, b: Sum) -> Sum:
+    """Multiply two sums."""
+    return collect((ordered(s + t), u * v) for s, u in a.items() for t, v in b.items())
+
+
+def scaled(a: Sum, factor: float) -> Sum:
+    """Multiply by a number."""
+    return collect((term, factor * value) for term, value in a.items())
+
+
+def shifted(term: Term, samples: int) -> Term:
+    """Look `samples` farther back; what has no lag stays."""
+    return ordered(f if f.lag is None else replace(f, lag=f.lag + samples) for f in term)
+
+
+def split(term: Term, signal: str) -> tuple[Term, Term]:
+    """Return the factors that read `signal`, and the others."""
+    return tuple(f for f in term if f.signal == signal), tuple(f for f in term if f.signal != signal)
+
+
+def partial(term: Term, signal: str) -> Sum:
+    """Differentiate a term by one signal such as `u(k-1)`."""
+    mine, rest = split(term, signal)
+    out: list[tuple[Term, float]] = []
+    for i, f in enumerate(mine):
+        others = rest + mine[:i] + mine[i + 1 :]
+        lower = (replace(f, power=f.power - 1),) if f.power > 1 else ()
+        if not f.function:
+            out.append((ordered(others + lower), float(f.power)))
+        else:
+            turned = replace(f, power=1, function="sin" if f.function == "cos" else "cos")
+            sign = -1.0 if f.function == "cos" else 1.0
+            out.append((ordered((*others, *lower, turned)), sign * f.power * f.harmonic))
+    return collect(out)
+
+
+def antiderivative(term: Term, signal: str) -> Sum:
+    """Integrate a term over one signal, from 0 of the antiderivative: u^2 becomes u^3/3, cos(u) becomes sin(u)."""
+    mine, rest = split(term, signal)
+    if not mine:
+        (like,) = Terms.parse(signal)
+        return {ordered(rest + like): 1.0}
+    if len(mine) > 1 or (mine[0].function and mine[0].power > 1):
+        raise IdentError(f"{term_name(term)!r} has no antiderivative over {signal} among sums of such terms")
+    (f,) = mine
+    if not f.function:
+        return {ordered((*rest, replace(f, power=f.power + 1))): 1.0 / (f.power + 1)}
+    turned = replace(f, function="sin" if f.function == "cos" else "cos")
+    return {ordered((*rest, turned)): (1.0 if f.function == "cos" else -1.0) / f.harmonic}
+
+
+def substituted(term: Term, signals: Mapping[str, Sum]) -> Sum:
+    """Put a sum in the place of each signal named; only powers of it can be replaced."""
+    result: Sum = {(): 1.0}
+    for f in term:
+        if f.signal not in signals:
+            result = times(result, {(f,): 1.0})
+            continue
+        if f.function:
+            raise IdentError(f"{f} cannot be replaced by a sum; only powers of {f.signal} can")
+        for _ in range(f.power):
+            result = times(result, signals[f.signal])
+    return result
+
+
+def transformed(
+    model: Narmax, change: Callable[[Term], Sum], *, output: str, offset: Sum | None = None
+) -> Narmax:
+    """Apply a linear change to every term of a model, and carry the covariance of its coefficients along.
+
+    `offset` is added as it is: it has no uncertainty.
+    """
+    plain = deterministic(model)
+    columns = [change(ordered(term)) for term in plain.terms]
+    fixed = offset or {}
+    names = sorted({term for column in [*columns, fixed] for term in column}, key=canonical_key)
+    linear = np.array([[column.get(term, 0.0) for column in columns] for term in names]).reshape(
+        len(names), -1
+    )
+    theta = linear @ plain.theta + np.array([fixed.get(term, 0.0) for term in names])
+    covariance = linear @ plain.covariance @ linear.T
+    keep = [
+        i for i in range(len(names)) if abs(theta[i]) > 1e-13 * np.abs(theta).max() or covariance[i, i] > 0
+    ]
+    return replace(
+        plain,
+        output=output,
+        terms=Terms(tuple(names[i] for i in keep)),
+        theta=theta[keep],
+        covariance=covariance[np.ix_(keep, keep)],
+        err=np.full(len(keep), np.nan),
+    )
+
+
+def evaluate(total: Sum, columns: Mapping[str, Floats]) -> Floats:
+    """Evaluate a sum on signals given by name; the columns broadcast."""
+    shape = np.broadcast_shapes(*(np.shape(values) for values in columns.values())) if columns else ()
+    out = np.zeros(shape)
+    for term, value in total.items():
+        product = np.full(shape, value)
+        for f in term:
+            x = np.asarray(columns[f.signal], dtype=np.float64)
+            if f.function:
+                x = np.cos(f.harmonic * x) if f.function == "cos" else np.sin(f.harmonic * x)
+            product = product * x**f.power
+        out = out + product
+    return out

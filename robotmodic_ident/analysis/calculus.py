@@ -1,0 +1,127 @@
+"""A model differentiated and integrated, over time or over a signal: the result is a model, or numbers on data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from robotmodic_ident.analysis.algebra import (
+    Sum,
+    antiderivative,
+    collect,
+    evaluate,
+    partial,
+    scaled,
+    shifted,
+    substituted,
+    sum_of,
+    transformed,
+)
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.model import Narmax
+from robotmodic_ident.terms import Factor, Floats, Term
+
+
+def partial_model(model: Narmax, signal: str) -> Narmax:
+    """Return the model's derivative by one signal, such as `u(k-1)`, as a model `d_y`."""
+    _check_signal(model, signal)
+    return transformed(model, lambda term: partial(term, signal), output=f"d_{model.output}")
+
+
+def antiderivative_model(model: Narmax, signal: str) -> Narmax:
+    """Return the model integrated over one signal; differentiating it by that signal gives the model back."""
+    return transformed(model, lambda term: antiderivative(term, signal), output=f"int_{model.output}")
+
+
+def derivative(model: Narmax, period: float, output: str) -> Narmax:
+    """Turn a model of speed into one of acceleration: output(k) = (y(k) - y(k-1)) / period.
+
+    A model without past outputs becomes one of its inputs alone, as (f(k) - f(k-1)) / period; one with past
+    outputs keeps reading them: (f - y(k-1)) / period. Both are exact.
+
+    Parameters
+    ----------
+    period : [s] between samples
+    output : name of the new output
+    """
+    _check_period(period, output, model.output)
+    past: Term = (Factor(model.output, 1),)
+    if model.output in model.terms.variables:
+        return _widened(
+            transformed(
+                model, lambda term: {term: 1.0 / period}, output=output, offset={past: -1.0 / period}
+            ),
+            period,
+        )
+
+    def change(term: Term) -> Sum:
+        return collect([(term, 1.0 / period), (shifted(term, 1), -1.0 / period)])
+
+    return _widened(transformed(model, change, output=output), period)
+
+
+def integral(model: Narmax, period: float, output: str) -> Narmax:
+    """Turn a model of acceleration into one of speed: output(k) = output(k-1) + period * y(k).
+
+    Past values of the old output become differences of the new one; so `derivative` is undone exactly.
+    """
+    _check_period(period, output, model.output)
+    lags = {f.lag for term in model.terms for f in term if f.variable == model.output and f.lag}
+    place: dict[str, Sum] = {
+        Factor(model.output, lag).signal: {
+            (Factor(output, lag),): 1.0 / period,
+            (Factor(output, lag + 1),): -1.0 / period,
+        }
+        for lag in lags
+    }
+    past: Term = (Factor(output, 1),)
+    result = transformed(
+        model, lambda term: scaled(substituted(term, place), period), output=output, offset={past: 1.0}
+    )
+    return replace(result, sigma=model.sigma * period)
+
+
+def jacobian(model: Narmax, signals: Sequence[str] | None = None) -> dict[str, Sum]:
+    """Return the derivative by every signal that the model reads, as sums of terms."""
+    total = sum_of(model)
+    return {
+        s: collect(
+            (t, value * share) for term, value in total.items() for t, share in partial(term, s).items()
+        )
+        for s in (signals if signals is not None else model.terms.signals)
+    }
+
+
+def sensitivity(model: Narmax, columns: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Evaluate the Jacobian on data: signal -> (n,) change of the output per unit of the signal."""
+    return {s: evaluate(total, columns) for s, total in jacobian(model).items()}
+
+
+def surface(
+    model: Narmax, across: tuple[str, Floats], along: tuple[str, Floats], at: Mapping[str, float]
+) -> Floats:
+    """Evaluate the model over two of its signals, the others held: (n_along, n_across) for a figure."""
+    (a, u), (b, v) = across, along
+    columns: dict[str, Floats] = {name: np.asarray(value, dtype=np.float64) for name, value in at.items()}
+    columns |= {a: np.asarray(u, dtype=np.float64)[None, :], b: np.asarray(v, dtype=np.float64)[:, None]}
+    if missing := [s for s in model.terms.signals if s not in columns]:
+        raise IdentError(f"the surface needs a value for {', '.join(missing)}; give it in `at`")
+    return np.broadcast_to(evaluate(sum_of(model), columns), (len(v), len(u))).copy()
+
+
+def _widened(model: Narmax, period: float) -> Narmax:
+    return replace(model, sigma=model.sigma / period)
+
+
+def _check_period(period: float, output: str, old: str) -> None:
+    if not (np.isfinite(period) and period > 0):
+        raise ValueError(f"period is {period}, expected seconds above 0")
+    if output == old:
+        raise ValueError(f"the new output is called {output!r} as the old one; give another name")
+
+
+def _check_signal(model: Narmax, signal: str) -> None:
+    if signal not in model.terms.signals:
+        raise IdentError(f"the model does not read {signal}; it reads {', '.join(model.terms.signals)}")

@@ -1,0 +1,127 @@
+"""Correlation dimension of a series, with an interval and against surrogates: never a bare number.
+
+Grassberger and Procaccia, Physica D 9 (1983); pairs that are near in time do not count (Theiler, Phys. Rev. A 34,
+1986); what surrogates of linear noise give as well is no dimension of an attractor (Theiler et al., Physica D 58, 1992).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robotmodic_ident.analysis.embedding import embed, surrogate
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.terms import Floats
+
+N_RADII = 24
+LOW, HIGH = 1e-4, 0.1
+"""Shares of all pairs between which the slope is taken, where no other region is asked for."""
+MOST = 4000
+"""Reference points: each is held against all others."""
+BLOCKS = 20
+"""Stretches of reference points that the interval is resampled from."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dimension:
+    """A correlation dimension, how sure it is, and what linear noise of the same spectrum gives."""
+
+    value: float
+    interval: tuple[float, float]
+    """95 %, over blocks of the series and over halves of the region in which the slope is taken."""
+    surrogates: Floats
+    """(n,) the same quantity of the surrogates."""
+    p_value: float | None
+    """Of the hypothesis that the series is linear noise; None without surrogates."""
+    radii: Floats
+    """(n_radii,)"""
+    correlation: Floats
+    """(n_radii,) share of the pairs nearer than that."""
+
+
+def correlation_dimension(
+    series: ArrayLike,
+    *,
+    dimension: int,
+    lag: int = 1,
+    theiler: int,
+    n_surrogates: int = 0,
+    region: tuple[float, float] = (LOW, HIGH),
+    rng: np.random.Generator,
+) -> Dimension:
+    """Return the correlation dimension of a series (n,) or (n, n_signals).
+
+    Parameters
+    ----------
+    dimension, lag : of the embedding; lag in samples
+    theiler : [samples] pairs nearer in time do not count
+    n_surrogates : 0, or 19 and more for a test at 5 %
+    region : shares of all pairs between which the slope is taken
+    """
+    points = embed(series, dimension, lag)
+    radii, counts, pairs = _counts(points, theiler)
+    correlation = counts.sum(axis=0) / pairs.sum()
+    value, used = _slope(radii, correlation, region)
+    spread = [_resampled(radii[used], counts[:, used], pairs, rng) for _ in range(200)]
+    half = len(radii[used]) // 2
+    ends = [
+        float(np.polyfit(np.log(radii[used][part]), np.log(correlation[used][part]), 1)[0])
+        for part in (slice(0, half + 1), slice(half, None))
+    ]
+    low, high = np.quantile(spread, [0.025, 0.975])
+    table = np.asarray(series, dtype=np.float64)
+    others = []
+    for _ in range(n_surrogates):
+        r, c, n = _counts(embed(surrogate(table, rng), dimension, lag), theiler)
+        others.append(_slope(r, c.sum(axis=0) / n.sum(), region)[0])
+    surrogates = np.array(others, dtype=np.float64)
+    p_value = (
+        float((1 + (surrogates <= value).sum()) / (n_surrogates + 1)) if n_surrogates else None
+    )  # one-sided: structure has a lower dimension than noise
+    return Dimension(
+        value=value,
+        interval=(float(min(low, *ends)), float(max(high, *ends))),
+        surrogates=surrogates,
+        p_value=p_value,
+        radii=radii,
+        correlation=correlation,
+    )
+
+
+def _counts(points: Floats, theiler: int) -> tuple[Floats, Floats, Floats]:
+    """Return radii, pairs nearer than each (BLOCKS, n_radii), and all pairs (BLOCKS,), by block of reference points."""
+    n = len(points)
+    if n < 10 * BLOCKS or n <= 4 * theiler:
+        raise IdentError(f"{n} embedded samples are too few; a dimension needs {10 * BLOCKS} and 4 * theiler")
+    reference = np.unique(np.linspace(0, n - 1, min(n, MOST)).astype(np.intp))
+    some = reference[:: max(1, len(reference) // 200)]
+    sample = np.concatenate([np.linalg.norm(points - points[i], axis=1) for i in some])
+    largest = float(np.quantile(sample, 0.5))
+    least = max(float(np.quantile(sample[sample > 0], 1e-5)), 1e-9 * largest)
+    radii = np.geomspace(least, largest, N_RADII)
+    counts, pairs = np.zeros((BLOCKS, N_RADII)), np.zeros(BLOCKS)
+    when = np.arange(n)
+    for b, block in enumerate(np.array_split(reference, BLOCKS)):
+        for i in block.tolist():
+            gap = np.linalg.norm(points - points[i], axis=1)[np.abs(when - i) > theiler]
+            counts[b] += np.searchsorted(np.sort(gap), radii, side="right")
+            pairs[b] += len(gap)
+    return radii, counts, pairs
+
+
+def _slope(radii: Floats, correlation: Floats, region: tuple[float, float]) -> tuple[float, slice]:
+    inside = np.flatnonzero((correlation >= region[0]) & (correlation <= region[1]))
+    if len(inside) < 4:
+        raise IdentError(
+            "fewer than 4 radii lie in the region of the slope; give a longer series or a wider region"
+        )
+    used = slice(int(inside[0]), int(inside[-1]) + 1)
+    return float(np.polyfit(np.log(radii[used]), np.log(correlation[used]), 1)[0]), used
+
+
+def _resampled(radii: Floats, counts: Floats, pairs: Floats, rng: np.random.Generator) -> float:
+    pick = rng.integers(0, len(pairs), len(pairs))
+    share = np.maximum(counts[pick].sum(axis=0), 1.0) / pairs[pick].sum()
+    return float(np.polyfit(np.log(radii), np.log(share), 1)[0])

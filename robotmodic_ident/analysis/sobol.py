@@ -1,0 +1,154 @@
+"""Sobol indices of a model in closed form: which signal, alone and with others, makes the output vary.
+
+For independent signals, a sum of products is a finite expansion in an orthonormal product basis, and the
+indices are sums of squared coefficients (Sudret, Reliability Engineering & System Safety 93, 2008). Lagged
+signals of a robot are not independent: the indices then answer the question "if they were", and `dependence`
+says how far from it the data are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from robotmodic_ident.analysis.algebra import Sum, split, sum_of
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.model import Narmax
+from robotmodic_ident.terms import Floats, Term
+
+NODES = 64
+"""Of the Gauss rule: exact for polynomials up to degree 127, so for powers up to 63."""
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """How one signal is spread: `uniform` between a and b, or `normal` with mean a and deviation b."""
+
+    kind: Literal["uniform", "normal"]
+    a: float
+    b: float
+
+    def nodes(self) -> tuple[Floats, Floats]:
+        """Return nodes and weights (n,) whose sum is an expectation."""
+        if self.kind == "uniform":
+            x, w = np.polynomial.legendre.leggauss(NODES)
+            return self.a + (self.b - self.a) * (x + 1) / 2, w / w.sum()
+        x, w = np.polynomial.hermite_e.hermegauss(NODES)
+        return self.a + self.b * x, w / w.sum()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sobol:
+    """Shares of the output's variance."""
+
+    variance: float
+    """Of the output, under independent signals."""
+    first: Mapping[str, float]
+    """Signal -> share that it explains alone."""
+    total: Mapping[str, float]
+    """Signal -> share that it has any part in."""
+    pairs: Mapping[tuple[str, str], float]
+    """Two signals -> share of their interaction alone."""
+    dependence: float | None
+    """Largest |correlation| between two signals in the data; None where distributions were given."""
+
+    def __str__(self) -> str:
+        lines = [f"{s}: {self.first[s]:.1%} alone, {self.total[s]:.1%} in all" for s in self.first]
+        if self.dependence is not None and self.dependence > 0.3:
+            lines.append(f"signals are correlated up to {self.dependence:.2f}: this is for independent ones")
+        return "; ".join(lines)
+
+
+def sobol(model: Narmax, signals: Mapping[str, Distribution] | Mapping[str, Floats]) -> Sobol:
+    """Return the Sobol indices of one step of a model.
+
+    Parameters
+    ----------
+    signals : `u(k-1)` -> its distribution, or data (n,), taken as uniform from its least to its largest value
+    """
+    total = sum_of(model)
+    names = model.terms.signals
+    if missing := [s for s in names if s not in signals]:
+        raise IdentError(f"no distribution of {', '.join(missing)}; give one for each signal of the model")
+    spread, dependence = _spread(signals, names)
+    coefficients = _expanded(total, names, spread)
+    shares: dict[frozenset[str], float] = {}
+    for place, value in coefficients.items():
+        key = frozenset(s for s, i in zip(names, place, strict=True) if i)
+        if key:
+            shares[key] = shares.get(key, 0.0) + value**2
+    variance = sum(shares.values())
+    whole = variance if variance > 0 else 1.0
+    return Sobol(
+        variance=variance,
+        first={s: shares.get(frozenset((s,)), 0.0) / whole for s in names},
+        total={s: sum(v for key, v in shares.items() if s in key) / whole for s in names},
+        pairs={(a, b): shares.get(frozenset((a, b)), 0.0) / whole for a, b in combinations(names, 2)},
+        dependence=dependence,
+    )
+
+
+def _spread(
+    signals: Mapping[str, Distribution] | Mapping[str, Floats], names: tuple[str, ...]
+) -> tuple[dict[str, Distribution], float | None]:
+    spread: dict[str, Distribution] = {}
+    columns: list[Floats] = []
+    for s in names:
+        given = signals[s]
+        if isinstance(given, Distribution):
+            spread[s] = given
+            continue
+        values = np.asarray(given, dtype=np.float64)
+        spread[s] = Distribution("uniform", float(np.nanmin(values)), float(np.nanmax(values)))
+        columns.append(values)
+    if len(columns) < 2:
+        return spread, None
+    table = np.stack(columns)
+    table = table[:, np.isfinite(table).all(axis=0)]
+    table = table[np.ptp(table, axis=1) > 0]
+    if len(table) < 2:
+        return spread, None
+    return spread, float(np.abs(np.corrcoef(table) - np.eye(len(table))).max())
+
+
+def _expanded(
+    total: Sum, names: tuple[str, ...], spread: Mapping[str, Distribution]
+) -> dict[tuple[int, ...], float]:
+    """Return the coefficients in the orthonormal product basis: one index for each signal, 0 its constant."""
+    functions: dict[str, list[Term]] = {s: [()] for s in names}
+    for term in total:
+        for s in names:
+            mine, _ = split(term, s)
+            if mine not in functions[s]:
+                functions[s].append(mine)
+    factors = {s: _orthonormal(functions[s], spread[s]) for s in names}
+    out: dict[tuple[int, ...], float] = {}
+    for term, value in total.items():
+        partial: dict[tuple[int, ...], float] = {(): value}
+        for s in names:
+            column = factors[s][:, functions[s].index(split(term, s)[0])]
+            partial = {
+                (*place, i): c * float(column[i])
+                for place, c in partial.items()
+                for i in np.flatnonzero(column).tolist()
+            }
+        for place, c in partial.items():
+            out[place] = out.get(place, 0.0) + c
+    return out
+
+
+def _orthonormal(functions: list[Term], spread: Distribution) -> Floats:
+    """Return R (n, n): column j holds function j in an orthonormal basis whose first member is 1."""
+    x, weight = spread.nodes()
+    table = np.ones((len(x), len(functions)))
+    for j, term in enumerate(functions):
+        for f in term:
+            value = x
+            if f.function:
+                value = np.cos(f.harmonic * x) if f.function == "cos" else np.sin(f.harmonic * x)
+            table[:, j] *= value**f.power
+    return np.asarray(np.linalg.qr(table * np.sqrt(weight)[:, None], mode="r"), dtype=np.float64)

@@ -1,0 +1,116 @@
+"""A model as C, LaTeX or JSON text; and back from JSON."""
+
+from __future__ import annotations
+
+import json
+import re
+
+from robotmodic_ident.analysis.algebra import deterministic
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.model import Narmax
+from robotmodic_ident.terms import Factor, Term
+
+GREEK = ("alpha", "beta", "gamma", "omega", "phi", "psi", "theta", "sigma")
+
+
+def to_json(model: Narmax) -> str:
+    """Return the model as JSON text."""
+    return json.dumps(model.to_dict(), indent=1) + "\n"
+
+
+def from_json(text: str) -> Narmax:
+    """Restore what `to_json` gave."""
+    try:
+        return Narmax.from_dict(json.loads(text))
+    except (KeyError, TypeError, ValueError) as exc:
+        if isinstance(exc, IdentError):
+            raise
+        raise IdentError(f"not a model: {exc}; give the text that to_json wrote") from exc
+
+
+def to_c(model: Narmax, *, name: str | None = None) -> str:
+    """Return C99 source of one step: `double NAME(const double s[])` of the signals that its comment lists.
+
+    Past outputs are signals as any other: fed with measurements it predicts one step ahead, fed with its own
+    results it runs free. Noise terms are left out (their expectation is 0).
+    """
+    plain = deterministic(model)
+    function = name or f"{model.output}_step"
+    if not re.fullmatch(r"[A-Za-z_]\w*", function):
+        raise ValueError(f"{function!r} is no name of a C function")
+    place = {signal: i for i, signal in enumerate(plain.terms.signals)}
+    lines = [
+        f"    y += {float(c)!r}{_c_factors(t, place)};" for t, c in zip(plain.terms, plain.theta, strict=True)
+    ]
+    uses_math = any(f.function for term in plain.terms for f in term)
+    return "\n".join(
+        [
+            f"/* {plain.equation()}",
+            *(f" *   s[{i}] = {signal}" for signal, i in place.items()),
+            " */",
+            *(["#include <math.h>", ""] if uses_math else [""]),
+            f"#define {function.upper()}_SIGNALS {len(place)}",
+            "",
+            f"double {function}(const double s[])",
+            "{",
+            "    double y = 0.0;",
+            *([] if place else ["    (void)s;"]),
+            *lines,
+            "    return y;",
+            "}",
+            "",
+        ]
+    )
+
+
+def _c_factors(term: Term, place: dict[str, int]) -> str:
+    text = ""
+    for f in term:
+        value = f"s[{place[f.signal]}]"
+        if f.function:
+            inner = value if f.harmonic == 1 else f"{float(f.harmonic)!r} * {value}"
+            value = f"{f.function}({inner})"
+        text += f" * {value}" * f.power
+    return text
+
+
+def to_latex(model: Narmax, *, digits: int = 4, per_line: int = 3) -> str:
+    r"""Return the equation as LaTeX, in an `aligned` block where it needs more than one line."""
+    plain = deterministic(model)
+    left = _latex_name(model.output) + ("(k)" if model.is_dynamic else "")
+    parts = []
+    for term, c in zip(plain.terms, plain.theta.tolist(), strict=True):
+        size = _latex_number(abs(c), digits)
+        factors = r"\,".join(_latex_factor(f) for f in term)
+        body = size if not factors else (factors if size == "1" else rf"{size}\,{factors}")
+        parts.append(("- " if c < 0 else "+ ") + body)
+    if not parts:
+        return f"{left} = 0"
+    if parts[0].startswith("+ "):
+        parts[0] = parts[0][2:]
+    rows = [" ".join(parts[i : i + per_line]) for i in range(0, len(parts), per_line)]
+    if len(rows) == 1:
+        return f"{left} = {rows[0]}"
+    body = " \\\\\n  &\\quad ".join(rows)
+    return f"\\begin{{aligned}}\n{left} &= {body}\n\\end{{aligned}}"
+
+
+def _latex_number(value: float, digits: int) -> str:
+    mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
+    return rf"{mantissa} \cdot 10^{{{int(exponent)}}}" if exponent else mantissa
+
+
+def _latex_name(variable: str) -> str:
+    head, _, tail = variable.partition("_")
+    head = f"\\{head}" if head in GREEK else (head if len(head) == 1 else rf"\mathrm{{{head}}}")
+    return head + (rf"_{{\mathrm{{{tail.replace('_', ',')}}}}}" if tail else "")
+
+
+def _latex_factor(f: Factor) -> str:
+    lag = "" if f.lag is None else ("(k)" if f.lag == 0 else f"(k-{f.lag})")
+    text = _latex_name(f.variable) + lag
+    if f.function:
+        text = rf"\{f.function}\left({'' if f.harmonic == 1 else f.harmonic}{text}\right)"
+    if f.power == 1:
+        return text
+    return rf"{text}^{{{f.power}}}" if not lag and not f.function else rf"\left[{text}\right]^{{{f.power}}}"
