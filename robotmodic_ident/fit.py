@@ -6,11 +6,12 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from robotmodic_ident.criteria import Criterion
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.moments import Moments
 from robotmodic_ident.records import Record, lagged
 from robotmodic_ident.scale import Scale
-from robotmodic_ident.select import Criterion, select
+from robotmodic_ident.select import select
 from robotmodic_ident.terms import Floats, Terms
 
 

@@ -44,7 +44,7 @@ def spline(degree: int, index: int, count: int, t: float) -> float:
     for p in range(1, degree + 1):
         for i in range(degree + 1 - p):
             values[i] = ((x - i) * values[i] + (i + p + 1 - x) * values[i + 1]) / p
-    return values[0]
+    return float(values[0])
 
 
 @kernel
@@ -120,7 +120,7 @@ def factor_slope(row: Ints, centre: float, width: float, v: float) -> float:
         value = shape(row[KIND], row[HARMONIC], row[FIRST], row[SECOND], t)
         for _ in range(1, row[EXPONENT]):
             out *= value
-    return out
+    return float(out)
 
 
 @kernel

@@ -230,8 +230,6 @@ class Narmax:
         """Read what `save` wrote."""
         try:
             data = json.loads(path.read_text())
-            if data["format"] != FORMAT:
-                raise IdentError(f"{path}: format {data['format']!r}, expected {FORMAT!r}")
             return cls.from_dict(data)
         except (KeyError, TypeError, ValueError) as exc:
             if isinstance(exc, IdentError):
@@ -241,6 +239,10 @@ class Narmax:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Narmax:
         """Restore what `to_dict` gave."""
+        if data["format"] != FORMAT:
+            raise IdentError(
+                f"format {data['format']!r}, expected {FORMAT!r}; a model is written with Narmax.save"
+            )
         terms, theta = _read_rows(data["terms"])
         denominator, denominator_theta = _read_rows(data.get("denominator", []))
         noise_terms, noise_theta = _read_rows(data.get("noise_terms", []))

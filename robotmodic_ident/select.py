@@ -1,28 +1,26 @@
-"""Forward selection by error reduction ratio, for all outputs at once, on moments alone.
-
-Orthogonal least squares (Billings 2013, ch. 3) is a pivoted Cholesky factorisation of Φ'Φ, with the pivot that
-explains most of y: row k of the factor is what the k-th chosen term shares with every candidate.
-"""
+"""Selection of terms by error reduction ratio, for all outputs at once, on moments alone."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robotmodic_ident.criteria import Criterion
 from robotmodic_ident.errors import IdentError
+from robotmodic_ident.forward import DEPENDENT, TIE, Path, forward, invert_upper
 from robotmodic_ident.moments import Moments
 from robotmodic_ident.scale import UNSCALED, Scale
+from robotmodic_ident.sizes import Search, Task, cross_validated
 from robotmodic_ident.terms import Floats, Terms
 
-TIE = 1e-9
-"""Relative difference of gains below which the canonical order of the terms decides."""
-DEPENDENT = 1e-12
-"""Remaining share of a candidate's squared norm below which it depends on the chosen terms."""
-Criterion = Literal["bic", "n_terms", "err_tol"]
+__all__ = ["DEPENDENT", "TIE", "Path", "Selection", "forward", "invert_upper", "select"]
+
+MAX_SIZE = 50
+"""Largest model that exchange and restart look at unless n_terms says otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +46,7 @@ class Selection:
     rcond: Floats
     """(n_outputs,) least over largest pivot of the scaled factor: below 1e-7, doubt the coefficients."""
     stop: tuple[str, ...]
-    """(n_outputs,) why the selection ended: `bic`, `n_terms`, `err_tol` or `exhausted`."""
+    """(n_outputs,) why the selection ended: the criterion, or `exhausted` where no term was left before it."""
 
     @property
     def sigma(self) -> Floats:
@@ -67,110 +65,6 @@ class Selection:
         return np.asarray(self.sigma[output] ** 2 * (factor @ factor.T), dtype=np.float64)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Path:
-    """Every step of a selection, before a stop rule cuts it."""
-
-    order: NDArray[np.intp]
-    """(n, n_max) chosen term; -1 once no candidate is left."""
-    factor: Floats
-    """(n, n_max, n_max) upper triangular R with R'R = Φ'Φ of the chosen terms (unit diagonal where unused)."""
-    gain: Floats
-    """(n, n_max) coordinate z of y along each orthonormal direction: z² is what a step explains."""
-
-
-def forward(
-    grams: Floats,
-    cross: Floats,
-    power: Floats,
-    n_max: int,
-    order: NDArray[np.intp],
-    keep: Sequence[int] = (),
-    own: NDArray[np.intp] | None = None,
-) -> Path:
-    """Choose up to `n_max` terms for each output by what they explain.
-
-    Parameters
-    ----------
-    grams : (n_grams, m, m)
-    cross : (m, n)
-    power : (n,)
-    order : (m,) canonical order, which decides ties
-    keep : terms chosen first, in this order, whatever they explain
-    own : (n,) which Gram is whose; None: one for each, or one for all
-    """
-    n, m = cross.shape[1], cross.shape[0]
-    rows = np.arange(n)
-    if own is None:
-        own = rows if len(grams) == n else np.zeros(n, dtype=np.intp)
-    squares = np.maximum(np.diagonal(grams, axis1=1, axis2=2), 0.0)[own]  # (n, m)
-    norms = np.sqrt(np.where(squares > 0, squares, 1.0))
-    canonical = order
-    rank = np.empty(m, dtype=np.intp)
-    rank[canonical] = np.arange(m)
-    b = (cross.T / norms)[:, canonical]  # (n, m) what is left of φ'y
-    left = (squares / norms**2)[:, canonical]  # (n, m) remaining squared norms
-    scale = norms[:, canonical]
-    basis = np.zeros((n, n_max, m))
-    chosen = np.full((n, n_max), -1, dtype=np.intp)
-    gain = np.zeros((n, n_max))
-    floor = 4 * np.finfo(np.float64).eps * power
-    for k in range(n_max):
-        free = left > DEPENDENT
-        value = np.where(free, b * b / np.where(free, left, 1.0), -1.0)  # (n, m) explained by each candidate
-        if k < len(keep):
-            pivot = np.full(n, rank[keep[k]], dtype=np.intp)
-            alive = free[rows, pivot]
-        else:
-            best = value.max(axis=1)
-            pivot = np.argmax(value >= (best - TIE * np.abs(best) - floor)[:, None], axis=1)
-            alive = best >= 0
-        if not alive.any() and k >= len(keep):
-            break
-        p = canonical[pivot]
-        root = np.sqrt(np.where(alive, left[rows, pivot], 1.0))
-        row = grams[own, p][:, canonical] / (scale * scale[rows, pivot][:, None])  # (n, m)
-        if k:
-            row -= np.matmul(basis[rows, :k, pivot][:, None, :], basis[:, :k])[:, 0]
-        row /= root[:, None]
-        row[~alive] = 0.0
-        z = np.where(alive, b[rows, pivot] / root, 0.0)
-        basis[:, k] = row
-        b -= row * z[:, None]
-        left -= row * row
-        left[rows[alive], pivot[alive]] = 0.0
-        chosen[alive, k] = p[alive]
-        gain[:, k] = z
-    return _as_path(chosen, gain, basis, rank, norms)
-
-
-def _as_path(
-    chosen: NDArray[np.intp], gain: Floats, basis: Floats, rank: NDArray[np.intp], norms: Floats
-) -> Path:
-    """Read R off the basis rows, in the user's column norms, with steps without a choice as unit rows."""
-    n_max = chosen.shape[1]
-    used = chosen >= 0
-    columns = np.where(used, rank[np.maximum(chosen, 0)], 0)
-    factor = np.take_along_axis(basis, columns[:, None, :], axis=2)  # (n, step, chosen)
-    size = np.take_along_axis(norms, np.maximum(chosen, 0), axis=1)
-    factor = np.triu(factor) * np.where(used, size, 0.0)[:, None, :]
-    diagonal = np.arange(n_max)
-    factor[:, diagonal, diagonal] = np.where(used, factor[:, diagonal, diagonal], 1.0)
-    return Path(order=chosen, factor=factor, gain=gain)
-
-
-def invert_upper(factor: Floats) -> Floats:
-    """Invert a stack (n, k, k) of upper triangular matrices by back substitution."""
-    k = factor.shape[1]
-    inverse = np.zeros_like(factor)
-    for i in range(k - 1, -1, -1):
-        inverse[:, i, i] = 1.0 / factor[:, i, i]
-        if i + 1 < k:
-            tail = np.matmul(factor[:, i, None, i + 1 :], inverse[:, i + 1 :, i + 1 :])[:, 0]
-            inverse[:, i, i + 1 :] = -tail * inverse[:, i, i][:, None]
-    return inverse
-
-
 def select(
     moments: Moments,
     n_terms: int | None = None,
@@ -179,40 +73,40 @@ def select(
     err_tol: float = 1e-4,
     keep: Sequence[str] = (),
     refine: bool = True,
+    search: Search = "forward",
+    folds: Sequence[Moments] = (),
 ) -> Selection:
-    """Select terms for every output by forward selection with ERR.
+    """Select terms for every output by what they explain.
 
     Parameters
     ----------
     n_terms : terms to keep (criterion `n_terms`), else the most to look at
-    criterion : `n_terms`; `bic` (least Bayesian information over the whole path, the default without n_terms);
-        `err_tol` (stop once 1 - sum of ERR is below `err_tol`)
+    criterion : `n_terms`; `aic`, `bic` (the default without n_terms) or `ebic` (least information criterion over
+        all sizes, half as many terms as rows at most); `cv` (least error on folds); `err_tol` (stop once
+        1 - sum of ERR is below `err_tol`)
     keep : names of terms chosen first, such as `1` so that ERR counts what is explained beyond the mean
     refine : one step of iterative refinement of the coefficients
+    search : `forward` (greedy, by ERR); `restart` (greedy again from each term of the best model: iOFR);
+        `exchange` (terms are exchanged while that helps, at every size)
+    folds : moments of parts of the data of `moments`, left out one at a time for criterion `cv`
     """
     criterion = criterion or ("bic" if n_terms is None else "n_terms")
-    if criterion not in get_args(Criterion):
-        raise ValueError(f"criterion is {criterion!r}, expected one of {', '.join(get_args(Criterion))}")
-    if criterion == "n_terms" and n_terms is None:
-        raise ValueError("criterion 'n_terms' needs n_terms")
-    if n_terms is not None and n_terms < max(1, len(keep)):
-        raise ValueError(f"n_terms is {n_terms}, expected at least {max(1, len(keep))}")
-    if not moments.count.all():
-        empty = int(np.flatnonzero(moments.count == 0)[0])
-        raise IdentError(f"output {empty} has no known value; leave it out or give more data")
-    if absent := set(keep) - set(moments.terms.names):
-        raise IdentError(f"no term {', '.join(sorted(absent))} to keep among {len(moments.terms)} terms")
+    _check(moments, n_terms, criterion, keep, search, folds)
     q, m = moments.n_outputs, len(moments.terms)
     n_max = min(m if n_terms is None else n_terms, m, int(moments.count.max()))
-    first = [moments.terms.names.index(name) for name in keep]
+    if search != "forward" and n_terms is None:
+        n_max = min(n_max, max(MAX_SIZE, len(keep)))
+    task = Task(moments.terms, n_max, criterion, n_terms, err_tol, tuple(keep), search)
+    sizes = cross_validated(task, moments, folds) if criterion == "cv" else None
     order = np.full((q, n_max), -1, dtype=np.intp)
     kept = np.zeros(q, dtype=np.intp)
     err, theta, inverse = np.zeros((q, n_max)), np.zeros((q, m)), np.zeros((q, n_max, n_max))
     rss, rcond, stop = np.zeros(q), np.zeros(q), np.full(q, "", dtype=object)
     for outputs, grams in moments.groups():
         cross, power = moments.cross[:, outputs], moments.power[outputs]
-        path = forward(grams, cross, power, n_max, moments.terms.canonical_order, first)
-        size, why = _cut(path, power, moments.count[outputs], criterion, n_terms, err_tol, len(first))
+        path, size, why = task.path(
+            grams, cross, power, moments.count[outputs], None if sizes is None else sizes[outputs]
+        )
         used = np.arange(n_max) < size[:, None]  # (n, n_max)
         eye = np.eye(n_max)
         factor = np.where(used[:, :, None] & used[:, None, :], path.factor, eye)
@@ -241,6 +135,35 @@ def select(
     )
 
 
+def _check(
+    moments: Moments,
+    n_terms: int | None,
+    criterion: str,
+    keep: Sequence[str],
+    search: str,
+    folds: Sequence[Moments],
+) -> None:
+    for word, value, known in (
+        ("criterion", criterion, get_args(Criterion)),
+        ("search", search, get_args(Search)),
+    ):
+        if value not in known:
+            raise ValueError(f"{word} is {value!r}, expected one of {', '.join(known)}")
+    if criterion == "n_terms" and n_terms is None:
+        raise ValueError("criterion 'n_terms' needs n_terms")
+    if (criterion == "cv") != (len(folds) > 0):
+        raise ValueError("criterion 'cv' needs folds, at least 2 of them, and no other criterion takes them")
+    if len(folds) == 1:
+        raise ValueError("one fold leaves nothing to fit on; give at least 2")
+    if n_terms is not None and n_terms < max(1, len(keep)):
+        raise ValueError(f"n_terms is {n_terms}, expected at least {max(1, len(keep))}")
+    if not moments.count.all():
+        empty = int(np.flatnonzero(moments.count == 0)[0])
+        raise IdentError(f"output {empty} has no known value; leave it out or give more data")
+    if absent := set(keep) - set(moments.terms.names):
+        raise IdentError(f"no term {', '.join(sorted(absent))} to keep among {len(moments.terms)} terms")
+
+
 def _column_norms(factor: Floats) -> Floats:
     return np.asarray(np.sqrt((factor**2).sum(axis=1)), dtype=np.float64)
 
@@ -261,36 +184,3 @@ def _coefficients(
         step = np.matmul(T, np.matmul(T.transpose(0, 2, 1), miss[:, :, None]))[:, :, 0]
         np.add.at(theta, (rows, columns), np.where(used, step, 0.0))
     return theta
-
-
-def _cut(
-    path: Path,
-    power: Floats,
-    count: NDArray[np.int64],
-    criterion: str,
-    n_terms: int | None,
-    err_tol: float,
-    at_least: int,
-) -> tuple[NDArray[np.intp], list[str]]:
-    """Return how many steps of each path to keep, and why it ends there."""
-    n_max = path.order.shape[1]
-    steps = (path.order >= 0).sum(axis=1)  # (n,)
-    safe = np.where(power > 0, power, 1.0)[:, None]
-    rest = 1.0 - np.cumsum(path.gain**2, axis=1) / safe  # (n, n_max) unexplained share
-    k = np.arange(1, n_max + 1)
-    exists = k <= steps[:, None]
-    if criterion == "n_terms":
-        size, why = steps, "n_terms"
-        reached = steps == min(n_terms or n_max, n_max)
-    elif criterion == "err_tol":
-        below = (rest < err_tol) & exists
-        reached = below.any(axis=1)
-        size, why = np.where(reached, below.argmax(axis=1) + 1, steps), "err_tol"
-    else:
-        N = count[:, None].astype(np.float64)
-        floor = 64 * n_max * np.finfo(np.float64).eps  # below this the residual is rounding
-        bic = N * np.log(np.maximum(rest, floor)) + k * np.log(N)
-        size, why = np.where(exists, bic, np.inf).argmin(axis=1) + 1, "bic"
-        reached = size < steps
-    size = np.maximum(np.minimum(size, steps), np.minimum(at_least, steps))
-    return size.astype(np.intp), [why if hit else "exhausted" for hit in reached]
