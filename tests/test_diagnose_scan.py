@@ -11,6 +11,7 @@ from conftest import polygon_arena
 from logs.run import Run
 from planners.arena import Arena, Floats, wrap
 from sensorgraph.diagnose.criticise import check, dispersion, replicate
+from sensorgraph.diagnose.diagnose import diagnose, is_material
 from sensorgraph.diagnose.evidence import Evidence, gather
 from sensorgraph.diagnose.fits import placement
 from sensorgraph.diagnose.likelihood import judge, predicted
@@ -339,3 +340,40 @@ def test_a_run_in_an_arena_full_of_walls_is_of_another_place_though_rays_end_at_
     assert place.alike < 0.3 and not place.fits
     assert "as long as the arena would make them" in place.sentence()
     assert placement(evidence_of(hall), np.random.default_rng(0)).alike > 0.95
+
+
+def with_box(hall: Arena) -> Arena:
+    """Return the hall with a square box of 30 cm that no map has."""
+    x, y = 1.2, 1.2
+    box = np.array([(x, y), (x + 0.3, y), (x + 0.3, y + 0.3), (x, y + 0.3)])
+    rings = [
+        [(0, 0), (6, 0), (6, 5), (0, 5)],
+        [(2.0, 3.0), (2.6, 3.0), (2.6, 3.5), (2.0, 3.5)],
+        [(4.0, 1.0), (4.5, 1.2), (4.3, 1.7)],
+        [(float(a), float(b)) for a, b in box],
+    ]
+    return polygon_arena(*rings)
+
+
+def test_the_outline_of_a_box_where_a_disc_is_said_doubts_no_other_name(hall: Arena) -> None:
+    """A box that the map lacks and a biased laser: both are named, though a disc is not what stands there."""
+    run = drive(with_box(hall), (EFFECTS["range_bias"](b=0.03),), n=320)
+    found = diagnose(run, hall, robot_file.loads("sensor: {n_rays: 61}"), plan_next=False)
+    assert {a.name for a in found.effects} == {"unmapped_obstacle", "range_bias"}
+    box = next(a for a in found.effects if a.name == "unmapped_obstacle")
+    assert abs(box["x"] - 1.35) < 0.05
+    assert abs(box["y"] - 1.35) < 0.05
+    assert 0.13 < box["r"] < 0.23
+
+
+@pytest.mark.parametrize(("sticks_out", "is_named"), [(0.008, False), (0.08, True)])
+def test_what_hardly_stands_out_of_a_mapped_obstacle_is_none(
+    quiet: Evidence, null: Fitted, sticks_out: float, is_named: bool
+) -> None:
+    """A disc over the face x = 2.6 of a pillar, within what the map may be wrong there, or not."""
+    r = 0.05
+    disc = replace(
+        EFFECTS["unmapped_obstacle"](x=2.6 + sticks_out - r, y=3.25, r=r),
+        stderr={"x": 0.002, "y": 0.002, "r": 0.002},
+    )
+    assert is_material(null, disc) == is_named

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.arena import Bools, Floats
+from planners.clearance import Barriers
 from sensorgraph.diagnose.evidence import Evidence
 from sensorgraph.diagnose.finding import Where
 from sensorgraph.diagnose.model import Fitted, bare_cast, fit, log_p_at
@@ -29,6 +30,7 @@ CELL = 0.5  # [m] of places
 CLIP = 4.0  # sigmas at which a residual is cut
 FLOORS = {"bias": 4.5, "spread": 6.0, "outliers": 6.0, "misses": 6.0}
 MATERIAL = {"bias": 0.2, "spread": 0.15, "outliers": 0.004, "misses": 0.005}  # sigma, ratio, share, share
+ASIDE = 0.1  # [m] from mapped walls, from where an obstacle is no part of them
 SPREAD = 0.9866  # mean square of a unit normal cut at CLIP, nearly
 LEAST = 40  # rays in a bin
 LEAST_BLOCKS = 5
@@ -235,6 +237,9 @@ def scores(view: View) -> Scores:
     inside = np.clip((view.range_max - np.where(view.aimed, view.mu, 0.0)) / (4 * view.sigma), 0.0, 1.0)
     p_lost = 1 - what.p_return * (1 - view.noise.loss)
     due = due & (inside >= 1.0)
+    outline = outlines(view)
+    if outline is not None:
+        usual, away, due = usual & ~outline, away & ~outline, due & ~outline
     return Scores(
         values={
             "bias": np.where(usual, psi, 0.0),
@@ -244,6 +249,22 @@ def scores(view: View) -> Scores:
         },
         counted={"bias": usual, "spread": usual, "outliers": away, "misses": due},
     )
+
+
+def outlines(view: View) -> Bools | None:
+    """Tell which rays pass an unmapped obstacle that stands free: of its outline, a disc says too little to be judged."""
+    arena, beams, out = view.evidence.arena, view.beams, None
+    for a in view.fitted.model:
+        if a.name != "unmapped_obstacle":
+            continue
+        place, r = np.array([[a["x"], a["y"]]]), a["r"]
+        if not arena.contains(place)[0] or Barriers(arena).distances(place)[0] < r + ASIDE:
+            continue
+        x, y = place[0, 0] - beams.ox, place[0, 1] - beams.oy
+        ahead = x * beams.ux + y * beams.uy > 0
+        near = ahead & (np.abs(x * beams.uy - y * beams.ux) < r + max(r, ASIDE))
+        out = near if out is None else out | near
+    return out
 
 
 def deviations(view: View, parts: list[Partition] | None = None, *, least: float = 3.5) -> list[Where]:

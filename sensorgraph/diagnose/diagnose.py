@@ -13,6 +13,7 @@ from scipy.special import expit
 
 from logs.run import Run
 from planners.arena import Arena
+from planners.clearance import Barriers
 from planners.errors import PlanError
 from sensorgraph.diagnose.commissioning import Commissioned
 from sensorgraph.diagnose.criticise import Verdict, check, deviations
@@ -47,6 +48,7 @@ SHORTEST = 0.15  # [m] of a pane, a mirror or a black part
 WELL = 0.3  # [m] median error of a scan the right way round
 SURELY = 0.65  # chance that a size is material, which a name takes
 TRUST = 0.975  # most that a name deserves: now and then something outside the library looks like it
+SKIN = 4.0  # map tolerances by which an obstacle over a mapped one must stand out of it
 STRIKE = 0.006  # of an effect's evidence; where more than this stays unexplained, its name falls
 
 
@@ -373,9 +375,21 @@ def is_material(fitted: Fitted, amendment: Amendment) -> bool:
         and values["b"] - values["a"] < SHORTEST
     ):
         return False
-    if is_usual(fitted, amendment) or not is_known(amendment):
+    if is_usual(fitted, amendment) or not is_known(amendment) or is_skin(fitted, amendment):
         return False
     return material_probability(amendment, amendment.stderr, slackness(fitted, amendment)) >= SURELY
+
+
+def is_skin(fitted: Fitted, amendment: Amendment) -> bool:
+    """Tell whether an obstacle stands out of a mapped one by no more than the map may be wrong there."""
+    if amendment.name != "unmapped_obstacle":
+        return False
+    evidence, values = fitted.solver.evidence, amendment.parameters
+    place = np.array([[values["x"], values["y"]]])
+    if evidence.arena.contains(place)[0]:
+        return False
+    stands_out = values["r"] - float(Barriers(evidence.arena).distances(place)[0])
+    return stands_out < SKIN * evidence.tolerances.map * slackness(fitted, amendment)
 
 
 def is_known(amendment: Amendment) -> bool:
