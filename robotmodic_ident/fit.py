@@ -2,21 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
-from robotmodic_ident.criteria import Criterion
-from robotmodic_ident.model import Narmax
+from robotmodic_ident.criteria import INFORMATION, Criterion
+from robotmodic_ident.dependence import independent
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.estimate import Covariance, Descent, Estimate
+from robotmodic_ident.model import NO_TERMS, Narmax
 from robotmodic_ident.moments import Moments
-from robotmodic_ident.records import Record, lagged
+from robotmodic_ident.ratio import Structure, as_ratio, times_output
+from robotmodic_ident.records import Lagged, Record, as_records, lagged
+from robotmodic_ident.recursion import NOISE_NAME
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.select import select
+from robotmodic_ident.sizes import Search
 from robotmodic_ident.terms import Floats, Terms
+
+Estimator = Literal["ls", "els", "pem", "simulation"]
+Records = Record | Mapping[str, Floats] | Iterable[Record | Mapping[str, Floats]]
+
+ROUNDS = 4
+"""Times that terms are chosen anew with the noise found so far."""
+ELS_STEPS = 30
+FAR = 20.0
+"""A variable is centred when its middle lies this many half-spans from 0."""
 
 
 def fit(
-    records: Record | Mapping[str, Floats] | Iterable[Record | Mapping[str, Floats]],
+    records: Records,
     output: str,
     terms: Terms,
     *,
@@ -24,21 +41,256 @@ def fit(
     criterion: Criterion | None = None,
     err_tol: float = 1e-4,
     scale: Scale | None = None,
+    search: Search = "exchange",
+    keep: Sequence[str] = (),
+    n_folds: int = 5,
+    noise: int | Terms = 0,
+    denominator: Terms = NO_TERMS,
+    estimator: Estimator | None = None,
+    covariance: Covariance | None = None,
 ) -> Narmax:
-    """Identify one output from records by forward selection among `terms`.
+    """Identify one output from records: choose among `terms`, estimate, and say how sure it is.
 
-    Variables are divided by their largest size but not centred unless `scale` says so: centring keeps
-    the span of a full polynomial but changes which few terms describe it. Without centring the result
-    is in the user's units.
+    Parameters
+    ----------
+    n_terms : terms to keep (criterion `n_terms`), else the most to look at
+    criterion : see `select`; default `ebic`, or `n_terms` where that is given
+    scale : of the variables; None: each is divided by its largest size, and centred only where it lies far from 0
+        (centring keeps the span of a full polynomial but changes which few terms describe it)
+    search : `exchange`, `restart` or `forward`
+    keep : names of terms that stay
+    n_folds : contiguous blocks that criterion `cv` leaves out in turn
+    noise : lags of e(k), or terms that hold `e(k-1)`, ...; they stay in the predictor
+    denominator : candidate terms below the line of a rational model, without a constant
+    estimator : `ls`; `els`; `pem` (the default with noise or a denominator); `simulation` (least error in free run)
+    covariance : `classical`; `sandwich`; `hac` (the default for `simulation`, whose residuals are correlated)
     """
-    rows = lagged(records, terms, [output])
-    if scale is None:
-        sizes: dict[str, list[Floats]] = {}
-        for term in terms:
-            for f in term:
-                if f.function not in ("cos", "sin"):
-                    sizes.setdefault(f.variable, []).append(rows.columns[f.signal])
-        scale = Scale.of({name: np.concatenate(parts) for name, parts in sizes.items()}, centre=False)
-    moments = Moments(terms, 1, scale=scale).add(rows.columns, rows.targets)
-    model = Narmax.of(select(moments, n_terms, criterion=criterion, err_tol=err_tol), 0, output)
-    return model if any(scale.centres) else model.in_user_units()
+    records = as_records(records)
+    noise_terms = _noise_terms(noise)
+    if estimator is None:
+        estimator = "pem" if len(noise_terms) or len(denominator) else "ls"
+    if estimator not in get_args(Estimator):
+        raise ValueError(f"estimator is {estimator!r}, expected one of {', '.join(get_args(Estimator))}")
+    criterion = criterion or ("ebic" if n_terms is None else "n_terms")
+    candidates = terms + times_output(denominator, output)
+    choice = _Choice(
+        records, output, candidates, n_terms, criterion, err_tol, search, tuple(keep), n_folds, scale
+    )
+    if len(denominator) and len(noise_terms):
+        raise IdentError("a rational model with noise terms is not offered; leave one of them out")
+    if len(denominator):
+        model = as_ratio(choice.select(), records, denominator)
+        if criterion in INFORMATION:
+            model = Structure(records, terms, denominator, criterion).settle(model)
+    elif len(noise_terms):
+        model = _with_noise(choice, noise_terms)
+    else:
+        model = choice.select()
+    kind: Covariance = covariance or ("hac" if estimator == "simulation" else "classical")
+    if estimator != "ls" or kind != "classical":
+        model = _refined(model, records, estimator, kind)
+    model = replace(model, notes=(*choice.notes, *model.notes))
+    return model.without_widths() if any(model.scale.centres) else model.in_user_units()
+
+
+@dataclass
+class _Choice:
+    """The selection of process terms, which noise found later may repeat."""
+
+    records: list[Record]
+    output: str
+    terms: Terms
+    n_terms: int | None
+    criterion: Criterion
+    err_tol: float
+    search: Search
+    keep: tuple[str, ...]
+    n_folds: int
+    scale: Scale | None
+
+    def __post_init__(self) -> None:
+        self.rows = lagged(self.records, self.terms, [self.output])
+        if not np.isfinite(self.rows.targets).any():
+            raise IdentError(f"output {self.output} is not known at any sample whose regressors are known")
+        self.scale = self.scale or _scale_of(self.terms, self.rows)
+        moments = self.moments(self.terms, self.rows)
+        kept, found = independent(moments, self.output, moments.gram_of(0))
+        names = {moments.terms.names[i] for i in kept.tolist()}
+        if lost := set(self.keep) - names - (set(self.keep) - set(moments.terms.names)):
+            raise IdentError(f"term {', '.join(sorted(lost))} is to be kept but is given exactly by others")
+        self.terms = self.terms[kept.tolist()]
+        self.notes = [str(dependence) for dependence in found] + self._remarks(int(moments.count[0]))
+
+    def _remarks(self, count: int) -> list[str]:
+        out = []
+        if count < 2 * len(self.terms):
+            out.append(f"{count} samples for {len(self.terms)} candidate terms: the choice is weakly founded")
+        for i, record in enumerate(self.records):
+            if not (self.rows.record == i).any():
+                out.append(
+                    f"record {i} gives no sample: {len(record)} samples, look back {self.terms.max_lag}"
+                )
+        return out
+
+    def moments(self, terms: Terms, rows: Lagged) -> Moments:
+        """Sum up the rows."""
+        return Moments(terms, 1, scale=self.scale).add(rows.columns, rows.targets)
+
+    def select(self, noise: Terms = NO_TERMS, noise_signal: Sequence[Floats] = ()) -> Narmax:
+        """Choose process terms, with noise terms beside them if there are any."""
+        rows, terms = self.rows, self.terms
+        if len(noise):
+            terms = self.terms + noise
+            rows = lagged(_with_signal(self.records, noise_signal), terms, [self.output])
+        moments = self.moments(terms, rows)
+        selection = select(
+            moments,
+            None if self.n_terms is None else self.n_terms + len(noise),
+            criterion=self.criterion,
+            err_tol=self.err_tol,
+            keep=(*self.keep, *noise.names),
+            search=self.search,
+            folds=self._folds(terms, rows) if self.criterion == "cv" else (),
+        )
+        chosen = [i for i in selection.chosen(0).tolist() if terms.names[i] not in noise.names]
+        if not len(noise):
+            return Narmax.of(selection, 0, self.output)
+        alone = moments.pick(terms=chosen)
+        return replace(Narmax.of(select(alone, len(chosen)), 0, self.output), stop=selection.stop[0])
+
+    def _folds(self, terms: Terms, rows: Lagged) -> list[Moments]:
+        blocks = np.array_split(np.arange(len(rows.sample)), self.n_folds)
+        return [
+            Moments(terms, 1, scale=self.scale).add(
+                {name: values[block] for name, values in rows.columns.items()}, rows.targets[block]
+            )
+            for block in blocks
+        ]
+
+
+def _noise_terms(noise: int | Terms) -> Terms:
+    if isinstance(noise, int):
+        return Terms.parse(*(f"{NOISE_NAME}(k-{lag})" for lag in range(1, noise + 1)))
+    for term, name in zip(noise, noise.names, strict=True):
+        if not any(f.variable == NOISE_NAME and f.lag for f in term):
+            raise IdentError(f"noise term {name} holds no past {NOISE_NAME}, as {NOISE_NAME}(k-1) would be")
+    return noise
+
+
+def _with_noise(choice: _Choice, noise: Terms) -> Narmax:
+    """Choose terms and noise coefficients in turn until the terms stay the same (extended least squares)."""
+    model = choice.select()
+    for _ in range(ROUNDS):
+        before = set(model.terms.names)
+        model = _extended(model, choice.records, noise)
+        signal = _noise_of(model, choice.records)
+        chosen = choice.select(noise, signal)
+        if set(chosen.terms.names) == before:
+            return model
+        model = chosen
+    return replace(
+        _extended(model, choice.records, noise),
+        notes=("terms and noise did not settle on each other; the last choice was kept",),
+    )
+
+
+def _noise_of(model: Narmax, records: Sequence[Record]) -> list[Floats]:
+    """Return what the one-step prediction leaves of every record; 0 where it is not known."""
+    return [np.nan_to_num(model.residuals(record), nan=0.0) for record in records]
+
+
+def _extended(model: Narmax, records: Sequence[Record], noise: Terms) -> Narmax:
+    """Iterate least squares with the residuals of the last round as regressors; keep the best round."""
+    n, size = len(model.terms), len(model.terms) + len(noise)
+    terms = model.terms + noise
+    best = replace(
+        model,
+        noise_terms=noise,
+        noise_theta=np.zeros(len(noise)),
+        covariance=np.zeros((size, size)),
+        estimator="els",
+    )
+    descent = Descent(best.recursion(), records, free=False)
+    least, *_ = descent.at(best.parameters)
+    for _ in range(ELS_STEPS):
+        rows = lagged(_with_signal(records, _noise_of(best, records)), terms, [model.output])
+        known = np.isfinite(rows.targets[:, 0])
+        phi = terms.matrix(rows.columns, model.scale, n=len(known))[known]
+        theta = np.linalg.lstsq(phi, rows.targets[known, 0], rcond=None)[0]
+        cost, *_ = descent.at(theta)
+        if not cost < least * (1.0 - 1e-10):  # no better, or the noise model is not invertible
+            break
+        best, least = replace(best, theta=theta[:n], noise_theta=theta[n:]), cost
+    return best
+
+
+def _with_signal(records: Sequence[Record], noise: Sequence[Floats]) -> list[Record]:
+    """Add the noise found so far to the signals of every record."""
+    return [
+        Record(signals={**r.signals, NOISE_NAME: e}, stamps=r.stamps, max_gap=r.max_gap)
+        for r, e in zip(records, noise, strict=True)
+    ]
+
+
+def _refined(model: Narmax, records: Sequence[Record], estimator: Estimator, kind: Covariance) -> Narmax:
+    """Finish by Gauss-Newton (not for ls and els) and give the covariance asked for."""
+    free = estimator == "simulation"
+    try:
+        descent = Descent(model.recursion(), records, free=free)
+        if estimator in ("ls", "els"):
+            cost, residuals, gradients = descent.at(model.parameters, gradient=True)
+            result = Estimate(
+                theta=model.parameters,
+                rss=cost,
+                count=descent.count,
+                residuals=residuals,
+                gradients=gradients,
+                converged=True,
+            )
+        else:
+            result = descent.minimise(model.parameters)
+    except IdentError as exc:
+        if not free:
+            raise
+        return replace(model, notes=(*model.notes, f"no refinement in free run: {exc}"))
+    a, b = len(model.terms), len(model.terms) + len(model.denominator)
+    notes = model.notes
+    if not result.converged:
+        notes = (*notes, "the descent did not come to rest; theta may still move")
+    return replace(
+        model,
+        theta=result.theta[:a],
+        denominator_theta=result.theta[a:b],
+        noise_theta=result.theta[b:],
+        covariance=result.covariance(kind),
+        sigma=result.sigma,
+        n_samples=result.count,
+        estimator=estimator,
+        notes=notes,
+    )
+
+
+def _scale_of(terms: Terms, rows: Lagged) -> Scale:
+    """Divide every variable by its size; centre it, at a round number, where it lies far from 0."""
+    names, centres, widths = [], [], []
+    for variable in terms.variables:
+        signals = {
+            f.signal
+            for term in terms
+            for f in term
+            if f.variable == variable and f.function not in ("cos", "sin") and f.domain is None
+        }
+        if not signals:
+            continue
+        low = min(float(rows.columns[name].min()) for name in signals)
+        high = max(float(rows.columns[name].max()) for name in signals)
+        middle, half = (low + high) / 2, (high - low) / 2
+        centre = 0.0
+        if half > 0 and abs(middle) > FAR * half:
+            unit = 10.0 ** np.ceil(np.log10(2 * half))
+            centre = float(np.round(middle / unit) * unit)
+        width = max(abs(low - centre), abs(high - centre))
+        names.append(variable)
+        centres.append(centre)
+        widths.append(width if width > 0 else 1.0)
+    return Scale(tuple(names), tuple(centres), tuple(widths))

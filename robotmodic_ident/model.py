@@ -152,6 +152,24 @@ class Narmax:
             noise_theta=noise_theta,
         )
 
+    def without_widths(self) -> Narmax:
+        """Return the same model with every variable centred as before but no longer divided by its width."""
+        below, below_factor = _unscaled(self.denominator, self.scale)
+        terms, factor = _unscaled(self.terms, self.scale)
+        noise, noise_factor = _unscaled(self.noise_terms, self.scale)
+        total = np.concatenate([factor, below_factor, noise_factor])
+        return replace(
+            self,
+            terms=terms,
+            theta=self.theta * factor,
+            covariance=self.covariance * np.outer(total, total),
+            scale=Scale(self.scale.variables, self.scale.centres, tuple(1.0 for _ in self.scale.widths)),
+            denominator=below,
+            denominator_theta=self.denominator_theta * below_factor,
+            noise_terms=noise,
+            noise_theta=self.noise_theta * noise_factor,
+        )
+
     def equation(self, *, digits: int = 6, scaled: bool = False) -> str:
         """Print the model; in the user's units, or in the scaled variables if `scaled`."""
         model = self if scaled else self.in_user_units()
@@ -265,6 +283,22 @@ class Narmax:
             estimator=data.get("estimator", "ls"),
             notes=tuple(data.get("notes", ())),
         )
+
+
+def _unscaled(terms: Terms, scale: Scale) -> tuple[Terms, Floats]:
+    """Return terms whose shapes hold their own domain, and what the widths of the others divide (n_terms,)."""
+    table, factors = [], []
+    for term in terms:
+        moved, factor = [], 1.0
+        for f in term:
+            if f.is_shape and f.domain is None and f.variable in scale.variables:
+                f = replace(f, domain=scale.pair(f.variable))
+            elif not f.function:
+                factor /= scale.pair(f.variable)[1] ** f.power
+            moved.append(f)
+        table.append(tuple(moved))
+        factors.append(factor)
+    return Terms(tuple(table)), np.array(factors, dtype=np.float64)
 
 
 def _rows(terms: Terms, theta: Floats, stderr: Floats) -> list[dict[str, Any]]:
