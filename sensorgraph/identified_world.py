@@ -8,16 +8,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 import logs
-from logs.run import Run
+from logs.run import RangeSensor, Run
 from planners.arena import Arena, Floats
 from planners.maps import geojson
 from planners.trajectory import Trajectory
 from sensorgraph.build import is_same_sensor
-from sensorgraph.controllers import CONTROLLERS
+from sensorgraph.controllers import controller_named
 from sensorgraph.errors import GapError
 from sensorgraph.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
@@ -25,6 +26,7 @@ from sensorgraph.models.faces import Faces
 from sensorgraph.record import Progress, silent
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow, react
+from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot_file import RobotFile
 from sensorgraph.world.scene import limited
 from sensorgraph.world.simulate import occupancy, simulate
@@ -32,6 +34,57 @@ from sensorgraph.world.simulate import occupancy, simulate
 PLAN = "plan"
 """The controller that follows the plan, as `record` does without a graph."""
 NOISE_BLOCK = 256  # scans whose noise is drawn at once
+
+
+class World(Protocol):
+    """Where a robot can be driven closed loop."""
+
+    seed: int
+    sensor: RangeSensor
+
+    def scans(self, first: int, poses: Floats) -> Floats:
+        """Draw scans `first`, `first` + 1, ... at base_link poses (n, 3); returns readings (n, n_rays) [m]."""
+        ...
+
+    def scan(self, number: int, pose: Floats) -> Floats:
+        """Draw one scan (n_rays,) [m] at a pose (3,)."""
+        ...
+
+
+class Noise:
+    """A uniform and a normal number for each ray of each scan: the same, whoever asks."""
+
+    def __init__(self, seed: int, n_rays: int) -> None:
+        self.seed, self.n_rays = seed, n_rays
+        self._kept: tuple[int, Floats, Floats] | None = None
+
+    def of(self, number: int) -> tuple[Floats, Floats]:
+        """Return uniform and normal numbers (n_rays,) of one scan."""
+        block, row = divmod(number, NOISE_BLOCK)
+        if self._kept is None or self._kept[0] != block:
+            rng = np.random.default_rng([self.seed, 1, block])
+            shape = (NOISE_BLOCK, self.n_rays)
+            self._kept = block, rng.random(shape), rng.normal(size=shape)
+        return self._kept[1][row], self._kept[2][row]
+
+
+class ArenaWorld:
+    """Readings cast in an arena, with the sensor's noise and nothing else."""
+
+    def __init__(self, arena: Arena, robot: RobotFile, seed: int) -> None:
+        self.arena, self.sensor, self.seed = arena, robot.sensor, seed
+        self._noise = Noise(seed, robot.sensor.n_rays)
+
+    def scans(self, first: int, poses: Floats) -> Floats:
+        """Draw scans `first`, `first` + 1, ... at base_link poses (n, 3); returns readings (n, n_rays) [m]."""
+        normal = np.array([self._noise.of(first + i)[1] for i in range(len(poses))])
+        ranges = cast(self.arena, poses, self.sensor).ranges
+        noisy = ranges + self.sensor.sigma * normal
+        return limited(np.where(np.isfinite(ranges), noisy, ranges), self.sensor)
+
+    def scan(self, number: int, pose: Floats) -> Floats:
+        """Draw one scan (n_rays,) [m] at a pose (3,)."""
+        return np.asarray(self.scans(number, pose[None])[0])
 
 
 class IdentifiedWorld:
@@ -46,7 +99,7 @@ class IdentifiedWorld:
         self.graph, self.seed = graph, seed
         self.sensor = replace(robot.sensor, range_max=min(robot.sensor.range_max, graph.sensor.range_max))
         self.n_rays = self.unanswered = 0
-        self._kept: tuple[int, Floats, Floats] | None = None
+        self._noise = Noise(seed, robot.sensor.n_rays)
 
     def scans(self, first: int, poses: Floats) -> Floats:
         """Draw scans `first`, `first` + 1, ... at base_link poses (n, 3); returns readings (n, n_rays) [m]."""
@@ -62,7 +115,7 @@ class IdentifiedWorld:
         return np.asarray(self._drawn(number, there)[0])
 
     def _drawn(self, first: int, poses: Floats) -> Floats:
-        noise = [self._noise(first + i) for i in range(len(poses))]
+        noise = [self._noise.of(first + i) for i in range(len(poses))]
         uniform, normal = (np.array(part) for part in zip(*noise, strict=True))
         model = self.graph.model
         if isinstance(model, Faces):
@@ -72,19 +125,10 @@ class IdentifiedWorld:
             readings = np.where(uniform < said.p_no_return, np.inf, said.mode + said.sigma * normal)
         return limited(readings, self.sensor)
 
-    def _noise(self, number: int) -> tuple[Floats, Floats]:
-        """Return a uniform and a normal number for each ray of one scan: the same, whoever asks."""
-        block, row = divmod(number, NOISE_BLOCK)
-        if self._kept is None or self._kept[0] != block:
-            rng = np.random.default_rng([self.seed, 1, block])
-            shape = (NOISE_BLOCK, self.sensor.n_rays)
-            self._kept = block, rng.random(shape), rng.normal(size=shape)
-        return self._kept[1][row], self._kept[2][row]
-
 
 def record_in(
     path: Path,
-    world: IdentifiedWorld,
+    world: World,
     arena: Arena,
     robot: RobotFile,
     way: Trajectory,
@@ -98,8 +142,9 @@ def record_in(
     Parameters
     ----------
     arena : what stops the robot's body, and what the run keeps as its map
-    controller : `plan` follows the trajectory; others of CONTROLLERS steer by the drawn scans, from its start
-    name : of the graph, for the run's meta
+    controller : `plan` follows the trajectory; others of CONTROLLERS, or a MODEL.json of `identify`, steer by the
+        drawn scans, from its start
+    name : of the graph, for the run's meta; empty in an arena
     """
     robot = replace(robot, sensor=world.sensor)
     clearance = WallDistance(arena)
@@ -108,10 +153,7 @@ def record_in(
             rng = np.random.default_rng([world.seed, 2])
             driven = follow(way, robot, clearance=clearance, rng=rng, progress=tick)
         else:
-            if controller not in CONTROLLERS:
-                known = ", ".join((PLAN, *CONTROLLERS))
-                raise GapError(f"controller is {controller!r}, expected one of {known}")
-            steer = CONTROLLERS[controller](robot, world.seed)
+            steer = controller_named(controller, robot, world.seed)
             driven = react(
                 steer, world.scan, way.poses[0], way.duration, robot, clearance=clearance, progress=tick
             )
@@ -119,7 +161,7 @@ def record_in(
     with progress("scanning", "scans") as tick:
         run = simulate(
             driven, arena, robot, rng=np.random.default_rng([world.seed, 3]), perceive=world.scans,
-            meta={**meta, "graph": name, "controller": controller},
+            meta={**meta, **({"graph": name} if name else {}), "controller": controller},
             attachments={"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": robot.text.encode()},
             progress=tick,
         )  # fmt: skip

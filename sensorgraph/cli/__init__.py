@@ -18,6 +18,7 @@ from sensorgraph.cli.build import build
 from sensorgraph.cli.demo import demo
 from sensorgraph.cli.diagnose import diagnose
 from sensorgraph.cli.evaluate import evaluate
+from sensorgraph.cli.identify import identify
 from sensorgraph.cli.inspect import inspect
 from sensorgraph.cli.plan import plan
 from sensorgraph.cli.predict import predict
@@ -37,6 +38,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "show": show,
     "review": review,
     "diagnose": diagnose,
+    "identify": identify,
     "record": record,
 }
 

@@ -28,7 +28,10 @@ def record(
     ] = None,
     controller: Annotated[
         list[str] | None,
-        typer.Option(help="With --graph: plan, wall_following, random_bounce; several are compared."),
+        typer.Option(
+            help="plan, wall_following, random_bounce, a MODEL.json of `identify`, or TURN.json,SPEED.json; "
+            "several are compared."
+        ),
     ] = None,
     robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")] = None,
     start: Annotated[
@@ -51,6 +54,8 @@ def record(
       sensorgraph record runs/plan --arena office --effects runs/found/effects.yaml -o amended.mcap
 
       sensorgraph record runs/plan --graph lab.sensorgraph --controller plan --controller wall_following -o race.mcap
+
+      sensorgraph record runs/plan --arena square --controller wall_following --controller turn.json -o copy.mcap
     """
     from sensorgraph.cli.inputs import check_output, named_arena, named_robot
     from sensorgraph.cli.progress import progress
@@ -66,10 +71,15 @@ def record(
     if graph is not None:
         if effects is not None or start is not None:
             raise GapError("--graph holds what was perceived; --effects and --start go with --arena")
-        _record_in_graph(plan, graph, out, controller or ["plan"], arena, robot, seed)
+        _record_closed_loop(plan, graph, out, controller or ["plan"], arena, robot, seed)
         return
     if controller:
-        raise GapError("--controller steers by what a graph perceives; give --graph as well")
+        if effects is not None or start is not None or arena is None:
+            raise GapError(
+                "--controller goes with --arena or --graph alone, and starts where the plan starts"
+            )
+        _record_closed_loop(plan, None, out, controller, arena, robot, seed)
+        return
     if arena is None:
         raise GapError("nowhere to drive; give --arena NAME or --graph GRAPH")
     walls, machine = named_arena(arena), named_robot(robot)
@@ -99,51 +109,71 @@ def record(
     typer.echo(f"wrote {out}")
 
 
-def _record_in_graph(
+def _record_closed_loop(
     plan: Path,
-    path: Path,
+    path: Path | None,
     out: Path,
     controllers: list[str],
     arena: str | None,
     robot: Path | None,
     seed: int,
 ) -> None:
-    """Drive in an identified world, once for each controller, and say how the drives compare."""
+    """Drive in an arena or an identified world, once for each controller, and say how the drives compare."""
     from sensorgraph.behaviour import behaviour, table
     from sensorgraph.cli.inputs import check_output, named_arena, named_robot
     from sensorgraph.cli.progress import progress
-    from sensorgraph.controllers import CONTROLLERS
+    from sensorgraph.controllers import CONTROLLERS, controller_label
     from sensorgraph.errors import GapError
     from sensorgraph.figures import tracks_picture
     from sensorgraph.graph import Sensorgraph
-    from sensorgraph.identified_world import PLAN, IdentifiedWorld, record_in
+    from sensorgraph.identified_world import PLAN, ArenaWorld, IdentifiedWorld, record_in
     from sensorgraph.world.clearance import WallDistance
     from sensorgraph.world.identified_arena import arena_of
 
     known = (PLAN, *CONTROLLERS)
     for name in controllers:
-        if name not in known or controllers.count(name) > 1:
-            raise GapError(f"controller is {name!r}, expected each of {', '.join(known)} at most once")
+        if (name not in known and not name.endswith(".json")) or controllers.count(name) > 1:
+            raise GapError(
+                f"controller is {name!r}, expected each of {', '.join(known)}, or a MODEL.json, at most once"
+            )
     trajectory, _ = _read(plan)
     if trajectory is None:
-        raise GapError(f"{plan} is a run; with --graph give a plan: its start and its time count")
-    known_graph, machine = Sensorgraph.load(path), named_robot(robot)
-    walls = arena_of(known_graph) if arena is None else named_arena(arena)
+        raise GapError(f"{plan} is a run; a controller needs a plan: its start and its time count")
+    graph, machine = None if path is None else Sensorgraph.load(path), named_robot(robot)
+    if arena is not None:
+        walls = named_arena(arena)
+    else:
+        assert graph is not None
+        walls = arena_of(graph)
     _check_start(trajectory.poses[0], WallDistance(walls), machine.robot.footprint_radius, arena or str(path))
-    outs = {name: out if i == 0 else out.with_suffix(f".{name}.mcap") for i, name in enumerate(controllers)}
+    labels = {name: controller_label(name) for name in controllers}
+    if len(set(labels.values())) < len(labels):
+        raise GapError(f"controllers {', '.join(controllers)} share a name; rename one of the files")
+    outs = {
+        name: out if i == 0 else out.with_suffix(f".{labels[name]}.mcap")
+        for i, name in enumerate(controllers)
+    }
     for file in outs.values():
-        check_output(file, plan, path)
+        check_output(file, plan, *([] if path is None else [path]))
     runs = {}
     for name, file in outs.items():
-        world = IdentifiedWorld(known_graph, machine, seed)
-        run = record_in(file, world, walls, machine, trajectory, name, name=path.name, progress=progress)
-        runs[name] = run
+        world = ArenaWorld(walls, machine, seed) if graph is None else IdentifiedWorld(graph, machine, seed)
+        run = record_in(
+            file, world, walls, machine, trajectory, name, name="" if path is None else path.name,
+            progress=progress,
+        )  # fmt: skip
+        runs[labels[name]] = run
         contacts = int(run.meta["contacts"])
         touched = f", touched a wall {contacts} times" if contacts else ""
-        typer.echo(
-            f"{name}: {run.n_scans:,} scans{touched}; the graph has no answer for {world.unanswered:,} of "
-            f"{world.n_rays:,} rays ({world.unanswered / max(world.n_rays, 1):.2%}), drawn all the same"
+        unsure = (
+            ""
+            if not isinstance(world, IdentifiedWorld)
+            else (
+                f"; the graph has no answer for {world.unanswered:,} of "
+                f"{world.n_rays:,} rays ({world.unanswered / max(world.n_rays, 1):.2%}), drawn all the same"
+            )
         )
+        typer.echo(f"{labels[name]}: {run.n_scans:,} scans{touched}{unsure}")
     typer.echo("\n" + "\n".join(table({name: behaviour(run, walls) for name, run in runs.items()})) + "\n")
     picture = out.with_suffix(".png")
     tracks_picture({name: run.poses[:, :2] for name, run in runs.items()}, walls, picture)

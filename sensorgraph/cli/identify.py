@@ -1,0 +1,143 @@
+"""`sensorgraph identify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from sensorgraph.identify import Identified, Score
+    from sensorgraph.signals import Data
+
+
+def identify(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE", help="A CSV with columns by name (`record` separates records), or a run."
+        ),
+    ],
+    output: Annotated[str, typer.Option(metavar="NAME", help="The signal to explain.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.json", help="The model to write.")],
+    inputs: Annotated[
+        str, typer.Option(metavar="NAME,...", help="The signals that explain it, separated by commas.")
+    ] = "",
+    lags: Annotated[int, typer.Option(min=0, max=1000, help="Inputs at k, k-1, ..., k-N.")] = 2,
+    output_lags: Annotated[int, typer.Option(min=0, max=1000, help="Past outputs k-1, ..., k-N.")] = 0,
+    degree: Annotated[int, typer.Option(min=1, max=8, help="Of the polynomial.")] = 2,
+    noise_lags: Annotated[int, typer.Option(min=0, max=100, help="Past noise e(k-1), ..., e(k-N).")] = 0,
+    split: Annotated[
+        str, typer.Option(help="half: first half trains; block: every second tenth is held out; none.")
+    ] = "half",
+    every: Annotated[int, typer.Option(min=1, help="Use every K-th sample.", metavar="K")] = 1,
+    criterion: Annotated[
+        str | None, typer.Option(help="How many terms: bic, aic, ebic, cv, err_tol, n_terms.")
+    ] = None,
+    terms: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Terms to keep, or the most to look at.")
+    ] = None,
+    topic: Annotated[
+        list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
+    ] = None,
+) -> None:
+    """Find the polynomial that explains one signal by others, and test it on data it has not seen.
+
+    Signals of a run: x y phi cos_phi sin_phi v omega cmd_v cmd_omega, L67 (the ray nearest 67°, counted
+    counter-clockwise from the robot's right: 90 is ahead), L45-90 (the mean over rays).
+
+    Examples:
+
+      sensorgraph identify run.mcap --output L67 --inputs x,y --lags 2 --every 15 -o L67.json
+
+      sensorgraph identify run.mcap --output cmd_omega --inputs L45-90 --lags 1 -o turn.json
+
+      sensorgraph identify motor.csv --output speed --inputs volts --output-lags 2 --noise-lags 1 -o motor.json
+    """
+    from sensorgraph.cli.inputs import check_output, write_json
+    from sensorgraph.errors import GapError
+    from sensorgraph.figures_identify import identified_picture
+    from sensorgraph.identify import Question
+    from sensorgraph.identify import identify as identify_model
+
+    check_output(out, file)
+    if out.suffix != ".json":
+        raise GapError(f"{out}: a model is written as *.json; name it {out.with_suffix('.json').name}")
+    question = Question(
+        output=output.strip(), inputs=tuple(n.strip() for n in inputs.split(",") if n.strip()), lags=lags,
+        output_lags=output_lags, degree=degree, noise_lags=noise_lags, split=split,  # type: ignore[arg-type]
+        criterion=criterion, n_terms=terms,  # type: ignore[arg-type]
+    )  # fmt: skip
+    data = _read(file, [question.output, *question.inputs], every, topic)
+    found = identify_model(data, question)
+    for line in said(found):
+        typer.echo(line)
+    write_json(out, {**found.report(), "every": every, "source": file.name})
+    picture = out.with_suffix(".png")
+    identified_picture(found, picture)
+    typer.echo(f"wrote {out}, {picture}")
+
+
+def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> Data:
+    from logs import parse_topics, read
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.errors import GapError
+    from sensorgraph.signals import is_table, of_run, of_table
+
+    if not file.exists():
+        raise GapError(f"{file} does not exist; give a CSV or a run")
+    if is_table(file):
+        return of_table(file, names, every=every)
+    with progress("reading", "messages") as tick:
+        run = read(file, topics=parse_topics(topic or []), progress=tick)
+    return of_run(run, names, every=every)
+
+
+def said(found: Identified) -> list[str]:
+    """Return the printed lines: what was used, the terms, the scores, the tests."""
+    q, model, scores = found.question, found.model, found.scores
+    parts = {"half": "the second half", "block": "every second tenth", "none": "the training data itself"}
+    lines = list(found.data.notes)
+    lines += [
+        f"{name}: {share:.1%} of the samples unknown, left out"
+        for name, share in found.unknown.items()
+        if share
+    ]
+    period = "" if found.data.period is None else f" every {found.data.period:g} s"
+    lines.append(
+        f"{found.n_train:,} samples{period} train, {scores['one_step'].n:,} are scored ({parts[q.split]}); "
+        f"{len(model.terms)} of {len(q.terms)} terms, stopped by {model.stop}"
+    )
+    lines += [f"note: {note}" for note in model.notes]
+    lines += ["", f"{'term':<28}{'theta':>13}{'stderr':>12}{'err':>10}"]
+    for name, theta, stderr, err in zip(
+        model.terms.names, model.theta.tolist(), model.stderr.tolist(), model.err.tolist(), strict=True
+    ):
+        lines.append(f"{name:<28}{theta:>13.6g}{stderr:>12.2g}{err:>10.5f}")
+    for name, theta, stderr in zip(
+        model.noise_terms.names, model.noise_theta.tolist(), model.noise_stderr.tolist(), strict=True
+    ):
+        lines.append(f"{name:<28}{theta:>13.6g}{stderr:>12.2g}{'noise':>10}")
+    lines += ["", f"{'':<14}{'rmse':>11}{'rrse':>8}{'r':>8}  95 % interval      p      n (effective)"]
+    for label, key in (
+        ("one step", "one_step"), ("free run", "free_run"), ("persistence", "persistence"), ("mean", "constant")
+    ):  # fmt: skip
+        lines.append(_row(label, scores[key]))
+    if found.free_run is found.one_step:
+        lines.append("the model reads no past output: one step and free run are the same")
+    if found.validation:
+        lines += ["", f"{'residual test':<32}{'statistic':>12}{'p':>10}"]
+        lines += [f"{t['test']:<32}{t['statistic']:>12.4g}{t['p_value']:>10.3g}" for t in found.validation]
+    return [*lines, ""]
+
+
+def _row(label: str, s: Score) -> str:
+    import math
+
+    if not math.isfinite(s.r):
+        return f"{label:<14}{s.rmse:>11.4g}{s.rrse:>8.3f}{'–':>8}"
+    return (
+        f"{label:<14}{s.rmse:>11.4g}{s.rrse:>8.3f}{s.r:>8.3f}  {s.r_low:>6.3f} to {s.r_high:<6.3f}"
+        f"{s.p_value:>9.2g}  {s.n:,} ({s.n_effective:,.0f})"
+    )

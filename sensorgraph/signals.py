@@ -1,0 +1,229 @@
+"""Signals by name: out of a run, or out of the columns of a CSV file; as records for identification.
+
+`L67` is the ray nearest to 67°, counted counter-clockwise from the robot's right (0° right, 90° ahead, 180° left),
+`L45-90` the mean over the rays between. Nehmzow's papers number the rays of a laser that looks ahead like this.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from logs import table
+from logs.errors import LogError
+from logs.run import RangeSensor, Run, pair
+from logs.text import first_bytes, read_lines
+from planners.arena import Floats, wrap
+from robotmodic_ident import Record
+from sensorgraph.errors import GapError
+from sensorgraph.models.base import Ints
+
+POSE = ("x", "y", "phi", "cos_phi", "sin_phi")
+ODOMETRY = ("v", "omega")
+COMMANDS = ("cmd_v", "cmd_omega")
+RAY = re.compile(r"L(\d+(?:\.\d+)?)(?:-(\d+(?:\.\d+)?))?")
+FUNCTIONS = ("cos", "sin")
+STALE = 0.5
+"""[s] a command older than this when the log of commands has ended is not known."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Data:
+    """Records of signals, under names that a term can hold."""
+
+    records: list[Record]
+    names: Mapping[str, str]
+    """Variable of the terms -> name of the signal as the user wrote it: `L45_90` -> `L45-90`."""
+    period: float | None
+    """[s] between samples; None where the file does not say."""
+    held: Mapping[str, float] = field(default_factory=dict)
+    """What else was commanded, by its median: the speed that goes with a turn rate."""
+    notes: Sequence[str] = ()
+    """What the user should know, one line each."""
+
+
+def variable(name: str) -> str:
+    """Return the name that stands for a signal in terms: letters, digits and _."""
+    plain = re.sub(r"\W", "_", name.strip())
+    return f"s_{plain}" if not plain or plain[0].isdigit() or plain in FUNCTIONS else plain
+
+
+def variables(names: Iterable[str]) -> dict[str, str]:
+    """Return variable -> name; two names that come out the same are an error."""
+    out: dict[str, str] = {}
+    for name in names:
+        key = variable(name)
+        if out.setdefault(key, name) != name:
+            raise GapError(
+                f"signals {out[key]!r} and {name!r} would both be called {key}; rename one of them"
+            )
+    return out
+
+
+def rays_of(sensor: RangeSensor, name: str) -> Ints:
+    """Return the indices of the rays that a signal such as `L67` or `L45-90` stands for."""
+    found = RAY.fullmatch(name)
+    assert found is not None
+    degrees = np.degrees(wrap(sensor.bearings + sensor.mount[2])) + 90.0
+    low, high = float(found[1]), float(found[2] or found[1])
+    step = float(np.median(np.diff(degrees))) if len(degrees) > 1 else 1.0
+    if found[2] is None:
+        nearest = int(np.abs(degrees - low).argmin())
+        chosen = np.array([nearest] if abs(degrees[nearest] - low) <= max(step, 1e-6) else [], dtype=np.intp)
+    else:
+        chosen = np.flatnonzero((degrees >= low - 1e-6) & (degrees <= high + 1e-6)).astype(np.intp)
+    if not len(chosen):
+        raise GapError(
+            f"no ray for {name}: the sensor looks from {degrees.min():.0f}° to {degrees.max():.0f}°, counted "
+            "counter-clockwise from the robot's right; choose an angle in between"
+        )
+    return chosen
+
+
+def perceived(readings: Floats, rays: Ints) -> Floats:
+    """Return the mean return (n_scans,) [m] over some rays of scans (n_scans, n_rays); nan where none has one."""
+    some = np.where(np.isfinite(readings[:, rays]), readings[:, rays], np.nan)
+    count = np.isfinite(some).sum(axis=1)
+    return np.where(count > 0, np.nansum(some, axis=1) / np.maximum(count, 1), np.nan)
+
+
+def of_run(run: Run, names: Sequence[str], *, every: int = 1) -> Data:
+    """Take signals out of a run at the stamps of its scans, one in `every`.
+
+    Poses and odometry are interpolated; a command is the last one given, also after the scan's own stamp by less
+    than one period: that is the command which answers the scan.
+    """
+    known = _offered(run)
+    for name in names:
+        if name not in known and not RAY.fullmatch(name):
+            raise GapError(_unknown(name, [*known, "L67", "L45-90"]))
+    stamps = run.stamps[::every]
+    new = np.diff(stamps, prepend=-np.inf) > 0  # two scans of one stamp: the first counts
+    values = {name: _signal(run, name, every)[new] for name in names}
+    stamps = stamps[new]
+    period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else None
+    names_of = variables(names)
+    record = Record(signals={key: values[name] for key, name in names_of.items()}, stamps=stamps)
+    held = {
+        name: float(np.median(run.commands[:, i]))
+        for i, name in enumerate(COMMANDS)
+        if len(run.commands) and name not in names
+    }
+    notes = () if not run.meta.get("pose_source") else (f"poses from {run.meta['pose_source']}",)
+    return Data(records=[record], names=names_of, period=period, held=held, notes=notes)
+
+
+def _offered(run: Run) -> list[str]:
+    groups = ((POSE, run.pose_stamps), (ODOMETRY, run.odom_stamps), (COMMANDS, run.cmd_stamps))
+    return [name for group, stamps in groups if len(stamps) for name in group]
+
+
+def _signal(run: Run, name: str, every: int) -> Floats:
+    if RAY.fullmatch(name):
+        return perceived(run.ranges[::every], rays_of(run.sensor, name))
+    if name in POSE:
+        poses = pair(run).poses[::every]
+        columns = [*poses.T, np.cos(poses[:, 2]), np.sin(poses[:, 2])]
+        return np.asarray(columns[POSE.index(name)], dtype=np.float64)
+    stamps = run.stamps[::every]
+    if name in ODOMETRY:
+        column = run.odom_twists[:, ODOMETRY.index(name)]
+        at = np.interp(stamps, run.odom_stamps, column, left=np.nan, right=np.nan)
+        return np.asarray(at, dtype=np.float64)
+    return _command(run, COMMANDS.index(name), stamps)
+
+
+def _command(run: Run, column: int, stamps: Floats) -> Floats:
+    """Return the command in force just after each stamp (n,)."""
+    answer = 0.5 * float(np.median(np.diff(run.cmd_stamps))) if len(run.cmd_stamps) > 1 else 0.0
+    last = np.searchsorted(run.cmd_stamps, stamps + answer, side="right") - 1
+    out: Floats = run.commands[np.maximum(last, 0), column].astype(np.float64)
+    out[(last < 0) | (stamps > run.cmd_stamps[-1] + STALE)] = np.nan
+    return out
+
+
+def _unknown(name: str, offered: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, offered, n=1, cutoff=0.4)
+    hint = f"did you mean {near[0]}?" if near else "choose one of them"
+    return f"no signal {name!r}; there are {', '.join(offered)}; {hint}"
+
+
+def is_table(path: Path) -> bool:
+    """Tell whether a file is a CSV of signals rather than a run."""
+    if path.is_dir() or not re.search(r"\.(csv|txt)(\.gz)?$", path.name.lower()):
+        return False
+    return not table.matches(path, first_bytes(path))
+
+
+def of_table(path: Path, names: Sequence[str], *, every: int = 1) -> Data:
+    """Take columns by name out of a CSV file; a column `record` separates records, `t` [s] finds gaps."""
+    header, rows = _rows(path)
+    for name in names:
+        if name not in header:
+            raise GapError(f"{path}: {_unknown(name, [h for h in header if h != 'record'])}")
+    wanted = [*dict.fromkeys([*names, *(["t"] if "t" in header else [])])]
+    values = {name: _numbers(path, rows, header.index(name), name) for name in wanted}
+    owner = (
+        [row[header.index("record")].strip() for _, row in rows] if "record" in header else [""] * len(rows)
+    )
+    names_of = variables(names)
+    records, periods = [], []
+    for key in dict.fromkeys(owner):
+        mine = np.flatnonzero(np.array([o == key for o in owner]))[::every]
+        stamps = values["t"][mine] if "t" in values else None
+        if stamps is not None and not (np.isfinite(stamps).all() and (np.diff(stamps) > 0).all()):
+            line = rows[int(mine[int(np.argmin(np.diff(stamps, append=np.inf) > 0))])][0]
+            raise GapError(
+                f"{path}: line {line}: column t does not increase; sort the rows, or name a column `record`"
+            )
+        if stamps is not None and len(stamps) > 1:
+            periods.append(float(np.median(np.diff(stamps))))
+        records.append(Record(signals={v: values[n][mine] for v, n in names_of.items()}, stamps=stamps))
+    return Data(
+        records=records, names=names_of, period=float(np.median(periods)) if periods else None,
+        notes=() if "t" in values else ("no column t: samples are taken as evenly spaced",),
+    )  # fmt: skip
+
+
+def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Return the header, and (line number, cells) of each row."""
+    try:
+        lines = read_lines(path)
+    except LogError as exc:
+        raise GapError(str(exc)) from exc
+    numbered = [
+        (i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not numbered:
+        raise GapError(f"{path} holds no line; expected a header with the names of the columns")
+    header = [cell.strip() for cell in next(csv.reader([numbered[0][1]]))]
+    if twice := sorted({h for h in header if header.count(h) > 1}):
+        raise GapError(f"{path}: column {', '.join(twice)} is there twice; give each its own name")
+    rows = []
+    for (number, _), cells in zip(numbered[1:], csv.reader(line for _, line in numbered[1:]), strict=False):
+        if len(cells) != len(header):
+            raise GapError(f"{path}: line {number} has {len(cells)} cells, the header {len(header)}")
+        rows.append((number, cells))
+    if not rows:
+        raise GapError(f"{path} has a header but no rows; expected one for each sample")
+    return header, rows
+
+
+def _numbers(path: Path, rows: Sequence[tuple[int, list[str]]], column: int, name: str) -> Floats:
+    out = np.empty(len(rows))
+    for i, (number, cells) in enumerate(rows):
+        text = cells[column].strip()
+        try:
+            out[i] = float(text) if text else np.nan
+        except ValueError:
+            raise GapError(
+                f"{path}: line {number}: {name} is {text!r}, expected a number (an empty cell: not known)"
+            ) from None
+    out[~np.isfinite(out)] = np.nan
+    return out

@@ -1,0 +1,132 @@
+"""`sensorgraph identify`: what is written is what was promised, and bad input costs one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robotmodic_ident import Narmax
+from sensorgraph.cli import run as command
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a CSV of two records of speed = 0.6 speed(k-1) + 0.5 volts(k-1)^2, with a hole."""
+    path = tmp_path_factory.mktemp("csv") / "motor.csv"
+    rng = np.random.default_rng(1)
+    lines = ["record,t,volts,speed,flat"]
+    for name in ("a", "b"):
+        volts, speed = rng.uniform(0, 2, 200), 0.0
+        for k in range(200):
+            speed = 0.6 * speed + 0.5 * (volts[k - 1] ** 2 if k else 0.0)
+            cell = "" if k == 50 else f"{speed + 0.01 * rng.normal():.6f}"
+            lines.append(f"{name},{0.1 * k:.1f},{volts[k]:.6f},{cell},3.0")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_the_model_file_holds_what_is_promised(
+    table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "motor.json"
+    options = ["--output", "speed", "--inputs", "volts", "--lags", "1", "--output-lags", "1", "-o", str(out)]
+    assert command(["identify", str(table), *options]) == 0
+    data = json.loads(out.read_text())
+    assert {"output", "inputs", "terms", "noise_terms", "one_step", "free_run", "validation", "split"} <= set(
+        data
+    )
+    assert (data["output"], data["inputs"], data["split"]) == ("speed", ["volts"], "half")
+    assert {frozenset(t) for t in data["terms"]} == {frozenset(("name", "theta", "stderr", "err"))}
+    assert {"rmse", "rrse", "r", "p_value"} <= set(data["free_run"])
+    found = {t["name"]: t["theta"] for t in data["terms"]}
+    assert found["speed(k-1)"] == pytest.approx(0.6, abs=0.01)
+    assert found["volts(k-1)^2"] == pytest.approx(0.5, abs=0.01)
+    assert data["period_s"] == pytest.approx(0.1)
+    assert data["unknown"] == {"speed": 0.005, "volts": 0.0}
+    assert Narmax.load(out).terms.names == tuple(found)
+    assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    said = capsys.readouterr().out
+    assert "speed: 0.5% of the samples unknown" in said
+    assert "volts(k-1)^2" in said
+
+
+BAD = {
+    "a name that is near": (["--output", "sped", "--inputs", "volts"], "did you mean speed?"),
+    "an input that is far": (["--output", "speed", "--inputs", "qqq"], "there are t, volts, speed, flat"),
+    "constant": (["--output", "flat", "--inputs", "volts"], "constant"),
+    "lags": (["--output", "speed", "--inputs", "volts", "--lags", "150", "--degree", "1"], "longest stretch"),
+    "terms": (["--output", "speed", "--inputs", "volts", "--lags", "30"], "cannot train a dictionary"),
+    "split": (["--output", "speed", "--inputs", "volts", "--split", "third"], "expected one of half"),
+    "criterion": (["--output", "speed", "--inputs", "volts", "--criterion", "luck"], "expected one of"),
+    "nothing": (["--output", "speed"], "nothing to explain"),
+    "itself": (["--output", "speed", "--inputs", "speed"], "cannot explain itself"),
+}
+
+
+@pytest.mark.parametrize(("options", "said"), BAD.values(), ids=BAD)
+def test_bad_input_costs_one_line_and_leaves_nothing(
+    options: list[str], said: str, table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(["identify", str(table), *options, "-o", str(tmp_path / "m.json")]) == 2
+    text = capsys.readouterr().err
+    assert said in text
+    assert text.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+TABLES = {
+    "empty": ("", "holds no line"),
+    "header alone": ("a,b\n", "no rows"),
+    "a word": ("a,b\n1,2\n1,zwei\n", "line 3: b is 'zwei'"),
+    "a short row": ("a,b\n1,2\n1\n", "line 3 has 1 cells"),
+    "twice": ("a,b,b\n1,2,3\n", "twice"),
+    "time goes back": ("t,a,b\n0,1,2\n1,1,2\n0.5,1,2\n", "line 3: column t"),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), TABLES.values(), ids=TABLES)
+def test_a_broken_table_is_told_by_its_line(
+    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text(text)
+    assert (
+        command(["identify", str(path), "--output", "a", "--inputs", "b", "-o", str(tmp_path / "m.json")])
+        == 2
+    )
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_wall_following_run_becomes_a_polynomial_that_drives(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = tmp_path / "robot.yaml"
+    robot.write_text("sensor: {rate: 4.0, n_rays: 61}\n")
+    plan, run = tmp_path / "plan.csv", tmp_path / "run.mcap"
+    plan.write_text("t,x,y,phi,v,omega,primitive\n0,3.2,2.3,0,0,0,wait\n60,3.2,2.3,0,0,0,wait\n")
+    drive = ["record", str(plan), "--arena", "square", "--robot", str(robot)]
+    assert command([*drive, "--controller", "wall_following", "-o", str(run)]) == 0
+    models = []
+    for name in ("cmd_omega", "cmd_v"):
+        models.append(str(tmp_path / f"{name}.json"))
+        asked = ["--output", name, "--inputs", "L45-90", "--lags", "1", "-o", models[-1]]
+        assert command(["identify", str(run), *asked]) == 0
+    copy = [
+        *drive,
+        "--controller",
+        models[0],
+        "--controller",
+        ",".join(models),
+        "-o",
+        str(tmp_path / "c.mcap"),
+    ]
+    assert command(copy) == 0
+    assert (tmp_path / "c.cmd_omega+cmd_v.mcap").exists()
+    assert "| | cmd_omega | cmd_omega+cmd_v |" in capsys.readouterr().out
+    assert command([*drive, "--controller", "sideways", "-o", str(tmp_path / "d.mcap")]) == 2
+    assert command(["identify", str(run), "--output", "L67x", "--inputs", "x", "-o", models[0]]) == 2
+    assert "did you mean L67?" in capsys.readouterr().err
