@@ -1,6 +1,7 @@
 """Which law the numbers follow: polynomial, ARMAX and NARMAX identification; knows no robot."""
 
 from robotmodic_ident.bases import BASES, bspline, chebyshev, fourier, legendre, polynomial, wavelet
+from robotmodic_ident.dependence import Dependence, independent
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.fit import fit
 from robotmodic_ident.model import Narmax
@@ -12,6 +13,7 @@ from robotmodic_ident.terms import Terms
 
 __all__ = [
     "BASES",
+    "Dependence",
     "IdentError",
     "Lagged",
     "Moments",
@@ -24,6 +26,7 @@ __all__ = [
     "chebyshev",
     "fit",
     "fourier",
+    "independent",
     "lagged",
     "lags",
     "legendre",

@@ -72,6 +72,7 @@ def fit(
     if estimator not in get_args(Estimator):
         raise ValueError(f"estimator is {estimator!r}, expected one of {', '.join(get_args(Estimator))}")
     criterion = criterion or ("ebic" if n_terms is None else "n_terms")
+    _check_causal(terms + denominator, output)
     candidates = terms + times_output(denominator, output)
     choice = _Choice(
         records, output, candidates, n_terms, criterion, err_tol, search, tuple(keep), n_folds, scale
@@ -166,6 +167,12 @@ class _Choice:
             )
             for block in blocks
         ]
+
+
+def _check_causal(terms: Terms, output: str) -> None:
+    for term, name in zip(terms, terms.names, strict=True):
+        if any(f.variable == output and not f.lag for f in term):
+            raise IdentError(f"term {name} explains {output} by itself; use its past, {output}(k-1)")
 
 
 def _noise_terms(noise: int | Terms) -> Terms:
