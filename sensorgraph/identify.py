@@ -162,9 +162,8 @@ def identify(data: Data, question: Question) -> Identified:
 
 
 def _fitted(train: list[Record], output: str, terms: Terms, question: Question) -> Narmax:
-    if question.noise_lags:
-        raise GapError("--noise-lags is not there yet; leave it out")
-    return fit(train, output, terms, n_terms=question.n_terms, criterion=question.criterion)
+    n, criterion = question.n_terms, question.criterion
+    return fit(train, output, terms, n_terms=n, criterion=criterion, noise=question.noise_lags)
 
 
 def _validated(model: Narmax, test: list[Record]) -> list[dict[str, Any]]:

@@ -28,7 +28,8 @@ POSE = ("x", "y", "phi", "cos_phi", "sin_phi")
 ODOMETRY = ("v", "omega")
 COMMANDS = ("cmd_v", "cmd_omega")
 RAY = re.compile(r"L(\d+(?:\.\d+)?)(?:-(\d+(?:\.\d+)?))?")
-FUNCTIONS = ("cos", "sin")
+TAKEN = ("cos", "sin", "e")
+"""Words of the terms: functions, and the noise."""
 STALE = 0.5
 """[s] a command older than this when the log of commands has ended is not known."""
 
@@ -51,7 +52,7 @@ class Data:
 def variable(name: str) -> str:
     """Return the name that stands for a signal in terms: letters, digits and _."""
     plain = re.sub(r"\W", "_", name.strip())
-    return f"s_{plain}" if not plain or plain[0].isdigit() or plain in FUNCTIONS else plain
+    return f"s_{plain}" if not plain or plain[0].isdigit() or plain in TAKEN else plain
 
 
 def variables(names: Iterable[str]) -> dict[str, str]:

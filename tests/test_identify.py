@@ -140,7 +140,25 @@ def test_a_planted_polynomial_is_found_and_scored() -> None:
     assert report["one_step"]["r"] > 0.999
     assert report["free_run"]["r"] > 0.999
     assert report["free_run"]["rmse"] < report["baselines"]["persistence"]["rmse"] / 20
+    assert report["noise_terms"] == []
     assert report["n_train"] == 298  # half of 600, less the look back of 2
+
+
+def test_noise_lags_take_the_bias_of_moving_average_noise_away() -> None:
+    rng = np.random.default_rng(13)
+    u, e = rng.uniform(-1, 1, 4000), 0.5 * rng.normal(size=4000)
+    y = np.zeros(4000)
+    for k in range(1, 4000):
+        y[k] = 0.6 * y[k - 1] + 0.9 * u[k - 1] + e[k] + 0.8 * e[k - 1]
+    data = Data(records=[Record(signals={"y": y, "u": u})], names={"y": "y", "u": "u"}, period=None)
+    plain, with_noise = (
+        identify(data, Question(output="y", inputs=("u",), output_lags=1, degree=1, noise_lags=n)).model
+        for n in (0, 1)
+    )
+    slope = [float(m.theta[m.terms.names.index("y(k-1)")]) for m in (plain, with_noise)]
+    assert slope[0] > 0.75
+    assert slope[1] == pytest.approx(0.6, abs=0.04)
+    assert with_noise.noise_terms.names == ("e(k-1)",)
 
 
 QUESTIONS = {

@@ -178,7 +178,7 @@ def test_controllers_are_compared_on_one_seed(
     [
         (["--graph", "{g}", "--controller", "dwa"], "expected each of plan, wall_following, random_bounce"),
         (["--graph", "{g}", "--controller", "plan", "--controller", "plan"], "at most once"),
-        (["--arena", "square", "--controller", "wall_following"], "give --graph as well"),
+        (["--controller", "wall_following"], "goes with --arena or --graph"),
         ([], "give --arena NAME or --graph GRAPH"),
         (["--graph", "{g}", "--start", "1,1,0"], "go with --arena"),
     ],
