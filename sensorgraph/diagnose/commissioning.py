@@ -15,6 +15,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtrit
 
 from logs.run import Run
 from planners.arena import Arena, Bools, Floats
@@ -26,7 +27,7 @@ from sensorgraph.diagnose.model import Fitted, fit, solver_for, start_state
 from sensorgraph.diagnose.nuisance import OWN, Freedom
 from sensorgraph.diagnose.propose import lattice
 from sensorgraph.diagnose.solve import Solver, State
-from sensorgraph.diagnose.usual import FEW, Sighting, Usual, alone, usual_sizes
+from sensorgraph.diagnose.usual import FEW, SURE, Sighting, Usual, alone, usual_sizes
 from sensorgraph.diagnose.view import View
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot_file import RobotFile, Tolerances
@@ -35,7 +36,8 @@ logger = logging.getLogger(__name__)
 
 TIMES = 3.0  # what a name takes, over the most that clutter alone has brought
 LOCAL_TIMES = 2.0  # the same for effects at one place, of which a good run shows the worst of many
-SEVERAL = 1.25  # the same where several good runs show how far clutter goes
+SEVERAL = 1.25  # the same where several good runs show how far clutter goes, at least
+MOST_TIMES = 3.0  # and at most
 STEADY = 0.43  # share of a stamp's tolerance that is the same all through a run (see `nuisance.widths`)
 SHORT = 0.3  # [m] a map of shorter walls has no panes
 WIDE = Freedom(core=(0.3, 4.0), tail=(0.005, 0.6), loss=(1e-4, 0.3), stray=(1e-4, 0.5), pose=1.0, most=1.0)
@@ -108,17 +110,32 @@ class Commissioned:
     def floors(
         self, seen: Sequence[Sighting], usual: Mapping[str, Usual], n_scans: int, n_readings: int
     ) -> dict[str, float]:
-        """Return, per effect, the most that it gained though nothing was wrong [nats], in a run of this length.
+        """Return, per effect, what it may gain though nothing is wrong [nats], in a run of this length.
 
         Not of smooth effects of the whole sensor whose usual size is known: that is the finer sieve.
         """
-        out: dict[str, float] = {}
+        gained: dict[str, list[float]] = {}
         for s in seen:
             size = float(np.sqrt(n_readings / s.n_readings))
             for name, gain in s.gains.items():
                 if not (name in usual and name in OWN):
-                    out[name] = max(out.get(name, 0.0), gain if is_local(name) else gain * size)
-        return out
+                    gained.setdefault(name, []).append(gain if is_local(name) else gain * size)
+        return {name: max(values) * self._times(name, np.array(values)) for name, values in gained.items()}
+
+    def _times(self, name: str, gained: Floats) -> float:
+        """Return what a name takes, over the most that clutter alone has brought: more, where windows differ much.
+
+        Parameters
+        ----------
+        gained : [nats] in each of the windows where clutter brought anything
+        """
+        if self.n_runs == 1:
+            return LOCAL_TIMES if is_local(name) else TIMES
+        if len(gained) < FEW or gained.min() <= 0:
+            return TIMES
+        logs = np.log(gained)  # of a further window: a prediction interval
+        far = stdtrit(len(logs) - 1, SURE) * logs.std(ddof=1) * np.sqrt(1 + 1 / len(logs))
+        return float(np.clip(np.exp(logs.mean() + far) / gained.max(), SEVERAL, MOST_TIMES))
 
     def told(self, evidence: Evidence) -> Evidence:
         """Return evidence of a later run that is judged against this one.
@@ -129,9 +146,7 @@ class Commissioned:
         usual = usual_sizes(seen, evidence.n_scans)
         extra: dict[str, float] = dict(self.unseen)
         for name, gain in self.floors(seen, usual, evidence.n_scans, evidence.ranges.size).items():
-            times = LOCAL_TIMES if is_local(name) else TIMES
-            times = times if self.n_runs == 1 else SEVERAL
-            extra[name] = max(times * gain - THRESHOLD, 0.0)
+            extra[name] = max(gain - THRESHOLD, 0.0)
         return replace(evidence, laser_frame=False, floors=extra, usual=usual, memo={})
 
     def calmed(self, verdict: Verdict, evidence: Evidence) -> Verdict:

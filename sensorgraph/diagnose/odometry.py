@@ -49,6 +49,8 @@ RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92)
 """[m] of patches that are tried."""
 PLACE_DOUBT = 2.0
 """Widens the spread of a patch's place: set on development cases, where the search alone was too sure of it."""
+STAMPS = 8.0
+"""Times less than the tolerance of one stamp that the mean of a run's stamps is off."""
 FOREIGN = 20.0
 """[nats] that structure outside the library needs where what is left is noise; in proportion more where it is not."""
 SHARE = 0.02
@@ -484,7 +486,7 @@ class _Search:
                 errors = {"s": float(sd[k])}
             else:
                 values = {"tau": float(self.rows.clock + theta[k])}
-                errors = {"tau": float(sd[k])}
+                errors = {"tau": float(np.hypot(sd[k], self.robot.tolerances.stamp / STAMPS))}
         out = replace(effect(**values), stderr=errors, probability=probability, evidence=evidence)
         return out.at(xy=location) if location is not None else out
 

@@ -51,8 +51,8 @@ OWN_TOLERANCE: dict[str, dict[str, str]] = {
     "mirror": {"a": "end of a part", "b": "end of a part"},
     "black_surface": {"a": "end of a part", "b": "end of a part"},
     "incidence_dropout": {"alpha_max": "wall direction"},
-    "unmapped_obstacle": {"x": "third of the map", "y": "third of the map", "r": "third of the map"},
-    "tilt": {"theta0": "half a mrad"},
+    "unmapped_obstacle": {"x": "half of the map", "y": "half of the map", "r": "half of the map"},
+    "tilt": {"theta0": "half a mrad", "beta": "a hundredth of a mrad"},
     "sector_bias": {"theta1": "between rays", "theta2": "between rays"},
     "self_occlusion": {"theta1": "between rays", "theta2": "between rays"},
     "mixed_pixels": {"gamma": "edges"},
@@ -177,7 +177,8 @@ def widths_of(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
     evidence = fitted.solver.evidence
     t = evidence.tolerances
     tau = dict(zip(DENSE, widths(t), strict=True))
-    tau |= {"map": t.map, "third of the map": t.map / 3, "half a mrad": 5e-4}
+    tau |= {"map": t.map, "third of the map": t.map / 3, "half of the map": t.map / 2}
+    tau |= {"half a mrad": 5e-4, "a hundredth of a mrad": 1e-5}
     middle = float(np.median(evidence.ranges[evidence.returned])) if evidence.returned.any() else 1.0
     tau |= {"edges": 0.5 * t.map / max(middle, 0.1)}  # a few corners, each off by the map's tolerance
     tau |= {"between rays of the cone": RAY / np.sqrt(12)}
