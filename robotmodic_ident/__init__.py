@@ -6,13 +6,16 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.fit import fit
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.moments import Moments
-from robotmodic_ident.records import Lagged, Record, lagged, lags
+from robotmodic_ident.records import Lagged, Record, blocks, halves, lagged, lags
 from robotmodic_ident.scale import Scale
+from robotmodic_ident.score import Score, Scored, score, scores
 from robotmodic_ident.select import Selection, select
 from robotmodic_ident.terms import Terms
+from robotmodic_ident.validate import Check, false_discoveries, validate
 
 __all__ = [
     "BASES",
+    "Check",
     "Dependence",
     "IdentError",
     "Lagged",
@@ -20,17 +23,25 @@ __all__ = [
     "Narmax",
     "Record",
     "Scale",
+    "Score",
+    "Scored",
     "Selection",
     "Terms",
+    "blocks",
     "bspline",
     "chebyshev",
+    "false_discoveries",
     "fit",
     "fourier",
+    "halves",
     "independent",
     "lagged",
     "lags",
     "legendre",
     "polynomial",
+    "score",
+    "scores",
     "select",
+    "validate",
     "wavelet",
 ]

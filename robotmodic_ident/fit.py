@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -15,7 +15,7 @@ from robotmodic_ident.estimate import Covariance, Descent, Estimate
 from robotmodic_ident.model import NO_TERMS, Narmax
 from robotmodic_ident.moments import Moments
 from robotmodic_ident.ratio import Structure, as_ratio, times_output
-from robotmodic_ident.records import Lagged, Record, as_records, lagged
+from robotmodic_ident.records import Lagged, Record, Records, as_records, lagged
 from robotmodic_ident.recursion import NOISE_NAME
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.select import select
@@ -23,7 +23,6 @@ from robotmodic_ident.sizes import Search
 from robotmodic_ident.terms import Floats, Terms
 
 Estimator = Literal["ls", "els", "pem", "simulation"]
-Records = Record | Mapping[str, Floats] | Iterable[Record | Mapping[str, Floats]]
 
 ROUNDS = 4
 """Times that terms are chosen anew with the noise found so far."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,10 @@ class Record:
         return [slice(a, b) for a, b in pairwise(cuts)]
 
 
+Records: TypeAlias = Record | Mapping[str, Floats] | Iterable[Record | Mapping[str, Floats]]
+"""One record or many, each with or without stamps."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lagged:
     """Rows of lagged signals with what is to be explained."""
@@ -72,9 +77,28 @@ def lags(variable: str, first: int, last: int) -> list[str]:
     return [signal_name(variable, lag) for lag in range(first, last + 1)]
 
 
-def as_records(
-    records: Record | Mapping[str, Floats] | Iterable[Record | Mapping[str, Floats]],
-) -> list[Record]:
+def halves(record: Record | Mapping[str, Floats]) -> list[Record]:
+    """Split a record into its first and second half: one to fit, the other to judge."""
+    return blocks(record, 2)
+
+
+def blocks(record: Record | Mapping[str, Floats], n: int) -> list[Record]:
+    """Split a record into n contiguous pieces of nearly one length; random splits would leak through the lags."""
+    (record,) = as_records(record)
+    if not 1 <= n <= len(record):
+        raise ValueError(f"n is {n}, expected 1 to {len(record)}, the number of samples")
+    edges = np.linspace(0, len(record), n + 1).round().astype(int)
+    return [
+        Record(
+            signals={name: np.asarray(values)[a:b] for name, values in record.signals.items()},
+            stamps=None if record.stamps is None else record.stamps[a:b],
+            max_gap=record.max_gap,
+        )
+        for a, b in pairwise(edges.tolist())
+    ]
+
+
+def as_records(records: Records) -> list[Record]:
     """Accept one record or many, each a `Record` or plain signals by name."""
     if isinstance(records, Record | Mapping):
         records = [records]
@@ -82,7 +106,7 @@ def as_records(
 
 
 def lagged(
-    records: Record | Mapping[str, Floats] | Iterable[Record | Mapping[str, Floats]],
+    records: Records,
     terms: Terms,
     outputs: Sequence[str],
     *,
