@@ -2,7 +2,7 @@
 
 After Nehmzow, Scientific Methods in Mobile Robotics (Springer 2006), chapters 4 to 6; the Lyapunov exponent by
 Rosenstein, Collins and De Luca, A practical method for calculating largest Lyapunov exponents from small data
-sets, Physica D 65 (1993).
+sets, Physica D 65 (1993); the correlation dimension by Grassberger and Procaccia, Physica D 9 (1983).
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from scipy.spatial import cKDTree
 
 from logs.run import Run, pair
 from planners.arena import Arena, Floats
+from robotmodic_ident.analysis import correlation_dimension
+from robotmodic_ident.errors import IdentError
 from sensorgraph.errors import GapError
 
 CELL = 0.25  # [m] of the coverage
@@ -23,6 +25,7 @@ DELAYS = 4  # coordinates of the embedding, each DELAY apart
 DELAY = 2.0  # [s]
 APART = 20.0  # [s] neighbours nearer in time are of the same visit
 HORIZON = 8.0  # [s] over which neighbours' distance is followed
+REFERENCES = 1000  # points whose neighbours are counted for the dimension
 LEAST = 200  # samples that an exponent needs
 
 
@@ -47,6 +50,11 @@ class Behaviour:
     """The same as a share of the arena's free area; None without an arena."""
     lyapunov_1_s: float | None
     """Largest Lyapunov exponent of the track (x, y): how fast near tracks part; None where there is too little."""
+    dimension: float | None
+    """Correlation dimension of the embedded track; None where there is too little."""
+    dimension_low: float | None
+    dimension_high: float | None
+    """95 % interval of the dimension."""
 
 
 LABELS: Mapping[str, tuple[str, float, str]] = {
@@ -59,6 +67,9 @@ LABELS: Mapping[str, tuple[str, float, str]] = {
     "covered_m2": ("floor visited", 1, "m²"),
     "coverage": ("share of the floor", 100, "%"),
     "lyapunov_1_s": ("Lyapunov exponent", 1, "1/s"),
+    "dimension": ("correlation dimension", 1, ""),
+    "dimension_low": ("– at least", 1, ""),
+    "dimension_high": ("– at most", 1, ""),
 }
 
 
@@ -76,6 +87,7 @@ def behaviour(run: Run, arena: Arena | None = None) -> Behaviour:
     nearest = nearest[np.isfinite(nearest)]
     cells = np.unique(np.floor(poses[:, :2] / CELL).astype(np.int64), axis=0)
     covered = len(cells) * CELL**2
+    dimension, low, high = track_dimension(stamps, poses[:, :2])
     return Behaviour(
         duration_s=duration,
         path_m=path,
@@ -86,6 +98,9 @@ def behaviour(run: Run, arena: Arena | None = None) -> Behaviour:
         covered_m2=covered,
         coverage=None if arena is None else covered / float(arena.free.area),
         lyapunov_1_s=lyapunov(stamps, poses[:, :2]),
+        dimension=dimension,
+        dimension_low=low,
+        dimension_high=high,
     )
 
 
@@ -102,8 +117,7 @@ def lyapunov(stamps: Floats, track: Floats) -> float | None:
     The track is embedded by delays; each point's nearest neighbour of another visit is followed for `HORIZON`,
     and the exponent is the slope of the mean log distance.
     """
-    t = np.arange(stamps[0], stamps[-1], STEP)
-    xy = np.stack([np.interp(t, stamps, column) for column in track.T], axis=1)
+    t, xy = _evenly(stamps, track)
     lag, ahead = round(DELAY / STEP), round(HORIZON / STEP)
     n = len(t) - (DELAYS - 1) * lag
     if n - ahead < LEAST:
@@ -124,6 +138,28 @@ def lyapunov(stamps: Floats, track: Floats) -> float | None:
     return float(np.polyfit(steps * STEP, mean, 1)[0])
 
 
+def track_dimension(stamps: Floats, track: Floats) -> tuple[float | None, float | None, float | None]:
+    """Return the correlation dimension of a track (n, 2) [m] at stamps (n,) [s], and its 95 % interval.
+
+    The track is embedded as for the exponent; pairs within `APART` of each other in time do not count.
+    """
+    _, xy = _evenly(stamps, track)
+    try:
+        found = correlation_dimension(
+            xy, dimension=DELAYS, lag=round(DELAY / STEP), theiler=round(APART / STEP),
+            n_reference=REFERENCES, rng=np.random.default_rng(0),
+        )  # fmt: skip
+    except IdentError:  # too short, or hardly moving
+        return None, None, None
+    return found.value, *found.interval
+
+
+def _evenly(stamps: Floats, track: Floats) -> tuple[Floats, Floats]:
+    """Return stamps every STEP (m,) and the track (m, 2) at them."""
+    t = np.arange(stamps[0], stamps[-1], STEP)
+    return t, np.stack([np.interp(t, stamps, column) for column in track.T], axis=1)
+
+
 def table(drives: Mapping[str, Behaviour]) -> list[str]:
     """Return a markdown table, one column for each drive."""
     lines = ["| | " + " | ".join(drives) + " |", "|---|" + "---:|" * len(drives)]
@@ -133,7 +169,7 @@ def table(drives: Mapping[str, Behaviour]) -> list[str]:
         cells = [
             "–"
             if v is None
-            else f"{scale * v:,.3g} {unit}"
+            else f"{scale * v:,.3g} {unit}".rstrip()
             if abs(scale * v) < 1000
             else f"{scale * v:,.0f} {unit}"
             for v in values

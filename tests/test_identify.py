@@ -9,6 +9,7 @@ import pytest
 
 from logs.run import RangeSensor, Run
 from robotmodic_ident import Record
+from sensorgraph.behaviour import track_dimension
 from sensorgraph.controllers import PolynomialController, controller_named
 from sensorgraph.errors import GapError
 from sensorgraph.identified_world import ArenaWorld
@@ -258,3 +259,15 @@ def test_a_model_of_poses_is_no_controller() -> None:
         controller_named("sideways", default(), 0)
     with pytest.raises(GapError, match="does not exist"):
         controller_named("gone.json", default(), 0)
+
+
+def test_the_track_of_laps_has_dimension_one() -> None:
+    t = np.arange(0, 1500, 0.1)
+    wobble = 0.002 * np.random.default_rng(14).normal(size=(len(t), 2))
+    track = np.column_stack([2 * np.cos(0.11 * t), 2 * np.sin(0.11 * t)]) + wobble
+    value, low, high = track_dimension(t, track)
+    assert value == pytest.approx(1.0, abs=0.1)
+    assert low is not None
+    assert high is not None
+    assert low <= 1.0 <= high
+    assert track_dimension(t[:300], track[:300]) == (None, None, None)

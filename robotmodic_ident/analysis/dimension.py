@@ -19,7 +19,7 @@ N_RADII = 24
 LOW, HIGH = 1e-4, 0.1
 """Shares of all pairs between which the slope is taken, where no other region is asked for."""
 MOST = 4000
-"""Reference points: each is held against all others."""
+"""Reference points, where no other number is asked for."""
 BLOCKS = 20
 """Stretches of reference points that the interval is resampled from."""
 
@@ -48,6 +48,7 @@ def correlation_dimension(
     lag: int = 1,
     theiler: int,
     n_surrogates: int = 0,
+    n_reference: int = MOST,
     region: tuple[float, float] = (LOW, HIGH),
     rng: np.random.Generator,
 ) -> Dimension:
@@ -58,10 +59,11 @@ def correlation_dimension(
     dimension, lag : of the embedding; lag in samples
     theiler : [samples] pairs nearer in time do not count
     n_surrogates : 0, or 19 and more for a test at 5 %
+    n_reference : points that are held against all others
     region : shares of all pairs between which the slope is taken
     """
     points = embed(series, dimension, lag)
-    radii, counts, pairs = _counts(points, theiler)
+    radii, counts, pairs = _counts(points, theiler, n_reference)
     correlation = counts.sum(axis=0) / pairs.sum()
     value, used = _slope(radii, correlation, region)
     spread = [_resampled(radii[used], counts[:, used], pairs, rng) for _ in range(200)]
@@ -74,7 +76,7 @@ def correlation_dimension(
     table = np.asarray(series, dtype=np.float64)
     others = []
     for _ in range(n_surrogates):
-        r, c, n = _counts(embed(surrogate(table, rng), dimension, lag), theiler)
+        r, c, n = _counts(embed(surrogate(table, rng), dimension, lag), theiler, n_reference)
         others.append(_slope(r, c.sum(axis=0) / n.sum(), region)[0])
     surrogates = np.array(others, dtype=np.float64)
     p_value = (
@@ -90,12 +92,12 @@ def correlation_dimension(
     )
 
 
-def _counts(points: Floats, theiler: int) -> tuple[Floats, Floats, Floats]:
+def _counts(points: Floats, theiler: int, most: int) -> tuple[Floats, Floats, Floats]:
     """Return radii, pairs nearer than each (BLOCKS, n_radii), and all pairs (BLOCKS,), by block of reference points."""
     n = len(points)
     if n < 10 * BLOCKS or n <= 4 * theiler:
         raise IdentError(f"{n} embedded samples are too few; a dimension needs {10 * BLOCKS} and 4 * theiler")
-    reference = np.unique(np.linspace(0, n - 1, min(n, MOST)).astype(np.intp))
+    reference = np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.intp))
     some = reference[:: max(1, len(reference) // 200)]
     sample = np.concatenate([np.linalg.norm(points - points[i], axis=1) for i in some])
     largest = float(np.quantile(sample, 0.5))

@@ -1,0 +1,46 @@
+"""Drives of the embedded robot in memory, for the experiments: closed loop, or along a coverage plan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from logs.run import Run
+from planners import plan
+from planners.arena import Arena, Floats
+from sensorgraph.controllers import Controller, controller_named
+from sensorgraph.identified_world import ArenaWorld
+from sensorgraph.world.clearance import WallDistance
+from sensorgraph.world.drive import follow, react
+from sensorgraph.world.robot_file import RobotFile, default
+from sensorgraph.world.simulate import simulate
+
+PERIOD = 0.25  # [s] of the paper's log
+
+
+def robot_of_the_paper() -> RobotFile:
+    """Return the shipped robot, logging and steering every 250 ms."""
+    robot = default()
+    return replace(robot, sensor=replace(robot.sensor, rate=1 / PERIOD))
+
+
+def closed_loop(
+    controller: str | Controller, arena: Arena, robot: RobotFile, start: Floats, seconds: float, seed: int
+) -> Run:
+    """Let a controller, or one by its name, drive for so long."""
+    world = ArenaWorld(arena, robot, seed)
+    steer = controller_named(controller, robot, seed) if isinstance(controller, str) else controller
+    driven = react(steer, world.scan, start, seconds, robot, clearance=WallDistance(arena))
+    meta = {"contacts": str(driven.contacts)}
+    rng = np.random.default_rng([seed, 3])
+    return simulate(driven, arena, robot, rng=rng, perceive=world.scans, meta=meta)
+
+
+def covered(arena: Arena, seed: int, *, cell: float = 0.25, headings: int = 16) -> Run:
+    """Drive a coverage plan with the shipped robot."""
+    robot = default()
+    way = plan(arena, robot.robot, cell=cell, headings=headings, seed=seed).trajectory
+    rng = np.random.default_rng(seed)
+    driven = follow(way, robot, clearance=WallDistance(arena), rng=rng)
+    return simulate(driven, arena, robot, rng=rng)
