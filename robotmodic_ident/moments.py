@@ -73,25 +73,30 @@ class Moments:
         y = _as_rows(y, self.n_outputs)
         if phi.shape != (len(y), len(self.terms)):
             raise ValueError(f"phi has shape {phi.shape}, expected ({len(y)}, {len(self.terms)})")
+        power = np.einsum("ij,ij->j", y, y)  # one pass that also tells whether all is known
+        if np.isfinite(power).all() and np.isfinite(phi).all():
+            self.gram += phi.T @ phi
+            self.cross += phi.T @ y
+            self.power += power
+            self.count += len(y)
+            return self
+        return self._add_holed(phi, y)
+
+    def _add_holed(self, phi: Floats, y: Floats) -> Moments:
+        """Add rows some of whose outputs or terms are not known."""
         known = ~np.isnan(y)
         if np.isinf(y).any():
             raise IdentError("y holds an infinite value; replace what was not measured by nan")
         use = known.any(axis=1) & np.isfinite(phi).all(axis=1)
-        if not use.all():
-            phi, y, known = phi[use], y[use], known[use]
-        if len(y) == 0:
-            return self
+        phi, y, known = phi[use], np.where(known, y, 0.0)[use], known[use]
         block = phi.T @ phi
-        self.gram += block
         n_known = known.sum(axis=0)
-        holed = np.flatnonzero(n_known < len(y))
-        if len(holed):
-            y = np.where(known, y, 0.0)
+        self.gram += block
         self.cross += phi.T @ y
         self.power += np.einsum("ij,ij->j", y, y)
         self.count += n_known
-        phi = np.ascontiguousarray(phi) if len(holed) else phi  # rows are gathered below
-        for i in holed.tolist():
+        phi = np.ascontiguousarray(phi)  # rows are gathered below
+        for i in np.flatnonzero(n_known < len(y)).tolist():
             if 2 * n_known[i] < len(y):
                 few = phi[known[:, i]]
                 hole = block - few.T @ few
