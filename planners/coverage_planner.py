@@ -1,4 +1,4 @@
-"""The planner for robots that turn in place: boustrophedon lanes, a spin in every cell, OMPL where blocked."""
+"""The planner that stops and spins: boustrophedon lanes, a spin in every cell, OMPL where blocked."""
 
 from __future__ import annotations
 
@@ -72,22 +72,50 @@ class Driven:
     joins: Joins
 
 
-def plan_coverage(task: Task) -> Driven:
+def plan_stop_and_spin(task: Task) -> Driven:
     """Visit every cell that still lacks a heading, in an order that saves time."""
     if task.robot.drive != "diff":
         raise PlanError(
-            f"planner coverage drives robots that turn in place (drive: diff); drive {task.robot.drive!r} is not "
-            "planned for yet: use drive diff, or drive the car by hand and review its run"
+            f"planner stop_and_spin turns on the spot, which drive {task.robot.drive!r} cannot; use the planner coverage"
         )
+    return Stops(task, wanted(task)).run()
+
+
+def wanted(task: Task) -> Bools:
+    """Return (nx, ny, n_phi) bins to visit: those still missing, and those of cells that all but count."""
     todo = task.coverage.reachable & (task.coverage.counts == 0)
     near = (task.reach.areas() >= HEDGE * LEAST_SHARE) & ~task.reach.cells()
     todo |= (near & task.reach.blocks(task.reach.mask).any(axis=-1))[:, :, None] & (task.coverage.counts == 0)
     if not todo.any():
         raise PlanError("every reachable bin is covered already; nothing is left to plan")
-    return _Planner(task, todo).run()
+    return np.asarray(todo)
 
 
-class _Planner:
+def missed(curve: Curve, todo: Bools, grid: Coverage, rate: float) -> Bools:
+    """Return (nx, ny, n_phi) bins of `todo` that the log [Hz] of at least one phase does not meet."""
+    missing = np.zeros_like(todo)
+    for phase in range(PHASES):
+        bins, inside = grid.bins(curve.log(rate, phase / PHASES / rate))
+        met = np.zeros_like(todo)
+        met[tuple(bins[inside].T)] = True
+        missing |= todo & ~met
+    return missing
+
+
+def levels(task: Task, todo: Bools) -> Ints:
+    """Return (nx, ny) the band of priority of each cell of `todo`, the lowest being the first."""
+    band = np.zeros(todo.shape[:2], dtype=np.int64)
+    if task.priority is not None:
+        cells = todo.any(axis=2)
+        score = np.where(todo, task.priority, -np.inf).max(axis=2)[cells]
+        marks = np.quantile(score, np.arange(1, BANDS) / BANDS)
+        band[cells] = -np.searchsorted(np.unique(marks), score, side="left")
+    return band
+
+
+class Stops:
+    """Draws stops in every cell of `todo`, each left towards the next."""
+
     def __init__(self, task: Task, todo: Bools) -> None:
         self.task, self.todo = task, todo
         self.limit = task.reach.clearance
@@ -114,14 +142,8 @@ class _Planner:
     def _missed(self) -> Bools:
         """Return (nx, ny, n_phi) bins that the log of at least one phase does not meet."""
         assert self.pen is not None
-        curve, grid = self.pen.curve(), self.task.coverage
-        missing = np.zeros_like(self.todo)
-        for phase in range(PHASES):
-            bins, inside = grid.bins(curve.log(self.task.rate, phase / PHASES / self.task.rate))
-            met = np.zeros_like(self.todo)
-            met[tuple(bins[inside].T)] = True
-            missing |= self.todo & ~met
-        return missing & grid.reachable
+        grid = self.task.coverage
+        return missed(self.pen.curve(), self.todo, grid, self.task.rate) & grid.reachable
 
     def _visit(self, todo: Bools) -> None:
         """Draw a way through all cells with a bin in `todo`."""
@@ -143,11 +165,7 @@ class _Planner:
 
     def _sequence(self, cells: Cells, todo: Bools) -> Ints:
         """Order the cells: bands of priority in turn, each by the better of lanes along x and along y."""
-        band = np.zeros(len(cells.index), dtype=np.int64)
-        if self.task.priority is not None:
-            score = np.where(todo, self.task.priority, -np.inf).max(axis=2)[tuple(cells.index.T)]
-            marks = np.quantile(score, np.arange(1, BANDS) / BANDS)
-            band = -np.searchsorted(np.unique(marks), score, side="left")
+        band = levels(self.task, todo)[tuple(cells.index.T)]
         here = self._here()
         found: list[Ints] = []
         for level in np.unique(band).tolist():

@@ -17,10 +17,11 @@ from planners.check import check
 from planners.clearance import Barriers
 from planners.connect import Joins
 from planners.coverage import Coverage
-from planners.coverage_planner import Driven, Progress, Task, plan_coverage
+from planners.coverage_planner import Driven, Progress, Task, plan_stop_and_spin
 from planners.errors import PlanError
 from planners.reach import Reach, reach
 from planners.robot import Robot
+from planners.search_planner import plan_search
 from planners.steering import Curve
 from planners.trajectory import Trajectory
 from planners.views_planner import plan_views
@@ -28,10 +29,11 @@ from planners.views_planner import plan_views
 logger = logging.getLogger(__name__)
 
 PLANNERS: dict[str, Callable[[Task], Driven]] = {
-    "coverage": plan_coverage,
+    "coverage": plan_search,
     "random_bounce": baselines.random_bounce,
     "wall_following": baselines.wall_following,
     "views": plan_views,
+    "stop_and_spin": plan_stop_and_spin,
 }
 
 MARGIN = 0.02
@@ -105,7 +107,7 @@ def plan(
     x0, y0, x1, y1 = arena.bounds
     if cell > max(x1 - x0, y1 - y0):
         raise PlanError(f"cell is {cell:g} m, larger than the whole arena; expected metres, such as 0.25")
-    if duration is not None and planner in ("coverage", "views"):
+    if duration is not None and planner in ("coverage", "stop_and_spin", "views"):
         raise PlanError(f"the planner {planner} drives until all is visited; duration is for the baselines")
     barriers = Barriers(arena)
     free = reach(arena, barriers, clearance=robot.footprint_radius + margin, cell=float(cell), start=start)

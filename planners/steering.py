@@ -237,3 +237,18 @@ class Pen:
 def _turned(heading: float, ahead: float, aside: float) -> Floats:
     cos, sin = np.cos(heading), np.sin(heading)
     return np.array([cos * ahead - sin * aside, sin * ahead + cos * aside])
+
+
+def joined(curves: list[Curve]) -> Curve:
+    """Return one curve of several, each of which starts where and as the one before it ends."""
+    if not curves:
+        raise ValueError("no curve to join; expected at least one")
+    ends = np.concatenate([[0.0], np.cumsum([curve.duration for curve in curves])])
+    return Curve(
+        starts=np.concatenate([curve.starts + at for curve, at in zip(curves, ends, strict=False)]),
+        duration=float(ends[-1]),
+        poses=np.concatenate([curve.poses for curve in curves]),
+        twists=np.concatenate([curve.twists for curve in curves]),
+        rates=np.concatenate([curve.rates for curve in curves]),
+        labels=np.concatenate([curve.labels for curve in curves]),
+    )

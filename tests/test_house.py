@@ -24,7 +24,7 @@ OWNERS = {
     "yaml": {"sensorgraph/", "planners/", "logs/"},
     "PIL": {"planners/maps/"},
     "distributed": {"sensorgraph/cluster.py"},
-    "numba": {"sensorgraph/models/kernel.py", "robotmodic_ident/kernel.py"},
+    "numba": {"sensorgraph/models/kernel.py", "robotmodic_ident/kernel.py", "planners/kernel.py"},
     "numpy": set(PACKAGES),
     "scipy": set(PACKAGES),
 }

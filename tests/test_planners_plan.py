@@ -63,16 +63,35 @@ def test_the_plan_is_feasible_and_clear(square: Plan) -> None:
 
 
 def test_driving_time_is_near_the_reference(square: Plan) -> None:
-    """Stop-and-spin needs 1.35: (K-1) dphi / omega + h / v per cell, without accelerations, is 1."""
+    """(K-1) dphi / omega + h / v per cell, without accelerations, is 1; stops and spins take 1.2."""
     assert square.report["t_ref_s"] == pytest.approx(231 * (15 * np.pi / 8 + 0.25 / 0.4))
-    assert square.report["ratio"] <= 1.22
+    assert square.report["ratio"] <= 1.15
+
+
+def test_bins_are_met_in_the_middle_of_their_cells(square: Plan) -> None:
+    """Where the inner half of a cell can be reached, the log has a pose in it, and in the middle half of the heading."""
+    grid, reach_ = square.coverage, square.reach
+    p = reach_.per_cell
+    blocks = reach_.blocks(reach_.distance >= reach_.clearance + 0.01).reshape(*reach_.shape, p, p)
+    rim = -(-p // 4)
+    roomy = blocks[:, :, rim : p - rim, rim : p - rim].all(axis=(2, 3))
+    assert roomy.sum() > 100
+    assert ((grid.core > 0) & grid.reachable)[roomy].mean() > 0.985
+
+
+def test_stops_and_spins_are_slower_but_stand_still(square: Plan) -> None:
+    made = plan(shipped("square"), ROBOT, planner="stop_and_spin")
+    assert made.report["coverage"] == 1.0
+    assert made.report["limit_violations"] == 0
+    assert square.report["ratio"] < made.report["ratio"] <= 1.22
 
 
 @pytest.mark.slow
 def test_an_office_is_filled_too() -> None:
     made = plan(shipped("office"), ROBOT)
     assert made.report["coverage"] >= 0.999
-    assert made.report["ratio"] <= 1.2
+    assert made.report["core_coverage"] >= 0.84
+    assert made.report["ratio"] <= 1.15
     assert made.report["limit_violations"] == 0
     assert made.report["joins"]["failed"] == 0
     assert made.report["joins"]["planned"] > 0
@@ -143,7 +162,7 @@ def test_planning_needs_ompl_only_where_a_straight_move_is_blocked(
     made = plan(outlined(shapely.box(0, 0, 2, 1.5)), ROBOT, cell=0.5, headings=4)
     assert made.report["coverage"] == 1.0
     with pytest.raises(PlanError, match="OMPL is not installed; pip install"):
-        plan(door_arena(0.9), ROBOT, cell=0.5, headings=4)
+        plan(door_arena(0.9), ROBOT, cell=0.5, headings=4, planner="stop_and_spin")
 
 
 def test_importing_planners_does_not_import_ompl() -> None:

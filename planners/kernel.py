@@ -1,0 +1,34 @@
+"""`kernel`: the one place of this package that asks numba to compile.
+
+Compiled code is kept on disk. Numba looks only at the file of a kernel to tell whether that is stale, not at the
+files of the kernels it calls; here all files of this folder count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import TypeVar, cast
+
+import numba
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+def kernel(function: Function) -> Function:
+    """Compile a function on its first call and keep the result on disk; x / 0 is inf, as in numpy."""
+    compiled = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
+    store = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
+    if store is not None and hasattr(store, "_source_stamp"):
+        store._source_stamp = (store._source_stamp, _stamp())
+    else:  # another numba: rather compile anew than run what is stale
+        compiled = numba.njit(error_model="numpy", nogil=True)(function)
+    return cast(Function, compiled)
+
+
+@cache
+def _stamp() -> tuple[tuple[str, int, int], ...]:
+    """Name, time of change and size of every source beside this one that holds kernels."""
+    files = sorted(Path(__file__).parent.glob("search*.py"))
+    return tuple((file.name, file.stat().st_mtime_ns, file.stat().st_size) for file in files)

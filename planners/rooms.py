@@ -1,0 +1,164 @@
+"""Rooms: parts of the floor that are wide inside and narrow between, so that a plan finishes one after the other."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
+
+from planners.arena import Bools, Floats
+from planners.order import Ints
+from planners.reach import Reach
+
+WIDE = 0.25
+"""[m] beyond the clearance: places narrower than this part two rooms."""
+LEAST_CELLS = 60
+"""Smaller rooms join a neighbour."""
+MOST_CELLS = 900
+"""Larger rooms are halved."""
+SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
+"""Steps to the neighbours of a cell; bit d of `links` stands for SIDES[d]."""
+
+
+def links(reach: Reach) -> Ints:
+    """Return (nx, ny) a bit for each neighbour of a cell that can be reached over their common border."""
+    (nx, ny), p, mask = reach.shape, reach.per_cell, reach.mask
+    found = np.zeros((nx, ny), dtype=np.int64)
+    over_x = (mask[p - 1 : -1 : p] & mask[p::p]).reshape(nx - 1, ny, p).any(axis=2)
+    over_y = (mask[:, p - 1 : -1 : p] & mask[:, p::p]).reshape(nx, p, ny - 1).any(axis=1)
+    found[:-1][over_x] |= 1
+    found[1:][over_x] |= 2
+    found[:, :-1][over_y] |= 4
+    found[:, 1:][over_y] |= 8
+    return found
+
+
+def cell_graph(reach: Reach) -> sparse.csr_matrix:
+    """Return the graph (nx ny, nx ny) of cells that share a border which can be crossed, weights 1."""
+    nx, ny = reach.shape
+    number = np.arange(nx * ny).reshape(nx, ny)
+    linked = links(reach)
+    east, north = np.nonzero(linked & 1), np.nonzero(linked & 4)
+    rows = np.concatenate([number[east], number[north]])
+    columns = np.concatenate([number[east[0] + 1, east[1]], number[north[0], north[1] + 1]])
+    return sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(nx * ny, nx * ny))
+
+
+def rooms(reach: Reach, wanted: Bools) -> list[Bools]:
+    """Part the cells `wanted` (nx, ny) into rooms, each a mask (nx, ny)."""
+    labels = _flooded(_seeds(reach), reach)
+    labels[~wanted] = -1
+    labels = _merged(labels, reach)
+    found: list[Bools] = []
+    for label in np.unique(labels[labels >= 0]).tolist():
+        found += _halved(np.asarray(labels == label))
+    return found
+
+
+def _seeds(reach: Reach) -> Ints:
+    """Number the wide places, by cell; -1 elsewhere."""
+    wide = reach.mask & (
+        reach.distance >= reach.clearance + min(WIDE, reach.distance.max() - reach.clearance)
+    )
+    parts, _ = ndimage.label(wide)
+    return np.asarray(reach.blocks(parts).max(axis=-1) - 1, dtype=np.int64)
+
+
+def _flooded(seeds: Ints, reach: Reach) -> Ints:
+    """Give each reachable cell the number of the seed that is nearest by way of open borders."""
+    number = np.flatnonzero(seeds.ravel() >= 0)
+    if not len(number):
+        return np.where(reach.blocks(reach.mask).any(axis=-1), 0, -1)
+    far, _, source = csgraph.dijkstra(
+        cell_graph(reach), directed=False, indices=number, min_only=True, return_predecessors=True
+    )
+    reached = np.isfinite(far)
+    out = np.full(seeds.size, -1, dtype=np.int64)
+    out[reached] = seeds.ravel()[source[reached]]
+    lone = (out < 0) & reach.blocks(reach.mask).any(axis=-1).ravel()
+    out[lone] = seeds.max() + 1
+    return out.reshape(seeds.shape)
+
+
+def _merged(labels: Ints, reach: Reach) -> Ints:
+    """Join rooms that are too small to the neighbour they share most borders with."""
+    linked = links(reach)
+    labels = labels.copy()
+    while True:
+        pairs = np.concatenate(
+            [
+                np.column_stack([labels[:-1][linked[:-1] & 1 > 0], labels[1:][linked[:-1] & 1 > 0]]),
+                np.column_stack(
+                    [labels[:, :-1][linked[:, :-1] & 4 > 0], labels[:, 1:][linked[:, :-1] & 4 > 0]]
+                ),
+            ]
+        )
+        pairs = pairs[(pairs >= 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])]
+        names, sizes = np.unique(labels[labels >= 0], return_counts=True)
+        for k in np.argsort(sizes, kind="stable").tolist():
+            own = names[k]
+            if sizes[k] >= LEAST_CELLS:
+                return labels
+            beside = np.concatenate([pairs[pairs[:, 0] == own, 1], pairs[pairs[:, 1] == own, 0]])
+            if len(beside):
+                labels[labels == own] = np.bincount(beside).argmax()
+                break
+        else:
+            return labels
+
+
+def _halved(room: Bools) -> list[Bools]:
+    """Cut a room that is too large across its longer side, again and again."""
+    if room.sum() <= MOST_CELLS:
+        return [room]
+    at = np.argwhere(room)
+    axis = int(np.ptp(at, axis=0).argmax())
+    cut = int(np.median(at[:, axis])) + 1
+    low = room.copy()
+    low[(slice(None),) * axis + (slice(cut, None),)] = False
+    if not low.any() or low.sum() == room.sum():
+        return [room]
+    return _halved(low) + _halved(room & ~low)
+
+
+def sequence(cost: Floats, first: Floats | None) -> Ints:
+    """Order things by the cost (n, n) [s] of going from one's end to another's start: nearest first, then moved about.
+
+    Parameters
+    ----------
+    first : (n,) [s] cost of coming to each from the start; None: anything may be first
+    """
+    n = len(cost)
+    lead = np.zeros(n) if first is None else first
+    best: tuple[float, list[int]] | None = None
+    for head in range(n) if first is None and n <= 60 else [int(lead.argmin())]:
+        order, left = [head], set(range(n)) - {head}
+        while left:
+            order.append(min(left, key=lambda k: (cost[order[-1], k], k)))
+            left.remove(order[-1])
+        total = _total(order, cost, lead)
+        if best is None or total < best[0] - 1e-9:
+            best = (total, order)
+    assert best is not None
+    return np.array(_moved_about(best[1], cost, lead), dtype=np.int64)
+
+
+def _total(order: list[int], cost: Floats, lead: Floats) -> float:
+    return float(lead[order[0]] + cost[order[:-1], order[1:]].sum())
+
+
+def _moved_about(order: list[int], cost: Floats, lead: Floats) -> list[int]:
+    """Take stretches of up to three elsewhere as long as that helps."""
+    total, improved = _total(order, cost, lead), len(order) <= 150
+    while improved:
+        improved = False
+        for size in (1, 2, 3):
+            for k in range(len(order) - size + 1):
+                rest = order[:k] + order[k + size :]
+                for at in range(len(rest) + 1):
+                    other = rest[:at] + order[k : k + size] + rest[at:]
+                    new = _total(other, cost, lead)
+                    if new < total - 1e-9:
+                        order, total, improved = other, new, True
+                        break
+    return order

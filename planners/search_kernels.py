@@ -1,0 +1,478 @@
+"""Compiled kernels of the search: try a primitive, harvest with a beam, flood to the next bin, advance."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.arena import Bools, Floats
+from planners.kernel import kernel
+from planners.order import Ints
+
+CREDITS = 3
+"""Most bins that one primitive may be credited with."""
+MOST_TRIES = 3000
+"""Primitives tried for a way to go on, or to stop."""
+OVERTIME = 0.25
+"""Value of a unit of time that one drive ends before another."""
+LONGEST_FLOOD = 2048
+"""Primitives in a row, at most."""
+Branches = NDArray[np.int32]
+
+
+class World(NamedTuple):
+    """Where the robot drives, and what it wants there."""
+
+    distance: Floats
+    """(mx, my) [m] of each node to the nearest barrier."""
+    need: Bools
+    """(nx, ny, n_phi) bins still wanted."""
+    missing: Ints
+    """(nx, ny) how many of a cell."""
+    inner: Bools
+    """(nx, ny) cells in which only the inner half counts, and of it the middle half of the heading bin."""
+    value: Floats
+    """(nx, ny)"""
+    links: Ints
+    """(nx, ny) bits of neighbours (`rooms.SIDES`) that can be reached over the common border."""
+    x0: float
+    """[m]"""
+    y0: float
+    """[m]"""
+    step: float
+    """[m] between nodes."""
+    cell: float
+    """[m]"""
+    least: float
+    """[m] distance to keep."""
+    dwell: float
+    """[s] to stay in a bin."""
+    inner_dwell: float
+    """[s] to stay in the inner half of one."""
+
+
+class Moves(NamedTuple):
+    """What the robot may do from a heading step and a mode; the fields of `search_table.Table`."""
+
+    ways: Floats
+    bins: NDArray[np.int16]
+    core: Bools
+    turn: Ints
+    then: Ints
+    cost: Ints
+    period: Floats
+    patient: Bools
+    """(n_modes, n_branches) branches for floods only."""
+    longest: float
+    """[m] that a primitive leads away, and a node's diagonal."""
+
+
+class Hunt(NamedTuple):
+    """How hard to think; see `search.Settings`."""
+
+    horizon: int
+    executed: int
+    width: int
+    safe_depth: int
+    least: int
+    flood_layers: int
+    flood_width: int
+    flood_states: int
+    discount: float
+    pull: float
+    eagerness: float
+    lattice: float
+
+
+@kernel
+def attempt(
+    x: float, y: float, h: int, m: int, j: int, world: World, moves: Moves, credits: Ints
+) -> tuple[bool, int]:
+    """Drive branch j; fill `credits` with the flat bins it wins; return whether it is free, and how many."""
+    distance, need, missing, inner = world.distance, world.need, world.missing, world.inner
+    ways, bins, core = moves.ways, moves.bins, moves.core
+    n_samples = bins.shape[3]
+    x0, y0, step, least = world.x0, world.y0, world.step, world.least
+    per_step, per_cell = 1.0 / step, 1.0 / world.cell
+    mx, my = distance.shape
+    ny, n_phi = need.shape[1], need.shape[2]
+    n_won = 0
+    run_id, run_start = -1, 0
+    run_inner = False
+    period = moves.period[m, j]
+    i, k = int((x - x0) * per_step), int((y - y0) * per_step)
+    is_open = distance[i, k] >= least + moves.longest  # no wall is near enough to matter
+    for s in range(n_samples + 1):
+        px = x - x0 + ways[h, m, j, s, 0]
+        py = y - y0 + ways[h, m, j, s, 1]
+        if not is_open:
+            u = px * per_step - 0.5
+            v = py * per_step - 0.5
+            if u < 0.0 or v < 0.0:
+                return False, 0
+            i, k = int(u), int(v)
+            if i >= mx - 1 or k >= my - 1:
+                return False, 0
+            near = distance[i, k]
+            if near < least + 1.5 * step:
+                if near < least - 1.5 * step:
+                    return False, 0
+                a, b = u - i, v - k
+                exact = (1 - a) * ((1 - b) * near + b * distance[i, k + 1]) + a * (
+                    (1 - b) * distance[i + 1, k] + b * distance[i + 1, k + 1]
+                )
+                if exact < least:
+                    return False, 0
+        this = -1
+        if s < n_samples:
+            fu, fv = px * per_cell, py * per_cell
+            ci, ck = int(fu), int(fv)
+            if missing[ci, ck] > 0 and need[ci, ck, bins[h, m, j, s]]:
+                this = (ci * ny + ck) * n_phi + bins[h, m, j, s]
+                if inner[ci, ck] and (
+                    abs(fu - ci - 0.5) > 0.25 or abs(fv - ck - 0.5) > 0.25 or not core[h, m, j, s]
+                ):
+                    this = -1
+        if this != run_id:
+            if run_id >= 0:
+                first = 0.0 if run_start == 0 else run_start + 0.5
+                last = float(n_samples) if s == n_samples and this == -1 else s - 0.5
+                wanted = world.inner_dwell if run_inner else world.dwell
+                if (last - first) * period >= wanted and n_won < CREDITS:
+                    credits[n_won] = run_id
+                    n_won += 1
+            run_id, run_start = this, s
+            if this >= 0:
+                run_inner = inner[ci, ck]
+    return True, n_won
+
+
+@kernel
+def potential(world: World, far: Ints, queue: Ints) -> None:
+    """Fill `far (nx, ny)` with the count of cell borders to the nearest cell where something is missing."""
+    missing, links = world.missing, world.links
+    nx, ny = missing.shape
+    head, tail = 0, 0
+    for i in range(nx):
+        for k in range(ny):
+            far[i, k] = 0 if missing[i, k] > 0 else 1 << 20
+            if missing[i, k] > 0:
+                queue[tail] = i * ny + k
+                tail += 1
+    while head < tail:
+        i, k = queue[head] // ny, queue[head] % ny
+        head += 1
+        for d in range(8):
+            if links[i, k] & (1 << d):
+                ni = i + (1, -1, 0, 0, 1, 1, -1, -1)[d]
+                nk = k + (0, 0, 1, -1, 1, -1, 1, -1)[d]
+                if far[ni, nk] > far[i, k] + 1:
+                    far[ni, nk] = far[i, k] + 1
+                    queue[tail] = ni * ny + nk
+                    tail += 1
+
+
+@kernel
+def end_of(x: float, y: float, h: int, m: int, j: int, moves: Moves) -> tuple[float, float, int, int]:
+    """Return the state after branch j."""
+    way = moves.ways[h, m, j, moves.bins.shape[3]]
+    return x + way[0], y + way[1], (h + moves.turn[m, j]) % len(moves.ways), moves.then[m, j]
+
+
+@kernel
+def escape(
+    x: float, y: float, h: int, m: int, depth: int, world: World, moves: Moves, credits: Ints, out: Branches
+) -> int:
+    """Find branches that can be driven on, the slowing ones first; write them to `out`, return their count or -1.
+
+    depth : so many branches; negative: at most so many, until the robot stands still (mode 0)
+    """
+    until_rest = depth < 0
+    most = abs(depth)
+    if most == 0 or (until_rest and m == 0):
+        return 0
+    n_branches = moves.then.shape[1]
+    xs, ys = np.empty(most + 1), np.empty(most + 1)
+    hs, ms, js = np.empty(most + 1, np.int64), np.empty(most + 1, np.int64), np.zeros(most + 1, np.int64)
+    xs[0], ys[0], hs[0], ms[0] = x, y, h, m
+    at, tries = 0, 0
+    while at >= 0 and tries < MOST_TRIES:
+        j = js[at]
+        if j >= n_branches or at == most:
+            at -= 1
+            continue
+        js[at] += 1
+        if moves.then[ms[at], j] < 0 or moves.patient[ms[at], j]:
+            continue
+        tries += 1
+        free, _ = attempt(xs[at], ys[at], hs[at], ms[at], j, world, moves, credits)
+        if free:
+            out[at] = j
+            xs[at + 1], ys[at + 1], hs[at + 1], ms[at + 1] = end_of(xs[at], ys[at], hs[at], ms[at], j, moves)
+            at += 1
+            if (until_rest and ms[at] == 0) or (not until_rest and at == most):
+                return at
+            js[at] = 0
+    return -1
+
+
+@kernel
+def is_safe(
+    x: float, y: float, h: int, m: int, depth: int, world: World, moves: Moves, credits: Ints
+) -> bool:
+    """Tell whether the robot can go on from here, or stop (see `escape`)."""
+    out = np.empty(abs(depth), np.int32)
+    return escape(x, y, h, m, depth, world, moves, credits, out) >= 0
+
+
+@kernel
+def cells_away(x: float, y: float, world: World, far: Ints) -> int:
+    """Return how many cell borders lie before something missing."""
+    return int(far[int((x - world.x0) / world.cell), int((y - world.y0) / world.cell)])
+
+
+@kernel
+def find_slot(table: Ints, stamp: int, marks: Ints, key: int) -> int:
+    """Return the slot of `key` in an open hash table, or -1 - slot if it is new; other stamps mark what is free."""
+    mask = len(table) - 1
+    z = key * np.int64(-7046029254386353131)
+    slot = int((z ^ (z >> 29)) & mask)
+    while marks[slot] == stamp:
+        if table[slot] == key:
+            return slot
+        slot = (slot + 1) & mask
+    marks[slot] = stamp
+    table[slot] = key
+    return -slot - 1
+
+
+@kernel
+def lattice_key(x: float, y: float, h: int, m: int, world: World, moves: Moves, fine: float) -> int:
+    """Return the lattice cell of a state."""
+    i, k = int((x - world.x0) / fine), int((y - world.y0) / fine)
+    return int(((i * 65536 + k) * moves.ways.shape[0] + h) * moves.ways.shape[1] + m)
+
+
+@kernel
+def harvest(
+    state: Floats, hunt: Hunt, world: World, moves: Moves, far: Ints, out: Branches
+) -> tuple[int, int]:
+    """Search `hunt.horizon` units ahead with a beam; write branches to `out`; return their count and the bins won.
+
+    Children wait in a pool for each unit of time; of each pool the `hunt.width` best that differ go on.
+    """
+    n_branches = moves.then.shape[1]
+    ny, n_phi = world.need.shape[1], world.need.shape[2]
+    horizon = hunt.horizon
+    layers = horizon + moves.cost.max()
+    room = hunt.width * n_branches * (2 if n_branches > 3 else 1)
+    most = layers * room
+    at, scores = np.empty((most, 2)), np.empty(most)
+    hs, ms, totals = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
+    parents, branches = np.empty(most, np.int32), np.empty(most, np.int32)
+    won, wins = np.empty(most, np.int32), np.empty((most, CREDITS), np.int64)
+    pool, fill = np.empty((layers + 1, room), np.int32), np.zeros(layers + 1, np.int64)
+    credits = np.empty(CREDITS, np.int64)
+    size = 1 << 12
+    while size < 4 * hunt.width:
+        size *= 2
+    table, marks = np.empty(size, np.int64), np.full(size, -1, np.int64)
+    at[0, 0], at[0, 1], hs[0], ms[0] = state[0], state[1], int(state[2]), int(state[3])
+    scores[0], parents[0], won[0], totals[0], pool[0, 0], fill[0] = 0.0, -1, 0, 0, 0, 1
+    n_nodes = 1
+    for layer in range(horizon):
+        order = np.argsort(-scores[pool[layer, : fill[layer]]], kind="mergesort")
+        kept = 0
+        for o in order:
+            node = pool[layer, o]
+            x, y, h, m = at[node, 0], at[node, 1], hs[node], ms[node]
+            if find_slot(table, layer, marks, lattice_key(x, y, h, m, world, moves, hunt.lattice)) >= 0:
+                continue  # a better one is there
+            kept += 1
+            if kept > hunt.width:
+                break
+            for j in range(n_branches):
+                if moves.then[m, j] < 0 or moves.patient[m, j]:
+                    continue
+                later = layer + moves.cost[m, j]
+                if fill[later] >= room or n_nodes >= most:
+                    continue
+                free, n_won = attempt(x, y, h, m, j, world, moves, credits)
+                if not free:
+                    continue
+                gain, count = 0.0, 0
+                for c in range(n_won):
+                    if _has_won(node, credits[c], parents, won, wins):
+                        continue
+                    ci, ck = credits[c] // (n_phi * ny), (credits[c] // n_phi) % ny
+                    gain += world.value[ci, ck] * (
+                        1.0 + hunt.eagerness * (1.0 - world.missing[ci, ck] / n_phi)
+                    )
+                    wins[n_nodes, count] = credits[c]
+                    count += 1
+                at[n_nodes, 0], at[n_nodes, 1], hs[n_nodes], ms[n_nodes] = end_of(x, y, h, m, j, moves)
+                parents[n_nodes], branches[n_nodes], won[n_nodes] = node, j, count
+                totals[n_nodes] = totals[node] + count
+                scores[n_nodes] = scores[node] + gain * (1.0 - hunt.discount * layer)
+                if later >= horizon:
+                    away = min(cells_away(at[n_nodes, 0], at[n_nodes, 1], world, far), 1000)
+                    scores[n_nodes] -= hunt.pull * away + OVERTIME * (later - horizon)
+                pool[later, fill[later]] = n_nodes
+                fill[later] += 1
+                n_nodes += 1
+    leaves = np.empty(fill[horizon:].sum(), np.int32)
+    n_leaves = 0
+    for layer in range(horizon, layers + 1):
+        leaves[n_leaves : n_leaves + fill[layer]] = pool[layer, : fill[layer]]
+        n_leaves += fill[layer]
+    for o in np.argsort(-scores[leaves], kind="mergesort"):
+        node = leaves[o]
+        if is_safe(at[node, 0], at[node, 1], hs[node], ms[node], hunt.safe_depth, world, moves, credits):
+            return trace(node, parents, branches, out), totals[node]
+    return 0, 0
+
+
+@kernel
+def _has_won(node: int, credit: int, parents: Branches, won: Branches, wins: Ints) -> bool:
+    """Tell whether a bin was won on the way to a node."""
+    while node > 0:
+        for d in range(won[node]):
+            if wins[node, d] == credit:
+                return True
+        node = parents[node]
+    return False
+
+
+@kernel
+def trace(node: int, parents: Branches, branches: Branches, out: Branches) -> int:
+    """Write the branches that lead to a node; return how many."""
+    n, up = 0, node
+    while parents[up] >= 0:
+        n += 1
+        up = parents[up]
+    for k in range(n - 1, -1, -1):
+        out[k] = branches[node]
+        node = parents[node]
+    return n
+
+
+@kernel
+def flood(state: Floats, hunt: Hunt, world: World, moves: Moves, far: Ints, out: Branches) -> int:
+    """Search breadth first for the nearest bin; write branches to `out`; return their count.
+
+    Each lattice cell is visited once, and of each unit of time the states nearest to something missing go on.
+    0: nothing is within reach at this resolution; -1: gave up.
+    """
+    n_branches, most = moves.then.shape[1], hunt.flood_states
+    at = np.empty((most, 2))
+    hs, ms, gains = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
+    parents, branches = np.empty(most, np.int32), np.empty(most, np.int32)
+    ring, room = moves.cost.max() + 1, hunt.flood_width * 8
+    pool, fill = np.empty((ring, room), np.int32), np.zeros(ring, np.int64)
+    credits = np.empty(CREDITS, np.int64)
+    size = 1 << 12
+    while size < 2 * most:
+        size *= 2
+    table, marks = np.empty(size, np.int64), np.full(size, -1, np.int64)
+    at[0, 0], at[0, 1], hs[0], ms[0] = state[0], state[1], int(state[2]), int(state[3])
+    parents[0], gains[0], pool[0, 0], fill[0] = -1, 0, 0, 1
+    n_nodes, is_cut = 1, False
+    for layer in range(hunt.flood_layers):
+        here = pool[layer % ring, : fill[layer % ring]]
+        if fill.sum() == 0:
+            return -1 if is_cut else 0
+        top, chosen = 0, -1
+        for node in here:
+            if gains[node] > top and is_safe(
+                at[node, 0], at[node, 1], hs[node], ms[node], hunt.safe_depth, world, moves, credits
+            ):
+                top, chosen = gains[node], node
+        if chosen >= 0:
+            return trace(chosen, parents, branches, out)
+        away = np.empty(len(here), np.int64)
+        for o in range(len(here)):
+            away[o] = cells_away(at[here[o], 0], at[here[o], 1], world, far)
+        is_cut = is_cut or len(here) > hunt.flood_width
+        for o in np.argsort(away, kind="mergesort")[: hunt.flood_width]:
+            node = here[o]
+            x, y, h, m = at[node, 0], at[node, 1], hs[node], ms[node]
+            for j in range(n_branches):
+                if moves.then[m, j] < 0:
+                    continue
+                free, n_won = attempt(x, y, h, m, j, world, moves, credits)
+                if not free:
+                    continue
+                x2, y2, h2, m2 = end_of(x, y, h, m, j, moves)
+                key = lattice_key(x2, y2, h2, m2, world, moves, hunt.lattice)
+                if find_slot(table, 0, marks, key) >= 0 and n_won == 0:
+                    continue
+                later = (layer + moves.cost[m, j]) % ring
+                if n_nodes >= most:
+                    return -1
+                if fill[later] >= room:
+                    is_cut = True
+                    continue
+                at[n_nodes, 0], at[n_nodes, 1], hs[n_nodes], ms[n_nodes] = x2, y2, h2, m2
+                parents[n_nodes], branches[n_nodes], gains[n_nodes] = node, j, n_won
+                pool[later, fill[later]] = n_nodes
+                fill[later] += 1
+                n_nodes += 1
+        fill[layer % ring] = 0
+    return -1
+
+
+@kernel
+def drive(state: Floats, j: int, world: World, moves: Moves, credits: Ints) -> int:
+    """Drive branch j, take what it wins off what is wanted, and return how many bins that were."""
+    n_won, ny, n_phi = 0, world.need.shape[1], world.need.shape[2]
+    x, y, h, m = state[0], state[1], int(state[2]), int(state[3])
+    _, n_credits = attempt(x, y, h, m, j, world, moves, credits)
+    for c in range(n_credits):
+        ci, ck, cb = credits[c] // (n_phi * ny), (credits[c] // n_phi) % ny, credits[c] % n_phi
+        if world.need[ci, ck, cb]:
+            world.need[ci, ck, cb] = False
+            world.missing[ci, ck] -= 1
+            n_won += 1
+    state[0], state[1], state[2], state[3] = end_of(x, y, h, m, j, moves)
+    return n_won
+
+
+@kernel
+def advance(
+    state: Floats, decisions: int, hunt: Hunt, world: World, moves: Moves, sequence: Branches, counters: Ints
+) -> None:
+    """Make up to so many decisions; write the branches driven to `sequence`, and how it stands to `counters`.
+
+    counters : length of the sequence, bins left, floods, status (0 goes on, 1 all is done, 2 nothing more is within
+        reach, 3 gave up)
+    """
+    far, queue = np.empty(world.missing.shape, np.int64), np.empty(world.missing.size, np.int64)
+    out, credits = np.empty(LONGEST_FLOOD, np.int32), np.empty(CREDITS, np.int64)
+    for _ in range(decisions):
+        if counters[1] == 0:
+            counters[3] = 1
+            return
+        potential(world, far, queue)
+        n, won = harvest(state, hunt, world, moves, far, out)
+        units = hunt.executed
+        if won < min(hunt.least, counters[1]):
+            counters[2] += 1
+            found = flood(state, hunt, world, moves, far, out)
+            if found > 0:
+                n, units = found, LONGEST_FLOOD
+            elif won == 0:
+                counters[3] = 2 if found == 0 else 3
+                return
+        driven = 0
+        for k in range(n):
+            if counters[1] == 0:
+                if hunt.safe_depth >= 0 or state[3] == 0:
+                    break
+            elif driven >= units:
+                break
+            driven += moves.cost[int(state[3]), out[k]]
+            counters[1] -= drive(state, out[k], world, moves, credits)
+            sequence[counters[0]] = out[k]
+            counters[0] += 1

@@ -1,0 +1,249 @@
+"""The coverage planner: search each room for itself, keep the best of some tries, join the rooms by OMPL.
+
+Rooms do not wait for each other, so they are searched side by side, with the same result on any count of
+processors.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csgraph
+
+from planners.arena import Bools, Floats, wrap
+from planners.connect import connect
+from planners.coverage import Coverage
+from planners.coverage_planner import Driven, Stops, Task, levels, missed, wanted
+from planners.errors import PlanError
+from planners.order import Ints
+from planners.rooms import cell_graph, rooms, sequence
+from planners.search import Scene, Search, scene, spin_curve
+from planners.search_table import Table, spinning
+from planners.steering import Curve, Pen, joined
+
+TRIES = 2
+"""Searches of each room, of which the best is kept."""
+PATIENCE = (1.3, 1.6)
+"""How much longer to stay in a bin where a log of some phase missed it."""
+LOST = 4.0
+"""[s] that a bin costs which a search leaves to the repair."""
+LOOK = 0.1
+"""[s] between two looks at the searches' progress."""
+TIGHT = 1e-9
+"""[m, rad] moves and turns shorter than this are none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Visit:
+    """How one room is driven, from rest to rest."""
+
+    curve: Curve
+    stops: Floats
+    """(n, 4) [m, m, rad, rad] where each revolution begins, and its angle."""
+    left: int
+    """Bins of the room that it does not get."""
+
+    @property
+    def ends(self) -> tuple[Floats, Floats]:
+        """Poses (3,) at rest before and after."""
+        poses = self.curve.sample(np.array([0.0, self.curve.duration]))[0]
+        return poses[0], poses[1]
+
+
+def plan_search(task: Task) -> Driven:
+    """Visit every bin that is still missing: spin without a stop, and choose the speed."""
+    if task.robot.drive != "diff":
+        raise PlanError(f"planner coverage does not drive {task.robot.drive!r} yet; use drive: diff")
+    todo = wanted(task)
+    table = spinning(task.robot.limits, task.coverage.headings, task.rate)
+    bands = [
+        todo & (levels(task, todo) == band)[:, :, None]
+        for band in np.unique(levels(task, todo)[todo.any(axis=2)])
+    ]
+    jobs = [
+        (band, np.asarray(part & room[:, :, None]))
+        for band, part in enumerate(bands)
+        for room in rooms(task.reach, part.any(axis=2))
+    ]
+    visits = _side_by_side([need for _, need in jobs], table, task)
+    ordered: list[Visit] = []
+    for band in range(len(bands)):
+        own = [visit for (of, _), visit in zip(jobs, visits, strict=True) if of == band and visit is not None]
+        here = ordered[-1].ends[1] if ordered else task.start
+        ordered += [own[k] for k in _order(own, here, task)]
+    return _repaired(_drawn(ordered, task), todo, task)
+
+
+def _side_by_side(needs: list[Bools], table: Table, task: Task) -> list[Visit | None]:
+    """Search each room (nx, ny, n_phi) some times on all processors; return the best visit of each."""
+    left = {(room, attempt): int(need.sum()) for attempt in range(TRIES) for room, need in enumerate(needs)}
+    total, stop = sum(left.values()), threading.Event()
+
+    def search(room: int, attempt: int) -> Visit | None:
+        def tick(now: int) -> bool:
+            left[room, attempt] = now
+            return not stop.is_set()
+
+        seed = int(np.random.SeedSequence([task.seed, room, attempt]).generate_state(1)[0])
+        return search_room(needs[room], table, task, seed, tick)
+
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        futures: dict[tuple[int, int], Future[Visit | None]] = {
+            job: threads.submit(search, *job) for job in sorted(left)
+        }
+        try:
+            open_ = set(futures.values())
+            while open_:
+                _, open_ = wait(open_, timeout=LOOK)
+                if task.progress:
+                    task.progress(total - sum(left.values()), total)
+        except BaseException:
+            stop.set()
+            threads.shutdown(cancel_futures=True)
+            raise
+    if task.progress:
+        task.progress(total, total)
+    best: list[Visit | None] = []
+    for room in range(len(needs)):
+        tried = [visit for attempt in range(TRIES) if (visit := futures[room, attempt].result()) is not None]
+        best.append(min(tried, key=lambda visit: visit.curve.duration + LOST * visit.left, default=None))
+    return best
+
+
+def search_room(
+    need: Bools, table: Table, task: Task, seed: int, tick: Callable[[int], bool]
+) -> Visit | None:
+    """Search for a drive through the bins `need` (nx, ny, n_phi); None where there is no place to begin."""
+    place = scene(task.reach, np.asarray(need.any(axis=2)))
+    own = place.part(need)
+    search = Search(place, table, own, task.rate, seed=seed)
+    start = _first_place(place, task, own, search.rng)
+    if start is None:
+        return None
+    search.begin(np.array([*start, 0.0, 0.0]))
+    search.run(tick)
+    given_up = search.world.need.copy()
+    for patience in PATIENCE:
+        again = place.part(_missed_by(search, table, task, need)) & ~given_up
+        if not again.any():
+            break
+        search.want(again, patience, inner=False)
+        search.run(tick)
+    if not search.rest():
+        return None
+    found = search.found()
+    curve = spin_curve(found, table, task.robot.limits.alpha)
+    return Visit(curve=curve, stops=_revolutions(curve, table), left=int(given_up.sum()))
+
+
+def _missed_by(search: Search, table: Table, task: Task, need: Bools) -> Bools:
+    curve = spin_curve(search.found(), table, task.robot.limits.alpha)
+    return missed(curve, need, task.coverage, task.rate)
+
+
+def _first_place(place: Scene, task: Task, need: Bools, rng: np.random.Generator) -> Floats | None:
+    """Return (2,) [m] the middle of a free cell of the room, or its freest place."""
+    reach, cells = task.reach, np.asarray(need.any(axis=2))
+    free = cells & place.part(np.asarray(reach.blocks(reach.mask).all(axis=-1)))
+    if free.any():
+        choice = np.argwhere(free)
+        return np.asarray(place.origin + (choice[int(rng.integers(len(choice)))] + 0.5) * place.cell)
+    depth = np.where(place.part(reach.blocks(reach.mask)), place.part(reach.blocks(reach.distance)), 0.0)
+    depth = np.where(cells[:, :, None], depth, 0.0)
+    i, k, node = np.unravel_index(int(depth.argmax()), depth.shape)
+    if depth[i, k, node] < reach.clearance:
+        return None
+    within = np.array([node // reach.per_cell, node % reach.per_cell])
+    return np.asarray(place.origin + np.array([i, k]) * place.cell + (within + 0.5) * place.step)
+
+
+def _revolutions(curve: Curve, table: Table) -> Floats:
+    """Return (n, 4) where each revolution begins, and how far it turns."""
+    end = float(curve.sample(np.array([curve.duration]))[0][0, 2])
+    every = curve.poses[:: table.n_headings]
+    phi = np.append(every[:, 2], curve.poses[-1, 2] + wrap(np.float64(end - curve.poses[-1, 2])))
+    return np.column_stack([every, np.diff(phi)])
+
+
+def _order(visits: list[Visit], here: Floats | None, task: Task) -> Ints:
+    """Order the rooms by the ways from the end of one to the start of another."""
+    if len(visits) < 2:
+        return np.arange(len(visits))
+    reach = task.reach
+
+    def cells(points: Floats) -> Ints:
+        at = np.floor((points[:, :2] - reach.origin) / reach.cell).astype(np.int64)
+        within = at.clip(0, np.array(reach.shape) - 1)
+        return np.asarray(np.ravel_multi_index(tuple(within.T), reach.shape), dtype=np.int64)
+
+    starts = np.array([visit.ends[0] for visit in visits])
+    ends = np.array([visit.ends[1] for visit in visits] + ([] if here is None else [here]))
+    far = csgraph.dijkstra(cell_graph(reach), directed=False, indices=cells(ends))[:, cells(starts)]
+    cost = np.where(np.isfinite(far), far, 1e3) * reach.cell / task.robot.limits.v
+    return sequence(cost[: len(visits)], None if here is None else cost[-1])
+
+
+def _drawn(visits: list[Visit], task: Task) -> Driven:
+    """Join the visits; one that cannot be reached is left out."""
+    here = visits[0].ends[0] if task.start is None else task.start
+    froms = np.array([here, *(visit.ends[1] for visit in visits[:-1])])
+    tos = np.array([visit.ends[0] for visit in visits])
+    paths, joins = connect(froms[:, :2], tos[:, :2], reach=task.reach, barriers=task.barriers, seed=task.seed)
+    curves: list[Curve] = []
+    stops: list[Floats] = []
+    for visit, path in zip(visits, paths, strict=True):
+        if path is not None and not np.allclose(path[0], here[:2], atol=TIGHT):
+            again, more = connect(
+                here[None, :2],
+                visit.ends[0][None, :2],
+                reach=task.reach,
+                barriers=task.barriers,
+                seed=task.seed,
+            )
+            path, joins = again[0], joins + more
+        if path is None:
+            continue
+        pen = Pen(here, task.robot.limits)
+        lead(pen, path, visit.ends[0][2])
+        if pen.clock > 0:
+            curves.append(pen.curve())
+            stops.append(np.array(pen.stops).reshape(-1, 4))
+        curves.append(visit.curve)
+        stops.append(visit.stops)
+        here = visit.ends[1]
+    if not curves:
+        raise PlanError("no way leads to any room; choose another start")
+    return Driven(curve=joined(curves), stops=np.concatenate(stops), joins=joins)
+
+
+def lead(pen: Pen, path: Floats, heading: float) -> None:
+    """Drive along a path (k, 2) [m] from where the pen is, and turn to a heading [rad] there."""
+    for corner in path[1:]:
+        way = corner - pen.pose[:2]
+        length = float(np.hypot(*way))
+        if length > TIGHT:
+            pen.turn(float(wrap(np.float64(np.arctan2(way[1], way[0]) - pen.pose[2]))), "turn")
+            pen.move(length, "move" if len(path) == 2 else "join")
+    pen.turn(float(wrap(np.float64(heading - pen.pose[2]))), "turn")
+
+
+def _repaired(driven: Driven, todo: Bools, task: Task) -> Driven:
+    """Stop and spin where a bin is still missing."""
+    missing = missed(driven.curve, todo, task.coverage, task.rate)
+    if not missing.any():
+        return driven
+    end = driven.curve.sample(np.array([driven.curve.duration]))[0][0]
+    grid = task.coverage
+    none = np.zeros_like(grid.counts)
+    rest = Coverage(origin=grid.origin, cell=grid.cell, reachable=missing, counts=none, core=none)
+    more = Stops(replace(task, start=end, coverage=rest, priority=None, progress=None), missing).run()
+    return Driven(
+        curve=joined([driven.curve, more.curve]),
+        stops=np.concatenate([driven.stops, more.stops]),
+        joins=driven.joins + more.joins,
+    )
