@@ -261,13 +261,20 @@ def test_a_model_of_poses_is_no_controller() -> None:
         controller_named("gone.json", default(), 0)
 
 
-def test_the_track_of_laps_has_dimension_one() -> None:
+def test_laps_have_dimension_one_and_wandering_has_more() -> None:
     t = np.arange(0, 1500, 0.1)
-    wobble = 0.002 * np.random.default_rng(14).normal(size=(len(t), 2))
-    track = np.column_stack([2 * np.cos(0.11 * t), 2 * np.sin(0.11 * t)]) + wobble
-    value, low, high = track_dimension(t, track)
-    assert value == pytest.approx(1.0, abs=0.1)
+    rng = np.random.default_rng(14)
+    wobble = 0.002 * rng.normal(size=(len(t), 2))
+    laps = np.column_stack([2 * np.cos(0.11 * t), 2 * np.sin(0.11 * t)]) + wobble
+    value, low, high = track_dimension(t, laps)
+    assert value is not None
     assert low is not None
     assert high is not None
     assert low <= 1.0 <= high
-    assert track_dimension(t[:300], track[:300]) == (None, None, None)
+    assert value < 1.25
+    steps = np.cumsum(0.05 * rng.normal(size=(len(t), 2)), axis=0)
+    wander = np.abs((steps + 2.0) % 8.0 - 4.0)  # walls turn it back
+    far = track_dimension(t, wander)[0]
+    assert far is not None
+    assert far > 2.0  # four delays of two coordinates that forget within their 2 s
+    assert track_dimension(t[:300], laps[:300]) == (None, None, None)
