@@ -178,7 +178,7 @@ def _thinned(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:
         return kept, {}
     some = np.zeros_like(kept)
     some[np.flatnonzero(kept)[step // 2 :: step]] = True
-    return some, {f"beyond every {step}th, which say enough": count - int(some.sum())}
+    return some, {f"beyond one in {step}, which say enough": count - int(some.sum())}
 
 
 def velocities(stamps: Floats, poses: Floats, when: Floats) -> Floats:
