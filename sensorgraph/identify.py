@@ -8,11 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from scipy.special import stdtr
 
 from planners.arena import Floats
 from robotmodic_ident import Narmax, Record, Terms, fit, lags, polynomial
 from robotmodic_ident.criteria import Criterion
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.score import Score
+from robotmodic_ident.score import score as score_series
+from robotmodic_ident.validate import validate
 from sensorgraph.errors import GapError
 from sensorgraph.signals import Data, variable
 
@@ -22,6 +25,8 @@ CRITERIA: tuple[str, ...] = get_args(Criterion)
 BLOCKS = 10
 """Pieces that a record is cut into by `block`; every second one is held out."""
 MOST_TERMS = 3000
+TESTED_LAGS = (20, 10, 5, 2)
+"""[samples] of the residual tests: the most that the data allow."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,29 +79,6 @@ class Question:
         return max(self.lags if self.inputs else 0, self.output_lags)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Score:
-    """How well a series is predicted."""
-
-    rmse: float
-    rrse: float
-    """RMSE over that of the mean of what was measured: 1 is no better than the mean."""
-    r: float
-    """Pearson's correlation; nan where one of both does not vary."""
-    r_low: float
-    r_high: float
-    """95 % interval of r, by the effective sample size."""
-    p_value: float
-    """Of no correlation, by the effective sample size."""
-    n: int
-    n_effective: float
-    """How many independent samples the autocorrelated series are worth."""
-
-    def to_dict(self) -> dict[str, float | None]:
-        """Return plain data; what is not defined is None."""
-        return {k: v if math.isfinite(v) else None for k, v in vars(self).items()}
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Identified:
     """The model, and how it does on the records held out."""
@@ -121,9 +103,9 @@ class Identified:
         return {
             **self.model.to_dict(),
             "inputs": list(q.inputs),
-            "one_step": self.scores["one_step"].to_dict(),
-            "free_run": self.scores["free_run"].to_dict(),
-            "baselines": {k: self.scores[k].to_dict() for k in ("persistence", "constant")},
+            "one_step": plain(self.scores["one_step"]),
+            "free_run": plain(self.scores["free_run"]),
+            "baselines": {k: plain(self.scores[k]) for k in ("persistence", "constant")},
             "validation": self.validation,
             "split": q.split,
             "signals": dict(self.data.names),
@@ -156,7 +138,7 @@ def identify(data: Data, question: Question) -> Identified:
     }
     return Identified(
         model=model, question=question, data=data, test=test, measured=measured, one_step=one_step,
-        free_run=free_run, scores=scores, validation=_validated(model, test), n_train=model.n_samples,
+        free_run=free_run, scores=scores, validation=_validated(model, test, question.split), n_train=model.n_samples,
         unknown=unknown,
     )  # fmt: skip
 
@@ -166,7 +148,17 @@ def _fitted(train: list[Record], output: str, terms: Terms, question: Question) 
     return fit(train, output, terms, n_terms=n, criterion=criterion, noise=question.noise_lags)
 
 
-def _validated(model: Narmax, test: list[Record]) -> list[dict[str, Any]]:
+def _validated(model: Narmax, test: list[Record], split: str) -> list[dict[str, Any]]:
+    """Return the residual tests on what was held out; none where it is too short for any lag."""
+    for max_lag in TESTED_LAGS:
+        try:
+            checks = validate(model, test, max_lag=max_lag, fitted=split == "none")
+        except IdentError:
+            continue
+        return [
+            {"test": c.test, "statistic": c.statistic, "p_value": c.p_value, "max_lag": max_lag}
+            for c in checks
+        ]
     return []
 
 
@@ -261,55 +253,10 @@ def _last(record: Record, output: str) -> Floats:
 
 
 def score(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Score:
-    """Score predictions, record by record, where both are known."""
-    parts = [
-        (m[ok], p[ok])
-        for m, p in zip(measured, predicted, strict=True)
-        for ok in [np.isfinite(m) & np.isfinite(p)]
-        if ok.any()
-    ]
-    if not parts:
-        nan = math.nan
-        return Score(rmse=nan, rrse=nan, r=nan, r_low=nan, r_high=nan, p_value=nan, n=0, n_effective=0.0)
-    x, y = (np.concatenate(side) for side in zip(*parts, strict=True))
-    rmse = float(np.sqrt(np.mean((x - y) ** 2)))
-    spread = float(x.std())
-    vary = spread > 0 and float(y.std()) > 1e-12 * max(spread, float(np.abs(y).max()))
-    n_effective = effective_samples(parts) if vary else float(len(x))
-    r = float(np.corrcoef(x, y)[0, 1]) if vary else math.nan
-    low, high, p_value = interval(r, n_effective)
-    return Score(
-        rmse=rmse, rrse=rmse / spread if spread > 0 else math.nan, r=r, r_low=low, r_high=high,
-        p_value=p_value, n=len(x), n_effective=n_effective,
-    )  # fmt: skip
+    """Score predictions of several records, where both are known."""
+    return score_series(np.concatenate(list(measured)), np.concatenate(list(predicted)))
 
 
-def effective_samples(parts: Sequence[tuple[Floats, Floats]]) -> float:
-    """Return how many independent pairs a set of autocorrelated series is worth.
-
-    n / (1 + 2 Σ (1 - k/n) ρx(k) ρy(k)), Bartlett 1946; the sum ends where the product is no longer positive.
-    """
-    n = sum(len(x) for x, _ in parts)
-    longest = max(len(x) for x, _ in parts)
-    rho = np.ones(longest)
-    for side in range(2):
-        centre = np.concatenate([part[side] for part in parts]).mean()
-        total = np.zeros(longest)
-        for part in parts:
-            z = part[side] - centre
-            size = 1 << (2 * len(z) - 1).bit_length()
-            power = np.abs(np.fft.rfft(z, size)) ** 2
-            total[: len(z)] += np.fft.irfft(power, size)[: len(z)]
-        rho *= total / total[0]
-    end = int(np.argmax(rho <= 0)) if (rho <= 0).any() else longest
-    worth = 1.0 + 2.0 * float(((1 - np.arange(1, end) / n) * rho[1:end]).sum())
-    return float(min(max(n / worth, 2.0), n))
-
-
-def interval(r: float, n: float) -> tuple[float, float, float]:
-    """Return the 95 % interval of a correlation (Fisher 1915), and the p-value of no correlation."""
-    if not math.isfinite(r) or n <= 3.0:
-        return math.nan, math.nan, math.nan
-    z, half = math.atanh(min(max(r, -1 + 1e-15), 1 - 1e-15)), 1.96 / math.sqrt(n - 3.0)
-    t = abs(r) * math.sqrt((n - 2.0) / max(1.0 - r * r, 1e-300))
-    return math.tanh(z - half), math.tanh(z + half), float(2.0 * stdtr(n - 2.0, -t))
+def plain(s: Score) -> dict[str, float | None]:
+    """Return a score as plain data; what is not defined is None."""
+    return {k: float(v) if math.isfinite(v) else None for k, v in vars(s).items()}

@@ -17,6 +17,7 @@ from robotmodic_ident.analysis import (
     integral,
     jacobian,
     lyapunov,
+    lyapunov_along,
     lyapunov_of_series,
     partial_model,
     rest_point,
@@ -24,6 +25,7 @@ from robotmodic_ident.analysis import (
     sobol,
     states_of,
     surface,
+    without_noise,
 )
 from robotmodic_ident.analysis.algebra import evaluate, sum_of
 from robotmodic_ident.analysis.embedding import surrogate
@@ -233,6 +235,83 @@ def test_henon_identified_at_one_percent_noise_keeps_its_exponent(seed: int) -> 
     assert exponent == pytest.approx(0.4192, rel=0.02)
 
 
+@pytest.mark.parametrize("seed", [14, 15, 16])
+def test_henon_at_five_percent_noise_is_found_with_its_orbit(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    y = henon(3000)
+    measured = y + 0.05 * y.std() * rng.normal(size=len(y))
+    first = fit({"y": measured}, "y", polynomial(["y(k-1)", "y(k-2)"], 2))
+    cleaned = without_noise(first, {"y": measured})
+    assert cleaned.sigma == pytest.approx(0.05 * y.std(), rel=0.05)
+    assert np.std(cleaned.series - y) < 0.2 * np.std(measured - y)
+    exponent = lyapunov(cleaned.model, states_of(cleaned.model, cleaned.series, 64, rng)).values[0]
+    assert exponent == pytest.approx(0.4192, rel=0.02)
+
+
+@pytest.mark.slow
+def test_intervals_of_a_cleaned_model_cover_what_was_planted() -> None:
+    y, truth, inside = henon(1000), {"1": 1.0, "y(k-1)^2": -1.4, "y(k-2)": 0.3}, []
+    terms = Terms.parse(*truth)
+    for seed in range(60):
+        measured = y + 0.02 * y.std() * np.random.default_rng(100 + seed).normal(size=len(y))
+        cleaned = without_noise(fit({"y": measured}, "y", terms, n_terms=3), {"y": measured}).model
+        off = cleaned.theta - np.array([truth[name] for name in cleaned.terms.names])
+        inside.append(np.abs(off) < 1.96 * cleaned.stderr)
+    assert 0.85 < np.mean(inside) < 0.99
+
+
+@pytest.mark.parametrize("seed", [17, 18, 19])
+def test_the_logistic_map_at_one_percent_noise_keeps_its_exponent(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    y = logistic(3000)
+    measured = y + 0.01 * y.std() * rng.normal(size=len(y))
+    cleaned = without_noise(fit({"y": measured}, "y", polynomial(["y(k-1)"], 2)), {"y": measured})
+    found = lyapunov_along(cleaned.model, {"y": cleaned.series})  # at 4 a free run leaves by the least error
+    assert found.values[0] == pytest.approx(math.log(2), rel=0.02)
+
+
+def lorenz(n: int, period: float) -> np.ndarray:
+    def flow(s: np.ndarray) -> np.ndarray:
+        return np.array([10 * (s[1] - s[0]), s[0] * (28 - s[2]) - s[1], s[0] * s[1] - 8 / 3 * s[2]])
+
+    h, s, out = period / 10, np.ones(3), []
+    for k in range(10 * (n + 500)):
+        a = flow(s)
+        b = flow(s + h / 2 * a)
+        c = flow(s + h / 2 * b)
+        s = s + h / 6 * (a + 2 * b + 2 * c + flow(s + h * c))
+        if k % 10 == 9:
+            out.append(s)
+    return np.array(out[500:])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [20, 21])
+def test_lorenz_identified_at_one_percent_noise_keeps_its_exponent(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    clean = lorenz(5000, 0.03)
+    measured = clean + 0.01 * clean.std(axis=0) * rng.normal(size=clean.shape)
+    data = dict(zip("xyz", measured.T, strict=True))
+    terms = polynomial(["x(k-1)", "y(k-1)", "z(k-1)"], 3)
+    models = [fit(data, v, terms, search="forward") for v in "xyz"]
+    found = lyapunov(models, states_of(models, measured, 64, rng), period=0.03, n_steps=4000)
+    assert found.values[0] == pytest.approx(0.9056, rel=0.02)  # [1/s], Sprott 2003
+    assert found.values[1] == pytest.approx(0.0, abs=0.02)  # along the flow
+
+
+def test_exponents_along_an_orbit_are_those_of_the_free_run() -> None:
+    along = lyapunov_along(HENON, {"y": henon(4000)})
+    assert along.values[0] == pytest.approx(0.4192, abs=4 * float(along.stderr[0]))
+    assert along.values.sum() == pytest.approx(math.log(0.3), abs=1e-9)
+
+
+def test_a_driven_model_forgets_its_start_at_its_conditional_exponent() -> None:
+    m = model("y", {"y(k-1)": 0.5, "u(k)": 1.0, "u(k)*y(k-1)": 0.3})
+    u = inputs(2000)
+    found = lyapunov_along(m, {"u": u, "y": m.predict_mpo({"u": u, "y": np.zeros(2000)})})
+    assert found.values[0] == pytest.approx(np.log(np.abs(0.5 + 0.3 * u[2:])).mean(), abs=1e-9)
+
+
 def test_a_model_that_runs_away_has_no_exponent() -> None:
     with pytest.raises(IdentError, match="infinity"):
         lyapunov(model("y", {"y(k-1)^2": 2.0, "1": 1.0}), [[1.0]])
@@ -257,10 +336,10 @@ def test_a_circle_has_dimension_one_and_a_square_two() -> None:
 
 def test_henon_is_told_from_linear_noise_and_linear_noise_is_not() -> None:
     rng = np.random.default_rng(6)
-    found = correlation_dimension(henon(800), dimension=2, theiler=5, n_surrogates=19, rng=rng)
+    found = correlation_dimension(henon(500), dimension=2, theiler=5, n_surrogates=19, rng=rng)
     assert found.p_value == pytest.approx(0.05)
     assert found.value == pytest.approx(1.22, abs=0.1)
-    noise = np.convolve(rng.normal(size=900), [1, 0.8, 0.5], mode="valid")
+    noise = np.convolve(rng.normal(size=502), [1, 0.8, 0.5], mode="valid")
     said = correlation_dimension(noise, dimension=2, theiler=5, n_surrogates=19, rng=rng)
     assert said.p_value is not None
     assert said.p_value > 0.05

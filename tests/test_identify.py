@@ -13,7 +13,7 @@ from sensorgraph.behaviour import track_dimension
 from sensorgraph.controllers import PolynomialController, controller_named
 from sensorgraph.errors import GapError
 from sensorgraph.identified_world import ArenaWorld
-from sensorgraph.identify import Question, identify, interval, score, split_records
+from sensorgraph.identify import Question, identify, split_records
 from sensorgraph.signals import Data, of_run, of_table, rays_of, variable
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import react
@@ -94,34 +94,6 @@ def test_a_split_holds_every_sample_once(split: str, shares: tuple[float, float]
     assert sorted(kept) == list(range(100))
 
 
-def ar(rho: float, shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    e = rng.normal(size=shape)
-    out = np.zeros(shape)
-    for k in range(1, shape[1]):
-        out[:, k] = rho * out[:, k - 1] + e[:, k]
-    return out[:, shape[1] // 5 :]
-
-
-@pytest.mark.parametrize("rho", [0.0, 0.9])
-def test_r_of_unrelated_series_is_significant_in_one_of_twenty(rho: float) -> None:
-    rng = np.random.default_rng(8)
-    pairs = zip(ar(rho, (400, 500), rng), ar(rho, (400, 500), rng), strict=True)
-    alarms = np.mean([score([x], [y]).p_value < 0.05 for x, y in pairs])
-    assert 0.02 < alarms < 0.085  # naive n gives 0.5 at rho 0.9
-
-
-def test_effective_samples_of_autoregressive_series_follow_bartlett() -> None:
-    rng = np.random.default_rng(9)
-    x, y = ar(0.9, (2, 100_000), rng)
-    assert score([x], [y]).n_effective == pytest.approx(80_000 * (1 - 0.81) / (1 + 0.81), rel=0.15)
-
-
-def test_interval_is_fishers() -> None:
-    low, high, p = interval(0.5, 28.0)
-    assert np.arctanh([low, high]) == pytest.approx(np.arctanh(0.5) + np.array([-1, 1]) * 1.96 / 5)
-    assert p == pytest.approx(0.00672, abs=1e-4)  # two-sided t, 26 degrees of freedom
-
-
 def planted(n: int = 600) -> Data:
     rng = np.random.default_rng(10)
     u, w = rng.uniform(-1, 1, n), rng.uniform(-1, 1, n)
@@ -142,6 +114,8 @@ def test_a_planted_polynomial_is_found_and_scored() -> None:
     assert report["free_run"]["r"] > 0.999
     assert report["free_run"]["rmse"] < report["baselines"]["persistence"]["rmse"] / 20
     assert report["noise_terms"] == []
+    assert {v["test"] for v in report["validation"]} >= {"e-e", "e-u", "e-w"}
+    assert all(0 <= v["p_value"] <= 1 for v in report["validation"])
     assert report["n_train"] == 298  # half of 600, less the look back of 2
 
 

@@ -11,10 +11,19 @@ from robotmodic_ident.analysis.calculus import (
 )
 from robotmodic_ident.analysis.dimension import Dimension, correlation_dimension
 from robotmodic_ident.analysis.gfrf import gfrf, rest_point
-from robotmodic_ident.analysis.lyapunov import Exponents, Parting, lyapunov, lyapunov_of_series, states_of
+from robotmodic_ident.analysis.lyapunov import (
+    Exponents,
+    Parting,
+    lyapunov,
+    lyapunov_along,
+    lyapunov_of_series,
+    states_of,
+)
+from robotmodic_ident.analysis.noise_reduction import Cleaned, without_noise
 from robotmodic_ident.analysis.sobol import Distribution, Sobol, sobol
 
 __all__ = [
+    "Cleaned",
     "Dimension",
     "Distribution",
     "Exponents",
@@ -27,6 +36,7 @@ __all__ = [
     "integral",
     "jacobian",
     "lyapunov",
+    "lyapunov_along",
     "lyapunov_of_series",
     "partial_model",
     "rest_point",
@@ -34,4 +44,5 @@ __all__ = [
     "sobol",
     "states_of",
     "surface",
+    "without_noise",
 ]

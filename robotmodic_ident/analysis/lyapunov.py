@@ -6,7 +6,7 @@ Rosenstein, Collins and De Luca, Physica D 65 (1993).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,11 @@ from robotmodic_ident.analysis.algebra import Sum, evaluate, partial, sum_of
 from robotmodic_ident.analysis.embedding import embed, neighbours
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
+from robotmodic_ident.records import Record, lagged
 from robotmodic_ident.terms import Floats
 
+STRETCHES = 10
+"""Of an orbit, between which an exponent's spread is taken."""
 FAR = 1e6
 """Times the size of the start at which a trajectory counts as lost."""
 
@@ -140,6 +143,37 @@ def _slope(total: Sum, signal: str) -> Sum:
         for t, share in partial(term, signal).items():
             out[t] = out.get(t, 0.0) + value * share
     return out
+
+
+def lyapunov_along(model: Narmax, record: Record | Mapping[str, Floats], *, period: float = 1.0) -> Exponents:
+    """Return the exponents of one model along a recorded orbit instead of a free run; it may read inputs.
+
+    For a driven model these are the conditional exponents. Noise of the orbit counts: clean it by `without_noise`.
+    The stderr is that of ten stretches.
+    """
+    rows = lagged(record, model.terms, [model.output])
+    total = sum_of(model)
+    d = max((f.lag or 1 for t in total for f in t if f.variable == model.output), default=0)
+    if d == 0:
+        raise IdentError("the model reads no past output; it has no exponents")
+    slopes = [evaluate(_slope(total, f"{model.output}(k-{lag})"), rows.columns) for lag in range(1, d + 1)]
+    n = len(rows.sample)
+    if n < 10 * STRETCHES:
+        raise IdentError(f"{n} samples are too few; exponents along an orbit need {10 * STRETCHES}")
+    tangent = np.zeros((n, d, d))
+    for j, slope in enumerate(slopes):
+        tangent[:, 0, j] = slope
+    tangent[:, np.arange(1, d), np.arange(d - 1)] = 1.0
+    frame, stretch = np.eye(d), np.empty((n, d))
+    for k in range(n):
+        frame, upper = np.linalg.qr(tangent[k] @ frame)
+        stretch[k] = np.log(np.maximum(np.abs(np.diagonal(upper)), 1e-300))
+    parts = np.array([part.mean(axis=0) for part in np.array_split(stretch, STRETCHES)]) / period
+    return Exponents(
+        values=stretch.mean(axis=0) / period,
+        stderr=parts.std(axis=0, ddof=1) / np.sqrt(STRETCHES),
+        lost=0.0,
+    )
 
 
 def states_of(

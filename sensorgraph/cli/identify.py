@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from sensorgraph.identify import Identified, Score
+    from robotmodic_ident.score import Score
+    from sensorgraph.identify import Identified
     from sensorgraph.signals import Data
 
 

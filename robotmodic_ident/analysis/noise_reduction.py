@@ -1,0 +1,128 @@
+"""Measurement noise on a chaotic series: the clean orbit and the coefficients together, by least squares.
+
+A regression on noisy past outputs is biased (errors in variables), and chaos forbids the free run that would avoid
+it. Here the orbit x itself is unknown: (measured - x) / sigma and (x(k) - f(x(k-1), ...)) / tau are made small
+together by Gauss-Newton, with tau going down until the orbit obeys the model (weak-constraint smoothing; Davies,
+Phys. Lett. A 1994; maximum likelihood of Schreiber and Kantz for Gaussian noise).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from robotmodic_ident.analysis.algebra import deterministic, evaluate, partial
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.model import Narmax
+from robotmodic_ident.records import Record, as_records
+from robotmodic_ident.terms import Floats, Terms
+
+TIGHTER = (1.0, 0.3, 0.1, 0.03, 0.01)
+"""tau over sigma, from a first guess to nearly exact dynamics."""
+STEPS = 12
+"""Gauss-Newton steps at each."""
+ENOUGH = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cleaned:
+    """A model freed of the bias of measurement noise, and the orbit that it fits."""
+
+    model: Narmax
+    series: Floats
+    """(n,) the output without noise."""
+    sigma: float
+    """Standard deviation of the noise that was taken away."""
+
+
+def without_noise(model: Narmax, record: Record | Mapping[str, Floats]) -> Cleaned:
+    """Estimate the orbit and the coefficients of a model together; its terms stay as they are.
+
+    For a series whose own dynamics are (nearly) free of noise and whose measurement is not. One record without
+    gaps; inputs are taken as exact.
+    """
+    (record,) = as_records(record)
+    if len(record.segments()) > 1:
+        raise IdentError("the record has gaps; take a stretch without")
+    plain = deterministic(model)
+    problem = _Problem(plain, record)
+    x, theta = problem.measured.copy(), plain.theta.copy()
+    covariance = plain.covariance
+    for tau in TIGHTER:
+        for _ in range(STEPS):
+            x, theta, covariance, moved = problem.step(x, theta, tau)
+            if moved < ENOUGH:
+                break
+    noise = float(np.std(problem.measured - x))
+    return Cleaned(
+        model=replace(plain, theta=theta, covariance=noise**2 * covariance, estimator="orbit"),
+        series=x,
+        sigma=noise,
+    )
+
+
+class _Problem:
+    """The normal equations of orbit and coefficients: banded in the orbit, bordered by the coefficients."""
+
+    def __init__(self, model: Narmax, record: Record) -> None:
+        self.terms, self.output = model.terms, model.output
+        self.measured = np.asarray(record.signals[model.output], dtype=np.float64)
+        self.look_back = model.terms.max_lag
+        self.n = len(self.measured)
+        self.inputs = {
+            f.signal: self._lagged(np.asarray(record.signals[f.variable], dtype=np.float64), f.lag or 0)
+            for term in model.terms
+            for f in term
+            if f.variable != model.output
+        }
+        self.own = sorted({f.lag or 0 for t in model.terms for f in t if f.variable == model.output})
+        if not self.own:
+            raise IdentError("the model reads no past output, so noise on the output does not bias it")
+        known = [self.measured, *self.inputs.values()]
+        if not all(np.isfinite(values).all() for values in known) or self.n < 3 * (len(model.terms) + 1):
+            raise IdentError("the record has unknown samples, or too few; take a whole stretch")
+        self.slopes = {
+            lag: [partial(term, f"{self.output}(k-{lag})") for term in model.terms] for lag in self.own
+        }
+
+    def _lagged(self, values: Floats, lag: int) -> Floats:
+        return values[self.look_back - lag : len(values) - lag]
+
+    def step(self, x: Floats, theta: Floats, tau: float) -> tuple[Floats, Floats, Floats, float]:
+        """Return orbit, coefficients, their covariance in units of the noise, and how far the step went."""
+        p, d = self.look_back, len(theta)
+        columns = {f"{self.output}(k-{lag})": self._lagged(x, lag) for lag in self.own} | self.inputs
+        phi = self._matrix(columns)  # (n - p, d)
+        miss = (x[p:] - phi @ theta) / tau
+        jacobian = {0: np.full(self.n - p, 1.0 / tau)}
+        for lag in self.own:
+            slope = sum(
+                c * np.broadcast_to(evaluate(s, columns), self.n - p)
+                for c, s in zip(theta, self.slopes[lag], strict=True)
+            )
+            jacobian[lag] = -np.asarray(slope) / tau
+        band = np.zeros((p + 1, self.n))  # upper form of solveh_banded
+        band[p] = 1.0
+        right = x - self.measured
+        border = np.zeros((self.n, d))
+        rows = np.arange(p, self.n)
+        for a, ja in jacobian.items():
+            right[rows - a] += ja * miss
+            border[rows - a] -= ja[:, None] * phi / tau
+            for b, jb in jacobian.items():
+                if a >= b:  # element (k-a, k-b) lies on or above the diagonal
+                    band[p - (a - b), rows - b] += ja * jb
+        solved = solveh_banded(band, np.column_stack([right, border]))
+        corner = phi.T @ phi / tau**2 - border.T @ solved[:, 1:]
+        slack = -phi.T @ miss / tau - border.T @ solved[:, 0]
+        inverse = np.asarray(np.linalg.pinv(corner, hermitian=True), dtype=np.float64)
+        d_theta = -inverse @ slack
+        d_x = -solved[:, 0] - solved[:, 1:] @ d_theta
+        moved = float(np.abs(d_x).max() / max(float(np.ptp(self.measured)), 1e-300))
+        return x + d_x, theta + d_theta, inverse, moved
+
+    def _matrix(self, columns: Mapping[str, Floats]) -> Floats:
+        return Terms(tuple(self.terms)).matrix(columns, n=self.n - self.look_back)
