@@ -31,7 +31,8 @@ class Dependence:
     def __str__(self) -> str:
         if not self.on:
             return f"{self.term} is zero in every row and was left out"
-        return f"{self.term} is given exactly by {', '.join(self.on)} and was left out"
+        names = ", ".join(self.on) if len(self.on) <= 4 else f"{len(self.on)} others ({self.on[0]}, ...)"
+        return f"{self.term} is given exactly by {names} and was left out"
 
 
 def independent(

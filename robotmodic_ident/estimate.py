@@ -18,8 +18,8 @@ from robotmodic_ident.recursion import Recursion, Stretch
 from robotmodic_ident.terms import Floats
 
 Covariance = Literal["classical", "sandwich", "hac"]
-MAX_STEPS = 100
-CONVERGED = 1e-12
+MAX_STEPS = 200
+CONVERGED = 1e-11
 """Relative gain of a step below which nothing more is to be had."""
 
 

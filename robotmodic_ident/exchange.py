@@ -161,6 +161,27 @@ def descend(
 
 
 @kernel
+def thin(a: Floats, original: Floats, locked: Flags, usable: Flags, rss: Floats, sets: Flags) -> bool:
+    """Take one term out of the best set of every size, largest first; tell whether any size got better."""
+    better = False
+    inside = locked.copy()
+    for size in range(len(rss) - 1, 1, -1):
+        if not np.isfinite(rss[size]):
+            continue
+        inside[:] = sets[size]
+        refresh(a, original, inside)
+        i = best_removal(a, inside, locked)
+        if i >= 0:
+            sweep(a, i)
+            inside[i] = False
+            for _ in range(4 * len(rss)):
+                if not exchange(a, inside, locked, usable):
+                    break
+            better = remember(a, inside, size - 1, rss, sets) or better
+    return better
+
+
+@kernel
 def search_one(
     original: Floats, locked: Flags, usable: Flags, cost: Floats, count: float, swap: bool, restart: bool
 ) -> tuple[Floats, Flags]:
@@ -193,6 +214,7 @@ def search_one(
             better = descend(a, inside, locked, usable, swap, rss, sets)
             refresh(a, original, inside)
             better = climb(a, inside, locked, usable, swap, rss, sets) or better
+            better = thin(a, original, locked, usable, rss, sets) or better
             if not better:
                 break
     if restart:

@@ -27,8 +27,8 @@ Estimator = Literal["ls", "els", "pem", "simulation"]
 ROUNDS = 4
 """Times that terms are chosen anew with the noise found so far."""
 ELS_STEPS = 30
-FAR = 20.0
-"""A variable is centred when its middle lies this many half-spans from 0."""
+FAR = 1e5
+"""A variable is centred when its middle lies FAR^(1/degree) half-spans from 0: beyond, its powers look alike."""
 
 
 def fit(
@@ -120,6 +120,11 @@ class _Choice:
             raise IdentError(f"term {', '.join(sorted(lost))} is to be kept but is given exactly by others")
         self.terms = self.terms[kept.tolist()]
         self.notes = [str(dependence) for dependence in found] + self._remarks(int(moments.count[0]))
+        for name, centre in zip(self.scale.variables, self.scale.centres, strict=True):
+            if centre:
+                self.notes.append(
+                    f"{name} lies far from 0: in the terms it stands for {name} - {centre:.15g}"
+                )
 
     def _remarks(self, count: int) -> list[str]:
         out = []
@@ -292,7 +297,8 @@ def _scale_of(terms: Terms, rows: Lagged) -> Scale:
         high = max(float(rows.columns[name].max()) for name in signals)
         middle, half = (low + high) / 2, (high - low) / 2
         centre = 0.0
-        if half > 0 and abs(middle) > FAR * half:
+        degree = max(sum(f.degree for f in term if f.variable == variable) for term in terms)
+        if half > 0 and abs(middle) > FAR ** (1 / degree) * half:
             unit = 10.0 ** np.ceil(np.log10(2 * half))
             centre = float(np.round(middle / unit) * unit)
         width = max(abs(low - centre), abs(high - centre))
