@@ -1,14 +1,16 @@
 """Identification: structure, intervals, false alarms, and speed beside SysIdentPy and fastcan.
 
-python -m benchmarks.identification structure|intervals|alarms|peers|streaming|references
+python -m benchmarks.identification structure|intervals|alarms|peers|streaming
 
-Seeds start at 500000; development used others. Run it with OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1. The peers are no
-dependency: `pip install "sysidentpy==0.9.0" "fastcan==0.6.0"` beside this project; without them `peers` says so.
+Seeds start at 500000; development used others. Times are those of the
+processor, one thread: run it with OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1. The peers are no
+dependency: `pip install -e ".[peers]"`; without them `peers` says so.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import resource
 import time
 from collections.abc import Callable
@@ -195,13 +197,13 @@ def room(rng: np.random.Generator, n: int, n_rays: int) -> tuple[Signals, np.nda
 
 
 def timed(call: Callable[[], object], repeats: int) -> float:
-    """Return the median time [s] of a call."""
+    """Return the median processor time [s] of a call."""
     call()
     times = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         call()
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return float(np.median(times))
 
 
@@ -226,21 +228,20 @@ def peers(n_peer_rays: int) -> None:
         except ImportError as exc:
             print(f"{name}: not measured, {exc}")
             continue
-        times, same = [], 0
+        times, own, same = [], [], 0
         for ray in rays:
-            start = time.perf_counter()
+            own.append(timed(ours, 3))  # in turn, so that both meet the same machine
+            start = time.process_time()
             theirs = run(columns, terms, ranges[:, ray], 20)
-            times.append(time.perf_counter() - start)
+            times.append(time.process_time() - start)
             kept = ["1"] if run is fastcan_order else []  # it centres: the constant comes first
-            chosen = select(
-                Moments(terms, 1, scale=scale).add(columns, ranges[:, ray]), 20 + len(kept), keep=kept
-            )
-            mine_here = [frozenset(terms.table[i]) for i in chosen.order[0, len(kept) :].tolist()]
-            same += [frozenset(t) for t in Terms.parse(*theirs)] == mine_here
+            single = Moments(terms, 1, scale=scale).add(columns, ranges[:, ray])
+            order = select(single, 20 + len(kept), keep=kept).order[0, len(kept) :]
+            same += [frozenset(t) for t in Terms.parse(*theirs)] == [frozenset(terms.table[i]) for i in order]
         whole = float(np.median(times)) * 181
         print(
-            f"{name}: {1e3 * np.median(times):.1f} ms a ray, {whole:.2f} s for 181: {whole / mine:.0f} x ours; "
-            f"the same {20} terms in the same order: {same} of {len(rays)} rays"
+            f"{name}: {1e3 * np.median(times):.1f} ms a ray, {whole:.2f} s for 181: {whole / np.median(own):.0f} x ours; "
+            f"the same 20 terms in the same order: {same} of {len(rays)} rays"
         )
 
 
@@ -287,17 +288,17 @@ def streaming(n_poses: int) -> None:
     making = adding = 0.0
     for start in range(0, n_poses, block):
         n = min(block, n_poses - start)
-        clock = time.perf_counter()
+        clock = time.process_time()
         phi = rng.uniform(-np.pi, np.pi, n)
         columns = {"x": rng.uniform(0, 10, n), "y": rng.uniform(0, 8, n), "c": np.cos(phi), "s": np.sin(phi)}
         ranges = terms.matrix(columns, scale) @ mix
         ranges += 0.01 * rng.normal(size=n)[:, None]
-        made = time.perf_counter()
+        made = time.process_time()
         moments.add(columns, ranges)
-        making, adding = making + made - clock, adding + time.perf_counter() - made
-    clock = time.perf_counter()
+        making, adding = making + made - clock, adding + time.process_time() - made
+    clock = time.process_time()
     select(moments, 20)
-    chosen = time.perf_counter() - clock
+    chosen = time.process_time() - clock
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(
         f"{n_rays} rays x {n_poses} poses, {len(terms)} terms: moments {adding:.2f} s, selection {1e3 * chosen:.0f} ms, "
@@ -320,6 +321,8 @@ def main() -> None:
     parser.add_argument("what", choices=COMMANDS)
     parser.add_argument("--n", type=int, help="seeds, rays of the peers, or poses")
     arguments = parser.parse_args()
+    if os.environ.get("OPENBLAS_NUM_THREADS") != "1":
+        parser.error("set OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 first: processor time counts every thread")
     run, n = COMMANDS[arguments.what]
     run(arguments.n or n)
 
