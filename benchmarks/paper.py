@@ -34,9 +34,10 @@ from sensorgraph.signals import of_run, perceived, rays_of
 EVERY = 15
 RAY = "L67"
 FULL = 28
+PAPER_R = 0.75
 MINUTES = 60.0
 START = np.array([1.0, 0.5, 0.0])
-SEED = 1  # of the reported figures; development used 0 to 3
+SEED = 4  # of the reported figures; development used 0 to 3
 
 
 def said(s: Score) -> str:
@@ -55,15 +56,17 @@ def environment(folder: Path) -> None:
     few = identify(data, question)
     path = [identify(data, replace(question, n_terms=n)) for n in range(1, FULL + 1)]
     enough = next(m for m in path if m.scores["one_step"].r >= full.scores["one_step"].r_low)
+    least = next(m for m in path if m.scores["one_step"].r >= PAPER_R)
     print(f"{full.n_train} samples every {data.period:g} s train, {full.scores['one_step'].n} validate\n")
     print("| model of L67 | terms | r on the second half (95 %) | RMSE [m] |\n|---|---:|---|---:|")
     for label, found in (
         ("the paper's full dictionary", full),
         ("chosen on the first half (EBIC)", few),
         (f"the fewest within the interval of the {FULL}", enough),
+        (f"the fewest that reach the paper's r of {PAPER_R}", least),
     ):
         print(f"| {label} | {len(found.model.terms)} | {said(found.scores['one_step'])} |")
-    print(f"\n```\n{few.model.equation(digits=4)}\n```\n")
+    print(f"\n```\n{least.model.equation(digits=4)}\n\n{enough.model.equation(digits=4)}\n```\n")
     graphs = _graphs(arena)
     print(
         "| asked about L67 | along the wall, second half: r (95 %) | RMSE [m] | elsewhere: r (95 %) | RMSE [m] |"
@@ -119,9 +122,11 @@ def _draw_environment(
     count = [len(m.model.terms) for m in path]
     middle.plot(count, [m.scores["one_step"].r for m in path], "o-", ms=3, lw=1.2, color=SEA)
     last = path[-1].scores["one_step"]
-    middle.axhspan(last.r_low, last.r_high, color=SOLID, zorder=0, linewidth=0)
+    middle.axhspan(last.r_low, last.r_high, color=SOLID, zorder=0, linewidth=0, label=f"interval of {FULL}")
+    middle.axhline(PAPER_R, color=AMBER, lw=1.0, ls=(0, (4, 2)), label=f"the paper's {PAPER_R}")
+    middle.legend(loc="lower right", frameon=False, fontsize=8, labelcolor=INK)
     middle.set(xlabel="terms", ylabel="r on the second half", ylim=(0.0, 1.02))
-    middle.set_title(f"few terms do what {FULL} do", fontsize=9.5, color=INK, loc="left")
+    middle.set_title("how many terms", fontsize=9.5, color=INK, loc="left")
     middle.grid(color=SOLID, lw=0.6)
     draw_floor(left, arena)
     left.plot(*elsewhere.poses[::30, :2].T, ".", ms=1.2, color=AMBER, mew=0, zorder=2)
@@ -136,6 +141,8 @@ def _draw_environment(
     right.set_title("asked elsewhere", fontsize=9.5, color=INK, loc="left")
     for axes in (middle, right):
         quiet(axes)
+        axes.xaxis.label.set_size(9)
+        axes.yaxis.label.set_size(9)
     save_figure(figure, file)
 
 

@@ -104,7 +104,7 @@ def _correlation(axes: Any, found: Identified) -> None:
     axes.set(ylim=(-1.05, 1.05))
     axes.set_xlabel("lag [samples]", color=INK, fontsize=9)
     axes.set_ylabel("correlation of the residual", color=INK, fontsize=9)
-    lines = [f"{t['test']}: p = {_p(t['p_value'])}" for t in found.validation[:8]]
+    lines = [f"{t['test']}: p {_p(t['p_value'])}" for t in found.validation[:8]]
     axes.text(
         0.98, 0.98, "\n".join(lines), transform=axes.transAxes, ha="right", va="top", fontsize=7, color=INK
     )
@@ -112,7 +112,7 @@ def _correlation(axes: Any, found: Identified) -> None:
 
 
 def _p(value: float | None) -> str:
-    return "–" if value is None else ("< 0.001" if value < 0.001 else f"{value:.3f}")
+    return "–" if value is None else ("< 0.001" if value < 0.001 else f"= {value:.3f}")
 
 
 def _surface(figure: Any, axes: Any, found: Identified) -> None:

@@ -25,6 +25,8 @@ CRITERIA: tuple[str, ...] = get_args(Criterion)
 BLOCKS = 10
 """Pieces that a record is cut into by `block`; every second one is held out."""
 MOST_TERMS = 3000
+LEAST = 3
+"""Samples that a score needs."""
 TESTED_LAGS = (20, 10, 5, 2)
 """[samples] of the residual tests: the most that the data allow."""
 
@@ -254,7 +256,13 @@ def _last(record: Record, output: str) -> Floats:
 
 def score(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Score:
     """Score predictions of several records, where both are known."""
-    return score_series(np.concatenate(list(measured)), np.concatenate(list(predicted)))
+    x, y = np.concatenate(list(measured)), np.concatenate(list(predicted))
+    n = int((np.isfinite(x) & np.isfinite(y)).sum())
+    if n < LEAST:  # a free run that left for infinity, records too short for a prediction
+        nan = math.nan
+        return Score(n=n, rmse=nan, rrse=nan, r=nan, r_low=nan, r_high=nan, p_value=nan, n_effective=nan)
+    with np.errstate(over="ignore", invalid="ignore"):  # on its way to infinity
+        return score_series(x, y)
 
 
 def plain(s: Score) -> dict[str, float | None]:

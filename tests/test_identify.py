@@ -136,6 +136,17 @@ def test_noise_lags_take_the_bias_of_moving_average_noise_away() -> None:
     assert with_noise.noise_terms.names == ("e(k-1)",)
 
 
+def test_a_free_run_that_leaves_for_infinity_is_reported_as_such() -> None:
+    rng = np.random.default_rng(15)
+    y = np.array([0.5 * 1.3 ** (k % 12) for k in range(400)]) + 1e-3 * rng.normal(size=400)
+    y[np.arange(400) % 12 == 0] = np.nan
+    data = Data(records=[Record(signals={"y": y})], names={"y": "y"}, period=None)
+    found = identify(data, Question(output="y", inputs=(), output_lags=1, degree=3))
+    assert found.scores["one_step"].r > 0.99
+    report = found.report()["free_run"]
+    assert report["rmse"] is None or report["rmse"] > 0
+
+
 QUESTIONS = {
     "constant output": ({"y": np.ones(90)}, {}, "constant"),
     "too short": ({"y": np.arange(6.0)}, {"lags": 5}, "longest stretch"),
