@@ -143,7 +143,7 @@ class _Past:
         for e, z, g, rows in zip(self.e, past, self.gradients, self.rows, strict=True):
             delayed = np.full((len(e), len(lags)), np.nan)
             for j, lag in enumerate(lags.tolist()):
-                delayed[lag:, j] = z[: len(z) - lag] if lag else z
+                delayed[lag:, j] = z[: max(len(z) - lag, 0)] if lag else z
             use = rows & np.isfinite(delayed).all(axis=1)
             targets.append(e[use])
             regressors.append(delayed[use])

@@ -140,7 +140,7 @@ def identify(data: Data, question: Question) -> Identified:
     }
     return Identified(
         model=model, question=question, data=data, test=test, measured=measured, one_step=one_step,
-        free_run=free_run, scores=scores, validation=_validated(model, test, question.split), n_train=model.n_samples,
+        free_run=free_run, scores=scores, validation=_validated(model, test, question), n_train=model.n_samples,
         unknown=unknown,
     )  # fmt: skip
 
@@ -150,11 +150,12 @@ def _fitted(train: list[Record], output: str, terms: Terms, question: Question) 
     return fit(train, output, terms, n_terms=n, criterion=criterion, noise=question.noise_lags)
 
 
-def _validated(model: Narmax, test: list[Record], split: str) -> list[dict[str, Any]]:
+def _validated(model: Narmax, test: list[Record], question: Question) -> list[dict[str, Any]]:
     """Return the residual tests on what was held out; none where it is too short for any lag."""
+    inputs = [variable(name) for name in question.inputs]
     for max_lag in TESTED_LAGS:
         try:
-            checks = validate(model, test, max_lag=max_lag, fitted=split == "none")
+            checks = validate(model, test, max_lag=max_lag, inputs=inputs, fitted=question.split == "none")
         except IdentError:
             continue
         return [

@@ -147,6 +147,18 @@ def test_a_free_run_that_leaves_for_infinity_is_reported_as_such() -> None:
     assert report["rmse"] is None or report["rmse"] > 0
 
 
+def test_stretches_shorter_than_the_tested_lags_are_left_out() -> None:
+    data = planted(2000)
+    values = {name: v.copy() for name, v in data.records[0].signals.items()}
+    stamps = np.arange(2000.0)
+    stamps[1500:] += 100.0  # a gap, and pieces of 7 samples after it
+    stamps[1500:] += 10.0 * (np.arange(500) // 7)
+    record = Record(signals=values, stamps=stamps, max_gap=1.5)
+    data = Data(records=[record], names=data.names, period=1.0)
+    found = identify(data, Question(output="y", inputs=("u", "w"), output_lags=1))
+    assert {v["max_lag"] for v in found.validation} == {20}
+
+
 QUESTIONS = {
     "constant output": ({"y": np.ones(90)}, {}, "constant"),
     "too short": ({"y": np.arange(6.0)}, {"lags": 5}, "longest stretch"),
