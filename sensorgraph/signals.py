@@ -73,6 +73,8 @@ def rays_of(sensor: RangeSensor, name: str) -> Ints:
     assert found is not None
     degrees = np.degrees(wrap(sensor.bearings + sensor.mount[2])) + 90.0
     low, high = float(found[1]), float(found[2] or found[1])
+    if high < low:
+        raise GapError(f"{name} ends before it begins; write the smaller angle first, L{high:g}-{low:g}")
     step = float(np.median(np.diff(degrees))) if len(degrees) > 1 else 1.0
     if found[2] is None:
         nearest = int(np.abs(degrees - low).argmin())

@@ -105,3 +105,13 @@ def test_export_is_in_the_users_units() -> None:
     )  # fmt: skip
     assert "+ x" in to_latex(centred)
     assert "- 12" in to_latex(centred) or to_latex(centred).startswith("y = - 12")
+
+
+def test_the_page_of_the_analysis_runs_as_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    page = Path(__file__).parent.parent / "docs" / "analysis.md"
+    (code,) = re.findall(r"```python\n(.*?)```", page.read_text(), re.S)
+    exec(compile(code, "docs/analysis.md", "exec"), {})
+    said = capsys.readouterr().out
+    assert "v(k) = 0.8" in said
+    assert "a(k) = " in said
+    assert "double v_step(const double s[])" in said

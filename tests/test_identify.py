@@ -44,6 +44,8 @@ def test_rays_are_counted_from_the_robots_right() -> None:
     assert rays_of(turned, "L67").tolist() == [57]
     with pytest.raises(GapError, match="from 0° to 180°"):
         rays_of(sensor, "L200")
+    with pytest.raises(GapError, match="L45-90"):
+        rays_of(sensor, "L90-45")
 
 
 def test_signals_of_a_run_are_those_at_its_scans() -> None:
