@@ -1,0 +1,18 @@
+"""The example of docs/identification.md prints what the page says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+PAGE = Path(__file__).parent.parent / "docs" / "identification.md"
+
+
+def test_the_example_prints_what_the_page_says(capsys: pytest.CaptureFixture[str]) -> None:
+    text = PAGE.read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.S)
+    (printed,) = re.findall(r"```text\n(.*?)```", text, re.S)
+    exec(compile(code, "docs/identification.md", "exec"), {})
+    assert capsys.readouterr().out == printed
