@@ -304,5 +304,11 @@ def _scale_of(terms: Terms, rows: Lagged) -> Scale:
         width = max(abs(low - centre), abs(high - centre))
         names.append(variable)
         centres.append(centre)
-        widths.append(width if width > 0 else 1.0)
+        widths.append(_rounded_up(width) if width > 0 else 1.0)
     return Scale(tuple(names), tuple(centres), tuple(widths))
+
+
+def _rounded_up(width: float) -> float:
+    """Round up to three digits: domains of splines and wavelets stay readable."""
+    unit = 10.0 ** (np.floor(np.log10(width)) - 2)
+    return float(f"{np.ceil(width / unit * (1.0 - 1e-12)) * unit:.3g}")

@@ -20,6 +20,8 @@ from robotmodic_ident.terms import Floats, Terms
 BLOCK = 4096
 """Rows taken at a time: Φ of a block stays in the cache and memory stays bounded."""
 FORMAT = "robotmodic-moments-1"
+LARGEST = 1e150
+"""Of an output: squares of larger values overflow."""
 
 
 class Moments:
@@ -73,7 +75,8 @@ class Moments:
         y = _as_rows(y, self.n_outputs)
         if phi.shape != (len(y), len(self.terms)):
             raise ValueError(f"phi has shape {phi.shape}, expected ({len(y)}, {len(self.terms)})")
-        power = np.einsum("ij,ij->j", y, y)  # one pass that also tells whether all is known
+        with np.errstate(over="ignore"):
+            power = np.einsum("ij,ij->j", y, y)  # one pass that also tells whether all is known
         if np.isfinite(power).all() and np.isfinite(phi).all():
             self.gram += phi.T @ phi
             self.cross += phi.T @ y
@@ -89,6 +92,10 @@ class Moments:
             raise IdentError("y holds an infinite value; replace what was not measured by nan")
         use = known.any(axis=1) & np.isfinite(phi).all(axis=1)
         phi, y, known = phi[use], np.where(known, y, 0.0)[use], known[use]
+        if len(y) and np.abs(y).max() > LARGEST:
+            raise IdentError(
+                f"y reaches {np.abs(y).max():.3g}, whose square cannot be held; use larger units"
+            )
         block = phi.T @ phi
         n_known = known.sum(axis=0)
         self.gram += block

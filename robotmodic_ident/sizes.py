@@ -133,7 +133,8 @@ def cross_validated(task: Task, moments: Moments, folds: Sequence[Moments]) -> N
                 theta = np.linalg.lstsq(gram[np.ix_(chosen, chosen)], cross[chosen, 0], rcond=None)[0]
                 miss = theta @ part[np.ix_(chosen, chosen)] @ theta - 2.0 * theta @ value[chosen]
                 total[i, k] += miss + fold.power[i]
-    total[:, : max(1, len(task.keep))] = np.inf
+    total = np.maximum(total, 64 * total.shape[1] * np.finfo(np.float64).eps * moments.power[:, None])
+    total[:, : max(1, len(task.keep))] = np.inf  # of errors that are rounding, the fewest terms win
     return np.asarray(total.argmin(axis=1), dtype=np.intp)
 
 

@@ -150,3 +150,9 @@ def test_agreement_with_a_long_double_oracle_to_12_digits() -> None:
     np.testing.assert_allclose(model.theta, theta.astype(float), rtol=1e-12, atol=1e-13)
     err = np.array([float(v**2) for v in z]) / float(target @ target)
     np.testing.assert_allclose(model.err, err, atol=1e-12)
+
+
+def test_values_whose_squares_overflow_are_refused(rng) -> None:
+    u = rng.normal(size=50)
+    with pytest.raises(IdentError, match="use larger units"):
+        fit({"u": u, "y": 1e200 * u}, "y", Terms.parse("u(k)"))

@@ -17,7 +17,7 @@ from ident_samples import (
     white_input,
 )
 
-from robotmodic_ident import IdentError, Moments, Scale, Terms, lagged, polynomial, select
+from robotmodic_ident import IdentError, Moments, Scale, Terms, fit, lagged, lags, polynomial, select
 from robotmodic_ident.criteria import penalties
 
 
@@ -170,3 +170,26 @@ def test_output_of_zeros_gets_a_model_that_says_zero() -> None:
     for search in ("forward", "exchange"):
         result = select(Moments(terms, 1).add({"x": x}, np.zeros(20)), criterion="bic", search=search)
         np.testing.assert_array_equal(result.theta, 0.0)
+
+
+def test_folds_of_exact_data_do_not_keep_rounding() -> None:
+    rng = np.random.default_rng(6)
+    u = rng.normal(size=60)
+    model = fit({"u": u, "y": u + np.r_[0, u[:-1]]}, "y", polynomial(lags("u", 0, 2), 2), criterion="cv")
+    assert set(model.terms.names) == {"u(k)", "u(k-1)"}
+
+
+def test_large_collinear_dictionary_keeps_its_residual_honest() -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(2000) / 30
+    data = {"x": rng.uniform(0, 8, 2000), "c": np.cos(t), "s": np.sin(t)}
+    terms = polynomial(list(data), 6)
+    z = np.abs(np.sin(data["x"]) * data["c"]) + 0.01 * rng.normal(size=2000)
+    moments = Moments(terms, 1).add(data, z)
+    phi = terms.matrix(data, moments.scale)
+    rss = {}
+    for search in ("forward", "exchange"):
+        result = select(moments, 12, search=search)
+        rss[search] = result.rss[0]
+        assert rss[search] == pytest.approx(rss_of(phi, z, result.chosen(0)), rel=1e-9)
+    assert rss["exchange"] < rss["forward"]
