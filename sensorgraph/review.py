@@ -10,31 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import Pairing, Run, pair
-from planners.arena import Arena, Floats, wrap
+from planners.arena import Arena, Floats
 from sensorgraph.build import training_scans
 from sensorgraph.errors import GapError
 from sensorgraph.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.base import OFF
+from sensorgraph.review_cells import HEADINGS, MUCH_UNANSWERED, OPEN, Cells, cells_of
 from sensorgraph.world.raycast import laser_poses
 
 MOST_SCANS = 5000
 """Scans that a review file holds: enough to look at, small enough to open at once."""
-MOST_CELLS = 40_000
-HEADINGS = 16
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Cells:
-    """(x, y, phi) cells: how often visited, and how wrong the graph is there."""
-
-    origin: Floats
-    """(2,) [m] lower left corner."""
-    cell: float
-    """[m]"""
-    counts: NDArray[np.intp]
-    """(nx, ny, n_phi) scans; heading bins centred on multiples of 2 pi / n_phi."""
-    error: Floats | None
-    """(nx, ny, n_phi) [m] mean over scans of the median |residual| of a scan; nan where nothing was scored."""
+UNSCORED, RIGHT, WRONG, UNANSWERED = range(4)
+"""Verdicts on a measured ray: nothing to compare, answered within 5 cm, answered and farther off, not answered."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,11 +53,23 @@ class Review:
     """plan.json"""
     graph: Sensorgraph | None
 
-    def points(self, ranges: Floats) -> list[Floats]:
-        """Return the end points in map of every shown scan, one (n, 2) [m] each."""
-        phi = self.lasers[:, 2:] + self.run.sensor.bearings
-        ends = self.lasers[:, None, :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+    def points(self, ranges: Floats, part: slice = slice(None)) -> list[Floats]:
+        """Return the end points in map of some shown scans, one (n, 2) [m] each; `ranges` are of all."""
+        lasers, ranges = self.lasers[part], ranges[part]
+        phi = lasers[:, 2:] + self.run.sensor.bearings
+        ends = lasers[:, None, :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
         return [scan[hit] for scan, hit in zip(ends, np.isfinite(ranges), strict=True)]
+
+    @property
+    def verdicts(self) -> NDArray[np.uint8]:
+        """(n_shown, n_rays) one of UNSCORED, RIGHT, WRONG, UNANSWERED."""
+        out = np.full(self.measured.shape, UNSCORED, dtype=np.uint8)
+        if self.evaluation is not None:
+            residual = self.evaluation.residual
+            answered = np.where(np.abs(residual) > OFF, WRONG, RIGHT)
+            said = np.where(self.evaluation.prediction.answered, answered, UNANSWERED)
+            out[self.evaluation.scan_indices] = np.where(np.isfinite(residual), said, UNSCORED)
+        return out
 
 
 def review(
@@ -110,57 +110,32 @@ def review(
         predicted = np.full(part.ranges.shape, np.nan)
         said = evaluation.prediction
         predicted[evaluation.scan_indices] = np.where(said.answered, said.ranges, np.nan)
+    lasers = poses if run.pose_frame == "laser" else laser_poses(poses, run.sensor.mount)
+    rays = np.stack([lasers[:, 2:] + run.sensor.bearings, part.ranges], axis=-1)
     return Review(
         run=run,
         name=name or run.meta.get("source", "run").rsplit("/", 1)[-1],
         pairing=pairing,
         shown=shown,
-        lasers=poses if run.pose_frame == "laser" else laser_poses(poses, run.sensor.mount),
+        lasers=lasers,
         measured=part.ranges,
         predicted=predicted,
         evaluation=evaluation,
         held_out=held_out,
-        cells=_cells(pairing.poses[index], poses, evaluation, cell),
+        cells=cells_of(
+            pairing.poses[index],
+            poses,
+            evaluation,
+            rays=(lasers, rays),
+            arena=arena,
+            graph=graph,
+            cell=cell,
+        ),
         arena=arena,
         planned=planned,
         plan=plan,
         graph=graph,
     )
-
-
-def _cells(visited: Floats, shown: Floats, evaluation: Evaluation | None, cell: float | None) -> Cells:
-    lower, upper = visited[:, :2].min(axis=0), visited[:, :2].max(axis=0)
-    side = cell or 0.25
-    while cell is None and np.prod((upper - lower) / side + 2) > MOST_CELLS:
-        side *= 2
-    origin = np.floor(lower / side) * side
-    nx, ny = (np.floor((upper - origin) / side).astype(np.intp) + 1).tolist()
-
-    def bins(poses: Floats) -> NDArray[np.intp]:
-        ij = np.floor((poses[:, :2] - origin) / side).astype(np.intp)
-        k = np.floor(wrap(poses[:, 2]) / (2 * np.pi / HEADINGS) + 0.5).astype(np.intp) % HEADINGS
-        return np.asarray(np.ravel_multi_index((ij[:, 0], ij[:, 1], k), (nx, ny, HEADINGS)), dtype=np.intp)
-
-    n = nx * ny * HEADINGS
-    counts = np.bincount(bins(visited), minlength=n).reshape(nx, ny, HEADINGS)
-    error = None
-    if evaluation is not None:
-        scan_error = median_per_scan(evaluation.residual)
-        scored = np.isfinite(scan_error)
-        where = bins(shown[evaluation.scan_indices][scored])
-        total = np.bincount(where, weights=scan_error[scored], minlength=n)
-        seen = np.bincount(where, minlength=n)
-        with np.errstate(invalid="ignore"):
-            error = (total / np.where(seen > 0, seen, np.nan)).reshape(nx, ny, HEADINGS)
-    return Cells(origin=origin, cell=side, counts=counts, error=error)
-
-
-def median_per_scan(residual: Floats) -> Floats:
-    """Return the median |residual| of every scan (n_scans,) [m]; nan where no ray was scored."""
-    out = np.full(len(residual), np.nan)
-    scored = np.isfinite(residual).any(axis=1)
-    out[scored] = np.nanmedian(np.abs(residual[scored]), axis=1)
-    return out
 
 
 def report(seen: Review) -> str:
@@ -185,8 +160,51 @@ def report(seen: Review) -> str:
         return "\n".join(lines)
     lines += ["", "| | all rays | answered |", "|---|---|---|", *_rows(seen.held_out or seen.evaluation)]
     lines += ["", f"*{_training(seen, seen.graph)}*"]
-    lines += ["", "White: measured. Orange: predicted, where the graph answers.", ""]
+    lines += ["", *_where(seen.cells)]
+    lines += ["", *_legend(seen), ""]
     return "\n".join(lines)
+
+
+def _where(cells: Cells) -> list[str]:
+    """Say in how many cells which verdict is frequent, and where to drive next."""
+    lines = []
+    if cells.tally is not None:
+        flat = cells.tally.flat
+        often = 0.5 * flat.much_wrong
+        dark, off = flat.share_unanswered > OPEN, flat.share_wrong > often
+        lines.append(
+            f"**Cells**: of {int((flat.scored > 0).sum()):,} places scored, {int(dark.sum()):,} leave more than "
+            f"{100 * OPEN:.0f} % of the rays unanswered, in {int(off.sum()):,} more than {100 * often:.0f} % of the "
+            f"answered ones are wrong; {int((cells.free & (cells.counts.sum(axis=2) == 0)).sum()):,} free places were "
+            "not visited."
+        )
+    if cells.next is not None:
+        places = [f"({x:.1f}, {y:.1f}) and around, {area:.1f} m²" for x, y, area in cells.next.places()]
+        lines += [""] if lines else []
+        if places:
+            lines.append("**Drive next**: " + "; ".join(places) + ": `sensorgraph plan --priority GRAPH`.")
+        else:
+            lines.append(
+                f"**Drive next**: from no free place would more than {100 * OPEN:.0f} % go unanswered."
+            )
+    return lines
+
+
+def _legend(seen: Review) -> list[str]:
+    """Say what the colours mean; the viewer has no colour bar."""
+    cells = seen.cells
+    if cells.tally is None:
+        return []
+    much = 100 * cells.tally.flat.much_wrong
+    return [
+        "**Colours**: teal right, pink more than 5 cm off, violet not answered, white not scored; orange predicted, "
+        "where the graph answers.",
+        "",
+        f"**Maps**: a cell is all pink from {much:.0f} % wrong, all violet from {100 * MUCH_UNANSWERED:.0f} % not answered; "
+        "slate is free and not visited, dark was never looked through. *next*: yellow, from there nothing would be "
+        f"answered. *unanswered* 0 to {100 * MUCH_UNANSWERED:.0f} %, *wrong* 0 to {much:.0f} % of the answered rays, *error* 0 "
+        f"to {100 * cells.error_top:.2g} cm, *coverage* 0 to {HEADINGS} headings; dark to yellow.",
+    ]
 
 
 def _training(seen: Review, graph: Sensorgraph) -> str:
@@ -210,11 +228,13 @@ def _rows(evaluation: Evaluation) -> list[str]:
         )
 
     return [
-        f"| answered | | {100 * evaluation.answered:.1f} % |",
+        f"| rays | 100 % | {100 * evaluation.answered:.1f} % |",
+        f"| not answered | {100 * (1 - evaluation.answered):.1f} % | – |",
         row("median error", "median_m", 100, "cm"),
         row("MAE", "mae_m", 100, "cm"),
         row("RMSE", "rmse_m", 100, "cm"),
         row("within 10 cm", "within_0.1m", 100, "%"),
+        row("wrong by > 5 cm", "wrong_5cm", 100, "%"),
         row("within 3 sigma", "within_3sigma", 100, "%"),
         row("Pearson r", "pearson_r", 1, ""),
     ]

@@ -17,19 +17,17 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from planners.arena import Floats
+from sensorgraph import view_maps
 from sensorgraph.errors import GapError
 from sensorgraph.files import whole
+from sensorgraph.view_maps import VERDICT
 
 if TYPE_CHECKING:  # whoever has a review has imported it; a diagnosis needs neither models nor numba
     from sensorgraph.review import Review
 
 BLOCK = 500  # scans a chunk; below, a negative radius is in points of the screen, not in metres
 WHITE, ORANGE, GREEN = (235, 235, 240), (255, 150, 40), (90, 220, 140)
-WALL, DIM, PLANNED, EMPTY = (150, 150, 165), (80, 100, 135), (60, 75, 110), (40, 40, 46)
-VIRIDIS = np.array(
-    [(68, 1, 84), (71, 44, 122), (59, 81, 139), (44, 113, 142), (33, 144, 141), (39, 173, 129), (92, 200, 99),
-     (170, 220, 50), (253, 231, 37)], dtype=np.float64,
-)  # fmt: skip
+WALL, DIM, PLANNED = (150, 150, 165), (80, 100, 135), (60, 75, 110)
 
 
 def write(seen: Review, path: Path, *, ray: int | None = None) -> None:
@@ -42,9 +40,8 @@ def write(seen: Review, path: Path, *, ray: int | None = None) -> None:
     ray = int(np.abs(seen.run.sensor.bearings).argmin()) if ray is None else ray
     if not 0 <= ray < seen.run.sensor.n_rays:
         raise GapError(f"ray {ray} does not exist; this sensor has rays 0 to {seen.run.sensor.n_rays - 1}")
-    top = _error_top(seen)
-    with recorded(path, "review", _layout(seen, ray, top)) as recording:
-        _still(recording, seen, top)
+    with recorded(path, "review", _layout(seen, ray)) as recording:
+        _still(recording, seen)
         for start in range(0, len(seen.shown), BLOCK):
             _scans(recording, seen, slice(start, start + BLOCK), ray)
 
@@ -69,7 +66,7 @@ def show(path: Path) -> None:
     subprocess.Popen(["rerun", "--bind", "127.0.0.1", str(path)])
 
 
-def _still(recording: rr.RecordingStream, seen: Review, top: float) -> None:
+def _still(recording: rr.RecordingStream, seen: Review) -> None:
     """Log what does not change: walls, paths, maps, cells, bars, report."""
     flip = rr.Transform3D(scale=[1, -1, 1])  # the 2-D view's y points down
     recording.log("plan", flip, static=True)
@@ -89,8 +86,8 @@ def _still(recording: rr.RecordingStream, seen: Review, top: float) -> None:
         )
     path = seen.pairing.poses[seen.pairing.paired, :2]
     recording.log("plan/path", rr.LineStrips2D([path], colors=DIM, radii=-0.4), static=True)
-    _maps(recording, seen, top)
-    _voxels(recording, seen, top)
+    view_maps.log_maps(recording, seen.cells)
+    view_maps.log_voxels(recording, seen.cells)
     from sensorgraph.review import report
 
     recording.log("report", rr.TextDocument(report(seen), media_type="text/markdown"), static=True)
@@ -103,52 +100,6 @@ def _still(recording: rr.RecordingStream, seen: Review, top: float) -> None:
         recording.log(f"ray/{name}", style, static=True)
 
 
-def _maps(recording: rr.RecordingStream, seen: Review, top: float) -> None:
-    cells = seen.cells
-    place = rr.Transform3D(translation=[*cells.origin, 0], scale=[cells.cell, cells.cell, 1])
-    share = (cells.counts > 0).mean(axis=2)
-    images = {"coverage": np.where(share > 0, share, np.nan)}
-    if cells.error is not None:
-        images["error"] = _mean(cells.error, axis=2) / top
-    for name, value in images.items():
-        recording.log(f"plan/{name}", place, static=True)
-        recording.log(f"plan/{name}/image", rr.Image(colours(value.T), draw_order=-10), static=True)
-
-
-def _voxels(recording: rr.RecordingStream, seen: Review, top: float) -> None:
-    """Log the (x, y, phi) cells over the floor; a full turn is half as high as the floor is wide."""
-    cells = seen.cells
-    nx, ny, _ = cells.counts.shape
-    from sensorgraph.review import HEADINGS
-
-    high = 0.5 * max(nx, ny) * cells.cell / HEADINGS
-    if cells.error is not None:
-        chosen = np.isfinite(cells.error)
-        value = cells.error[chosen] / top
-    else:
-        chosen = cells.counts > 0
-        value = np.minimum(cells.counts[chosen] / 10, 1)
-    grid = rr.VoxelGridMap(
-        np.argwhere(chosen),
-        [cells.cell, cells.cell, high],
-        colors=colours(value),
-        translation=[*cells.origin, 0.05],
-    )
-    recording.log("space/cells", grid, static=True)
-    floor = np.where((cells.counts > 0).any(axis=2), 70, 40).astype(np.uint8).T  # (ny, nx)
-    image = np.repeat(floor[::-1, :, None], 3, axis=2)
-    recording.log(
-        "space/floor",
-        rr.GridMap(
-            data=image.tobytes(),
-            format=rr.components.ImageFormat(width=nx, height=ny, color_model="RGB", channel_datatype="U8"),
-            cell_size=cells.cell,
-            translation=[*cells.origin, 0],
-        ),
-        static=True,
-    )
-
-
 def _scans(recording: rr.RecordingStream, seen: Review, part: slice, ray: int) -> None:
     """Send a block of scans, poses and the series of one ray."""
     stamps = seen.run.stamps[seen.shown[part]]
@@ -157,52 +108,50 @@ def _scans(recording: rr.RecordingStream, seen: Review, part: slice, ray: int) -
     size = max(0.35, 0.03 * (_extent(seen)[2] - _extent(seen)[0]))
     arrows = size * np.stack([np.cos(lasers[:, 2]), np.sin(lasers[:, 2])], axis=1)
     recording.send_columns("plan/robot", time, rr.Arrows2D.columns(origins=lasers[:, :2], vectors=arrows))
-    for name, ranges, colour in (("measured", seen.measured, WHITE), ("predicted", seen.predicted, ORANGE)):
-        if ranges is None:
-            continue
-        points = _points(seen, ranges, part)
+    for name, ranges, colour in _layers(seen):
+        points = seen.points(ranges, part)
         if part.start == 0:
-            radius = -2.2 if name == "measured" else -1.5
+            radius = -1.5 if name == "predicted" else -2.2
             recording.log(f"plan/{name}", rr.Points2D.from_fields(colors=colour, radii=radius), static=True)
         columns = rr.Points2D.columns(positions=np.concatenate(points)).partition([len(p) for p in points])
         recording.send_columns(f"plan/{name}", time, columns)
-        series = np.where(np.isfinite(ranges[part, ray]), ranges[part, ray], np.nan)
-        recording.send_columns(f"ray/{name}", time, rr.Scalars.columns(scalars=series))
+    for name, values in (("measured", seen.measured), ("predicted", seen.predicted)):
+        if values is not None:
+            series = np.where(np.isfinite(values[part, ray]), values[part, ray], np.nan)
+            recording.send_columns(f"ray/{name}", time, rr.Scalars.columns(scalars=series))
     if part.start == 0:
         recording.log("plan/robot", rr.Arrows2D.from_fields(colors=GREEN, radii=-2.0), static=True)
 
 
-def _points(seen: Review, ranges: Floats, part: slice) -> list[Floats]:
-    phi = seen.lasers[part, 2:] + seen.run.sensor.bearings
-    ends = seen.lasers[part, None, :2] + ranges[part, :, None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
-    return [scan[hit] for scan, hit in zip(ends, np.isfinite(ranges[part]), strict=True)]
+def _layers(seen: Review) -> Iterator[tuple[str, Floats, tuple[int, int, int]]]:
+    """Yield name, ranges (n_shown, n_rays) and colour of the points: measured ones by verdict, then predicted."""
+    from sensorgraph.review import RIGHT, UNANSWERED, UNSCORED, WRONG
+
+    verdicts = seen.verdicts
+    yield "measured", np.where(verdicts == UNSCORED, seen.measured, np.nan), WHITE
+    if seen.predicted is not None:
+        for name, verdict in (("right", RIGHT), ("not_answered", UNANSWERED), ("wrong", WRONG)):
+            yield name, np.where(verdicts == verdict, seen.measured, np.nan), VERDICT[name]
+        yield "predicted", seen.predicted, ORANGE
 
 
-def _layout(seen: Review, ray: int, top: float) -> rrb.Blueprint:
+def _layout(seen: Review, ray: int) -> rrb.Blueprint:
     """Two rows of three: scan on arena, maps, cells; one ray, error per ray, report."""
     x0, y0, x1, y1 = _extent(seen)
     bounds = rrb.VisualBounds2D(x_range=[x0, x1], y_range=[-y1, -y0])
     back = (18, 18, 22)
     scan = rrb.Spatial2DView(
-        name="measured (white), predicted (orange)",
+        name="measured: teal right, pink wrong, violet not answered; orange predicted"
+        if seen.predicted is not None
+        else "measured",
         origin="/",
         contents=[
-            "/plan/arena",
-            "/plan/planned",
-            "/plan/path",
-            "/plan/measured",
-            "/plan/predicted",
-            "/plan/robot",
+            f"/plan/{name}"
+            for name in ("arena", "planned", "path", *(name for name, _, _ in _layers(seen)), "robot")
         ],
         visual_bounds=bounds,
         background=back,
     )
-    from sensorgraph.review import HEADINGS
-
-    maps = []
-    if seen.cells.error is not None:
-        maps.append(("error", f"error, 0 (dark) to {100 * top:.3g} cm (yellow)"))
-    maps.append(("coverage", f"coverage: share of {HEADINGS} headings visited"))
     tabs = rrb.Tabs(
         *[
             rrb.Spatial2DView(
@@ -212,12 +161,12 @@ def _layout(seen: Review, ray: int, top: float) -> rrb.Blueprint:
                 visual_bounds=bounds,
                 background=back,
             )
-            for name, label in maps
+            for name, label in view_maps.tabs(seen.cells).items()
         ],
         name="maps",
         active_tab=0,
     )
-    coloured = f"error 0 to {100 * top:.3g} cm" if seen.cells.error is not None else "scans, 0 to 10"
+    coloured = "right, wrong, not answered" if seen.cells.tally is not None else "scans, 0 to 10"
     nx, ny, _ = seen.cells.counts.shape
     width, depth = nx * seen.cells.cell, ny * seen.cells.cell
     x, y = seen.cells.origin
@@ -270,24 +219,3 @@ def _extent(seen: Review) -> tuple[float, float, float, float]:
         (x0, y0), (x1, y1) = np.quantile(points, 0.002, axis=0), np.quantile(points, 0.998, axis=0)
     margin = 0.04 * max(x1 - x0, y1 - y0)
     return float(x0 - margin), float(y0 - margin), float(x1 + margin), float(y1 + margin)
-
-
-def _error_top(seen: Review) -> float:
-    """Return the error [m] at the upper end of the colours: 95 % of the cells lie below."""
-    if seen.cells.error is None or not np.isfinite(seen.cells.error).any():
-        return 1.0
-    return float(np.nanquantile(seen.cells.error, 0.95)) or 1e-3
-
-
-def _mean(values: Floats, *, axis: int) -> Floats:
-    seen = np.isfinite(values)
-    count = seen.sum(axis=axis)
-    return np.asarray(np.where(seen, values, 0.0).sum(axis=axis) / np.where(count > 0, count, np.nan))
-
-
-def colours(value: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    """Colour values in 0 ... 1 (any shape) as RGB uint8 (viridis); nan is dark grey, unlike any value."""
-    place = np.clip(np.nan_to_num(value), 0, 1) * (len(VIRIDIS) - 1)
-    low = np.minimum(place.astype(np.intp), len(VIRIDIS) - 2)
-    mixed = VIRIDIS[low] + (place - low)[..., None] * (VIRIDIS[low + 1] - VIRIDIS[low])
-    return np.where(np.isnan(value)[..., None], np.array(EMPTY), mixed.round()).astype(np.uint8)

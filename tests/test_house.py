@@ -16,7 +16,7 @@ OWNERS = {
     "rosbags": {"logs/"},
     "zstandard": {"logs/"},  # both come with mcap: recovery must decompress what is left of a cut chunk
     "lz4": {"logs/"},
-    "rerun": {"sensorgraph/view.py", "sensorgraph/view_diagnosis.py"},
+    "rerun": {"sensorgraph/view.py", "sensorgraph/view_maps.py", "sensorgraph/view_diagnosis.py"},
     "shapely": {"planners/", "sensorgraph/world/"},
     "matplotlib": {"sensorgraph/figures.py", "sensorgraph/diagnose/figures.py"},
     "typer": {"sensorgraph/cli/"},

@@ -11,11 +11,12 @@ import rerun as rr
 
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
-from sensorgraph import view
+from sensorgraph import view, view_maps
 from sensorgraph.build import build
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.review import HEADINGS, Review, report, review
+from sensorgraph.review import RIGHT, UNANSWERED, UNSCORED, WRONG, Review, report, review
+from sensorgraph.review_cells import HEADINGS, Tally
 from sensorgraph.world.raycast import cast
 
 
@@ -58,6 +59,64 @@ def test_cells_are_those_of_a_plain_count(run: Run, seen: Review) -> None:
         i, j = int((pose[0] - x0) // width), int((pose[1] - y0) // width)
         k = round(pose[2] / (2 * np.pi / HEADINGS)) % HEADINGS
         assert seen.cells.counts[i, j, k] > 0
+
+
+def test_every_scored_ray_is_counted_once_and_shares_are_those_of_the_evaluation(seen: Review) -> None:
+    tally, found = seen.cells.tally, seen.evaluation
+    assert tally is not None and found is not None
+    assert tally.scored.sum() == found.n_rays
+    assert tally.answered.sum() / tally.scored.sum() == pytest.approx(found.answered)
+    assert tally.wrong.sum() / tally.answered.sum() == pytest.approx(found.answered_only["wrong_5cm"])
+    verdicts = seen.verdicts
+    assert (verdicts == UNANSWERED).sum() == (tally.scored - tally.answered).sum()
+    assert (verdicts == WRONG).sum() == tally.wrong.sum()
+    assert verdicts[3, 5] == UNSCORED  # no return there
+    assert (verdicts == RIGHT).any()
+
+
+def test_where_nobody_looked_is_not_answered_and_where_walls_moved_is_wrong(room: Arena, run: Run) -> None:
+    west = run.poses[:, 0] < 1.0
+    known = build(
+        [replace(run, stamps=run.stamps[west], ranges=run.ranges[west])], model="polynomial", degree=1
+    )
+    cells = review(run, graph=known, arena=room).cells
+    assert cells.tally is not None and cells.next is not None
+    dark = cells.tally.flat.share_unanswered
+    column = int((1.9 - cells.origin[0]) / cells.cell)
+    assert np.nanmin(dark[column:]) == 1.0
+    assert np.nanmin(dark[: int((0.8 - cells.origin[0]) / cells.cell)]) < 0.1
+    (x, _, area), *_ = cells.next.places()
+    assert x > 1.0
+    assert area > 0.5
+    moved = review(replace(run, ranges=run.ranges + 1.0), graph=known, arena=room).cells.tally
+    assert moved is not None
+    assert np.array_equal(np.isnan(moved.share_wrong), np.isnan(cells.tally.share_wrong))
+    assert moved.wrong.sum() > 0.5 * moved.answered.sum()
+
+
+def test_right_wrong_unanswered_free_and_unknown_cells_have_five_colours() -> None:
+    tally = Tally(
+        scored=np.array([100, 100, 100, 0, 0]),
+        answered=np.array([100, 100, 0, 0, 0]),
+        wrong=np.array([0, 100, 0, 0, 0]),
+    )
+    free = np.array([True, True, True, True, False])
+    rgb = view_maps.verdicts(tally, tally.much_wrong, free & (tally.scored == 0))
+    named = [
+        *(view_maps.VERDICT[name] for name in ("right", "wrong", "not_answered")),
+        view_maps.FREE,
+        view_maps.EMPTY,
+    ]
+    assert [tuple(colour) for colour in rgb.tolist()] == named
+    apart = np.abs(np.diff(np.array(named)[:, None] - np.array(named), axis=1))
+    assert apart.max(axis=-1).min() > 20
+
+
+def test_without_a_map_free_is_where_rays_went_through(room: Arena, run: Run, graph: Sensorgraph) -> None:
+    cells = review(run, graph=graph).cells
+    middles = cells.origin + (np.argwhere(cells.free) + 0.5) * cells.cell
+    assert room.contains(middles).all()  # neither in the pillar nor beyond the walls
+    assert len(middles) * cells.cell**2 == pytest.approx(4 * 3 - 0.5**2)  # all of the floor
 
 
 def test_end_points_lie_on_the_walls(room: Arena, seen: Review) -> None:
@@ -109,7 +168,9 @@ def test_the_recording_holds_scans_maps_cells_and_report(
     columns = {str(c) for c in store.schema().component_columns()}
     expected = {"plan/measured", "plan/robot", "plan/coverage/image", "space/cells", "ray/measured", "report"}
     if with_graph:
-        expected |= {"plan/predicted", "plan/error/image", "ray/predicted", "error_per_ray"}
+        expected |= {f"plan/{name}/image" for name in ("verdict", "next", "unanswered", "wrong", "error")}
+        expected |= {"plan/predicted", "plan/right", "plan/wrong", "plan/not_answered"}
+        expected |= {"ray/predicted", "error_per_ray"}
     for entity in expected:
         assert any(f"/{entity}" in column for column in columns), entity
     rows = sum(
@@ -123,5 +184,5 @@ def test_the_recording_holds_scans_maps_cells_and_report(
 
 
 def test_colours_span_the_scale_and_no_data_is_grey() -> None:
-    rgb = view.colours(np.array([0.0, 1.0, 2.0, np.nan]))
-    assert rgb.tolist() == [[68, 1, 84], [253, 231, 37], [253, 231, 37], list(view.EMPTY)]
+    rgb = view_maps.colours(np.array([0.0, 1.0, 2.0, np.nan]))
+    assert rgb.tolist() == [[68, 1, 84], [253, 231, 37], [253, 231, 37], list(view_maps.EMPTY)]
