@@ -18,7 +18,11 @@ OWNERS = {
     "lz4": {"logs/"},
     "rerun": {"sensorgraph/view.py", "sensorgraph/view_maps.py", "sensorgraph/view_diagnosis.py"},
     "shapely": {"planners/", "sensorgraph/world/"},
-    "matplotlib": {"sensorgraph/figures.py", "sensorgraph/diagnose/figures.py"},
+    "matplotlib": {
+        "sensorgraph/figures.py",
+        "sensorgraph/figures_graph.py",
+        "sensorgraph/diagnose/figures.py",
+    },
     "typer": {"sensorgraph/cli/"},
     "rich": {"sensorgraph/cli/"},
     "yaml": {"sensorgraph/", "planners/", "logs/"},

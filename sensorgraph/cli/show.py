@@ -3,28 +3,47 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from sensorgraph.graph import Sensorgraph
 
 
 def show(
     graph: Annotated[Path, typer.Argument(metavar="GRAPH", help="A *.sensorgraph file.")],
     ray: Annotated[int | None, typer.Option(help="Print the equation of this ray, given by index.")] = None,
+    figure: Annotated[
+        Path | None, typer.Option(help="Draw faces, visibility and what was never looked through, *.png.")
+    ] = None,
+    run: Annotated[
+        Path | None, typer.Option(help="With --figure: a run whose mean residuals are drawn on the faces.")
+    ] = None,
+    topic: Annotated[list[str] | None, typer.Option(help="ROLE=NAME, for example scan=/front/scan.")] = None,
 ) -> None:
-    """Say what a sensorgraph is, or print the equation of one ray.
+    """Say what a sensorgraph is, print the equation of one ray, or draw its faces.
 
     Examples:
 
       sensorgraph show square.sensorgraph
 
       sensorgraph show square.sensorgraph --ray 67
+
+      sensorgraph show square.sensorgraph --figure faces.png --run run.mcap
     """
     from math import degrees
 
+    from sensorgraph.errors import GapError
     from sensorgraph.graph import Sensorgraph
 
+    if run is not None and figure is None:
+        raise GapError("--run is for --figure; say where to draw with --figure faces.png")
     model = Sensorgraph.load(graph)
+    if figure is not None:
+        _draw(model, figure, graph, run, topic or [])
+        if ray is None:
+            return
     if ray is not None:
         typer.echo(model.equation(ray))
         low, high = model.sensor.range_min, model.sensor.range_max
@@ -60,3 +79,22 @@ def show(
     lines.append(("made by", f"sensorgraph {origin['software']}"))
     for label, text in lines:
         typer.echo(f"{label:<10} {text}")
+
+
+def _draw(model: Sensorgraph, figure: Path, graph: Path, run: Path | None, topics: list[str]) -> None:
+    """Write the picture of a graph, with residuals if there is a run."""
+    from logs import parse_topics, read
+    from sensorgraph.cli.inputs import check_output
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.errors import GapError
+    from sensorgraph.figures_graph import graph_picture
+
+    check_output(figure, graph, *(path for path in (run,) if path is not None))
+    if figure.suffix != ".png":
+        raise GapError(f"{figure}: the figure is written as *.png; name it {figure.with_suffix('.png').name}")
+    log = None
+    if run is not None:
+        with progress("reading", "messages") as tick:
+            log = read(run, topics=parse_topics(topics), progress=tick)
+    graph_picture(model, figure, run=log)
+    typer.echo(f"wrote {figure}")
