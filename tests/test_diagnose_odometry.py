@@ -14,7 +14,8 @@ from logs.run import Run
 from planners.arena import wrap
 from sensorgraph.diagnose.noise import Noise
 from sensorgraph.diagnose.odometry import diagnose_odometry
-from sensorgraph.diagnose.structure import Family, Judge
+from sensorgraph.diagnose.rows import aligned, signals_of
+from sensorgraph.diagnose.structure import Family, Judge, families
 
 PLANTED: list[tuple[str, dict[str, Any], dict[str, float]]] = [
     ("wheel_radius", {"radius": 0.02}, {"s": 0.02}),
@@ -133,6 +134,20 @@ def test_camera_louder_than_said_is_no_structure() -> None:
         louder = run.poses + rng.normal(size=run.poses.shape) * [0.005, 0.005, 0.004]
         ledger = diagnose_odometry(replace(run, poses=louder), ROBOT)
         assert ledger.effects == () and ledger.unknown is None
+
+
+def test_a_reference_that_is_stretched_evenly_is_a_wheel_radius_and_nothing_more() -> None:
+    """Columns of a distorted place hold no noise of the reference: what stretches x and y alike is the wheels' way."""
+    signals = signals_of(make_run(3))
+    assert not isinstance(signals, str)
+    stamps, poses, wheels, _ = signals
+    rows = aligned(stamps, poses, wheels)
+    assert not isinstance(rows, str)
+    place = families(rows, wheels)["reference place"].columns[: rows.n]
+    way = np.where(rows.is_valid, rows.D_along @ wheels.way, 0.0)
+    of_y, of_x = place[:, 1], place[:, 6]  # sin φ dy, cos φ dx
+    size = np.ptp(rows.levels[:, :2], axis=0).max()
+    np.testing.assert_allclose(size * (of_x + of_y), way, atol=1e-12)
 
 
 def test_run_without_odometry_is_skipped_with_reason() -> None:

@@ -51,6 +51,8 @@ PLACE_DOUBT = 2.0
 """Widens the spread of a patch's place: set on development cases, where the search alone was too sure of it."""
 STAMPS = 8.0
 """Times less than the tolerance of one stamp that the mean of a run's stamps is off."""
+FAINT = 1e-3
+"""[nats] per row that structure must explain: less is 0.2 % of the noise's variance, and matters to nobody."""
 FOREIGN = 20.0
 """[nats] that structure outside the library needs where what is left is noise; in proportion more where it is not."""
 SHARE = 0.02
@@ -309,7 +311,8 @@ class _Search:
             alone -= judge.gain_of(own, self.A)
             is_instead = alone + 4 * PENALTY * len(self.patches) > gain
             name, gain = (other, alone) if alone > gain else (name, gain)
-        needed = FOREIGN * noise if is_instead else max(FOREIGN * noise, self._inexact(names))
+        needed = max(FOREIGN * noise, FAINT * self.rows.n)
+        needed = needed if is_instead else max(needed, self._inexact(names))
         if gain < needed:
             return
         self.tests[name] = (gain, needed)

@@ -137,7 +137,7 @@ def families(rows: Rows, wheels: Increments) -> dict[str, Family]:
         columns=clock, labels=[f"{a:.0f} to {b:.0f} s, clock" for a, b in _spans(wheels, 5)], sigma=0.1
     )
     if np.ptp(rows.levels[:, :2], axis=0).max() >= ROOM:
-        out |= _reference_families(rows)
+        out |= _reference_families(rows, rows.D_along @ wheels.way)
     said = {name: STATEMENTS[kind_of(name)] for name in out}
     for name in said:
         if kind_of(name) == "jump":
@@ -156,27 +156,37 @@ def _spans(wheels: Increments, n: int) -> list[tuple[float, float]]:
     return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 
 
-def _reference_families(rows: Rows) -> dict[str, Family]:
-    """Return columns of a reference that is distorted over the place."""
-    xy = rows.levels[:, :2]
+def _reference_families(rows: Rows, way: Floats) -> dict[str, Family]:
+    """Return columns of a reference that is distorted over the place.
+
+    Parameters
+    ----------
+    way : (n,) [m] of the wheels; steps of the reference itself would bring its noise into the columns
+    """
+    xy = (rows.levels[1:, :2] + rows.levels[:-1, :2]) / 2
     low, size = xy.min(axis=0), float(np.ptp(xy, axis=0).max())
-    u = (xy - low) / size
+    u, v = ((xy - low) / size).T
+    c, s = np.cos(rows.poses[:, 2]), np.sin(rows.poses[:, 2])
+    du, dv = way * c / size, way * s / size
     waves = [
-        np.cos(np.pi * a * u[:, 0]) * np.cos(np.pi * b * u[:, 1])
+        -np.pi * a * np.sin(np.pi * a * u) * np.cos(np.pi * b * v) * du
+        - np.pi * b * np.cos(np.pi * a * u) * np.sin(np.pi * b * v) * dv
         for a in range(5)
         for b in range(5)
         if 0 < a + b < 7
     ]
     nil = np.zeros(rows.n)
     ok = np.tile(rows.is_valid, 2)
-    yaw = np.stack([np.where(ok, np.concatenate([nil, np.diff(w)]), 0.0) for w in waves], axis=1)
-    c, s = np.cos(rows.poses[:, 2]), np.sin(rows.poses[:, 2])
+    yaw = np.stack([np.where(ok, np.concatenate([nil, w]), 0.0) for w in waves], axis=1)
+    u, v = u - 0.5, v - 0.5
     powers = [
-        (u[:, 0] - 0.5) ** a * (u[:, 1] - 0.5) ** b for a in range(4) for b in range(4) if 0 < a + b < 4
+        a * u ** max(a - 1, 0) * v**b * du + b * u**a * v ** max(b - 1, 0) * dv
+        for a in range(4)
+        for b in range(4)
+        if 0 < a + b < 4
     ]
     place = np.stack(
-        [np.where(ok, np.concatenate([axis * np.diff(p), nil]), 0.0) for p in powers for axis in (c, s)],
-        axis=1,
+        [np.where(ok, np.concatenate([axis * p, nil]), 0.0) for p in powers for axis in (c, s)], axis=1
     )
     return {
         "reference yaw": Family(
