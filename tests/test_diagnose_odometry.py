@@ -146,7 +146,7 @@ def test_a_reference_that_is_stretched_evenly_is_a_wheel_radius_and_nothing_more
     place = families(rows, wheels)["reference place"].columns[: rows.n]
     way = np.where(rows.is_valid, rows.D_along @ wheels.way, 0.0)
     of_y, of_x = place[:, 1], place[:, 6]  # sin φ dy, cos φ dx
-    size = np.ptp(rows.levels[:, :2], axis=0).max()
+    size = np.ptp((rows.levels[1:, :2] + rows.levels[:-1, :2]) / 2, axis=0).max()
     np.testing.assert_allclose(size * (of_x + of_y), way, atol=1e-12)
 
 
