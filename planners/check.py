@@ -50,9 +50,10 @@ def check(trajectory: Trajectory, arena: Arena, robot: Robot) -> Check:
         "v": int((abs(v) > limits.v * most).sum()),
         "omega": int((abs(omega) > limits.omega * most).sum()),
         "a": int((abs(np.diff(v)) > limits.a * most * dt + 2e-6).sum()),
-        "alpha": int((abs(np.diff(omega)) > limits.alpha * most * dt + 2e-6).sum()),
+        # a car that follows arcs of one radius turns its wheel at once where they meet
+        "alpha": int((abs(np.diff(omega)) > limits.alpha * most * dt + 2e-6).sum()) * (robot.drive == "diff"),
         "curvature": 0,
-        "continuity": _jumps(trajectory),
+        "continuity": _jumps(trajectory, 0.25 if robot.drive == "diff" else 0.5),
     }
     if robot.drive != "diff":
         violations["curvature"] = int((abs(omega) * limits.turning_radius > abs(v) * most + 1e-6).sum())
@@ -62,8 +63,11 @@ def check(trajectory: Trajectory, arena: Arena, robot: Robot) -> Check:
     return Check(violations=violations, min_clearance=least)
 
 
-def _jumps(trajectory: Trajectory) -> int:
-    """Count steps that are not what the mean twist makes of the pose before (Simpson's rule on the chord)."""
+def _jumps(trajectory: Trajectory, part: float) -> int:
+    """Count steps that are not what the mean twist makes of the pose before (Simpson's rule on the chord).
+
+    part : of a change of the twist over one sample that its mean may leave out; a half where it jumps
+    """
     dt = np.diff(trajectory.stamps)
     turn = wrap(np.diff(trajectory.poses[:, 2]))
     mean = 0.5 * (trajectory.twists[1:] + trajectory.twists[:-1]) * dt[:, None]  # (n - 1, 2) [m, rad]
@@ -74,7 +78,7 @@ def _jumps(trajectory: Trajectory) -> int:
     # within one sample v and omega may change by a dt and alpha dt: bound what their mean leaves out
     change = abs(np.diff(trajectory.twists, axis=0))
     loose_m = SLIP + 0.25 * change[:, 0] * dt
-    loose_rad = SLIP + 0.25 * change[:, 1] * dt
+    loose_rad = SLIP + part * change[:, 1] * dt
     bent = 0.25 * abs(mean[:, 0]) * (abs(turn) + loose_rad)
     wrong = (abs(ahead - mean[:, 0]) > loose_m + bent * abs(turn)) | (abs(aside) > SLIP + bent)
     wrong |= abs(wrap(turn - mean[:, 1])) > loose_rad

@@ -21,6 +21,7 @@ from planners.coverage_planner import Driven, Progress, Task, plan_stop_and_spin
 from planners.errors import PlanError
 from planners.reach import Reach, reach
 from planners.robot import Robot
+from planners.search_cars import best_start, cycle
 from planners.search_planner import plan_search
 from planners.steering import Curve
 from planners.trajectory import Trajectory
@@ -38,6 +39,8 @@ PLANNERS: dict[str, Callable[[Task], Driven]] = {
 
 MARGIN = 0.02
 """[m] that the robot's rim keeps from walls, beyond its radius."""
+LITTLE = 0.05
+"""A start from which a Dubins car can go to a smaller share of the bins is refused."""
 SMALL = 0.99
 """A start that reaches a smaller share of where the robot fits is worth a warning."""
 
@@ -116,6 +119,8 @@ def plan(
         raise PlanError(
             f"no {cell} m cell has {100 * 0.04:.0f} % of its area within reach; use a smaller cell"
         )
+    if robot.drive == "dubins":
+        start, grid = _cyclic(free, robot, grid, rate, start, seed)
     if callable(priority):
         priority = priority(grid)
     if priority is not None and np.shape(priority) != grid.counts.shape:
@@ -158,12 +163,37 @@ def plan(
     )
 
 
+def _cyclic(
+    free: Reach, robot: Robot, grid: Coverage, rate: float, start: Floats | None, seed: int
+) -> tuple[Floats, Coverage]:
+    """Return where a car that only goes forward begins, and the bins that it can go to and come back from."""
+    limits, headings = robot.limits, grid.headings
+    if start is None:
+        start, bins = best_start(free, limits, headings, rate, seed)
+    else:
+        bins = cycle(free, limits, headings, rate, start)
+    reachable = grid.reachable & bins
+    if reachable.sum() < LITTLE * grid.reachable.sum():
+        better, _ = best_start(free, limits, headings, rate, seed)
+        raise PlanError(
+            f"from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}) the car can go to {int(reachable.sum()):,} of "
+            f"{int(grid.reachable.sum()):,} bins and come back; start at {better[0]:.2f},{better[1]:.2f},{better[2]:.2f}"
+        )
+    return start, Coverage(
+        origin=grid.origin, cell=grid.cell, reachable=reachable, counts=grid.counts, core=grid.core
+    )
+
+
 def reference_time(grid: Coverage, robot: Robot) -> float:
     """Return the least time [s] to visit all bin centres by turning or driving, accelerations left out.
 
-    Every cell is entered once and all its other headings are turned to, or every heading is driven through.
+    Every cell is entered once and all its other headings are turned to, or every heading is driven through. A car
+    drives through each bin, or round an arc from one heading bin to the next.
     """
     k, limits = grid.headings, robot.limits
+    if robot.drive != "diff":
+        todo_bins = int((grid.reachable & (grid.counts == 0)).sum())
+        return float(todo_bins * min(grid.cell, limits.turning_radius * 2 * np.pi / k) / limits.v)
     hop = grid.cell / limits.v
     todo = (grid.reachable & (grid.counts == 0)).any(axis=2)
     return float(todo.sum() * min((k - 1) * 2 * np.pi / k / limits.omega + hop, k * hop))
@@ -186,12 +216,8 @@ def _check_numbers(
 def _report(task: Task, driven: Driven, trajectory: Trajectory, planner: str) -> dict[str, Any]:
     """Measure the plan; `task.coverage` already counts its log."""
     grid, robot = task.coverage, task.robot
-    empty = Coverage.empty(
-        origin=grid.origin,
-        cell=grid.cell,
-        cells=np.asarray(grid.reachable.any(axis=2)),
-        headings=grid.headings,
-    )
+    none = np.zeros_like(grid.counts)
+    empty = Coverage(origin=grid.origin, cell=grid.cell, reachable=grid.reachable, counts=none, core=none)
     reference = reference_time(empty, robot)
     found = check(driven.curve.trajectory(100.0), task.arena, robot)
     gap_m, gap_rad = grid.dispersion()

@@ -205,7 +205,7 @@ class Search:
 
         Returns 1 all done, 2 the rest is out of reach at this resolution, 3 gave up, 0 stopped by `tick`.
         """
-        hunt, moves = self._hunt(), self._moves()
+        hunt, moves = self._hunt(), self.moves()
         counters = np.array([0, self.left, 0, 0])
         sequence = np.empty(SLICE * kernels.LONGEST_FLOOD, dtype=np.int32)
         while counters[3] == 0:
@@ -221,9 +221,9 @@ class Search:
         """Drive on until the robot stands still but for its spin; False if that is not found."""
         out, credits = np.empty(64, dtype=np.int32), np.empty(kernels.CREDITS, dtype=np.int64)
         x, y, h, m = self.state.tolist()
-        n = kernels.escape(x, y, int(h), int(m), -24, self.world, self._moves(), credits, out)
+        n = kernels.escape(x, y, int(h), int(m), -24, self.world, self.moves(), credits, out)
         for j in out[: max(n, 0)].tolist():
-            kernels.drive(self.state, j, self.world, self._moves(), credits)
+            kernels.drive(self.state, j, self.world, self.moves(), credits)
         self._parts.append(out[: max(n, 0)].copy())
         return bool(n >= 0)
 
@@ -255,10 +255,30 @@ class Search:
             lattice=LATTICE,
         )
 
-    def _moves(self) -> kernels.Moves:
+    def moves(self) -> kernels.Moves:
+        """Return the table as the kernels take it."""
         t = self.table
         longest = float(np.hypot(*np.moveaxis(t.ways, -1, 0)).max()) + 2 * self.place.step
-        return kernels.Moves(t.ways, t.bins, t.core, t.turn, t.then, t.cost, t.period, t.patient, longest)
+        return kernels.Moves(
+            t.ways, t.bins, t.core, t.turn, t.then, t.cost, t.period, t.patient, t.stops, t.rests, longest
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Visit:
+    """How one room is driven, from rest to rest."""
+
+    curve: Curve
+    stops: Floats
+    """(n, 4) [m, m, rad, rad] where each revolution begins, and its angle."""
+    left: int
+    """Bins of the room that it does not get."""
+
+    @property
+    def ends(self) -> tuple[Floats, Floats]:
+        """Poses (3,) at rest before and after."""
+        poses = self.curve.sample(np.array([0.0, self.curve.duration]))[0]
+        return poses[0], poses[1]
 
 
 def spin_curve(found: Found, table: Table, alpha: float) -> Curve:

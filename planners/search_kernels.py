@@ -13,6 +13,8 @@ from planners.order import Ints
 
 CREDITS = 3
 """Most bins that one primitive may be credited with."""
+WITHIN = 0.003
+"""[m] to the border of a cell from a place where the robot stops, which it then logs."""
 MOST_TRIES = 3000
 """Primitives tried for a way to go on, or to stop."""
 OVERTIME = 0.25
@@ -64,7 +66,8 @@ class Moves(NamedTuple):
     cost: Ints
     period: Floats
     patient: Bools
-    """(n_modes, n_branches) branches for floods only."""
+    stops: Bools
+    rests: NDArray[np.int16]
     longest: float
     """[m] that a primitive leads away, and a node's diagonal."""
 
@@ -101,6 +104,12 @@ def attempt(
     n_won = 0
     run_id, run_start = -1, 0
     run_inner = False
+    if moves.stops[m, j]:
+        fu, fv = (x - x0) * per_cell, (y - y0) * per_cell
+        ci, ck, rim = int(fu), int(fv), WITHIN * per_cell
+        if need[ci, ck, moves.rests[h]] and rim < fu - ci < 1 - rim and rim < fv - ck < 1 - rim:
+            credits[0] = (ci * ny + ck) * n_phi + moves.rests[h]
+            n_won = 1
     period = moves.period[m, j]
     i, k = int((x - x0) * per_step), int((y - y0) * per_step)
     is_open = distance[i, k] >= least + moves.longest  # no wall is near enough to matter
@@ -476,3 +485,44 @@ def advance(
             counters[1] -= drive(state, out[k], world, moves, credits)
             sequence[counters[0]] = out[k]
             counters[0] += 1
+
+
+@kernel
+def spread(
+    state: Floats, allowed: Bools, met: Bools, bins: Bools, world: World, moves: Moves, lattice: float
+) -> int:
+    """Flood all that can be reached within `allowed`; return how many lattice cells `met` were, both (n, n, n_headings).
+
+    `bins (nx, ny, n_phi)` is filled with those in which some primitive stays long enough.
+    """
+    met[:] = False
+    ny, n_phi = world.need.shape[1], world.need.shape[2]
+    size = 1 << 16
+    at, hs = np.empty((size, 2)), np.empty(size, np.int32)
+    credits = np.empty(CREDITS, np.int64)
+    at[0, 0], at[0, 1], hs[0] = state[0], state[1], int(state[2])
+    head, tail = 0, 1
+    met[int((state[0] - world.x0) / lattice), int((state[1] - world.y0) / lattice), hs[0]] = True
+    while head < tail:
+        x, y, h = at[head, 0], at[head, 1], hs[head]
+        head += 1
+        for j in range(moves.then.shape[1]):
+            free, n_won = attempt(x, y, h, 0, j, world, moves, credits)
+            if not free:
+                continue
+            x2, y2, h2, _ = end_of(x, y, h, 0, j, moves)
+            i, k = int((x2 - world.x0) / lattice), int((y2 - world.y0) / lattice)
+            if not allowed[i, k, h2]:
+                continue
+            for c in range(n_won):
+                bins[credits[c] // (n_phi * ny), (credits[c] // n_phi) % ny, credits[c] % n_phi] = True
+            if met[i, k, h2]:
+                continue
+            met[i, k, h2] = True
+            if tail >= len(hs):
+                more, turned = np.empty((2 * tail, 2)), np.empty(2 * tail, np.int32)
+                more[:tail], turned[:tail] = at, hs
+                at, hs = more, turned
+            at[tail, 0], at[tail, 1], hs[tail] = x2, y2, h2
+            tail += 1
+    return tail

@@ -10,20 +10,21 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import csgraph
 
 from planners.arena import Bools, Floats, wrap
-from planners.connect import connect
+from planners.connect import Joins, connect
 from planners.coverage import Coverage
 from planners.coverage_planner import Driven, Stops, Task, levels, missed, wanted
 from planners.errors import PlanError
 from planners.order import Ints
 from planners.rooms import cell_graph, rooms, sequence
-from planners.search import Scene, Search, scene, spin_curve
-from planners.search_table import Table, spinning
+from planners.search import Scene, Search, Settings, Visit, scene, spin_curve
+from planners.search_cars import search_floor
+from planners.search_table import GEARS, Table, driving, spinning
 from planners.steering import Curve, Pen, joined
 
 TRIES = 2
@@ -32,33 +33,21 @@ PATIENCE = (1.3, 1.6)
 """How much longer to stay in a bin where a log of some phase missed it."""
 LOST = 4.0
 """[s] that a bin costs which a search leaves to the repair."""
+CAR = {
+    "reeds_shepp": Settings(executed=3.2, eagerness=0.5, beam=50, flood_layers=400),
+    "dubins": Settings(eagerness=1.0, flood_layers=400),
+}
+"""How cars are searched for."""
 LOOK = 0.1
 """[s] between two looks at the searches' progress."""
 TIGHT = 1e-9
 """[m, rad] moves and turns shorter than this are none."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Visit:
-    """How one room is driven, from rest to rest."""
-
-    curve: Curve
-    stops: Floats
-    """(n, 4) [m, m, rad, rad] where each revolution begins, and its angle."""
-    left: int
-    """Bins of the room that it does not get."""
-
-    @property
-    def ends(self) -> tuple[Floats, Floats]:
-        """Poses (3,) at rest before and after."""
-        poses = self.curve.sample(np.array([0.0, self.curve.duration]))[0]
-        return poses[0], poses[1]
-
-
 def plan_search(task: Task) -> Driven:
     """Visit every bin that is still missing: spin without a stop, and choose the speed."""
     if task.robot.drive != "diff":
-        raise PlanError(f"planner coverage does not drive {task.robot.drive!r} yet; use drive: diff")
+        return _by_car(task)
     todo = wanted(task)
     table = spinning(task.robot.limits, task.coverage.headings, task.rate)
     bands = [
@@ -70,7 +59,11 @@ def plan_search(task: Task) -> Driven:
         for band, part in enumerate(bands)
         for room in rooms(task.reach, part.any(axis=2))
     ]
-    visits = _side_by_side([need for _, need in jobs], table, task)
+
+    def search(job: int, seed: int, tick: Callable[[int], bool]) -> Visit | None:
+        return search_room(jobs[job][1], table, task, seed, tick)
+
+    visits = _side_by_side(search, [int(need.sum()) for _, need in jobs], task)
     ordered: list[Visit] = []
     for band in range(len(bands)):
         own = [visit for (of, _), visit in zip(jobs, visits, strict=True) if of == band and visit is not None]
@@ -79,9 +72,42 @@ def plan_search(task: Task) -> Driven:
     return _repaired(_drawn(ordered, task), todo, task)
 
 
-def _side_by_side(needs: list[Bools], table: Table, task: Task) -> list[Visit | None]:
-    """Search each room (nx, ny, n_phi) some times on all processors; return the best visit of each."""
-    left = {(room, attempt): int(need.sum()) for attempt in range(TRIES) for room, need in enumerate(needs)}
+def _by_car(task: Task) -> Driven:
+    """Search the whole floor, room after room: a car leaves each as it comes to the next."""
+    todo = task.coverage.reachable & (task.coverage.counts == 0)
+    if not todo.any():
+        raise PlanError("every reachable bin is covered already; nothing is left to plan")
+    start = task.start if task.start is not None else _first_pose(task)
+
+    def search(_: int, seed: int, tick: Callable[[int], bool]) -> Visit | None:
+        return search_floor(todo, task, start, seed, tick, CAR[task.robot.drive])
+
+    best = _side_by_side(search, [int(todo.sum())], task)[0]
+    assert best is not None
+    return Driven(curve=best.curve, stops=best.stops, joins=Joins())
+
+
+def _first_pose(task: Task) -> Floats:
+    """Return (3,) the middle of a free cell, and a heading between the borders of bins."""
+    rng = np.random.default_rng(task.seed)
+    place = scene(task.reach)
+    table = driving(task.robot.limits, task.coverage.headings, task.rate, GEARS[task.robot.drive])
+    middle = _first_place(place, task, task.coverage.reachable, rng)
+    if middle is None:
+        raise PlanError("no place is free enough to begin; choose a start")
+    return np.array([*middle, table.first])
+
+
+def _side_by_side(
+    job: Callable[[int, int, Callable[[int], bool]], Visit | None], sizes: list[int], task: Task
+) -> list[Visit | None]:
+    """Do each job (number, seed, tick) some times on all processors; return the best visit of each.
+
+    Parameters
+    ----------
+    sizes : bins of each job
+    """
+    left = {(room, attempt): size for attempt in range(TRIES) for room, size in enumerate(sizes)}
     total, stop = sum(left.values()), threading.Event()
 
     def search(room: int, attempt: int) -> Visit | None:
@@ -90,11 +116,11 @@ def _side_by_side(needs: list[Bools], table: Table, task: Task) -> list[Visit | 
             return not stop.is_set()
 
         seed = int(np.random.SeedSequence([task.seed, room, attempt]).generate_state(1)[0])
-        return search_room(needs[room], table, task, seed, tick)
+        return job(room, seed, tick)
 
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         futures: dict[tuple[int, int], Future[Visit | None]] = {
-            job: threads.submit(search, *job) for job in sorted(left)
+            key: threads.submit(search, *key) for key in sorted(left)
         }
         try:
             open_ = set(futures.values())
@@ -109,7 +135,7 @@ def _side_by_side(needs: list[Bools], table: Table, task: Task) -> list[Visit | 
     if task.progress:
         task.progress(total, total)
     best: list[Visit | None] = []
-    for room in range(len(needs)):
+    for room in range(len(sizes)):
         tried = [visit for attempt in range(TRIES) if (visit := futures[room, attempt].result()) is not None]
         best.append(min(tried, key=lambda visit: visit.curve.duration + LOST * visit.left, default=None))
     return best

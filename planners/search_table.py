@@ -56,6 +56,10 @@ class Table:
     """(n_modes,) [m/s] at the start of a primitive (cars: sign of the gear)."""
     patient: Bools
     """(n_modes, n_branches) branches that only floods use."""
+    stops: Bools
+    """(n_modes, n_branches) branches before which the robot stops."""
+    rests: NDArray[np.int16]
+    """(n_headings,) heading bin of each heading step."""
     safe_depth: int
     """What makes an end safe: so many primitives can follow; negative: the robot can stop within so many."""
     omega: float
@@ -117,6 +121,8 @@ def spinning(limits: Limits, headings: int, rate: float, sense: int = 1) -> Tabl
         period=np.full(then.shape, tau / SAMPLES),
         speeds=speeds,
         patient=np.zeros(then.shape, dtype=np.bool_),
+        stops=np.zeros(then.shape, dtype=np.bool_),
+        rests=which.astype(np.int16),
         safe_depth=-(levels + 2),
         omega=sense * omega,
     )
@@ -129,3 +135,77 @@ def _steps_of_level(level: Ints) -> Ints:
         near = [k for k, other in enumerate(level.tolist()) if abs(other - own) <= 1]
         then[m, : len(near)] = near
     return then
+
+
+ARC = 0.2
+"""[m] longest primitive of a car."""
+GEARS = {"reeds_shepp": (1, -1), "dubins": (1,)}
+"""Gears."""
+
+
+def driving(
+    limits: Limits, headings: int, rate: float, gears: tuple[int, ...], phi: float | None = None
+) -> Table:
+    """Return the primitives of a car: arcs of the least radius and straight pieces, in each of its gears.
+
+    A car that can go back and forth also has halves, to shuffle along walls, and quarters for floods. Modes are
+    gears; a change of gear costs the time of stopping and starting. Headings lie between the borders of bins, unless
+    `phi` [rad] must be one of them.
+    """
+    width, radius = 2 * np.pi / headings, limits.turning_radius
+    parts = max(math.ceil(width * radius / ARC - 1e-9), 1)
+    v = min(limits.v, limits.omega * radius, width * radius * rate / DWELL)
+    shares = (4, 2, 1) if len(gears) > 1 else (1,)
+    unit_turn = width / parts / shares[0]
+    unit = unit_turn * radius / v
+    pause = max(round(0.75 * v / limits.a / unit), 1)
+    branches = [(g, c, n) for g in range(len(gears)) for n in shares for c in (0, 1, -1)]
+    modes, n_headings = len(gears), headings * parts * shares[0]
+    first = 0.5 * unit_turn if len(shares) > 1 else width / parts / 8
+    if phi is not None:
+        first = phi % unit_turn
+    heading = first + np.arange(n_headings) * unit_turn
+    gear, curve, length = np.array(branches).T
+    stamps = np.concatenate([(np.arange(SAMPLES) + 0.5) / SAMPLES, [1.0]])
+    dt = length[:, None] * unit * stamps  # (n_branches, SAMPLES + 1)
+    speed = v * np.array(gears)[gear]
+    shape = (n_headings, len(branches), SAMPLES + 1)
+    zero = np.zeros(shape)
+    ways = np.stack(
+        displace(
+            zero + heading[:, None, None],
+            zero + speed[:, None],
+            zero,
+            zero + (curve * v / radius)[:, None],
+            zero,
+            zero + dt,
+        ),
+        axis=-1,
+    )
+    turned = heading[:, None, None] + (curve * v / radius)[:, None] * dt
+    place = turned[:, :, :-1] / width
+    bins = np.floor(place + 0.5).astype(np.int64) % headings
+    core = abs(place - np.round(place)) <= 0.25
+
+    def every_mode(array: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.repeat(array[:, None], modes, axis=1))
+
+    changes = gear[None, :] != np.arange(modes)[:, None]
+    return Table(
+        first=first,
+        step=unit_turn,
+        ways=every_mode(ways),
+        bins=every_mode(bins.astype(np.int16)),
+        core=every_mode(core),
+        turn=np.tile(curve * length, (modes, 1)),
+        then=np.tile(gear, (modes, 1)),
+        cost=length[None, :] + pause * changes,
+        unit=unit,
+        period=np.tile(length * unit / SAMPLES, (modes, 1)),
+        speeds=v * np.array(gears, dtype=np.float64),
+        patient=np.tile((length == 1) & (len(shares) > 1), (modes, 1)),
+        stops=changes,
+        rests=(np.floor(heading / width + 0.5).astype(np.int64) % headings).astype(np.int16),
+        safe_depth=1 if len(gears) > 1 else 25,
+        omega=0.0,
+    )

@@ -94,6 +94,29 @@ def test_a_car_may_neither_spin_nor_turn_too_tightly() -> None:
     assert check(clean(), door_arena(0.9), car).violations["curvature"] > 0
 
 
+def test_a_car_may_jump_from_one_arc_to_the_next_but_not_turn_faster_than_omega() -> None:
+    """Curvature jumps are what Reeds-Shepp and Dubins curves are made of, so alpha is not asked of cars."""
+    stamps = np.arange(0, 4.0, 0.02)
+    omega = np.where(stamps < 2.0, 0.8, -0.8)
+    phi = np.where(stamps < 2.0, 0.8 * stamps, 3.2 - 0.8 * stamps)
+    way = np.where(stamps[:, None] < 2.0, np.stack([np.sin(phi), 1 - np.cos(phi)], axis=1), 0.0)
+    turn = np.array([np.sin(1.6), 1 - np.cos(1.6)])
+    back = np.stack([2 * np.sin(1.6) - np.sin(phi), np.cos(phi) - 2 * np.cos(1.6) + 1], axis=1)
+    way = 0.4 * np.where(stamps[:, None] < 2.0, way, back)
+    assert np.allclose(way[100], 0.4 * turn)
+    trajectory = Trajectory(
+        stamps=stamps,
+        poses=np.column_stack([1.0 + way[:, 0], 1.0 + way[:, 1], phi]),
+        twists=np.column_stack([np.full(len(stamps), 0.32), omega]),
+        primitives=np.full(len(stamps), "drive"),
+    )
+    car = Robot(drive="dubins", limits=Limits(turning_radius=0.4))
+    assert check(trajectory, door_arena(9.0), car).count == 0
+    assert check(trajectory, door_arena(9.0), ROBOT).violations["alpha"] == 1
+    slow = Robot(drive="dubins", limits=Limits(turning_radius=0.4, omega=0.7))
+    assert check(trajectory, door_arena(9.0), slow).violations["omega"] == len(stamps)
+
+
 def test_a_coarser_sampling_is_no_violation_by_itself() -> None:
     pen = Pen(np.array([0.5, 0.5, 0.0]), ROBOT.limits)
     for _ in range(5):

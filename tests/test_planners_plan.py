@@ -267,7 +267,7 @@ def test_a_robot_that_fits_nowhere_is_told_so() -> None:
         plan(shipped("square"), Robot(footprint_radius=2.5))
 
 
-@pytest.mark.parametrize("planner", PLANNERS)
+@pytest.mark.parametrize("planner", sorted(set(PLANNERS) - {"coverage"}))
 def test_cars_are_refused_with_what_works(planner: str) -> None:
     car = Robot(drive="reeds_shepp", limits=Limits(turning_radius=0.4))
     with pytest.raises(PlanError, match="drive"):
@@ -304,6 +304,37 @@ def test_progress_runs_to_its_total() -> None:
     assert said
     assert all(0 <= done <= total for done, total in said)
     assert said[-1][0] == said[-1][1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("drive", "share"), [("reeds_shepp", 0.999), ("dubins", 0.995)])
+def test_cars_fill_what_they_can_reach(drive: Any, share: float) -> None:
+    """v, omega, a, radius and clearance hold; a Dubins car never backs."""
+    car = Robot(drive=drive, limits=Limits(turning_radius=0.4))
+    made = plan(shipped("square"), car)
+    assert made.report["coverage"] >= share
+    assert made.report["limit_violations"] == 0
+    assert made.report["min_clearance_m"] >= 0.21
+    assert made.report["ratio"] <= 2.3
+    if drive == "dubins":
+        assert made.trajectory.twists[:, 0].min() >= 0
+
+
+@pytest.mark.slow
+def test_a_car_slows_down_where_its_radius_would_turn_it_too_fast() -> None:
+    car = Robot(drive="reeds_shepp", limits=Limits(turning_radius=0.3, omega=0.8))
+    made = plan(outlined(shapely.box(0, 0, 2.5, 2.0)), car, cell=0.5, headings=8)
+    assert made.report["coverage"] >= 0.999
+    assert made.report["limit_violations"] == 0
+    assert abs(made.trajectory.twists[:, 0]).max() <= 0.8 * 0.3 + 1e-9
+
+
+def test_a_start_from_which_a_dubins_car_gets_nowhere_is_refused_with_a_better_one() -> None:
+    """Facing a corner it can neither turn nor back."""
+    car = Robot(drive="dubins", limits=Limits(turning_radius=0.4))
+    with pytest.raises(PlanError, match=r"0 of .* bins and come back; start at -?\d") as caught:
+        plan(shipped("square"), car, start=np.array([0.3, 0.3, -2.3]), headings=8, cell=0.5)
+    assert "\n" not in str(caught.value)
 
 
 def test_views_are_all_visited_and_seen_by_the_log() -> None:

@@ -1,0 +1,183 @@
+"""What the search needs to know of cars: the curve of a drive, and where a Dubins car can go and come back from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+
+from planners import search_kernels as kernels
+from planners.arena import Bools, Floats, wrap
+from planners.coverage_planner import Task, levels, missed
+from planners.errors import PlanError
+from planners.reach import Reach
+from planners.robot import Limits
+from planners.rooms import rooms
+from planners.search import Found, Search, Settings, Visit, chained, scene
+from planners.search_table import GEARS, Table, driving
+from planners.steering import Curve
+
+FINE = 0.02
+"""[m] lattice of the set that a Dubins car can go to and come back from."""
+STARTS = 6
+"""Places to begin that are looked at."""
+ENOUGH = 0.5
+"""Share of the bins of the disc from which on a start is good enough."""
+
+
+def car_curve(found: Found, table: Table, limits: Limits) -> Curve:
+    """Return the curve of a car's drive: as fast as v and a allow from rest to rest in each gear.
+
+    Arcs and straight pieces follow each other at full speed, so omega jumps where the steering does; within a piece
+    alpha holds.
+    """
+    then, turn = table.then.tolist(), table.turn.tolist()
+    gears, turns, units = [], [], []
+    mode = int(found.start[3])
+    for j in found.sequence.tolist():
+        turns.append(int(np.sign(turn[mode][j])))
+        units.append(table.period[mode, j])
+        mode = then[mode][j]
+        gears.append(mode)
+    gear, bend = np.array(gears), np.array(turns)
+    v = float(abs(table.speeds[0]))
+    length = np.array(units) * (table.ways.shape[3] - 1) * v  # [m]
+    runs = np.flatnonzero(np.diff(gear, prepend=gear[:1] - 1, append=gear[-1:] + 1))
+    a = min(limits.a, limits.alpha * limits.turning_radius)
+    parts = [
+        _run(length[i:k], bend[i:k], v, a, float(np.sign(table.speeds[gear[i]])), limits.turning_radius)
+        for i, k in pairwise(runs.tolist())
+    ]
+    dt, twists, rates = (np.concatenate(column) for column in zip(*parts, strict=True))
+    pose = np.array([*found.start[:2], table.first + table.step * found.start[2]])
+    return chained(pose, dt, twists, rates, np.full(len(dt), "drive"))
+
+
+def _run(
+    length: Floats, bend: np.ndarray, v: float, a: float, gear: float, radius: float
+) -> tuple[Floats, Floats, Floats]:
+    """Return dt (n,), twists (n, 2) and rates (n, 2) of pieces (m,) driven in one gear from rest to rest."""
+    ends = np.concatenate([[0.0], np.cumsum(length)])
+    total = ends[-1]
+    ramp = min(v * v / (2 * a), total / 2)
+    marks = np.concatenate([ends, [ramp, total - ramp]])
+    marks = np.sort(marks)
+    marks = marks[np.concatenate([[True], np.diff(marks) > 1e-9])]
+    marks[-1] = total
+    low, high = marks[:-1], marks[1:]
+    middle = 0.5 * (low + high)
+    owner = np.clip(np.searchsorted(ends, middle, side="right") - 1, 0, len(length) - 1)
+
+    def speed(s: Floats) -> Floats:
+        return np.asarray(np.sqrt(2 * a * np.minimum(np.minimum(s, total - s).clip(0.0), ramp)))
+
+    before, after = speed(low), speed(high)
+    dt = 2 * (high - low) / (before + after)
+    rate = (after - before) / dt
+    kappa = bend[owner] / radius
+    return (
+        dt,
+        np.stack([gear * before, kappa * before], axis=1),
+        np.stack([gear * rate, kappa * rate], axis=1),
+    )
+
+
+def cycle(reach: Reach, limits: Limits, headings: int, rate: float, pose: Floats) -> Bools:
+    """Return the bins (nx, ny, n_phi) that a Dubins car at `pose` (3,) can get to, and come back from.
+
+    A flood backward marks the states from which the pose can be reached; one forward goes only through those.
+    """
+    wanted = np.repeat(np.asarray(reach.blocks(reach.mask).any(axis=-1))[:, :, None], headings, axis=2)
+    bins, allowed = np.zeros_like(wanted), None
+    for gear in (-1, 1):
+        table = driving(limits, headings, rate, (gear,), float(pose[2]))
+        search = Search(scene(reach), table, wanted, rate)
+        search.want(wanted, inner=False)
+        shape = np.ceil(np.array(reach.shape) * reach.cell / FINE).astype(int) + 2
+        met = np.zeros((*shape, table.n_headings), dtype=np.bool_)
+        bins[:] = False
+        allowed = np.ones_like(met) if allowed is None else allowed
+        kernels.spread(state_at(table, pose), allowed, met, bins, search.world, search.moves(), FINE)
+        allowed = met
+    return bins
+
+
+def state_at(table: Table, pose: Floats) -> Floats:
+    """Return (4,) the state at a pose whose heading the table has."""
+    step = round(float((pose[2] - table.first) / table.step)) % table.n_headings
+    return np.array([pose[0], pose[1], step, 0.0])
+
+
+def best_start(reach: Reach, limits: Limits, headings: int, rate: float, seed: int) -> tuple[Floats, Bools]:
+    """Return the pose (3,) of some random ones from which a Dubins car can go to most bins and come back, and those."""
+    rng = np.random.default_rng([seed, 7])
+    free = np.argwhere(reach.blocks(reach.mask).all(axis=-1))
+    if not len(free):
+        free = np.argwhere(reach.cells())
+    best: tuple[Floats, Bools] | None = None
+    for _ in range(STARTS):
+        place = reach.origin + (free[int(rng.integers(len(free)))] + 0.5) * reach.cell
+        table = driving(limits, headings, rate, (1,))
+        pose = np.array([*place, wrap(table.first + table.step * rng.integers(table.n_headings))])
+        bins = cycle(reach, limits, headings, rate, pose)
+        if best is None or bins.sum() > best[1].sum():
+            best = pose, bins
+        if best[1].sum() > ENOUGH * reach.cells().sum() * headings:
+            break
+    assert best is not None
+    return best
+
+
+def search_floor(
+    todo: Bools, task: Task, start: Floats, seed: int, tick: Callable[[int], bool], settings: Settings
+) -> Visit:
+    """Drive a car through the bins `todo` (nx, ny, n_phi), one room after the other."""
+    robot, grid = task.robot, task.coverage
+    table = driving(robot.limits, grid.headings, task.rate, GEARS[robot.drive], float(start[2]))
+    search = Search(scene(task.reach), table, todo, task.rate, seed=seed, settings=settings)
+    search.begin(state_at(table, start))
+    missing = todo
+    curve: Curve | None = None
+    for part, patience in [
+        *((room, 1.0) for room in _rooms(todo, start, task)),
+        (None, 1.0),
+        (None, 1.3),
+        (None, 1.6),
+    ]:
+        wanted = missing if part is None else missing & part[:, :, None]
+        if not wanted.any():
+            continue
+        others = int(missing.sum() - wanted.sum())
+        search.want(wanted, patience, inner=False)
+
+        def said(left: int, others: int = others) -> bool:
+            return tick(others + left)
+
+        search.run(said)
+        found = search.found()
+        if len(found.sequence):
+            curve = car_curve(found, table, robot.limits)
+            missing = missed(curve, todo, grid, task.rate)
+    if curve is None:
+        raise PlanError(
+            f"the car cannot reach a bin from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}); choose another start"
+        )
+    gear = np.sign(curve.twists[:, 0] + curve.rates[:, 0] * 1e-6)
+    cusps = np.flatnonzero(np.diff(gear, prepend=0.0))
+    stops = np.column_stack([curve.poses[cusps], np.zeros(len(cusps))])
+    return Visit(curve=curve, stops=stops, left=int(missing.sum()))
+
+
+def _rooms(todo: Bools, start: Floats, task: Task) -> list[Bools]:
+    """Return the rooms (nx, ny) of each band of priority, each next to the one before."""
+    reach, here, out = task.reach, start[:2], list[Bools]()
+    bands = levels(task, todo)
+    for band in np.unique(bands[todo.any(axis=2)]).tolist():
+        left = rooms(reach, np.asarray(todo.any(axis=2) & (bands == band)))
+        while left:
+            middles = [reach.origin + (np.argwhere(room).mean(axis=0) + 0.5) * reach.cell for room in left]
+            nearest = int(np.argmin([np.hypot(*(middle - here)) for middle in middles]))
+            here = middles[nearest]
+            out.append(left.pop(nearest))
+    return out
