@@ -206,3 +206,25 @@ def tracks_picture(tracks: Mapping[str, Floats], arena: Arena, path: Path) -> No
         axes.plot(*track[0], "o", ms=7, mfc="white", mec=INK, mew=1.5, zorder=6)
         axes.set_title(name.replace("_", " "), loc="left", fontsize=10.5, color=INK)
     save_figure(figure, path)
+
+
+def growth_picture(races: Mapping[str, tuple[Floats, Floats]], path: Path) -> None:
+    """Draw coverage against driving time, a line for each way of driving.
+
+    Parameters
+    ----------
+    races : label -> (minutes (n,), share of the reachable bins (n,) met by then)
+    """
+    figure = new_figure(7.0, 4.0)
+    axes = figure.subplots()
+    colours = ("#2a788e", "#7ad151", "#c9892b", ALARM)
+    for (label, (minutes, share)), colour in zip(races.items(), colours, strict=False):
+        name = f"{label.replace('_', ' ')}: {100 * share[-1]:.0f} %"
+        axes.plot(minutes, 100 * share, color=colour, lw=1.9, label=name)
+    axes.set(xlim=(0, None), ylim=(0, 103))
+    axes.set_xlabel("driven [min]", color=INK)
+    axes.set_ylabel("reachable (x, y, φ) bins visited [%]", color=INK)
+    axes.grid(color=SOLID, lw=0.6)
+    axes.legend(loc="center right", frameon=False, fontsize=9, labelcolor=INK)
+    quiet(axes)
+    save_figure(figure, path)
