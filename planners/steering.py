@@ -106,6 +106,32 @@ class Curve:
         n = int(np.floor((self.duration - phase) * rate + 1e-9)) + 1
         return self.sample(phase + np.arange(n) / rate)[0]
 
+    def until(self, stamp: float, alpha: float) -> Curve:
+        """Return the curve up to the last rest at or before `stamp` [s]; a spin on the spot there ends by `alpha` [rad/s²].
+
+        Any such part is a drive of its own, clear wherever the whole is.
+        """
+        rests = np.flatnonzero((self.starts <= stamp) & (abs(self.twists[:, 0]) < 1e-9))
+        k = int(rests.max(initial=0))
+        if k == 0:
+            raise ValueError(
+                f"the robot does not stand still between its start and {stamp:g} s; choose a later stamp"
+            )
+        omega = float(self.twists[k, 1])
+        ramp = abs(omega) / alpha
+        n = k + (ramp > 0)
+        rates, labels = self.rates[:n].copy(), self.labels[:n].copy()
+        if ramp > 0:
+            rates[k], labels[k] = (0.0, -np.copysign(alpha, omega)), "turn"
+        return Curve(
+            starts=self.starts[:n],
+            duration=float(self.starts[k] + ramp),
+            poses=self.poses[:n],
+            twists=self.twists[:n],
+            rates=rates,
+            labels=labels,
+        )
+
     def trajectory(self, rate: float = RATE) -> Trajectory:
         """Sample at an even rate [Hz], standing still up to the last sample."""
         n = int(np.ceil(self.duration * rate - 1e-9)) + 1

@@ -79,6 +79,22 @@ def test_bins_are_met_in_the_middle_of_their_cells(square: Plan) -> None:
     assert ((grid.core > 0) & grid.reachable)[roomy].mean() > 0.985
 
 
+@pytest.mark.parametrize("share", [0.013, 0.3, 0.77])
+def test_any_prefix_of_a_plan_is_a_plan_that_ends_at_rest(square: Plan, share: float) -> None:
+    stamp = share * square.curve.duration
+    part = square.curve.until(stamp, ROBOT.limits.alpha)
+    assert stamp - 10.0 < part.duration <= stamp + 1.0
+    trajectory = part.trajectory()
+    found = check(trajectory, shipped("square"), ROBOT)
+    assert found.count == 0
+    assert found.min_clearance >= 0.21
+    np.testing.assert_allclose(part.sample(np.array([part.duration]))[1], 0.0, atol=1e-9)
+    early = part.starts[-1]
+    np.testing.assert_array_equal(
+        part.sample(np.array([early]))[0], square.curve.sample(np.array([early]))[0]
+    )
+
+
 def test_stops_and_spins_are_slower_but_stand_still(square: Plan) -> None:
     made = plan(shipped("square"), ROBOT, planner="stop_and_spin")
     assert made.report["coverage"] == 1.0
