@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_cdt
 
 from sensorgraph.models.base import Bools, Floats
 from sensorgraph.models.kernel import kernel
@@ -37,6 +39,13 @@ class Crossed:
         counts = np.zeros((int(shape[0]), int(shape[1])), dtype=np.uint8)
         _count(origins, directions, reach, corner, cell, counts)
         return cls(origin=corner, cell=cell, counts=counts)
+
+    @cached_property
+    def room(self) -> NDArray[np.uint8]:
+        """(nx, ny) cells to the nearest one that nothing crossed, the longer of both axes; the grid ends in such."""
+        known = np.pad(self.counts > 0, 1)
+        far = distance_transform_cdt(known, metric="chessboard")[1:-1, 1:-1]
+        return np.minimum(far, 255).astype(np.uint8)
 
     def merge(self, other: Crossed) -> Crossed:
         """Add the counts of two sets of rays; the finer grid, or both where that is too many cells, is made coarser."""
@@ -71,48 +80,46 @@ class Crossed:
     def supports(self, origins: Floats, directions: Floats, reach: Floats) -> Bools:
         """Tell for rays (n, 2), (n, 2) whether every cell up to `reach` (n,) [m] was crossed."""
         out = np.zeros(len(origins), dtype=np.bool_)
-        _supported(origins, directions, reach, self.origin, self.cell, self.counts, out)
+        _supported(origins, directions, reach, self.origin, self.cell, self.room, out)
         return out
 
 
 @kernel
-def is_crossed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any, cell: Any, counts: Any) -> Any:
-    """Walk the cells of a ray (Amanatides and Woo 1987); stop at one that nothing crossed."""
-    nx, ny = counts.shape
+def is_crossed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any, cell: Any, room: Any) -> Any:
+    """Walk the cells of a ray, as far at a time as there is `Crossed.room`; stop at one that nothing crossed."""
+    nx, ny = room.shape
     x, y = (px - origin[0]) / cell, (py - origin[1]) / cell
     i, j = int(np.floor(x)), int(np.floor(y))
     if i < 0 or j < 0 or i >= nx or j >= ny:
         return False
-    step_x = 1 if ux > 0 else -1
-    step_y = 1 if uy > 0 else -1
-    per_x = cell / abs(ux) if abs(ux) > 1e-12 else 1e300
-    per_y = cell / abs(uy) if abs(uy) > 1e-12 else 1e300
-    next_x = ((i + 1 - x) if ux > 0 else (x - i)) * per_x
-    next_y = ((j + 1 - y) if uy > 0 else (y - j)) * per_y
+    per_x = 1.0 / ux if abs(ux) > 1e-12 else 1e300
+    per_y = 1.0 / uy if abs(uy) > 1e-12 else 1e300
+    reach = reach / cell
     while True:
-        if counts[i, j] == 0:
+        jump = int(room[i, j])
+        if jump == 0:
             return False
-        if next_x < next_y:
-            if next_x > reach:
-                return True
-            next_x += per_x
-            i += step_x
+        r_x = ((i + jump if ux > 0 else i + 1 - jump) - x) * per_x if per_x < 1e299 else 1e300
+        r_y = ((j + jump if uy > 0 else j + 1 - jump) - y) * per_y if per_y < 1e299 else 1e300
+        if min(r_x, r_y) > reach:
+            return True
+        if r_x < r_y:
+            i += jump if ux > 0 else -jump
+            far = int(np.floor(y + r_x * uy))
+            j = min(max(far, j), j + jump - 1) if uy > 0 else max(min(far, j), j - jump + 1)
         else:
-            if next_y > reach:
-                return True
-            next_y += per_y
-            j += step_y
+            j += jump if uy > 0 else -jump
+            far = int(np.floor(x + r_y * ux))
+            i = min(max(far, i), i + jump - 1) if ux > 0 else max(min(far, i), i - jump + 1)
         if i < 0 or j < 0 or i >= nx or j >= ny:
             return False
 
 
 @kernel
-def _supported(
-    origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, counts: Any, out: Any
-) -> Any:
+def _supported(origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, room: Any, out: Any) -> Any:
     for k in range(len(out)):
         out[k] = is_crossed(
-            origins[k, 0], origins[k, 1], directions[k, 0], directions[k, 1], reach[k], origin, cell, counts
+            origins[k, 0], origins[k, 1], directions[k, 0], directions[k, 1], reach[k], origin, cell, room
         )
 
 

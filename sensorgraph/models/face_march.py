@@ -178,31 +178,30 @@ def gather(
     nx, ny = shape
     n = 0
     r[MOST] = 1e300
+    x, y = qx - origin[0], qy - origin[1]
+    per_x = 1.0 / ux if abs(ux) > 1e-15 else 1e300  # [m] of way to a metre along the axis, with its sign
+    per_y = 1.0 / uy if abs(uy) > 1e-15 else 1e300
+    width, depth = nx * BUCKET, ny * BUCKET
     enter, leave = 0.0, reach
-    for axis in range(2):
-        p = (qx if axis == 0 else qy) - origin[axis]
-        v = ux if axis == 0 else uy
-        side = (nx if axis == 0 else ny) * BUCKET
-        if abs(v) < 1e-15:
-            if p < 0 or p > side:
-                return 0
-        else:
-            a, b = -p / v, (side - p) / v
-            enter = max(enter, min(a, b))
-            leave = min(leave, max(a, b))
+    if per_x < 1e299:
+        a, b = -x * per_x, (width - x) * per_x
+        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+    elif x < 0 or x > width:
+        return 0
+    if per_y < 1e299:
+        a, b = -y * per_y, (depth - y) * per_y
+        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+    elif y < 0 or y > depth:
+        return 0
     if enter >= leave:
         return 0
-    x, y = qx + enter * ux - origin[0], qy + enter * uy - origin[1]
-    i_x = min(max(int(x / BUCKET), 0), nx - 1)
-    i_y = min(max(int(y / BUCKET), 0), ny - 1)
+    i_x = min(max(int((x + enter * ux) / BUCKET), 0), nx - 1)
+    i_y = min(max(int((y + enter * uy) / BUCKET), 0), ny - 1)
     step_x = 1 if ux > 0 else -1
     step_y = 1 if uy > 0 else -1
-    per_x = BUCKET / abs(ux) if abs(ux) > 1e-15 else 1e300
-    per_y = BUCKET / abs(uy) if abs(uy) > 1e-15 else 1e300
-    edge_x = origin[0] + (i_x + (1 if ux > 0 else 0)) * BUCKET
-    edge_y = origin[1] + (i_y + (1 if uy > 0 else 0)) * BUCKET
-    next_x = (edge_x - qx) / ux if abs(ux) > 1e-15 else 1e300
-    next_y = (edge_y - qy) / uy if abs(uy) > 1e-15 else 1e300
+    next_x = ((i_x + (1 if ux > 0 else 0)) * BUCKET - x) * per_x if per_x < 1e299 else 1e300
+    next_y = ((i_y + (1 if uy > 0 else 0)) * BUCKET - y) * per_y if per_y < 1e299 else 1e300
+    per_x, per_y = BUCKET * abs(per_x), BUCKET * abs(per_y)
     r_in = enter
     survival = 1.0
     while True:

@@ -203,7 +203,7 @@ class Faces:
         bearings, terms = self.sensor.bearings[rays], self.calibration.terms
         _predict(
             x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces, index(self.faces),
-            self.noise.array, self.crossed.origin, self.crossed.cell, self.crossed.counts, self.returns,
+            self.noise.array, self.crossed.origin, self.crossed.cell, self.crossed.room, self.returns,
             terms.constant[rays], terms.slope[rays], terms.incidence, not terms.is_none,
             which_of(point), table, supported,
         )  # fmt: skip
@@ -417,7 +417,7 @@ def _predict(
     noise: Any,
     origin: Any,
     cell: Any,
-    counts: Any,
+    room: Any,
     returns: Any,
     constant: Any,
     slope: Any,
@@ -431,6 +431,7 @@ def _predict(
     r, t = np.empty(ROOM), np.empty(ROOM)
     k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
     rho, w, s = np.empty(ROOM), np.empty(ROOM), np.empty(ROOM)
+    is_moved, sigma = noise[1] > 0 or noise[2] > 0, math.sqrt(noise[0])  # by noise of poses
     for i in range(len(x)):
         for b in range(len(cos_b)):
             ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
@@ -439,7 +440,7 @@ def _predict(
             for m in range(n):
                 f = k[m]
                 den = normals[f, 0] * ux + normals[f, 1] * uy
-                across = (noise[1] + r[m] ** 2 * noise[2]) / (den * den)
+                across = (noise[1] + r[m] ** 2 * noise[2]) / (den * den) if is_moved else 0.0
                 alpha = levels[j[m]] if j[m] >= first[f] else 0.0
                 e = j[m]  # the nearer edge
                 if e < first[f]:
@@ -460,7 +461,9 @@ def _predict(
                 rho[c], w[c] = r[m], left * alpha
                 if is_biased:
                     rho[c] += constant[b] + slope[b] * r[m] + incidence_bias(den, r[m], incidence)
-                s[c] = math.sqrt(variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise))
+                s[c] = sigma
+                if is_moved:
+                    s[c] = math.sqrt(variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise))
                 c += 1
                 left *= 1.0 - alpha
                 if left < 0.001:
@@ -474,4 +477,4 @@ def _predict(
                     rho, w, s, c, left, range_max, which
                 )
             reach = range_max if row[4] > 0.5 else row[1] - SHORT_OF
-            supported[i, b] = r[MOST] > reach and is_crossed(x[i], y[i], ux, uy, reach, origin, cell, counts)
+            supported[i, b] = r[MOST] > reach and is_crossed(x[i], y[i], ux, uy, reach, origin, cell, room)
