@@ -131,6 +131,8 @@ class Commissioned:
         """
         if self.n_runs == 1:
             return LOCAL_TIMES if is_local(name) else TIMES
+        if EFFECTS[name].place != "sector":  # of walls and spots a run has many, and its gain is the worst of them
+            return SEVERAL
         if len(gained) < FEW or gained.min() <= 0:
             return TIMES
         logs = np.log(gained)  # of a further window: a prediction interval
