@@ -89,14 +89,15 @@ def is_crossed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any, cell
     """Walk the cells of a ray, as far at a time as there is `Crossed.room`; stop at one that nothing crossed."""
     nx, ny = room.shape
     x, y = (px - origin[0]) / cell, (py - origin[1]) / cell
-    i, j = int(np.floor(x)), int(np.floor(y))
+    i: Any = int(np.floor(x))
+    j: Any = int(np.floor(y))
     if i < 0 or j < 0 or i >= nx or j >= ny:
         return False
     per_x = 1.0 / ux if abs(ux) > 1e-12 else 1e300
     per_y = 1.0 / uy if abs(uy) > 1e-12 else 1e300
     reach = reach / cell
     while True:
-        jump = int(room[i, j])
+        jump: Any = np.int64(room[i, j])  # signed: it is taken away as well
         if jump == 0:
             return False
         r_x = ((i + jump if ux > 0 else i + 1 - jump) - x) * per_x if per_x < 1e299 else 1e300
