@@ -1,0 +1,102 @@
+"""Battery-sized runs: a drive parted into sessions, each from the dock and back to it in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csgraph
+
+from planners.arena import Floats
+from planners.connect import Joins
+from planners.coverage_planner import Driven, Task
+from planners.errors import PlanError
+from planners.rooms import cell_graph
+from planners.session import Ways, cut_at, cuts, ends, latest, minutes, section, together
+from planners.steering import joined
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Session:
+    """One run from the dock and back to it."""
+
+    driven: Driven
+    out_s: float
+    """[s] on the way from the dock."""
+    home_s: float
+    """[s] on the way back."""
+
+
+def check_battery(task: Task, battery: float, dock: Floats) -> None:
+    """Refuse a battery that cannot take the robot to the farthest place and back, before anything is planned."""
+    reach = task.reach
+    at = tuple(np.floor((dock[:2] - reach.origin) / reach.cell).astype(np.int64))
+    here = int(np.ravel_multi_index(at, reach.shape))
+    steps = csgraph.dijkstra(cell_graph(reach), directed=False, indices=[here])[0].reshape(reach.shape)
+    todo = (task.coverage.reachable & (task.coverage.counts == 0)).any(axis=2)
+    steps = np.where(todo & np.isfinite(steps), steps, 0.0)
+    far = np.unravel_index(int(steps.argmax()), steps.shape)
+    least = 2 * float(steps[far]) * reach.cell / np.sqrt(2) / task.robot.limits.v  # a cell path is no shorter
+    if least > battery:
+        x, y = reach.origin + (np.array(far) + 0.5) * reach.cell
+        raise PlanError(too_small(battery, x, y, least))
+
+
+def too_small(battery: float, x: float, y: float, least: float) -> str:
+    """Say that (x, y) [m] needs a battery of at least `least` [s]."""
+    return (
+        f"a battery of {battery / 60:g} min is too small: from the dock to ({x:.2f}, {y:.2f}) and back takes "
+        f"{minutes(least)} min at least; give a larger one, or move the dock"
+    )
+
+
+def sessions(driven: Driven, task: Task, *, battery: float, dock: Floats) -> list[Session]:
+    """Part a drive into runs from the dock (3,) and back to it, each done within `battery` [s].
+
+    They come in an order that spreads early runs over the floor, unless a priority has put them in another.
+    """
+    curve, alpha, ways = driven.curve, task.robot.limits.alpha, Ways(task)
+    found: list[Session] = []
+    middles: list[Floats] = []
+    first = 0
+    while first < len(curve.starts):
+        begin, _ = ends(section(curve, first, len(curve.starts), alpha))
+        out = ways.way(dock, begin)
+        cut = latest(curve, first, battery - out.duration, dock, ways, alpha)
+        if cut is None:
+            last = int(cuts(curve)[cuts(curve) > first][0])
+            least = out.duration + cut_at(curve, first, last, dock, ways, alpha).duration
+            raise PlanError(too_small(battery, float(begin[0]), float(begin[1]), least))
+        assert cut.home is not None
+        parts = [part for part in (out.curve, cut.part, cut.home.curve) if part is not None]
+        run = together(parts, out.joins + cut.home.joins, task)
+        found.append(Session(driven=run, out_s=out.duration, home_s=cut.home.duration))
+        middles.append(cut.part.poses[:, :2].mean(axis=0))
+        first = cut.last
+    return found if task.priority is not None else [found[k] for k in spread(np.array(middles))]
+
+
+def spread(points: Floats) -> list[int]:
+    """Order points (n, 2), the first being first: each next is the one farthest from all before it."""
+    order, far = [0], np.hypot(*(points - points[0]).T)
+    while len(order) < len(points):
+        far[order] = -1.0
+        order.append(int(far.argmax()))
+        far = np.minimum(far, np.hypot(*(points - points[order[-1]]).T))
+    return order
+
+
+def chain(runs: list[Session], joins: Joins) -> Driven:
+    """Return all runs as one drive, one after the other.
+
+    Parameters
+    ----------
+    joins : of the drive that was parted
+    """
+    for run in runs:
+        joins += run.driven.joins
+    return Driven(
+        curve=joined([run.driven.curve for run in runs]),
+        stops=np.concatenate([run.driven.stops for run in runs]),
+        joins=joins,
+    )

@@ -1,0 +1,245 @@
+"""What a robot drives in a given time: a plan's curve, cut where the robot stands, and led to where it should end.
+
+A drive is cut only where v is zero. There the robot may still be turning, so the cut ends with a turn on the spot
+that brakes, and what follows begins with one that gets going again: both stay where the plan already was, and no
+heading bin loses the passage that met it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from planners.arena import Arena, Floats, wrap
+from planners.clearance import Barriers
+from planners.connect import Joins, connect
+from planners.coverage_planner import Driven, Task
+from planners.errors import PlanError
+from planners.order import Ints
+from planners.reach import Reach
+from planners.search_planner import lead
+from planners.steering import Curve, Pen, joined
+
+STILL = 1e-9
+"""[m/s, rad/s] slower is standing."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Way:
+    """A drive between two poses that covers nothing on purpose."""
+
+    curve: Curve | None
+    """None where the poses are the same."""
+    path: Floats
+    """(k, 2) [m] its corners."""
+    joins: Joins
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return 0.0 if self.curve is None else self.curve.duration
+
+
+def check_pose(name: str, pose: Floats, arena: Arena, barriers: Barriers, reach: Reach) -> None:
+    """Refuse a pose (3,) that the robot cannot stand at, or cannot get to."""
+    where = f"{name} ({pose[0]:g}, {pose[1]:g})"
+    if not np.isfinite(pose).all():
+        raise PlanError(f"{name} is {pose.tolist()}, expected three finite numbers x, y, phi")
+    if not arena.contains(pose[:2]):
+        raise PlanError(f"{where} is outside the arena or within an obstacle; move it into free space")
+    away = float(barriers.distances(pose[None, :2])[0])
+    if away < reach.clearance - STILL:
+        raise PlanError(
+            f"{where} is {away:.2f} m from a wall, less than the robot's radius and margin of "
+            f"{reach.clearance:.2f} m; move it away from the wall"
+        )
+    at = np.floor((pose[:2] - reach.origin) / reach.step).astype(np.int64)
+    low, high = np.maximum(at - 2, 0), at + 3
+    if not reach.mask[low[0] : high[0], low[1] : high[1]].any():
+        raise PlanError(f"{where} cannot be reached from the start; move one of them into the other's part")
+
+
+def cuts(curve: Curve) -> Ints:
+    """Return the pieces (m,) before which the curve can be cut, and the count of all pieces as the last."""
+    return np.append(np.flatnonzero(abs(curve.twists[:, 0]) < STILL), len(curve.starts))
+
+
+def section(curve: Curve, first: int, last: int, alpha: float) -> Curve:
+    """Return pieces `first` up to `last`, not included, from rest to rest; both must be some of `cuts`.
+
+    Parameters
+    ----------
+    alpha : [rad/s²] of the turns that get going and brake
+    """
+    whole = curve if last == len(curve.starts) else curve.until(float(curve.starts[last]), alpha)
+    omega = float(curve.twists[first, 1])
+    if abs(omega) < STILL:
+        return replace(
+            whole,
+            starts=whole.starts[first:] - whole.starts[first],
+            duration=whole.duration - float(whole.starts[first]),
+            poses=whole.poses[first:],
+            twists=whole.twists[first:],
+            rates=whole.rates[first:],
+            labels=whole.labels[first:],
+        )
+    ramp = abs(omega) / alpha
+    shift = ramp - float(whole.starts[first])
+    pose = whole.poses[first] - [0.0, 0.0, 0.5 * omega * ramp]
+    return Curve(
+        starts=np.append(0.0, whole.starts[first:] + shift),
+        duration=whole.duration + shift,
+        poses=np.vstack([pose, whole.poses[first:]]),
+        twists=np.vstack([np.zeros(2), whole.twists[first:]]),
+        rates=np.vstack([[0.0, np.copysign(alpha, omega)], whole.rates[first:]]),
+        labels=np.append("turn", whole.labels[first:]),
+    )
+
+
+def ends(curve: Curve) -> tuple[Floats, Floats]:
+    """Return the poses (3,) at the start and at the end; phi is wrapped."""
+    first, last = curve.sample(np.array([0.0, curve.duration]))[0]
+    return first, last
+
+
+def turns(curve: Curve) -> Floats:
+    """Return the stops (n, 4) [m, m, rad, rad] of a drive: where it begins to turn on the spot, or again, and how far.
+
+    A spin that never ends counts again with each revolution. What is turned on the way between two stops belongs
+    to the first, so that the turns add up to those of the drive.
+    """
+    end = curve.sample(np.array([curve.duration]))[0][0]
+    phi = np.append(curve.poses[:, 2], 0.0)
+    phi[-1] = phi[-2] + wrap(np.float64(end[2] - phi[-2]))
+    turning = (abs(curve.twists[:, 1]) > STILL) | (abs(curve.rates[:, 1]) > STILL)
+    onset = turning & ~np.append(False, turning[:-1])
+    onset |= turning & (curve.labels != np.append("", curve.labels[:-1]))
+    marks: list[int] = []
+    for k in np.flatnonzero(turning).tolist():
+        if onset[k] or abs(phi[k] - phi[marks[-1]]) >= 2 * np.pi - 1e-6:
+            marks.append(k)
+    return np.column_stack([curve.poses[marks], np.diff(phi[[*marks, -1]])]) if marks else np.zeros((0, 4))
+
+
+def stops(curve: Curve, task: Task) -> Floats:
+    """Return the stops (n, 4) of any robot: a car's are where it changes gear, and it turns nothing there."""
+    if task.robot.drive == "diff":
+        return turns(curve)
+    gear = np.sign(curve.twists[:, 0] + curve.rates[:, 0] * 1e-6)
+    cusps = np.flatnonzero(np.diff(gear, prepend=0.0))
+    return np.column_stack([curve.poses[cusps], np.zeros(len(cusps))])
+
+
+class Ways:
+    """Ways between poses: straight where that is clear, else by OMPL; each asked for once."""
+
+    def __init__(self, task: Task) -> None:
+        if task.robot.drive != "diff":
+            raise PlanError(
+                f"a way home turns on the spot, which drive {task.robot.drive!r} cannot; "
+                "leave out the dock and the end pose, or use drive: diff"
+            )
+        self.task = task
+        self._paths: dict[tuple[float, ...], tuple[Floats, Joins]] = {}
+
+    def way(self, begin: Floats, end: Floats) -> Way:
+        """Return the way from pose (3,) to pose (3,), at rest at both."""
+        path, joins = self._path(begin[:2], end[:2])
+        pen = Pen(begin, self.task.robot.limits)
+        lead(pen, path, float(end[2]))
+        return Way(curve=pen.curve() if pen.clock > 0 else None, path=path, joins=joins)
+
+    def _path(self, begin: Floats, end: Floats) -> tuple[Floats, Joins]:
+        key = (*begin.tolist(), *end.tolist())
+        back = (*end.tolist(), *begin.tolist())
+        if key not in self._paths and back in self._paths:
+            path, joins = self._paths[back]
+            return path[::-1], joins
+        if key not in self._paths:
+            task = self.task
+            paths, joins = connect(
+                begin[None], end[None], reach=task.reach, barriers=task.barriers, seed=task.seed
+            )
+            if paths[0] is None:
+                raise PlanError(
+                    f"no way was found from ({begin[0]:.2f}, {begin[1]:.2f}) to ({end[0]:.2f}, {end[1]:.2f})"
+                )
+            self._paths[key] = paths[0], joins
+        return self._paths[key]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cut:
+    """A part of the drive that ends in time, and the way from its end."""
+
+    last: int
+    """The piece that comes next."""
+    part: Curve
+    home: Way | None
+
+    @property
+    def duration(self) -> float:
+        """[s] of both."""
+        return self.part.duration + (0.0 if self.home is None else self.home.duration)
+
+
+def cut_at(curve: Curve, first: int, last: int, home: Floats | None, ways: Ways | None, alpha: float) -> Cut:
+    """Return pieces `first` up to `last`, not included, and the way from there to `home` (3,)."""
+    part = section(curve, first, last, alpha)
+    back = None if home is None or ways is None else ways.way(ends(part)[1], home)
+    return Cut(last=last, part=part, home=back)
+
+
+def latest(
+    curve: Curve, first: int, left: float, home: Floats | None, ways: Ways | None, alpha: float
+) -> Cut | None:
+    """Return the longest part from piece `first` on that is done, the way `home` (3,) included, within `left` [s].
+
+    Where ways home differ much from place to place, a longer one may exist; none is ever too long.
+    """
+    choice, stamps = cuts(curve), np.append(curve.starts, curve.duration)
+    allowed = left
+    while True:
+        fits = choice[(choice > first) & (stamps[choice] - stamps[first] <= allowed)]
+        if not len(fits):
+            return None
+        cut = cut_at(curve, first, int(fits[-1]), home, ways, alpha)
+        over = cut.duration - left
+        if over <= STILL:
+            return cut
+        allowed = float(stamps[cut.last] - stamps[first]) - over
+
+
+def within(driven: Driven, task: Task, *, budget: float | None, end: Floats | None) -> Driven:
+    """Return the drive as far as `budget` [s] goes, led to `end` (3,) if there is one."""
+    if budget is None and end is None:
+        return driven
+    curve, alpha = driven.curve, task.robot.limits.alpha
+    ways = None if end is None else Ways(task)
+    whole = cut_at(curve, 0, len(curve.starts), end, ways, alpha)
+    cut = whole
+    if budget is not None and whole.duration > budget + STILL:
+        found = latest(curve, 0, budget, end, ways, alpha)
+        if found is None:
+            first = cut_at(curve, 0, int(cuts(curve)[cuts(curve) > 0][0]), end, ways, alpha)
+            raise PlanError(
+                f"a budget of {budget / 60:g} min is too short: to the first stop"
+                f"{'' if end is None else ' and on to the end pose'} takes {minutes(first.duration)} min"
+            )
+        cut = found
+    if cut is whole and cut.home is None:
+        return driven
+    joins = driven.joins if cut.home is None else driven.joins + cut.home.joins
+    return together([part for part in (cut.part, cut.home and cut.home.curve) if part], joins, task)
+
+
+def minutes(seconds: float) -> str:
+    """Return minutes, rounded up to a tenth."""
+    return f"{np.ceil(seconds / 6) / 10:g}"
+
+
+def together(curves: list[Curve], joins: Joins, task: Task) -> Driven:
+    """Return the drive along some curves, each of which starts where the one before it ends."""
+    curve = joined(curves)
+    return Driven(curve=curve, stops=stops(curve, task), joins=joins)

@@ -1,0 +1,223 @@
+"""A plan cut for a battery, a budget or an end pose is still a plan: in time, at rest, feasible, and nothing is lost."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from planners_samples import door_arena, outlined, shipped
+
+from planners import Plan, PlanError, plan
+from planners.arena import Arena, wrap
+from planners.battery import sessions, spread
+from planners.check import check
+from planners.clearance import Barriers
+from planners.connect import Joins
+from planners.coverage_planner import Driven, Task
+from planners.no_go import without, zones
+from planners.robot import Limits, Robot
+from planners.sampling import warnings
+from planners.session import cuts, ends, section, turns, within
+from planners.steering import Curve
+from planners.trajectory import Trajectory
+from sensorgraph.plan_folder import counted
+
+ROBOT = Robot()
+GRID = {"cell": 0.5, "headings": 8}
+
+
+def task_of(made: Plan, arena: Arena) -> tuple[Driven, Task]:
+    driven = Driven(curve=made.curve, stops=made.stops, joins=Joins())
+    task = Task(
+        arena=arena,
+        robot=ROBOT,
+        barriers=Barriers(arena),
+        reach=made.reach,
+        coverage=counted(made.coverage, np.zeros((0, 3))),
+        start=None,
+        seed=0,
+        rate=10.0,
+        priority=None,
+        duration=None,
+        progress=None,
+    )
+    return driven, task
+
+
+@pytest.fixture(scope="module")
+def rooms() -> tuple[Plan, Arena]:
+    arena = door_arena(0.9)
+    return plan(arena, ROBOT, **GRID), arena
+
+
+def assert_drives(curve: Curve, arena: Arena) -> None:
+    """Rest to rest, no limit broken, clear of walls all along."""
+    twists = curve.sample(np.array([0.0, curve.duration]))[1]
+    np.testing.assert_allclose(twists, 0.0, atol=1e-9)
+    found = check(curve.trajectory(100.0), arena, ROBOT)
+    assert found.violations == dict.fromkeys(found.violations, 0)
+
+
+@pytest.mark.parametrize("planner", ["coverage", "stop_and_spin"])
+def test_sections_between_any_cuts_pass_all_that_the_whole_passes(planner: str) -> None:
+    arena = door_arena(0.9)
+    made = plan(arena, ROBOT, planner=planner, **GRID)
+    choice = cuts(made.curve)
+    marks = [int(choice[k]) for k in (0, len(choice) // 3, len(choice) // 2, -1)]
+    logged = []
+    for first, last in pairwise(marks):
+        part = section(made.curve, first, last, ROBOT.limits.alpha)
+        assert_drives(part, arena)
+        logged.append(part.log(10.0))
+    assert counted(made.coverage, np.concatenate(logged)).fraction == 1.0
+
+
+def test_every_run_begins_and_ends_at_the_dock_within_the_battery(rooms: tuple[Plan, Arena]) -> None:
+    made, arena = rooms
+    driven, task = task_of(made, arena)
+    dock, battery = np.array([0.4, 0.5, 1.0]), 150.0
+    runs = sessions(driven, task, battery=battery, dock=dock)
+    assert len(runs) >= made.curve.duration / battery
+    logged = []
+    for run in runs:
+        curve = run.driven.curve
+        assert curve.duration <= battery + 1e-6
+        for pose in ends(curve):
+            np.testing.assert_allclose(pose[:2], dock[:2], atol=1e-9)
+            assert abs(wrap(pose[2] - dock[2])) < 1e-9
+        assert_drives(curve, arena)
+        logged.append(curve.log(10.0))
+    assert counted(made.coverage, np.concatenate(logged)).fraction == 1.0
+    assert sum(run.driven.joins.planned for run in runs) > 0  # the other room lies behind a door
+
+
+def test_a_battery_too_small_for_the_farthest_cell_is_one_line(rooms: tuple[Plan, Arena]) -> None:
+    driven, task = task_of(*rooms)
+    with pytest.raises(PlanError, match=r"battery of 0.2 min is too small: .* min at least") as caught:
+        sessions(driven, task, battery=12.0, dock=np.array([0.4, 0.5, 1.0]))
+    assert "\n" not in str(caught.value)
+
+
+def test_early_runs_are_spread_out() -> None:
+    points = np.array([[x, 0.0] for x in range(9)], dtype=np.float64)
+    order = spread(points)
+    assert sorted(order) == list(range(9))
+    assert order[:3] == [0, 8, 4]
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 2.0])
+@pytest.mark.parametrize("end", [None, np.array([3.5, 2.5, -2.0])], ids=["anywhere", "end"])
+def test_a_budget_is_kept_and_used(
+    rooms: tuple[Plan, Arena], share: float, end: np.ndarray[tuple[int], np.dtype[np.float64]] | None
+) -> None:
+    made, arena = rooms
+    driven, task = task_of(made, arena)
+    budget = share * made.curve.duration
+    cut = within(driven, task, budget=budget, end=end)
+    assert cut.curve.duration <= budget + 1e-6
+    if share < 1:
+        assert cut.curve.duration >= budget - 15.0  # a stop comes that often, and ways home differ little
+    assert_drives(cut.curve, arena)
+    np.testing.assert_allclose(ends(cut.curve)[0], ends(made.curve)[0], atol=1e-9)
+    if end is not None:
+        last = ends(cut.curve)[1]
+        np.testing.assert_allclose(last[:2], end[:2], atol=1e-9)
+        assert abs(wrap(last[2] - end[2])) < 1e-9
+    elif share > 1:
+        assert cut is driven
+
+
+def test_stops_found_in_a_curve_turn_as_far_as_the_robot_does(rooms: tuple[Plan, Arena]) -> None:
+    curve = rooms[0].curve
+    found = turns(curve)
+    dt = np.diff(np.append(curve.starts, curve.duration))
+    turned = (curve.twists[:, 1] * dt + 0.5 * curve.rates[:, 1] * dt**2).sum()
+    assert found[:, 3].sum() == pytest.approx(turned, abs=1e-6)
+    assert abs(found[:, 3]).max() <= 2 * np.pi + np.pi / 4
+
+
+def test_a_zone_is_kept_free_of_the_whole_robot_and_is_seen_through() -> None:
+    arena = outlined(shapely.box(0, 0, 4, 3))
+    zone = zones("1.5,0,2.5,0,2.5,1.5,1.5,1.5")
+    less = without(arena, zone)
+    assert less.walls is arena.walls
+    made = plan(less, ROBOT, **GRID)
+    places = shapely.points(made.trajectory.poses[:, :2])
+    assert shapely.distance(places, zone[0]).min() >= ROBOT.footprint_radius
+    assert made.report["coverage"] == 1.0
+    assert made.report["limit_violations"] == 0
+    assert check(made.trajectory, less, ROBOT).count == 0
+    whole = plan(arena, ROBOT, **GRID)
+    assert made.report["reachable_cells"] < whole.report["reachable_cells"]
+    assert check(whole.trajectory, less, ROBOT).violations["clearance"] > 0
+
+
+def test_zones_are_read_from_features_of_their_kind(tmp_path: Path) -> None:
+    def feature(kind: str, *corners: tuple[float, float]) -> dict[str, object]:
+        geometry = {"type": "Polygon", "coordinates": [[*corners, corners[0]]]}
+        return {"type": "Feature", "properties": {"name": kind, "kind": kind}, "geometry": geometry}
+
+    path = tmp_path / "zones.geojson"
+    features = [feature("arena", (0, 0), (4, 0), (4, 4)), feature("no_go", (1, 1), (2, 1), (2, 2))]
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    assert [zone.area for zone in zones(str(path))] == [0.5]
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ("1,1,2,2,2,1,1,2", "crosses or touches itself"),
+        ("10,10,11,10,11,11", "outside the arena"),
+        ("-1,-1,9,-1,9,9,-1,9", "cover all"),
+        ("1,1,2,2", "at least three corners"),
+        ("1,1,2,2,3", "at least three corners"),
+        ("1,1,2,2,3,3", "touches itself|no area"),
+        ("1,1,nan,2,3,1", "not finite"),
+        ("nowhere.geojson", "is no file"),
+    ],
+)
+def test_bad_zones_are_one_line(given: str, says: str) -> None:
+    with pytest.raises(PlanError, match=says) as caught:
+        without(shipped("square"), zones(given))
+    assert "\n" not in str(caught.value)
+
+
+def drive(v: float, omega: float) -> Trajectory:
+    n = 10
+    return Trajectory(
+        stamps=np.arange(n) / 50.0,
+        poses=np.zeros((n, 3)),
+        twists=np.tile([v, omega], (n, 1)),
+        primitives=np.full(n, "move"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("v", "omega", "rate", "sweep_time", "said"),
+    [
+        (0.4, 1.0, 10.0, 0.0, []),
+        (0.4, 0.78, 4.0, 0.0, []),  # the paper's 4 Hz serve 22.5 degrees up to 0.785 rad/s
+        (0.4, 0.79, 4.0, 0.0, ["heading bin"]),
+        (0.51, 0.1, 4.0, 0.0, ["cell"]),
+        (0.0, 1.9, 100.0, 0.1, []),
+        (0.0, 2.0, 100.0, 0.1, ["half a heading bin"]),
+        (1.0, 4.0, 4.0, 0.1, ["cell", "heading bin", "half a heading bin"]),
+    ],
+)
+def test_a_log_too_slow_for_the_bins_is_said(
+    v: float, omega: float, rate: float, sweep_time: float, said: list[str]
+) -> None:
+    lines = warnings(drive(v, omega), cell=0.25, headings=16, rate=rate, sweep_time=sweep_time)
+    assert len(lines) == len(said)
+    assert all(word in line for word, line in zip(said, lines, strict=True))
+
+
+def test_a_car_is_not_led_home_by_turns_on_the_spot(rooms: tuple[Plan, Arena]) -> None:
+    driven, task = task_of(*rooms)
+    object.__setattr__(task, "robot", Robot(drive="reeds_shepp", limits=Limits(turning_radius=0.4)))
+    with pytest.raises(PlanError, match="turns on the spot"):
+        within(driven, task, budget=None, end=np.array([1.0, 1.0, 0.0]))
