@@ -1,0 +1,235 @@
+"""How well a graph of an office predicts, with intervals over arenas and seeds, and how fast and how small it is.
+
+    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python -m benchmarks.office_graph [--arenas office,1,2,3,4,5] [--seeds 0,1] [--poses 1000]
+
+The shipped office and random ones (`benchmarks/offices.py`), 181 rays over half a turn, sigma 1 cm, exact poses. A graph
+is built from poses chosen by `sensorgraph.views.choose_views` and from as many drawn evenly; it is asked for 2,000 fresh
+poses. Shares are of the rays that hit something; within 3 sigma of the noisy reading, wrong against the true range. An
+interval is that of the mean over arenas and seeds, 95 % by Student's t. Speed is compared with the same prediction in
+plain numpy, in the same process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import tempfile
+import time
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import t as student
+
+from benchmarks.offices import office
+from logs.run import RangeSensor, Run
+from planners.arena import Arena, Floats
+from planners.maps import geojson
+from sensorgraph.build import build
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.faces import Faces
+from sensorgraph.models.mixture import summarise_plain
+from sensorgraph.views import choose_views
+from sensorgraph.world.clearance import WallDistance
+from sensorgraph.world.raycast import cast
+
+SENSOR = RangeSensor(
+    bearings=np.linspace(-np.pi / 2, np.pi / 2, 181), range_min=0.02, range_max=30.0, sigma=0.01
+)
+CLEAR = 0.2  # [m] that poses keep from walls
+CANDIDATES = 5  # for each view
+N_CHECK = 2000
+REPEATS = 5  # of a prediction; the fastest counts
+N_PLAIN = 20  # poses of the numpy path, which is slow
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One graph; shares in 0 ... 1."""
+
+    within_3_sigma: float
+    wrong: float
+    answered: float
+    wrong_of_answered: float
+    median: float
+    """[m]"""
+    fit: float
+    """[s] of one core."""
+    size: float
+    """[bytes]"""
+    speed: float
+    """[rays/s] with the whole mixture."""
+    ratio: float
+    """To plain numpy."""
+
+
+COLUMNS = {
+    "within_3_sigma": ("within 3σ [%]", 100.0, 2),
+    "wrong": ("wrong > 5 cm [%]", 100.0, 3),
+    "answered": ("answered [%]", 100.0, 2),
+    "wrong_of_answered": ("of these wrong [%]", 100.0, 3),
+    "median": ("median [mm]", 1000.0, 2),
+    "fit": ("fit [s]", 1.0, 2),
+    "size": ("file [kB]", 1e-3, 0),
+    "speed": ("M rays/s", 1e-6, 2),
+    "ratio": ("times numpy", 1.0, 0),
+}
+
+
+def arena_named(name: str) -> Arena:
+    """Return the shipped office, or a random one by its number."""
+    if name.isdigit():
+        return geojson.loads(office(int(name)))
+    return geojson.loads(files("sensorgraph.data").joinpath(f"{name}.geojson").read_text())
+
+
+def somewhere(arena: Arena, n: int, rng: np.random.Generator) -> Floats:
+    """Return n poses (n, 3) spread evenly over the free floor and all headings."""
+    x0, y0, x1, y1 = arena.bounds
+    clearance, found = WallDistance(arena), np.zeros((0, 3))
+    while len(found) < n:
+        some = rng.uniform([x0, y0, -np.pi], [x1, y1, np.pi], (n, 3))
+        some = some[arena.contains(some[:, :2])]
+        far = [clearance(x, y) > CLEAR for x, y in some[:, :2]]
+        found = np.concatenate([found, some[far]])
+    return found[:n]
+
+
+def training(arena: Arena, n: int, rng: np.random.Generator, *, planned: bool) -> Floats:
+    """Return the poses (n, 3) that a graph is built from."""
+    if not planned:
+        return somewhere(arena, n, rng)
+    candidates = somewhere(arena, CANDIDATES * n, rng)
+    return candidates[choose_views(candidates, lambda poses: cast(arena, poses, SENSOR).ranges, SENSOR, n)]
+
+
+def measure(arena: Arena, n: int, seed: int, *, planned: bool) -> Row:
+    """Build from n poses and ask for fresh ones."""
+    rng = np.random.default_rng([seed, 51])
+    poses = training(arena, n, rng, planned=planned)
+    ranges = cast(arena, poses, SENSOR).ranges
+    stamps: Floats = np.arange(n) / 10.0
+    run = Run(
+        sensor=SENSOR, stamps=stamps, ranges=ranges + SENSOR.sigma * rng.normal(size=ranges.shape),
+        pose_stamps=stamps, poses=poses,
+    )  # fmt: skip
+    clock = time.process_time()
+    graph = build([run])
+    fit = time.process_time() - clock
+    check = somewhere(arena, N_CHECK, np.random.default_rng([seed, 52]))
+    truth = cast(arena, check, SENSOR).ranges
+    said = graph.predict(check)
+    hit = np.isfinite(truth)
+    off = np.abs(said.mode - truth)[hit]
+    noisy = truth + SENSOR.sigma * rng.normal(size=truth.shape)
+    answered = said.answered[hit]
+    fast, plain = speeds(graph, check)
+    return Row(
+        within_3_sigma=float((np.abs(said.mode - noisy)[hit] <= 3 * SENSOR.sigma).mean()),
+        wrong=float((off > 0.05).mean()),
+        answered=float(answered.mean()),
+        wrong_of_answered=float((off[answered] > 0.05).mean()),
+        median=float(np.median(off)),
+        fit=fit,
+        size=size_of(graph),
+        speed=fast,
+        ratio=fast / plain,
+    )
+
+
+def size_of(graph: Sensorgraph) -> float:
+    """Return the bytes of the graph's file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "office.sensorgraph"
+        graph.save(path)
+        return float(path.stat().st_size)
+
+
+def speeds(graph: Sensorgraph, poses: Floats) -> tuple[float, float]:
+    """Return rays a second of one core: compiled, and in plain numpy."""
+    best = math.inf
+    for _ in range(REPEATS):
+        clock = time.process_time()
+        graph.predict(poses)
+        best = min(best, time.process_time() - clock)
+    assert isinstance(graph.model, Faces)
+    clock = time.process_time()
+    predict_plain(graph.model, poses[:N_PLAIN])
+    plain = time.process_time() - clock
+    n_rays = graph.sensor.n_rays
+    return len(poses) * n_rays / best, N_PLAIN * n_rays / plain
+
+
+def predict_plain(model: Faces, poses: Floats) -> Floats:
+    """Return (n_poses, n_rays, 6) summaries: all faces against all rays, one sort, one mixture for each ray."""
+    faces, sensor = model.faces, model.sensor
+    theta = poses[:, 2, None] + model.mount[2] + sensor.bearings
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    mount = model.mount
+    q = poses[:, :2] + np.column_stack([cos * mount[0] - sin * mount[1], sin * mount[0] + cos * mount[1]])
+    u = np.stack([np.cos(theta), np.sin(theta)], axis=-1)  # (n_poses, n_rays, 2)
+    den = u @ faces.normals.T  # (n_poses, n_rays, n_faces)
+    above = faces.offsets - q @ faces.normals.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rho = np.where(den < -1e-6, above[:, None] / den, np.inf)
+    rho[(rho <= 0) | (rho > sensor.range_max)] = np.inf
+    along = (q @ faces.tangents.T)[:, None] + np.where(np.isfinite(rho), rho, 0.0) * (u @ faces.tangents.T)
+    chance = np.zeros_like(rho)
+    for k in range(faces.n_faces):
+        part = slice(faces.first[k], faces.first[k + 1])
+        place = np.searchsorted(faces.edges[part], along[..., k], side="right") - 1
+        chance[..., k] = np.where(place >= 0, faces.levels[part][np.maximum(place, 0)], 0.0)
+    order = np.argsort(rho, axis=-1)
+    rho, chance = np.take_along_axis(rho, order, -1), np.take_along_axis(chance, order, -1)
+    chance = np.where(np.isfinite(rho), chance, 0.0)
+    left = np.cumprod(1 - chance, axis=-1)
+    weight = chance * np.concatenate([np.ones_like(left[..., :1]), left[..., :-1]], axis=-1)
+    out = np.empty((*rho.shape[:2], 6))
+    sigma = np.full(faces.n_faces, model.noise.sigma)
+    for i, b in np.ndindex(out.shape[:2]):
+        use = np.flatnonzero(weight[i, b] > 1e-4)
+        if len(use) == 0:
+            out[i, b] = (sensor.range_max,) * 4 + (left[i, b, -1], 1.0)
+            continue
+        out[i, b] = summarise_plain(
+            rho[i, b, use], weight[i, b, use], sigma, len(use), left[i, b, -1], sensor.range_max, 0
+        )
+    return out
+
+
+def interval(values: Floats) -> tuple[float, float]:
+    """Return the mean and half its 95 % interval."""
+    n = len(values)
+    if n < 2:
+        return float(values.mean()), math.nan
+    return float(values.mean()), float(student.ppf(0.975, n - 1) * values.std(ddof=1) / math.sqrt(n))
+
+
+def main() -> None:
+    """Build, ask, print a row for each graph and the means."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--arenas", default="office,1,2,3,4,5")
+    parser.add_argument("--seeds", default="0,1")
+    parser.add_argument("--poses", type=int, default=1000)
+    options = parser.parse_args()
+    measure(arena_named("office"), 100, 0, planned=False)  # compiles
+    print("| poses | arena, seed | " + " | ".join(label for label, _, _ in COLUMNS.values()) + " |")
+    print("|---|---" + "|---:" * len(COLUMNS) + "|")
+    for planned in (True, False):
+        kind = f"{options.poses:,} {'planned' if planned else 'uniform'}"
+        rows: list[Row] = []
+        for name in options.arenas.split(","):
+            for seed in map(int, options.seeds.split(",")):
+                rows.append(measure(arena_named(name), options.poses, seed, planned=planned))
+                cells = [f"{scale * getattr(rows[-1], key):.{d}f}" for key, (_, scale, d) in COLUMNS.items()]
+                print(f"| {kind} | {name}, {seed} | " + " | ".join(cells) + " |", flush=True)
+        means = []
+        for key, (_, scale, digits) in COLUMNS.items():
+            mean, half = interval(np.array([scale * getattr(row, key) for row in rows]))
+            means.append(f"**{mean:.{digits}f}** ± {half:.{digits}f}")
+        print(f"| **{kind}** | mean of {len(rows)} | " + " | ".join(means) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
