@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from robotmodic_ident.criteria import INFORMATION, Criterion
+from robotmodic_ident.criteria import INFORMATION, Criterion, information, penalties
 from robotmodic_ident.dependence import independent
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimate import Covariance, Descent, Estimate
@@ -18,7 +18,7 @@ from robotmodic_ident.ratio import Structure, as_ratio, times_output
 from robotmodic_ident.records import Lagged, Record, Records, as_records, lagged
 from robotmodic_ident.recursion import NOISE_NAME
 from robotmodic_ident.scale import Scale
-from robotmodic_ident.select import select
+from robotmodic_ident.select import Selection, select
 from robotmodic_ident.sizes import Search
 from robotmodic_ident.terms import Floats, Terms
 
@@ -157,11 +157,26 @@ class _Choice:
             search=self.search,
             folds=self._folds(terms, rows) if self.criterion == "cv" else (),
         )
-        chosen = [i for i in selection.chosen(0).tolist() if terms.names[i] not in noise.names]
         if not len(noise):
+            self._judge(selection)
             return Narmax.of(selection, 0, self.output)
+        chosen = [i for i in selection.chosen(0).tolist() if terms.names[i] not in noise.names]
+        if not chosen:  # the noise alone is the better model, but a model has a term
+            chosen = select(moments.pick(terms=range(len(self.terms))), 1).chosen(0).tolist()
         alone = moments.pick(terms=chosen)
         return replace(Narmax.of(select(alone, len(chosen)), 0, self.output), stop=selection.stop[0])
+
+    def _judge(self, selection: Selection) -> None:
+        """Note where the one term that a model has explains less than it costs."""
+        if self.criterion in INFORMATION and selection.n_terms[0] == 1 and not self.keep:
+            share, count = float(selection.err[0, 0]), selection.count[:1]
+            cost = penalties(self.criterion, 1, len(self.terms), count)
+            none, one = information(np.array([[1.0, 1.0 - share]]), cost, count)[0]
+            if none < one:
+                self.notes.append(
+                    f"by {self.criterion} no term is worth its cost; the one kept explains {share:.1%} of "
+                    f"{self.output}, as chance may"
+                )
 
     def _folds(self, terms: Terms, rows: Lagged) -> list[Moments]:
         blocks = np.array_split(np.arange(len(rows.sample)), self.n_folds)

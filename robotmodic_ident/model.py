@@ -222,14 +222,11 @@ class Narmax:
         return {
             "format": FORMAT,
             "output": self.output,
-            "terms": [
-                {**row, "err": None if math.isnan(err) else err}
-                for row, err in zip(rows, self.err.tolist(), strict=True)
-            ],
+            "terms": [{**row, "err": _plain(err)} for row, err in zip(rows, self.err.tolist(), strict=True)],
             "denominator": _rows(self.denominator, self.denominator_theta, self.denominator_stderr),
             "noise_terms": _rows(self.noise_terms, self.noise_theta, self.noise_stderr),
-            "covariance": self.covariance.tolist(),
-            "sigma": self.sigma if math.isfinite(self.sigma) else None,
+            "covariance": [[_plain(v) for v in row] for row in self.covariance.tolist()],
+            "sigma": _plain(self.sigma),
             "n_samples": self.n_samples,
             "scale": self.scale.to_dict(),
             "stop": self.stop,
@@ -303,7 +300,12 @@ def _unscaled(terms: Terms, scale: Scale) -> tuple[Terms, Floats]:
 
 def _rows(terms: Terms, theta: Floats, stderr: Floats) -> list[dict[str, Any]]:
     rows = zip(terms.names, theta.tolist(), stderr.tolist(), strict=True)
-    return [{"name": name, "theta": value, "stderr": spread} for name, value, spread in rows]
+    return [{"name": name, "theta": value, "stderr": _plain(spread)} for name, value, spread in rows]
+
+
+def _plain(value: float) -> float | None:
+    """Return None for what JSON cannot hold: as many terms as samples leave no standard error."""
+    return value if math.isfinite(value) else None
 
 
 def _read_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[Terms, Floats]:

@@ -56,6 +56,8 @@ class Question:
             raise GapError("criterion n_terms needs --terms N")
         if not self.inputs and not self.output_lags:
             raise GapError("nothing to explain the output by; give --inputs, or --output-lags above 0")
+        if "record" in (self.output, *self.inputs):
+            raise GapError("record separates records and is no signal; name others")
         if self.output in self.inputs:
             raise GapError(f"{self.output} cannot explain itself; its past is read with --output-lags N")
         if len(set(self.inputs)) < len(self.inputs):
@@ -98,6 +100,13 @@ class Identified:
     n_train: int
     unknown: dict[str, float]
     """Signal -> share of its samples that are not known."""
+
+    @property
+    def varies(self) -> bool:
+        """Whether what was measured varies at all in the part that is scored."""
+        values = np.concatenate(self.measured)
+        values = values[np.isfinite(values)]
+        return bool(len(values)) and float(np.ptp(values)) > 0
 
     def report(self) -> dict[str, Any]:
         """Return the model file: the model itself, the question, and the scores."""
@@ -268,4 +277,4 @@ def score(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Score:
 
 def plain(s: Score) -> dict[str, float | None]:
     """Return a score as plain data; what is not defined is None."""
-    return {k: float(v) if math.isfinite(v) else None for k, v in vars(s).items()}
+    return {k: v if math.isfinite(v) else None for k, v in vars(s).items()}

@@ -206,6 +206,8 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not numbered:
         raise GapError(f"{path} holds no line; expected a header with the names of the columns")
     header = [cell.strip() for cell in next(csv.reader([numbered[0][1]]))]
+    if len(header) == 1 and (sign := re.search(r"[;\t|]", header[0])):
+        raise GapError(f"{path}: the header has one column, {header[0]!r}; put commas for {sign[0]!r}")
     if twice := sorted({h for h in header if header.count(h) > 1}):
         raise GapError(f"{path}: column {', '.join(twice)} is there twice; give each its own name")
     rows = []

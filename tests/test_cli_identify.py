@@ -63,6 +63,9 @@ BAD = {
     "criterion": (["--output", "speed", "--inputs", "volts", "--criterion", "luck"], "expected one of"),
     "nothing": (["--output", "speed"], "nothing to explain"),
     "itself": (["--output", "speed", "--inputs", "speed"], "cannot explain itself"),
+    "record": (["--output", "speed", "--inputs", "record"], "record separates records"),
+    "topic": (["--output", "speed", "--inputs", "volts", "--topic", "scan=/a"], "is a CSV"),
+    "degree": (["--output", "speed", "--inputs", "volts", "--degree", "9"], "--degree"),
 }
 
 
@@ -83,6 +86,9 @@ TABLES = {
     "a word": ("a,b\n1,2\n1,zwei\n", "line 3: b is 'zwei'"),
     "a short row": ("a,b\n1,2\n1\n", "line 3 has 1 cells"),
     "twice": ("a,b,b\n1,2,3\n", "twice"),
+    "semicolons": ("a;b\n1;2\n", "put commas for ';'"),
+    "one row": ("a,b\n1,2\n", "longest stretch"),
+    "not known": ("a,b\n,2\n,3\n", "a has no known sample"),
     "time goes back": ("t,a,b\n0,1,2\n1,1,2\n0.5,1,2\n", "line 3: column t"),
 }
 
@@ -98,6 +104,44 @@ def test_a_broken_table_is_told_by_its_line(
         == 2
     )
     assert said in capsys.readouterr().err
+
+
+def test_as_many_terms_as_samples_have_no_standard_error(tmp_path: Path) -> None:
+    path, out = tmp_path / "six.csv", tmp_path / "m.json"
+    path.write_text("u,y\n0.3,1.2\n-0.4,0.7\n0.9,-0.2\n0.1,0.5\n0.6,0.1\n-0.2,0.8\n")
+    options = ["--output", "y", "--inputs", "u", "--lags", "0", "--terms", "3", "-o", str(out)]
+    assert command(["identify", str(path), *options]) == 0
+    data = json.loads(out.read_text(), parse_constant=pytest.fail)
+    assert [t["stderr"] for t in data["terms"]] == [None] * 3
+    assert np.isnan(Narmax.load(out).stderr).all()
+    assert isinstance(data["one_step"]["n"], int)
+
+
+def test_what_no_term_explains_is_said_with_noise_and_without(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(4)
+    path, out = tmp_path / "white.csv", tmp_path / "m.json"
+    path.write_text("u,y\n" + "\n".join(f"{a},{b}" for a, b in rng.normal(size=(200, 2))))
+    for noise in ("0", "2"):
+        options = ["--output", "y", "--inputs", "u", "--noise-lags", noise, "-o", str(out)]
+        assert command(["identify", str(path), *options]) == 0
+        assert "no term is worth its cost" in capsys.readouterr().out
+        assert len(json.loads(out.read_text())["terms"]) == 1
+
+
+def test_an_output_that_rests_where_it_is_scored_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(4)
+    path, out = tmp_path / "rest.csv", tmp_path / "m.json"
+    u = rng.normal(size=80)
+    path.write_text("u,y\n" + "\n".join(f"{a},{2 * a if i < 40 else 3}" for i, a in enumerate(u)))
+    assert command(["identify", str(path), "--output", "y", "--inputs", "u", "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "y does not vary in what is scored" in said
+    assert "nan" not in said
+    assert json.loads(out.read_text())["one_step"]["r"] is None
 
 
 @pytest.mark.slow

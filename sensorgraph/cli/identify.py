@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -89,6 +90,8 @@ def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> 
     if not file.exists():
         raise GapError(f"{file} does not exist; give a CSV or a run")
     if is_table(file):
+        if topic:
+            raise GapError(f"{file} is a CSV; --topic names topics of a run, leave it out")
         return of_table(file, names, every=every)
     with progress("reading", "messages") as tick:
         run = read(file, topics=parse_topics(topic or []), progress=tick)
@@ -115,11 +118,11 @@ def said(found: Identified) -> list[str]:
     for name, theta, stderr, err in zip(
         model.terms.names, model.theta.tolist(), model.stderr.tolist(), model.err.tolist(), strict=True
     ):
-        lines.append(f"{name:<28}{theta:>13.6g}{stderr:>12.2g}{err:>10.5f}")
+        lines.append(f"{name:<28}{theta:>13.6g}{_known(stderr, '.2g'):>12}{_known(err, '.5f'):>10}")
     for name, theta, stderr in zip(
         model.noise_terms.names, model.noise_theta.tolist(), model.noise_stderr.tolist(), strict=True
     ):
-        lines.append(f"{name:<28}{theta:>13.6g}{stderr:>12.2g}{'noise':>10}")
+        lines.append(f"{name:<28}{theta:>13.6g}{_known(stderr, '.2g'):>12}{'noise':>10}")
     lines += ["", f"{'':<14}{'rmse':>11}{'rrse':>8}{'r':>8}  95 % interval      p      n (effective)"]
     for label, key in (
         ("one step", "one_step"), ("free run", "free_run"), ("persistence", "persistence"), ("mean", "constant")
@@ -127,17 +130,23 @@ def said(found: Identified) -> list[str]:
         lines.append(_row(label, scores[key]))
     if found.free_run is found.one_step:
         lines.append("the model reads no past output: one step and free run are the same")
+    if not found.varies:
+        lines.append(
+            f"{q.output} does not vary in what is scored: there is no r; score more, or --split block"
+        )
     if found.validation:
         lines += ["", f"{'residual test':<32}{'statistic':>12}{'p':>10}"]
         lines += [f"{t['test']:<32}{t['statistic']:>12.4g}{t['p_value']:>10.3g}" for t in found.validation]
     return [*lines, ""]
 
 
-def _row(label: str, s: Score) -> str:
-    import math
+def _known(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "–"
 
+
+def _row(label: str, s: Score) -> str:
     if not math.isfinite(s.r):
-        return f"{label:<14}{s.rmse:>11.4g}{s.rrse:>8.3f}{'–':>8}"
+        return f"{label:<14}{_known(s.rmse, '.4g'):>11}{_known(s.rrse, '.3f'):>8}{'–':>8}"
     return (
         f"{label:<14}{s.rmse:>11.4g}{s.rrse:>8.3f}{s.r:>8.3f}  {s.r_low:>6.3f} to {s.r_high:<6.3f}"
         f"{s.p_value:>9.2g}  {s.n:,} ({s.n_effective:,.0f})"
