@@ -54,7 +54,9 @@ def test_visible_stretches_lie_on_the_walls(room: Arena, faces: Sensorgraph) -> 
     assert np.median(off) < 0.005
     assert off.max() < 0.05  # an end may overshoot a corner by what the looks there allow
     length = np.linalg.norm(np.diff(pieces.ends, axis=1)[:, 0], axis=-1)
-    assert length[pieces.values > 0.5].sum() == pytest.approx(14.0 + 2.0, rel=0.08)  # room and pillar; a little is doubled
+    assert length[pieces.values > 0.5].sum() == pytest.approx(
+        14.0 + 2.0, rel=0.08
+    )  # room and pillar; a little is doubled
 
 
 def test_a_wall_that_moved_shows_as_the_residual_along_its_face(
