@@ -20,6 +20,7 @@ from sensorgraph.diagnose.nuisance import BOX, DENSE, Freedom, Noise, pose_prior
 from sensorgraph.diagnose.prove import held_out
 from sensorgraph.diagnose.screen import smooth_candidates
 from sensorgraph.diagnose.solve import boxed
+from sensorgraph.diagnose.sums import plain_wall_sums, wall_sums
 from sensorgraph.diagnose.view import View, best_run
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.errors import GapError
@@ -165,6 +166,18 @@ def test_eliminating_the_poses_solves_the_whole_system(quiet: Evidence, null: Fi
     np.testing.assert_allclose(
         system.right, right[:k] - normal[:k, k:] @ inner @ right[k:], rtol=1e-6, atol=1e-4
     )
+
+
+def test_compiled_sums_by_wall_are_the_plain_ones() -> None:
+    rng = np.random.default_rng(4)
+    shape, k, n_walls = (7, 11), 5, 6
+    w = np.where(rng.random(shape) < 0.3, 0.0, rng.random(shape))
+    wall = rng.integers(0, n_walls, shape)
+    pose, stack = rng.normal(size=(7, 3, 11)), rng.normal(size=(7, k, 11))
+    ends, y = rng.normal(size=(2, 7, 11)), rng.normal(size=shape)
+    got = wall_sums(w, pose, stack, ends, wall, y, n_walls)
+    for compiled, plain in zip(got, plain_wall_sums(w, pose, stack, ends, wall, y, n_walls), strict=True):
+        np.testing.assert_allclose(compiled, plain, atol=1e-12)
 
 
 def test_the_box_holds_and_binds_only_where_it_must() -> None:

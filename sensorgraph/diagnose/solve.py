@@ -25,6 +25,7 @@ from sensorgraph.diagnose.nuisance import (
     pose_prior,
     widths,
 )
+from sensorgraph.diagnose.sums import wall_sums
 
 MOST_CORNERS = 400  # a map with more is taken as it is
 CLIP = 3.5  # Mahalanobis length that the pose error of a scan may have
@@ -107,8 +108,6 @@ class Solver:
         if self.map is not None:
             facing = np.sign(cols.nx * d[:, 1][cols.wall] - cols.ny * d[:, 0][cols.wall])
             self.ends = cols.ends * facing
-            self.group = (np.arange(n_scans)[:, None] * self.n_walls + cols.wall).ravel()
-            self.flat_wall = cols.wall.ravel()
         self.tau = np.concatenate(
             [widths(evidence.tolerances), np.full(2 * corners.count, evidence.tolerances.map)]
         )
@@ -143,7 +142,7 @@ class Solver:
         g = np.matmul(ws, turned).sum(axis=0)
         r = np.einsum("nkm,nm->k", ws, self.y)
         if self.map is not None:
-            c, g, r = self._with_corners(w, wb, ws, c, g, r)
+            c, g, r = self._with_corners(w, c, g, r)
         hc = np.linalg.solve(h, np.concatenate([c, b[..., None]], axis=2))
         gain, start = hc[..., :-1], hc[..., -1]
         flat = c.reshape(3 * n_scans, -1)
@@ -159,30 +158,14 @@ class Solver:
             logdet=float(logdet.sum()),
         )
 
-    def _with_corners(
-        self, w: Floats, wb: Floats, ws: Floats, c: Floats, g: Floats, r: Floats
-    ) -> tuple[Floats, Floats, Floats]:
+    def _with_corners(self, w: Floats, c: Floats, g: Floats, r: Floats) -> tuple[Floats, Floats, Floats]:
         """Insert the corners between DENSE and the effects."""
         assert self.map is not None
         n_scans, _ = self.shape
         k, n_walls = len(DENSE), self.n_walls
-        groups = n_scans * n_walls
-        cl = np.empty((n_scans, 3, 2, n_walls))
-        for end in (0, 1):
-            for axis in range(3):
-                value = wb[:, axis] * self.ends[end]
-                cl[:, axis, end] = np.bincount(self.group, value.ravel(), groups).reshape(n_scans, n_walls)
-        gl = np.empty((self.stack.shape[1], 2, n_walls))
-        rl = np.empty((2, n_walls))
-        square = np.empty((2, 2, n_walls))
-        for end in (0, 1):
-            for j in range(self.stack.shape[1]):
-                gl[j, end] = np.bincount(self.flat_wall, (ws[:, j] * self.ends[end]).ravel(), n_walls)
-            we = w * self.ends[end]
-            rl[end] = np.bincount(self.flat_wall, (we * self.y).ravel(), n_walls)
-            for other in range(end, 2):
-                square[end, other] = np.bincount(self.flat_wall, (we * self.ends[other]).ravel(), n_walls)
-        square[1, 0] = square[0, 1]
+        cl, gl, rl, square = wall_sums(
+            w, self.cols.pose, self.stack, self.ends, self.cols.wall, self.y, n_walls
+        )
         m = self.map.reshape(2, n_walls, -1)
         cv = cl.reshape(n_scans * 3, -1) @ self.map
         gv = gl.reshape(len(gl), -1) @ self.map
