@@ -39,8 +39,6 @@ SHORT_OF = 0.10
 """[m] before the predicted range a ray needs no support any more: the surface itself was seen."""
 CLUTTER = 2e-3
 """[1/m] returns that no face explains, above which cells predict; 1e-4 in clean rooms, 7e-3 on logs of real floors."""
-CERTAIN = 1e-3
-"""Chance of passing the only face of a ray under which the mixture is that face."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -469,7 +467,7 @@ def _predict(
                 if left < 0.001:
                     break
             row = table[i, b]
-            if c == 1 and left < CERTAIN:  # most rays: one face, nothing else
+            if c == 1:  # most rays: one face, nothing else
                 row[0], row[1], row[2], row[3], row[4] = rho[0], rho[0], rho[0], s[0], left
                 row[5] = math.erfc(OFF / s[0] * 0.7071067811865476) if 4.5 * s[0] > OFF else 0.0
             else:
