@@ -4,8 +4,9 @@
 
 Each way is planned, driven by the embedded robot (lag, slip, noise of robot.yaml) and scanned; graphs are built from
 its first minutes. A graph is asked for 1,000 fresh poses spread evenly over the floor and all headings. `views` are
-planned for each length anew, since a tour is worth most at its end; the others are one drive, cut. With `--thin` n
-only every n-th scan is built from.
+planned for each length anew, since a tour is worth most at its end; the others are one drive, cut. The next run is
+planned by what a graph of the first five minutes (coverage, 1 m cells) does not know: coverage with that priority, or
+views of what it does not answer. With `--thin` n only every n-th scan is built from.
 """
 
 from __future__ import annotations
@@ -13,27 +14,36 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 
-from logs.run import Run
+from logs.run import Run, pair
 from planners import plan
-from planners.arena import Arena
+from planners.arena import Arena, Floats
 from planners.trajectory import Trajectory
 from sensorgraph.build import build
 from sensorgraph.cli.inputs import named_arena
 from sensorgraph.demo import check_run
 from sensorgraph.evaluate import Evaluation, evaluate
 from sensorgraph.figures import INK, SOLID, new_figure, quiet, save_figure
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.priority import doubt
+from sensorgraph.views import views_within
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow
 from sensorgraph.world.robot_file import RobotFile, default
 from sensorgraph.world.simulate import simulate
 
 MINUTES = (2, 5, 10, 20, 40)
-SECONDS_A_VIEW = 10.0
-"""Of a tour through the office, about; the tour is cut where it takes longer."""
+FIRST = 5.0
+"""[min] after which the next run is planned by what the graph does not know."""
+SECONDS_A_VIEW = 8.0
+"""Of a tour, to start with; the number of views is then set by how long that tour took."""
+
+Drive = Callable[[float], list[Run]]
+"""Minutes -> the runs of so many minutes together."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,26 +61,87 @@ class Row:
     """[m]"""
 
 
-def ways(arena: Arena, robot: RobotFile, seed: int, thin: int) -> dict[str, Callable[[float], Run]]:
-    """Return ways of driving: minutes -> the run of so many minutes."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Place:
+    """Where all drive, with one robot."""
 
-    def one_drive(planner: str, cell: float) -> Callable[[float], Run]:
-        runs: list[Run] = []
+    arena: Arena
+    robot: RobotFile
+    seed: int
+    thin: int
 
-        def cut(minutes: float) -> Run:
-            if not runs:
-                duration = None if planner == "coverage" else 60.0 * max(MINUTES)
-                made = plan(
-                    arena, robot.robot, planner=planner, cell=cell, seed=seed, rate=robot.sensor.rate, duration=duration
-                )  # fmt: skip
-                runs.append(drive_and_scan(made.trajectory, max(MINUTES), arena, robot, seed))
-            return first(runs[0], minutes, thin)
+    def planned(self, planner: str, cell: float, minutes: float) -> Run:
+        """Plan by a planner and drive the first minutes."""
+        duration = None if planner == "coverage" else 60.0 * minutes
+        made = plan(
+            self.arena, self.robot.robot, planner=planner, cell=cell, seed=self.seed, rate=self.robot.sensor.rate,
+            duration=duration,
+        )  # fmt: skip
+        return self.scanned(made.trajectory, minutes)
 
-        return cut
+    def by_doubt(self, graph: Sensorgraph, start: Floats, minutes: float) -> Run:
+        """Drive on from `start` (3,), first where the graph knows least."""
+        made = plan(
+            self.arena, self.robot.robot, cell=1.0, seed=self.seed, rate=self.robot.sensor.rate, start=start,
+            priority=partial(doubt, graph),
+        )  # fmt: skip
+        return self.scanned(made.trajectory, minutes)
 
+    def tour(self, minutes: float, graph: Sensorgraph | None = None, start: Floats | None = None) -> Run:
+        """Drive through as many views as fit in the minutes."""
+
+        def through(n: int) -> Trajectory:
+            choose = partial(
+                views_within, n=n, arena=self.arena, sensor=self.robot.sensor, graph=graph, seed=self.seed
+            )
+            return plan(
+                self.arena, self.robot.robot, planner="views", seed=self.seed, rate=self.robot.sensor.rate,
+                start=start, targets=choose,
+            ).trajectory  # fmt: skip
+
+        n = max(round(60 * minutes / SECONDS_A_VIEW), 1)
+        drive = through(n)
+        return self.scanned(through(max(round(0.97 * n * 60 * minutes / drive.duration), 1)), minutes)
+
+    def scanned(self, trajectory: Trajectory, minutes: float) -> Run:
+        return drive_and_scan(trajectory, minutes, self.arena, self.robot, self.seed)
+
+    def cut(self, run: Run, minutes: float) -> Run:
+        return first(run, minutes, self.thin)
+
+
+def ways(place: Place) -> dict[str, Drive]:
+    """Return the ways of driving that are compared."""
+    most = max(MINUTES)
+
+    def one_drive(planner: str, cell: float) -> Drive:
+        driven = cache(lambda: place.planned(planner, cell, most))
+        return lambda minutes: [place.cut(driven(), minutes)]
+
+    @cache
+    def start() -> tuple[Run, Sensorgraph]:
+        runs = coarse(FIRST)
+        return runs[0], build(runs)
+
+    def then(next_run: Callable[[Sensorgraph, Floats, float], Run]) -> Drive:
+        def both(minutes: float) -> list[Run]:
+            if minutes <= FIRST:
+                return coarse(minutes)
+            run, graph = start()
+            here = pair(run).poses[-1]
+            return [run, place.cut(next_run(graph, here, minutes - FIRST), minutes - FIRST)]
+
+        return both
+
+    coarse = one_drive("coverage", 1.0)
     return {
+        "views": lambda minutes: [place.cut(place.tour(minutes), minutes)],
+        "coverage, 1 m cells": coarse,
+        "5 min so, then coverage by doubt": then(place.by_doubt),
+        "5 min so, then views by doubt": then(
+            lambda graph, here, minutes: place.tour(minutes, graph=graph, start=here)
+        ),
         "coverage, 0.25 m cells": one_drive("coverage", 0.25),
-        "coverage, 1 m cells": one_drive("coverage", 1.0),
         "random bounce": one_drive("random_bounce", 0.25),
         "wall following": one_drive("wall_following", 0.25),
     }
@@ -97,7 +168,7 @@ def first(run: Run, minutes: float, thin: int) -> Run:
     return replace(run, stamps=run.stamps[keep], ranges=run.ranges[keep])
 
 
-def row(way: str, run: Run, found: Evaluation) -> Row:
+def row(way: str, runs: list[Run], found: Evaluation) -> Row:
     """Collect the numbers of one graph."""
     wrong, of_answered, median = (
         found.all["wrong_5cm"],
@@ -107,8 +178,8 @@ def row(way: str, run: Run, found: Evaluation) -> Row:
     assert wrong is not None and of_answered is not None and median is not None
     return Row(
         way=way,
-        minutes=float(run.stamps[-1]) / 60,
-        scans=run.n_scans,
+        minutes=sum(float(run.stamps[-1]) for run in runs) / 60,
+        scans=sum(run.n_scans for run in runs),
         wrong=wrong,
         answered=found.answered,
         wrong_of_answered=of_answered,
@@ -118,12 +189,12 @@ def row(way: str, run: Run, found: Evaluation) -> Row:
 
 def picture(rows: list[Row], path: Path) -> None:
     """Draw the share wrong and the share answered against minutes, a line for each way of driving."""
-    figure = new_figure(9.0, 3.4)
+    figure = new_figure(11.0, 3.4)
     left, right = figure.subplots(1, 2)
     colours = dict(
         zip(
             dict.fromkeys(r.way for r in rows),
-            ("#7fb8c4", "#2a788e", "#c9892b", "#8b90a0", "#d1345b"),
+            ("#d1345b", "#2a788e", "#7fb8c4", "#e08aa0", "#6a5acd", "#c9892b", "#8b90a0"),
             strict=False,
         )
     )
@@ -143,7 +214,7 @@ def picture(rows: list[Row], path: Path) -> None:
         axes.set_xlabel("driven [min]", color=INK)
         axes.grid(color=SOLID, lw=0.6)
         quiet(axes)
-    left.legend(frameon=False, fontsize=8, labelcolor=INK)
+    figure.legend(loc="outside right center", frameon=False, fontsize=8, labelcolor=INK)
     save_figure(figure, path)
 
 
@@ -160,10 +231,11 @@ def main() -> None:
     rows: list[Row] = []
     print("| driven by | minutes | scans | wrong by > 5 cm | answered | of these wrong | median error |")
     print("|---|---:|---:|---:|---:|---:|---:|")
-    for way, drive in ways(arena, robot, options.seed, options.thin).items():
+    place = Place(arena=arena, robot=robot, seed=options.seed, thin=options.thin)
+    for way, drive in ways(place).items():
         for minutes in MINUTES:
-            run = drive(minutes)
-            rows.append(row(way, run, evaluate(build([run], names=[way]), check)))
+            runs = drive(minutes)
+            rows.append(row(way, runs, evaluate(build(runs), check)))
             r = rows[-1]
             print(
                 f"| {way} | {r.minutes:.1f} | {r.scans:,} | {100 * r.wrong:.2f} % | {100 * r.answered:.1f} % | "
