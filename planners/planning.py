@@ -13,6 +13,7 @@ import numpy as np
 
 from planners import baselines
 from planners.arena import Arena, Floats
+from planners.battery import Session, chain, check_battery, sessions
 from planners.check import check
 from planners.clearance import Barriers
 from planners.connect import Joins
@@ -21,8 +22,10 @@ from planners.coverage_planner import Driven, Progress, Task, plan_stop_and_spin
 from planners.errors import PlanError
 from planners.reach import Reach, reach
 from planners.robot import Robot
+from planners.sampling import warnings as too_fast
 from planners.search_cars import best_start, cycle
 from planners.search_planner import plan_search
+from planners.session import check_pose, ends, within
 from planners.steering import Curve
 from planners.trajectory import Trajectory
 from planners.views_planner import plan_views
@@ -60,6 +63,8 @@ class Plan:
     """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the turn made there."""
     report: dict[str, Any]
     """plan.json"""
+    sessions: tuple[Session, ...] = ()
+    """Runs of one battery each, which the drive is made of; none where no battery was given."""
 
     def growth(self, n: int = 400) -> tuple[Floats, Floats]:
         """Return stamps (n,) [s] and the share (n,) of reachable bins that a log has met by then."""
@@ -84,6 +89,11 @@ def plan(
     visited: Floats | None = None,
     targets: Floats | Callable[[Reach], Floats] | None = None,
     duration: float | None = None,
+    end: Floats | None = None,
+    budget: float | None = None,
+    battery: float | None = None,
+    dock: Floats | None = None,
+    sweep_time: float = 0.0,
     progress: Progress | None = None,
 ) -> Plan:
     """Plan a drive through every reachable (x, y, phi) bin.
@@ -98,15 +108,18 @@ def plan(
     visited : (n, 3) [m, m, rad] poses of earlier runs, whose bins need no visit
     targets : (n, 3) [m, m, rad] poses that the planner `views` visits; or what chooses them within reach
     duration : [s] of the baselines, which never finish; default: the reference time of the coverage planner
+    end : (3,) [m, m, rad] where the drive ends; None: where its last bin is
+    budget : [s] within which the drive ends; what it cannot reach by then is left out
+    battery : [s] of a run; the drive is parted into runs from `dock` (3,), where it starts, and back to it
+    sweep_time : [s] that one scan takes, for the warning about its smear
     """
     began = time.perf_counter()
     if planner not in PLANNERS:
         raise PlanError(f"planner {planner!r} is unknown; expected one of {', '.join(PLANNERS)}")
     _check_numbers(cell=cell, rate=rate, headings=headings, seed=seed, margin=margin, duration=duration)
-    if start is not None:
-        start = np.asarray(start, dtype=np.float64)
-        if start.shape != (3,) or not np.isfinite(start).all():
-            raise PlanError(f"start is {start.tolist()}, expected three finite numbers x, y, phi")
+    start, end, dock = _pose("start", start), _pose("end", end), _pose("dock", dock)
+    _check_ends(start=start, end=end, budget=budget, battery=battery, dock=dock)
+    start = start if dock is None else dock
     x0, y0, x1, y1 = arena.bounds
     if cell > max(x1 - x0, y1 - y0):
         raise PlanError(f"cell is {cell:g} m, larger than the whole arena; expected metres, such as 0.25")
@@ -129,6 +142,8 @@ def plan(
         grid.add(np.asarray(visited, dtype=np.float64).reshape(-1, 3))
     if (targets is None) != (planner != "views"):
         raise PlanError(f"targets are for the planner views, and views needs them; the planner is {planner}")
+    if end is not None:
+        check_pose("end", end, arena, barriers, free)
     task = Task(
         arena=arena,
         robot=robot,
@@ -143,11 +158,23 @@ def plan(
         progress=progress,
         targets=targets(free) if callable(targets) else targets,
     )
+    if battery is not None and start is not None:
+        check_battery(task, battery, start)
     driven = PLANNERS[planner](task)
+    before, runs = grid.fraction, list[Session]()
+    if battery is None:
+        driven = within(driven, task, budget=budget, end=end)
+        grid.add(driven.curve.log(rate))
+    else:
+        home = ends(driven.curve)[0] if start is None else start
+        runs = sessions(driven, task, battery=battery, dock=home)
+        driven = chain(runs, driven.joins)
+    so_far = [_counted(grid, run, rate) for run in runs]
     trajectory = driven.curve.trajectory()
-    before = grid.fraction
-    grid.add(driven.curve.log(rate))
-    report = _report(task, driven, trajectory, planner) | {
+    report = _report(task, driven, trajectory, planner, sweep_time) | {
+        **({} if budget is None else {"budget_s": budget}),
+        **({} if end is None else {"end": end.tolist()}),
+        **({} if battery is None else {"battery_s": battery, "dock": home.tolist(), "sessions": so_far}),
         **({} if task.targets is None else {"views": task.targets.round(6).tolist()}),
         "coverage_before": before,
         "planning_s": round(time.perf_counter() - began, 3),
@@ -160,7 +187,54 @@ def plan(
         joins=driven.joins,
         stops=driven.stops,
         report=report,
+        sessions=tuple(runs),
     )
+
+
+def _pose(name: str, pose: Floats | None) -> Floats | None:
+    if pose is None:
+        return None
+    pose = np.asarray(pose, dtype=np.float64)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise PlanError(f"{name} is {pose.tolist()}, expected three finite numbers x, y, phi")
+    return pose
+
+
+def _check_ends(
+    *,
+    start: Floats | None,
+    end: Floats | None,
+    budget: float | None,
+    battery: float | None,
+    dock: Floats | None,
+) -> None:
+    """Refuse what does not go together."""
+    for name, value in (("budget", budget), ("battery", battery)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise PlanError(f"{name} is {value}, expected a positive number")
+    if dock is not None and battery is None:
+        raise PlanError("a dock needs a battery; give --battery MIN too, or --start and --end")
+    if battery is not None and (end is not None or budget is not None):
+        raise PlanError(
+            "every run on a battery ends at the dock; leave out the end pose and the budget, and drive as many runs "
+            "as there is time for: each tells the coverage so far"
+        )
+    if dock is not None and start is not None and not np.allclose(start, dock):
+        raise PlanError("every run on a battery starts at the dock; leave out the start, or the dock")
+
+
+def _counted(grid: Coverage, run: Session, rate: float) -> dict[str, Any]:
+    """Count a run's log; return what plan.json tells of it."""
+    curve, before = run.driven.curve, int(grid.covered.sum())
+    grid.add(curve.log(rate))
+    return {
+        "drive_time_s": round(curve.duration, 6),
+        "out_s": round(run.out_s, 6),
+        "home_s": round(run.home_s, 6),
+        "path_m": curve.trajectory().length,
+        "new_bins": int(grid.covered.sum()) - before,
+        "coverage": grid.fraction,
+    }
 
 
 def _cyclic(
@@ -213,7 +287,9 @@ def _check_numbers(
         raise PlanError(f"margin is {margin}, expected 0 or more")
 
 
-def _report(task: Task, driven: Driven, trajectory: Trajectory, planner: str) -> dict[str, Any]:
+def _report(
+    task: Task, driven: Driven, trajectory: Trajectory, planner: str, sweep_time: float
+) -> dict[str, Any]:
     """Measure the plan; `task.coverage` already counts its log."""
     grid, robot = task.coverage, task.robot
     none = np.zeros_like(grid.counts)
@@ -228,6 +304,9 @@ def _report(task: Task, driven: Driven, trajectory: Trajectory, planner: str) ->
             f"only {100 * task.reach.share:.1f} % of where the robot fits is reachable; the rest lies behind gaps "
             f"narrower than {2 * task.reach.clearance:.2f} m, or the start is in the smaller part"
         )
+    warnings += too_fast(
+        trajectory, cell=grid.cell, headings=grid.headings, rate=task.rate, sweep_time=sweep_time
+    )
     for line in warnings:
         logger.warning("%s", line)
     return {

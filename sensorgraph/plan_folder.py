@@ -1,9 +1,10 @@
-"""A plan's folder: trajectory.csv, waypoints.yaml, plan.mcap, plan.json, plan.png."""
+"""A plan's folder: trajectory.csv, cmd_vel.csv, waypoints.yaml, plan.mcap, plan.json, plan.png; a folder per run."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,33 +13,96 @@ from logs.run import OccupancyMap
 from planners import Plan
 from planners.arena import Arena, Floats
 from planners.coverage import Coverage
-from planners.export import waypoints
+from planners.export import commands_csv, stops_yaml
 from planners.maps import geojson
+from planners.steering import Curve
 from sensorgraph import figures
 from sensorgraph.files import whole
 from sensorgraph.world.robot_file import RobotFile
 from sensorgraph.world.simulate import EPOCH_NS, occupancy
+
+RUN_FILES = ("trajectory.csv", "cmd_vel.csv", "waypoints.yaml", "plan.mcap", "plan.json")
 
 
 def save(plan: Plan, folder: Path, arena: Arena, robot: RobotFile) -> None:
     """Write a plan into a folder, with the arena and the robot that made it; each file is whole or not there."""
     folder.mkdir(parents=True, exist_ok=True)
     kept = {"arena.geojson": geojson.dumps(arena), "robot.yaml": robot.text}
-    plan.trajectory.write_csv(folder / "trajectory.csv")
+    attached = {name: text.encode() for name, text in kept.items()}
+    grid = coverage_map(plan.coverage)
+    _save_drive(folder, plan.curve, plan.stops, grid, occupancy(arena), attached)
+    figures.plan_picture(plan, arena, folder / "plan.png")
+    _write(folder, kept | {"plan.json": _json(plan.report)})
+    logged = np.zeros((0, 3))
+    for number, run in enumerate(plan.sessions):
+        own = folder / f"run_{number + 1}"
+        own.mkdir()
+        logged = np.concatenate([logged, run.driven.curve.log(plan.report["rate"])])
+        so_far = coverage_map(counted(plan.coverage, logged))
+        _save_drive(own, run.driven.curve, run.driven.stops, so_far, occupancy(arena), attached)
+        _write(own, {"plan.json": _json(_report_of_run(plan, number))})
+
+
+def drop_runs(folder: Path) -> None:
+    """Remove the runs of an older plan from a folder that a newer one is about to fill."""
+    for run in folder.glob("run_[0-9]*"):
+        for name in RUN_FILES:
+            (run / name).unlink(missing_ok=True)
+        if run.is_dir() and not any(run.iterdir()):
+            run.rmdir()
+
+
+def _save_drive(
+    folder: Path,
+    curve: Curve,
+    stops: Floats,
+    grid: OccupancyMap,
+    world: OccupancyMap,
+    attached: dict[str, bytes],
+) -> None:
+    """Write what a robot drives by: the trajectory, commands, waypoints, and the path and grids for viewers."""
+    trajectory = curve.trajectory()
+    trajectory.write_csv(folder / "trajectory.csv")
     write_plan(
         folder / "plan.mcap",
-        plan.trajectory.stamps,
-        plan.trajectory.poses,
+        trajectory.stamps,
+        trajectory.poses,
         epoch_ns=EPOCH_NS,
-        coverage=coverage_map(plan.coverage),
-        occupancy=occupancy(arena),
-        attachments={name: text.encode() for name, text in kept.items()},
+        coverage=grid,
+        occupancy=world,
+        attachments=attached,
     )
-    figures.plan_picture(plan, arena, folder / "plan.png")
-    texts = kept | {"waypoints.yaml": waypoints(plan), "plan.json": json.dumps(plan.report, indent=1) + "\n"}
+    _write(
+        folder,
+        {
+            "waypoints.yaml": stops_yaml(curve, stops, trajectory.poses[-1]),
+            "cmd_vel.csv": commands_csv(curve),
+        },
+    )
+
+
+def _write(folder: Path, texts: dict[str, str]) -> None:
     for name, text in texts.items():
         with whole(folder / name) as part:
             part.write_text(text, encoding="utf-8")
+
+
+def _json(report: dict[str, Any]) -> str:
+    return json.dumps(report, indent=1) + "\n"
+
+
+def _report_of_run(plan: Plan, number: int) -> dict[str, Any]:
+    """Return plan.json of one run: what is measured of it, and what it shares with the whole."""
+    shared = ("grid", "seed", "planner", "robot", "rate", "clearance", "reachable_cells", "dock", "warnings")
+    run = plan.report["sessions"][number]
+    covered = round(run["coverage"] * plan.report["reachable_cells"])
+    return {key: plan.report[key] for key in shared} | {
+        "start": plan.report["dock"],
+        "run": number + 1,
+        "of": len(plan.sessions),
+        "covered_cells": covered,
+        **run,
+    }
 
 
 def coverage_map(coverage: Coverage) -> OccupancyMap:

@@ -96,7 +96,7 @@ def write_json(path: Path, data: Any) -> None:
         part.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
-def parse_pose(text: str) -> Floats:
+def parse_pose(text: str, option: str = "--start") -> Floats:
     """Read `--start X,Y,PHI`; (3,) [m, m, rad]."""
     import numpy as np
 
@@ -105,7 +105,7 @@ def parse_pose(text: str) -> Floats:
     except ValueError:
         pose = np.zeros(0)
     if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise GapError(f"--start is {text!r}, expected X,Y,PHI such as 1.0,2.0,0.5")
+        raise GapError(f"{option} is {text!r}, expected X,Y,PHI such as 1.0,2.0,0.5")
     return pose
 
 

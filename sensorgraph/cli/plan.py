@@ -11,12 +11,16 @@ import typer
 if TYPE_CHECKING:
     from planners.arena import Floats
 
+INTERRUPTED = 130
+
 
 def plan(
     arena: Annotated[str, typer.Argument(help="GeoJSON, map_server yaml, or a shipped one: square, office.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write the plan to.")],
     robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")] = None,
-    planner: Annotated[str, typer.Option(help="coverage, random_bounce or wall_following.")] = "coverage",
+    planner: Annotated[
+        str, typer.Option(help="coverage, stop_and_spin, random_bounce or wall_following.")
+    ] = "coverage",
     views: Annotated[
         int | None,
         typer.Option(
@@ -27,6 +31,27 @@ def plan(
     headings: Annotated[int, typer.Option(help="Heading bins of a full turn.")] = 16,
     start: Annotated[
         str | None, typer.Option(help="X,Y,PHI in m, m, rad; default: where the planner likes.")
+    ] = None,
+    end: Annotated[str | None, typer.Option(help="X,Y,PHI where to end; default: at the last bin.")] = None,
+    battery: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MIN", help="Part the plan into runs so long, each from the dock and back to it."
+        ),
+    ] = None,
+    dock: Annotated[
+        str | None, typer.Option(help="X,Y,PHI of the dock; default: where the plan starts.")
+    ] = None,
+    budget: Annotated[
+        float | None, typer.Option(metavar="MIN", help="Drive so long at most; said is what that covers.")
+    ] = None,
+    no_go: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FILE|x,y,x,y,...",
+            help="Where the robot may not enter, and its laser sees through: GeoJSON polygons of kind no_go, or "
+            "corners in m; may be repeated.",
+        ),
     ] = None,
     duration: Annotated[
         float | None,
@@ -51,21 +76,29 @@ def plan(
       sensorgraph plan square --priority lab.sensorgraph -o runs/next
 
       sensorgraph plan office --views 100 -o runs/views
+
+      sensorgraph plan office --battery 60 --dock 1.0,1.0,0 -o runs/office
+
+      sensorgraph plan office --budget 30 --end 1.0,1.0,0 --no-go 4,1,5,1,5,2 -o runs/half_an_hour
+
+    Ctrl-C keeps what is planned so far as a shorter plan.
     """
     from functools import partial
 
     from planners import plan as make_plan
     from planners.errors import PlanError
+    from planners.no_go import without, zones
     from sensorgraph.cli.inputs import named_arena, named_robot, parse_pose
     from sensorgraph.cli.progress import progress
     from sensorgraph.graph import Sensorgraph
-    from sensorgraph.plan_folder import save
+    from sensorgraph.plan_folder import drop_runs, save
     from sensorgraph.priority import doubt
     from sensorgraph.views import views_within
 
     if out.exists() and not out.is_dir():
         raise PlanError(f"{out} is a file; give a folder to write the plan to")
     world, machine = named_arena(arena), named_robot(robot)
+    shut = [zone for given in no_go or [] for zone in zones(given)]
     visited = None if resume is None else _visited(resume)
     graph = None if priority is None else Sensorgraph.load(priority)
     targets = None
@@ -76,13 +109,18 @@ def plan(
         raise PlanError("the planner views needs to know how many; give --views N")
     with progress("planning", "stops") as tick:
         made = make_plan(
-            world,
+            without(world, shut),
             machine.robot,
             planner=planner,
             cell=cell,
             headings=headings,
             seed=seed,
             start=None if start is None else parse_pose(start),
+            end=None if end is None else parse_pose(end, "--end"),
+            dock=None if dock is None else parse_pose(dock, "--dock"),
+            budget=None if budget is None else 60 * budget,
+            battery=None if battery is None else 60 * battery,
+            sweep_time=machine.sensor.sweep_time,
             rate=machine.sensor.rate,
             duration=duration,
             visited=visited,
@@ -91,16 +129,24 @@ def plan(
             progress=tick,
         )
     made.report["arena"] = Path(arena).name
+    if shut:
+        made.report["no_go"] = [[list(corner) for corner in zone.exterior.coords[:-1]] for zone in shut]
     out.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as part:
         save(made, Path(part), world, machine)
-        out.mkdir(exist_ok=True)
-        for file in Path(part).iterdir():
-            file.replace(out / file.name)
+        drop_runs(out)
+        for file in (file for file in Path(part).rglob("*") if file.is_file()):
+            target = out / file.relative_to(part)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(target)
     for line in made.report["warnings"]:
         typer.echo(f"warning: {line}", err=True)
     typer.echo(_summary(made.report))
+    for line in _runs(made.report):
+        typer.echo(line)
     typer.echo(f"wrote {out}")
+    if made.report.get("interrupted"):
+        raise typer.Exit(INTERRUPTED)
 
 
 def _planner_of_views(planner: str, resume: Path | None) -> str:
@@ -129,6 +175,15 @@ def _summary(report: dict[str, Any]) -> str:
         f"{joins['planned']} by OMPL{failed}; clearance {report['min_clearance_m']:.3f} m; "
         f"planned in {report['planning_s']:.1f} s"
     )
+
+
+def _runs(report: dict[str, Any]) -> list[str]:
+    """Say in one line each what the runs of a battery achieve."""
+    return [
+        f"run_{k}: {run['drive_time_s'] / 60:.1f} min, {(run['out_s'] + run['home_s']) / 60:.1f} of them on the way "
+        f"out and home; {run['new_bins']:,} new bins, {100 * run['coverage']:.2f} % so far"
+        for k, run in enumerate(report.get("sessions", []), start=1)
+    ]
 
 
 def _visited(path: Path) -> Floats:
