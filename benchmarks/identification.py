@@ -296,9 +296,7 @@ def streaming(n_poses: int) -> None:
         made = time.process_time()
         moments.add(columns, ranges)
         making, adding = making + made - clock, adding + time.process_time() - made
-    clock = time.process_time()
-    select(moments, 20)
-    chosen = time.process_time() - clock
+    chosen = timed(lambda: select(moments, 20), 3)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(
         f"{n_rays} rays x {n_poses} poses, {len(terms)} terms: moments {adding:.2f} s, selection {1e3 * chosen:.0f} ms, "

@@ -6,18 +6,21 @@ of the factor is what the k-th chosen term shares with every candidate.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robotmodic_ident.kernel import kernel
 from robotmodic_ident.terms import Floats
 
 TIE = 1e-9
 """Relative difference of gains below which the canonical order of the terms decides."""
 DEPENDENT = 1e-12
 """Remaining share of a candidate's squared norm below which it depends on the chosen terms."""
+EPSILON = float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,66 +57,98 @@ def forward(
     own : (n,) which Gram is whose; None: one for each, or one for all
     allowed : (n, m) terms that each output may choose; None: all
     """
-    n, m = cross.shape[1], cross.shape[0]
-    rows = np.arange(n)
+    m, n = cross.shape
     if own is None:
-        own = rows if len(grams) == n else np.zeros(n, dtype=np.intp)
-    squares = np.maximum(np.diagonal(grams, axis1=1, axis2=2), 0.0)[own]  # (n, m)
-    norms = np.sqrt(np.where(squares > 0, squares, 1.0))
-    canonical = order
-    rank = np.empty(m, dtype=np.intp)
-    rank[canonical] = np.arange(m)
-    b = (cross.T / norms)[:, canonical]  # (n, m) what is left of φ'y
-    left = (squares / norms**2)[:, canonical]  # (n, m) remaining squared norms
-    if allowed is not None:
-        left = np.where(allowed[:, canonical], left, 0.0)
-    scale = norms[:, canonical]
-    basis = np.zeros((n, n_max, m))
+        own = np.arange(n) if len(grams) == n else np.zeros(n, dtype=np.intp)
     chosen = np.full((n, n_max), -1, dtype=np.intp)
-    gain = np.zeros((n, n_max))
-    floor = 4 * np.finfo(np.float64).eps * power
-    for k in range(n_max):
-        free = left > DEPENDENT
-        value = np.where(free, b * b / np.where(free, left, 1.0), -1.0)  # (n, m) explained by each candidate
-        if k < len(keep):
-            pivot = np.full(n, rank[keep[k]], dtype=np.intp)
-            alive = free[rows, pivot]
-        else:
-            best = value.max(axis=1)
-            pivot = np.argmax(value >= (best - TIE * np.abs(best) - floor)[:, None], axis=1)
-            alive = best >= 0
-        if not alive.any() and k >= len(keep):
-            break
-        p = canonical[pivot]
-        root = np.sqrt(np.where(alive, left[rows, pivot], 1.0))
-        row = grams[own, p][:, canonical] / (scale * scale[rows, pivot][:, None])  # (n, m)
-        if k:
-            row -= np.matmul(basis[rows, :k, pivot][:, None, :], basis[:, :k])[:, 0]
-        row /= root[:, None]
-        row[~alive] = 0.0
-        z = np.where(alive, b[rows, pivot] / root, 0.0)
-        basis[:, k] = row
-        b -= row * z[:, None]
-        left -= row * row
-        left[rows[alive], pivot[alive]] = 0.0
-        chosen[alive, k] = p[alive]
-        gain[:, k] = z
-    return _as_path(chosen, gain, basis, rank, norms)
-
-
-def _as_path(
-    chosen: NDArray[np.intp], gain: Floats, basis: Floats, rank: NDArray[np.intp], norms: Floats
-) -> Path:
-    """Read R off the basis rows, in the user's column norms, with steps without a choice as unit rows."""
-    n_max = chosen.shape[1]
-    used = chosen >= 0
-    columns = np.where(used, rank[np.maximum(chosen, 0)], 0)
-    factor = np.take_along_axis(basis, columns[:, None, :], axis=2)  # (n, step, chosen)
-    size = np.take_along_axis(norms, np.maximum(chosen, 0), axis=1)
-    factor = np.triu(factor) * np.where(used, size, 0.0)[:, None, :]
-    diagonal = np.arange(n_max)
-    factor[:, diagonal, diagonal] = np.where(used, factor[:, diagonal, diagonal], 1.0)
+    factor, gain = np.zeros((n, n_max, n_max)), np.zeros((n, n_max))
+    _choose(
+        grams,
+        cross,
+        np.ascontiguousarray(power),
+        np.asarray(own, dtype=np.intp),
+        np.asarray(order, dtype=np.intp),
+        np.array(keep, dtype=np.intp),
+        np.ones((n, m), dtype=np.bool_) if allowed is None else allowed,
+        chosen,
+        factor,
+        gain,
+    )
     return Path(order=chosen, factor=factor, gain=gain)
+
+
+@kernel
+def _choose(
+    grams: Floats,
+    cross: Floats,
+    power: Floats,
+    own: NDArray[np.intp],
+    order: NDArray[np.intp],
+    keep: NDArray[np.intp],
+    allowed: NDArray[np.bool_],
+    chosen: NDArray[np.intp],
+    factor: Floats,
+    gain: Floats,
+) -> None:
+    """Fill chosen (n, n_max), factor (n, n_max, n_max) and gain (n, n_max), one output after the other.
+
+    Candidates are divided by their norms and stand in canonical order: of equals, the first wins.
+    """
+    m, n_max = len(order), gain.shape[1]
+    norm, left, b, basis = np.empty(m), np.empty(m), np.empty(m), np.empty((n_max, m))
+    for i in range(len(power)):
+        gram = grams[own[i]]
+        for j in range(m):
+            p = order[j]
+            square = gram[p, p]
+            norm[j] = math.sqrt(square) if square > 0.0 else 1.0
+            left[j] = 1.0 if square > 0.0 and allowed[i, p] else 0.0  # remaining squared norm
+            b[j] = cross[p, i] / norm[j]  # what is left of the output along it
+        for k in range(n_max):
+            if k < len(keep):
+                c = int(np.argmax(order == keep[k]))
+                c = c if left[c] > DEPENDENT else -1
+            else:
+                c = _best(b, left, 4.0 * EPSILON * power[i])
+            if c < 0:
+                factor[i, k, k] = 1.0
+                basis[k] = 0.0
+                continue
+            root = math.sqrt(left[c])
+            for j in range(m):
+                basis[k, j] = gram[order[c], order[j]] / (norm[j] * norm[c])
+            _free(basis, k, c)
+            z = b[c] / root
+            for j in range(m):
+                basis[k, j] /= root
+                b[j] -= z * basis[k, j]
+                left[j] -= basis[k, j] * basis[k, j]
+            left[c] = 0.0
+            factor[i, :k, k] = basis[:k, c] * norm[c]
+            factor[i, k, k] = root * norm[c]
+            chosen[i, k], gain[i, k] = order[c], z
+
+
+@kernel
+def _free(basis: Floats, k: int, c: int) -> None:
+    """Take out of row k what candidate c shares with the rows before it."""
+    for step in range(k):
+        share = basis[step, c]
+        for j in range(basis.shape[1]):
+            basis[k, j] -= share * basis[step, j]
+
+
+@kernel
+def _best(b: Floats, left: Floats, floor: float) -> int:
+    """Return the first candidate that explains as much as any, up to rounding; -1: all depend on the chosen."""
+    best = -1.0
+    for j in range(len(b)):
+        if left[j] > DEPENDENT:
+            best = max(best, b[j] * b[j] / left[j])
+    for j in range(len(b)):
+        if left[j] > DEPENDENT and b[j] * b[j] / left[j] >= best - TIE * best - floor:
+            return j
+    return -1
 
 
 def invert_upper(factor: Floats) -> Floats:

@@ -19,6 +19,10 @@ from robotmodic_ident.terms import Floats, Terms
 
 BLOCK = 4096
 """Rows taken at a time: Φ of a block stays in the cache and memory stays bounded."""
+FEW = 128
+"""Rows of Y that are multiplied while they are in the cache."""
+SMALL = 1_000_000
+"""Multiplications up to which BLAS multiplies matrices as they lie, without packing them first."""
 FORMAT = "robotmodic-moments-1"
 LARGEST = 1e150
 """Of an output: squares of larger values overflow."""
@@ -75,15 +79,30 @@ class Moments:
         y = _as_rows(y, self.n_outputs)
         if phi.shape != (len(y), len(self.terms)):
             raise ValueError(f"phi has shape {phi.shape}, expected ({len(y)}, {len(self.terms)})")
-        with np.errstate(over="ignore"):
-            power = np.einsum("ij,ij->j", y, y)  # one pass that also tells whether all is known
+        with np.errstate(over="ignore", invalid="ignore"):
+            cross, power = self._products(phi, y)  # power also tells whether all is known
         if np.isfinite(power).all() and np.isfinite(phi).all():
             self.gram += phi.T @ phi
-            self.cross += phi.T @ y
+            self.cross += cross
             self.power += power
             self.count += len(y)
             return self
         return self._add_holed(phi, y)
+
+    def _products(self, phi: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Return Φ'Y (n_terms, n_outputs) and Y'Y (n_outputs,), a few rows at a time: Y is read once.
+
+        Where Y'Y comes out as not finite, Y holds what is not known, and Φ'Y is not complete.
+        """
+        cross, power, part = np.zeros(self.cross.shape), np.zeros(len(self.power)), np.empty(self.cross.shape)
+        step = max(FEW, SMALL // cross.size // FEW * FEW)
+        for start in range(0, len(y), step):
+            rows, some = phi[start : start + step], y[start : start + step]
+            power += np.einsum("ij,ij->j", some, some)
+            if not np.isfinite(power).all():
+                break
+            cross += np.matmul(rows.T, some, out=part)
+        return cross, power
 
     def _add_holed(self, phi: Floats, y: Floats) -> Moments:
         """Add rows some of whose outputs or terms are not known."""
@@ -99,8 +118,9 @@ class Moments:
         block = phi.T @ phi
         n_known = known.sum(axis=0)
         self.gram += block
-        self.cross += phi.T @ y
-        self.power += np.einsum("ij,ij->j", y, y)
+        cross, power = self._products(phi, y)
+        self.cross += cross
+        self.power += power
         self.count += n_known
         phi = np.ascontiguousarray(phi)  # rows are gathered below
         for i in np.flatnonzero(n_known < len(y)).tolist():

@@ -70,6 +70,8 @@ class Factor:
 
 
 Term = tuple[Factor, ...]
+Step = tuple[int | None, Factor | None, int | None, int | None]
+"""(column, factor, head, tail): a factor or the constant, or the product of two earlier steps, and where it goes."""
 
 
 def _argument(signal: str, domain: tuple[float, float] | None) -> str:
@@ -247,38 +249,53 @@ class Terms:
             raise IdentError(f"no column {', '.join(missing)}; got {', '.join(columns) or 'none'}")
         n = len(next(iter(columns.values()))) if columns else int(n or 0)
         phi = np.empty((n, len(self)), order="F")
-        known: dict[Term, Floats] = {}  # products of leading factors are shared between terms
-        for j, term in enumerate(self.table):
-            if not term:
-                phi[:, j] = 1.0
+        values: list[Floats] = []  # of every step
+        for column, factor, head, tail in self._steps:
+            value = np.empty(n) if column is None else phi[:, column]
+            if tail is not None and head is not None:
+                np.multiply(values[head], values[tail], out=value)
             else:
-                phi[:, j] = _product(term, columns, scale, known)
+                value[:] = 1.0 if factor is None else _values(factor, columns[factor.signal], scale)
+            values.append(value)
         return phi
+
+    @cached_property
+    def _steps(self) -> tuple[Step, ...]:
+        """How to evaluate: products of leading factors, and lower powers, are computed once for all terms."""
+        column: dict[Term, int] = {term: j for j, term in enumerate(self.table)}
+        place: dict[Term, int] = {}
+        steps: list[Step] = []
+
+        def evaluated(term: Term) -> int:
+            if term not in place:
+                head, tail = _halves(term)
+                parts = (None, None) if tail is None else (evaluated(head), evaluated(tail))
+                factor = term[0] if term and tail is None else None
+                place[term] = len(steps)
+                steps.append((column.get(term), factor, *parts))
+            return place[term]
+
+        for term in self.table:
+            evaluated(term)
+        return tuple(steps)
 
 
 def _harmonic_signals(terms: Terms) -> set[str]:
     return {f.signal for term in terms.table for f in term if f.function}
 
 
-def _product(term: Term, columns: Mapping[str, Floats], scale: Scale, known: dict[Term, Floats]) -> Floats:
-    if term in known:
-        return known[term]
+def _halves(term: Term) -> tuple[Term, Term | None]:
+    """Return the two terms whose product it is; (term, None) if it is a single factor or the constant."""
     if len(term) > 1:
-        head = _product(term[:-1], columns, scale, known)
-        value = head * _product(term[-1:], columns, scale, known)
-    else:
-        (f,) = term
-        if f.power > 1:
-            lower, first = (replace(f, power=f.power - 1),), (replace(f, power=1),)
-            value = _product(lower, columns, scale, known) * _product(first, columns, scale, known)
-        else:
-            value = _values(f, np.asarray(columns[f.signal], dtype=np.float64), scale)
-    known[term] = value
-    return value
+        return term[:-1], term[-1:]
+    if term and term[0].power > 1:
+        return (replace(term[0], power=term[0].power - 1),), (replace(term[0], power=1),)
+    return term, None
 
 
 def _values(f: Factor, signal: Floats, scale: Scale) -> Floats:
     """Evaluate a factor of power 1 on its signal (n,)."""
+    signal = np.asarray(signal, dtype=np.float64)
     if f.function in ("cos", "sin"):
         angle = f.harmonic * signal
         return np.cos(angle) if f.function == "cos" else np.sin(angle)

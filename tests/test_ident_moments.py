@@ -44,6 +44,19 @@ def test_moments_equal_plain_sums_for_every_output(rng, n: int, missing: float) 
         assert moments.count[i] == known.sum()
 
 
+@pytest.mark.parametrize("hole", [False, True])
+def test_many_outputs_are_summed_whole_however_few_rows_at_a_time(rng, hole: bool) -> None:
+    columns, y = data(rng, 1000, 300, 0.0)
+    if hole:
+        y[700, 5] = np.nan
+    moments = Moments(TERMS, 300, scale=SCALE).add(columns, y)
+    phi, known = TERMS.matrix(columns, SCALE), np.nan_to_num(y)
+    np.testing.assert_allclose(moments.cross, phi.T @ known, atol=1e-9)  # sums of 1000 numbers about 1
+    np.testing.assert_allclose(moments.power, (known**2).sum(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(moments.gram, phi.T @ phi, atol=1e-9)
+    assert moments.count.tolist() == [999 if hole and i == 5 else 1000 for i in range(300)]
+
+
 def test_merge_of_halves_is_the_whole_and_subtraction_undoes_it(rng) -> None:
     columns, y = data(rng, 1000, 3, 0.2)
     half = [{name: v[s] for name, v in columns.items()} for s in (slice(0, 400), slice(400, None))]
