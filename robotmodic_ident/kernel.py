@@ -280,9 +280,8 @@ def run_ahead(
         value = np.nan
         for k in range(first, last + 1):
             value, _ = value_at(k, base, theta, place, starts, table, scales, past, quiet, phi)
-            if not math.isfinite(value) or abs(value) > DIVERGED:
+            if not abs(value) <= DIVERGED:  # not known: only what reads it is not known either
                 value = np.nan
-                break
             past[k], quiet[k] = value, 0.0
         out[last] = value
         past[first : last + 1] = measured[first : last + 1]

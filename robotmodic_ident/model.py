@@ -190,8 +190,8 @@ class Narmax:
     def predict_mpo(self, record: Record | Mapping[str, Floats]) -> Floats:
         """Predict in free run (n,): past outputs are predictions, measured ones only start each stretch.
 
-        The first `max_lag` samples of a stretch are nan; noise terms count as 0. Where an input is not known the
-        prediction stops, and starts again from measured outputs.
+        The first `max_lag` samples of a stretch are nan; noise terms count as 0. Where an input is not known there is
+        no prediction, and the measured output stands in for it in what follows.
         """
         return self._predict(record, lambda recursion, stretch: recursion.run(stretch, free=True)[0])
 

@@ -102,6 +102,56 @@ def test_gap_in_the_stamps_restarts_both_runs(record) -> None:
         np.testing.assert_array_equal(run(model(), parted)[15:], run(model(), second))
 
 
+RUNS = {
+    "one step": lambda m, r: m.predict_osa(r),
+    "3 steps": lambda m, r: m.predict_k(r, 3),
+    "free": lambda m, r: m.predict_mpo(r),
+}
+
+
+@pytest.mark.parametrize("run", RUNS.values(), ids=RUNS)
+def test_every_stretch_runs_as_if_it_were_alone(run) -> None:
+    rng = np.random.default_rng(3)
+    y, u = rng.uniform(-1, 1, (2, 40))
+    u[33] = np.nan
+    stamps = np.arange(40.0)
+    for start in (12, 13, 15, 25):  # stretches of 12, 1, 2, 10 and 15 samples
+        stamps[start:] += 10.0
+    whole = run(model(), Record(signals={"y": y, "u": u}, stamps=stamps))
+    for a, b in ((0, 12), (12, 13), (13, 15), (15, 25), (25, 40)):
+        np.testing.assert_array_equal(whole[a:b], run(model(), {"y": y[a:b], "u": u[a:b]}))
+    assert np.isnan(whole[12:15]).all()
+    assert np.isfinite(whole[20:25]).all()
+
+
+@pytest.mark.parametrize("run", RUNS.values(), ids=RUNS)
+def test_without_feedback_all_runs_are_the_same_equation(run) -> None:
+    u = np.linspace(-1, 1, 20)
+    u[9] = np.nan
+    still = Narmax(
+        output="y", terms=Terms.parse("1", "u(k)^2"), theta=np.array([0.5, -2.0]), err=np.zeros(2),
+        covariance=np.eye(2), sigma=1.0, n_samples=20,
+    )  # fmt: skip
+    told = run(still, {"u": u})
+    known = np.isfinite(told)
+    np.testing.assert_allclose(told[known], 0.5 - 2.0 * u[known] ** 2, atol=1e-15)
+    assert known.sum() >= 17  # all but the sample without input and, 3 steps ahead, the first two
+
+
+def test_measured_output_stands_in_where_an_input_is_not_known() -> None:
+    y, u = np.random.default_rng(5).uniform(-1, 1, (2, 20))
+    u[10] = np.nan
+    line = Narmax(
+        output="y", terms=Terms.parse("y(k-1)", "y(k-2)", "u(k)"), theta=np.array([0.5, -0.3, 1.0]),
+        err=np.zeros(3), covariance=np.eye(3), sigma=1.0, n_samples=20,
+    )  # fmt: skip
+    past, out = y.copy(), np.full(20, np.nan)
+    for k in range(2, 20):
+        out[k] = 0.5 * past[k - 1] - 0.3 * past[k - 2] + u[k]
+        past[k] = y[k] if k == 10 else out[k]
+    np.testing.assert_allclose(line.predict_mpo({"y": y, "u": u}), out, atol=1e-14)
+
+
 def test_missing_signal_is_named(record) -> None:
     with pytest.raises(IdentError, match="no signal u"):
         model().predict_osa({"y": record["y"]})
