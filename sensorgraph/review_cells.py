@@ -172,7 +172,8 @@ def cells_of(
     while cell is None and np.prod((high - low) / side + 2) > MOST_CELLS:
         side *= 2
     origin = np.floor(low / side) * side
-    shape = np.floor((high - origin) / side).astype(int) + 1
+    last = np.floor((visited[:, :2].max(axis=0) - origin) / side) + 1
+    shape = np.maximum(np.ceil((high - origin) / side - 1e-9), last).astype(int)
     free = _free(origin, side, shape, arena, rays[0], ends)
     grid = Coverage.empty(origin=origin, cell=side, cells=free, headings=HEADINGS)
     grid.add(visited)
