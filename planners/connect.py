@@ -1,4 +1,4 @@
-"""OMPL: collision-free moves where the straight one is blocked. The only file that imports ompl.
+"""OMPL: collision-free moves where the straight one is blocked. The only file that imports ompl for plans.
 
 OMPL works in a process of its own, seeded once as its first call: the same queries give the same paths whatever
 ran before (its random streams advance over a whole process), a crash in the bindings becomes an error here, and
@@ -12,6 +12,7 @@ import io
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,21 +130,29 @@ def _in_processes(queries: Floats, reach: Reach, seed: int) -> list[Floats]:
 
 def _in_a_process(queries: Floats, reach: Reach, seed: int) -> list[Floats]:
     """Solve queries (n, 4) [m] in a fresh process; an empty path means none was found."""
+    data = ask("planners.connect", seed=seed, queries=queries, **field_of(reach))
+    return list(np.split(data["points"], np.cumsum(data["lengths"])[:-1]))
+
+
+def field_of(reach: Reach) -> dict[str, Any]:
+    """Return what a process must know of the floor."""
+    return {
+        "distance": reach.distance,
+        "origin": reach.origin,
+        "step": reach.step,
+        "clearance": reach.clearance,
+    }
+
+
+def ask(module: str, **question: Any) -> dict[str, np.ndarray]:
+    """Run a module of ours as a fresh process that answers a question; both are arrays by name."""
     package = Path(__file__).parent.parent
     others = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(package), *others])}
     sent = io.BytesIO()
-    np.savez(
-        sent,
-        queries=queries,
-        distance=reach.distance,
-        origin=reach.origin,
-        step=reach.step,
-        clearance=reach.clearance,
-        seed=seed,
-    )
+    np.savez(sent, **question)
     with subprocess.Popen(
-        [sys.executable, "-P", "-m", "planners.connect"],
+        [sys.executable, "-P", "-m", module],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -162,26 +171,32 @@ def _in_a_process(queries: Floats, reach: Reach, seed: int) -> list[Floats]:
             f"OMPL ended with code {process.returncode} ({last[0]}); please report the arena and seed"
         )
     with np.load(io.BytesIO(answer)) as data:
-        return list(np.split(data["points"], np.cumsum(data["lengths"])[:-1]))
+        return dict(data)
 
 
-def _serve() -> int:
-    """Answer the queries on standard input."""
+def serve(work: Callable[[Any, Any, Mapping[str, np.ndarray]], dict[str, Any]]) -> int:
+    """Answer the question on standard input by `work(ompl.base, ompl.geometric, question)`; return an exit code."""
     try:
         from ompl import base, geometric, util  # type: ignore[import-untyped]
     except ImportError:
         return MISSING
     with np.load(io.BytesIO(sys.stdin.buffer.read())) as data:
-        util.RNG.setSeed(int(data["seed"]) % (2**31 - 1) + 1)  # must be the first call; 0 is refused
-        util.setLogLevel(util.LOG_NONE)
-        solver = _Solver(base, geometric, data["distance"], data["origin"], float(data["step"]))
-        clearance = float(data["clearance"])
-        paths = [solver.solve(query, clearance) for query in data["queries"]]
+        question = dict(data)
+    util.RNG.setSeed(int(question["seed"]) % (2**31 - 1) + 1)  # must be the first call; 0 is refused
+    util.setLogLevel(util.LOG_NONE)
     answer = io.BytesIO()
-    np.savez(answer, points=np.concatenate(paths), lengths=[len(path) for path in paths])
+    np.savez(answer, **work(base, geometric, question))
     sys.stdout.buffer.write(answer.getvalue())
     sys.stdout.buffer.flush()
     return 0
+
+
+def _paths(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Answer queries (n, 4) [m]."""
+    solver = _Solver(base, geometric, question["distance"], question["origin"], float(question["step"]))
+    clearance = float(question["clearance"])
+    paths = [solver.solve(query, clearance) for query in question["queries"]]
+    return {"points": np.concatenate(paths), "lengths": [len(path) for path in paths]}
 
 
 class _Solver:
@@ -189,7 +204,7 @@ class _Solver:
 
     def __init__(self, base: Any, geometric: Any, distance: Floats, origin: Floats, step: float) -> None:
         self.base, self.geometric = base, geometric
-        self.field = _Field(distance, origin, step)
+        self.field = Field(distance, origin, step)
         self.low, self.high = origin, origin + np.array(distance.shape) * step
         space = base.RealVectorStateSpace(2)
         space.setBounds(self._bounds(self.low, self.high))
@@ -229,7 +244,7 @@ class _Solver:
     def _attempt(self, ends: list[Any]) -> Floats:
         self.setup.clear()
         self.setup.setStartAndGoalStates(ends[0], ends[1], 1e-6)
-        self.setup.solve(self.base.PlannerTerminationCondition(_Countdown(self.iterations)))
+        self.setup.solve(self.base.PlannerTerminationCondition(Countdown(self.iterations)))
         if not self.setup.haveExactSolutionPath():  # the status is also true for approximate ones
             return np.zeros((0, 2))
         path = self.setup.getSolutionPath()
@@ -251,7 +266,7 @@ def _cost(path: Floats) -> float:
     return float(np.hypot(*np.diff(path, axis=0).T).sum()) + TURN_COST * len(path)
 
 
-class _Countdown:
+class Countdown:
     """Say stop after so many questions."""
 
     def __init__(self, left: int) -> None:
@@ -262,7 +277,7 @@ class _Countdown:
         return self.left < 0
 
 
-class _Field:
+class Field:
     """The distance field as plain lists, which a callback reads several times faster than an array."""
 
     def __init__(self, distance: Floats, origin: Floats, step: float) -> None:
@@ -290,4 +305,4 @@ class _Field:
 
 
 if __name__ == "__main__":
-    sys.exit(_serve())
+    sys.exit(serve(_paths))

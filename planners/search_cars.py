@@ -40,18 +40,33 @@ def car_curve(found: Found, table: Table, limits: Limits) -> Curve:
         units.append(table.period[mode, j])
         mode = then[mode][j]
         gears.append(mode)
-    gear, bend = np.array(gears), np.array(turns)
     v = float(abs(table.speeds[0]))
     length = np.array(units) * (table.ways.shape[3] - 1) * v  # [m]
-    runs = np.flatnonzero(np.diff(gear, prepend=gear[:1] - 1, append=gear[-1:] + 1))
+    pose = np.array([*found.start[:2], table.first + table.step * found.start[2]])
+    return geared(pose, length, np.array(turns), np.sign(table.speeds[gears]), limits, v)
+
+
+def geared(
+    pose: Floats, length: Floats, bend: np.ndarray, gear: np.ndarray, limits: Limits, v: float | None = None
+) -> Curve:
+    """Return the curve of a car that starts at `pose` (3,) and drives arcs (m,) and straight pieces, from rest to rest.
+
+    Parameters
+    ----------
+    length : (m,) [m]
+    bend : (m,) 1 turns counter-clockwise, 0 not, -1 clockwise
+    gear : (m,) 1 forward, -1 backward; the car stops where it changes
+    v : [m/s] default: the fastest that the limits allow
+    """
+    top = min(limits.v, limits.omega * limits.turning_radius) if v is None else v
     a = min(limits.a, limits.alpha * limits.turning_radius)
+    runs = np.flatnonzero(np.diff(gear, prepend=gear[:1] - 1, append=gear[-1:] + 1))
     parts = [
-        _run(length[i:k], bend[i:k], v, a, float(np.sign(table.speeds[gear[i]])), limits.turning_radius)
+        _run(length[i:k], bend[i:k], top, a, float(gear[i]), limits.turning_radius)
         for i, k in pairwise(runs.tolist())
     ]
     dt, twists, rates = (np.concatenate(column) for column in zip(*parts, strict=True))
-    pose = np.array([*found.start[:2], table.first + table.step * found.start[2]])
-    return chained(pose, dt, twists, rates, np.full(len(dt), "drive"))
+    return chained(pose, dt, twists, rates, np.full(len(dt), "drive" if v is not None else "join"))
 
 
 def _run(

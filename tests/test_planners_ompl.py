@@ -1,0 +1,169 @@
+"""Cars in OMPL's own state spaces: shortest curves, ways round a wall, proven by the checker's own distances."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from planners_samples import door_arena
+
+import planners.car_connect as car_connect
+from planners.arena import Floats, wrap
+from planners.car_connect import along, connect_cars
+from planners.check import check
+from planners.clearance import Barriers
+from planners.reach import reach
+from planners.robot import Drive, Limits, Robot
+from planners.steering import Curve
+
+CLEARANCE = 0.22
+STARTS = np.array([[1.0, 1.0, 0.0], [1.0, 0.7, 0.0], [1.0, 2.0, 1.0]])
+GOALS = [
+    np.array([[1.4, 1.2, 0.5]]),
+    np.array([[3.0, 0.7, 0.0], [3.2, 0.8, 1.0]]),
+    np.array([[3.0, 2.4, 3.0]]),
+]
+"""Beside the start; two behind the wall, and one."""
+
+
+def car(drive: Drive, radius: float = 0.4) -> Robot:
+    return Robot(drive=drive, limits=Limits(turning_radius=radius))
+
+
+def ends(curve: Curve) -> Floats:
+    return curve.sample(np.array([0.0, curve.duration]))[0]
+
+
+@pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
+def test_a_wall_across_the_shortest_curve_makes_ompl_plan_a_car_round_it(drive: Drive) -> None:
+    arena, robot = door_arena(1.2), car(drive)
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=CLEARANCE, cell=0.25)
+    ways, joins = connect_cars(STARTS, GOALS, reach=free, barriers=barriers, robot=robot, seed=3)
+    assert (joins.direct, joins.planned, joins.failed) == (1, 2, 0)
+    for start, goals, way in zip(STARTS, GOALS, ways, strict=True):
+        assert way is not None
+        assert way.curve is not None
+        first, last = ends(way.curve)
+        np.testing.assert_allclose(first, start, atol=1e-12)
+        np.testing.assert_allclose(last, goals[way.goal], atol=1e-6)  # arcs are read off to 1e-8, one by one
+        found = check(way.curve.trajectory(100.0), arena, robot)
+        assert found.count == 0
+        assert found.min_clearance > robot.footprint_radius
+    assert joins.planned_m >= 2 * np.hypot(2.0, 0.8)  # none goes through the wall beside the door
+
+
+def test_without_a_wall_the_same_moves_are_the_shortest_curves() -> None:
+    arena = door_arena(9.0)
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=CLEARANCE, cell=0.25)
+    _, joins = connect_cars(STARTS, GOALS, reach=free, barriers=barriers, robot=car("reeds_shepp"), seed=3)
+    assert (joins.direct, joins.planned, joins.failed, joins.planned_m) == (3, 0, 0, 0.0)
+
+
+def test_what_no_way_leads_to_fails_and_is_counted() -> None:
+    arena = door_arena(0.3)  # the robot is wider than the door
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=CLEARANCE, cell=0.25)
+    ways, joins = connect_cars(
+        STARTS[1:2], GOALS[1:2], reach=free, barriers=barriers, robot=car("reeds_shepp"), seed=0
+    )
+    assert ways == [None]
+    assert (joins.direct, joins.planned, joins.failed, joins.planned_m) == (0, 0, 1, 0.0)
+
+
+@pytest.mark.slow  # OMPL cannot know that it searches in vain
+def test_a_query_in_vain_ends_by_count() -> None:
+    """A Dubins car in a corner, which it cannot leave forward; the disc could."""
+    arena = door_arena(9.0)
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=CLEARANCE, cell=0.25)
+    corner = np.array([[3.7, 2.7, 0.8]])
+    ways, joins = connect_cars(corner, [GOALS[0]], reach=free, barriers=barriers, robot=car("dubins"), seed=0)
+    assert ways == [None]
+    assert joins.failed == 1
+
+
+def test_of_many_goals_the_car_drives_to_one_that_it_can_reach() -> None:
+    """GoalStates: one goal in a wall, one behind it, one in the open."""
+    arena = door_arena(0.3)
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=CLEARANCE, cell=0.25)
+    goals = np.array([[0.1, 1.0, 0.0], [3.0, 1.5, 0.0], [0.6, 0.6, -2.0]])
+    ways, _ = connect_cars(
+        STARTS[:1], [goals], reach=free, barriers=barriers, robot=car("dubins", 0.25), seed=0
+    )
+    assert ways[0] is not None
+    assert ways[0].goal == 2
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_arcs_read_off_a_curve_lead_where_it_leads(seed: int) -> None:
+    """In the open a car of any radius comes to the pose asked for, by no more arcs than a word has."""
+    rng = np.random.default_rng(seed)
+    arena = door_arena(9.0)
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=0.05, cell=0.25)
+    start, goal = (np.array([*rng.uniform(1.3, 1.7, 2), rng.uniform(-3, 3)]) for _ in range(2))
+    robot = car("reeds_shepp", 0.2)
+    ways, joins = connect_cars(
+        start[None], [goal[None]], reach=free, barriers=barriers, robot=robot, seed=seed
+    )
+    assert joins.direct == 1
+    assert ways[0] is not None
+    assert ways[0].curve is not None
+    last = ends(ways[0].curve)[1]
+    assert abs(last[:2] - goal[:2]).max() < 1e-6
+    assert abs(wrap(np.float64(last[2] - goal[2]))) < 1e-6
+    parts = np.sign(np.round(ways[0].curve.twists + 1e-3 * ways[0].curve.rates, 9))
+    assert (np.diff(parts, axis=0) != 0).any(axis=1).sum() <= 4  # Reeds and Shepp: five parts at most
+
+
+def test_an_arc_forward_and_the_same_backward_meet_again() -> None:
+    pose = np.array([0.3, -0.2, 0.7])
+    there = along(pose, 1.0, 1.0, 0.5, 0.4)
+    np.testing.assert_allclose(along(there, -1.0, -1.0, 0.5, 0.4), pose, atol=1e-12)
+    assert there[2] == pytest.approx(0.7 + 0.5 / 0.4)
+
+
+@pytest.mark.slow
+def test_same_seed_same_ways_whatever_the_process_did_before() -> None:
+    script = (
+        "import sys, hashlib; sys.path.insert(0, sys.argv[1]);"
+        "from test_planners_ompl import *;"
+        "a = door_arena(1.2); b = Barriers(a); f = reach(a, b, clearance=CLEARANCE, cell=0.25);"
+        "n = int(sys.argv[2]);"
+        "[connect_cars(STARTS, GOALS, reach=f, barriers=b, robot=car('dubins'), seed=k) for k in range(n)];"
+        "w, _ = connect_cars(STARTS, GOALS, reach=f, barriers=b, robot=car('dubins'), seed=7);"
+        "print(hashlib.sha256(b''.join(x.curve.poses.tobytes() for x in w)).hexdigest())"
+    )
+    here = str(Path(__file__).parent)
+    answers = {
+        subprocess.run([sys.executable, "-c", script, here, n], capture_output=True, check=True).stdout
+        for n in ("0", "1")
+    }
+    assert len(answers) == 1
+
+
+def test_callbacks_of_ompl_hold_nothing_of_ompl_and_answer_with_a_bool() -> None:
+    """A closure over `self` or the space leaks all it holds; a np.bool_ raises std::bad_cast."""
+    source = Path(car_connect.__file__).read_text()
+    callbacks = [
+        node.args[0]
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and node.func.attr == "setStateValidityChecker"
+    ]
+    assert len(callbacks) == 1
+    own = callbacks[0]
+    assert isinstance(own, ast.Lambda)
+    names = {node.id for node in ast.walk(own) if isinstance(node, ast.Name)}
+    assert names == {"field", "state", "bool"}
+    assert isinstance(own.body, ast.Call)
+    assert isinstance(own.body.func, ast.Name)
+    assert own.body.func.id == "bool"
