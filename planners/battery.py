@@ -8,7 +8,6 @@ import numpy as np
 from scipy.sparse import csgraph
 
 from planners.arena import Floats
-from planners.connect import Joins
 from planners.coverage_planner import Driven, Task
 from planners.errors import PlanError
 from planners.rooms import cell_graph
@@ -86,17 +85,14 @@ def spread(points: Floats) -> list[int]:
     return order
 
 
-def chain(runs: list[Session], joins: Joins) -> Driven:
-    """Return all runs as one drive, one after the other.
-
-    Parameters
-    ----------
-    joins : of the drive that was parted
-    """
+def chain(runs: list[Session], parted: Driven) -> Driven:
+    """Return all runs of a drive that was parted as one, one after the other."""
+    joins = parted.joins
     for run in runs:
         joins += run.driven.joins
     return Driven(
         curve=joined([run.driven.curve for run in runs]),
         stops=np.concatenate([run.driven.stops for run in runs]),
         joins=joins,
+        interrupted=parted.interrupted,
     )

@@ -70,6 +70,8 @@ class Driven:
     stops: Floats
     """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the turn made there."""
     joins: Joins
+    interrupted: bool = False
+    """Ctrl-C ended the planning: a drive through what was planned by then."""
 
 
 def plan_stop_and_spin(task: Task) -> Driven:

@@ -168,10 +168,11 @@ def plan(
     else:
         home = ends(driven.curve)[0] if start is None else start
         runs = sessions(driven, task, battery=battery, dock=home)
-        driven = chain(runs, driven.joins)
+        driven = chain(runs, driven)
     so_far = [_counted(grid, run, rate) for run in runs]
     trajectory = driven.curve.trajectory()
     report = _report(task, driven, trajectory, planner, sweep_time) | {
+        **({"interrupted": True} if driven.interrupted else {}),
         **({} if budget is None else {"budget_s": budget}),
         **({} if end is None else {"end": end.tolist()}),
         **({} if battery is None else {"battery_s": battery, "dock": home.tolist(), "sessions": so_far}),
@@ -303,6 +304,10 @@ def _report(
         warnings.append(
             f"only {100 * task.reach.share:.1f} % of where the robot fits is reachable; the rest lies behind gaps "
             f"narrower than {2 * task.reach.clearance:.2f} m, or the start is in the smaller part"
+        )
+    if driven.interrupted:
+        warnings.append(
+            f"planning was interrupted: this plan is shorter, it covers {100 * grid.fraction:.1f} %"
         )
     warnings += too_fast(
         trajectory, cell=grid.cell, headings=grid.headings, rate=task.rate, sweep_time=sweep_time

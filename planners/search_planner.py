@@ -63,13 +63,14 @@ def plan_search(task: Task) -> Driven:
     def search(job: int, seed: int, tick: Callable[[int], bool]) -> Visit | None:
         return search_room(jobs[job][1], table, task, seed, tick)
 
-    visits = _side_by_side(search, [int(need.sum()) for _, need in jobs], task)
+    visits, interrupted = _side_by_side(search, [int(need.sum()) for _, need in jobs], task)
     ordered: list[Visit] = []
     for band in range(len(bands)):
         own = [visit for (of, _), visit in zip(jobs, visits, strict=True) if of == band and visit is not None]
         here = ordered[-1].ends[1] if ordered else task.start
         ordered += [own[k] for k in _order(own, here, task)]
-    return _repaired(_drawn(ordered, task), todo, task)
+    drawn = _drawn(ordered, task)
+    return replace(drawn, interrupted=True) if interrupted else _repaired(drawn, todo, task)
 
 
 def _by_car(task: Task) -> Driven:
@@ -82,9 +83,9 @@ def _by_car(task: Task) -> Driven:
     def search(_: int, seed: int, tick: Callable[[int], bool]) -> Visit | None:
         return search_floor(todo, task, start, seed, tick, CAR[task.robot.drive])
 
-    best = _side_by_side(search, [int(todo.sum())], task)[0]
+    (best,), interrupted = _side_by_side(search, [int(todo.sum())], task)
     assert best is not None
-    return Driven(curve=best.curve, stops=best.stops, joins=Joins())
+    return Driven(curve=best.curve, stops=best.stops, joins=Joins(), interrupted=interrupted)
 
 
 def _first_pose(task: Task) -> Floats:
@@ -100,12 +101,18 @@ def _first_pose(task: Task) -> Floats:
 
 def _side_by_side(
     job: Callable[[int, int, Callable[[int], bool]], Visit | None], sizes: list[int], task: Task
-) -> list[Visit | None]:
+) -> tuple[list[Visit | None], bool]:
     """Do each job (number, seed, tick) some times on all processors; return the best visit of each.
+
+    Ctrl-C ends the searches where they are, and keeps what they found; a second one ends all.
 
     Parameters
     ----------
     sizes : bins of each job
+
+    Returns
+    -------
+    visits, and whether the searches were interrupted
     """
     left = {(room, attempt): size for attempt in range(TRIES) for room, size in enumerate(sizes)}
     total, stop = sum(left.values()), threading.Event()
@@ -128,17 +135,21 @@ def _side_by_side(
                 _, open_ = wait(open_, timeout=LOOK)
                 if task.progress:
                     task.progress(total - sum(left.values()), total)
-        except BaseException:
+        except BaseException as exc:
             stop.set()
             threads.shutdown(cancel_futures=True)
-            raise
-    if task.progress:
+            if not isinstance(exc, KeyboardInterrupt):
+                raise
+    if task.progress and not stop.is_set():
         task.progress(total, total)
     best: list[Visit | None] = []
     for room in range(len(sizes)):
-        tried = [visit for attempt in range(TRIES) if (visit := futures[room, attempt].result()) is not None]
+        done = [futures[room, attempt] for attempt in range(TRIES) if not futures[room, attempt].cancelled()]
+        tried = [visit for future in done if (visit := future.result()) is not None]
         best.append(min(tried, key=lambda visit: visit.curve.duration + LOST * visit.left, default=None))
-    return best
+    if stop.is_set() and not any(best):
+        raise KeyboardInterrupt
+    return best, stop.is_set()
 
 
 def search_room(

@@ -231,7 +231,12 @@ def within(driven: Driven, task: Task, *, budget: float | None, end: Floats | No
     if cut is whole and cut.home is None:
         return driven
     joins = driven.joins if cut.home is None else driven.joins + cut.home.joins
-    return together([part for part in (cut.part, cut.home and cut.home.curve) if part], joins, task)
+    return together(
+        [part for part in (cut.part, cut.home and cut.home.curve) if part],
+        joins,
+        task,
+        interrupted=driven.interrupted,
+    )
 
 
 def minutes(seconds: float) -> str:
@@ -239,7 +244,7 @@ def minutes(seconds: float) -> str:
     return f"{np.ceil(seconds / 6) / 10:g}"
 
 
-def together(curves: list[Curve], joins: Joins, task: Task) -> Driven:
+def together(curves: list[Curve], joins: Joins, task: Task, *, interrupted: bool = False) -> Driven:
     """Return the drive along some curves, each of which starts where the one before it ends."""
     curve = joined(curves)
-    return Driven(curve=curve, stops=stops(curve, task), joins=joins)
+    return Driven(curve=curve, stops=stops(curve, task), joins=joins, interrupted=interrupted)

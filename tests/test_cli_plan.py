@@ -15,6 +15,7 @@ import yaml
 from planners_samples import shipped
 
 from planners.check import check
+from planners.no_go import without, zones
 from planners.robot import Robot
 from planners.trajectory import read_csv
 from sensorgraph.cli import run as cli
@@ -23,6 +24,12 @@ COARSE = ("--cell", "0.5", "--headings", "8")
 KEYS = {
     "grid", "start", "coverage", "core_coverage", "reachable_cells", "covered_cells", "drive_time_s", "t_ref_s",
     "ratio", "path_m", "planning_s", "seed", "min_clearance_m", "limit_violations", "joins",
+}  # fmt: skip
+
+
+FILES = {
+    "arena.geojson", "cmd_vel.csv", "plan.json", "plan.mcap", "plan.png", "robot.yaml", "trajectory.csv",
+    "waypoints.yaml",
 }  # fmt: skip
 
 
@@ -35,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_folder_holds_every_promised_file_and_nothing_half_written(folder: Path) -> None:
     names = {path.name for path in folder.iterdir()}
-    assert {"trajectory.csv", "waypoints.yaml", "plan.json", "plan.png", "plan.mcap"} <= names
+    assert names == FILES
     assert not [name for name in names if name.endswith(".part")]
     assert [path.name for path in folder.parent.iterdir()] == ["square"]
     assert (folder / "plan.png").read_bytes().startswith(b"\x89PNG")
@@ -84,6 +91,28 @@ def test_a_plan_recorded_and_resumed_leaves_little_to_do(
         assert "nothing is left to plan" in said.err
 
 
+def test_a_battery_makes_a_folder_for_each_run_that_can_be_recorded(tmp_path: Path) -> None:
+    out, options = tmp_path / "out", ["--battery", "4", "--dock", "0.5,0.5,0", *COARSE]
+    zone = "2.6,2.6,3.6,2.6,3.6,3.6,2.6,3.6"
+    assert cli(["plan", "square", *options, "--no-go", zone, "-o", str(out)]) == 0
+    report = json.loads((out / "plan.json").read_text())
+    runs = sorted(path for path in out.iterdir() if path.is_dir())
+    assert [run.name for run in runs] == [f"run_{k + 1}" for k in range(len(report["sessions"]))]
+    assert len(runs) > 1
+    less = without(shipped("square"), zones(zone))
+    for run, told in zip(runs, report["sessions"], strict=True):
+        trajectory = read_csv(run / "trajectory.csv")
+        assert trajectory.duration <= 240.0 + 0.02  # the last sample stands still
+        assert check(trajectory, less, Robot()).count == 0
+        assert json.loads((run / "plan.json").read_text())["coverage"] == told["coverage"]
+    assert report["no_go"] == [[[2.6, 2.6], [3.6, 2.6], [3.6, 3.6], [2.6, 3.6]]]
+    run = tmp_path / "run.mcap"
+    assert cli(["record", str(runs[0]), "--arena", "square", "-o", str(run)]) == 0
+    assert cli(["plan", "square", *COARSE, "--budget", "2", "-o", str(out)]) == 0
+    assert not [path for path in out.iterdir() if path.is_dir()]  # the older plan's runs are gone
+    assert json.loads((out / "plan.json").read_text())["drive_time_s"] <= 120.02
+
+
 def test_baselines_take_a_duration(tmp_path: Path) -> None:
     options = ["--planner", "random_bounce", "--duration", "60", "--start", "0.5,0.5,0.1", *COARSE]
     assert cli(["plan", "square", *options, "-o", str(tmp_path)]) == 0
@@ -101,6 +130,14 @@ def test_baselines_take_a_duration(tmp_path: Path) -> None:
         (["square", "--headings", "0"], "headings is 0"),
         (["square", "--start", "1,2"], "expected X,Y,PHI"),
         (["square", "--start", "0.1,2,0"], "0.10 m from a wall"),
+        (["square", "--end", "1,2"], "--end is '1,2', expected X,Y,PHI"),
+        (["square", "--end", "0.1,2,0"], "end (0.1, 2) is 0.10 m from a wall"),
+        (["square", "--dock", "1,1"], "--dock is '1,1', expected X,Y,PHI"),
+        (["square", "--dock", "0.5,0.5,0"], "give --battery MIN"),
+        (["square", "--battery", "0.01", "--dock", "0.5,0.5,0"], "battery of 0.01 min is too small"),
+        (["square", "--budget", "0"], "budget is 0"),
+        (["square", "--no-go", "1,1,2,2,2,1,1,2"], "crosses or touches itself"),
+        (["square", "--no-go", "10,10,11,10,11,11"], "outside the arena"),
         (["square", "--robot", "none.yaml"], "none.yaml"),
         (["square", "--resume", "none.mcap"], "none.mcap"),
     ],
@@ -123,11 +160,17 @@ def test_a_file_is_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("after", [1.5, 4.0])
-def test_an_interrupt_leaves_nothing_behind(after: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize("after", [1.5, 20.0])
+def test_an_interrupt_leaves_a_whole_shorter_plan_or_nothing(after: float, tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from sensorgraph.cli import main; main()"]
     with subprocess.Popen([*command, "plan", "office", "-o", str(tmp_path / "out")]) as process:
         time.sleep(after)
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=30) == 130
-    assert not list(tmp_path.iterdir())
+        assert process.wait(timeout=120) == 130
+    assert {path.name for path in tmp_path.iterdir()} <= {"out"}
+    if (tmp_path / "out").exists():
+        report = json.loads((tmp_path / "out" / "plan.json").read_text())
+        assert report["interrupted"]
+        assert report["coverage"] < 1.0
+        assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
+        assert check(read_csv(tmp_path / "out" / "trajectory.csv"), shipped("office"), Robot()).count == 0

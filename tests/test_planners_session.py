@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import shapely
+import yaml
 from planners_samples import door_arena, outlined, shipped
 
 from planners import Plan, PlanError, plan
@@ -18,6 +20,7 @@ from planners.check import check
 from planners.clearance import Barriers
 from planners.connect import Joins
 from planners.coverage_planner import Driven, Task
+from planners.export import commands, waypoints
 from planners.no_go import without, zones
 from planners.robot import Limits, Robot
 from planners.sampling import warnings
@@ -184,6 +187,125 @@ def test_bad_zones_are_one_line(given: str, says: str) -> None:
     with pytest.raises(PlanError, match=says) as caught:
         without(shipped("square"), zones(given))
     assert "\n" not in str(caught.value)
+
+
+def test_a_plan_for_batteries_tells_of_every_run(rooms: tuple[Plan, Arena]) -> None:
+    arena, dock = rooms[1], np.array([0.4, 0.5, 1.0])
+    made = plan(arena, ROBOT, battery=150.0, dock=dock, **GRID)
+    told = made.report["sessions"]
+    assert len(told) == len(made.sessions) > 1
+    assert sum(run["new_bins"] for run in told) == made.report["covered_cells"]
+    assert [run["coverage"] for run in told] == sorted(run["coverage"] for run in told)
+    assert told[-1]["coverage"] == made.report["coverage"] == 1.0
+    assert sum(run["drive_time_s"] for run in told) == pytest.approx(made.curve.duration)
+    assert made.report["limit_violations"] == 0
+    assert made.report["joins"]["failed"] == 0
+    np.testing.assert_allclose(made.trajectory.poses[[0, -1]], [dock, dock], atol=1e-9)
+    waypoints_turn = sum(abs(run.driven.stops[:, 3]).sum() for run in made.sessions)
+    assert made.report["turned_rad"] == pytest.approx(waypoints_turn)
+
+
+def test_half_the_time_still_covers_half_and_ends_where_told(rooms: tuple[Plan, Arena]) -> None:
+    made, arena = rooms
+    end = np.array([3.5, 2.5, -2.0])
+    half = plan(arena, ROBOT, budget=0.5 * made.curve.duration, end=end, **GRID)
+    assert half.report["drive_time_s"] <= 0.5 * made.curve.duration
+    assert 0.4 < half.report["coverage"] < 0.8
+    assert half.report["limit_violations"] == 0
+    np.testing.assert_allclose(half.trajectory.poses[-1], end, atol=1e-6)
+
+
+def test_ctrl_c_keeps_a_valid_shorter_plan(rooms: tuple[Plan, Arena]) -> None:
+    def interrupt(done: int, total: int) -> None:
+        if done > 0.4 * total:
+            raise KeyboardInterrupt
+
+    made = plan(rooms[1], ROBOT, cell=0.25, headings=16, progress=interrupt)
+    assert made.report["interrupted"]
+    assert "shorter" in made.report["warnings"][0]
+    assert 0.0 < made.report["coverage"] < 1.0
+    assert_drives(made.curve, rooms[1])
+
+
+def test_ctrl_c_before_anything_is_found_ends_all(rooms: tuple[Plan, Arena]) -> None:
+    def interrupt(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        plan(rooms[1], ROBOT, planner="stop_and_spin", progress=interrupt, **GRID)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"end": np.array([5.0, 1.0, 0.0])}, r"end \(5, 1\) is outside"),
+        ({"end": np.array([0.1, 1.0, 0.0])}, r"end \(0\.1, 1\) is 0\.10 m from a wall"),
+        ({"end": np.array([1.0, np.nan, 0.0])}, "end is .*three finite numbers"),
+        ({"budget": -1.0}, "budget is -1"),
+        ({"budget": 0.3}, "budget of .* too short"),
+        ({"battery": 0.0}, "battery is 0"),
+        ({"battery": 5.0, "dock": np.array([0.5, 0.5, 0.0])}, "battery of .* too small"),
+        ({"dock": np.array([0.5, 0.5, 0.0])}, "a dock needs a battery"),
+        ({"battery": 100.0, "budget": 100.0}, "leave out the end pose and the budget"),
+        ({"battery": 100.0, "dock": np.array([0.1, 0.5, 0.0])}, r"0\.10 m from a wall"),
+        (
+            {"battery": 100.0, "dock": np.array([0.5, 0.5, 0.0]), "start": np.array([1.0, 0.5, 0.0])},
+            "starts at the dock",
+        ),
+    ],
+)
+def test_what_does_not_go_together_is_one_line(
+    rooms: tuple[Plan, Arena], options: dict[str, Any], says: str
+) -> None:
+    with pytest.raises(PlanError, match=says) as caught:
+        plan(rooms[1], ROBOT, **GRID, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_end_pose_behind_a_closed_door_is_refused() -> None:
+    with pytest.raises(PlanError, match="cannot be reached from the start"):
+        plan(door_arena(0.0), ROBOT, start=np.array([1.0, 1.0, 0.0]), end=np.array([3.0, 1.0, 0.0]), **GRID)
+
+
+@pytest.mark.parametrize("planner", ["coverage", "stop_and_spin"])
+def test_commands_drive_as_far_as_the_plan(planner: str, rooms: tuple[Plan, Arena]) -> None:
+    """Held as they are, they end where the plan does: unicycle arcs between two commands are exact."""
+    made = plan(rooms[1], ROBOT, planner=planner, **GRID)
+    stamps, twists = commands(made.curve, 100.0)
+    dt = np.diff(stamps)[:, None]
+    turn = twists[:-1, 1:] * dt
+    phi = made.curve.poses[0, 2] + np.cumsum(turn) - turn[:, 0]
+    way = (twists[:-1, :1] * dt * np.sinc(turn / (2 * np.pi)))[:, 0]
+    ended = made.curve.poses[0, :2] + np.array(
+        [(way * np.cos(phi + turn[:, 0] / 2)).sum(), (way * np.sin(phi + turn[:, 0] / 2)).sum()]
+    )
+    np.testing.assert_allclose(
+        ended, made.trajectory.poses[-1, :2], atol=0.01
+    )  # 5 ms mean twists, no feedback
+    turned = made.curve.poses[0, 2] + turn.sum()
+    assert abs(wrap(turned - made.trajectory.poses[-1, 2])) < 1e-6
+    assert (twists[-1] == 0).all()
+    assert abs(twists).max(axis=0) == pytest.approx(abs(made.trajectory.twists).max(axis=0), rel=0.05)
+
+
+def test_nav2_steps_visit_every_stop_and_turn_as_far(rooms: tuple[Plan, Arena]) -> None:
+    made = plan(rooms[1], ROBOT, planner="stop_and_spin", **GRID)
+    data = yaml.safe_load(waypoints(made))
+    spins = [step["target_yaw"] for step in data["steps"] if step["action"] == "Spin"]
+    turned = made.stops[:, 3]
+    assert sum(spins) == pytest.approx(turned[abs(turned) > 0.01].sum(), abs=1e-3)
+    here = np.array(made.trajectory.poses[0])
+    for step in data["steps"]:
+        if step["action"] == "Spin":
+            here[2] += step["target_yaw"]
+            continue
+        place = data["poses"][step["pose"]]["position"]
+        way = np.array([place["x"], place["y"]]) - here[:2]
+        heading = np.arctan2(way[1], way[0]) + (np.pi if step["backward"] else 0.0)
+        assert abs(wrap(heading - here[2])) < 0.1  # a turn that overlaps a move bends it by millimetres
+        here[:2] = place["x"], place["y"]
+    np.testing.assert_allclose(here[:2], made.trajectory.poses[-1, :2], atol=0.01)
+    assert yaml.safe_load(waypoints(rooms[0]))["steps"] == []  # it turns while it moves
 
 
 def drive(v: float, omega: float) -> Trajectory:
