@@ -8,7 +8,7 @@ from robotmodic_ident.model import Narmax
 from robotmodic_ident.moments import Moments
 from robotmodic_ident.records import Lagged, Record, blocks, halves, lagged, lags
 from robotmodic_ident.scale import Scale
-from robotmodic_ident.score import Score, Scored, score, scores
+from robotmodic_ident.score import Outside, Score, Scored, outside, score, scores
 from robotmodic_ident.select import Selection, select
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.validate import Check, false_discoveries, validate
@@ -21,6 +21,7 @@ __all__ = [
     "Lagged",
     "Moments",
     "Narmax",
+    "Outside",
     "Record",
     "Scale",
     "Score",
@@ -38,6 +39,7 @@ __all__ = [
     "lagged",
     "lags",
     "legendre",
+    "outside",
     "polynomial",
     "score",
     "scores",

@@ -206,6 +206,23 @@ class Narmax:
         (record,) = as_records(record)
         return np.asarray(record.signals[self.output], dtype=np.float64) - self.predict_osa(record)
 
+    def leverage(self, record: Record | Mapping[str, Floats]) -> Floats:
+        """Tell how far each sample (n,) lies from what the model was fitted on: its hat value; nan where not known.
+
+        g' (covariance / sigma²) g with g the gradient of the one-step prediction: its variance by the coefficients'
+        errors, in residual variances. Over the rows of a least-squares fit it adds up to the number of terms. Above
+        the largest one of the fit the model extrapolates (Weisberg 2005, sec. 8.4). nan for a fit without residual.
+        """
+        if not self.sigma > 0:
+            return np.full(len(as_records(record)[0]), np.nan)
+        shape = self.covariance / self.sigma**2
+
+        def hat(recursion: Recursion, stretch: Stretch) -> Floats:
+            out, _, slopes = recursion.run(stretch, free=False, gradient=True)
+            return np.where(np.isfinite(out), ((slopes @ shape) * slopes).sum(axis=1), np.nan)
+
+        return self._predict(record, hat)
+
     def _predict(
         self, record: Record | Mapping[str, Floats], run: Callable[[Recursion, Stretch], Floats]
     ) -> Floats:

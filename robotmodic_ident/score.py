@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
-from robotmodic_ident.records import Records, as_records
+from robotmodic_ident.records import Record, Records, as_records
 from robotmodic_ident.terms import Floats
 
 Horizon = int | Literal["free"]
@@ -48,6 +49,47 @@ class Scored:
     model: Score
     persistence: Score
     """The last output known stands for all later ones; in free run, the one that the run started from."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outside:
+    """What of some records lies outside where a model was fitted, and how it does there."""
+
+    share: float
+    """0...1 of the samples whose leverage is above `largest`; nan where a fit without residual has none."""
+    largest: float
+    """Leverage among the samples of the fit."""
+    rmse_inside: float
+    rmse_outside: float
+    """[units of the output] of the one-step prediction; nan where there is no such sample."""
+
+
+def outside(model: Narmax, fitted: Records, records: Records) -> Outside:
+    """Compare the leverage of `records` with the largest that the model was `fitted` on."""
+    own = np.concatenate([_leverage(model, record) for record in as_records(fitted)])
+    largest = float(np.max(own, initial=-np.inf, where=np.isfinite(own)))
+    records = as_records(records)
+    leverage = np.concatenate([_leverage(model, record) for record in records])
+    residual = np.concatenate([model.residuals(record) for record in records])
+    known = np.isfinite(leverage) & np.isfinite(residual)
+    beyond = leverage[known] > largest * (1.0 + 1e-9)
+    squares = residual[known] ** 2
+    return Outside(
+        share=_mean(beyond) if np.isfinite(largest) else float("nan"),
+        largest=largest if np.isfinite(largest) else float("nan"),
+        rmse_inside=float(np.sqrt(_mean(squares[~beyond]))),
+        rmse_outside=float(np.sqrt(_mean(squares[beyond]))),
+    )
+
+
+def _leverage(model: Narmax, record: Record | Mapping[str, Floats]) -> Floats:
+    """Return the leverage of the samples (n,) whose output is known: those that a fit can rest on."""
+    (record,) = as_records(record)
+    return np.where(np.isfinite(record.signals[model.output]), model.leverage(record), np.nan)
+
+
+def _mean(values: NDArray[Any]) -> float:
+    return float(np.mean(values)) if len(values) else float("nan")
 
 
 def score(measured: Floats, predicted: Floats) -> Score:

@@ -13,7 +13,7 @@ from planners.arena import Floats
 from robotmodic_ident import Narmax, Record, Terms, fit, lags, polynomial
 from robotmodic_ident.criteria import Criterion
 from robotmodic_ident.errors import IdentError
-from robotmodic_ident.score import Score
+from robotmodic_ident.score import Outside, Score, outside
 from robotmodic_ident.score import score as score_series
 from robotmodic_ident.validate import validate
 from sensorgraph.errors import GapError
@@ -97,6 +97,8 @@ class Identified:
     scores: dict[str, Score]
     """`one_step`, `free_run`, `persistence` (the last measured value), `constant` (the mean of the training)."""
     validation: list[dict[str, Any]]
+    outside: Outside
+    """What of the part that is scored lies where the model was not fitted."""
     n_train: int
     unknown: dict[str, float]
     """Signal -> share of its samples that are not known."""
@@ -119,6 +121,7 @@ class Identified:
             "baselines": {k: plain(self.scores[k]) for k in ("persistence", "constant")},
             "validation": self.validation,
             "split": q.split,
+            "outside": plain(self.outside),
             "signals": dict(self.data.names),
             "period_s": self.data.period,
             "held": dict(self.data.held),
@@ -149,7 +152,8 @@ def identify(data: Data, question: Question) -> Identified:
     }
     return Identified(
         model=model, question=question, data=data, test=test, measured=measured, one_step=one_step,
-        free_run=free_run, scores=scores, validation=_validated(model, test, question), n_train=model.n_samples,
+        free_run=free_run, scores=scores, validation=_validated(model, test, question),
+        outside=outside(model, train, test), n_train=model.n_samples,
         unknown=unknown,
     )  # fmt: skip
 
@@ -275,6 +279,6 @@ def score(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Score:
         return score_series(x, y)
 
 
-def plain(s: Score) -> dict[str, float | None]:
-    """Return a score as plain data; what is not defined is None."""
+def plain(s: Score | Outside) -> dict[str, float | None]:
+    """Return scores as plain data; what is not defined is None."""
     return {k: v if math.isfinite(v) else None for k, v in vars(s).items()}

@@ -45,12 +45,14 @@ def test_the_model_file_holds_what_is_promised(
     assert found["speed(k-1)"] == pytest.approx(0.6, abs=0.01)
     assert found["volts(k-1)^2"] == pytest.approx(0.5, abs=0.01)
     assert data["period_s"] == pytest.approx(0.1)
+    assert 0 <= data["outside"]["share"] < 0.05
     assert data["unknown"] == {"speed": 0.005, "volts": 0.0}
     assert Narmax.load(out).terms.names == tuple(found)
     assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     said = capsys.readouterr().out
     assert "speed: 0.5% of the samples unknown" in said
     assert "volts(k-1)^2" in said
+    assert "where the model was fitted" in said
 
 
 BAD = {
@@ -115,6 +117,7 @@ def test_as_many_terms_as_samples_have_no_standard_error(tmp_path: Path) -> None
     assert [t["stderr"] for t in data["terms"]] == [None] * 3
     assert np.isnan(Narmax.load(out).stderr).all()
     assert isinstance(data["one_step"]["n"], int)
+    assert data["outside"]["share"] is None
 
 
 def test_what_no_term_explains_is_said_with_noise_and_without(

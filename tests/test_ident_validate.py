@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ident_samples import simulate
@@ -15,6 +17,9 @@ from robotmodic_ident import (
     false_discoveries,
     fit,
     halves,
+    lags,
+    outside,
+    polynomial,
     score,
     scores,
     validate,
@@ -173,6 +178,43 @@ def test_k_step_prediction_lies_between_one_step_and_free_run() -> None:
     assert rmse[:3] == sorted(rmse[:3]) and rmse[3] == pytest.approx(rmse[2], rel=0.02)  # memory of 2 samples
     np.testing.assert_allclose(model.predict_k(data, 1)[2:], model.predict_osa(data)[2:], atol=1e-12)
     np.testing.assert_allclose(model.predict_k(data, 798)[-1], model.predict_mpo(data)[-1], atol=1e-9)
+
+
+@pytest.mark.parametrize("centre", [0.0, 1e5])
+def test_leverage_is_the_diagonal_of_the_hat_matrix(centre: float) -> None:
+    rng = np.random.default_rng(2)
+    x = centre + rng.uniform(-1, 1, 60)
+    y = 1 + 2 * (x - centre) - (x - centre) ** 2 + 0.1 * rng.normal(size=60)
+    y[7] = np.nan
+    model = fit({"x": x, "y": y}, "y", polynomial(["x"], 2), n_terms=3)
+    hat = model.leverage({"x": x, "y": y})
+    known = np.isfinite(y)
+    Q, _ = np.linalg.qr(np.vander(x - centre, 3)[known])
+    np.testing.assert_allclose(hat[known], (Q**2).sum(axis=1), rtol=1e-8)
+    assert hat[known].sum() == pytest.approx(3)
+    assert np.isfinite(hat[7])  # where the output is not known the equation still holds
+
+
+def test_what_lies_outside_the_fit_is_told_and_is_worse_there() -> None:
+    rng = np.random.default_rng(3)
+    u = np.r_[rng.uniform(0, 1, 400), rng.uniform(0.05, 0.95, 300), rng.uniform(2, 3, 100)]
+    y = np.sin(2 * u) + 0.01 * rng.normal(size=800)
+    near, test = {"u": u[:400], "y": y[:400]}, {"u": u[400:], "y": y[400:]}
+    model = fit(near, "y", polynomial(lags("u", 0, 0), 4))
+    told = outside(model, near, test)
+    assert told.share == pytest.approx(100 / 400)
+    assert told.rmse_inside == pytest.approx(0.01, rel=0.2)
+    assert told.rmse_outside > 10 * told.rmse_inside
+    assert outside(model, near, near).share == 0
+    assert np.isnan(outside(model, near, near).rmse_outside)
+
+
+def test_exact_data_have_no_leverage() -> None:
+    u = np.linspace(0, 1, 20)
+    exact = {"u": u, "y": 0.5 * u}
+    told = outside(replace(fit(exact, "y", Terms.parse("u(k)")), sigma=0.0), exact, exact)
+    assert np.isnan(told.share)
+    assert np.isnan(told.largest)
 
 
 def test_blocks_are_contiguous_and_cover_the_record() -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from robotmodic_ident.score import Score
+    from robotmodic_ident.score import Outside, Score
     from sensorgraph.identify import Identified
     from sensorgraph.signals import Data
 
@@ -134,10 +134,23 @@ def said(found: Identified) -> list[str]:
         lines.append(
             f"{q.output} does not vary in what is scored: there is no r; score more, or --split block"
         )
+    lines += _reach(found.outside)
     if found.validation:
         lines += ["", f"{'residual test':<32}{'statistic':>12}{'p':>10}"]
         lines += [f"{t['test']:<32}{t['statistic']:>12.4g}{t['p_value']:>10.3g}" for t in found.validation]
     return [*lines, ""]
+
+
+def _reach(outside: Outside) -> list[str]:
+    """Say how much of what is scored lies where the model was not fitted."""
+    if math.isnan(outside.share):
+        return []
+    if outside.share == 0:
+        return ["all of it lies where the model was fitted"]
+    there = f"RMSE {outside.rmse_outside:.4g} there"
+    if outside.share < 1:
+        there += f", {outside.rmse_inside:.4g} elsewhere"
+    return [f"{outside.share:.1%} of it lies outside where the model was fitted (one step: {there})"]
 
 
 def _known(value: float, form: str) -> str:
