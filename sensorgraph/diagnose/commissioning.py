@@ -37,7 +37,6 @@ logger = logging.getLogger(__name__)
 TIMES = 3.0  # what a name takes, over the most that clutter alone has brought
 LOCAL_TIMES = 2.0  # the same for effects at one place, of which a good run shows the worst of many
 SEVERAL = 1.25  # the same where several good runs show how far clutter goes, at least
-WORST = 0.99  # of the t quantile for a gain that is the worst of many places
 MOST_TIMES = 3.0  # and at most
 STEADY = 0.43  # share of a stamp's tolerance that is the same all through a run (see `nuisance.widths`)
 SHORT = 0.3  # [m] a map of shorter walls has no panes
@@ -132,12 +131,12 @@ class Commissioned:
         """
         if self.n_runs == 1:
             return LOCAL_TIMES if is_local(name) else TIMES
+        if EFFECTS[name].place != "sector":  # of walls and spots a run has many, and its gain is the worst of them
+            return SEVERAL
         if len(gained) < FEW or gained.min() <= 0:
             return TIMES
         logs = np.log(gained)  # of a further window: a prediction interval
-        # of walls and spots a window has many, and its gain is the worst of them: it spreads less than one alone
-        sure = SURE if EFFECTS[name].place in (None, "sector") else WORST
-        far = stdtrit(len(logs) - 1, sure) * logs.std(ddof=1) * np.sqrt(1 + 1 / len(logs))
+        far = stdtrit(len(logs) - 1, SURE) * logs.std(ddof=1) * np.sqrt(1 + 1 / len(logs))
         return float(np.clip(np.exp(logs.mean() + far) / gained.max(), SEVERAL, MOST_TIMES))
 
     def told(self, evidence: Evidence) -> Evidence:
