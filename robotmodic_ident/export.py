@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import re
 
-from robotmodic_ident.analysis.algebra import deterministic
+from robotmodic_ident.analysis.algebra import polynomial_part
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
+from robotmodic_ident.printing import legible, most_of
+from robotmodic_ident.scale import Scale
 from robotmodic_ident.terms import Factor, Term
 
+CANCELS = 1e3
+"""How much larger than the result the terms of C may be that cancel in it: 13 digits stay."""
 GREEK = ("alpha", "beta", "gamma", "omega", "phi", "psi", "theta", "sigma")
 
 
@@ -32,15 +36,16 @@ def to_c(model: Narmax, *, name: str | None = None) -> str:
     """Return C99 source of one step: `double NAME(const double s[])` of the signals that its comment lists.
 
     Past outputs are signals as any other: fed with measurements it predicts one step ahead, fed with its own
-    results it runs free. Noise terms are left out (their expectation is 0).
+    results it runs free. Noise terms are left out (their expectation is 0). Variables far from 0 stay centred.
     """
-    plain = deterministic(model)
+    plain = polynomial_part(legible(model, CANCELS))
     function = name or f"{model.output}_step"
     if not re.fullmatch(r"[A-Za-z_]\w*", function):
         raise ValueError(f"{function!r} is no name of a C function")
     place = {signal: i for i, signal in enumerate(plain.terms.signals)}
     lines = [
-        f"    y += {float(c)!r}{_c_factors(t, place)};" for t, c in zip(plain.terms, plain.theta, strict=True)
+        f"    y += {float(c)!r}{_c_factors(t, place, plain.scale)};"
+        for t, c in zip(plain.terms, plain.theta, strict=True)
     ]
     uses_math = any(f.function for term in plain.terms for f in term)
     return "\n".join(
@@ -63,25 +68,27 @@ def to_c(model: Narmax, *, name: str | None = None) -> str:
     )
 
 
-def _c_factors(term: Term, place: dict[str, int]) -> str:
+def _c_factors(term: Term, place: dict[str, int], scale: Scale) -> str:
     text = ""
     for f in term:
         value = f"s[{place[f.signal]}]"
         if f.function:
             inner = value if f.harmonic == 1 else f"{float(f.harmonic)!r} * {value}"
             value = f"{f.function}({inner})"
+        elif centre := scale.pair(f.variable)[0]:
+            value = f"({value} - {centre!r})" if centre > 0 else f"({value} + {-centre!r})"
         text += f" * {value}" * f.power
     return text
 
 
 def to_latex(model: Narmax, *, digits: int = 4, per_line: int = 3) -> str:
     r"""Return the equation as LaTeX, in an `aligned` block where it needs more than one line."""
-    plain = deterministic(model)
+    plain = polynomial_part(legible(model, most_of(digits)))
     left = _latex_name(model.output) + ("(k)" if model.is_dynamic else "")
     parts = []
     for term, c in zip(plain.terms, plain.theta.tolist(), strict=True):
         size = _latex_number(abs(c), digits)
-        factors = r"\,".join(_latex_factor(f) for f in term)
+        factors = r"\,".join(_latex_factor(f, plain.scale) for f in term)
         body = size if not factors else (factors if size == "1" else rf"{size}\,{factors}")
         parts.append(("- " if c < 0 else "+ ") + body)
     if not parts:
@@ -106,11 +113,14 @@ def _latex_name(variable: str) -> str:
     return head + (rf"_{{\mathrm{{{tail.replace('_', ',')}}}}}" if tail else "")
 
 
-def _latex_factor(f: Factor) -> str:
+def _latex_factor(f: Factor, scale: Scale) -> str:
     lag = "" if f.lag is None else ("(k)" if f.lag == 0 else f"(k-{f.lag})")
     text = _latex_name(f.variable) + lag
     if f.function:
         text = rf"\{f.function}\left({'' if f.harmonic == 1 else f.harmonic}{text}\right)"
+    elif centre := scale.pair(f.variable)[0]:
+        text = rf"\left({text} {'+' if centre < 0 else '-'} {abs(centre):.15g}\right)"
+        return text if f.power == 1 else f"{text}^{{{f.power}}}"
     if f.power == 1:
         return text
     return rf"{text}^{{{f.power}}}" if not lag and not f.function else rf"\left[{text}\right]^{{{f.power}}}"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
+from robotmodic_ident import printing
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.expand import expand
 from robotmodic_ident.records import Record, as_records
@@ -22,7 +23,6 @@ from robotmodic_ident.terms import CONSTANT, Floats, Terms
 
 FORMAT = "robotmodic-narmax-1"
 NO_TERMS = Terms(())
-ONE = Terms.parse(CONSTANT)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,6 +59,8 @@ class Narmax:
     """(len(noise_terms),)"""
     estimator: str = "ls"
     """`ls`, `els`, `pem` (prediction error) or `simulation` (error of the free run)."""
+    spans: Mapping[str, float] = field(default_factory=dict)
+    """Variable -> half its span in the fit, where the scale no longer says; tells what cancels far from 0."""
     notes: tuple[str, ...] = ()
     """What the user should know: dependent terms left out, few samples, ..."""
 
@@ -164,6 +166,7 @@ class Narmax:
             theta=self.theta * factor,
             covariance=self.covariance * np.outer(total, total),
             scale=Scale(self.scale.variables, self.scale.centres, tuple(1.0 for _ in self.scale.widths)),
+            spans=dict(zip(self.scale.variables, self.scale.widths, strict=True)),
             denominator=below,
             denominator_theta=self.denominator_theta * below_factor,
             noise_terms=noise,
@@ -171,17 +174,11 @@ class Narmax:
         )
 
     def equation(self, *, digits: int = 6, scaled: bool = False) -> str:
-        """Print the model; in the user's units, or in the scaled variables if `scaled`."""
-        model = self if scaled else self.in_user_units()
-        left = f"{self.output}(k)" if self.is_dynamic else self.output
-        text = sum_text(model.terms, model.theta, digits=digits)
-        if len(model.denominator):
-            below = sum_text(ONE + model.denominator, np.r_[1.0, model.denominator_theta], digits=digits)
-            text = f"({text}) / ({below})"
-        if len(model.noise_terms):
-            tail = sum_text(model.noise_terms, model.noise_theta, digits=digits)
-            text += f" - {tail[1:]}" if tail.startswith("-") else f" + {tail}"
-        return f"{left} = {text}"
+        """Print the model in the user's units, so that it holds to 1 %; in the scaled variables if `scaled`.
+
+        Far from 0 powers of x cancel, and their coefficients would need more digits: there (x - centre) is printed.
+        """
+        return printing.equation(self, digits, scaled=scaled)
 
     def predict_osa(self, record: Record | Mapping[str, Floats]) -> Floats:
         """Predict each sample from the measured past and the noise found in it (n,); nan where not known."""
@@ -246,6 +243,7 @@ class Narmax:
             "sigma": _plain(self.sigma),
             "n_samples": self.n_samples,
             "scale": self.scale.to_dict(),
+            "spans": dict(self.spans),
             "stop": self.stop,
             "estimator": self.estimator,
             "notes": list(self.notes),
@@ -289,6 +287,7 @@ class Narmax:
             sigma=math.nan if data["sigma"] is None else float(data["sigma"]),
             n_samples=int(data["n_samples"]),
             scale=Scale.from_dict(data["scale"]),
+            spans=dict(data.get("spans", {})),
             stop=data["stop"],
             denominator=denominator,
             denominator_theta=denominator_theta,
@@ -328,14 +327,3 @@ def _plain(value: float) -> float | None:
 def _read_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[Terms, Floats]:
     theta = np.array([row["theta"] for row in rows], dtype=np.float64)
     return Terms.parse(*(row["name"] for row in rows)), theta
-
-
-def sum_text(terms: Terms, theta: Sequence[float] | Floats, *, digits: int = 6) -> str:
-    """Print a sum of terms with signs between them: `0.5*y(k-1) + u(k-2) - 0.1*u(k-1)^2`."""
-    parts: list[str] = []
-    for name, value in zip(terms.names, np.asarray(theta, dtype=np.float64).tolist(), strict=True):
-        size = f"{abs(value):.{digits}g}"
-        body = size if name == "1" else (name if size == "1" else f"{size}*{name}")
-        sign = "-" if value < 0 else "+"
-        parts.append(f"{sign} {body}" if parts else (f"-{body}" if value < 0 else body))
-    return " ".join(parts) or "0"

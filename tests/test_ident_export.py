@@ -52,6 +52,22 @@ def test_compiled_c_predicts_as_python_does(
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler `cc` on this machine")
+def test_c_and_latex_of_variables_a_thousand_km_away_keep_their_digits(tmp_path: Path) -> None:
+    x = 1e6 + np.random.default_rng(3).uniform(-1, 1, 300)
+    data = {"x": x, "y": 1 + 0.3 * (x - 1e6) - 0.7 * (x - 1e6) ** 3}
+    model = fit(data, "y", polynomial(["x"], 3))
+    (tmp_path / "model.c").write_text(to_c(model, name="step"))
+    subprocess.run(
+        [str(COMPILER), "-std=c99", "-shared", "-fPIC", "-o", "model.so", "model.c"], cwd=tmp_path, check=True
+    )
+    step = ctypes.CDLL(str(tmp_path / "model.so")).step
+    step.restype = ctypes.c_double
+    said = [step((ctypes.c_double * 1)(v)) for v in x]
+    np.testing.assert_allclose(said, model.predict_osa(data), atol=1e-12)
+    assert r"\left(x - 1000000\right)^{3}" in to_latex(model)
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler `cc` on this machine")
 def test_a_constant_compiles_without_warning(tmp_path: Path) -> None:
     constant = Narmax(
         output="y", terms=Terms.parse("1"), theta=np.array([2.5]), covariance=np.eye(1),

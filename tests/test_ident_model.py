@@ -92,6 +92,30 @@ def test_diverging_free_run_ends_without_a_warning() -> None:
     assert free[1] == 18.0 and np.isnan(free[-1])
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize("centre", [0.0, 3.0, 1e3, -1e6])
+def test_the_printed_equation_says_what_the_model_says(centre: float, noise: float) -> None:
+    rng = np.random.default_rng(6)
+    x, u = centre + rng.uniform(-1, 1, 400), rng.uniform(-1, 1, 400)
+    y = 2 - (x - centre) ** 2 + 0.5 * (x - centre) * u + noise * rng.normal(size=400)
+    model = fit({"x": x, "u": u, "y": y}, "y", polynomial(["x", "u"], 2))
+    text = model.equation(digits=6)
+    right = text.partition(" = ")[2].replace("^", "**")
+    said = np.array([eval(right, {}, {"x": a, "u": b}) for a, b in zip(x, u, strict=True)])
+    np.testing.assert_allclose(said, model.predict_osa({"x": x, "u": u, "y": y}), atol=0.02)  # 1 % of 2
+    assert ("(x" in text) == (abs(centre) > 3)
+
+
+def test_a_known_offset_is_multiplied_out_where_digits_allow() -> None:
+    form = Narmax(
+        output="z", terms=Terms.parse("1", "x^2"), theta=np.array([1.0, 2.0]), covariance=np.eye(2),
+        err=np.zeros(2), sigma=0.1, n_samples=9, scale=Scale(("x",), (50.0,), (1.0,)),
+    )  # fmt: skip
+    assert form.equation(digits=4) == "z = 1 + 2*(x - 50)^2"
+    assert form.equation(digits=8) == "z = 5001 - 200*x + 2*x^2"
+    assert form.equation(scaled=True) == "z = 1 + 2*x^2"
+
+
 def test_centred_model_is_the_same_function_in_the_users_units(rng) -> None:
     data = {"x": rng.uniform(90, 110, 500)}
     data["z"] = 3 - 0.2 * data["x"] + 0.01 * data["x"] ** 2

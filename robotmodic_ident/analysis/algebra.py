@@ -38,9 +38,13 @@ def sum_of(model: Narmax) -> Sum:
 
 def deterministic(model: Narmax) -> Narmax:
     """Return a polynomial model in the user's units without its noise terms: what it says of y, not of e."""
-    if len(model.denominator):
+    return polynomial_part(model if len(model.denominator) else model.in_user_units())
+
+
+def polynomial_part(plain: Narmax) -> Narmax:
+    """Return a polynomial model without its noise terms, in the form that it has."""
+    if len(plain.denominator):
         raise IdentError("the analysis is of polynomial models; this one has a denominator")
-    plain = model.in_user_units()
     k = len(plain.terms)
     for term in plain.terms:
         for f in term:

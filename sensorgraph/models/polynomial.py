@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from robotmodic_ident import Moments, Scale, Selection, Terms, fourier, polynomial, select
 from robotmodic_ident.expand import expand
-from robotmodic_ident.model import sum_text
+from robotmodic_ident.printing import sum_text
 from sensorgraph.errors import GapError
 from sensorgraph.models.base import OFF, Floats, Ints, Point, Prediction, Progress, Scans
 from sensorgraph.models.choice import Auto, Choice, choose
