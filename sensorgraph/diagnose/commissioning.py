@@ -131,7 +131,7 @@ class Commissioned:
         """
         if self.n_runs == 1:
             return LOCAL_TIMES if is_local(name) else TIMES
-        if EFFECTS[name].place != "sector":  # of walls and spots a run has many, and its gain is the worst of them
+        if EFFECTS[name].place != "sector":  # a run has many walls and spots, and its gain is of the worst
             return SEVERAL
         if len(gained) < FEW or gained.min() <= 0:
             return TIMES
