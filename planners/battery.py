@@ -54,17 +54,17 @@ def sessions(driven: Driven, task: Task, *, battery: float, dock: Floats) -> lis
 
     They come in an order that spreads early runs over the floor, unless a priority has put them in another.
     """
-    curve, alpha, ways = driven.curve, task.robot.limits.alpha, Ways(task)
+    curve, robot, ways = driven.curve, task.robot, Ways(task)
     found: list[Session] = []
     middles: list[Floats] = []
     first = 0
     while first < len(curve.starts):
-        begin, _ = ends(section(curve, first, len(curve.starts), alpha))
+        begin, _ = ends(section(curve, first, len(curve.starts), robot))
         out = ways.way(dock, begin)
-        cut = latest(curve, first, battery - out.duration, dock, ways, alpha)
+        cut = latest(curve, first, battery - out.duration, dock, ways, robot)
         if cut is None:
-            last = int(cuts(curve)[cuts(curve) > first][0])
-            least = out.duration + cut_at(curve, first, last, dock, ways, alpha).duration
+            last = int(cuts(curve, robot)[cuts(curve, robot) > first][0])
+            least = out.duration + cut_at(curve, first, last, dock, ways, robot).duration
             raise PlanError(too_small(battery, float(begin[0]), float(begin[1]), least))
         assert cut.home is not None
         parts = [part for part in (out.curve, cut.part, cut.home.curve) if part is not None]

@@ -53,7 +53,7 @@ SLACK = 0.002
 """[m] that OMPL keeps beyond the clearance, where start and goal do; where none does, it may miss as much."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class Joins:
     """How the moves between primitives came about."""
 

@@ -72,6 +72,8 @@ class Driven:
     joins: Joins
     interrupted: bool = False
     """Ctrl-C ended the planning: a drive through what was planned by then."""
+    lost: Bools | None = None
+    """(nx, ny, n_phi) bins that OMPL found no way to; None: none."""
 
 
 def plan_stop_and_spin(task: Task) -> Driven:

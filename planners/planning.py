@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from planners import baselines
-from planners.arena import Arena, Floats
+from planners.arena import Arena, Bools, Floats
 from planners.battery import Session, chain, check_battery, sessions
 from planners.check import check
 from planners.clearance import Barriers
@@ -61,6 +61,8 @@ class Plan:
     joins: Joins
     stops: Floats
     """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the turn made there."""
+    lost: Bools
+    """(nx, ny, n_phi) bins that OMPL found no way to."""
     report: dict[str, Any]
     """plan.json"""
     sessions: tuple[Session, ...] = ()
@@ -161,6 +163,7 @@ def plan(
     if battery is not None and start is not None:
         check_battery(task, battery, start)
     driven = PLANNERS[planner](task)
+    lost = np.zeros_like(grid.reachable) if driven.lost is None else driven.lost
     before, runs = grid.fraction, list[Session]()
     if battery is None:
         driven = within(driven, task, budget=budget, end=end)
@@ -177,6 +180,7 @@ def plan(
         **({} if end is None else {"end": end.tolist()}),
         **({} if battery is None else {"battery_s": battery, "dock": home.tolist(), "sessions": so_far}),
         **({} if task.targets is None else {"views": task.targets.round(6).tolist()}),
+        "unreached": _unreached(grid, free, lost),
         "coverage_before": before,
         "planning_s": round(time.perf_counter() - began, 3),
     }
@@ -187,6 +191,7 @@ def plan(
         reach=free,
         joins=driven.joins,
         stops=driven.stops,
+        lost=lost,
         report=report,
         sessions=tuple(runs),
     )
@@ -354,6 +359,18 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "none"
+
+
+def _unreached(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Any]:
+    """Count what the drive does not meet, by why."""
+    missing = grid.reachable & ~grid.covered
+    beyond = free.cells()[:, :, None] & ~grid.reachable
+    return {
+        "no_way_found": int((missing & lost).sum()),
+        "not_driven": int((missing & ~lost).sum()),
+        "no_forward_drive_there_and_back": int(beyond.sum()),
+        "behind_narrow_gaps_m2": round((free.fits - int(free.mask.sum())) * free.step**2, 3),
+    }
 
 
 def _finite(value: float) -> float | None:

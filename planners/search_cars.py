@@ -10,7 +10,6 @@ import numpy as np
 from planners import search_kernels as kernels
 from planners.arena import Bools, Floats, wrap
 from planners.coverage_planner import Task, levels, missed
-from planners.errors import PlanError
 from planners.reach import Reach
 from planners.robot import Limits
 from planners.rooms import rooms
@@ -146,8 +145,8 @@ def best_start(reach: Reach, limits: Limits, headings: int, rate: float, seed: i
 
 def search_floor(
     todo: Bools, task: Task, start: Floats, seed: int, tick: Callable[[int], bool], settings: Settings
-) -> Visit:
-    """Drive a car through the bins `todo` (nx, ny, n_phi), one room after the other."""
+) -> Visit | None:
+    """Drive a car through the bins `todo` (nx, ny, n_phi), one room after the other; None where it gets to none."""
     robot, grid = task.robot, task.coverage
     table = driving(robot.limits, grid.headings, task.rate, GEARS[robot.drive], float(start[2]))
     search = Search(scene(task.reach), table, todo, task.rate, seed=seed, settings=settings)
@@ -174,14 +173,14 @@ def search_floor(
         if len(found.sequence):
             curve = car_curve(found, table, robot.limits)
             missing = missed(curve, todo, grid, task.rate)
-    if curve is None:
-        raise PlanError(
-            f"the car cannot reach a bin from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}); choose another start"
-        )
+    return None if curve is None else Visit(curve=curve, stops=cusps(curve), left=int(missing.sum()))
+
+
+def cusps(curve: Curve) -> Floats:
+    """Return (n, 4) x, y, phi where a car starts or changes gear, and 0 [rad] that it turns there."""
     gear = np.sign(curve.twists[:, 0] + curve.rates[:, 0] * 1e-6)
-    cusps = np.flatnonzero(np.diff(gear, prepend=0.0))
-    stops = np.column_stack([curve.poses[cusps], np.zeros(len(cusps))])
-    return Visit(curve=curve, stops=stops, left=int(missing.sum()))
+    at = np.flatnonzero(np.diff(gear, prepend=0.0))
+    return np.column_stack([curve.poses[at], np.zeros(len(at))])
 
 
 def _rooms(todo: Bools, start: Floats, task: Task) -> list[Bools]:

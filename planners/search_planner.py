@@ -16,14 +16,15 @@ import numpy as np
 from scipy.sparse import csgraph
 
 from planners.arena import Bools, Floats, wrap
-from planners.connect import Joins, connect
+from planners.connect import connect
 from planners.coverage import Coverage
 from planners.coverage_planner import Driven, Stops, Task, levels, missed, wanted
 from planners.errors import PlanError
 from planners.order import Ints
+from planners.repair import CarRepair
 from planners.rooms import cell_graph, rooms, sequence
 from planners.search import Scene, Search, Settings, Visit, scene, spin_curve
-from planners.search_cars import search_floor
+from planners.search_cars import cusps, search_floor
 from planners.search_table import GEARS, Table, driving, spinning
 from planners.steering import Curve, Pen, joined
 
@@ -83,9 +84,23 @@ def _by_car(task: Task) -> Driven:
     def search(_: int, seed: int, tick: Callable[[int], bool]) -> Visit | None:
         return search_floor(todo, task, start, seed, tick, CAR[task.robot.drive])
 
+    def search_on(missing: Bools, here: Floats, seed: int) -> Visit | None:
+        return search_floor(missing, task, here, seed, lambda _: True, CAR[task.robot.drive])
+
     (best,), interrupted = _side_by_side(search, [int(todo.sum())], task)
-    assert best is not None
-    return Driven(curve=best.curve, stops=best.stops, joins=Joins(), interrupted=interrupted)
+    repair = CarRepair(task, todo, start, search_on)
+    if best is not None:
+        repair.take(best.curve)
+    if not interrupted:
+        repair.run()
+    if not repair.curves:
+        raise PlanError(
+            f"the car cannot reach a bin from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}); choose another start"
+        )
+    curve = joined(repair.curves)
+    return Driven(
+        curve=curve, stops=cusps(curve), joins=repair.joins, interrupted=interrupted, lost=repair.lost
+    )
 
 
 def _first_pose(task: Task) -> Floats:

@@ -1,8 +1,9 @@
-"""What a robot drives in a given time: a plan's curve, cut where the robot stands, and led to where it should end.
+"""What a robot drives in a given time: a plan's curve, cut, and led to where it should end.
 
-A drive is cut only where v is zero. There the robot may still be turning, so the cut ends with a turn on the spot
-that brakes, and what follows begins with one that gets going again: both stay where the plan already was, and no
-heading bin loses the passage that met it.
+The drive of a robot that turns in place is cut only where v is zero. There it may still be turning, so the cut ends
+with a turn on the spot that brakes, and what follows begins with one that gets going again: both stay where the plan
+already was, and no heading bin loses the passage that met it. A car can be cut between any two arcs: it brakes, and
+gets going, on the arcs that it drives anyway.
 """
 
 from __future__ import annotations
@@ -12,17 +13,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planners.arena import Arena, Floats, wrap
+from planners.car_connect import connect_cars
 from planners.clearance import Barriers
 from planners.connect import Joins, connect
 from planners.coverage_planner import Driven, Task
 from planners.errors import PlanError
 from planners.order import Ints
 from planners.reach import Reach
+from planners.robot import Robot
+from planners.search_cars import geared
 from planners.search_planner import lead
 from planners.steering import Curve, Pen, joined
 
 STILL = 1e-9
 """[m/s, rad/s] slower is standing."""
+MOST_STUCK = 8
+"""Places from which no way is found, before that is said; ..."""
+BACK = 2.0
+"""... each is so much earlier than the one before [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,8 +39,6 @@ class Way:
 
     curve: Curve | None
     """None where the poses are the same."""
-    path: Floats
-    """(k, 2) [m] its corners."""
     joins: Joins
 
     @property
@@ -60,18 +66,32 @@ def check_pose(name: str, pose: Floats, arena: Arena, barriers: Barriers, reach:
         raise PlanError(f"{where} cannot be reached from the start; move one of them into the other's part")
 
 
-def cuts(curve: Curve) -> Ints:
+def cuts(curve: Curve, robot: Robot) -> Ints:
     """Return the pieces (m,) before which the curve can be cut, and the count of all pieces as the last."""
-    return np.append(np.flatnonzero(abs(curve.twists[:, 0]) < STILL), len(curve.starts))
+    still = abs(curve.twists[:, 0]) < STILL
+    if robot.drive != "diff":
+        still[:] = True
+    return np.append(np.flatnonzero(still), len(curve.starts))
 
 
-def section(curve: Curve, first: int, last: int, alpha: float) -> Curve:
-    """Return pieces `first` up to `last`, not included, from rest to rest; both must be some of `cuts`.
+def section(curve: Curve, first: int, last: int, robot: Robot) -> Curve:
+    """Return pieces `first` up to `last`, not included, from rest to rest; both must be some of `cuts`."""
+    if robot.drive == "diff":
+        return _of_turner(curve, first, last, robot.limits.alpha)
+    return _of_car(curve, first, last, robot)
 
-    Parameters
-    ----------
-    alpha : [rad/s²] of the turns that get going and brake
-    """
+
+def _of_car(curve: Curve, first: int, last: int, robot: Robot) -> Curve:
+    """Drive the same arcs again, starting and stopping on them."""
+    dt = np.diff(np.append(curve.starts, curve.duration))[first:last, None]
+    way, turn = (curve.twists[first:last] * dt + 0.5 * curve.rates[first:last] * dt * dt).T
+    bend = np.where(abs(turn) > STILL, np.sign(turn), 0.0)
+    top = float(abs(curve.twists[:, 0]).max())
+    return geared(curve.poses[first], abs(way), bend, np.sign(way), robot.limits, top)
+
+
+def _of_turner(curve: Curve, first: int, last: int, alpha: float) -> Curve:
+    """Get going and brake by turns on the spot, at `alpha` [rad/s²]."""
     whole = curve if last == len(curve.starts) else curve.until(float(curve.starts[last]), alpha)
     omega = float(curve.twists[first, 1])
     if abs(omega) < STILL:
@@ -131,24 +151,39 @@ def stops(curve: Curve, task: Task) -> Floats:
     return np.column_stack([curve.poses[cusps], np.zeros(len(cusps))])
 
 
+class NoWayError(PlanError):
+    """OMPL found no way between two poses."""
+
+
 class Ways:
-    """Ways between poses: straight where that is clear, else by OMPL; each asked for once."""
+    """Ways between poses: direct where that is clear, else by OMPL; each asked for once."""
 
     def __init__(self, task: Task) -> None:
-        if task.robot.drive != "diff":
-            raise PlanError(
-                f"a way home turns on the spot, which drive {task.robot.drive!r} cannot; "
-                "leave out the dock and the end pose, or use drive: diff"
-            )
         self.task = task
         self._paths: dict[tuple[float, ...], tuple[Floats, Joins]] = {}
 
     def way(self, begin: Floats, end: Floats) -> Way:
         """Return the way from pose (3,) to pose (3,), at rest at both."""
+        if self.task.robot.drive != "diff":
+            return self._by_car(begin, end)
         path, joins = self._path(begin[:2], end[:2])
         pen = Pen(begin, self.task.robot.limits)
         lead(pen, path, float(end[2]))
-        return Way(curve=pen.curve() if pen.clock > 0 else None, path=path, joins=joins)
+        return Way(curve=pen.curve() if pen.clock > 0 else None, joins=joins)
+
+    def _by_car(self, begin: Floats, end: Floats) -> Way:
+        task = self.task
+        ways, joins = connect_cars(
+            begin[None],
+            [end[None]],
+            reach=task.reach,
+            barriers=task.barriers,
+            robot=task.robot,
+            seed=task.seed,
+        )
+        if ways[0] is None:
+            raise NoWayError(_no_way(begin, end))
+        return Way(curve=ways[0].curve, joins=joins)
 
     def _path(self, begin: Floats, end: Floats) -> tuple[Floats, Joins]:
         key = (*begin.tolist(), *end.tolist())
@@ -162,11 +197,17 @@ class Ways:
                 begin[None], end[None], reach=task.reach, barriers=task.barriers, seed=task.seed
             )
             if paths[0] is None:
-                raise PlanError(
-                    f"no way was found from ({begin[0]:.2f}, {begin[1]:.2f}) to ({end[0]:.2f}, {end[1]:.2f})"
-                )
+                raise NoWayError(_no_way(begin, end))
             self._paths[key] = paths[0], joins
         return self._paths[key]
+
+
+def _no_way(begin: Floats, end: Floats) -> str:
+    return f"no way was found from {_place(begin)} to {_place(end)}; choose another place to start, to end or to dock"
+
+
+def _place(pose: Floats) -> str:
+    return f"({', '.join(f'{value:.2f}' for value in pose)})"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -184,45 +225,52 @@ class Cut:
         return self.part.duration + (0.0 if self.home is None else self.home.duration)
 
 
-def cut_at(curve: Curve, first: int, last: int, home: Floats | None, ways: Ways | None, alpha: float) -> Cut:
+def cut_at(curve: Curve, first: int, last: int, home: Floats | None, ways: Ways | None, robot: Robot) -> Cut:
     """Return pieces `first` up to `last`, not included, and the way from there to `home` (3,)."""
-    part = section(curve, first, last, alpha)
+    part = section(curve, first, last, robot)
     back = None if home is None or ways is None else ways.way(ends(part)[1], home)
     return Cut(last=last, part=part, home=back)
 
 
 def latest(
-    curve: Curve, first: int, left: float, home: Floats | None, ways: Ways | None, alpha: float
+    curve: Curve, first: int, left: float, home: Floats | None, ways: Ways | None, robot: Robot
 ) -> Cut | None:
     """Return the longest part from piece `first` on that is done, the way `home` (3,) included, within `left` [s].
 
     Where ways home differ much from place to place, a longer one may exist; none is ever too long.
     """
-    choice, stamps = cuts(curve), np.append(curve.starts, curve.duration)
-    allowed = left
+    choice, stamps = cuts(curve, robot), np.append(curve.starts, curve.duration)
+    allowed, stuck = left, 0
     while True:
         fits = choice[(choice > first) & (stamps[choice] - stamps[first] <= allowed)]
         if not len(fits):
             return None
-        cut = cut_at(curve, first, int(fits[-1]), home, ways, alpha)
+        last = int(fits[-1])
+        try:
+            cut = cut_at(curve, first, last, home, ways, robot)
+        except NoWayError:
+            if (stuck := stuck + 1) > MOST_STUCK:
+                raise
+            allowed = float(stamps[last] - stamps[first]) - BACK
+            continue
         over = cut.duration - left
         if over <= STILL:
             return cut
-        allowed = float(stamps[cut.last] - stamps[first]) - over
+        allowed = float(stamps[last] - stamps[first]) - over
 
 
 def within(driven: Driven, task: Task, *, budget: float | None, end: Floats | None) -> Driven:
     """Return the drive as far as `budget` [s] goes, led to `end` (3,) if there is one."""
     if budget is None and end is None:
         return driven
-    curve, alpha = driven.curve, task.robot.limits.alpha
+    curve, robot = driven.curve, task.robot
     ways = None if end is None else Ways(task)
-    whole = cut_at(curve, 0, len(curve.starts), end, ways, alpha)
+    whole = cut_at(curve, 0, len(curve.starts), end, ways, robot)
     cut = whole
     if budget is not None and whole.duration > budget + STILL:
-        found = latest(curve, 0, budget, end, ways, alpha)
+        found = latest(curve, 0, budget, end, ways, robot)
         if found is None:
-            first = cut_at(curve, 0, int(cuts(curve)[cuts(curve) > 0][0]), end, ways, alpha)
+            first = cut_at(curve, 0, int(cuts(curve, robot)[cuts(curve, robot) > 0][0]), end, ways, robot)
             raise PlanError(
                 f"a budget of {budget / 60:g} min is too short: to the first stop"
                 f"{'' if end is None else ' and on to the end pose'} takes {minutes(first.duration)} min"

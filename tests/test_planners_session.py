@@ -19,6 +19,7 @@ from planners.battery import sessions, spread
 from planners.check import check
 from planners.clearance import Barriers
 from planners.connect import Joins
+from planners.coverage import Coverage
 from planners.coverage_planner import Driven, Task
 from planners.export import commands, waypoints
 from planners.no_go import without, zones
@@ -33,14 +34,20 @@ ROBOT = Robot()
 GRID = {"cell": 0.5, "headings": 8}
 
 
-def task_of(made: Plan, arena: Arena) -> tuple[Driven, Task]:
+def task_of(made: Plan, arena: Arena, robot: Robot = ROBOT) -> tuple[Driven, Task]:
     driven = Driven(curve=made.curve, stops=made.stops, joins=Joins())
     task = Task(
         arena=arena,
-        robot=ROBOT,
+        robot=robot,
         barriers=Barriers(arena),
         reach=made.reach,
-        coverage=counted(made.coverage, np.zeros((0, 3))),
+        coverage=Coverage(
+            origin=made.coverage.origin,
+            cell=made.coverage.cell,
+            reachable=made.coverage.reachable,
+            counts=np.zeros_like(made.coverage.counts),
+            core=np.zeros_like(made.coverage.core),
+        ),
         start=None,
         seed=0,
         rate=10.0,
@@ -69,11 +76,11 @@ def assert_drives(curve: Curve, arena: Arena) -> None:
 def test_sections_between_any_cuts_pass_all_that_the_whole_passes(planner: str) -> None:
     arena = door_arena(0.9)
     made = plan(arena, ROBOT, planner=planner, **GRID)
-    choice = cuts(made.curve)
+    choice = cuts(made.curve, ROBOT)
     marks = [int(choice[k]) for k in (0, len(choice) // 3, len(choice) // 2, -1)]
     logged = []
     for first, last in pairwise(marks):
-        part = section(made.curve, first, last, ROBOT.limits.alpha)
+        part = section(made.curve, first, last, ROBOT)
         assert_drives(part, arena)
         logged.append(part.log(10.0))
     assert counted(made.coverage, np.concatenate(logged)).fraction == 1.0
@@ -338,8 +345,25 @@ def test_a_log_too_slow_for_the_bins_is_said(
     assert all(word in line for word, line in zip(said, lines, strict=True))
 
 
-def test_a_car_is_not_led_home_by_turns_on_the_spot(rooms: tuple[Plan, Arena]) -> None:
-    driven, task = task_of(*rooms)
-    object.__setattr__(task, "robot", Robot(drive="reeds_shepp", limits=Limits(turning_radius=0.4)))
-    with pytest.raises(PlanError, match="turns on the spot"):
-        within(driven, task, budget=None, end=np.array([1.0, 1.0, 0.0]))
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
+def test_cars_come_home_too(drive: Any) -> None:
+    arena, dock = outlined(shapely.box(0, 0, 4, 3)), np.array([2.0, 0.6, 0.0])
+    car = Robot(drive=drive, limits=Limits(turning_radius=0.4))
+    made = plan(arena, car, start=dock, **GRID)
+    driven, task = task_of(made, arena, car)
+    runs = sessions(driven, task, battery=120.0, dock=dock)
+    assert len(runs) > 1
+    for run in runs:
+        curve = run.driven.curve
+        assert curve.duration <= 120.0 + 1e-6
+        for pose in ends(curve):
+            np.testing.assert_allclose(pose[:2], dock[:2], atol=1e-5)
+            assert abs(wrap(pose[2] - dock[2])) < 1e-5
+        assert check(curve.trajectory(100.0), arena, car).count == 0
+    logged = np.concatenate([run.driven.curve.log(10.0) for run in runs])
+    task.coverage.add(logged)
+    assert task.coverage.fraction >= made.report["coverage"] - 0.005
+    half = within(driven, task, budget=60.0, end=None)
+    assert 50.0 < half.curve.duration <= 60.0 + 1e-6
+    assert check(half.curve.trajectory(100.0), arena, car).count == 0

@@ -1,0 +1,149 @@
+"""What the search leaves: OMPL drives to the nearest of all missing bins, all it crosses counts, and so on.
+
+One query holds a pose in every missing bin as its goals (`ob.GoalStates`). Where enough is missing at the end of a
+way, the search takes over again from there: so a car comes over floors that the search's own flood gives up on, to
+the first room of a resumed plan, and to the bins that its lattice cannot meet. A bin is given up when a query for
+it was in vain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from planners.arena import Bools, Floats, wrap
+from planners.car_connect import CarWay, connect_cars
+from planners.connect import Joins
+from planners.coverage_planner import Task, missed
+from planners.order import Ints
+from planners.search import Visit
+from planners.search_table import GEARS, driving
+from planners.steering import Curve, joined
+
+ROUNDS = 40
+"""Queries, at most."""
+MOST_GOALS = 400
+"""Of one query, the nearest ones."""
+AGAIN = 12
+"""Missing bins from which on the search takes over."""
+FEW = 9
+POSES = np.array(
+    [(x, y, turn) for turn in (0.0, -0.3, 0.3) for x in (0.0, -0.3, 0.3) for y in (0.0, -0.3, 0.3)]
+)
+"""Goals within a bin, in parts of it; the first FEW where there are many bins."""
+
+SearchOn = Callable[[Bools, Floats, int], Visit | None]
+"""(bins wanted, pose (3,) to begin at, seed) -> drive; None where it gets no bin."""
+
+
+@dataclass(eq=False)
+class CarRepair:
+    """Completes the drive of a car."""
+
+    task: Task
+    todo: Bools
+    """(nx, ny, n_phi)"""
+    here: Floats
+    """(3,) where the car is."""
+    search: SearchOn
+    curves: list[Curve] = field(default_factory=list)
+    joins: Joins = field(default_factory=Joins)
+
+    def __post_init__(self) -> None:
+        self.lost: Bools = np.zeros_like(self.todo)
+        """(nx, ny, n_phi) bins that no way was found to."""
+        limits, drive = self.task.robot.limits, self.task.robot.drive
+        table = driving(limits, self.task.coverage.headings, self.task.rate, GEARS[drive])
+        self.aside = table.first
+        """[rad] from the middle of a heading bin to the headings that the search likes."""
+
+    def take(self, curve: Curve) -> None:
+        """Drive on along a curve that starts here."""
+        self.curves.append(curve)
+        self.here = curve.sample(np.array([curve.duration]))[0][0]
+
+    def missing(self) -> Bools:
+        """Return (nx, ny, n_phi) what the log of some phase misses, but for what is lost."""
+        if not self.curves:
+            return self.todo & ~self.lost
+        return missed(joined(self.curves), self.todo, self.task.coverage, self.task.rate) & ~self.lost
+
+    def run(self) -> None:
+        """Drive to missing bins until none is left, or all that is left is lost."""
+        for round_ in range(ROUNDS):
+            missing = self.missing()
+            if not missing.any():
+                return
+            if self.curves and missing.sum() >= AGAIN and self._searched(missing, round_):
+                continue
+            bins, goals = goals_in(missing, self.here, self.aside, self.task)
+            if not len(bins):  # no free place within any: slits between the raster's nodes
+                self.lost |= missing
+                return
+            way = self._way(self.here, goals, round_)
+            if way is None:
+                self.lost[tuple(bins.T)] = True
+                continue
+            goal = tuple(bins[way.goal])
+            if way.curve is None or not self._leads_on(way.curve, round_):
+                self.lost[goal] = True
+                continue
+            self.take(way.curve)
+            self.lost[goal] = self.missing()[goal]  # driven to, but not long enough within it
+
+    def _searched(self, missing: Bools, round_: int) -> bool:
+        """Let the search go on from here; say whether it got something."""
+        visit = self.search(missing, self.here, self.task.seed + round_)
+        if visit is None or visit.left >= missing.sum():
+            return False
+        self.take(visit.curve)
+        return True
+
+    def _way(self, start: Floats, goals: Floats, round_: int) -> CarWay | None:
+        task = self.task
+        ways, joins = connect_cars(
+            start[None],
+            [goals],
+            reach=task.reach,
+            barriers=task.barriers,
+            robot=task.robot,
+            seed=task.seed + round_,
+        )
+        self.joins += joins
+        return ways[0]
+
+    def _leads_on(self, curve: Curve, round_: int) -> bool:
+        """Tell whether the car can come back from a way; one that only goes forward may be trapped in a corner."""
+        if self.task.robot.drive == "reeds_shepp":
+            return True
+        before = self.joins
+        end = curve.sample(np.array([curve.duration]))[0][0]
+        back = self._way(end, self.here[None], round_)
+        self.joins = before  # not driven
+        return back is not None
+
+
+def goals_in(missing: Bools, here: Floats, aside: float, task: Task) -> tuple[Ints, Floats]:
+    """Return poses (n, 3) in the bins that are missing, the nearest first, and the bin (n, 3) of each.
+
+    Parameters
+    ----------
+    aside : [rad] from the middle of a heading bin to the headings that the search likes
+    """
+    reach, grid = task.reach, task.coverage
+    bins = np.argwhere(missing)
+    bins = bins[np.argsort(np.hypot(*(bins[:, :2] - _cell(here, task)).T), kind="stable")[:MOST_GOALS]]
+    shares = POSES if len(bins) * len(POSES) <= MOST_GOALS else POSES[:FEW]  # (p, 3)
+    bins = np.repeat(bins, len(shares), axis=0)
+    x, y, turn = np.tile(shares, (len(bins) // len(shares), 1)).T
+    places = reach.origin + (bins[:, :2] + 0.5 + np.column_stack([x, y])) * reach.cell
+    heading = (bins[:, 2] + turn) * (2 * np.pi / grid.headings) + aside
+    node = np.floor((places - reach.origin) / reach.step).astype(np.int64)
+    free = reach.mask[node[:, 0], node[:, 1]]
+    return bins[free], np.column_stack([places, wrap(heading)])[free]
+
+
+def _cell(pose: Floats, task: Task) -> Floats:
+    return np.asarray((pose[:2] - task.reach.origin) / task.reach.cell - 0.5)

@@ -1,0 +1,105 @@
+"""What the search leaves is driven to through OMPL's GoalStates; what is given up has a reason."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from planners_samples import door_arena
+
+from planners.arena import Arena, Bools, Floats
+from planners.check import check
+from planners.clearance import Barriers
+from planners.connect import Joins
+from planners.coverage import Coverage
+from planners.coverage_planner import Task, missed
+from planners.reach import reach
+from planners.repair import CarRepair
+from planners.robot import Drive, Limits, Robot
+from planners.search import Settings, Visit
+from planners.search_cars import search_floor
+from planners.steering import joined
+
+START = np.array([0.8, 0.8, 0.3])
+
+
+def task_of(arena: Arena, drive: Drive) -> Task:
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=0.22, cell=0.25, start=START)
+    grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=16)
+    robot = Robot(drive=drive, limits=Limits(turning_radius=0.3))
+    return Task(
+        arena=arena, robot=robot, barriers=barriers, reach=free, coverage=grid, start=START, seed=0,
+        rate=10.0, priority=None, duration=None, progress=None,
+    )  # fmt: skip
+
+
+def gives_up(_: Bools, __: Floats, ___: int) -> Visit | None:
+    return None
+
+
+def some(task: Task, *bins: tuple[int, int, int]) -> Bools:
+    todo = np.zeros_like(task.coverage.reachable)
+    todo[tuple(np.array(bins).T)] = True
+    return todo
+
+
+@pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
+def test_bins_behind_a_wall_that_the_search_gives_up_on_are_met_by_ompl(drive: Drive) -> None:
+    task = task_of(door_arena(1.2), drive)
+    todo = some(task, (12, 1, 0), (12, 2, 0), (3, 6, 8))  # two beyond the wall, one by the start
+    repair = CarRepair(task, todo, START, gives_up)
+    repair.run()
+    curve = joined(repair.curves)
+    assert not repair.lost.any()
+    assert not missed(curve, todo, task.coverage, task.rate).any()
+    assert repair.joins.planned >= 1
+    np.testing.assert_allclose(curve.poses[0], START)
+    found = check(curve.trajectory(100.0), task.arena, task.robot)
+    assert found.count == 0
+    assert found.min_clearance > task.robot.footprint_radius
+
+
+def test_what_is_crossed_on_the_way_is_not_driven_to_again() -> None:
+    task = task_of(door_arena(9.0), "reeds_shepp")
+    ahead = CarRepair(task, some(task, (12, 6, 0)), START, gives_up)
+    ahead.run()
+    (curve,) = ahead.curves
+    bins, logged = np.unique(task.coverage.bins(curve.log(task.rate))[0], axis=0, return_counts=True)
+    crossed = [tuple(own) for own in bins[logged >= 4].tolist()]
+    assert len(crossed) >= 4
+    again = CarRepair(task, some(task, *crossed), START, gives_up)
+    again.take(curve)
+    again.run()
+    assert len(again.curves) == 1
+    assert again.joins == Joins()
+
+
+def test_a_bin_that_no_way_leads_to_is_given_up_and_said_to_be() -> None:
+    """A Dubins car cannot come back from a corner that it drives straight into."""
+    task = task_of(door_arena(9.0), "dubins")
+    corner = (14, 10, 2)
+    repair = CarRepair(task, some(task, corner, (5, 6, 8)), START, gives_up)
+    repair.run()
+    assert repair.lost[corner]
+    assert repair.lost.sum() == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
+def test_a_search_whose_flood_gives_up_goes_on_where_ompl_has_brought_the_car(drive: Drive) -> None:
+    task = task_of(door_arena(1.2), drive)
+    todo = np.zeros_like(task.coverage.reachable)
+    todo[11:13, 5:7] = True
+    short = Settings(beam=30, ahead=1.5, flood_layers=24 if drive == "reeds_shepp" else 6)
+
+    def search(missing: Bools, here: Floats, seed: int) -> Visit | None:
+        return search_floor(missing, task, here, seed, lambda _: True, short)
+
+    assert search(todo, START, 0) is None
+    repair = CarRepair(task, todo, START, search)
+    repair.run()
+    curve = joined(repair.curves)
+    assert repair.joins.direct + repair.joins.planned >= 1
+    assert {"join", "drive"} == set(curve.labels.tolist())
+    assert missed(curve, todo, task.coverage, task.rate).sum() == repair.lost.sum() <= 0.1 * todo.sum()
+    assert check(curve.trajectory(100.0), task.arena, task.robot).count == 0
