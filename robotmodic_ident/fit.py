@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -14,9 +15,9 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimate import Covariance, Descent, Estimate
 from robotmodic_ident.model import NO_TERMS, Narmax
 from robotmodic_ident.moments import Moments
+from robotmodic_ident.noise import best_order, noise_terms_of, with_noise, with_signal
 from robotmodic_ident.ratio import Structure, as_ratio, times_output
 from robotmodic_ident.records import Lagged, Record, Records, as_records, lagged
-from robotmodic_ident.recursion import NOISE_NAME
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.select import Selection, select
 from robotmodic_ident.sizes import Search
@@ -24,9 +25,6 @@ from robotmodic_ident.terms import Floats, Terms
 
 Estimator = Literal["ls", "els", "pem", "simulation"]
 
-ROUNDS = 4
-"""Times that terms are chosen anew with the noise found so far."""
-ELS_STEPS = 30
 FAR = 1e5
 """A variable is centred when its middle lies FAR^(1/degree) half-spans from 0: beyond, its powers look alike."""
 
@@ -43,7 +41,7 @@ def fit(
     search: Search = "exchange",
     keep: Sequence[str] = (),
     n_folds: int = 5,
-    noise: int | Terms = 0,
+    noise: int | Terms | Literal["auto"] = 0,
     denominator: Terms = NO_TERMS,
     estimator: Estimator | None = None,
     covariance: Covariance | None = None,
@@ -59,13 +57,21 @@ def fit(
     search : `exchange`, `restart` or `forward`
     keep : names of terms that stay
     n_folds : contiguous blocks that criterion `cv` leaves out in turn
-    noise : lags of e(k), or terms that hold `e(k-1)`, ...; they stay in the predictor
+    noise : lags of e(k), or terms that hold `e(k-1)`, ...; they stay in the predictor; `auto`: as many lags as the
+        residual's own test asks for and EBIC agrees to
     denominator : candidate terms below the line of a rational model, without a constant
     estimator : `ls`; `els`; `pem` (the default with noise or a denominator); `simulation` (least error in free run)
     covariance : `classical`; `sandwich`; `hac` (the default for `simulation`, whose residuals are correlated)
     """
     records = as_records(records)
-    noise_terms = _noise_terms(noise)
+    if noise == "auto":
+        again = partial(
+            fit, records, output, terms, n_terms=n_terms, criterion=criterion, err_tol=err_tol, scale=scale,
+            search=search, keep=keep, n_folds=n_folds, denominator=denominator, estimator=estimator,
+            covariance=covariance,
+        )  # fmt: skip
+        return best_order(lambda order: again(noise=order), records, len(terms))
+    noise_terms = noise_terms_of(noise)
     if estimator is None:
         estimator = "pem" if len(noise_terms) or len(denominator) else "ls"
     if estimator not in get_args(Estimator):
@@ -83,7 +89,7 @@ def fit(
         if criterion in INFORMATION:
             model = Structure(records, terms, denominator, criterion).settle(model)
     elif len(noise_terms):
-        model = _with_noise(choice, noise_terms)
+        model = with_noise(choice, noise_terms)
     else:
         model = choice.select()
     kind: Covariance = covariance or ("hac" if estimator == "simulation" else "classical")
@@ -146,7 +152,7 @@ class _Choice:
         rows, terms = self.rows, self.terms
         if len(noise):
             terms = self.terms + noise
-            rows = lagged(_with_signal(self.records, noise_signal), terms, [self.output])
+            rows = lagged(with_signal(self.records, noise_signal), terms, [self.output])
         moments = self.moments(terms, rows)
         selection = select(
             moments,
@@ -192,70 +198,6 @@ def _check_causal(terms: Terms, output: str) -> None:
     for term, name in zip(terms, terms.names, strict=True):
         if any(f.variable == output and not f.lag for f in term):
             raise IdentError(f"term {name} explains {output} by itself; use its past, {output}(k-1)")
-
-
-def _noise_terms(noise: int | Terms) -> Terms:
-    if isinstance(noise, int):
-        return Terms.parse(*(f"{NOISE_NAME}(k-{lag})" for lag in range(1, noise + 1)))
-    for term, name in zip(noise, noise.names, strict=True):
-        if not any(f.variable == NOISE_NAME and f.lag for f in term):
-            raise IdentError(f"noise term {name} holds no past {NOISE_NAME}, as {NOISE_NAME}(k-1) would be")
-    return noise
-
-
-def _with_noise(choice: _Choice, noise: Terms) -> Narmax:
-    """Choose terms and noise coefficients in turn until the terms stay the same (extended least squares)."""
-    model = choice.select()
-    for _ in range(ROUNDS):
-        before = set(model.terms.names)
-        model = _extended(model, choice.records, noise)
-        signal = _noise_of(model, choice.records)
-        chosen = choice.select(noise, signal)
-        if set(chosen.terms.names) == before:
-            return model
-        model = chosen
-    return replace(
-        _extended(model, choice.records, noise),
-        notes=("terms and noise did not settle on each other; the last choice was kept",),
-    )
-
-
-def _noise_of(model: Narmax, records: Sequence[Record]) -> list[Floats]:
-    """Return what the one-step prediction leaves of every record; 0 where it is not known."""
-    return [np.nan_to_num(model.residuals(record), nan=0.0) for record in records]
-
-
-def _extended(model: Narmax, records: Sequence[Record], noise: Terms) -> Narmax:
-    """Iterate least squares with the residuals of the last round as regressors; keep the best round."""
-    n, size = len(model.terms), len(model.terms) + len(noise)
-    terms = model.terms + noise
-    best = replace(
-        model,
-        noise_terms=noise,
-        noise_theta=np.zeros(len(noise)),
-        covariance=np.zeros((size, size)),
-        estimator="els",
-    )
-    descent = Descent(best.recursion(), records, free=False)
-    least, *_ = descent.at(best.parameters)
-    for _ in range(ELS_STEPS):
-        rows = lagged(_with_signal(records, _noise_of(best, records)), terms, [model.output])
-        known = np.isfinite(rows.targets[:, 0])
-        phi = terms.matrix(rows.columns, model.scale, n=len(known))[known]
-        theta = np.linalg.lstsq(phi, rows.targets[known, 0], rcond=None)[0]
-        cost, *_ = descent.at(theta)
-        if not cost < least * (1.0 - 1e-10):  # no better, or the noise model is not invertible
-            break
-        best, least = replace(best, theta=theta[:n], noise_theta=theta[n:]), cost
-    return best
-
-
-def _with_signal(records: Sequence[Record], noise: Sequence[Floats]) -> list[Record]:
-    """Add the noise found so far to the signals of every record."""
-    return [
-        Record(signals={**r.signals, NOISE_NAME: e}, stamps=r.stamps, max_gap=r.max_gap)
-        for r, e in zip(records, noise, strict=True)
-    ]
 
 
 def _refined(model: Narmax, records: Sequence[Record], estimator: Estimator, kind: Covariance) -> Narmax:
