@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.world.raycast import cast, cast_rays, laser_poses
+from sensorgraph.world.rays import nearest, plain_nearest
 
 FULL = RangeSensor(bearings=-np.pi + 2 * np.pi * np.arange(360) / 360, range_min=0.0, range_max=100.0)
 
@@ -158,3 +159,27 @@ def test_one_ray_and_no_pose_have_the_right_shape(room: Arena) -> None:
     assert cast(room, np.array([[1.0, 1.0, 0.0]]), one).ranges.shape == (1, 1)
     with pytest.raises(ValueError, match=r"expected \(n_scans, 3\)"):
         cast(room, np.zeros(3), one)
+
+
+def test_the_compiled_rays_are_the_plain_ones() -> None:
+    """To the last bit, along walls and through corners, too."""
+    rng = np.random.default_rng(5)
+    walls = rng.uniform(0, 10, (30, 2, 2))
+    walls[20:, 1, 0] = walls[20:, 0, 0]  # upright ones, which a ray may run along
+    walls[25:, 0] = walls[24:29, 1]  # corners
+    n = 4000
+    ox, oy, phi = rng.uniform(0, 10, n), rng.uniform(0, 10, n), rng.uniform(-np.pi, np.pi, n)
+    ux, uy = np.cos(phi), np.sin(phi)
+    ox[:500], ux[:500], uy[:500] = walls[rng.integers(20, 30, 500), 0, 0], 0.0, 1.0
+    aim = walls[rng.integers(0, 30, 500), 1] - np.column_stack([ox, oy])[500:1000]
+    ux[500:1000], uy[500:1000] = aim.T / np.hypot(*aim.T)
+    ranges, wall = nearest(walls, ox, oy, ux, uy)
+    there, other = plain_nearest(walls, ox, oy, ux, uy)
+    np.testing.assert_array_equal(ranges, there)
+    np.testing.assert_array_equal(wall, other)
+    assert 0.5 < np.isfinite(ranges).mean() < 1
+
+
+def test_where_no_wall_is_no_ray_ends() -> None:
+    ranges, wall = nearest(np.zeros((0, 2, 2)), np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
+    assert np.isinf(ranges).all() and (wall == -1).all()

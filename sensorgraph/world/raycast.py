@@ -1,4 +1,4 @@
-"""Ray casting: exact ranges, incidence and wall index of every ray of every scan, in numpy.
+"""Ray casting: exact ranges, incidence and wall index of every ray of every scan.
 
 `cast` goes wall by wall: it asks which rays fall between the bearings of the wall's two ends and intersects
 only those (cost: walls + hits, not walls x rays). `cast_rays` is the plain form, every ray against every wall,
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from logs.run import RangeSensor
 from planners.arena import Arena, Bools, Floats, wrap
+from sensorgraph.world.rays import nearest
 
 Ints = NDArray[np.intp]
 
@@ -107,32 +108,11 @@ def cast_rays(arena: Arena, origins: Floats, headings: Floats, sensor: RangeSens
     Hits with arrays (n_scans, n_rays)
     """
     shape = headings.shape
-    flat = origins.reshape(-1, 2)
+    x, y = np.ascontiguousarray(origins.reshape(-1, 2).T, dtype=np.float64)
     ux, uy = np.cos(headings).ravel(), np.sin(headings).ravel()
-    ranges = np.full(len(flat), np.inf)
-    wall = np.full(len(flat), -1, dtype=np.intp)
-    step = max(1, 2_000_000 // max(arena.n_walls, 1))
-    for start in range(0, len(flat), step):
-        part = slice(start, start + step)
-        ranges[part], wall[part] = brute_force(arena.walls, flat[part], ux[part], uy[part])
+    ranges, wall = nearest(arena.walls, x, y, ux, uy)
     ranges, incidence, wall = _finish(_unit(arena.walls), ux, uy, ranges, wall, sensor)
     return Hits(ranges=ranges.reshape(shape), incidence=incidence.reshape(shape), wall=wall.reshape(shape))
-
-
-def brute_force(walls: Floats, origins: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
-    """Intersect each ray (origin (n, 2), unit direction) with each wall; return range [m] and wall, (n,)."""
-    a = walls[:, 0]
-    d = walls[:, 1] - a
-    ax = a[:, 0] - origins[:, :1]  # (n, n_walls)
-    ay = a[:, 1] - origins[:, 1:]
-    across = ux[:, None] * d[:, 1] - uy[:, None] * d[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        r = (ax * d[:, 1] - ay * d[:, 0]) / across
-        share = (ax * uy[:, None] - ay * ux[:, None]) / across
-        r[~((share >= 0) & (share <= 1) & (r >= 0))] = np.inf  # nan (parallel) fails the comparison too
-    wall = r.argmin(axis=1)
-    nearest = r[np.arange(len(r)), wall]
-    return nearest, np.where(np.isfinite(nearest), wall, -1)
 
 
 def _finish(

@@ -19,7 +19,8 @@ from scipy.special import ndtr
 
 from logs.run import RangeSensor
 from planners.arena import Arena, Bools, Floats
-from sensorgraph.world.raycast import brute_force, cast_laser, directions, laser_poses
+from sensorgraph.world.raycast import cast_laser, directions, laser_poses
+from sensorgraph.world.rays import nearest
 
 Ints = NDArray[np.intp]
 STAGES = ("geometry", "time", "mount", "surface", "optics", "range", "detection", "noise")
@@ -207,14 +208,8 @@ class Scene:
 
 def each(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
     """Cast rays that each have their own origin; return range [m] and wall (-1 none), shaped like `ux`."""
-    origins = np.stack(np.broadcast_arrays(ox, oy), axis=-1)
-    origins = np.broadcast_to(origins, (*ux.shape, 2)).reshape(-1, 2)
-    fx, fy = ux.ravel(), uy.ravel()
-    ranges, wall = np.full(len(fx), np.inf), np.full(len(fx), -1, dtype=np.intp)
-    step = max(1, 200_000 // max(len(walls), 1))
-    for start in range(0, len(fx), step):
-        part = slice(start, start + step)
-        ranges[part], wall[part] = brute_force(walls, origins[part], fx[part], fy[part])
+    x, y = (np.broadcast_to(o, ux.shape).ravel() for o in (ox, oy))
+    ranges, wall = nearest(walls, x, y, ux.ravel(), uy.ravel())
     return ranges.reshape(ux.shape), wall.reshape(ux.shape)
 
 

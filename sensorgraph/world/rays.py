@@ -1,0 +1,54 @@
+"""Rays that each have their own origin, every ray against every wall: compiled, and plainly in numpy for the tests."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.arena import Floats
+from planners.kernel import kernel
+
+Ints = NDArray[np.intp]
+
+
+@kernel
+def nearest(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
+    """Return how far each ray goes, and to which wall.
+
+    Parameters
+    ----------
+    walls : (n_walls, 2, 2) [m]
+    ox, oy : (n,) [m] origins
+    ux, uy : (n,) unit directions
+
+    Returns
+    -------
+    (n,) [m], inf where no wall is met, and (n,) index of the wall, the first of several equally near; -1 none
+    """
+    ranges, wall = np.full(len(ux), np.inf), np.full(len(ux), -1, np.intp)
+    for k in range(len(ux)):
+        for at in range(len(walls)):
+            dx, dy = walls[at, 1, 0] - walls[at, 0, 0], walls[at, 1, 1] - walls[at, 0, 1]
+            ax, ay = walls[at, 0, 0] - ox[k], walls[at, 0, 1] - oy[k]
+            across = ux[k] * dy - uy[k] * dx
+            share = (ax * uy[k] - ay * ux[k]) / across
+            if share >= 0.0 and share <= 1.0:  # not so where the ray is parallel: inf or nan
+                r = (ax * dy - ay * dx) / across
+                if r >= 0.0 and r < ranges[k]:
+                    ranges[k], wall[k] = r, at
+    return ranges, wall
+
+
+def plain_nearest(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
+    """Return what `nearest` does."""
+    a = walls[:, 0]
+    d = walls[:, 1] - a
+    ax, ay = a[:, 0] - ox[:, None], a[:, 1] - oy[:, None]  # (n, n_walls)
+    across = ux[:, None] * d[:, 1] - uy[:, None] * d[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = (ax * d[:, 1] - ay * d[:, 0]) / across
+        share = (ax * uy[:, None] - ay * ux[:, None]) / across
+        r[~((share >= 0) & (share <= 1) & (r >= 0))] = np.inf  # nan (parallel) fails the comparison too
+    wall = r.argmin(axis=1)
+    found = r[np.arange(len(r)), wall]
+    return found, np.where(np.isfinite(found), wall, -1)
