@@ -97,10 +97,14 @@ class Coverage:
 
     def holes(self) -> Floats:
         """Return centres (n, 3) [m, m, rad] of the reachable bins without a pose."""
-        missing = np.argwhere(self.reachable & (self.counts == 0))
-        places = self.origin + (missing[:, :2] + 0.5) * self.cell
+        return self.centres(np.asarray(self.reachable & (self.counts == 0)))
+
+    def centres(self, where: Bools) -> Floats:
+        """Return centres (n, 3) [m, m, rad] of some bins (nx, ny, n_phi)."""
+        bins = np.argwhere(where)
+        places = self.origin + (bins[:, :2] + 0.5) * self.cell
         return np.column_stack(
-            [places, wrap(np.multiply(missing[:, 2], 2 * np.pi / self.headings, dtype=np.float64))]
+            [places, wrap(np.multiply(bins[:, 2], 2 * np.pi / self.headings, dtype=np.float64))]
         )
 
     def dispersion(self) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from planners import baselines
+from planners import baselines, holes
 from planners.arena import Arena, Bools, Floats
 from planners.battery import Session, chain, check_battery, sessions
 from planners.check import check
@@ -180,7 +180,7 @@ def plan(
         **({} if end is None else {"end": end.tolist()}),
         **({} if battery is None else {"battery_s": battery, "dock": home.tolist(), "sessions": so_far}),
         **({} if task.targets is None else {"views": task.targets.round(6).tolist()}),
-        "unreached": _unreached(grid, free, lost),
+        "unreached": holes.counted(grid, free, lost),
         "coverage_before": before,
         "planning_s": round(time.perf_counter() - began, 3),
     }
@@ -359,18 +359,6 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "none"
-
-
-def _unreached(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Any]:
-    """Count what the drive does not meet, by why."""
-    missing = grid.reachable & ~grid.covered
-    beyond = free.cells()[:, :, None] & ~grid.reachable
-    return {
-        "no_way_found": int((missing & lost).sum()),
-        "not_driven": int((missing & ~lost).sum()),
-        "no_forward_drive_there_and_back": int(beyond.sum()),
-        "behind_narrow_gaps_m2": round((free.fits - int(free.mask.sum())) * free.step**2, 3),
-    }
 
 
 def _finite(value: float) -> float | None:

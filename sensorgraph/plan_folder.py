@@ -1,4 +1,8 @@
-"""A plan's folder: trajectory.csv, cmd_vel.csv, waypoints.yaml, plan.mcap, plan.json, plan.png; a folder per run."""
+"""A plan's folder; a folder in it per run of a battery.
+
+What a robot drives by (trajectory.csv, cmd_vel.csv, waypoints.yaml, plan.mcap), what is known of it (plan.json,
+holes.csv), and what it looks like (plan.png, headings.png, reach.png).
+"""
 
 from __future__ import annotations
 
@@ -14,9 +18,11 @@ from planners import Plan
 from planners.arena import Arena, Floats
 from planners.coverage import Coverage
 from planners.export import commands_csv, stops_yaml
+from planners.holes import holes_csv
 from planners.maps import geojson
 from planners.steering import Curve
-from sensorgraph import figures
+from sensorgraph.figures_headings import headings_picture
+from sensorgraph.figures_plan import plan_picture, reach_picture
 from sensorgraph.files import whole
 from sensorgraph.world.robot_file import RobotFile
 from sensorgraph.world.simulate import EPOCH_NS, occupancy
@@ -31,8 +37,11 @@ def save(plan: Plan, folder: Path, arena: Arena, robot: RobotFile) -> None:
     attached = {name: text.encode() for name, text in kept.items()}
     grid = coverage_map(plan.coverage)
     _save_drive(folder, plan.curve, plan.stops, grid, occupancy(arena), attached)
-    figures.plan_picture(plan, arena, folder / "plan.png")
-    _write(folder, kept | {"plan.json": _json(plan.report)})
+    plan_picture(plan, arena, folder / "plan.png")
+    reach_picture(plan, arena, folder / "reach.png")
+    headings_picture(plan, arena, folder / "headings.png")
+    left_out = holes_csv(plan.coverage, plan.reach, plan.lost)
+    _write(folder, kept | {"holes.csv": left_out, "plan.json": _json(plan.report)})
     logged = np.zeros((0, 3))
     for number, run in enumerate(plan.sessions):
         own = folder / f"run_{number + 1}"

@@ -28,8 +28,8 @@ KEYS = {
 
 
 FILES = {
-    "arena.geojson", "cmd_vel.csv", "plan.json", "plan.mcap", "plan.png", "robot.yaml", "trajectory.csv",
-    "waypoints.yaml",
+    "arena.geojson", "cmd_vel.csv", "headings.png", "holes.csv", "plan.json", "plan.mcap", "plan.png", "reach.png",
+    "robot.yaml", "trajectory.csv", "waypoints.yaml",
 }  # fmt: skip
 
 
@@ -45,7 +45,7 @@ def test_the_folder_holds_every_promised_file_and_nothing_half_written(folder: P
     assert names == FILES
     assert not [name for name in names if name.endswith(".part")]
     assert [path.name for path in folder.parent.iterdir()] == ["square"]
-    assert (folder / "plan.png").read_bytes().startswith(b"\x89PNG")
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in folder.glob("*.png"))
     assert yaml.safe_load((folder / "waypoints.yaml").read_text())["frame_id"] == "map"
 
 

@@ -21,6 +21,8 @@ OWNERS = {
     "matplotlib": {
         "sensorgraph/figures.py",
         "sensorgraph/figures_graph.py",
+        "sensorgraph/figures_headings.py",
+        "sensorgraph/figures_plan.py",
         "sensorgraph/diagnose/figures.py",
     },
     "typer": {"sensorgraph/cli/"},

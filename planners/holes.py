@@ -1,0 +1,56 @@
+"""What a drive does not meet, and why: bins that were left out, and places that no drive leads to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from planners.arena import Bools
+from planners.coverage import Coverage
+from planners.reach import Reach
+
+WHY: Mapping[str, str] = {
+    "no_way_found": "no way found there",
+    "not_driven": "not driven to",
+    "no_forward_drive_there_and_back": "no forward drive there and back",
+    "behind_narrow_gaps": "behind gaps too narrow",
+}
+"""Reasons, as plan.json and holes.csv name them, in words."""
+
+
+def unmet(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Bools]:
+    """Return the bins (nx, ny, n_phi) that are not met, by reason.
+
+    The first two count against the plan; what a car cannot drive to and come back from was never asked of it.
+
+    Parameters
+    ----------
+    lost : (nx, ny, n_phi) bins that OMPL found no way to
+    """
+    missing = grid.reachable & ~grid.covered
+    return {
+        "no_way_found": np.asarray(missing & lost),
+        "not_driven": np.asarray(missing & ~lost),
+        "no_forward_drive_there_and_back": np.asarray(free.cells()[:, :, None] & ~grid.reachable),
+    }
+
+
+def cut_off(free: Reach) -> Bools:
+    """Return the nodes (mx, my) where the robot fits, and to which no gap is wide enough."""
+    return np.asarray((free.distance >= free.clearance) & ~free.mask)
+
+
+def counted(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Any]:
+    """Return how much is not met, by reason: bins, and for places behind gaps square metres."""
+    bins = {why: int(where.sum()) for why, where in unmet(grid, free, lost).items()}
+    return bins | {"behind_narrow_gaps_m2": round(int(cut_off(free).sum()) * free.step**2, 3)}
+
+
+def holes_csv(grid: Coverage, free: Reach, lost: Bools) -> str:
+    """Return a line for the centre of each bin that is not met: x, y [m], phi [rad], reason."""
+    lines = ["x,y,phi,reason"]
+    for why, where in unmet(grid, free, lost).items():
+        lines += [f"{x:.6f},{y:.6f},{phi:.6f},{why}" for x, y, phi in grid.centres(where).tolist()]
+    return "\n".join(lines) + "\n"
