@@ -72,8 +72,8 @@ def reach_picture(plan: Plan, arena: Arena, path: Path) -> None:
     panels = 2 if behind.any() or any(where.any() for where in left_out.values()) else 1
     x0, y0, x1, y1 = arena.bounds
     width = 5.6
-    tall = float(np.clip((width - 0.8) * (y1 - y0) / max(x1 - x0, 1e-9), 2.0, 9.0))
-    figure = new_figure(width * panels + 0.5, tall + 1.1)
+    tall = float(np.clip((width - 0.6) * (y1 - y0) / max(x1 - x0, 1e-9), 2.0, 9.0))
+    figure = new_figure(width * panels + 0.5, tall + 1.4)
     axes = figure.subplots(1, panels, squeeze=False)[0]
     _what_counts(figure, axes[0], plan, arena)
     if panels == 2:
@@ -179,7 +179,7 @@ def _what_counts(figure: Any, axes: Any, plan: Plan, arena: Arena) -> None:
     _no_go(axes, plan)
     axes.plot([], [], color=TEAL, lw=0.9, label="how far the robot's centre can go")
     cells, bins = int((share > 0).sum()), int(grid.reachable.sum())
-    _panel_title(axes, f"What counts: {bins:,} bins in {cells:,} cells")
+    _panel_title(axes, f"What counts: {bins:,} bins in {cells:,} cells", 4)
 
 
 def _what_is_left(axes: Any, plan: Plan, arena: Arena) -> None:
@@ -208,13 +208,14 @@ def _what_is_left(axes: Any, plan: Plan, arena: Arena) -> None:
         name = f"{WHY[why]}: {amount}"
         axes.scatter([], [], marker="s", s=40, color=REASONS[why], linewidths=0, label=name)
     missing = int(grid.reachable.sum()) - int(grid.covered.sum())
-    _panel_title(axes, f"What is left out: {missing:,} of the bins that count")
+    _panel_title(axes, f"What is left out: {missing:,} of the bins that count", 2)
 
 
-def _panel_title(axes: Any, text: str) -> None:
-    """Write a panel's title above its legend."""
-    axes.set_title(text, loc="left", fontsize=10.5, color=INK, pad=20)
-    key(axes)
+def _panel_title(axes: Any, text: str, columns: int) -> None:
+    """Write a panel's title above its legend of so many columns."""
+    rows = -(-len(axes.get_legend_handles_labels()[1]) // columns)
+    axes.set_title(text, loc="left", fontsize=10.5, color=INK, pad=7 + 13 * rows)
+    key(axes, columns)
 
 
 def _start(axes: Any, plan: Plan) -> None:
@@ -242,7 +243,7 @@ def _no_go(axes: Any, plan: Plan) -> None:
         axes.add_patch(Polygon(np.array(corners), zorder=3.5, label=label, **style))
 
 
-def key(axes: Any, columns: int = 3) -> None:
+def key(axes: Any, columns: int = 4) -> None:
     """Put the legend above the axes."""
     axes.legend(
         loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, fontsize=8, labelcolor=INK,

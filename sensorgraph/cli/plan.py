@@ -107,7 +107,7 @@ def plan(
         targets = partial(views_within, n=views, arena=world, sensor=machine.sensor, graph=graph, seed=seed)
     elif planner == "views":
         raise PlanError("the planner views needs to know how many; give --views N")
-    with progress("planning", "stops") as tick:
+    with progress("planning", "bins" if planner == "coverage" else "stops") as tick:
         made = make_plan(
             without(world, shut),
             machine.robot,
