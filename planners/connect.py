@@ -41,6 +41,8 @@ SEARCHES = (
 
 Most ways are short; the last two find gaps that the coarser ones miss.
 """
+MOST_GOALS = 400
+"""Of one query, the nearest ones."""
 BATCH = 48
 """Queries for one process; batches run side by side, and do not depend on how many do."""
 ROPE = 15
@@ -88,7 +90,7 @@ def connect(
     paths: list[Floats | None] = [np.stack(ends_) for ends_ in zip(starts, ends, strict=True)]
     blocked = np.flatnonzero(~direct)
     if len(blocked):
-        found = _in_processes(np.concatenate([starts[blocked], ends[blocked]], axis=1), reach, seed)
+        found = _in_processes(starts[blocked], ends[blocked], reach, seed)
         for k, way in zip(blocked.tolist(), found, strict=True):
             paths[k] = _certified(way, barriers, reach.clearance)
             if paths[k] is None:
@@ -100,6 +102,30 @@ def connect(
         failed=len(blocked) - len(planned),
         planned_m=float(sum(np.hypot(*np.diff(path, axis=0).T).sum() for path in planned)),
     )
+
+
+def connect_nearest(
+    start: Floats, goals: Floats, *, reach: Reach, barriers: Barriers, seed: int
+) -> tuple[Floats | None, Joins]:
+    """Find a path from a place (2,) to one of the goals (m, 2) [m]: straight to the nearest if clear, else by OMPL.
+
+    One query holds them all (`ob.GoalStates`).
+
+    Returns
+    -------
+    path : (k, 2) [m] with both ends; None where none was found
+    """
+    nearest = np.argsort(np.hypot(*(goals - start).T), kind="stable")
+    clear = barriers.are_clear(np.repeat(start[None], len(goals), axis=0), goals[nearest], reach.clearance)
+    if clear.any():
+        return np.stack([start, goals[nearest[clear.argmax()]]]), Joins(direct=1)
+    (way,) = _in_a_process(start[None], [goals[nearest[:MOST_GOALS]]], reach, seed)
+    path = _certified(way, barriers, reach.clearance)
+    if path is None:
+        path = _certified(way, barriers, reach.clearance - SLACK)
+    if path is None:
+        return None, Joins(failed=1)
+    return path, Joins(planned=1, planned_m=float(np.hypot(*np.diff(path, axis=0).T).sum()))
 
 
 def _certified(path: Floats, barriers: Barriers, clearance: float) -> Floats | None:
@@ -117,20 +143,30 @@ def _certified(path: Floats, barriers: Barriers, clearance: float) -> Floats | N
     return path[kept]
 
 
-def _in_processes(queries: Floats, reach: Reach, seed: int) -> list[Floats]:
-    """Solve queries (n, 4) [m], in as many processes as there are processors."""
-    batches = [queries[k : k + BATCH] for k in range(0, len(queries), BATCH)]
+def _in_processes(starts: Floats, ends: Floats, reach: Reach, seed: int) -> list[Floats]:
+    """Solve queries (n, 2) -> (n, 2) [m], in as many processes as there are processors."""
+    goals = list(ends[:, None])
+    batches = [slice(k, k + BATCH) for k in range(0, len(starts), BATCH)]
     seeds = [int(np.random.SeedSequence([seed, k]).generate_state(1)[0]) for k in range(len(batches))]
     if len(batches) == 1:
-        return _in_a_process(batches[0], reach, seeds[0])
+        return _in_a_process(starts, goals, reach, seeds[0])
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        answers = threads.map(lambda batch, own: _in_a_process(batch, reach, own), batches, seeds)
+        answers = threads.map(
+            lambda batch, own: _in_a_process(starts[batch], goals[batch], reach, own), batches, seeds
+        )
         return [path for answer in answers for path in answer]
 
 
-def _in_a_process(queries: Floats, reach: Reach, seed: int) -> list[Floats]:
-    """Solve queries (n, 4) [m] in a fresh process; an empty path means none was found."""
-    data = ask("planners.connect", seed=seed, queries=queries, **field_of(reach))
+def _in_a_process(starts: Floats, goals: list[Floats], reach: Reach, seed: int) -> list[Floats]:
+    """Solve queries (n, 2) [m], each to one of some goals (m, 2), in a fresh process; empty: no path was found."""
+    data = ask(
+        "planners.connect",
+        seed=seed,
+        starts=starts,
+        goals=np.concatenate(goals),
+        counts=[len(own) for own in goals],
+        **field_of(reach),
+    )
     return list(np.split(data["points"], np.cumsum(data["lengths"])[:-1]))
 
 
@@ -192,10 +228,13 @@ def serve(work: Callable[[Any, Any, Mapping[str, np.ndarray]], dict[str, Any]]) 
 
 
 def _paths(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Answer queries (n, 4) [m]."""
+    """Answer queries (n, 2) [m], each with its goals."""
     solver = _Solver(base, geometric, question["distance"], question["origin"], float(question["step"]))
     clearance = float(question["clearance"])
-    paths = [solver.solve(query, clearance) for query in question["queries"]]
+    goals = np.split(question["goals"], np.cumsum(question["counts"])[:-1])
+    paths = [
+        solver.solve(start, own, clearance) for start, own in zip(question["starts"], goals, strict=True)
+    ]
     return {"points": np.concatenate(paths), "lengths": [len(path) for path in paths]}
 
 
@@ -217,19 +256,20 @@ class _Solver:
         self.setup.setPlanner(planner)
         self.planner, self.iterations = planner, 0
 
-    def solve(self, query: Floats, clearance: float) -> Floats:
-        """Return the best of some paths (k, 2) [m] for a query x0, y0, x1, y1; (0, 2) if there is none."""
-        ends = [self._state(*query[:2]), self._state(*query[2:])]
-        lowest = min(self.field.value(*query[:2]), self.field.value(*query[2:]))
+    def solve(self, start: Floats, goals: Floats, clearance: float) -> Floats:
+        """Return the best of some paths (k, 2) [m] to one of the goals (m, 2); (0, 2) if there is none."""
+        here, there = self._state(*start), [self._state(*goal) for goal in goals]
+        lowest = min(self.field.value(*place) for place in (start, *goals))
         self.field.least = min(clearance + SLACK, max(lowest, clearance)) - 1e-9
+        places = np.concatenate([start[None], goals])
         for window, step, iterations in SEARCHES:
             self.planner.setRange(step)
             self.iterations = iterations
-            low, high = np.minimum(query[:2], query[2:]) - window, np.maximum(query[:2], query[2:]) + window
+            low, high = places.min(axis=0) - window, places.max(axis=0) + window
             self.space.setBounds(self._bounds(np.maximum(low, self.low), np.minimum(high, self.high)))
-            paths = [self._attempt(ends)]
+            paths = [self._attempt(here, there)]
             if len(paths[0]):
-                paths += [self._attempt(ends) for _ in range(ATTEMPTS - 1)]
+                paths += [self._attempt(here, there) for _ in range(ATTEMPTS - 1)]
                 return min((path for path in paths if len(path)), key=_cost)
             self.field.least = clearance - 1e-9
         return np.zeros((0, 2))
@@ -241,9 +281,13 @@ class _Solver:
             bounds.setHigh(axis, float(high[axis]))
         return bounds
 
-    def _attempt(self, ends: list[Any]) -> Floats:
+    def _attempt(self, here: Any, there: list[Any]) -> Floats:
+        goals = self.base.GoalStates(self.setup.getSpaceInformation())
+        for state in there:
+            goals.addState(state)
         self.setup.clear()
-        self.setup.setStartAndGoalStates(ends[0], ends[1], 1e-6)
+        self.setup.setStartState(here)
+        self.setup.setGoal(goals)
         self.setup.solve(self.base.PlannerTerminationCondition(Countdown(self.iterations)))
         if not self.setup.haveExactSolutionPath():  # the status is also true for approximate ones
             return np.zeros((0, 2))

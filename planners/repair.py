@@ -1,9 +1,10 @@
 """What the search leaves: OMPL drives to the nearest of all missing bins, all it crosses counts, and so on.
 
-One query holds a pose in every missing bin as its goals (`ob.GoalStates`). Where enough is missing at the end of a
-way, the search takes over again from there: so a car comes over floors that the search's own flood gives up on, to
-the first room of a resumed plan, and to the bins that its lattice cannot meet. A bin is given up when a query for
-it was in vain.
+One query holds a pose in every missing bin as its goals (`ob.GoalStates`); the straight or shortest move comes first
+where it is clear. A robot that turns in place passes all headings that are missing where it arrives. Where enough is
+missing at the end of a car's way, the search takes over again from there: so a car comes over floors that the search's
+own flood gives up on, to the first room of a resumed plan, and to the bins that its lattice cannot meet. A bin is
+given up when a query for it was in vain.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ import numpy as np
 
 from planners.arena import Bools, Floats, wrap
 from planners.car_connect import CarWay, connect_cars
-from planners.connect import Joins
-from planners.coverage_planner import Task, missed
+from planners.connect import Joins, connect_nearest
+from planners.coverage_planner import DWELL, Task, missed, places
 from planners.order import Ints
+from planners.primitives import aim
 from planners.search import Visit
 from planners.search_table import GEARS, driving
-from planners.steering import Curve, joined
+from planners.steering import Curve, Pen, joined
 
 ROUNDS = 40
 """Queries, at most."""
@@ -33,6 +35,11 @@ POSES = np.array(
     [(x, y, turn) for turn in (0.0, -0.3, 0.3) for x in (0.0, -0.3, 0.3) for y in (0.0, -0.3, 0.3)]
 )
 """Goals within a bin, in parts of it; the first FEW where there are many bins."""
+
+TURNS = 2
+"""Times that a robot stops in a cell for what is missing there, at most."""
+TIGHT = 1e-9
+"""[m] moves shorter than this are none."""
 
 SearchOn = Callable[[Bools, Floats, int], Visit | None]
 """(bins wanted, pose (3,) to begin at, seed) -> drive; None where it gets no bin."""
@@ -123,6 +130,71 @@ class CarRepair:
         back = self._way(end, self.here[None], round_)
         self.joins = before  # not driven
         return back is not None
+
+
+@dataclass(eq=False)
+class SpinRepair:
+    """Completes the drive of a robot that turns in place: to the nearest cell that misses headings, and a turn there."""
+
+    task: Task
+    missing: Bools
+    """(nx, ny, n_phi)"""
+    here: Floats
+    """(3,) where the robot stands."""
+    curves: list[Curve] = field(default_factory=list)
+    stops: list[tuple[float, float, float, float]] = field(default_factory=list)
+    joins: Joins = field(default_factory=Joins)
+
+    def __post_init__(self) -> None:
+        self.missing = self.missing.copy()
+        self.lost: Bools = np.zeros_like(self.missing)
+        """(nx, ny, n_phi) bins that no way was found to."""
+
+    def run(self) -> None:
+        """Drive to missing bins until none is left, or all that is left is lost."""
+        cells = places(self.task.reach, self.task.barriers, self.missing)
+        visits = np.zeros(len(cells.index), dtype=np.int64)
+        for round_ in range(TURNS * len(visits)):
+            wanted = np.flatnonzero(self.missing[tuple(cells.index.T)].any(axis=1) & (visits < TURNS))
+            if not len(wanted):
+                break
+            path, joins = connect_nearest(
+                self.here[:2],
+                cells.places[wanted],
+                reach=self.task.reach,
+                barriers=self.task.barriers,
+                seed=self.task.seed + round_,
+            )
+            self.joins += joins
+            if path is None:
+                self.lost = self.missing.copy()
+                break
+            at = wanted[np.hypot(*(cells.places[wanted] - path[-1]).T).argmin()]
+            visits[at] += 1
+            self._visit(path, self.missing[tuple(cells.index[at])])
+
+    def _visit(self, path: Floats, need: Bools) -> None:
+        """Drive along a path (k, 2) [m] and turn through the headings `need` (n_phi,) at its end."""
+        task = self.task
+        width = 2 * np.pi / task.coverage.headings
+        pen = Pen(self.here, task.robot.limits, spin=width * task.rate / DWELL)
+        lead(pen, path)
+        pen.turn(aim(pen, None, need, (0.0, 0.0)).angle, "spin")
+        pen.wait(1.0 / task.rate)
+        self.curves.append(pen.curve())
+        self.stops += pen.stops
+        self.here = pen.pose
+        self.missing &= missed(self.curves[-1], self.missing, task.coverage, task.rate)
+
+
+def lead(pen: Pen, path: Floats) -> None:
+    """Drive along a path (k, 2) [m] from where the pen is."""
+    for corner in path[1:]:
+        way = corner - pen.pose[:2]
+        length = float(np.hypot(*way))
+        if length > TIGHT:
+            pen.turn(float(wrap(np.float64(np.arctan2(way[1], way[0]) - pen.pose[2]))), "turn")
+            pen.move(length, "move" if len(path) == 2 else "join")
 
 
 def goals_in(missing: Bools, here: Floats, aside: float, task: Task) -> tuple[Ints, Floats]:

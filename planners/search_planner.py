@@ -17,11 +17,10 @@ from scipy.sparse import csgraph
 
 from planners.arena import Bools, Floats, wrap
 from planners.connect import connect
-from planners.coverage import Coverage
-from planners.coverage_planner import Driven, Stops, Task, levels, missed, wanted
+from planners.coverage_planner import Driven, Task, levels, missed, wanted
 from planners.errors import PlanError
 from planners.order import Ints
-from planners.repair import CarRepair
+from planners.repair import CarRepair, SpinRepair, lead
 from planners.rooms import cell_graph, rooms, sequence
 from planners.search import Scene, Search, Settings, Visit, scene, spin_curve
 from planners.search_cars import cusps, search_floor
@@ -261,7 +260,8 @@ def _drawn(visits: list[Visit], task: Task) -> Driven:
         if path is None:
             continue
         pen = Pen(here, task.robot.limits)
-        lead(pen, path, visit.ends[0][2])
+        lead(pen, path)
+        face(pen, visit.ends[0][2])
         if pen.clock > 0:
             curves.append(pen.curve())
             stops.append(np.array(pen.stops).reshape(-1, 4))
@@ -273,29 +273,21 @@ def _drawn(visits: list[Visit], task: Task) -> Driven:
     return Driven(curve=joined(curves), stops=np.concatenate(stops), joins=joins)
 
 
-def lead(pen: Pen, path: Floats, heading: float) -> None:
-    """Drive along a path (k, 2) [m] from where the pen is, and turn to a heading [rad] there."""
-    for corner in path[1:]:
-        way = corner - pen.pose[:2]
-        length = float(np.hypot(*way))
-        if length > TIGHT:
-            pen.turn(float(wrap(np.float64(np.arctan2(way[1], way[0]) - pen.pose[2]))), "turn")
-            pen.move(length, "move" if len(path) == 2 else "join")
+def face(pen: Pen, heading: float) -> None:
+    """Turn to a heading [rad]."""
     pen.turn(float(wrap(np.float64(heading - pen.pose[2]))), "turn")
 
 
 def _repaired(driven: Driven, todo: Bools, task: Task) -> Driven:
-    """Stop and spin where a bin is still missing."""
+    """Turn in the cells where a bin is still missing."""
     missing = missed(driven.curve, todo, task.coverage, task.rate)
     if not missing.any():
         return driven
-    end = driven.curve.sample(np.array([driven.curve.duration]))[0][0]
-    grid = task.coverage
-    none = np.zeros_like(grid.counts)
-    rest = Coverage(origin=grid.origin, cell=grid.cell, reachable=missing, counts=none, core=none)
-    more = Stops(replace(task, start=end, coverage=rest, priority=None, progress=None), missing).run()
+    repair = SpinRepair(task, missing, driven.curve.sample(np.array([driven.curve.duration]))[0][0])
+    repair.run()
     return Driven(
-        curve=joined([driven.curve, more.curve]),
-        stops=np.concatenate([driven.stops, more.stops]),
-        joins=driven.joins + more.joins,
+        curve=joined([driven.curve, *repair.curves]),
+        stops=np.concatenate([driven.stops, np.array(repair.stops).reshape(-1, 4)]),
+        joins=driven.joins + repair.joins,
+        lost=repair.lost & task.coverage.reachable,
     )

@@ -20,9 +20,10 @@ from planners.coverage_planner import Driven, Task
 from planners.errors import PlanError
 from planners.order import Ints
 from planners.reach import Reach
+from planners.repair import lead
 from planners.robot import Robot
 from planners.search_cars import geared
-from planners.search_planner import lead
+from planners.search_planner import face
 from planners.steering import Curve, Pen, joined
 
 STILL = 1e-9
@@ -168,7 +169,8 @@ class Ways:
             return self._by_car(begin, end)
         path, joins = self._path(begin[:2], end[:2])
         pen = Pen(begin, self.task.robot.limits)
-        lead(pen, path, float(end[2]))
+        lead(pen, path)
+        face(pen, float(end[2]))
         return Way(curve=pen.curve() if pen.clock > 0 else None, joins=joins)
 
     def _by_car(self, begin: Floats, end: Floats) -> Way:

@@ -13,7 +13,7 @@ from planners.connect import Joins
 from planners.coverage import Coverage
 from planners.coverage_planner import Task, missed
 from planners.reach import reach
-from planners.repair import CarRepair
+from planners.repair import CarRepair, SpinRepair
 from planners.robot import Drive, Limits, Robot
 from planners.search import Settings, Visit
 from planners.search_cars import search_floor
@@ -103,3 +103,40 @@ def test_a_search_whose_flood_gives_up_goes_on_where_ompl_has_brought_the_car(dr
     assert {"join", "drive"} == set(curve.labels.tolist())
     assert missed(curve, todo, task.coverage, task.rate).sum() == repair.lost.sum() <= 0.1 * todo.sum()
     assert check(curve.trajectory(100.0), task.arena, task.robot).count == 0
+
+
+def test_a_robot_that_turns_in_place_goes_round_the_wall_and_turns_through_what_is_missing() -> None:
+    """The cells beyond the wall have no straight way; the one by the start has."""
+    task = task_of(door_arena(1.2), "diff")
+    todo = some(task, (12, 1, 0), (12, 1, 5), (13, 1, 9), (3, 6, 8))
+    repair = SpinRepair(task, todo, START)
+    repair.run()
+    curve = joined(repair.curves)
+    assert not repair.lost.any()
+    assert not missed(curve, todo, task.coverage, task.rate).any()
+    assert (repair.joins.direct, repair.joins.planned, repair.joins.failed) == (2, 1, 0)
+    assert repair.joins.planned_m > np.hypot(2.0, 0.8)
+    np.testing.assert_allclose(curve.poses[0], START)
+    found = check(curve.trajectory(100.0), task.arena, task.robot)
+    assert found.count == 0
+    assert found.min_clearance > task.robot.footprint_radius
+
+
+def test_turns_where_nothing_is_missing_are_not_made() -> None:
+    """What the way to the first cell meets, and what it needs no more, is not driven to."""
+    task = task_of(door_arena(9.0), "diff")
+    here = (3, 3, 1)  # the bin that START lies in
+    repair = SpinRepair(task, some(task, here), START)
+    repair.run()
+    (curve,) = repair.curves
+    assert curve.duration < 3.0
+    assert not repair.missing.any()
+
+
+def test_what_lies_behind_a_closed_door_is_said_to_have_no_way() -> None:
+    task = task_of(door_arena(0.3), "diff")
+    todo = some(task, (12, 6, 0), (12, 7, 3), (3, 6, 8))
+    repair = SpinRepair(task, todo, START)
+    repair.run()
+    assert repair.joins.failed == 1
+    np.testing.assert_array_equal(repair.lost, some(task, (12, 6, 0), (12, 7, 3)))
