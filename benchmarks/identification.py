@@ -1,6 +1,6 @@
 """Identification: structure, intervals, false alarms, and speed beside SysIdentPy and fastcan.
 
-python -m benchmarks.identification structure|intervals|alarms|peers|streaming
+python -m benchmarks.identification structure|noise|intervals|alarms|peers|streaming
 
 Seeds start at 500000; development used others. Times are those of the
 processor, one thread: run it with OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1. The peers are no
@@ -108,6 +108,25 @@ def structure(n_seeds: int) -> None:
                     frozenset(t) for t in Terms.parse(*truth)
                 }
         print(f"{name:<38}" + "".join(f"{h:>16}" for h in hits))
+
+
+def noise_orders(n_seeds: int) -> None:
+    """Print how often the number of noise lags is found, and with it exactly the true terms."""
+    candidates = polynomial(lags("y", 1, 2) + lags("u", 0, 2), 2)
+    truth = {frozenset(t) for t in Terms.parse(*MA_SYSTEM)}
+    print(f"{'of ' + str(n_seeds):<30}{'noise lags':>12}{'terms':>8}{'terms, noise=0':>16}")
+    for n in (500, 2000):
+        for ma in ((), (0.5,), (0.8,), (0.5, 0.3), (0.0, 0.5), (0.9, 0.5, 0.3)):
+            order = exact = plain = 0
+            for seed in range(n_seeds):
+                rng = np.random.default_rng(SEED + seed)
+                u, e = rng.uniform(-1, 1, n), 0.5 * rng.normal(size=n)
+                record = simulate(MA_SYSTEM, u, lfilter([1.0, *ma], [1.0], e))
+                model = fit(record, "y", candidates, noise="auto")
+                order += len(model.noise_terms) == len(ma)
+                exact += {frozenset(t) for t in model.terms} == truth
+                plain += {frozenset(t) for t in fit(record, "y", candidates).terms} == truth
+            print(f"n={n:<6} c={ma!s:<20}{order:>12}{exact:>8}{plain:>16}", flush=True)
 
 
 def ar95(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -306,6 +325,7 @@ def streaming(n_poses: int) -> None:
 
 COMMANDS = {
     "structure": (structure, 100),
+    "noise": (noise_orders, 100),
     "intervals": (intervals, 400),
     "alarms": (alarms, 400),
     "peers": (peers, 8),

@@ -107,6 +107,17 @@ class Descent:
             gradients.append(np.where(rows[:, None], slopes, 0.0) if gradient else slopes)
         return (total if np.isfinite(total) else np.inf), residuals, gradients
 
+    def linearised(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return columns (n, n_parameters) and a target (n,): least squares of them is one Gauss-Newton step.
+
+        Without a denominator, and with noise terms of the first degree in e, the prediction error is linear in the
+        process coefficients: there the step is exact for them.
+        """
+        _, residuals, gradients = self.at(theta, gradient=True)
+        J = np.concatenate([g[rows] for g, rows in zip(gradients, self.rows, strict=True)])
+        r = np.concatenate([e[rows] for e, rows in zip(residuals, self.rows, strict=True)])
+        return J, r + J @ theta
+
     def minimise(self, start: Floats) -> Estimate:
         """Descend by Levenberg-Marquardt from `start` (n_parameters,)."""
         theta, damping, converged = np.array(start, dtype=np.float64), 1e-6, False

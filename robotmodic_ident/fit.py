@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robotmodic_ident.criteria import INFORMATION, Criterion, information, penalties
 from robotmodic_ident.dependence import independent
@@ -15,15 +16,16 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimate import Covariance, Descent, Estimate
 from robotmodic_ident.model import NO_TERMS, Narmax
 from robotmodic_ident.moments import Moments
-from robotmodic_ident.noise import best_order, noise_terms_of, with_noise, with_signal
+from robotmodic_ident.noise import best_order, noise_terms_of, with_noise
 from robotmodic_ident.ratio import Structure, as_ratio, times_output
 from robotmodic_ident.records import Lagged, Record, Records, as_records, lagged
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.select import Selection, select
 from robotmodic_ident.sizes import Search
-from robotmodic_ident.terms import Floats, Terms
+from robotmodic_ident.terms import Terms
 
 Estimator = Literal["ls", "els", "pem", "simulation"]
+Rows: TypeAlias = slice | NDArray[np.intp]
 
 FAR = 1e5
 """A variable is centred when its middle lies FAR^(1/degree) half-spans from 0: beyond, its powers look alike."""
@@ -58,12 +60,14 @@ def fit(
     keep : names of terms that stay
     n_folds : contiguous blocks that criterion `cv` leaves out in turn
     noise : lags of e(k), or terms that hold `e(k-1)`, ...; they stay in the predictor; `auto`: as many lags as the
-        residual's own test asks for and EBIC agrees to
+        residual's own test asks for and EBIC agrees to (the notes of the model say how many were tried)
     denominator : candidate terms below the line of a rational model, without a constant
     estimator : `ls`; `els`; `pem` (the default with noise or a denominator); `simulation` (least error in free run)
     covariance : `classical`; `sandwich`; `hac` (the default for `simulation`, whose residuals are correlated)
     """
     records = as_records(records)
+    if len(denominator) and noise:
+        raise IdentError("a rational model with noise terms is not offered; leave one of them out")
     if noise == "auto":
         again = partial(
             fit, records, output, terms, n_terms=n_terms, criterion=criterion, err_tol=err_tol, scale=scale,
@@ -82,8 +86,6 @@ def fit(
     choice = _Choice(
         records, output, candidates, n_terms, criterion, err_tol, search, tuple(keep), n_folds, scale
     )
-    if len(denominator) and len(noise_terms):
-        raise IdentError("a rational model with noise terms is not offered; leave one of them out")
     if len(denominator):
         model = as_ratio(choice.select(), records, denominator)
         if criterion in INFORMATION:
@@ -119,12 +121,13 @@ class _Choice:
         if not np.isfinite(self.rows.targets).any():
             raise IdentError(f"output {self.output} is not known at any sample whose regressors are known")
         self.scale = self.scale or _scale_of(self.terms, self.rows)
-        moments = self.moments(self.terms, self.rows)
+        moments = self._moments(slice(None))
         kept, found = independent(moments, self.output, moments.gram_of(0))
         names = {moments.terms.names[i] for i in kept.tolist()}
         if lost := set(self.keep) - names - (set(self.keep) - set(moments.terms.names)):
             raise IdentError(f"term {', '.join(sorted(lost))} is to be kept but is given exactly by others")
         self.terms = self.terms[kept.tolist()]
+        self.summed = moments.pick(terms=kept)
         self.notes = [str(dependence) for dependence in found] + self._remarks(int(moments.count[0]))
         for name, centre in zip(self.scale.variables, self.scale.centres, strict=True):
             if centre:
@@ -143,34 +146,48 @@ class _Choice:
                 )
         return out
 
-    def moments(self, terms: Terms, rows: Lagged) -> Moments:
-        """Sum up the rows."""
-        return Moments(terms, 1, scale=self.scale).add(rows.columns, rows.targets)
+    def select(self) -> Narmax:
+        """Choose process terms by least squares."""
+        selection = self._selection(self.summed, self._moments, len(self.rows.sample))
+        self._judge(selection)
+        return Narmax.of(selection, 0, self.output)
 
-    def select(self, noise: Terms = NO_TERMS, noise_signal: Sequence[Floats] = ()) -> Narmax:
-        """Choose process terms, with noise terms beside them if there are any."""
-        rows, terms = self.rows, self.terms
-        if len(noise):
-            terms = self.terms + noise
-            rows = lagged(with_signal(self.records, noise_signal), terms, [self.output])
-        moments = self.moments(terms, rows)
-        selection = select(
+    def select_beside(self, model: Narmax) -> Narmax:
+        """Choose process terms by the prediction error, with the noise terms of a model beside them."""
+        noise, n = model.noise_terms, len(self.terms)
+        full = _among(model, self.terms)
+        phi, target = Descent(full.recursion(), self.records, free=False).linearised(full.parameters)
+
+        def part(rows: Rows) -> Moments:
+            return Moments(self.terms + noise, 1, scale=self.scale).add_rows(phi[rows], target[rows])
+
+        moments = part(slice(None))
+        selection = self._selection(moments, part, len(target), noise.names)
+        chosen = [i for i in selection.chosen(0).tolist() if i < n]
+        if not chosen:  # the noise alone is the better model, but a model has a term
+            chosen = select(moments.pick(terms=range(n)), 1).chosen(0).tolist()
+        alone = select(self.summed.pick(terms=chosen), len(chosen))
+        return replace(Narmax.of(alone, 0, self.output), stop=selection.stop[0])
+
+    def _moments(self, rows: Rows) -> Moments:
+        """Sum up some rows of the data."""
+        columns = {name: values[rows] for name, values in self.rows.columns.items()}
+        return Moments(self.terms, 1, scale=self.scale).add(columns, self.rows.targets[rows])
+
+    def _selection(
+        self, moments: Moments, part: Callable[[Rows], Moments], n: int, noise: Sequence[str] = ()
+    ) -> Selection:
+        """Select from moments; `part` sums up some of their n rows, `noise` names terms that are there anyway."""
+        blocks = np.array_split(np.arange(n), self.n_folds) if self.criterion == "cv" else []
+        return select(
             moments,
             None if self.n_terms is None else self.n_terms + len(noise),
             criterion=self.criterion,
             err_tol=self.err_tol,
-            keep=(*self.keep, *noise.names),
+            keep=(*self.keep, *noise),
             search=self.search,
-            folds=self._folds(terms, rows) if self.criterion == "cv" else (),
+            folds=[part(block) for block in blocks],
         )
-        if not len(noise):
-            self._judge(selection)
-            return Narmax.of(selection, 0, self.output)
-        chosen = [i for i in selection.chosen(0).tolist() if terms.names[i] not in noise.names]
-        if not chosen:  # the noise alone is the better model, but a model has a term
-            chosen = select(moments.pick(terms=range(len(self.terms))), 1).chosen(0).tolist()
-        alone = moments.pick(terms=chosen)
-        return replace(Narmax.of(select(alone, len(chosen)), 0, self.output), stop=selection.stop[0])
 
     def _judge(self, selection: Selection) -> None:
         """Note where the one term that a model has explains less than it costs."""
@@ -184,14 +201,18 @@ class _Choice:
                     f"{self.output}, as chance may"
                 )
 
-    def _folds(self, terms: Terms, rows: Lagged) -> list[Moments]:
-        blocks = np.array_split(np.arange(len(rows.sample)), self.n_folds)
-        return [
-            Moments(terms, 1, scale=self.scale).add(
-                {name: values[block] for name, values in rows.columns.items()}, rows.targets[block]
-            )
-            for block in blocks
-        ]
+
+def _among(model: Narmax, candidates: Terms) -> Narmax:
+    """Return the same model written in all candidates; the coefficients of those it does not have are 0."""
+    found = dict(zip(model.terms.names, model.theta.tolist(), strict=True))
+    n = len(candidates) + len(model.noise_terms)
+    return replace(
+        model,
+        terms=candidates,
+        theta=np.array([found.get(name, 0.0) for name in candidates.names]),
+        err=np.full(len(candidates), np.nan),
+        covariance=np.zeros((n, n)),
+    )
 
 
 def _check_causal(terms: Terms, output: str) -> None:

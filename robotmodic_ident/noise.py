@@ -11,13 +11,13 @@ import numpy as np
 from robotmodic_ident.criteria import penalties
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimate import Descent
-from robotmodic_ident.model import NO_TERMS, Narmax
+from robotmodic_ident.model import Narmax
 from robotmodic_ident.records import Record, lagged
 from robotmodic_ident.recursion import NOISE_NAME
 from robotmodic_ident.terms import Floats, Terms
 from robotmodic_ident.validate import validate
 
-ROUNDS = 4
+ROUNDS = 8
 """Times that terms are chosen anew with the noise found so far."""
 ELS_STEPS = 30
 MOST = 8
@@ -35,12 +35,17 @@ class Choice(Protocol):
 
     records: list[Record]
 
-    def select(self, noise: Terms = NO_TERMS, noise_signal: Sequence[Floats] = ()) -> Narmax:
-        """Choose process terms, with noise terms beside them if there are any."""
+    def select(self) -> Narmax:
+        """Choose process terms by least squares."""
+        ...
+
+    def select_beside(self, model: Narmax) -> Narmax:
+        """Choose process terms by the prediction error, with the noise terms of a model beside them."""
         ...
 
 
 def noise_terms_of(noise: int | Terms) -> Terms:
+    """Return e(k-1), ..., e(k-noise), or the terms given, each of which must hold a past e."""
     if isinstance(noise, int):
         return Terms.parse(*(f"{NOISE_NAME}(k-{lag})" for lag in range(1, noise + 1)))
     for term, name in zip(noise, noise.names, strict=True):
@@ -50,20 +55,30 @@ def noise_terms_of(noise: int | Terms) -> Terms:
 
 
 def with_noise(choice: Choice, noise: Terms) -> Narmax:
-    """Choose terms and noise coefficients in turn until the terms stay the same (extended least squares)."""
+    """Choose terms and noise coefficients in turn until the terms stay the same.
+
+    Coloured noise makes terms of past outputs look needed. Once its coefficients are known, the prediction error is
+    linear in the others, so terms are chosen anew among all candidates, each passed through the inverse of the noise
+    filter. Returns the extended least squares of the last choice.
+    """
     model = choice.select()
     for _ in range(ROUNDS):
-        before = set(model.terms.names)
         model = _extended(model, choice.records, noise)
-        signal = _noise_of(model, choice.records)
-        chosen = choice.select(noise, signal)
-        if set(chosen.terms.names) == before:
+        chosen = choice.select_beside(_descended(model, choice.records))
+        if set(chosen.terms.names) == set(model.terms.names):
             return model
         model = chosen
     return replace(
         _extended(model, choice.records, noise),
         notes=("terms and noise did not settle on each other; the last choice was kept",),
     )
+
+
+def _descended(model: Narmax, records: Sequence[Record]) -> Narmax:
+    """Return the coefficients of least prediction error."""
+    theta = Descent(model.recursion(), records, free=False).minimise(model.parameters).theta
+    n = len(model.terms)
+    return replace(model, theta=theta[:n], noise_theta=theta[n:])
 
 
 def _noise_of(model: Narmax, records: Sequence[Record]) -> list[Floats]:
@@ -85,7 +100,7 @@ def _extended(model: Narmax, records: Sequence[Record], noise: Terms) -> Narmax:
     descent = Descent(best.recursion(), records, free=False)
     least, *_ = descent.at(best.parameters)
     for _ in range(ELS_STEPS):
-        rows = lagged(with_signal(records, _noise_of(best, records)), terms, [model.output])
+        rows = lagged(_with_signal(records, _noise_of(best, records)), terms, [model.output])
         known = np.isfinite(rows.targets[:, 0])
         phi = terms.matrix(rows.columns, model.scale, n=len(known))[known]
         theta = np.linalg.lstsq(phi, rows.targets[known, 0], rcond=None)[0]
@@ -96,7 +111,7 @@ def _extended(model: Narmax, records: Sequence[Record], noise: Terms) -> Narmax:
     return best
 
 
-def with_signal(records: Sequence[Record], noise: Sequence[Floats]) -> list[Record]:
+def _with_signal(records: Sequence[Record], noise: Sequence[Floats]) -> list[Record]:
     """Add the noise found so far to the signals of every record."""
     return [
         Record(signals={**r.signals, NOISE_NAME: e}, stamps=r.stamps, max_gap=r.max_gap)
@@ -107,13 +122,15 @@ def with_signal(records: Sequence[Record], noise: Sequence[Floats]) -> list[Reco
 def best_order(fitted: Callable[[int], Narmax], records: Sequence[Record], n_candidates: int) -> Narmax:
     """Return the model with as many noise lags as are needed: EBIC decides, as long as the residual is not white.
 
+    What was tried stands in the notes of the model.
+
     Parameters
     ----------
     fitted : number of noise lags -> model
     n_candidates : process terms that were looked at
     """
     best = model = fitted(0)
-    order, count = 0, model.n_samples
+    order, tried, count = 0, 0, model.n_samples
     least = _cost(model, count, n_candidates)
     for lag in range(1, MOST + 1):
         if lag - order > PATIENCE or _is_white(model, records):
@@ -122,9 +139,13 @@ def best_order(fitted: Callable[[int], Narmax], records: Sequence[Record], n_can
             model = fitted(lag)
         except IdentError:  # records too short for one lag more
             break
+        tried = lag
         if (cost := _cost(model, count, n_candidates)) < least:
             best, order, least = model, lag, cost
-    return best
+    note = f"noise lags: 0 to {tried} tried, {order} kept" if tried else "noise lags: none needed"
+    if not _is_white(best, records):
+        note += "; what is left is still correlated, and the next lags do not help"
+    return replace(best, notes=(*best.notes, note))
 
 
 def _cost(model: Narmax, count: int, n_candidates: int) -> float:

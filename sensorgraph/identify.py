@@ -42,7 +42,8 @@ class Question:
     output_lags: int = 0
     """[samples] past outputs k-1, ..., k-output_lags."""
     degree: int = 2
-    noise_lags: int = 0
+    noise_lags: int | Literal["auto"] = 0
+    """[samples] past noise e(k-1), ..., e(k-noise_lags); `auto`: as many as the residual asks for."""
     split: Split = "half"
     criterion: Criterion | None = None
     n_terms: int | None = None
@@ -128,6 +129,7 @@ class Identified:
             "n_train": self.n_train,
             "unknown": self.unknown,
             "candidates": len(q.terms),
+            "noise_lags": q.noise_lags,
         }
 
 

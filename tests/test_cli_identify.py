@@ -55,6 +55,29 @@ def test_the_model_file_holds_what_is_promised(
     assert "where the model was fitted" in said
 
 
+def test_noise_lags_auto_finds_how_many_and_the_file_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(8)
+    u, e, y = rng.uniform(-1, 1, 1200), 0.2 * rng.normal(size=1200), np.zeros(1200)
+    for k in range(2, 1200):
+        y[k] = 0.7 * y[k - 1] + u[k - 1] + e[k] + 0.8 * e[k - 1] + 0.4 * e[k - 2]
+    path, out = tmp_path / "arma.csv", tmp_path / "m.json"
+    path.write_text("u,y\n" + "\n".join(f"{a},{b}" for a, b in zip(u, y, strict=True)))
+    form = ["--output", "y", "--inputs", "u", "--lags", "1", "--output-lags", "1", "--degree", "1"]
+    assert command(["identify", str(path), *form, "--noise-lags", "auto", "-o", str(out)]) == 0
+    data = json.loads(out.read_text())
+    assert data["noise_lags"] == "auto"
+    assert {t["name"]: t["theta"] for t in data["noise_terms"]} == {
+        "e(k-1)": pytest.approx(0.8, abs=0.15),
+        "e(k-2)": pytest.approx(0.4, abs=0.15),
+    }
+    said = capsys.readouterr().out
+    assert "note: noise lags: 0 to 2 tried, 2 kept" in said
+    assert command(["identify", str(path), *form, "--noise-lags", "1", "-o", str(out)]) == 0
+    assert [t["name"] for t in json.loads(out.read_text())["noise_terms"]] == ["e(k-1)"]
+
+
 BAD = {
     "a name that is near": (["--output", "sped", "--inputs", "volts"], "did you mean speed?"),
     "an input that is far": (["--output", "speed", "--inputs", "qqq"], "there are t, volts, speed, flat"),
@@ -67,6 +90,7 @@ BAD = {
     "itself": (["--output", "speed", "--inputs", "speed"], "cannot explain itself"),
     "record": (["--output", "speed", "--inputs", "record"], "record separates records"),
     "topic": (["--output", "speed", "--inputs", "volts", "--topic", "scan=/a"], "is a CSV"),
+    "noise lags": (["--output", "speed", "--inputs", "volts", "--noise-lags", "many"], "0 to 100, or auto"),
     "degree": (["--output", "speed", "--inputs", "volts", "--degree", "9"], "--degree"),
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from robotmodic_ident.score import Outside, Score
     from sensorgraph.identify import Identified
     from sensorgraph.signals import Data
+
+MOST_NOISE_LAGS = 100
 
 
 def identify(
@@ -29,7 +31,9 @@ def identify(
     lags: Annotated[int, typer.Option(min=0, max=1000, help="Inputs at k, k-1, ..., k-N.")] = 2,
     output_lags: Annotated[int, typer.Option(min=0, max=1000, help="Past outputs k-1, ..., k-N.")] = 0,
     degree: Annotated[int, typer.Option(min=1, max=8, help="Of the polynomial.")] = 2,
-    noise_lags: Annotated[int, typer.Option(min=0, max=100, help="Past noise e(k-1), ..., e(k-N).")] = 0,
+    noise_lags: Annotated[
+        str, typer.Option(metavar="N|auto", help="Past noise e(k-1), ..., e(k-N); auto: as many as it takes.")
+    ] = "0",
     split: Annotated[
         str, typer.Option(help="half: first half trains; block: every second tenth is held out; none.")
     ] = "half",
@@ -55,7 +59,7 @@ def identify(
 
       sensorgraph identify run.mcap --output cmd_omega --inputs L45-90 --lags 1 -o turn.json
 
-      sensorgraph identify motor.csv --output speed --inputs volts --output-lags 2 --noise-lags 1 -o motor.json
+      sensorgraph identify motor.csv --output speed --inputs volts --output-lags 2 --noise-lags auto -o motor.json
     """
     from sensorgraph.cli.inputs import check_output, write_json
     from sensorgraph.errors import GapError
@@ -68,7 +72,7 @@ def identify(
         raise GapError(f"{out}: a model is written as *.json; name it {out.with_suffix('.json').name}")
     question = Question(
         output=output.strip(), inputs=tuple(n.strip() for n in inputs.split(",") if n.strip()), lags=lags,
-        output_lags=output_lags, degree=degree, noise_lags=noise_lags, split=split,  # type: ignore[arg-type]
+        output_lags=output_lags, degree=degree, noise_lags=_noise_lags(noise_lags), split=split,  # type: ignore[arg-type]
         criterion=criterion, n_terms=terms,  # type: ignore[arg-type]
     )  # fmt: skip
     data = _read(file, [question.output, *question.inputs], every, topic)
@@ -79,6 +83,17 @@ def identify(
     picture = out.with_suffix(".png")
     identified_picture(found, picture)
     typer.echo(f"wrote {out}, {picture}")
+
+
+def _noise_lags(text: str) -> int | Literal["auto"]:
+    from sensorgraph.errors import GapError
+
+    word = text.strip().lower()
+    if word == "auto":
+        return "auto"
+    if word.isdecimal() and int(word) <= MOST_NOISE_LAGS:
+        return int(word)
+    raise GapError(f"--noise-lags is {text}, expected 0 to {MOST_NOISE_LAGS}, or auto")
 
 
 def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> Data:
