@@ -14,7 +14,7 @@ from sensorgraph.diagnose.criticise import check, dispersion, replicate
 from sensorgraph.diagnose.diagnose import diagnose, is_material
 from sensorgraph.diagnose.evidence import Evidence, gather
 from sensorgraph.diagnose.fits import placement
-from sensorgraph.diagnose.likelihood import judge, predicted
+from sensorgraph.diagnose.likelihood import Predicted, judge, plain_judge, predicted
 from sensorgraph.diagnose.model import SMOOTH, Fitted, cast, fit, solver_for, start_state
 from sensorgraph.diagnose.nuisance import BOX, DENSE, Freedom, Noise, pose_prior
 from sensorgraph.diagnose.prove import held_out
@@ -194,6 +194,35 @@ def test_the_box_holds_and_binds_only_where_it_must() -> None:
     slope = right - matrix @ x - np.concatenate([g / tau**2, [0.0]])
     free = np.array([abs(v) < BOX * 0.1 - 1e-9 for v in g] + [True]) & ~np.append(locked, False)
     np.testing.assert_allclose(slope[free], 0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize(("short", "lattice"), [(0.0, 0.0), (0.05, 0.0), (0.0, 0.01), (0.02, 0.05)])
+def test_the_compiled_likelihood_is_the_plain_one(quiet: Evidence, short: float, lattice: float) -> None:
+    """Readings of every kind: returned, lost, too near and broken, aimed at something or not, beside edges or not."""
+    rng, shape = np.random.default_rng(6), (40, 61)
+    expected = rng.uniform(0.05, 9.0, shape)
+    z = expected + rng.normal(size=shape) * rng.choice([0.005, 0.05, 1.0], shape)
+    if lattice:
+        z = np.where(rng.random(shape) < 0.8, np.round(z / lattice) * lattice, z)
+    z = np.where(rng.random(shape) < 0.4, rng.choice([np.inf, -np.inf, np.nan], shape), np.abs(z))
+    beside = rng.random(shape) < 0.3
+    what = Predicted(
+        reading=np.where(rng.random(shape) < 0.2, rng.choice([np.inf, np.nan], shape), expected),
+        sigma=rng.uniform(0.005, 0.05, shape),
+        p_return=np.broadcast_to(rng.uniform(0, 1, (40, 1)), shape),
+        alternative=np.where(beside, expected + rng.normal(size=shape), np.nan),
+        p_alternative=np.where(beside | (rng.random(shape) < 0.1), rng.uniform(0, 0.5, shape), 0.0),
+        stray=0.03,
+        short=short,
+        lattice=lattice,
+    )
+    evidence = replace(quiet.part(np.arange(40)), ranges=z)
+    asked = evidence, what, rng.normal(size=shape) * 0.01, Noise(core=1.1, tail=0.1, loss=0.01, stray=0.002)
+    got, plain = judge(*asked), plain_judge(*asked)
+    for name in ("log_p", "weight", "residual", "core", "tail", "lost", "stray"):
+        np.testing.assert_allclose(
+            getattr(got, name), getattr(plain, name), rtol=1e-9, atol=1e-12, err_msg=name
+        )
 
 
 def test_a_reading_has_a_probability_of_one_in_all(quiet: Evidence) -> None:

@@ -9,11 +9,14 @@ from scipy.special import ndtr
 
 from planners.arena import Floats
 from sensorgraph.diagnose.evidence import Evidence
+from sensorgraph.diagnose.mixture import CORE, LOG_P, LOST, RESIDUAL, STRAY, WEIGHT, mixture
+from sensorgraph.diagnose.mixture import TAIL as OUTER
 from sensorgraph.diagnose.nuisance import TAIL, Noise
 from sensorgraph.world.scene import Beams, Ints, limited
 
 ROOT = np.sqrt(2 * np.pi)
 FLOOR = 1e-5  # chance of a reading that nothing explains
+LOST_AT_EDGE = 0.02  # chance that a beam which passes an edge does not come back
 FINEST = 1e-4  # [m] cell of a reading whose resolution is not told
 
 
@@ -91,6 +94,34 @@ class Judged:
 def judge(evidence: Evidence, what: Predicted, shift: Floats, noise: Noise) -> Judged:
     """Judge every reading against `what.reading + shift`."""
     z, sensor = evidence.ranges, evidence.sensor
+    found = mixture(
+        z.ravel(),
+        (what.reading + shift).ravel(),
+        (noise.core * what.sigma).ravel(),
+        what.p_return.ravel(),
+        what.alternative.ravel(),
+        what.p_alternative.ravel(),
+        (float(sensor.range_min), float(sensor.range_max), max(float(sensor.resolution), FINEST)),
+        (float(noise.tail), float(noise.loss), float(noise.stray), float(what.stray)),
+        (float(what.short), LOST_AT_EDGE),
+        float(what.lattice),
+        float(TAIL),
+        FLOOR,
+    ).reshape(7, *z.shape)
+    return Judged(
+        log_p=found[LOG_P],
+        weight=found[WEIGHT],
+        residual=found[RESIDUAL],
+        core=found[CORE],
+        tail=found[OUTER],
+        lost=found[LOST],
+        stray=found[STRAY],
+    )
+
+
+def plain_judge(evidence: Evidence, what: Predicted, shift: Floats, noise: Noise) -> Judged:
+    """Judge as `judge` does, in numpy; tests hold the compiled one against it."""
+    z, sensor = evidence.ranges, evidence.sensor
     returned = evidence.returned
     mu = what.reading + shift
     aimed = np.isfinite(mu)
@@ -129,7 +160,7 @@ def judge(evidence: Evidence, what: Predicted, shift: Floats, noise: Noise) -> J
     p_stray = stray / sensor.range_max
     p_lost = (1 - stray) * np.where(aimed, what.p_return * inside * noise.loss, 0.0)
     gone = (1 - stray) * (1 - what.short) * np.where(aimed, 1 - what.p_return * inside, 1.0)
-    p_gone = p_lost + gone + edge * 0.02
+    p_gone = p_lost + gone + edge * LOST_AT_EDGE
     if what.short > 0:
         p_gone = p_gone * (1 - what.short)
     near_limit = np.where(aimed, ndtr((sensor.range_min - np.where(aimed, mu, 1e9)) / sigma), 0.0)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from planners.arena import Bools, Floats
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
 from sensorgraph.world.raycast import cast_laser
-from sensorgraph.world.scene import FAR, Scene
+from sensorgraph.world.scene import FAR, Scene, each
 
 N_SPREAD = 33
 """Rays that fill one beam at an edge."""
+FEW_WALLS = 100
+"""Up to here it is faster to ask every wall."""
 GRAZING = 1.5  # [rad] walls met at more are taken as if met at this
 STEP = 0.02  # [m] a smaller step in depth is a bent wall, not an edge
 
@@ -28,14 +31,25 @@ def transform(scene: Scene, a: Amendment) -> None:
     edge = step > flat + STEP
     if not edge.any():
         return
-    ox, oy = (np.broadcast_to(o, edge.shape)[edge] for o in (beams.ox, beams.oy))
-    lasers = np.stack([ox, oy, np.arctan2(beams.uy[edge], beams.ux[edge])], axis=1)
-    turn = gamma * (2 * (np.arange(N_SPREAD) + 0.5) / N_SPREAD - 1)
-    ranges, _ = cast_laser(scene.walls, lasers, turn, FAR)
+    ranges = _spread(scene, edge, gamma)
     mean = np.where(np.isfinite(ranges).all(axis=1), ranges.mean(axis=1), beams.ranges[edge])
     beams.bent()[edge] = False
     beams.reading = beams.reading.copy()
     beams.reading[edge] += mean - beams.ranges[edge]
+
+
+def _spread(scene: Scene, edge: Bools, gamma: float) -> Floats:
+    """Return (k, N_SPREAD) [m] what rays spread evenly over each beam of `edge` would read."""
+    beams = scene.beams
+    ox, oy = (np.broadcast_to(o, edge.shape)[edge] for o in (beams.ox, beams.oy))
+    ux, uy = beams.ux[edge], beams.uy[edge]
+    turn = gamma * (2 * (np.arange(N_SPREAD) + 0.5) / N_SPREAD - 1)
+    if len(scene.walls) > FEW_WALLS:
+        lasers = np.stack([ox, oy, np.arctan2(uy, ux)], axis=1)
+        return cast_laser(scene.walls, lasers, turn, FAR)[0]
+    c, s = np.cos(turn), np.sin(turn)
+    vx, vy = ux[:, None] * c - uy[:, None] * s, uy[:, None] * c + ux[:, None] * s
+    return each(scene.walls, ox[:, None], oy[:, None], vx, vy)[0]
 
 
 MIXED_PIXELS = Effect(
