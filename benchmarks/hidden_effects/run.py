@@ -2,7 +2,7 @@
 
     python -m benchmarks.hidden_effects.run DIR [--workers 2] [--only 12,40] [--again] [--second]
 
-Each worker is one process with one thread; CPU time is that of the process over one diagnosis.
+Each worker is one process with one thread. CPU time is told of the diagnosis and of the whole command.
 """
 
 from __future__ import annotations
