@@ -35,6 +35,8 @@ EVERY = 15
 RAY = "L67"
 FULL = 28
 PAPER_R = 0.75
+LOWEST, HIGHEST = -2.0, 8.0
+"""[m] drawn of what is predicted elsewhere."""
 MINUTES = 60.0
 START = np.array([1.0, 0.5, 0.0])
 SEED = 4  # of the reported figures; development used 0 to 3
@@ -129,20 +131,24 @@ def _draw_environment(
     middle.set_title("how many terms", fontsize=9.5, color=INK, loc="left")
     middle.grid(color=SOLID, lw=0.6)
     draw_floor(left, arena)
-    left.plot(*elsewhere.poses[::30, :2].T, ".", ms=1.2, color=AMBER, mew=0, zorder=2)
+    left.plot(*elsewhere.poses[::30, :2].T, ".", ms=2.0, color=AMBER, mew=0, zorder=2)
     left.plot(*follow.poses[::10, :2].T, color=SEA, lw=1.0, zorder=3)
     left.set_title("trained along the wall, asked at the dots", fontsize=9.5, color=INK, loc="left")
+    right.plot([0, 5], [0, 5], color=INK, lw=0.6)
     names = list(guesses)
     for name, colour, label in ((names[0], ALARM, "polynomial"), (names[1], SEA, "faces")):
-        right.plot(measured, guesses[name][0], ".", ms=2.5, color=colour, alpha=0.5, mew=0, label=label)
-    right.plot([0, 5], [0, 5], color=INK, lw=0.8)
-    right.set(xlim=(0, 5), ylim=(-2, 8), xlabel="measured L67 elsewhere [m]", ylabel="predicted [m]")
-    right.legend(frameon=False, fontsize=8, markerscale=3, labelcolor=INK)
-    right.set_title("asked elsewhere", fontsize=9.5, color=INK, loc="left")
+        right.plot(measured, guesses[name][0], ".", ms=4, color=colour, alpha=0.5, mew=0, label=label)
+    known = guesses[names[0]][0][np.isfinite(guesses[names[0]][0])]
+    beyond = float(np.mean((known < LOWEST) | (known > HIGHEST)))
+    right.set(
+        xlim=(0, 5), ylim=(LOWEST, HIGHEST), xlabel="measured L67 elsewhere [m]", ylabel="predicted [m]"
+    )
+    right.legend(loc="upper left", frameon=False, fontsize=8, markerscale=2, labelcolor=INK)
+    right.set_title(f"asked elsewhere ({beyond:.0%} of red is off)", fontsize=9.5, color=INK, loc="left")
     for axes in (middle, right):
         quiet(axes)
-        axes.xaxis.label.set_size(9)
-        axes.yaxis.label.set_size(9)
+        for label in (axes.xaxis.label, axes.yaxis.label):
+            label.set(size=9, color=INK)
     save_figure(figure, file)
 
 

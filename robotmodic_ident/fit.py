@@ -22,13 +22,17 @@ from robotmodic_ident.records import Lagged, Record, Records, as_records, lagged
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.select import Selection, select
 from robotmodic_ident.sizes import Search
-from robotmodic_ident.terms import Terms
+from robotmodic_ident.terms import CONSTANT, Floats, Terms
 
 Estimator = Literal["ls", "els", "pem", "simulation"]
 Rows: TypeAlias = slice | NDArray[np.intp]
 
 FAR = 1e5
 """A variable is centred when its middle lies FAR^(1/degree) half-spans from 0: beyond, its powers look alike."""
+
+
+FAR_OUTPUT = 100.0
+"""The output is taken from its middle when that lies so many half-spans from 0: squares of it hold nothing else."""
 
 
 def fit(
@@ -84,7 +88,17 @@ def fit(
     _check_causal(terms + denominator, output)
     candidates = terms + times_output(denominator, output)
     choice = _Choice(
-        records, output, candidates, n_terms, criterion, err_tol, search, tuple(keep), n_folds, scale
+        records,
+        output,
+        candidates,
+        n_terms,
+        criterion,
+        err_tol,
+        search,
+        tuple(keep),
+        n_folds,
+        scale,
+        len(denominator) > 0,
     )
     if len(denominator):
         model = as_ratio(choice.select(), records, denominator)
@@ -115,11 +129,20 @@ class _Choice:
     keep: tuple[str, ...]
     n_folds: int
     scale: Scale | None
+    is_ratio: bool
 
     def __post_init__(self) -> None:
         self.rows = lagged(self.records, self.terms, [self.output])
         if not np.isfinite(self.rows.targets).any():
             raise IdentError(f"output {self.output} is not known at any sample whose regressors are known")
+        self.shift = (
+            0.0 if self.is_ratio or CONSTANT not in self.terms.names else _middle_of(self.rows.targets)
+        )
+        """What is subtracted from the output, and given back by the constant, which then stays."""
+        if self.shift:
+            self.rows = replace(self.rows, targets=self.rows.targets - self.shift)
+            self.keep = tuple(dict.fromkeys((CONSTANT, *self.keep)))
+            self.n_terms = self.n_terms and max(self.n_terms, len(self.keep))
         self.scale = self.scale or _scale_of(self.terms, self.rows)
         moments = self._moments(slice(None))
         kept, found = independent(moments, self.output, moments.gram_of(0))
@@ -129,6 +152,8 @@ class _Choice:
         self.terms = self.terms[kept.tolist()]
         self.summed = moments.pick(terms=kept)
         self.notes = [str(dependence) for dependence in found] + self._remarks(int(moments.count[0]))
+        if self.shift:
+            self.notes.append(f"{self.output} lies far from 0: err is of {self.output} - {self.shift:.15g}")
         for name, centre in zip(self.scale.variables, self.scale.centres, strict=True):
             if centre:
                 self.notes.append(
@@ -150,13 +175,15 @@ class _Choice:
         """Choose process terms by least squares."""
         selection = self._selection(self.summed, self._moments, len(self.rows.sample))
         self._judge(selection)
-        return Narmax.of(selection, 0, self.output)
+        return self._model(selection)
 
     def select_beside(self, model: Narmax) -> Narmax:
         """Choose process terms by the prediction error, with the noise terms of a model beside them."""
         noise, n = model.noise_terms, len(self.terms)
         full = _among(model, self.terms)
         phi, target = Descent(full.recursion(), self.records, free=False).linearised(full.parameters)
+        if self.shift:
+            target -= self.shift * phi[:, self.terms.names.index(CONSTANT)]
 
         def part(rows: Rows) -> Moments:
             return Moments(self.terms + noise, 1, scale=self.scale).add_rows(phi[rows], target[rows])
@@ -167,7 +194,13 @@ class _Choice:
         if not chosen:  # the noise alone is the better model, but a model has a term
             chosen = select(moments.pick(terms=range(n)), 1).chosen(0).tolist()
         alone = select(self.summed.pick(terms=chosen), len(chosen))
-        return replace(Narmax.of(alone, 0, self.output), stop=selection.stop[0])
+        return replace(self._model(alone), stop=selection.stop[0])
+
+    def _model(self, selection: Selection) -> Narmax:
+        """Return the model of a selection, with what was subtracted from the output given back."""
+        model = Narmax.of(selection, 0, self.output)
+        shift = np.where(np.array(model.terms.names) == CONSTANT, self.shift, 0.0)
+        return replace(model, theta=model.theta + shift)
 
     def _moments(self, rows: Rows) -> Moments:
         """Sum up some rows of the data."""
@@ -277,13 +310,25 @@ def _scale_of(terms: Terms, rows: Lagged) -> Scale:
         centre = 0.0
         degree = max(sum(f.degree for f in term if f.variable == variable) for term in terms)
         if half > 0 and abs(middle) > FAR ** (1 / degree) * half:
-            unit = 10.0 ** np.ceil(np.log10(2 * half))
-            centre = float(np.round(middle / unit) * unit)
+            centre = _round(middle, half)
         width = max(abs(low - centre), abs(high - centre))
         names.append(variable)
         centres.append(centre)
         widths.append(_rounded_up(width) if width > 0 else 1.0)
     return Scale(tuple(names), tuple(centres), tuple(widths))
+
+
+def _middle_of(targets: Floats) -> float:
+    """Return a round number in the middle of the output (n, 1), 0 where that is not far from 0."""
+    low, high = float(np.nanmin(targets)), float(np.nanmax(targets))
+    middle, half = low / 2 + high / 2, high / 2 - low / 2
+    return _round(middle, half) if half > 0 and abs(middle) > FAR_OUTPUT * half else 0.0
+
+
+def _round(middle: float, half: float) -> float:
+    """Return a round number within the span."""
+    unit = 10.0 ** np.ceil(np.log10(2 * half))
+    return float(np.round(middle / unit) * unit)
 
 
 def _rounded_up(width: float) -> float:

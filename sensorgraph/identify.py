@@ -27,6 +27,7 @@ BLOCKS = 10
 MOST_TERMS = 3000
 LEAST = 3
 """Samples that a score needs."""
+ROWS_PER_NOISE_LAG = 10
 TESTED_LAGS = (20, 10, 5, 2)
 """[samples] of the residual tests: the most that the data allow."""
 
@@ -229,11 +230,13 @@ def _check(
     data: Data, train: list[Record], test: list[Record], question: Question, unknown: dict[str, float]
 ) -> None:
     output, need = variable(question.output), question.look_back + 1
-    longest = max((s.stop - s.start for r in train for s in r.segments()), default=0)
-    if longest < need or not any(s.stop - s.start >= need for r in test for s in r.segments()):
+    longest = [
+        max((s.stop - s.start for r in part for s in r.segments()), default=0) for part in (train, test)
+    ]
+    if min(longest) < need:
         raise GapError(
-            f"the longest stretch to train on has {longest} samples, lags of {question.look_back} need {need} "
-            "in training and test each; lower the lags, or give longer records"
+            f"the longest stretch to train on has {longest[0]} samples, to test on {longest[1]}; lags of "
+            f"{question.look_back} need {need} each; lower the lags, or give longer records"
         )
     known = np.concatenate([r.signals[output] for r in train])
     known = known[np.isfinite(known)]
@@ -245,6 +248,11 @@ def _check(
         raise GapError(
             f"{usable} whole samples cannot train a dictionary of {len(question.terms)} terms"
             f"{f' ({holes})' if holes else ''}; lower --degree or --lags, or give more data"
+        )
+    if question.noise_lags != "auto" and question.noise_lags > usable // ROWS_PER_NOISE_LAG:
+        raise GapError(
+            f"{usable} whole samples cannot tell {question.noise_lags} noise lags; give "
+            f"{usable // ROWS_PER_NOISE_LAG} at most, or auto"
         )
 
 

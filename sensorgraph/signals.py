@@ -30,6 +30,8 @@ COMMANDS = ("cmd_v", "cmd_omega")
 RAY = re.compile(r"L(\d+(?:\.\d+)?)(?:-(\d+(?:\.\d+)?))?")
 TAKEN = ("cos", "sin", "e")
 """Words of the terms: functions, and the noise."""
+UNEVEN, FEW = 0.2, 0.1
+"""Steps of time that differ from the median by more than this share, and the share of steps that may."""
 STALE = 0.5
 """[s] a command older than this when the log of commands has ended is not known."""
 
@@ -159,7 +161,7 @@ def _unknown(name: str, offered: Sequence[str]) -> str:
 
 def is_table(path: Path) -> bool:
     """Tell whether a file is a CSV of signals rather than a run."""
-    if path.is_dir() or not re.search(r"\.(csv|txt)(\.gz)?$", path.name.lower()):
+    if path.is_dir() or not re.search(r"\.(csv|tsv|txt)(\.gz)?$", path.name.lower()):
         return False
     return not table.matches(path, first_bytes(path))
 
@@ -180,7 +182,10 @@ def of_table(path: Path, names: Sequence[str], *, every: int = 1) -> Data:
     for key in dict.fromkeys(owner):
         mine = np.flatnonzero(np.array([o == key for o in owner]))[::every]
         stamps = values["t"][mine] if "t" in values else None
-        if stamps is not None and not (np.isfinite(stamps).all() and (np.diff(stamps) > 0).all()):
+        if stamps is not None and not np.isfinite(stamps).all():
+            line = rows[int(mine[int(np.argmin(np.isfinite(stamps)))])][0]
+            raise GapError(f"{path}: line {line}: column t holds no number; fill it, or leave the row out")
+        if stamps is not None and not (np.diff(stamps) > 0).all():
             line = rows[int(mine[int(np.argmin(np.diff(stamps, append=np.inf) > 0))])][0]
             raise GapError(
                 f"{path}: line {line}: column t does not increase; sort the rows, or name a column `record`"
@@ -190,8 +195,31 @@ def of_table(path: Path, names: Sequence[str], *, every: int = 1) -> Data:
         records.append(Record(signals={v: values[n][mine] for v, n in names_of.items()}, stamps=stamps))
     return Data(
         records=records, names=names_of, period=float(np.median(periods)) if periods else None,
-        notes=() if "t" in values else ("no column t: samples are taken as evenly spaced",),
+        notes=_spacing(records) if "t" in values else ["no column t: samples are taken as evenly spaced"],
     )  # fmt: skip
+
+
+def _spacing(records: Sequence[Record]) -> list[str]:
+    """Say where records break, and whether their samples are evenly spaced in between: lags count samples."""
+    gaps = sum(len(record.segments()) - 1 for record in records)
+    notes = [f"{gaps} gaps in t; no lag crosses one"] if gaps > 1 else []
+    notes += ["1 gap in t; no lag crosses it"] if gaps == 1 else []
+    steps = np.concatenate([_steps(record) for record in records])
+    if len(steps) and float(np.mean(np.abs(steps - 1.0) > UNEVEN)) > FEW:
+        low, high = np.quantile(steps, [0.05, 0.95])
+        notes.append(
+            f"samples are unevenly spaced ({low:.2g} to {high:.2g} of the median step): lags count samples, not "
+            "seconds; resample to even steps first"
+        )
+    return notes
+
+
+def _steps(record: Record) -> Floats:
+    """Return the steps of time (n,) between samples without a gap, in median steps."""
+    if record.stamps is None or len(record) < 2:
+        return np.empty(0)
+    steps = np.concatenate([np.diff(record.stamps[piece]) for piece in record.segments()])
+    return steps / np.median(np.diff(record.stamps))
 
 
 def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
@@ -206,6 +234,10 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not numbered:
         raise GapError(f"{path} holds no line; expected a header with the names of the columns")
     header = [cell.strip() for cell in next(csv.reader([numbered[0][1]]))]
+    if all(_is_number(cell) for cell in header):
+        raise GapError(
+            f"{path}: the first line holds numbers, {numbered[0][1].strip()[:40]!r}; expected the names of the columns"
+        )
     if len(header) == 1 and (sign := re.search(r"[;\t|]", header[0])):
         raise GapError(f"{path}: the header has one column, {header[0]!r}; put commas for {sign[0]!r}")
     if twice := sorted({h for h in header if header.count(h) > 1}):
@@ -218,6 +250,14 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not rows:
         raise GapError(f"{path} has a header but no rows; expected one for each sample")
     return header, rows
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _numbers(path: Path, rows: Sequence[tuple[int, list[str]]], column: int, name: str) -> Floats:

@@ -91,6 +91,10 @@ BAD = {
     "record": (["--output", "speed", "--inputs", "record"], "record separates records"),
     "topic": (["--output", "speed", "--inputs", "volts", "--topic", "scan=/a"], "is a CSV"),
     "noise lags": (["--output", "speed", "--inputs", "volts", "--noise-lags", "many"], "0 to 100, or auto"),
+    "too many noise lags": (
+        ["--output", "speed", "--inputs", "volts", "--noise-lags", "40"],
+        "at most, or auto",
+    ),
     "degree": (["--output", "speed", "--inputs", "volts", "--degree", "9"], "--degree"),
 }
 
@@ -113,6 +117,9 @@ TABLES = {
     "a short row": ("a,b\n1,2\n1\n", "line 3 has 1 cells"),
     "twice": ("a,b,b\n1,2,3\n", "twice"),
     "semicolons": ("a;b\n1;2\n", "put commas for ';'"),
+    "no header": ("1,2\n3,4\n", "the first line holds numbers"),
+    "no time": ("t,a,b\n0,1,2\n,1,2\n2,1,2\n", "line 3: column t holds no number"),
+    "short records": ("record,a,b\n" + "".join(f"{i // 3},{i},{i}\n" for i in range(30)), "to test on 1"),
     "one row": ("a,b\n1,2\n", "longest stretch"),
     "not known": ("a,b\n,2\n,3\n", "a has no known sample"),
     "time goes back": ("t,a,b\n0,1,2\n1,1,2\n0.5,1,2\n", "line 3: column t"),
@@ -169,6 +176,25 @@ def test_an_output_that_rests_where_it_is_scored_is_said(
     assert "y does not vary in what is scored" in said
     assert "nan" not in said
     assert json.loads(out.read_text())["one_step"]["r"] is None
+
+
+def test_what_is_odd_about_the_samples_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(4)
+    u = rng.normal(size=200)
+    even, uneven = np.arange(200.0), np.arange(200.0) + rng.uniform(-0.24, 0.24, 200)
+    gap = even + 10 * (even >= 100)
+    cases = {
+        "1 gap in t": (gap, u, 2 * u),
+        "unevenly spaced": (uneven, u, 2 * u),
+        "nothing could be scored": (even, u, np.where(even < 100, 2 * u, np.nan)),
+        "more such terms": (even, np.full(200, 3.0), 2 * u),
+    }
+    for said, columns in cases.items():
+        path, out = tmp_path / "odd.csv", tmp_path / "m.json"
+        rows = (",".join(map(str, row)) for row in zip(*columns, u, strict=True))
+        path.write_text("t,u,y,w\n" + "\n".join(rows))
+        assert command(["identify", str(path), "--output", "y", "--inputs", "u,w", "-o", str(out)]) == 0
+        assert said in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -117,6 +117,26 @@ def test_coordinates_100_km_from_the_origin_give_the_same_terms(offset: float) -
     np.testing.assert_allclose(model.predict_osa(record), z, atol=0.05)
 
 
+@pytest.mark.parametrize("offset", [1e5, 5e6, 1e9])
+@pytest.mark.parametrize("noise", [0, 1])
+def test_an_output_that_is_a_far_coordinate_gives_the_same_terms(offset: float, noise: int) -> None:
+    rng = np.random.default_rng(5)
+    v = rng.uniform(-1, 1, 1200)
+    truth = {"1": 0.4, "x(k-1)": 0.9, "v(k-1)": 0.5, "v(k-1)^2": -0.2}
+    near = simulate(
+        {n.replace("x", "y"): t for n, t in truth.items()}, {"v": v}, 0.02 * rng.normal(size=1200)
+    )
+    record = {"v": v, "x": near["y"] + offset}  # a northing in UTM is 5,000 km and more
+    model = fit(record, "x", polynomial(["x(k-1)", "v(k-1)"], 2), noise=noise)
+    assert set(model.terms.names) == set(truth)
+    found = dict(zip(model.terms.names, model.theta, strict=True))
+    assert found["x(k-1)"] == pytest.approx(0.9, abs=0.005)
+    assert found["v(k-1)"] == pytest.approx(0.5, abs=0.01)
+    assert any("err is of x - " in note for note in model.notes)
+    assert 0.9 < model.err.sum() <= 1
+    assert np.nanstd(model.residuals(record)) == pytest.approx(0.02, rel=0.1)
+
+
 def test_agreement_with_a_long_double_oracle_to_12_digits() -> None:
     rng = np.random.default_rng(4)
     record = simulate(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from sensorgraph.signals import Data
 
 MOST_NOISE_LAGS = 100
+MOST_NOTES = 4
 
 
 def identify(
@@ -128,7 +130,7 @@ def said(found: Identified) -> list[str]:
         f"{found.n_train:,} samples{period} train, {scores['one_step'].n:,} are scored ({parts[q.split]}); "
         f"{len(model.terms)} of {len(q.terms)} terms, stopped by {model.stop}"
     )
-    lines += [f"note: {note}" for note in model.notes]
+    lines += _noted(model.notes)
     lines += ["", f"{'term':<28}{'theta':>13}{'stderr':>12}{'err':>10}"]
     for name, theta, stderr, err in zip(
         model.terms.names, model.theta.tolist(), model.stderr.tolist(), model.err.tolist(), strict=True
@@ -145,7 +147,9 @@ def said(found: Identified) -> list[str]:
         lines.append(_row(label, scores[key]))
     if found.free_run is found.one_step:
         lines.append("the model reads no past output: one step and free run are the same")
-    if not found.varies:
+    if not scores["one_step"].n:
+        lines.append(f"nothing could be scored: {q.output} or what explains it is not known there")
+    elif not found.varies:
         lines.append(
             f"{q.output} does not vary in what is scored: there is no r; score more, or --split block"
         )
@@ -154,6 +158,16 @@ def said(found: Identified) -> list[str]:
         lines += ["", f"{'residual test':<32}{'statistic':>12}{'p':>10}"]
         lines += [f"{t['test']:<32}{t['statistic']:>12.4g}{t['p_value']:>10.3g}" for t in found.validation]
     return [*lines, ""]
+
+
+def _noted(notes: Sequence[str]) -> list[str]:
+    """Say what the model notes; of many dependent terms, the first."""
+    given = [note for note in notes if note.endswith("was left out")]
+    rest = [note for note in notes if note not in given]
+    more = (
+        [f"{len(given) - MOST_NOTES} more such terms (in the model file)"] if len(given) > MOST_NOTES else []
+    )
+    return [f"note: {note}" for note in [*given[:MOST_NOTES], *more, *rest]]
 
 
 def _reach(outside: Outside) -> list[str]:
