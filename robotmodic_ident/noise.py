@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
+from robotmodic_ident.choice import Choice
 from robotmodic_ident.criteria import penalties
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimate import Descent
@@ -28,20 +28,6 @@ ALARM = 0.05
 """p-value of the residual's test below which another lag is looked at."""
 TESTED_LAGS = (10, 5, 2)
 """[samples] the most that the data allow."""
-
-
-class Choice(Protocol):
-    """The selection of process terms, which noise found later may repeat."""
-
-    records: list[Record]
-
-    def select(self) -> Narmax:
-        """Choose process terms by least squares."""
-        ...
-
-    def select_beside(self, model: Narmax) -> Narmax:
-        """Choose process terms by the prediction error, with the noise terms of a model beside them."""
-        ...
 
 
 def noise_terms_of(noise: int | Terms) -> Terms:

@@ -172,7 +172,9 @@ def test_agreement_with_a_long_double_oracle_to_12_digits() -> None:
     np.testing.assert_allclose(model.err, err, atol=1e-12)
 
 
-def test_values_whose_squares_overflow_are_refused(rng) -> None:
+def test_values_whose_squares_overflow_or_vanish_are_refused(rng) -> None:
     u = rng.normal(size=50)
     with pytest.raises(IdentError, match="use larger units"):
         fit({"u": u, "y": 1e200 * u}, "y", Terms.parse("u(k)"))
+    with pytest.raises(IdentError, match="use smaller units"):
+        fit({"u": u, "y": 1e-200 * u}, "y", Terms.parse("u(k)"))
