@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
 from planners.arena import Bools
-from planners.coverage import Coverage
+from planners.coverage import Coverage, Ints
 from planners.reach import Reach
 
 WHY: Mapping[str, str] = {
@@ -18,6 +19,8 @@ WHY: Mapping[str, str] = {
     "behind_narrow_gaps": "behind gaps too narrow",
 }
 """Reasons, as plan.json and holes.csv name them, in words."""
+LARGER = 1.2
+"""Times as large as what the start reaches must another part be, to be proposed."""
 
 
 def unmet(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Bools]:
@@ -40,6 +43,21 @@ def unmet(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Bools]:
 def cut_off(free: Reach) -> Bools:
     """Return the nodes (mx, my) where the robot fits, and to which no gap is wide enough."""
     return np.asarray((free.distance >= free.clearance) & ~free.mask)
+
+
+def reaches_little(free: Reach) -> str:
+    """Say how much of where the robot fits it can get to, why not to the rest, and where more is in reach."""
+    parts, _ = ndimage.label(cut_off(free))
+    sizes: Ints = np.bincount(parts.ravel())[1:]
+    said = (
+        f"only {100 * free.share:.1f} % of where the robot fits can be reached; the rest lies behind gaps narrower "
+        f"than {2 * free.clearance:.2f} m"
+    )
+    if sizes.max(initial=0) <= LARGER * free.mask.sum():
+        return said
+    largest = np.where(parts == sizes.argmax() + 1, free.distance, 0.0)
+    x, y = free.nodes(np.nonzero(largest == largest.max()))[0]
+    return f"{said}; from {x:.2f},{y:.2f} it would be {100 * sizes.max() / free.fits:.1f} %: start there"
 
 
 def counted(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Any]:

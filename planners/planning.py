@@ -128,7 +128,14 @@ def plan(
     if duration is not None and planner in ("coverage", "stop_and_spin", "views"):
         raise PlanError(f"the planner {planner} drives until all is visited; duration is for the baselines")
     barriers = Barriers(arena)
-    free = reach(arena, barriers, clearance=robot.footprint_radius + margin, cell=float(cell), start=start)
+    free = reach(
+        arena,
+        barriers,
+        clearance=robot.footprint_radius + margin,
+        cell=float(cell),
+        start=start,
+        name="start" if dock is None else "dock",
+    )
     grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
     if not grid.reachable.any():
         raise PlanError(
@@ -306,10 +313,7 @@ def _report(
     start = trajectory.poses[0]
     warnings = []
     if task.reach.share < SMALL:
-        warnings.append(
-            f"only {100 * task.reach.share:.1f} % of where the robot fits is reachable; the rest lies behind gaps "
-            f"narrower than {2 * task.reach.clearance:.2f} m, or the start is in the smaller part"
-        )
+        warnings.append(holes.reaches_little(task.reach))
     if driven.interrupted:
         warnings.append(
             f"planning was interrupted: this plan is shorter, it covers {100 * grid.fraction:.1f} %"

@@ -77,9 +77,18 @@ class Reach:
 
 
 def reach(
-    arena: Arena, barriers: Barriers, *, clearance: float, cell: float, start: Floats | None = None
+    arena: Arena,
+    barriers: Barriers,
+    *,
+    clearance: float,
+    cell: float,
+    start: Floats | None = None,
+    name: str = "start",
 ) -> Reach:
-    """Flood from `start` (x, y, ...) the places that keep `clearance`; without a start, take the largest part."""
+    """Flood from `start` (x, y, ...) the places that keep `clearance`; without a start, take the largest part.
+
+    `name` is what the user calls the start.
+    """
     x0, y0, x1, y1 = arena.bounds
     nx, ny = (max(math.ceil(round(side / cell, 9)), 1) for side in (x1 - x0, y1 - y0))
     if nx * ny > MOST_CELLS:
@@ -105,7 +114,7 @@ def reach(
     if start is None:
         wanted = int(np.bincount(parts[fits]).argmax())
     else:
-        wanted = _part_of(start, arena, barriers, parts, (x, y), clearance)
+        wanted = _part_of(name, start, arena, barriers, parts, (x, y), clearance)
     return Reach(
         origin=np.array([x0, y0]),
         cell=cell,
@@ -118,6 +127,7 @@ def reach(
 
 
 def _part_of(
+    name: str,
     start: Floats,
     arena: Arena,
     barriers: Barriers,
@@ -126,7 +136,7 @@ def _part_of(
     clearance: float,
 ) -> int:
     """Return the label of the part that the start lies in."""
-    where = f"start ({start[0]:g}, {start[1]:g})"
+    where = f"{name} ({start[0]:g}, {start[1]:g})"
     away = float(barriers.distances(start[None, :2])[0])
     if not arena.contains(start[:2]):
         raise PlanError(

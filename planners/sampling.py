@@ -25,19 +25,38 @@ def warnings(
     width, found = 2 * np.pi / headings, []
     if v > 0 and cell * rate / v < LEAST:
         found.append(
-            f"at {v:.2f} m/s a log of {rate:g} Hz has {cell * rate / v:.1f} poses in a cell of {cell:g} m; for "
-            f"{LEAST:g}, log at {LEAST * v / cell:.2g} Hz or more, or drive at {cell * rate / LEAST:.2g} m/s or less"
+            f"at {v:.2f} m/s a log of {rate:g} Hz has {_down(cell * rate / v)} poses in a cell of {cell:g} m; for "
+            f"{LEAST:g}, log at {_up(LEAST * v / cell)} Hz or more, drive at {_down(cell * rate / LEAST)} m/s or "
+            "less, or use larger cells"
         )
     if omega > 0 and width * rate / omega < LEAST:
         found.append(
-            f"at {omega:.2f} rad/s a log of {rate:g} Hz has {width * rate / omega:.1f} poses in a heading bin of "
-            f"{np.degrees(width):.3g}°; for {LEAST:g}, log at {LEAST * omega / width:.2g} Hz or more, or turn at "
-            f"{width * rate / LEAST:.2g} rad/s or less"
+            f"at {omega:.2f} rad/s a log of {rate:g} Hz has {_down(width * rate / omega)} poses in a heading bin of "
+            f"{np.degrees(width):.3g}°; for {LEAST:g}, log at {_up(LEAST * omega / width)} Hz or more, turn at "
+            f"{_down(width * rate / LEAST)} rad/s or less, or use fewer headings"
+        )
+    if sweep_time * v > cell / 2:
+        found.append(
+            f"at {v:.2f} m/s the robot drives {sweep_time * v:.2g} m while a scan of {sweep_time:g} s is measured, "
+            f"more than half a cell of {cell:g} m; drive at {_down(cell / 2 / sweep_time)} m/s or less, or use "
+            "larger cells"
         )
     if sweep_time * omega > width / 2:
         found.append(
             f"at {omega:.2f} rad/s the robot turns {np.degrees(sweep_time * omega):.3g}° while a scan of "
             f"{sweep_time:g} s is measured, more than half a heading bin of {np.degrees(width):.3g}°; turn at "
-            f"{width / 2 / sweep_time:.2g} rad/s or less, or use fewer headings"
+            f"{_down(width / 2 / sweep_time)} rad/s or less, or use fewer headings"
         )
     return found
+
+
+def _up(value: float) -> str:
+    """Return two digits, rounded up, so that the advice is enough."""
+    digit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return f"{np.ceil(value / digit - 1e-9) * digit:.3g}"
+
+
+def _down(value: float) -> str:
+    """Return two digits, rounded down."""
+    digit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return f"{np.floor(value / digit + 1e-9) * digit:.3g}"

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
-from planners_samples import door_arena
+import shapely
+from planners_samples import door_arena, outlined
 
 from planners import plan
 from planners.clearance import Barriers
 from planners.coverage import Coverage
-from planners.holes import counted, cut_off, holes_csv, unmet
+from planners.holes import counted, cut_off, holes_csv, reaches_little, unmet
 from planners.planning import Plan
 from planners.reach import reach
 from planners.robot import Limits, Robot
@@ -65,3 +68,20 @@ def test_what_lies_behind_a_door_too_narrow_is_the_other_room() -> None:
     assert behind.sum() * free.step**2 == pytest.approx(1.51 * 2.56, rel=0.02)
     assert (free.nodes(np.nonzero(behind))[:, 0] > 2.0).all()
     assert not (behind & free.mask).any()
+
+
+def test_a_start_that_reaches_little_is_told_where_more_is_in_reach() -> None:
+    """A closet of 0.56 x 2.56 m beside a room of 2.36 x 2.56 m, both for the disc's centre."""
+    arena = outlined(shapely.box(0, 0, 4, 3).difference(shapely.box(1, 0, 1.2, 3)))
+    barriers = Barriers(arena)
+    closet = reach(arena, barriers, clearance=0.22, cell=0.25, start=np.array([0.5, 0.5]))
+    said = reaches_little(closet)
+    assert "narrower than 0.44 m" in said
+    found = re.search(r"only (\S+) % .* from (\S+),(\S+) it would be (\S+) %", said)
+    assert found is not None
+    small, *better, large = (float(number) for number in found.groups())
+    assert small == pytest.approx(100 * 0.56 / 2.92, abs=1.0)  # the raster of 2 cm
+    assert small + large == pytest.approx(100.0, abs=0.1)
+    assert "start there" not in reaches_little(
+        reach(arena, barriers, clearance=0.22, cell=0.25, start=np.array(better))
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -334,7 +335,9 @@ def drive(v: float, omega: float) -> Trajectory:
         (0.51, 0.1, 4.0, 0.0, ["cell"]),
         (0.0, 1.9, 100.0, 0.1, []),
         (0.0, 2.0, 100.0, 0.1, ["half a heading bin"]),
-        (1.0, 4.0, 4.0, 0.1, ["cell", "heading bin", "half a heading bin"]),
+        (0.49, 0.0, 100.0, 0.25, []),
+        (0.51, 0.0, 100.0, 0.25, ["half a cell"]),
+        (1.0, 4.0, 4.0, 0.15, ["cell", "heading bin", "half a cell", "half a heading bin"]),
     ],
 )
 def test_a_log_too_slow_for_the_bins_is_said(
@@ -343,6 +346,17 @@ def test_a_log_too_slow_for_the_bins_is_said(
     lines = warnings(drive(v, omega), cell=0.25, headings=16, rate=rate, sweep_time=sweep_time)
     assert len(lines) == len(said)
     assert all(word in line for word, line in zip(said, lines, strict=True))
+
+
+def test_who_does_what_a_warning_says_is_not_warned_again() -> None:
+    grid = {"cell": 0.25, "headings": 16, "sweep_time": 0.15}
+    fast = " ".join(warnings(drive(1.3, 4.0), rate=4.0, **grid))
+    rates = [float(number) for number in re.findall(r"log at (\S+) Hz", fast)]
+    speeds = [float(number) for number in re.findall(r"drive at (\S+) m/s", fast)]
+    spins = [float(number) for number in re.findall(r"turn at (\S+) rad/s", fast)]
+    assert (len(rates), len(speeds), len(spins)) == (2, 2, 2)
+    assert not [line for line in warnings(drive(1.3, 4.0), rate=max(rates), **grid) if "log of" in line]
+    assert warnings(drive(min(speeds), min(spins)), rate=4.0, **grid) == []
 
 
 @pytest.mark.slow

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-if TYPE_CHECKING:
-    from planners.arena import Floats
-
 INTERRUPTED = 130
+MOST_VIEWS = 1000
+"""More take longer than filling (x, y, φ)."""
 
 
 def plan(
@@ -24,7 +24,9 @@ def plan(
     views: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Instead of filling (x, y, φ), visit so many poses: those that show most surface."
+            min=1,
+            max=MOST_VIEWS,
+            help="Instead of filling (x, y, φ), visit so many poses: those that show most surface.",
         ),
     ] = None,
     cell: Annotated[float, typer.Option(help="Side of a position cell, in m.")] = 0.25,
@@ -93,13 +95,15 @@ def plan(
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.plan_folder import drop_runs, save
     from sensorgraph.priority import doubt
+    from sensorgraph.resume import driven_poses
     from sensorgraph.views import views_within
 
+    logging.getLogger("planners").addHandler(logging.NullHandler())  # its warnings are said below
     if out.exists() and not out.is_dir():
         raise PlanError(f"{out} is a file; give a folder to write the plan to")
     world, machine = named_arena(arena), named_robot(robot)
     shut = [zone for given in no_go or [] for zone in zones(given)]
-    visited = None if resume is None else _visited(resume)
+    visited = None if resume is None else driven_poses(resume, world)
     graph = None if priority is None else Sensorgraph.load(priority)
     targets = None
     if views is not None:
@@ -118,8 +122,8 @@ def plan(
             start=None if start is None else parse_pose(start),
             end=None if end is None else parse_pose(end, "--end"),
             dock=None if dock is None else parse_pose(dock, "--dock"),
-            budget=None if budget is None else 60 * budget,
-            battery=None if battery is None else 60 * battery,
+            budget=_seconds("--budget", budget),
+            battery=_seconds("--battery", battery),
             sweep_time=machine.sensor.sweep_time,
             rate=machine.sensor.rate,
             duration=duration,
@@ -167,10 +171,11 @@ def _summary(report: dict[str, Any]) -> str:
     hours, minutes = divmod(round(report["drive_time_s"] / 60), 60)
     joins = report["joins"]
     failed = f", {joins['failed']} failed" if joins["failed"] else ""
+    before = f"; {100 * report['coverage_before']:.2f} % before" if report["coverage_before"] else ""
     views = f"{len(report['views']) - joins['failed']:,} views, " if "views" in report else ""
     return (
         f"{views}{report['covered_cells']:,} of {report['reachable_cells']:,} (x, y, phi) bins "
-        f"({100 * report['coverage']:.2f} %) in {hours} h {minutes:02d} min and {report['path_m']:.0f} m, "
+        f"({100 * report['coverage']:.2f} %{before}) in {hours} h {minutes:02d} min and {report['path_m']:.0f} m, "
         f"{report['ratio']:.2f} of the reference time; {joins['direct']:,} straight joins, "
         f"{joins['planned']} by OMPL{failed}; clearance {report['min_clearance_m']:.3f} m; "
         f"planned in {report['planning_s']:.1f} s"
@@ -186,17 +191,12 @@ def _runs(report: dict[str, Any]) -> list[str]:
     ]
 
 
-def _visited(path: Path) -> Floats:
-    """Return poses (n, 3) [m, m, rad] of a run's scans."""
-    import logs
+def _seconds(option: str, minutes: float | None) -> float | None:
+    """Return seconds of an option in minutes."""
     from planners.errors import PlanError
 
-    run = logs.read(path)
-    if run.pose_frame != "base_link":
-        raise PlanError(
-            f"{path}: its poses are of the {run.pose_frame}, expected base_link; resume from another run"
-        )
-    pairing = logs.pair(run)
-    if not pairing.paired.any():
-        raise PlanError(f"{path}: {pairing}; nothing to resume from")
-    return pairing.poses[pairing.paired]
+    if minutes is None:
+        return None
+    if not 0 < minutes < float("inf"):
+        raise PlanError(f"{option} is {minutes:g} min, expected a positive number of minutes")
+    return 60 * minutes

@@ -1,0 +1,72 @@
+"""A run already driven: the poses that a plan for the rest need not visit again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import logs
+from planners.arena import Arena, Floats
+from planners.clearance import Barriers
+from planners.errors import PlanError
+from planners.maps import geojson
+
+STEP, NEAR = 0.05, 0.10
+"""[m] between points of a wall, and how near a wall of the other arena must be to be the same."""
+SAME = 0.5
+"""Of the walls of a run's own arena, and of its poses: fewer in this arena, and the run is of another."""
+
+
+def driven_poses(path: Path, arena: Arena) -> Floats:
+    """Return the poses (n, 3) [m, m, rad] of a run's scans; refuse a run of another arena."""
+    run = logs.read(path)
+    if run.pose_frame != "base_link":
+        raise PlanError(
+            f"{path}: its poses are of the {run.pose_frame}, expected base_link; resume from another run"
+        )
+    pairing = logs.pair(run)
+    if not pairing.paired.any():
+        raise PlanError(f"{path}: {pairing}; nothing to resume from")
+    own = _own_arena(run)
+    if own is not None and (share := shared_walls(own, arena)) < SAME:
+        raise PlanError(
+            f"{path} was driven in another arena, of {_extent(own)}: {100 * share:.0f} % of its walls stand in this "
+            f"one, of {_extent(arena)}; give the arena of that run, or a run of this one"
+        )
+    poses = pairing.poses[pairing.paired]
+    share = float(arena.contains(poses[:, :2]).mean())
+    if share < SAME:
+        raise PlanError(
+            f"{path}: {100 * share:.0f} % of its poses lie in the free space of this arena, of {_extent(arena)}; "
+            "give the arena of that run, in the frame of its poses"
+        )
+    return poses
+
+
+def _own_arena(run: logs.Run) -> Arena | None:
+    text = run.attachments.get("arena.geojson")
+    if text is None:
+        return None
+    try:
+        return geojson.loads(text.decode(errors="replace"))
+    except PlanError:  # what cannot be read cannot tell that the run is of another place
+        return None
+
+
+def shared_walls(own: Arena, other: Arena) -> float:
+    """Return the share of the length of one arena's walls that stands in the other, too."""
+    if not own.n_walls:
+        return 1.0
+    starts, ends = own.walls[:, 0], own.walls[:, 1]
+    counts = np.maximum(np.hypot(*(ends - starts).T) / STEP, 1).astype(np.int64)
+    owner = np.repeat(np.arange(own.n_walls), counts)
+    number = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+    share = ((number + 0.5) / counts[owner])[:, None]
+    points = starts[owner] + share * (ends - starts)[owner]  # (n, 2) even steps along the walls
+    return float((Barriers(other).distances(points) < NEAR).mean())
+
+
+def _extent(arena: Arena) -> str:
+    x0, y0, x1, y1 = arena.bounds
+    return f"x {x0:g} to {x1:g}, y {y0:g} to {y1:g} m"

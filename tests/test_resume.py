@@ -1,0 +1,70 @@
+"""A plan resumes from a run of the same arena, and refuses what cannot be one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from planners_samples import outlined, shipped
+
+from logs import RangeSensor, Recorder
+from planners.arena import Arena
+from planners.errors import PlanError
+from planners.maps import geojson
+from sensorgraph.cli import run as cli
+from sensorgraph.resume import driven_poses, shared_walls
+
+
+def recorded(path: Path, poses: np.ndarray, arena: Arena | None = None) -> Path:
+    """Record a scan at each pose, ten a second."""
+    sensor = RangeSensor(bearings=np.linspace(-1, 1, 5), range_max=8.0)
+    with Recorder(path, sensor=sensor) as recorder:
+        for k, pose in enumerate(poses):
+            recorder.pose(0.1 * k, pose)
+            recorder.scan(0.1 * k, np.ones(5))
+        if arena is not None:
+            recorder.attach("arena.geojson", geojson.dumps(arena).encode())
+    return path
+
+
+DRIVE = np.column_stack([np.linspace(0.5, 3.5, 20), np.full(20, 0.5), np.zeros(20)])
+
+
+def test_the_poses_of_the_scans_come_back(tmp_path: Path) -> None:
+    for arena in (None, shipped("square")):
+        run = recorded(tmp_path / "run.mcap", DRIVE, arena)
+        np.testing.assert_allclose(driven_poses(run, shipped("square")), DRIVE, atol=1e-6)
+
+
+def test_a_run_of_another_arena_is_refused_by_its_walls(tmp_path: Path) -> None:
+    """All its poses lie in free space of the office; its walls do not stand there."""
+    run = recorded(tmp_path / "run.mcap", DRIVE, shipped("square"))
+    with pytest.raises(PlanError, match=r"driven in another arena, of x 0 to 4.* of its walls .* x 0 to 15"):
+        driven_poses(run, shipped("office"))
+
+
+def test_an_arena_that_has_grown_or_lost_an_obstacle_is_the_same(tmp_path: Path) -> None:
+    room = outlined(shapely.box(0, 0, 4, 1).difference(shapely.box(1.6, 0.8, 2.2, 1.0)))
+    larger = outlined(shapely.box(0, 0, 4, 1).union(shapely.box(4, 0, 8, 1)))
+    assert shared_walls(room, room) == 1.0
+    assert 0.7 < shared_walls(room, larger) < 1.0
+    assert len(driven_poses(recorded(tmp_path / "run.mcap", DRIVE, room), larger)) == len(DRIVE)
+
+
+def test_a_run_whose_poses_lie_elsewhere_is_refused(tmp_path: Path) -> None:
+    run = recorded(tmp_path / "run.mcap", DRIVE + [20.0, 0.0, 0.0])
+    with pytest.raises(PlanError, match="0 % of its poses lie in the free space of this arena"):
+        driven_poses(run, shipped("square"))
+
+
+def test_an_empty_run_is_one_line_and_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = recorded(tmp_path / "run.mcap", DRIVE[:0])
+    assert cli(["plan", "square", "--resume", str(run), "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 1
+    assert str(run) in said[0]
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
