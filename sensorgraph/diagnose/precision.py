@@ -32,6 +32,7 @@ BROAD = (
 )  # [nats] the same for what acts on single readings, whose likelihood is jagged in the small
 LOOKS = 7  # casts per side, at most
 REFITTED = ("range_drift",)  # whose rough parameter changes little that its smooth one cannot
+NUDGED = 0.02  # [m] first step along which an obstacle is moved
 FIRST = 0.1  # of the search's first step
 FARTHEST = 20.0  # times the search's first step; beyond, a parameter is not known
 OWN_TOLERANCE: dict[str, dict[str, str]] = {
@@ -69,6 +70,7 @@ def standard_errors(fitted: Fitted, freedom: Freedom) -> tuple[dict[str, float],
     out = []
     for index, amendment in enumerate(fitted.model):
         errors = {**_rough_errors(fitted, index, freedom), **smooth[index]}
+        errors |= _silhouette_errors(fitted, index, freedom, errors)
         hidden = widths_of(fitted, amendment)
         out.append({k: float(np.hypot(v, hidden.get(k, 0.0))) for k, v in errors.items() if np.isfinite(v)})
     return tuple(out)
@@ -93,6 +95,18 @@ def _rough_errors(fitted: Fitted, index: int, freedom: Freedom) -> dict[str, flo
         steps |= dict.fromkeys(("theta1", "theta2"), spacing(evidence))
     smooth = smooth_parameters(amendment)
     return {k: _profiled(fitted, index, freedom, k, v) for k, v in steps.items() if k not in smooth}
+
+
+def _silhouette_errors(
+    fitted: Fitted, index: int, freedom: Freedom, errors: Mapping[str, float]
+) -> dict[str, float]:
+    """Return standard errors of a move that no ray met head-on: the ends of the silhouette alone tell of it."""
+    amendment = fitted.model[index]
+    if amendment.name != "moved_obstacle":
+        return {}
+    unseen = [k for k, m in amendment.effect.sizes.items() if errors.get(k, 0.0) > m]
+    map_ = fitted.solver.evidence.tolerances.map
+    return {k: float(np.hypot(_profiled(fitted, index, freedom, k, NUDGED), map_)) for k in unseen}
 
 
 def lattice_error(evidence: Evidence, q: float) -> float:

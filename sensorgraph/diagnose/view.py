@@ -16,6 +16,10 @@ from sensorgraph.diagnose.nuisance import TAIL
 
 Ints = NDArray[np.intp]
 ROOT = np.sqrt(2 * np.pi)
+LEAST_GAIN = 6.0
+"""[nats] that a candidate must promise to be proposed."""
+FEW = 8
+"""Rays; fewer are no ground for a proposal."""
 
 
 @dataclass(eq=False)

@@ -1,0 +1,86 @@
+"""An obstacle moved by centimetres is found by its silhouette, where no ray has met the side that would tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import polygon_arena
+
+from logs.run import Run
+from planners.arena import Arena, wrap
+from sensorgraph.diagnose.diagnose import diagnose
+from sensorgraph.diagnose.evidence import Evidence, gather
+from sensorgraph.diagnose.model import Fitted, fit, start_state
+from sensorgraph.diagnose.nuisance import Freedom
+from sensorgraph.diagnose.propose_obstacles import nudged
+from sensorgraph.diagnose.view import View
+from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.world import robot_file
+from sensorgraph.world.scene import Scene, draw
+
+ROBOT = robot_file.loads("sensor: {n_rays: 181}")
+
+
+@pytest.fixture(scope="module")
+def hall() -> Arena:
+    """Return a 6 x 5 m hall; before its east wall stands a box, whose west side alone is met head-on."""
+    room = [(0.0, 0.0), (6.0, 0.0), (6.0, 5.0), (0.0, 5.0)]
+    box = [(4.0, 2.3), (4.6, 2.3), (4.6, 2.8), (4.0, 2.8)]
+    names = tuple(f"{feature}/edge_{i}" for feature in ("room", "box") for i in range(4))
+    return replace(polygon_arena(room, box), names=names)
+
+
+def to_and_fro(hall: Arena, effects: tuple[Amendment, ...] = (), seed: int = 0) -> Run:
+    """Drive along x towards the box and back, within what the box's north and south sides look along."""
+    rng, t = np.random.default_rng(seed), 0.2 * np.arange(150)
+    poses = np.column_stack(
+        [1.8 + 1.2 * np.sin(0.4 * t), 2.55 + 0.2 * np.sin(0.9 * t), 0.3 * np.sin(1.3 * t)]
+    )
+    scene = Scene(
+        arena=hall,
+        sensor=ROBOT.sensor,
+        stamps=t,
+        motion=lambda times: np.stack([np.interp(times, t, c) for c in poses.T], axis=-1),
+        span=float(t[-1]),
+    )
+    scene.run(effects)
+    reference = poses + rng.normal(size=poses.shape) * [0.002, 0.002, 0.001]
+    return Run(
+        sensor=ROBOT.sensor,
+        stamps=t,
+        ranges=draw(scene, rng),
+        pose_stamps=t,
+        poses=np.column_stack([reference[:, :2], wrap(reference[:, 2])]),
+    )
+
+
+def bare(hall: Arena, run: Run) -> tuple[Evidence, Fitted]:
+    evidence = gather(run, hall, ROBOT)[0]
+    return evidence, fit(evidence, (), start_state(evidence, Freedom()), Freedom(), outer=1, inner=4)
+
+
+def moved(dx: float, dy: float) -> Amendment:
+    return EFFECTS["moved_obstacle"](dx=dx, dy=dy).at("box", np.array([4.3, 2.55]))
+
+
+@pytest.mark.parametrize("dy", [0.04, -0.03])
+def test_a_small_move_across_the_view_is_proposed_where_it_went(hall: Arena, dy: float) -> None:
+    """Along the view the box's west side tells, and the freedom of the map takes that up to first order."""
+    (found,) = nudged(View(*bare(hall, to_and_fro(hall, (moved(0.0, dy),)))))
+    assert found.amendment["dx"] == pytest.approx(0.0, abs=0.005)
+    assert found.amendment["dy"] == pytest.approx(dy, abs=0.008)
+    assert found.gain > 20
+
+
+def test_of_a_box_that_stands_where_the_map_has_it_nothing_is_proposed(hall: Arena) -> None:
+    assert nudged(View(*bare(hall, to_and_fro(hall)))) == []
+
+
+def test_a_move_across_the_view_gets_its_name_and_an_error_from_the_silhouette(hall: Arena) -> None:
+    finding = diagnose(to_and_fro(hall, (moved(0.0, 0.04),)), hall, ROBOT)
+    (named,) = finding.effects
+    assert named.name == "moved_obstacle"
+    assert 0.002 < named.stderr["dy"] < 0.02
+    assert abs(named["dy"] - 0.04) < 3 * named.stderr["dy"]
