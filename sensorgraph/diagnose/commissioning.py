@@ -36,7 +36,7 @@ logger = logging.getLogger(__name__)
 
 TIMES = 3.0  # what a name takes, over the most that clutter alone has brought
 LOCAL_TIMES = 2.0  # the same for effects at one place, of which a good run shows the worst of many
-SEVERAL = 1.25  # the same where several good runs show how far clutter goes, at least
+SEVERAL = 1.4  # the same where several good runs show how far clutter goes, at least
 MOST_TIMES = 3.0  # and at most
 STEADY = 0.43  # share of a stamp's tolerance that is the same all through a run (see `nuisance.widths`)
 SHORT = 0.3  # [m] a map of shorter walls has no panes
