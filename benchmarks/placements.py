@@ -1,0 +1,104 @@
+"""How far the numbers of a real log depend on which stretches of it are held out: several placements, with intervals.
+
+    python -m benchmarks.placements LOG [LOG ...] [--placements 5]
+
+`--split block` holds out five stretches of 2 %, in the middle of each fifth of the log. Here they are moved on by 1/N of
+a fifth, N times, so that no scan is held out twice; the first placement is that of `--split block`. For each, the cells are
+built and the map is tuned (`benchmarks/occupancy_grid.py`) without them. Told: the mean over placements, its 95 % interval
+by Student's t (which takes placements as independent; rooms that two of them share make it too narrow), and in how many
+placements the cells were better than the grid with the least MAE.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from benchmarks.occupancy_grid import CAP, Grid, Tuned, tuned
+from logs import Run, pair, read
+from sensorgraph.build import build
+from sensorgraph.evaluate import Evaluation, evaluate
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.split import N_STRETCHES, held_out
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+COLUMNS = ("mae_m", "median_m", "within_0.1m", "within_0.5m", "pearson_r")
+SMALLER_IS_BETTER = np.array([True, True, False, False, False])
+
+
+def part(run: Run, which: Bools) -> Run:
+    """Return some scans of a run, with all of its poses."""
+    return replace(run, stamps=run.stamps[which], ranges=run.ranges[which])
+
+
+def grid(train: Run) -> Sensorgraph:
+    """Return an occupancy grid of `train`, its threshold tuned within it for the least MAE."""
+    pairing = pair(train)
+    poses, ranges = pairing.poses[pairing.paired], train.ranges[pairing.paired]
+    (_, threshold), *_ = tuned(Grid, poses, ranges, train.sensor.bearings).items()
+    stand_in: Any = Tuned(Grid(poses, ranges, train.sensor.bearings), threshold)
+    return Sensorgraph(
+        model=stand_in, sensor=train.sensor, pose_frame=train.pose_frame, origin={"inputs": []}
+    )
+
+
+def row(result: Evaluation) -> Floats:
+    """Return the COLUMNS of an evaluation."""
+    return np.array([result.all[name] for name in COLUMNS], dtype=np.float64)
+
+
+def told(name: str, rows: Floats) -> str:
+    """Format means with the half widths of their intervals."""
+    n = len(rows)
+    half = student.ppf(0.975, n - 1) * rows.std(axis=0, ddof=1) / np.sqrt(n) if n > 1 else rows[0] * np.nan
+    return f"{name:<34}" + "".join(
+        f"{m:>9.3f} ±{h:5.3f}" for m, h in zip(rows.mean(axis=0), half, strict=True)
+    )
+
+
+def compare(run: Run, name: str, placements: int) -> None:
+    """Print the table of one log."""
+    first, fifth = held_out(run, "block"), run.n_scans / N_STRETCHES
+    rows: dict[str, list[Floats]] = {"grid": [], "cells": []}
+    answered: list[Floats] = []
+    for k in range(placements):
+        held = np.roll(first, round(k * fifth / placements))
+        train, test = part(run, ~held), part(run, held)
+        rows["grid"].append(row(evaluate(grid(train), test, cap=CAP)))
+        result = evaluate(build([train], model="cells"), test, cap=CAP)
+        rows["cells"].append(row(result))
+        answered.append(np.array([result.answered, result.answered_only["within_0.1m"]], dtype=np.float64))
+        print(f"  placement {k}: cells " + " ".join(f"{v:.3f}" for v in rows["cells"][-1]), flush=True)
+    both = {model: np.array(values) for model, values in rows.items()}
+    print(f"{name:<34}" + "".join(f"{column:>16}" for column in COLUMNS))
+    for model, values in both.items():
+        print(told(f"  {model}", values))
+    better = np.where(SMALLER_IS_BETTER, both["cells"] < both["grid"], both["cells"] > both["grid"]).sum(
+        axis=0
+    )
+    print(f"{'  cells better, of ' + str(placements):<34}" + "".join(f"{count:>16}" for count in better))
+    share, near = np.mean(answered, axis=0)
+    print(f"  cells answer {share:.3f} of the rays, {near:.3f} of those within 0.1 m", flush=True)
+
+
+def main() -> None:
+    """Compare on every log given."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("logs", nargs="+", type=Path)
+    parser.add_argument("--placements", type=int, default=5)
+    arguments = parser.parse_args()
+    for path in arguments.logs:
+        compare(read(path), path.name, arguments.placements)
+
+
+if __name__ == "__main__":
+    main()
