@@ -97,6 +97,14 @@ def exchange(a: Floats, inside: Flags, locked: Flags, usable: Flags) -> bool:
 
 
 @kernel
+def settle(a: Floats, inside: Flags, locked: Flags, usable: Flags, most: int) -> None:
+    """Exchange terms until no exchange helps, `most` times at most."""
+    for _ in range(most):
+        if not exchange(a, inside, locked, usable):
+            break
+
+
+@kernel
 def refresh(a: Floats, original: Floats, inside: Flags) -> None:
     """Sweep anew from the original: rounding does not pile up."""
     a[:] = original
@@ -131,9 +139,7 @@ def climb(
         inside[j] = True
         size += 1
         if swap:
-            for _ in range(4 * len(rss)):
-                if not exchange(a, inside, locked, usable):
-                    break
+            settle(a, inside, locked, usable, 4 * len(rss))
         better = remember(a, inside, size, rss, sets) or better
     return better
 
@@ -153,9 +159,7 @@ def descend(
         inside[i] = False
         size -= 1
         if swap:
-            for _ in range(4 * len(rss)):
-                if not exchange(a, inside, locked, usable):
-                    break
+            settle(a, inside, locked, usable, 4 * len(rss))
         better = remember(a, inside, size, rss, sets) or better
     return better
 
@@ -174,9 +178,7 @@ def thin(a: Floats, original: Floats, locked: Flags, usable: Flags, rss: Floats,
         if i >= 0:
             sweep(a, i)
             inside[i] = False
-            for _ in range(4 * len(rss)):
-                if not exchange(a, inside, locked, usable):
-                    break
+            settle(a, inside, locked, usable, 4 * len(rss))
             better = remember(a, inside, size - 1, rss, sets) or better
     return better
 
