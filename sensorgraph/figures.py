@@ -127,23 +127,29 @@ def tracks_picture(tracks: Mapping[str, Floats], arena: Arena, path: Path) -> No
     save_figure(figure, path)
 
 
-def growth_picture(races: Mapping[str, tuple[Floats, Floats]], path: Path) -> None:
-    """Draw coverage against driving time, a line for each way of driving.
+def growth_picture(races: Mapping[str, Mapping[str, tuple[Floats, Floats]]], path: Path) -> None:
+    """Draw coverage against driving time, a panel for each arena and a line for each way of driving.
 
     Parameters
     ----------
-    races : label -> (minutes (n,), share of the reachable bins (n,) met by then)
+    races : arena -> label -> (seconds (n,), share of the reachable bins (n,) met by then)
     """
-    figure = new_figure(7.0, 4.0)
-    axes = figure.subplots()
-    colours = ("#2a788e", "#7ad151", "#c9892b", ALARM)
-    for (label, (minutes, share)), colour in zip(races.items(), colours, strict=False):
-        name = f"{label.replace('_', ' ')}: {100 * share[-1]:.0f} %"
-        axes.plot(minutes, 100 * share, color=colour, lw=1.9, label=name)
-    axes.set(xlim=(0, None), ylim=(0, 103))
-    axes.set_xlabel("driven [min]", color=INK)
-    axes.set_ylabel("reachable (x, y, φ) bins visited [%]", color=INK)
-    axes.grid(color=SOLID, lw=0.6)
-    axes.legend(loc="center right", frameon=False, fontsize=9, labelcolor=INK)
-    quiet(axes)
+    figure = new_figure(5.2 * len(races), 3.9)
+    for number, (arena, lines) in enumerate(races.items()):
+        axes = figure.add_subplot(1, len(races), number + 1)
+        longest = max(float(stamps[-1]) for stamps, _ in lines.values())
+        unit, seconds = ("h", 3600.0) if longest > 2 * 3600 else ("min", 60.0)
+        for (label, (stamps, share)), colour in zip(
+            lines.items(), ("#2a788e", "#7ad151", "#c9892b", ALARM), strict=False
+        ):
+            name = f"{label.replace('_', ' ')}: {100 * share[-1]:.0f} %"
+            axes.plot(stamps / seconds, 100 * share, color=colour, lw=1.9, label=name)
+        axes.set(xlim=(0, None), ylim=(0, 103))
+        axes.set_title(arena, loc="left", fontsize=10.5, color=INK)
+        axes.set_xlabel(f"driven [{unit}]", color=INK)
+        axes.grid(color=SOLID, lw=0.6)
+        axes.legend(loc="upper left", frameon=False, fontsize=8.5, labelcolor=INK)
+        quiet(axes)
+        if number == 0:
+            axes.set_ylabel("reachable (x, y, φ) bins met [%]", color=INK)
     save_figure(figure, path)
