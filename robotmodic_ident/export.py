@@ -8,7 +8,7 @@ import re
 from robotmodic_ident.analysis.algebra import polynomial_part
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
-from robotmodic_ident.printing import legible, most_of
+from robotmodic_ident.printing import digits_of, legible, most_of
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.terms import Factor, Term
 
@@ -86,8 +86,11 @@ def to_latex(model: Narmax, *, digits: int = 4, per_line: int = 3) -> str:
     plain = polynomial_part(legible(model, most_of(digits)))
     left = _latex_name(model.output) + ("(k)" if model.is_dynamic else "")
     parts = []
-    for term, c in zip(plain.terms, plain.theta.tolist(), strict=True):
-        size = _latex_number(abs(c), digits)
+    theta = plain.theta.tolist()
+    for term, c, some in zip(
+        plain.terms, theta, digits_of(plain.terms, theta, digits, plain.spans), strict=True
+    ):
+        size = _latex_number(abs(c), some)
         factors = r"\,".join(_latex_factor(f, plain.scale) for f in term)
         body = size if not factors else (factors if size == "1" else rf"{size}\,{factors}")
         parts.append(("- " if c < 0 else "+ ") + body)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +22,7 @@ def equation(model: Narmax, digits: int, *, scaled: bool) -> str:
     form = model if scaled else legible(model, most_of(digits))
     scale = UNSCALED if scaled else form.scale
     left = f"{form.output}(k)" if form.is_dynamic else form.output
-    text = sum_text(form.terms, form.theta, digits=digits, scale=scale)
+    text = sum_text(form.terms, form.theta, digits=digits, scale=scale, spans=form.spans)
     if len(form.denominator):
         theta = np.r_[1.0, form.denominator_theta]
         below = sum_text(ONE + form.denominator, theta, digits=digits, scale=scale)
@@ -53,9 +54,11 @@ def legible(model: Narmax, most: float) -> Narmax:
 
 
 def _size(model: Narmax, form: Narmax, *, around_0: bool) -> float:
-    """Return the sum of the largest sizes that the terms of a form had in the fit."""
+    """Return the sum of the largest sizes that the terms of a form had in the fit; of what varies in them."""
     total = 0.0
     for term, theta in zip(form.terms, form.theta.tolist(), strict=True):
+        if not term:
+            continue
         for f in term:
             centre, width = model.scale.pair(f.variable)
             largest = model.spans.get(f.variable, width) + (abs(centre) if around_0 else 0.0)
@@ -65,17 +68,40 @@ def _size(model: Narmax, form: Narmax, *, around_0: bool) -> float:
 
 
 def sum_text(
-    terms: Terms, theta: Sequence[float] | Floats, *, digits: int = 6, scale: Scale = UNSCALED
+    terms: Terms,
+    theta: Sequence[float] | Floats,
+    *,
+    digits: int = 6,
+    scale: Scale = UNSCALED,
+    spans: Mapping[str, float] | None = None,
 ) -> str:
-    """Print a sum of terms with signs between them: `0.5*y(k-1) + u(k-2) - 0.1*(u(k-1) - 1000)^2`."""
+    """Print a sum of terms with signs between them: `0.5*y(k-1) + u(k-2) - 0.1*(u(k-1) - 1000)^2`.
+
+    A constant beside which the rest is small has so many more digits (`spans`: variable -> half its span).
+    """
     parts: list[str] = []
     names = ["*".join(_factor(f, scale) for f in term) or CONSTANT for term in terms]
-    for name, value in zip(names, np.asarray(theta, dtype=np.float64).tolist(), strict=True):
-        size = f"{abs(value):.{digits}g}"
+    values = np.asarray(theta, dtype=np.float64).tolist()
+    for name, value, some in zip(names, values, digits_of(terms, values, digits, spans or {}), strict=True):
+        size = f"{abs(value):.{some}g}"
         body = size if name == CONSTANT else (name if size == "1" else f"{size}*{name}")
         sign = "-" if value < 0 else "+"
         parts.append(f"{sign} {body}" if parts else (f"-{body}" if value < 0 else body))
     return " ".join(parts) or "0"
+
+
+def digits_of(terms: Terms, theta: Sequence[float], digits: int, spans: Mapping[str, float]) -> list[int]:
+    """Return how many digits each coefficient needs: a constant beside which the rest is small needs more."""
+    rest = sum(
+        abs(value) * math.prod(spans.get(f.variable, 1.0) ** f.power for f in term)
+        for term, value in zip(terms, theta, strict=True)
+        if term
+    )
+    out = []
+    for term, value in zip(terms, theta, strict=True):
+        ratio = abs(value) / rest if rest and value and not term else 1.0
+        out.append(min(max(digits, digits + math.floor(math.log10(ratio)) - 2), 15))
+    return out
 
 
 def _factor(f: Factor, scale: Scale) -> str:

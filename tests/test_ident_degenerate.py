@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from ident_samples import CUBIC, moments_of, simulate
@@ -135,6 +137,9 @@ def test_an_output_that_is_a_far_coordinate_gives_the_same_terms(offset: float, 
     assert any("err is of x - " in note for note in model.notes)
     assert 0.9 < model.err.sum() <= 1
     assert np.nanstd(model.residuals(record)) == pytest.approx(0.02, rel=0.1)
+    assert f"(x(k-1) - {offset:.0f})" in model.equation() or offset == 1e5
+    constant = re.search(r"= (\d+\.?\d*) ", model.equation())
+    assert constant and float(constant[1]) == pytest.approx(found["1"], abs=0.01)  # not 5e+06
 
 
 def test_agreement_with_a_long_double_oracle_to_12_digits() -> None:

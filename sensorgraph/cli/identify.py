@@ -135,7 +135,9 @@ def said(found: Identified) -> list[str]:
     for name, theta, stderr, err in zip(
         model.terms.names, model.theta.tolist(), model.stderr.tolist(), model.err.tolist(), strict=True
     ):
-        lines.append(f"{name:<28}{theta:>13.6g}{_known(stderr, '.2g'):>12}{_known(err, '.5f'):>10}")
+        lines.append(
+            f"{name:<28}{_settled(theta, stderr):>13}{_known(stderr, '.2g'):>12}{_known(err, '.5f'):>10}"
+        )
     for name, theta, stderr in zip(
         model.noise_terms.names, model.noise_theta.tolist(), model.noise_stderr.tolist(), strict=True
     ):
@@ -180,6 +182,12 @@ def _reach(outside: Outside) -> list[str]:
     if outside.share < 1:
         there += f", {outside.rmse_inside:.4g} elsewhere"
     return [f"{outside.share:.1%} of it lies outside where the model was fitted (one step: {there})"]
+
+
+def _settled(theta: float, stderr: float) -> str:
+    """Print a coefficient, far from 0 with as many digits as are settled."""
+    sure = math.log10(abs(theta) / stderr) if stderr > 0 and theta else 0.0
+    return f"{theta:.{min(max(6, math.ceil(sure) + 1), 13)}g}"
 
 
 def _known(value: float, form: str) -> str:
