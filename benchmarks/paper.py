@@ -35,7 +35,7 @@ EVERY = 15
 RAY = "L67"
 FULL = 28
 PAPER_R = 0.75
-LOWEST, HIGHEST = -2.0, 8.0
+LOWEST, HIGHEST = -12.0, 6.0
 """[m] drawn of what is predicted elsewhere."""
 MINUTES = 60.0
 START = np.array([1.0, 0.5, 0.0])
