@@ -125,15 +125,26 @@ def _surface(figure: Any, axes: Any, found: Identified) -> None:
 
 
 def surface_map(figure: Any, axes: Any, model: Narmax, columns: dict[str, Floats]) -> None:
-    """Draw a model over two of its signals, and the data that it was asked about."""
+    """Draw a model over two of its signals, and the data that it was asked about.
+
+    The colours span what it says where there are data; grey is what lies beyond, perhaps a hundred times as large.
+    """
+    from matplotlib import colormaps
+    from matplotlib.ticker import MaxNLocator
+
     shares = sobol(model, columns).total
     a, b = sorted(shares, key=lambda s: -shares[s])[:2]
     grid = [np.linspace(float(columns[s].min()), float(columns[s].max()), 60) for s in (a, b)]
     at = {s: float(np.median(values)) for s, values in columns.items() if s not in (a, b)}
     z = surface(model, (a, grid[0]), (b, grid[1]), at)
-    mesh = axes.contourf(grid[0], grid[1], z, levels=14, cmap="viridis")
+    seen = model.terms.matrix(columns, model.scale) @ model.theta
+    low, high = np.quantile(seen, [0.01, 0.99]).tolist()
+    room = 0.1 * (high - low) or 1.0
+    levels = MaxNLocator(14).tick_values(low - room, high + room)
+    colours = colormaps["viridis"].with_extremes(under=SOLID, over=SOLID)
+    mesh = axes.contourf(grid[0], grid[1], z, levels=levels, cmap=colours, extend="both")
     step = max(1, len(columns[a]) // 600)
-    axes.plot(columns[a][::step], columns[b][::step], ".", ms=2, color="white", alpha=0.5, mew=0)
+    axes.plot(columns[a][::step], columns[b][::step], ".", ms=2, color="white", alpha=0.7, mew=0)
     axes.set_xlabel(a, color=INK, fontsize=9)
     axes.set_ylabel(b, color=INK, fontsize=9)
     bar = figure.colorbar(mesh, ax=axes)

@@ -74,6 +74,9 @@ def test_noise_lags_auto_finds_how_many_and_the_file_says_so(
     }
     said = capsys.readouterr().out
     assert "note: noise lags: 0 to 2 tried, 2 kept" in said
+    assert "standard errors are too small" not in said
+    assert command(["identify", str(path), *form, "-o", str(out)]) == 0
+    assert "standard errors are too small; try --noise-lags auto" in capsys.readouterr().out
     assert command(["identify", str(path), *form, "--noise-lags", "1", "-o", str(out)]) == 0
     assert [t["name"] for t in json.loads(out.read_text())["noise_terms"]] == ["e(k-1)"]
 

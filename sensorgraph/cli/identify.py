@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 MOST_NOISE_LAGS = 100
 MOST_NOTES = 4
+ALARM = 0.001
+"""p-value of the residual's test below which the standard errors are doubted."""
 
 
 def identify(
@@ -159,6 +161,7 @@ def said(found: Identified) -> list[str]:
     if found.validation:
         lines += ["", f"{'residual test':<32}{'statistic':>12}{'p':>10}"]
         lines += [f"{t['test']:<32}{t['statistic']:>12.4g}{t['p_value']:>10.3g}" for t in found.validation]
+        lines += _doubted(found)
     return [*lines, ""]
 
 
@@ -170,6 +173,15 @@ def _noted(notes: Sequence[str]) -> list[str]:
         [f"{len(given) - MOST_NOTES} more such terms (in the model file)"] if len(given) > MOST_NOTES else []
     )
     return [f"note: {note}" for note in [*given[:MOST_NOTES], *more, *rest]]
+
+
+def _doubted(found: Identified) -> list[str]:
+    """Say where the residual's own test takes the ground from under the standard errors."""
+    p_value = next((t["p_value"] for t in found.validation if t["test"] == "e-e"), 1.0)
+    if p_value >= ALARM:
+        return []
+    hint = "try --noise-lags auto" if not found.question.noise_lags else "more terms or lags may be missing"
+    return [f"what is left is correlated (e-e): the standard errors are too small; {hint}"]
 
 
 def _reach(outside: Outside) -> list[str]:
