@@ -144,7 +144,8 @@ def identify(data: Data, question: Question) -> Identified:
     model = _fitted(train, output, terms, question)
     measured = [np.asarray(r.signals[output], dtype=np.float64) for r in test]
     one_step = [model.predict_osa(r) for r in test]
-    free_run = [model.predict_mpo(r) for r in test] if output in model.terms.variables else one_step
+    reads_past = output in model.terms.variables or len(model.noise_terms) > 0
+    free_run = [model.predict_mpo(r) for r in test] if reads_past else one_step
     mean = float(np.nanmean(np.concatenate([r.signals[output] for r in train])))
     before = [_last(r, output) for r in test]
     scores = {

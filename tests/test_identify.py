@@ -138,6 +138,16 @@ def test_noise_lags_take_the_bias_of_moving_average_noise_away() -> None:
     assert with_noise.noise_terms.names == ("e(k-1)",)
 
 
+def test_a_free_run_knows_nothing_of_the_noise_before() -> None:
+    rng = np.random.default_rng(12)
+    u, e = rng.normal(size=2000), rng.normal(size=2000)
+    y = u + np.convolve(e, [1.0, 0.9])[:2000]
+    data = Data(records=[Record(signals={"u": u, "y": y})], names={"u": "u", "y": "y"}, period=None)
+    found = identify(data, Question(output="y", inputs=("u",), lags=0, degree=1, noise_lags=1))
+    assert found.scores["one_step"].rmse == pytest.approx(1.0, rel=0.06)
+    assert found.scores["free_run"].rmse == pytest.approx(np.sqrt(1 + 0.9**2), rel=0.06)
+
+
 def test_a_free_run_that_leaves_for_infinity_is_reported_as_such() -> None:
     rng = np.random.default_rng(15)
     y = np.array([0.5 * 1.3 ** (k % 12) for k in range(400)]) + 1e-3 * rng.normal(size=400)
