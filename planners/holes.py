@@ -50,7 +50,7 @@ def reaches_little(free: Reach) -> str:
     parts, _ = ndimage.label(cut_off(free))
     sizes: Ints = np.bincount(parts.ravel())[1:]
     said = (
-        f"only {100 * free.share:.1f} % of where the robot fits can be reached; the rest lies behind gaps narrower "
+        f"only {100 * free.share:.1f} % of where the robot fits is reachable; the rest lies behind gaps narrower "
         f"than {2 * free.clearance:.2f} m"
     )
     if sizes.max(initial=0) <= LARGER * free.mask.sum():
