@@ -1,4 +1,4 @@
-"""A run already driven: the poses that a plan for the rest need not visit again."""
+"""What was driven or identified before, for a plan of the rest: refused or doubted where it is of another place."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from planners.arena import Arena, Floats
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.maps import geojson
+from sensorgraph.errors import GapError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.world.identified_arena import arena_of
 
 STEP, NEAR = 0.05, 0.10
 """[m] between points of a wall, and how near a wall of the other arena must be to be the same."""
@@ -42,6 +45,19 @@ def driven_poses(path: Path, arena: Arena) -> Floats:
             "give the arena of that run, in the frame of its poses"
         )
     return poses
+
+
+def doubts(graph: Sensorgraph, name: str, arena: Arena) -> list[str]:
+    """Return a line if the walls that a sensorgraph has identified do not stand in an arena; none if it has none."""
+    try:
+        own = arena_of(graph)
+    except GapError:
+        return []
+    if (share := shared_walls(own, arena)) >= SAME:
+        return []
+    return [
+        f"{100 * share:.0f} % of the walls that {name} knows stand in this arena; is it of another place?"
+    ]
 
 
 def _own_arena(run: logs.Run) -> Arena | None:

@@ -9,12 +9,14 @@ import pytest
 import shapely
 from planners_samples import outlined, shipped
 
-from logs import RangeSensor, Recorder
+from logs import RangeSensor, Recorder, Run
 from planners.arena import Arena
 from planners.errors import PlanError
 from planners.maps import geojson
+from sensorgraph.build import build
 from sensorgraph.cli import run as cli
-from sensorgraph.resume import driven_poses, shared_walls
+from sensorgraph.resume import doubts, driven_poses, shared_walls
+from sensorgraph.world.raycast import cast
 
 
 def recorded(path: Path, poses: np.ndarray, arena: Arena | None = None) -> Path:
@@ -68,3 +70,15 @@ def test_an_empty_run_is_one_line_and_leaves_nothing(
     assert len(said) == 1
     assert str(run) in said[0]
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_a_graph_of_another_place_is_doubted(room: Arena, sensor: RangeSensor) -> None:
+    rng = np.random.default_rng(5)
+    poses = rng.uniform([0.2, 0.2, -np.pi], [3.8, 2.8, np.pi], (600, 3))
+    poses = poses[room.contains(poses[:, :2])]
+    stamps = np.arange(len(poses)) / 10
+    ranges = cast(room, poses, sensor).ranges + 0.01 * rng.normal(size=(len(poses), sensor.n_rays))
+    graph = build([Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)])
+    assert doubts(graph, "g", room) == []
+    (line,) = doubts(graph, "g", outlined(shapely.box(10, 10, 14, 13)))
+    assert line.startswith("0 % of the walls that g knows")

@@ -95,7 +95,7 @@ def plan(
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.plan_folder import drop_runs, save
     from sensorgraph.priority import doubt
-    from sensorgraph.resume import driven_poses
+    from sensorgraph.resume import doubts, driven_poses
     from sensorgraph.views import views_within
 
     logging.getLogger("planners").addHandler(logging.NullHandler())  # its warnings are said below
@@ -133,6 +133,8 @@ def plan(
             progress=tick,
         )
     made.report["arena"] = Path(arena).name
+    if graph is not None:
+        made.report["warnings"] += doubts(graph, str(priority), world)
     if shut:
         made.report["no_go"] = [[list(corner) for corner in zone.exterior.coords[:-1]] for zone in shut]
     out.parent.mkdir(parents=True, exist_ok=True)
