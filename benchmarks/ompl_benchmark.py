@@ -1,0 +1,82 @@
+"""OMPL's own Benchmark tool over our coverage planner and planners of OMPL, on one problem.
+
+    python benchmarks/ompl_benchmark.py                                    # square arena, diff drive
+    python benchmarks/ompl_benchmark.py --drive reeds_shepp --runs 3 -o square.log
+
+The others drive from start to goal; ours does so through every bin. The log is OMPL's, to be read by its
+ompl_benchmark_statistics. Nothing is simplified, since that would cut the drive through the bins short.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ompl import geometric, tools, util  # type: ignore[import-untyped]
+
+from planners.ompl_planner import CoveragePlanner, problem
+from planners.robot import Limits, Robot
+from sensorgraph.cli.inputs import named_arena
+
+COLUMNS = {
+    "solved BOOLEAN": "solved",
+    "correct solution BOOLEAN": "correct",
+    "time REAL": "time_s",
+    "solution length REAL": "length",
+    "solution segments INTEGER": "segments",
+}
+
+
+def main() -> None:
+    """Run the benchmark, print a line for each run, write OMPL's log."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--arena", default="square")
+    parser.add_argument("--drive", default="diff", choices=["diff", "reeds_shepp", "dubins"])
+    parser.add_argument("--start", default="0.8,0.8,0.3", help="x,y,phi [m, m, rad]")
+    parser.add_argument("--goal", default="3.3,0.7,1.0", help="x,y,phi [m, m, rad]")
+    parser.add_argument("--cell", type=float, default=0.25, help="[m]")
+    parser.add_argument("--headings", type=int, default=16)
+    parser.add_argument("--runs", type=int, default=2)
+    parser.add_argument("--time", type=float, default=120.0, help="[s] for each run")
+    parser.add_argument("-o", "--out", type=Path, default=Path("ompl_benchmark.log"))
+    options = parser.parse_args()
+    util.setLogLevel(util.LOG_ERROR)
+    arena = named_arena(options.arena)
+    robot = Robot(drive=options.drive, limits=Limits(turning_radius=0.0 if options.drive == "diff" else 0.4))
+    start, goal = (np.array([float(v) for v in text.split(",")]) for text in (options.start, options.goal))
+    setup = problem(arena, robot, start, goal)
+    information = setup.getSpaceInformation()
+    benchmark = tools.Benchmark(setup, f"{options.arena} {options.drive}")
+    benchmark.addPlanner(geometric.RRTConnect(information))
+    benchmark.addPlanner(geometric.KPIECE1(information))
+    ours = CoveragePlanner(information, arena, robot, cell=options.cell, headings=options.headings)
+    benchmark.addPlanner(ours)
+    benchmark.benchmark(request(options.runs, options.time))
+    for name, run in runs(benchmark):
+        print(f"{name:24} " + "  ".join(f"{head} {run[key]}" for key, head in COLUMNS.items()))
+    benchmark.saveResultsToFile(str(options.out))
+    print(f"wrote {options.out}")
+
+
+def request(count: int, seconds: float) -> Any:
+    """Return OMPL's request for so many runs of each planner."""
+    return tools.Request(
+        maxTime=seconds,
+        maxMem=4096.0,
+        runCount=count,
+        displayProgress=False,
+        saveConsoleOutput=False,
+        simplify=False,
+    )
+
+
+def runs(benchmark: Any) -> list[tuple[str, dict[str, str]]]:
+    """Return the planner and the properties of each run."""
+    found = benchmark.getRecordedExperimentData().planners
+    return [(planner.name, run.to_dict()) for planner in found for run in planner.runs]
+
+
+if __name__ == "__main__":
+    main()

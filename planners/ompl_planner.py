@@ -1,0 +1,179 @@
+"""The coverage planner as a planner of OMPL: `CoveragePlanner` takes the place of any other, in its Benchmark too.
+
+What it solves is a problem with a start and a goal, as any: on its way from one to the other it drives through every
+bin (x, y, phi) that can be reached. Nothing else imports this file, and it needs ompl.
+
+    setup = problem(arena, robot, start, goal)
+    setup.setPlanner(CoveragePlanner(setup.getSpaceInformation(), arena, robot))
+    setup.solve(60.0)
+
+Of OMPL 2.0.1: a planner in Python must not override `getPlannerData`, whose argument cannot be passed to Python (the
+process ends), so `graph` gives what it would; it must take start and goal from its `PlannerInputStates`, since a state
+that `ProblemDefinition` hands out is freed with the Python object. `simplify` must be off, or OMPL cuts the drive short.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from planners.arena import Arena, Floats, wrap
+from planners.clearance import Barriers
+from planners.connect import CHECK_STEP, INSTALL, Field
+from planners.errors import PlanError
+from planners.planning import Plan, plan
+from planners.reach import reach
+from planners.robot import Robot
+from planners.session import check_pose
+
+try:
+    from ompl import base, geometric  # type: ignore[import-untyped]
+except ImportError as exc:
+    raise PlanError(INSTALL) from exc
+
+logger = logging.getLogger(__name__)
+
+NAME = "Coverage"
+CELL = 0.25
+"""[m] of the raster of free space."""
+RATE = 10.0
+"""[Hz] of the states of a path."""
+
+
+class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types that mypy can follow
+    """Drives from start to goal through every reachable (x, y, phi) bin."""
+
+    def __init__(
+        self,
+        information: Any,
+        arena: Arena,
+        robot: Robot,
+        *,
+        cell: float = 0.25,
+        headings: int = 16,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(information, NAME)
+        self.arena, self.robot = arena, robot
+        self.cell, self.headings, self.seed = cell, headings, seed
+        self.plan: Plan | None = None
+        """The last plan, with its coverage and report."""
+
+    def clear(self) -> None:
+        """Forget the last plan."""
+        super().clear()
+        self.plan = None
+
+    def solve(self, condition: Any) -> Any:
+        """Plan from the start to the goal until the condition says stop; what was planned by then is kept.
+
+        An interrupted plan is an approximate solution: it leads to the goal, its difference is the share of bins missed.
+        """
+        status = base.PlannerStatus
+        inputs = self.getPlannerInputStates()
+        if not inputs.haveMoreStartStates():
+            return status(status.INVALID_START)
+        start = pose_of(inputs.nextStart())
+        if not inputs.haveMoreGoalStates():
+            return status(status.INVALID_GOAL)
+        goal = pose_of(inputs.nextGoal())
+        try:
+            self.plan = plan(
+                self.arena,
+                self.robot,
+                start=start,
+                end=goal,
+                cell=self.cell,
+                headings=self.headings,
+                seed=self.seed,
+                progress=_watch(condition),
+            )
+        except KeyboardInterrupt:
+            return status(status.TIMEOUT)
+        except PlanError as exc:
+            logger.warning("%s", exc)
+            return status(status.INFEASIBLE)
+        stopped = bool(self.plan.report.get("interrupted", False))
+        missed = 1.0 - float(self.plan.report["coverage"])
+        path = self._path(self.plan)
+        self.getProblemDefinition().addSolutionPath(path, stopped, missed if stopped else 0.0, NAME)
+        return status(status.APPROXIMATE_SOLUTION if stopped else status.EXACT_SOLUTION)
+
+    def graph(self) -> Any:
+        """Return the drive as `PlannerData`: a chain of states."""
+        data = base.PlannerData(self.getSpaceInformation())
+        if self.plan is not None:
+            path = self._path(self.plan)
+            last = path.getStateCount() - 1
+            for k in range(last + 1):
+                vertex = base.PlannerDataVertex(path.getState(k))
+                add = {0: data.addStartVertex, last: data.addGoalVertex}.get(k, data.addVertex)
+                add(vertex)
+                if k:
+                    data.addEdge(k - 1, k)
+            data.decoupleFromPlanner()
+        return data
+
+    def _path(self, made: Plan) -> Any:
+        information = self.getSpaceInformation()
+        path = geometric.PathGeometric(information)
+        n = int(np.ceil(made.curve.duration * RATE)) + 1
+        for pose in made.curve.sample(np.linspace(0.0, made.curve.duration, n))[0]:
+            path.append(_state(information.getStateSpace(), pose))
+        return path
+
+
+def problem(arena: Arena, robot: Robot, start: Floats, goal: Floats) -> Any:
+    """Return OMPL's SimpleSetup for a drive from a pose (3,) to another, in the robot's own state space.
+
+    A state is valid where the robot's rim is free. Planners with a margin of their own, as `CoveragePlanner`, keep it.
+    """
+    radius = robot.limits.turning_radius
+    space = {
+        "diff": base.SE2StateSpace,
+        "reeds_shepp": lambda: base.ReedsSheppStateSpace(radius),
+        "dubins": lambda: base.DubinsStateSpace(radius),
+    }[robot.drive]()
+    bounds = base.RealVectorBounds(2)
+    for axis, (low, high) in enumerate(zip(arena.bounds[:2], arena.bounds[2:], strict=True)):
+        bounds.setLow(axis, float(low))
+        bounds.setHigh(axis, float(high))
+    space.setBounds(bounds)
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=robot.footprint_radius, cell=CELL, start=start)
+    check_pose("goal", goal, arena, barriers, free)  # OMPL would wait for a better one until its time is over
+    field = Field(free.distance, free.origin, free.step)
+    field.least = robot.footprint_radius
+    setup = geometric.SimpleSetup(space)
+    setup.setStateValidityChecker(
+        lambda state: bool(field.value(state.getX(), state.getY()) >= field.least)
+    )  # holds nothing of OMPL
+    information = setup.getSpaceInformation()
+    information.setStateValidityCheckingResolution(CHECK_STEP / space.getMaximumExtent())
+    setup.setStartAndGoalStates(_state(space, start), _state(space, goal))
+    return setup
+
+
+def pose_of(state: Any) -> Floats:
+    """Return (3,) the pose of a state of SE2."""
+    return np.array([state.getX(), state.getY(), state.getYaw()])
+
+
+def _state(space: Any, pose: Floats) -> Any:
+    state = space.allocState()
+    state.setXY(float(pose[0]), float(pose[1]))
+    state.setYaw(float(wrap(np.float64(pose[2]))))
+    return state
+
+
+def _watch(condition: Any) -> Callable[[int, int], None]:
+    """Return a progress that ends the planning, as Ctrl-C would, once OMPL's condition says so."""
+
+    def progress(_: int, __: int) -> None:
+        if condition():
+            raise KeyboardInterrupt
+
+    return progress
