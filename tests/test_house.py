@@ -22,6 +22,7 @@ OWNERS = {
         "sensorgraph/figures.py",
         "sensorgraph/figures_graph.py",
         "sensorgraph/figures_headings.py",
+        "sensorgraph/figures_identify.py",
         "sensorgraph/figures_plan.py",
         "sensorgraph/diagnose/figures.py",
     },
