@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,13 +14,13 @@ from scipy.linalg import block_diag
 from robotmodic_ident import printing
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.expand import expand
+from robotmodic_ident.model_file import fields_of, written
 from robotmodic_ident.records import Record, as_records
 from robotmodic_ident.recursion import Recursion, Stretch
 from robotmodic_ident.scale import UNSCALED, Scale
 from robotmodic_ident.select import Selection
 from robotmodic_ident.terms import CONSTANT, Floats, Terms
 
-FORMAT = "robotmodic-narmax-1"
 NO_TERMS = Terms(())
 
 
@@ -232,22 +231,7 @@ class Narmax:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain data."""
-        rows = _rows(self.terms, self.theta, self.stderr)
-        return {
-            "format": FORMAT,
-            "output": self.output,
-            "terms": [{**row, "err": _plain(err)} for row, err in zip(rows, self.err.tolist(), strict=True)],
-            "denominator": _rows(self.denominator, self.denominator_theta, self.denominator_stderr),
-            "noise_terms": _rows(self.noise_terms, self.noise_theta, self.noise_stderr),
-            "covariance": [[_plain(v) for v in row] for row in self.covariance.tolist()],
-            "sigma": _plain(self.sigma),
-            "n_samples": self.n_samples,
-            "scale": self.scale.to_dict(),
-            "spans": dict(self.spans),
-            "stop": self.stop,
-            "estimator": self.estimator,
-            "notes": list(self.notes),
-        }
+        return written(self)
 
     def save(self, path: Path) -> None:
         """Write JSON."""
@@ -269,33 +253,7 @@ class Narmax:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Narmax:
         """Restore what `to_dict` gave."""
-        if data["format"] != FORMAT:
-            raise IdentError(
-                f"format {data['format']!r}, expected {FORMAT!r}; a model is written with Narmax.save"
-            )
-        terms, theta = _read_rows(data["terms"])
-        denominator, denominator_theta = _read_rows(data.get("denominator", []))
-        noise_terms, noise_theta = _read_rows(data.get("noise_terms", []))
-        n = len(terms) + len(denominator) + len(noise_terms)
-        err = [math.nan if row["err"] is None else row["err"] for row in data["terms"]]
-        return cls(
-            output=data["output"],
-            terms=terms,
-            theta=theta,
-            covariance=np.array(data["covariance"], dtype=np.float64).reshape(n, n),
-            err=np.array(err, dtype=np.float64),
-            sigma=math.nan if data["sigma"] is None else float(data["sigma"]),
-            n_samples=int(data["n_samples"]),
-            scale=Scale.from_dict(data["scale"]),
-            spans=dict(data.get("spans", {})),
-            stop=data["stop"],
-            denominator=denominator,
-            denominator_theta=denominator_theta,
-            noise_terms=noise_terms,
-            noise_theta=noise_theta,
-            estimator=data.get("estimator", "ls"),
-            notes=tuple(data.get("notes", ())),
-        )
+        return cls(**fields_of(data))
 
 
 def _unscaled(terms: Terms, scale: Scale) -> tuple[Terms, Floats]:
@@ -312,18 +270,3 @@ def _unscaled(terms: Terms, scale: Scale) -> tuple[Terms, Floats]:
         table.append(tuple(moved))
         factors.append(factor)
     return Terms(tuple(table)), np.array(factors, dtype=np.float64)
-
-
-def _rows(terms: Terms, theta: Floats, stderr: Floats) -> list[dict[str, Any]]:
-    rows = zip(terms.names, theta.tolist(), stderr.tolist(), strict=True)
-    return [{"name": name, "theta": value, "stderr": _plain(spread)} for name, value, spread in rows]
-
-
-def _plain(value: float) -> float | None:
-    """Return None for what JSON cannot hold: as many terms as samples leave no standard error."""
-    return value if math.isfinite(value) else None
-
-
-def _read_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[Terms, Floats]:
-    theta = np.array([row["theta"] for row in rows], dtype=np.float64)
-    return Terms.parse(*(row["name"] for row in rows)), theta
