@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,23 +12,20 @@ import numpy as np
 from planners import baselines, holes
 from planners.arena import Arena, Bools, Floats
 from planners.battery import Session, chain, check_battery, sessions
-from planners.check import check
 from planners.clearance import Barriers
 from planners.connect import Joins
 from planners.coverage import Coverage
 from planners.coverage_planner import Driven, Progress, Task, plan_stop_and_spin
 from planners.errors import PlanError
 from planners.reach import Reach, reach
+from planners.report import counted, measured, reference_time
 from planners.robot import Robot
-from planners.sampling import warnings as too_fast
 from planners.search_cars import best_start, cycle
 from planners.search_planner import plan_search
 from planners.session import check_pose, ends, within
 from planners.steering import Curve
 from planners.trajectory import Trajectory
 from planners.views_planner import plan_views
-
-logger = logging.getLogger(__name__)
 
 PLANNERS: dict[str, Callable[[Task], Driven]] = {
     "coverage": plan_search,
@@ -44,8 +39,6 @@ MARGIN = 0.02
 """[m] that the robot's rim keeps from walls, beyond its radius."""
 LITTLE = 0.05
 """A start from which a Dubins car can go to a smaller share of the bins is refused."""
-SMALL = 0.99
-"""A start that reaches a smaller share of where the robot fits is worth a warning."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -179,9 +172,9 @@ def plan(
         home = ends(driven.curve)[0] if start is None else start
         runs = sessions(driven, task, battery=battery, dock=home)
         driven = chain(runs, driven)
-    so_far = [_counted(grid, run, rate) for run in runs]
+    so_far = [counted(grid, run, rate) for run in runs]
     trajectory = driven.curve.trajectory()
-    report = _report(task, driven, trajectory, planner, sweep_time) | {
+    report = measured(task, driven, trajectory, planner, sweep_time) | {
         **({"interrupted": True} if driven.interrupted else {}),
         **({} if budget is None else {"budget_s": budget}),
         **({} if end is None else {"end": end.tolist()}),
@@ -236,20 +229,6 @@ def _check_ends(
         raise PlanError("every run on a battery starts at the dock; leave out the start, or the dock")
 
 
-def _counted(grid: Coverage, run: Session, rate: float) -> dict[str, Any]:
-    """Count a run's log; return what plan.json tells of it."""
-    curve, before = run.driven.curve, int(grid.covered.sum())
-    grid.add(curve.log(rate))
-    return {
-        "drive_time_s": round(curve.duration, 6),
-        "out_s": round(run.out_s, 6),
-        "home_s": round(run.home_s, 6),
-        "path_m": curve.trajectory().length,
-        "new_bins": int(grid.covered.sum()) - before,
-        "coverage": grid.fraction,
-    }
-
-
 def _cyclic(
     free: Reach, robot: Robot, grid: Coverage, rate: float, start: Floats | None, seed: int
 ) -> tuple[Floats, Coverage]:
@@ -271,21 +250,6 @@ def _cyclic(
     )
 
 
-def reference_time(grid: Coverage, robot: Robot) -> float:
-    """Return the least time [s] to visit all bin centres by turning or driving, accelerations left out.
-
-    Every cell is entered once and all its other headings are turned to, or every heading is driven through. A car
-    drives through each bin, or round an arc from one heading bin to the next.
-    """
-    k, limits = grid.headings, robot.limits
-    if robot.drive != "diff":
-        todo_bins = int((grid.reachable & (grid.counts == 0)).sum())
-        return float(todo_bins * min(grid.cell, limits.turning_radius * 2 * np.pi / k) / limits.v)
-    hop = grid.cell / limits.v
-    todo = (grid.reachable & (grid.counts == 0)).any(axis=2)
-    return float(todo.sum() * min((k - 1) * 2 * np.pi / k / limits.omega + hop, k * hop))
-
-
 def _check_numbers(
     *, cell: float, rate: float, headings: int, seed: int, margin: float, duration: float | None
 ) -> None:
@@ -298,72 +262,3 @@ def _check_numbers(
         raise PlanError(f"seed is {seed}, expected 0 or more")
     if not (np.isfinite(margin) and margin >= 0):
         raise PlanError(f"margin is {margin}, expected 0 or more")
-
-
-def _report(
-    task: Task, driven: Driven, trajectory: Trajectory, planner: str, sweep_time: float
-) -> dict[str, Any]:
-    """Measure the plan; `task.coverage` already counts its log."""
-    grid, robot = task.coverage, task.robot
-    none = np.zeros_like(grid.counts)
-    empty = Coverage(origin=grid.origin, cell=grid.cell, reachable=grid.reachable, counts=none, core=none)
-    reference = reference_time(empty, robot)
-    found = check(driven.curve.trajectory(100.0), task.arena, robot)
-    gap_m, gap_rad = grid.dispersion()
-    start = trajectory.poses[0]
-    warnings = []
-    if task.reach.share < SMALL:
-        warnings.append(holes.reaches_little(task.reach))
-    if driven.interrupted:
-        warnings.append(
-            f"planning was interrupted: this plan is shorter, it covers {100 * grid.fraction:.1f} %"
-        )
-    warnings += too_fast(
-        trajectory, cell=grid.cell, headings=grid.headings, rate=task.rate, sweep_time=sweep_time
-    )
-    for line in warnings:
-        logger.warning("%s", line)
-    return {
-        "grid": {"origin": grid.origin.tolist(), "cell": grid.cell, "headings": grid.headings},
-        "start": [round(float(value), 6) for value in start],
-        "coverage": grid.fraction,
-        "core_coverage": grid.core_fraction,
-        "reachable_cells": int(grid.reachable.sum()),
-        "covered_cells": int(grid.covered.sum()),
-        "reachable_positions": int(grid.reachable.any(axis=2).sum()),
-        "drive_time_s": round(trajectory.duration, 6),
-        "t_ref_s": reference,
-        "ratio": trajectory.duration / reference,
-        "path_m": trajectory.length,
-        "planning_s": 0.0,
-        "seed": task.seed,
-        "min_clearance_m": found.min_clearance,
-        "limit_violations": found.count,
-        "joins": {
-            "direct": driven.joins.direct,
-            "planned": driven.joins.planned,
-            "failed": driven.joins.failed,
-            "planned_m": driven.joins.planned_m,
-        },
-        "violations": dict(found.violations),
-        "turned_rad": float(abs(driven.stops[:, 3]).sum()),
-        "stops": len(driven.stops),
-        "largest_gap": {"m": _finite(gap_m), "rad": _finite(gap_rad)},
-        "warnings": warnings,
-        "planner": planner,
-        "robot": asdict(robot),
-        "rate": task.rate,
-        "clearance": task.reach.clearance,
-        "versions": {name: _version(name) for name in ("ompl", "numpy", "scipy", "shapely")},
-    }
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "none"
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

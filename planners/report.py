@@ -1,0 +1,122 @@
+"""What plan.json tells of a plan: its coverage, its time beside the reference, what the checker finds, warnings."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+
+from planners import holes
+from planners.battery import Session
+from planners.check import check
+from planners.coverage import Coverage
+from planners.coverage_planner import Driven, Task
+from planners.robot import Robot
+from planners.sampling import warnings as too_fast
+from planners.trajectory import Trajectory
+
+logger = logging.getLogger(__name__)
+
+SMALL = 0.99
+"""A start that reaches a smaller share of where the robot fits is worth a warning."""
+
+
+def reference_time(grid: Coverage, robot: Robot) -> float:
+    """Return the least time [s] to visit all bin centres by turning or driving, accelerations left out.
+
+    Every cell is entered once and all its other headings are turned to, or every heading is driven through. A car
+    drives through each bin, or round an arc from one heading bin to the next.
+    """
+    k, limits = grid.headings, robot.limits
+    if robot.drive != "diff":
+        todo_bins = int((grid.reachable & (grid.counts == 0)).sum())
+        return float(todo_bins * min(grid.cell, limits.turning_radius * 2 * np.pi / k) / limits.v)
+    hop = grid.cell / limits.v
+    todo = (grid.reachable & (grid.counts == 0)).any(axis=2)
+    return float(todo.sum() * min((k - 1) * 2 * np.pi / k / limits.omega + hop, k * hop))
+
+
+def counted(grid: Coverage, run: Session, rate: float) -> dict[str, Any]:
+    """Count a run's log; return what plan.json tells of it."""
+    curve, before = run.driven.curve, int(grid.covered.sum())
+    grid.add(curve.log(rate))
+    return {
+        "drive_time_s": round(curve.duration, 6),
+        "out_s": round(run.out_s, 6),
+        "home_s": round(run.home_s, 6),
+        "path_m": curve.trajectory().length,
+        "new_bins": int(grid.covered.sum()) - before,
+        "coverage": grid.fraction,
+    }
+
+
+def measured(
+    task: Task, driven: Driven, trajectory: Trajectory, planner: str, sweep_time: float
+) -> dict[str, Any]:
+    """Measure the plan; `task.coverage` already counts its log."""
+    grid, robot = task.coverage, task.robot
+    none = np.zeros_like(grid.counts)
+    empty = Coverage(origin=grid.origin, cell=grid.cell, reachable=grid.reachable, counts=none, core=none)
+    reference = reference_time(empty, robot)
+    found = check(driven.curve.trajectory(100.0), task.arena, robot)
+    gap_m, gap_rad = grid.dispersion()
+    start = trajectory.poses[0]
+    warnings = []
+    if task.reach.share < SMALL:
+        warnings.append(holes.reaches_little(task.reach))
+    if driven.interrupted:
+        warnings.append(
+            f"planning was interrupted: this plan is shorter, it covers {100 * grid.fraction:.1f} %"
+        )
+    warnings += too_fast(
+        trajectory, cell=grid.cell, headings=grid.headings, rate=task.rate, sweep_time=sweep_time
+    )
+    for line in warnings:
+        logger.warning("%s", line)
+    return {
+        "grid": {"origin": grid.origin.tolist(), "cell": grid.cell, "headings": grid.headings},
+        "start": [round(float(value), 6) for value in start],
+        "coverage": grid.fraction,
+        "core_coverage": grid.core_fraction,
+        "reachable_cells": int(grid.reachable.sum()),
+        "covered_cells": int(grid.covered.sum()),
+        "reachable_positions": int(grid.reachable.any(axis=2).sum()),
+        "drive_time_s": round(trajectory.duration, 6),
+        "t_ref_s": reference,
+        "ratio": trajectory.duration / reference,
+        "path_m": trajectory.length,
+        "planning_s": 0.0,
+        "seed": task.seed,
+        "min_clearance_m": found.min_clearance,
+        "limit_violations": found.count,
+        "joins": {
+            "direct": driven.joins.direct,
+            "planned": driven.joins.planned,
+            "failed": driven.joins.failed,
+            "planned_m": driven.joins.planned_m,
+        },
+        "violations": dict(found.violations),
+        "turned_rad": float(abs(driven.stops[:, 3]).sum()),
+        "stops": len(driven.stops),
+        "largest_gap": {"m": _finite(gap_m), "rad": _finite(gap_rad)},
+        "warnings": warnings,
+        "planner": planner,
+        "robot": asdict(robot),
+        "rate": task.rate,
+        "clearance": task.reach.clearance,
+        "versions": {name: _version(name) for name in ("ompl", "numpy", "scipy", "shapely")},
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "none"
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
