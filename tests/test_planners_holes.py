@@ -20,9 +20,9 @@ from planners.robot import Limits, Robot
 
 @pytest.fixture(scope="module")
 def cut_short() -> Plan:
-    """A Dubins car that has half a minute."""
+    """A Dubins car that has a quarter of a minute."""
     car = Robot(drive="dubins", limits=Limits(turning_radius=0.4))
-    return plan(door_arena(9.0), car, cell=0.5, headings=8, budget=30.0)
+    return plan(outlined(shapely.box(0, 0, 2.4, 2.0)), car, cell=0.5, headings=8, budget=15.0)
 
 
 def test_every_bin_of_the_disc_is_met_or_has_one_reason(cut_short: Plan) -> None:

@@ -72,6 +72,7 @@ def test_an_empty_run_is_one_line_and_leaves_nothing(
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
 
 
+@pytest.mark.slow
 def test_a_graph_of_another_place_is_doubted(room: Arena, sensor: RangeSensor) -> None:
     rng = np.random.default_rng(5)
     poses = rng.uniform([0.2, 0.2, -np.pi], [3.8, 2.8, np.pi], (600, 3))
