@@ -158,6 +158,28 @@ def test_mistakes_are_one_line(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_log_too_slow_is_said_in_one_line_and_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "robot.yaml").write_text("sensor: {rate: 2.0}\n")
+    options = [
+        "--planner",
+        "random_bounce",
+        "--duration",
+        "20",
+        "--robot",
+        str(tmp_path / "robot.yaml"),
+        *COARSE,
+    ]
+    assert cli(["plan", "square", *options, "-o", str(tmp_path / "out")]) == 0
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "log of 2 Hz" in line]
+    assert line.startswith("warning: at ")
+    assert "log at 2.6 Hz or more" in line
+    assert [line.removeprefix("warning: ")] == json.loads((tmp_path / "out" / "plan.json").read_text())[
+        "warnings"
+    ]
+
+
 def test_a_file_is_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "out"
     path.write_text("")

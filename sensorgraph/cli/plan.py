@@ -98,7 +98,8 @@ def plan(
     from sensorgraph.resume import doubts, driven_poses
     from sensorgraph.views import views_within
 
-    logging.getLogger("planners").addHandler(logging.NullHandler())  # its warnings are said below
+    if not (log := logging.getLogger("planners")).hasHandlers():
+        log.addHandler(logging.NullHandler())  # its warnings are said below
     if out.exists() and not out.is_dir():
         raise PlanError(f"{out} is a file; give a folder to write the plan to")
     world, machine = named_arena(arena), named_robot(robot)
