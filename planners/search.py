@@ -13,6 +13,7 @@ from planners.arena import Bools, Floats
 from planners.order import Ints
 from planners.reach import Reach
 from planners.rooms import SIDES, links
+from planners.search_outlook import lattice
 from planners.search_table import Table
 from planners.steering import Curve, displace
 
@@ -56,6 +57,8 @@ class Settings:
     """States that a flood keeps of each unit."""
     flood_states: int = 300_000
     """States after which a flood gives up."""
+    narrow: int = 0
+    """States that a flood keeps of each unit if it knows how far what is missing is, before a wide one; 0: it does not."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,11 +209,12 @@ class Search:
         Returns 1 all done, 2 the rest is out of reach at this resolution, 3 gave up, 0 stopped by `tick`.
         """
         hunt, moves = self._hunt(), self.moves()
+        desk, ahead = kernels.desk(hunt, moves), self._outlook()
         counters = np.array([0, self.left, 0, 0])
         sequence = np.empty(SLICE * kernels.LONGEST_FLOOD, dtype=np.int32)
         while counters[3] == 0:
             counters[0] = 0
-            kernels.advance(self.state, SLICE, hunt, self.world, moves, sequence, counters)
+            kernels.advance(self.state, SLICE, hunt, self.world, moves, ahead, desk, sequence, counters)
             self._parts.append(sequence[: counters[0]].copy())
             if not tick(int(counters[1])):
                 break
@@ -253,12 +257,23 @@ class Search:
             pull=s.pull,
             eagerness=s.eagerness,
             lattice=LATTICE,
+            narrow=s.narrow,
         )
+
+    def _outlook(self) -> kernels.Outlook:
+        where = self.place
+        grid = lattice(self.table, where.distance, where.step, where.cell, where.least)
+        side = grid.side if self.settings.narrow > 0 else 1
+        value = np.empty((side, side, len(grid.bins), grid.n_gears), dtype=np.int16)
+        room = np.empty((2, 4 * value.size), dtype=np.int32)
+        heads = np.empty(int(grid.cost.max()) + grid.pause + 1, dtype=np.int32)
+        return kernels.Outlook(grid, value, room[0], room[1], heads, np.zeros(2, dtype=np.int64))
 
     def moves(self) -> kernels.Moves:
         """Return the table as the kernels take it."""
         t = self.table
-        longest = float(np.hypot(*np.moveaxis(t.ways, -1, 0)).max()) + 2 * self.place.step
+        apart = t.ways - t.ways[..., [(t.ways.shape[3] - 1) // 2], :]
+        longest = float(np.hypot(*np.moveaxis(apart, -1, 0)).max()) + 2 * self.place.step
         return kernels.Moves(
             t.ways, t.bins, t.core, t.turn, t.then, t.cost, t.period, t.patient, t.stops, t.rests, longest
         )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from planners.arena import Bools, Floats
 from planners.kernel import kernel
 from planners.order import Ints
+from planners.search_outlook import FARTHEST, Lattice, Units, wave
 
 CREDITS = 3
 """Most bins that one primitive may be credited with."""
@@ -69,7 +70,7 @@ class Moves(NamedTuple):
     stops: Bools
     rests: NDArray[np.int16]
     longest: float
-    """[m] that a primitive leads away, and a node's diagonal."""
+    """[m] from a primitive's middle sample to its other ones, and a node's diagonal."""
 
 
 class Hunt(NamedTuple):
@@ -87,6 +88,73 @@ class Hunt(NamedTuple):
     pull: float
     eagerness: float
     lattice: float
+    narrow: int
+    """States that a flood with an outlook keeps of each unit, before one without; 0: no outlook."""
+
+
+class Outlook(NamedTuple):
+    """The lattice of the guide, and what is written there."""
+
+    grid: Lattice
+    value: Units
+    """(side, side, n_classes, n_gears)"""
+    queue: Branches
+    following: Branches
+    heads: Branches
+    corner: Ints
+    """(2,) lattice point of the window's (0, 0)."""
+
+
+class Desk(NamedTuple):
+    """Room to write in, used again and again."""
+
+    at: Floats
+    """(most, 2)"""
+    scores: Floats
+    """(most,)"""
+    hs: Branches
+    ms: Branches
+    totals: Branches
+    parents: Branches
+    branches: Branches
+    won: Branches
+    wins: Ints
+    """(most, CREDITS)"""
+    pool: Branches
+    """(layers, room) nodes that wait for each unit of time."""
+    fill: Ints
+    """(layers,)"""
+    keys: Ints
+    marks: Ints
+    """Hash table, and the stamp of each entry."""
+    stamp: Ints
+    """(1,) the last stamp."""
+
+
+def desk(hunt: Hunt, moves: Moves) -> Desk:
+    """Return room for what a hunt writes."""
+    n_branches, slowest = moves.then.shape[1], int(moves.cost.max())
+    layers = hunt.horizon + slowest + 1
+    room = max(hunt.width * n_branches * (2 if n_branches > 3 else 1), hunt.flood_width * 8)
+    most = max(hunt.flood_states, layers * hunt.width * n_branches * (2 if n_branches > 3 else 1))
+    slots = 1 << int(np.ceil(np.log2(2 * most)))
+    whole = np.empty((6, most), dtype=np.int32)
+    return Desk(
+        at=np.empty((most, 2)),
+        scores=np.empty(most),
+        hs=whole[0],
+        ms=whole[1],
+        totals=whole[2],
+        parents=whole[3],
+        branches=whole[4],
+        won=whole[5],
+        wins=np.empty((most, CREDITS), dtype=np.int64),
+        pool=np.empty((layers, room), dtype=np.int32),
+        fill=np.zeros(layers, dtype=np.int64),
+        keys=np.empty(slots, dtype=np.int64),
+        marks=np.zeros(slots, dtype=np.int64),
+        stamp=np.zeros(1, dtype=np.int64),
+    )
 
 
 @kernel
@@ -111,8 +179,18 @@ def attempt(
             credits[0] = (ci * ny + ck) * n_phi + moves.rests[h]
             n_won = 1
     period = moves.period[m, j]
-    i, k = int((x - x0) * per_step), int((y - y0) * per_step)
+    middle = n_samples // 2
+    i = int((x - x0 + ways[h, m, j, middle, 0]) * per_step)
+    k = int((y - y0 + ways[h, m, j, middle, 1]) * per_step)
+    if i < 0 or k < 0 or i >= mx or k >= my:
+        return False, 0
     is_open = distance[i, k] >= least + moves.longest  # no wall is near enough to matter
+    ci, ck = int((x - x0) * per_cell), int((y - y0) * per_cell)
+    ei = int((x - x0 + ways[h, m, j, n_samples, 0]) * per_cell)
+    ek = int((y - y0 + ways[h, m, j, n_samples, 1]) * per_cell)
+    is_vain = is_open and missing[ci, ck] + missing[ei, ek] + missing[ci, ek] + missing[ei, ck] == 0
+    if is_open and is_vain:
+        return True, n_won
     for s in range(n_samples + 1):
         px = x - x0 + ways[h, m, j, s, 0]
         py = y - y0 + ways[h, m, j, s, 1]
@@ -134,6 +212,8 @@ def attempt(
                 )
                 if exact < least:
                     return False, 0
+        if is_vain:
+            continue
         this = -1
         if s < n_samples:
             fu, fv = px * per_cell, py * per_cell
@@ -265,8 +345,47 @@ def lattice_key(x: float, y: float, h: int, m: int, world: World, moves: Moves, 
 
 
 @kernel
+def look(state: Floats, world: World, ahead: Outlook) -> None:
+    """Tell how far what is missing is from the poses round a state."""
+    i0, k0 = wave(
+        state[0] - world.x0,
+        state[1] - world.y0,
+        world.need,
+        world.missing,
+        ahead.grid,
+        ahead.value,
+        int(state[2]) // ahead.grid.group,
+        int(state[3]),
+        ahead.queue,
+        ahead.following,
+        ahead.heads,
+    )
+    ahead.corner[0], ahead.corner[1] = i0, k0
+
+
+@kernel
+def units_away(x: float, y: float, h: int, m: int, world: World, ahead: Outlook) -> int:
+    """Return how many units of time lie before something missing; FARTHEST where that was not seen."""
+    i = int((x - world.x0) / ahead.grid.fine) - ahead.corner[0]
+    k = int((y - world.y0) / ahead.grid.fine) - ahead.corner[1]
+    if i < 0 or k < 0 or i >= ahead.grid.side or k >= ahead.grid.side:
+        return FARTHEST
+    away = int(ahead.value[i, k, h // ahead.grid.group, m])
+    return away if away >= 0 else FARTHEST
+
+
+@kernel
+def best_of(costs: Floats, most: int) -> Ints:
+    """Return the places of the least of some costs (n,), about so `most`, in order."""
+    if len(costs) <= most:
+        return np.argsort(costs, kind="mergesort")
+    few = np.flatnonzero(costs <= np.partition(costs, most)[most])
+    return few[np.argsort(costs[few], kind="mergesort")]
+
+
+@kernel
 def harvest(
-    state: Floats, hunt: Hunt, world: World, moves: Moves, far: Ints, out: Branches
+    state: Floats, hunt: Hunt, world: World, moves: Moves, far: Ints, desk: Desk, out: Branches
 ) -> tuple[int, int]:
     """Search `hunt.horizon` units ahead with a beam; write branches to `out`; return their count and the bins won.
 
@@ -278,26 +397,23 @@ def harvest(
     layers = horizon + moves.cost.max()
     room = hunt.width * n_branches * (2 if n_branches > 3 else 1)
     most = layers * room
-    at, scores = np.empty((most, 2)), np.empty(most)
-    hs, ms, totals = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
-    parents, branches = np.empty(most, np.int32), np.empty(most, np.int32)
-    won, wins = np.empty(most, np.int32), np.empty((most, CREDITS), np.int64)
-    pool, fill = np.empty((layers + 1, room), np.int32), np.zeros(layers + 1, np.int64)
+    at, scores, hs, ms = desk.at, desk.scores, desk.hs, desk.ms
+    totals, parents, branches, won, wins = desk.totals, desk.parents, desk.branches, desk.won, desk.wins
+    pool, fill = desk.pool, desk.fill
+    fill[:] = 0
     credits = np.empty(CREDITS, np.int64)
-    size = 1 << 12
-    while size < 4 * hunt.width:
-        size *= 2
-    table, marks = np.empty(size, np.int64), np.full(size, -1, np.int64)
     at[0, 0], at[0, 1], hs[0], ms[0] = state[0], state[1], int(state[2]), int(state[3])
     scores[0], parents[0], won[0], totals[0], pool[0, 0], fill[0] = 0.0, -1, 0, 0, 0, 1
     n_nodes = 1
     for layer in range(horizon):
-        order = np.argsort(-scores[pool[layer, : fill[layer]]], kind="mergesort")
+        desk.stamp[0] += 1
+        order = best_of(-scores[pool[layer, : fill[layer]]], 3 * hunt.width)
         kept = 0
         for o in order:
             node = pool[layer, o]
             x, y, h, m = at[node, 0], at[node, 1], hs[node], ms[node]
-            if find_slot(table, layer, marks, lattice_key(x, y, h, m, world, moves, hunt.lattice)) >= 0:
+            key = lattice_key(x, y, h, m, world, moves, hunt.lattice)
+            if find_slot(desk.keys, desk.stamp[0], desk.marks, key) >= 0:
                 continue  # a better one is there
             kept += 1
             if kept > hunt.width:
@@ -368,23 +484,32 @@ def trace(node: int, parents: Branches, branches: Branches, out: Branches) -> in
 
 
 @kernel
-def flood(state: Floats, hunt: Hunt, world: World, moves: Moves, far: Ints, out: Branches) -> int:
+def flood(
+    state: Floats,
+    hunt: Hunt,
+    world: World,
+    moves: Moves,
+    far: Ints,
+    width: int,
+    is_guided: bool,
+    ahead: Outlook,
+    desk: Desk,
+    out: Branches,
+) -> int:
     """Search breadth first for the nearest bin; write branches to `out`; return their count.
 
-    Each lattice cell is visited once, and of each unit of time the states nearest to something missing go on.
+    Each lattice cell is visited once, and of each unit of time the `width` states nearest to something missing go on:
+    nearest by what was seen `ahead`, or by cells.
     0: nothing is within reach at this resolution; -1: gave up.
     """
     n_branches, most = moves.then.shape[1], hunt.flood_states
-    at = np.empty((most, 2))
-    hs, ms, gains = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
-    parents, branches = np.empty(most, np.int32), np.empty(most, np.int32)
-    ring, room = moves.cost.max() + 1, hunt.flood_width * 8
-    pool, fill = np.empty((ring, room), np.int32), np.zeros(ring, np.int64)
+    at, hs, ms, gains = desk.at, desk.hs, desk.ms, desk.won
+    parents, branches = desk.parents, desk.branches
+    ring, room = moves.cost.max() + 1, width * 8
+    pool, fill = desk.pool, desk.fill
+    fill[:] = 0
     credits = np.empty(CREDITS, np.int64)
-    size = 1 << 12
-    while size < 2 * most:
-        size *= 2
-    table, marks = np.empty(size, np.int64), np.full(size, -1, np.int64)
+    desk.stamp[0] += 1
     at[0, 0], at[0, 1], hs[0], ms[0] = state[0], state[1], int(state[2]), int(state[3])
     parents[0], gains[0], pool[0, 0], fill[0] = -1, 0, 0, 1
     n_nodes, is_cut = 1, False
@@ -402,9 +527,13 @@ def flood(state: Floats, hunt: Hunt, world: World, moves: Moves, far: Ints, out:
             return trace(chosen, parents, branches, out)
         away = np.empty(len(here), np.int64)
         for o in range(len(here)):
-            away[o] = cells_away(at[here[o], 0], at[here[o], 1], world, far)
-        is_cut = is_cut or len(here) > hunt.flood_width
-        for o in np.argsort(away, kind="mergesort")[: hunt.flood_width]:
+            node = here[o]
+            if is_guided:
+                away[o] = units_away(at[node, 0], at[node, 1], hs[node], ms[node], world, ahead)
+            else:
+                away[o] = cells_away(at[node, 0], at[node, 1], world, far)
+        is_cut = is_cut or len(here) > width
+        for o in np.argsort(away, kind="mergesort")[:width]:
             node = here[o]
             x, y, h, m = at[node, 0], at[node, 1], hs[node], ms[node]
             for j in range(n_branches):
@@ -415,7 +544,7 @@ def flood(state: Floats, hunt: Hunt, world: World, moves: Moves, far: Ints, out:
                     continue
                 x2, y2, h2, m2 = end_of(x, y, h, m, j, moves)
                 key = lattice_key(x2, y2, h2, m2, world, moves, hunt.lattice)
-                if find_slot(table, 0, marks, key) >= 0 and n_won == 0:
+                if find_slot(desk.keys, desk.stamp[0], desk.marks, key) >= 0 and n_won == 0:
                     continue
                 later = (layer + moves.cost[m, j]) % ring
                 if n_nodes >= most:
@@ -430,6 +559,26 @@ def flood(state: Floats, hunt: Hunt, world: World, moves: Moves, far: Ints, out:
                 n_nodes += 1
         fill[layer % ring] = 0
     return -1
+
+
+@kernel
+def transfer(
+    state: Floats,
+    hunt: Hunt,
+    world: World,
+    moves: Moves,
+    far: Ints,
+    ahead: Outlook,
+    desk: Desk,
+    out: Branches,
+) -> int:
+    """Find the way to the nearest bin: by a narrow flood that knows how far what is missing is, else by a wide one."""
+    if hunt.narrow > 0:
+        look(state, world, ahead)
+        found = flood(state, hunt, world, moves, far, hunt.narrow, True, ahead, desk, out)
+        if found > 0:
+            return found
+    return flood(state, hunt, world, moves, far, hunt.flood_width, False, ahead, desk, out)
 
 
 @kernel
@@ -450,7 +599,15 @@ def drive(state: Floats, j: int, world: World, moves: Moves, credits: Ints) -> i
 
 @kernel
 def advance(
-    state: Floats, decisions: int, hunt: Hunt, world: World, moves: Moves, sequence: Branches, counters: Ints
+    state: Floats,
+    decisions: int,
+    hunt: Hunt,
+    world: World,
+    moves: Moves,
+    ahead: Outlook,
+    desk: Desk,
+    sequence: Branches,
+    counters: Ints,
 ) -> None:
     """Make up to so many decisions; write the branches driven to `sequence`, and how it stands to `counters`.
 
@@ -458,19 +615,21 @@ def advance(
         reach, 3 gave up)
     """
     far, queue = np.empty(world.missing.shape, np.int64), np.empty(world.missing.size, np.int64)
-    out, credits = np.empty(LONGEST_FLOOD, np.int32), np.empty(CREDITS, np.int64)
+    out, way = np.empty(LONGEST_FLOOD, np.int32), np.empty(LONGEST_FLOOD, np.int32)
+    credits = np.empty(CREDITS, np.int64)
     for _ in range(decisions):
         if counters[1] == 0:
             counters[3] = 1
             return
         potential(world, far, queue)
-        n, won = harvest(state, hunt, world, moves, far, out)
+        n, won = harvest(state, hunt, world, moves, far, desk, out)
         units = hunt.executed
         if won < min(hunt.least, counters[1]):
             counters[2] += 1
-            found = flood(state, hunt, world, moves, far, out)
+            found = transfer(state, hunt, world, moves, far, ahead, desk, way)
             if found > 0:
                 n, units = found, LONGEST_FLOOD
+                out[:n] = way[:n]
             elif won == 0:
                 counters[3] = 2 if found == 0 else 3
                 return

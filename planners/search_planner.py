@@ -34,7 +34,7 @@ PATIENCE = (1.3, 1.6)
 LOST = 4.0
 """[s] that a bin costs which a search leaves to the repair."""
 CAR = {
-    "reeds_shepp": Settings(executed=3.2, eagerness=0.5, beam=50, flood_layers=400),
+    "reeds_shepp": Settings(executed=3.2, eagerness=0.5, beam=50, flood_layers=400, narrow=60),
     "dubins": Settings(eagerness=1.0, flood_layers=400),
 }
 """How cars are searched for."""

@@ -1,0 +1,183 @@
+"""How far a car is from the nearest missing bin, by a coarse lattice of its own moves round it: compiled kernels.
+
+A cell count knows nothing of headings: for a car, the bin beside it may be ten metres away. The wave runs backward from
+all missing bins near the car, over poses on a lattice and gears, and says how many units of time each is from one. It
+guides the search, and proves nothing: moves start and end at lattice points, rounded up or down in turn so that many
+of them come out right.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.arena import Bools, Floats
+from planners.kernel import kernel
+from planners.order import Ints
+from planners.search_table import Table
+
+POINTS = 4
+"""Lattice points along a cell's side."""
+AROUND = 1.6
+"""[m] round the car that the wave covers."""
+SLACK = 0.02
+"""[m] that lattice points may be too near to a wall: poses beside them may not be."""
+BEYOND = 6
+"""Units of time that the wave goes on when it has come to the car."""
+RIM = 5
+"""Points at the window's rim where no wave comes, more than a move is long."""
+FARTHEST = 1 << 12
+"""Units of time of what the wave does not reach."""
+Units = NDArray[np.int16]
+
+
+class Lattice(NamedTuple):
+    """The coarse lattice of a car's poses, and its moves."""
+
+    fine: float
+    """[m] between points."""
+    group: int
+    """Heading steps of the table in one of the lattice."""
+    side: int
+    """Points of the window each way."""
+    free: Bools
+    """(Lx, Ly) points of the scene where the car may be, or almost."""
+    ahead: Floats
+    """(n_classes, n_moves, 2) points that a move leads on."""
+    turn: Ints
+    """(n_moves,) lattice headings turned."""
+    cost: Ints
+    """(n_moves,) units of time."""
+    gear: Ints
+    """(n_moves,)"""
+    pause: int
+    """Units of time of a change of gear."""
+    bins: Ints
+    """(n_classes,) heading bin."""
+    n_gears: int
+
+
+def lattice(table: Table, distance: Floats, step: float, cell: float, least: float) -> Lattice:
+    """Return the lattice of a car's table in a scene (`search.Scene`)."""
+    fine = cell / POINTS
+    own = ~table.patient[0]
+    turn, gear = table.turn[0][own], table.then[0][own]
+    length = table.cost.min(axis=0)[own]
+    group = int(abs(turn[turn != 0]).min())
+    size = (np.array(distance.shape) * step / fine).astype(np.int64)
+    at = [np.minimum(((np.arange(n) + 0.5) * fine / step).astype(np.int64), distance.shape[k] - 1)
+          for k, n in enumerate(size.tolist())]  # fmt: skip
+    return Lattice(
+        fine=fine,
+        group=group,
+        side=2 * (int(np.ceil(AROUND / fine)) + RIM) + 1,
+        free=np.ascontiguousarray(distance[np.ix_(*at)] >= least - SLACK),
+        ahead=np.ascontiguousarray(table.ways[group // 2 :: group, 0][:, own, -1] / fine),
+        turn=turn // group,
+        cost=length,
+        gear=gear,
+        pause=int((table.cost - table.cost.min(axis=0)).max()),
+        bins=table.rests[group // 2 :: group].astype(np.int64),
+        n_gears=len(table.then),
+    )
+
+
+@kernel
+def wave(
+    x: float,
+    y: float,
+    need: Bools,
+    missing: Ints,
+    grid: Lattice,
+    value: Units,
+    here: int,
+    mode: int,
+    queue: NDArray[np.int32],
+    following: NDArray[np.int32],
+    heads: NDArray[np.int32],
+) -> tuple[int, int]:
+    """Fill `value (side, side, n_classes, n_gears)` with the units of time to the nearest missing bin.
+
+    x, y : [m] of the car, from the scene's origin; here, mode : its lattice heading, and its gear
+    queue, following : of entries of the wave; heads : of the entries of each unit of time, in turn
+
+    Returns
+    -------
+    the lattice point that is the window's (0, 0)
+    """
+    side, n_classes, n_gears, ring = grid.side, len(grid.bins), grid.n_gears, len(heads)
+    i0, k0 = int(x / grid.fine) - side // 2, int(y / grid.fine) - side // 2
+    n_queued = _begin(i0, k0, need, missing, grid, value, queue, following, heads)
+    units, empty = 0, 0
+    ahead, turn, cost, gear, pause = grid.ahead, grid.turn, grid.cost, grid.gear, grid.pause
+    while empty < ring and (value[side // 2, side // 2, here, mode] + BEYOND) >= units:
+        entry = heads[units % ring]
+        heads[units % ring] = -1
+        empty = empty + 1 if entry < 0 else 0
+        while entry >= 0:
+            state = queue[entry]
+            entry = following[entry]
+            g = state % n_gears
+            c = (state // n_gears) % n_classes
+            k = (state // (n_gears * n_classes)) % side
+            i = state // (n_gears * n_classes * side)
+            if value[i, k, c, g] != units:
+                continue  # reached earlier
+            dither = ((i * 5 + k * 3 + c * 7) & 15) / 16.0 + 1.0 / 32
+            for j in range(len(gear)):
+                if gear[j] != g:
+                    continue
+                before = (c - turn[j]) % n_classes
+                pi = i - int(np.floor(ahead[before, j, 0] + dither))
+                pk = k - int(np.floor(ahead[before, j, 1] + 1.0 - dither))
+                for own in range(n_gears):
+                    later = units + cost[j] + (pause if own != g else 0)
+                    if later < value[pi, pk, before, own] and n_queued < len(queue):
+                        value[pi, pk, before, own] = later
+                        queue[n_queued] = ((pi * side + pk) * n_classes + before) * n_gears + own
+                        following[n_queued] = heads[later % ring]
+                        heads[later % ring] = n_queued
+                        n_queued += 1
+        units += 1
+    return i0, k0
+
+
+@kernel
+def _begin(
+    i0: int,
+    k0: int,
+    need: Bools,
+    missing: Ints,
+    grid: Lattice,
+    value: Units,
+    queue: NDArray[np.int32],
+    following: NDArray[np.int32],
+    heads: NDArray[np.int32],
+) -> int:
+    """Start the wave in every missing bin of the window whose (0, 0) is point (i0, k0); return the count of entries.
+
+    Points that are not free, and the window's rim, are nearer than any wave can come.
+    """
+    side, n_classes, n_gears, (n, m) = grid.side, len(grid.bins), grid.n_gears, grid.free.shape
+    value[:] = -1
+    heads[:] = -1
+    n_queued = 0
+    for i in range(max(RIM, -i0), min(side - RIM, n - i0)):
+        for k in range(max(RIM, -k0), min(side - RIM, m - k0)):
+            ci, ck = (i + i0) // POINTS, (k + k0) // POINTS
+            if not grid.free[i + i0, k + k0]:
+                continue
+            value[i, k] = FARTHEST
+            if missing[ci, ck] == 0:
+                continue
+            for c in range(n_classes):
+                if need[ci, ck, grid.bins[c]]:
+                    for g in range(n_gears):
+                        value[i, k, c, g] = 0
+                        queue[n_queued] = ((i * side + k) * n_classes + c) * n_gears + g
+                        following[n_queued] = heads[0]
+                        heads[0] = n_queued
+                        n_queued += 1
+    return n_queued
