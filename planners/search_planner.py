@@ -6,6 +6,7 @@ processors.
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 from collections.abc import Callable
@@ -27,6 +28,8 @@ from planners.search_cars import cusps, search_floor
 from planners.search_table import GEARS, Table, driving, spinning
 from planners.steering import Curve, Pen, joined
 
+logger = logging.getLogger(__name__)
+
 TRIES = 2
 """Searches of each room, of which the best is kept."""
 PATIENCE = (1.3, 1.6)
@@ -38,6 +41,8 @@ CAR = {
     "dubins": Settings(eagerness=1.0, flood_layers=400),
 }
 """How cars are searched for."""
+SLOW = 2.0
+"""[s] of compiling before that is said."""
 LOOK = 0.1
 """[s] between two looks at the searches' progress."""
 TIGHT = 1e-9
@@ -139,6 +144,9 @@ def _side_by_side(
         seed = int(np.random.SeedSequence([task.seed, room, attempt]).generate_state(1)[0])
         return job(room, seed, tick)
 
+    _compiled(task)
+    if task.progress:
+        task.progress(0, total // TRIES)
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         futures: dict[tuple[int, int], Future[Visit | None]] = {
             key: threads.submit(search, *key) for key in sorted(left)
@@ -148,14 +156,14 @@ def _side_by_side(
             while open_:
                 _, open_ = wait(open_, timeout=LOOK)
                 if task.progress:
-                    task.progress(total - sum(left.values()), total)
+                    task.progress((total - sum(left.values())) // TRIES, total // TRIES)
         except BaseException as exc:
             stop.set()
             threads.shutdown(cancel_futures=True)
             if not isinstance(exc, KeyboardInterrupt):
                 raise
     if task.progress and not stop.is_set():
-        task.progress(total, total)
+        task.progress(total // TRIES, total // TRIES)
     best: list[Visit | None] = []
     for room in range(len(sizes)):
         done = [futures[room, attempt] for attempt in range(TRIES) if not futures[room, attempt].cancelled()]
@@ -164,6 +172,27 @@ def _side_by_side(
     if stop.is_set() and not any(best):
         raise KeyboardInterrupt
     return best, stop.is_set()
+
+
+def _compiled(task: Task) -> None:
+    """Compile the kernels, or read them from disk, before the progress starts: search for no bin at all."""
+    drive, limits, headings = task.robot.drive, task.robot.limits, task.coverage.headings
+    said = threading.Timer(SLOW, logger.warning, ["compiling the search for this machine: a minute, once"])
+    said.daemon = True
+    table = (
+        spinning(limits, headings, task.rate)
+        if drive == "diff"
+        else driving(limits, headings, task.rate, GEARS[drive])
+    )
+    cells = np.zeros(task.reach.shape, dtype=np.bool_)
+    cells[tuple(np.argwhere(task.reach.cells())[0])] = True
+    place = scene(task.reach, cells)
+    none = np.zeros((*place.inner.shape, headings), dtype=np.bool_)
+    said.start()
+    try:
+        Search(place, table, none, task.rate).run(lambda _: False)
+    finally:
+        said.cancel()
 
 
 def search_room(

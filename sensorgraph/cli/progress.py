@@ -14,7 +14,10 @@ PLAIN_EVERY = 5.0  # [s] between plain lines
 
 @contextmanager
 def progress(label: str, unit: str = "") -> Iterator[Tick]:
-    """Yield `tick(done, total)`, which draws how far the work is; nothing is drawn for work under 0.5 s."""
+    """Yield `tick(done, total)`, which draws how far the work is; nothing is drawn for work under 0.5 s.
+
+    The clock of the rate starts with the first tick: what is prepared before it says nothing of the time left.
+    """
     if sys.stderr.isatty():
         with _bar(label, unit) as tick:
             yield tick
@@ -36,9 +39,11 @@ def _bar(label: str, unit: str) -> Iterator[Tick]:
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(label, total=None, rate="")
-        start = time.monotonic()
+        start: float | None = None
 
         def tick(done: int, total: int) -> None:
+            nonlocal start
+            start = time.monotonic() if start is None else start
             rate = done / max(time.monotonic() - start, 1e-9)
             bar.update(task, completed=done, total=total, rate=f"{rate:,.0f} {unit}/s".replace(" /", "/"))
 
@@ -46,12 +51,14 @@ def _bar(label: str, unit: str) -> Iterator[Tick]:
 
 
 def _plain(label: str, unit: str) -> Tick:
-    start = time.monotonic()
-    said = start
+    start: float | None = None
+    said = 0.0
 
     def tick(done: int, total: int) -> None:
-        nonlocal said
+        nonlocal start, said
         now = time.monotonic()
+        if start is None:
+            start = said = now
         if now - said < PLAIN_EVERY or done <= 0:
             return
         said = now

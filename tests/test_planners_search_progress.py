@@ -1,0 +1,40 @@
+"""Progress of a plan counts bins, and its clock starts when the search does: compiling is no part of the rate."""
+
+from __future__ import annotations
+
+import pytest
+from planners_samples import door_arena
+
+from planners import plan
+from planners.robot import Robot
+from sensorgraph.cli import progress as told
+
+
+def test_progress_starts_at_no_bin_and_ends_at_all_that_are_wanted() -> None:
+    said: list[tuple[int, int]] = []
+    made = plan(
+        door_arena(0.9),
+        Robot(),
+        cell=0.5,
+        headings=4,
+        progress=lambda done, total: said.append((done, total)),
+    )
+    totals = {total for _, total in said}
+    assert said[0][0] == 0
+    assert len(totals) == 1
+    bins = made.report["reachable_cells"]
+    assert bins <= totals.pop() <= 1.3 * bins  # cells that all but count are wanted too
+
+
+def test_what_comes_before_the_first_tick_says_nothing_of_the_time_left(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A minute of compiling, then 100 bins a second."""
+    clock = [0.0]
+    monkeypatch.setattr(told.time, "monotonic", lambda: clock[0])
+    with told.progress("planning", "bins") as tick:
+        clock[0] = 60.0
+        tick(0, 2000)
+        clock[0] = 70.0
+        tick(1000, 2000)
+    assert capsys.readouterr().err == "planning: 1,000 of 2,000 bins, 100/s, 10 s left\n"
