@@ -52,6 +52,8 @@ COARSE = (0.025, 0.015)
 FINE = 0.012
 """[m] what they may be off by afterwards."""
 GAUGE_READINGS = 250_000
+LOOK_READINGS = 250_000
+"""Readings of whole scans in which a calibration that is worth its price in all shows, if only faintly."""
 REACHES = (0.012, 0.003)
 """[m] of the searches for the walls' common shift."""
 WORTH = 20.0
@@ -326,18 +328,34 @@ class _Work:
         if self.noise.sigma_xy > FARTHEST[0] or self.noise.sigma_yaw > FARTHEST[1]:
             logger.info("calibration: returns and poses do not belong together: %s", self.noise)
             return False
-        better = self._poses(self.match())
-        mount = self._found(better)[0] if self.can_mount else 0.0
+        everything = self.readings
+        if not force and len(everything) > 2 * LOOK_READINGS:
+            self.readings = _whole_scans(everything, LOOK_READINGS)
+            mount, terms, better = self._paying()
+            self.readings = everything
+            if max(mount, terms, better.nats) <= 0:
+                return False
+        mount, terms, better = self._paying()
         if better.nats > WORTH:
             self.shifts, self.pose_noise = better.shifts, (better.sigma_xy, better.sigma_yaw)
+        least = max(WORTH, SHARE * len(self.readings))
+        self.is_amiss = force or mount > WORTH or terms > least
+        return self.is_amiss or better.nats > WORTH
+
+    def _paying(self) -> tuple[float, float, Refined]:
+        """Return the nats of the mount against the noise of the poses, of all other terms, and better poses."""
+        better = self._poses(self.match())
+        mount = self._found(better)[0] if self.can_mount else 0.0
+        kept = self.shifts
+        if better.nats > WORTH:
+            self.shifts = better.shifts
         terms = self._found(better)[1]
+        self.shifts = kept
         logger.info(
             "calibration: mount %.0f, terms %.0f, poses %.0f nats (%.2f mm, %.3f mrad)",
             mount, terms, better.nats, 1e3 * better.sigma_xy, 1e3 * better.sigma_yaw,
         )  # fmt: skip
-        least = max(WORTH, SHARE * len(self.readings))
-        self.is_amiss = force or mount > WORTH or terms > least
-        return self.is_amiss or better.nats > WORTH
+        return mount, terms, better
 
     def _found(self, better: Refined) -> tuple[float, float]:
         """Return the nats of the mount alone, against the noise of the poses, and of the other terms."""

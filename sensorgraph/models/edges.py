@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sensorgraph.models.base import Bools, Floats, Ints
-from sensorgraph.models.face_march import FAINT, ROOM, FaceSet, gather, index
+from sensorgraph.models.face_march import FAINT, ROOM, FaceSet, index
 from sensorgraph.models.kernel import kernel
-from sensorgraph.models.visibility import Noise, Rays, share
+from sensorgraph.models.visibility import Noise, Rays, gather_within, share_within
 
 CHANGE = 4.0  # [nats] that an edge must be worth, beside half the log of the looks at its face
 LOOK_BACK = 600  # runs of equal outcome that one stretch may hold
@@ -129,8 +129,8 @@ def _events(
     for i in range(len(ranges)):
         qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
         reach = range_max if z > 1e300 else z + 0.08 + 6 * np.sqrt(noise[0])
-        n = gather(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
-        _, stray = share(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+        n = gather_within(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
+        _, stray = share_within(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
         if stray > 0.5:
             continue
         for m in range(n):

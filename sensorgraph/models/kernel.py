@@ -27,6 +27,12 @@ def kernel(function: Function) -> Function:
     return cast(Function, compiled)
 
 
+def inlined(function: Function) -> Function:
+    """Return a kernel for use within another one, which takes its body in: no call with twenty arrays for each ray."""
+    plain = getattr(function, "py_func", function)
+    return cast(Function, numba.njit(inline="always", error_model="numpy")(plain))
+
+
 @cache
 def _stamp() -> tuple[tuple[str, int, int], ...]:
     """Name, time of change and size of every source beside this one."""

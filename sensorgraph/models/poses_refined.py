@@ -47,23 +47,27 @@ def refine(
     )  # fmt: skip
     right += np.einsum("nij,nj->ni", own, shifts)
     seen = own[:, 0, 0] + own[:, 1, 1] > 0
+    found = np.zeros((n, 3))
+    found[seen], spread, nats = _damped(own[seen], right[seen])
+    return Refined(
+        shifts=found, sigma_xy=float(np.sqrt(spread[0])), sigma_yaw=float(np.sqrt(spread[2])), nats=nats
+    )
+
+
+def _damped(own: Floats, right: Floats) -> tuple[Floats, Floats, float]:
+    """Solve for the scans' corrections (n, 3) and the variance (3,) that these have; return the evidence for it, too."""
     spread = np.array([START[0], START[0], START[1]]) ** 2
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS if len(own) else 0):
         inverse = np.linalg.inv(own + np.diag(1 / spread))
         found = np.einsum("nij,nj->ni", inverse, right)
-        second = (found**2 + np.einsum("nii->ni", inverse))[seen].mean(axis=0) if seen.any() else spread
+        second = (found**2 + np.einsum("nii->ni", inverse)).mean(axis=0)
         second[:2] = second[:2].mean()
         spread = np.maximum(second, 1e-12)
     inverse = np.linalg.inv(own + np.diag(1 / spread))
     found = np.einsum("nij,nj->ni", inverse, right)
     explained = 0.5 * float((right * found).sum())
     volume = 0.5 * float(np.linalg.slogdet(np.eye(3) + own * spread[:, None])[1].sum())
-    return Refined(
-        shifts=found,
-        sigma_xy=float(np.sqrt(spread[0])),
-        sigma_yaw=float(np.sqrt(spread[2])),
-        nats=explained - volume,
-    )
+    return found, spread, explained - volume
 
 
 def shifted(lasers: Floats, shifts: Floats) -> Floats:

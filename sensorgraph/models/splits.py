@@ -7,10 +7,18 @@ from typing import Any
 import numpy as np
 
 from sensorgraph.models.base import Floats
-from sensorgraph.models.face_march import ROOM, FaceSet, gather, index
+from sensorgraph.models.face_march import ROOM, FaceSet, index
 from sensorgraph.models.kernel import kernel
 from sensorgraph.models.selection import Lines
-from sensorgraph.models.visibility import STEEP, Noise, Rays, lines_of, share, variance
+from sensorgraph.models.visibility import (
+    STEEP,
+    Noise,
+    Rays,
+    gather_within,
+    lines_of,
+    share_within,
+    variance,
+)
 
 SPLIT = 9.0  # [nats] that two lines must be worth over one, beside the log of the hits
 FEWEST = 4  # hits of a line
@@ -132,8 +140,9 @@ def _hits(
         qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
         if z > 1e300:
             continue
-        n = gather(qx, qy, ux, uy, z + 0.08 + 6 * np.sqrt(noise[0]), 0.0, faces, buckets, r, k, j, t)
-        share(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+        reach = z + 0.08 + 6 * np.sqrt(noise[0])
+        n = gather_within(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
+        share_within(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
         for m in range(n):
             if gamma[m] < 0.5:
                 continue

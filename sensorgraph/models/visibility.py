@@ -15,7 +15,7 @@ from scipy.optimize import nnls
 
 from sensorgraph.models.base import Floats, Ints
 from sensorgraph.models.face_march import MARGIN, ROOM, Buckets, FaceSet, gather, index
-from sensorgraph.models.kernel import kernel
+from sensorgraph.models.kernel import inlined, kernel
 from sensorgraph.models.selection import Lines
 
 BIN = 0.01  # [m] first guess of the edges: bins along the face
@@ -263,6 +263,10 @@ def share(
     return total, stray / total
 
 
+gather_within, share_within = inlined(gather), inlined(share)
+"""For kernels that do this for each of many rays."""
+
+
 @kernel
 def _expect(
     origins: Any,
@@ -283,11 +287,12 @@ def _expect(
     r, t = np.empty(ROOM), np.empty(ROOM)
     k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
     gamma, survive = np.empty(ROOM), np.empty(ROOM)
+    passed = np.log(np.maximum(1.0 - levels, 1e-5))
     for i in range(len(ranges)):
         qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
         reach = range_max if z > 1e300 else z + 0.08 + 6 * np.sqrt(noise[0])
-        n = gather(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
-        value, stray = share(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+        n = gather_within(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
+        value, stray = share_within(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
         total[0] += np.log(max(value, 1e-12))
         total[1] += min(z, range_max)
         unexplained[i] = stray
@@ -298,9 +303,10 @@ def _expect(
             looks[j[m]] += survive[m]
             stops[j[m]] += gamma[m]
             g = gamma[m]
-            lines[f, 7] -= np.log(max(1.0 - g, 1e-5))
+            if g > 0:
+                lines[f, 7] -= np.log(max(1.0 - g, 1e-5))
             if survive[m] > 0 and g < 0.5:
-                lines[f, 7] += survive[m] * np.log(max(1.0 - levels[j[m]], 1e-5))
+                lines[f, 7] += survive[m] * passed[j[m]]
             if g < 0.01:
                 continue
             den = normals[f, 0] * ux + normals[f, 1] * uy
