@@ -41,7 +41,7 @@ class Settings:
     """States kept at each step ahead."""
     ahead: float = 6.3
     """[s] that it looks ahead, about a revolution."""
-    executed: float = 0.8
+    executed: float = 1.6
     """[s] that it drives before it looks again."""
     discount: float = 0.19
     """Of a bin's value, lost over the whole look ahead."""

@@ -38,7 +38,7 @@ LOST = 4.0
 """[s] that a bin costs which a search leaves to the repair."""
 CAR = {
     "reeds_shepp": Settings(executed=3.2, eagerness=0.5, beam=50, flood_layers=400, narrow=60),
-    "dubins": Settings(eagerness=1.0, flood_layers=400),
+    "dubins": Settings(executed=0.8, eagerness=1.0, flood_layers=400),
 }
 """How cars are searched for."""
 SLOW = 2.0

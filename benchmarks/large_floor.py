@@ -1,0 +1,73 @@
+"""One large floor: how long a plan takes, and the most memory it needs.
+
+    python -m benchmarks.large_floor                      # 50 x 50 m, 36 rooms, about 384,000 bins: some minutes
+    python -m benchmarks.large_floor --side 20 --rooms 9  # a smaller one
+
+The floor is `benchmarks/offices.py`'s: random rooms with doors and furniture, no code shared with the planner.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import time
+
+from benchmarks.offices import office
+from planners import plan
+from planners.maps import geojson
+from planners.robot import Drive, Limits, Robot
+
+
+def main() -> None:
+    """Plan the floor and print one line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--side", type=float, default=50.0, help="[m]")
+    parser.add_argument("--rooms", type=int, default=36)
+    parser.add_argument("--cell", type=float, default=0.25, help="[m]")
+    parser.add_argument("--headings", type=int, default=16)
+    parser.add_argument("--drive", default="diff", choices=["diff", "reeds_shepp", "dubins"])
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    arena = geojson.loads(office(options.seed, width=options.side, depth=options.side, rooms=options.rooms))
+    plan(geojson.loads(office(0, width=4.0, depth=4.0, rooms=1)), robot(options.drive), cell=0.5, headings=4)
+    began, cpu = time.perf_counter(), time.process_time()
+    report = plan(
+        arena, robot(options.drive), cell=options.cell, headings=options.headings, progress=said
+    ).report
+    sys.stderr.write("\n")
+    bins = report["reachable_cells"]
+    joins = report["joins"]
+    print(
+        f"{bins:,} bins in {report['reachable_positions']:,} cells: cover {100 * report['coverage']:.3f} %, "
+        f"T/Tref {report['ratio']:.3f}, {report['drive_time_s'] / 3600:.1f} h, {report['path_m'] / 1000:.1f} km, "
+        f"{report['limit_violations']} violations, clearance {report['min_clearance_m']:.3f} m; "
+        f"joins {joins['direct']} direct, {joins['planned']} planned, {joins['failed']} failed; "
+        f"planned in {time.perf_counter() - began:.0f} s ({time.process_time() - cpu:.0f} s of processor, "
+        f"{1e4 * report['planning_s'] / bins:.1f} s per 10,000 bins); "
+        f"most memory {peak():.2f} GiB"
+    )
+
+
+def robot(drive: Drive) -> Robot:
+    """Return the robot of the benchmark."""
+    return Robot(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
+
+
+def said(done: int, total: int) -> None:
+    """Write how far it is."""
+    sys.stderr.write(f"\r{done:,} of {total:,} bins")
+    sys.stderr.flush()
+
+
+def peak() -> float:
+    """Return the most memory [GiB] of this process and of the largest of OMPL's."""
+    own, children = (
+        resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    unit = 1 if sys.platform == "darwin" else 1024  # [B]
+    return (own + children) * unit / 2**30
+
+
+if __name__ == "__main__":
+    main()
