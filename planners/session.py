@@ -242,12 +242,13 @@ def latest(
     Where ways home differ much from place to place, a longer one may exist; none is ever too long.
     """
     choice, stamps = cuts(curve, robot), np.append(curve.starts, curve.duration)
+    nearest, last = int(choice[choice > first][0]), first
     allowed, stuck = left, 0
     while True:
         fits = choice[(choice > first) & (stamps[choice] - stamps[first] <= allowed)]
-        if not len(fits):
+        if not len(fits) and last == nearest:
             return None
-        last = int(fits[-1])
+        last = int(fits[-1]) if len(fits) else nearest
         try:
             cut = cut_at(curve, first, last, home, ways, robot)
         except NoWayError:

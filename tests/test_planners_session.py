@@ -26,7 +26,7 @@ from planners.export import commands, waypoints
 from planners.no_go import without, zones
 from planners.robot import Limits, Robot
 from planners.sampling import warnings
-from planners.session import cuts, ends, section, turns, within
+from planners.session import Ways, cut_at, cuts, ends, latest, section, turns, within
 from planners.steering import Curve
 from planners.trajectory import Trajectory
 from sensorgraph.plan_folder import counted
@@ -111,6 +111,17 @@ def test_a_battery_too_small_for_the_farthest_cell_is_one_line(rooms: tuple[Plan
     with pytest.raises(PlanError, match=r"battery of 0.2 min is too small: .* min at least") as caught:
         sessions(driven, task, battery=12.0, dock=np.array([0.4, 0.5, 1.0]))
     assert "\n" not in str(caught.value)
+
+
+def test_where_the_nearest_cut_fits_the_battery_is_not_too_small(
+    rooms: tuple[Plan, Arena],
+) -> None:
+    (driven, task), dock = task_of(*rooms), np.array([0.4, 0.5, 1.0])
+    choice, ways = cuts(driven.curve, ROBOT), Ways(task)
+    for first in choice[:-1:25].tolist():
+        nearest = int(choice[choice > first][0])
+        least = cut_at(driven.curve, first, nearest, dock, ways, ROBOT).duration
+        assert latest(driven.curve, first, least + 1e-6, dock, ways, ROBOT) is not None
 
 
 def test_early_runs_are_spread_out() -> None:
