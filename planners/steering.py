@@ -18,6 +18,8 @@ from planners.trajectory import Trajectory
 
 RATE = 50.0
 """[Hz] of exported samples."""
+BLOCK = 1 << 16
+"""Samples that are worked on at a time."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 Profile = tuple[Floats, Floats]
@@ -89,6 +91,14 @@ class Curve:
     def sample(self, stamps: Floats) -> tuple[Floats, Floats, NDArray[np.str_]]:
         """Return poses (m, 3), twists (m, 2) and labels (m,) at stamps (m,) [s] within the curve."""
         k = np.clip(np.searchsorted(self.starts, stamps, side="right") - 1, 0, len(self.starts) - 1)
+        poses, twists = np.empty((len(k), 3)), np.empty((len(k), 2))
+        for first in range(0, len(k), BLOCK):  # days of driving fit in memory
+            part = slice(first, first + BLOCK)
+            poses[part], twists[part] = self._within(k[part], stamps[part])
+        return poses, twists, self.labels[k]
+
+    def _within(self, k: NDArray[np.int64], stamps: Floats) -> tuple[Floats, Floats]:
+        """Return poses (m, 3) and twists (m, 2) at stamps (m,) [s] within pieces `k` (m,)."""
         dt = np.clip(stamps, 0.0, self.duration) - self.starts[k]
         (v, omega), (a, alpha) = self.twists[k].T, self.rates[k].T
         x, y, phi = self.poses[k].T
@@ -99,7 +109,7 @@ class Curve:
         poses = np.stack(
             [x + way[:, 0], y + way[:, 1], wrap(phi + omega * dt + 0.5 * alpha * dt * dt)], axis=1
         )
-        return poses, np.stack([v + a * dt, omega + alpha * dt], axis=1), self.labels[k]
+        return poses, np.stack([v + a * dt, omega + alpha * dt], axis=1)
 
     def log(self, rate: float, phase: float = 0.0) -> Floats:
         """Return poses (m, 3) that a log at `rate` [Hz], first sample at `phase` [s], holds."""
