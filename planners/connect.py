@@ -19,11 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csgraph
 
 from planners.arena import Floats
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.reach import Reach
+from planners.rooms import cell_graph
 
 INSTALL = "OMPL is not installed; pip install 'ompl>=2.0.1,<2.1' (Linux or macOS 15+; on Windows use WSL)"
 MISSING = 3
@@ -43,6 +45,8 @@ Most ways are short; the last two find gaps that the coarser ones miss.
 """
 MOST_GOALS = 400
 """Of one query, the nearest ones."""
+LEG = 4.0
+"""[m] of the parts of a way that OMPL does not find as a whole."""
 BATCH = 48
 """Queries for one process; batches run side by side, and do not depend on how many do."""
 ROPE = 15
@@ -95,6 +99,8 @@ def connect(
             paths[k] = _certified(way, barriers, reach.clearance)
             if paths[k] is None:
                 paths[k] = _certified(way, barriers, reach.clearance - SLACK)
+            if paths[k] is None:
+                paths[k] = _by_legs(starts[k], ends[k], reach, barriers, seed)
     planned = [path for k in blocked.tolist() if (path := paths[k]) is not None]
     return paths, Joins(
         direct=int(direct.sum()),
@@ -124,8 +130,33 @@ def connect_nearest(
     if path is None:
         path = _certified(way, barriers, reach.clearance - SLACK)
     if path is None:
+        path = _by_legs(start, goals[nearest[0]], reach, barriers, seed)
+    if path is None:
         return None, Joins(failed=1)
     return path, Joins(planned=1, planned_m=float(np.hypot(*np.diff(path, axis=0).T).sum()))
+
+
+def _by_legs(start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int) -> Floats | None:
+    """Find a path (k, 2) [m] that OMPL did not find as a whole, over places on the shortest way from cell to cell."""
+    at = [np.floor((place - reach.origin) / reach.cell).astype(np.int64) for place in (start, end)]
+    first, last = (int(np.ravel_multi_index(tuple(cell), reach.shape)) for cell in at)
+    far, before = csgraph.dijkstra(
+        cell_graph(reach), directed=False, indices=np.array([first]), return_predecessors=True
+    )
+    if not LEG / reach.cell < far[0, last] < np.inf:
+        return None
+    route = [last]
+    while route[-1] != first:
+        route.append(int(before[0, route[-1]]))
+    cells = np.unravel_index(route[::-1][:: max(round(LEG / reach.cell), 1)][1:], reach.shape)
+    depth = np.where(reach.blocks(reach.mask)[cells], reach.blocks(reach.distance)[cells], 0.0)
+    node = depth.argmax(axis=1)
+    within = np.column_stack([node // reach.per_cell, node % reach.per_cell])
+    between = reach.origin + np.column_stack(cells) * reach.cell + (within + 0.5) * reach.step
+    stops = np.concatenate([start[None], between, end[None]])
+    legs, _ = connect(stops[:-1], stops[1:], reach=reach, barriers=barriers, seed=seed)
+    found = [leg for leg in legs if leg is not None]
+    return np.concatenate([start[None], *(leg[1:] for leg in found)]) if len(found) == len(legs) else None
 
 
 def _certified(path: Floats, barriers: Barriers, clearance: float) -> Floats | None:

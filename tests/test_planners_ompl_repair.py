@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from planners_samples import door_arena
 
+import planners.connect as connections
 from planners.arena import Arena, Bools, Floats
 from planners.check import check
 from planners.clearance import Barriers
-from planners.connect import Joins
+from planners.connect import Joins, connect
 from planners.coverage import Coverage
 from planners.coverage_planner import Task, missed
-from planners.reach import reach
+from planners.reach import Reach, reach
 from planners.repair import CarRepair, SpinRepair
 from planners.robot import Drive, Limits, Robot
 from planners.search import Settings, Visit
@@ -131,6 +132,28 @@ def test_turns_where_nothing_is_missing_are_not_made() -> None:
     (curve,) = repair.curves
     assert curve.duration < 3.0
     assert not repair.missing.any()
+
+
+def test_a_way_that_ompl_does_not_find_as_a_whole_is_found_leg_by_leg(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As on a floor of forty rooms: here OMPL is told to give up at once on ways longer than two metres."""
+    task = task_of(door_arena(1.2), "diff")
+    solve = connections._in_a_process
+
+    def near(starts: Floats, goals: list[Floats], free: Reach, seed: int) -> list[Floats]:
+        ways = solve(starts, goals, free, seed)
+        apart = [np.hypot(*(own[0] - start)) for start, own in zip(starts, goals, strict=True)]
+        return [way if d < 2.0 else np.zeros((0, 2)) for way, d in zip(ways, apart, strict=True)]
+
+    monkeypatch.setattr(connections, "_in_a_process", near)
+    monkeypatch.setattr(connections, "LEG", 1.0)
+    ends = np.array([[0.6, 0.6]]), np.array([[3.4, 0.6]])
+    (path,), joins = connect(*ends, reach=task.reach, barriers=task.barriers, seed=0)
+    assert path is not None
+    assert (joins.direct, joins.planned, joins.failed) == (0, 1, 0)
+    np.testing.assert_allclose(path[[0, -1]], np.concatenate(ends))
+    assert task.barriers.are_clear(path[:-1], path[1:], task.reach.clearance - 0.003).all()
 
 
 def test_what_lies_behind_a_closed_door_is_said_to_have_no_way() -> None:
