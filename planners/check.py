@@ -5,11 +5,12 @@ Nothing here is shared with what draws trajectories: distances come from shapely
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from planners.arena import Arena, Floats, wrap
 from planners.robot import Robot
@@ -19,7 +20,7 @@ SLACK = 0.01
 """Of a limit: excess below this is taken for rounding of the file."""
 SLIP = 2e-4
 """[m, rad] that a pose may differ from the twists' integral over one sample."""
-
+KINDS = ("v", "omega", "a", "alpha", "curvature", "continuity", "clearance")
 ANCHOR = 10
 """Samples from one exact distance to the next; between them the least possible is taken, unless it matters."""
 MARGIN = 0.01
@@ -43,24 +44,49 @@ class Check:
 
 def check(trajectory: Trajectory, arena: Arena, robot: Robot) -> Check:
     """Check the samples, and what lies between two of them as far as the limits bound it."""
+    return check_parts([trajectory], arena, robot)
+
+
+def check_parts(parts: Iterable[Trajectory], arena: Arena, robot: Robot) -> Check:
+    """Check a long trajectory in parts, of which each begins with the last sample of the one before.
+
+    A violation at such a sample counts in both.
+    """
+    lines, total, least = barriers(arena), dict.fromkeys(KINDS, 0), np.inf
+    for part in parts:
+        for kind, count in _motion(part, robot).items():
+            total[kind] += count
+        unproven, nearest = _clearance(part, arena, lines, robot.footprint_radius)
+        total["clearance"] += unproven
+        least = min(least, nearest)
+    return Check(violations=total, min_clearance=least)
+
+
+def _motion(trajectory: Trajectory, robot: Robot) -> dict[str, int]:
+    """Count what exceeds a limit, or does not follow from the sample before."""
     limits, dt = robot.limits, np.diff(trajectory.stamps)
     v, omega = trajectory.twists.T
     most = 1 + SLACK
-    violations = {
+    found = {
         "v": int((abs(v) > limits.v * most).sum()),
         "omega": int((abs(omega) > limits.omega * most).sum()),
         "a": int((abs(np.diff(v)) > limits.a * most * dt + 2e-6).sum()),
         # a car that follows arcs of one radius turns its wheel at once where they meet
         "alpha": int((abs(np.diff(omega)) > limits.alpha * most * dt + 2e-6).sum()) * (robot.drive == "diff"),
-        "curvature": 0,
         "continuity": _jumps(trajectory, 0.25 if robot.drive == "diff" else 0.5),
     }
     if robot.drive != "diff":
-        violations["curvature"] = int((abs(omega) * limits.turning_radius > abs(v) * most + 1e-6).sum())
+        found["curvature"] = int((abs(omega) * limits.turning_radius > abs(v) * most + 1e-6).sum())
     if robot.drive == "dubins":
-        violations["v"] += int((v < -1e-6).sum())
-    violations["clearance"], least = _clearance(trajectory, arena, robot.footprint_radius)
-    return Check(violations=violations, min_clearance=least)
+        found["v"] += int((v < -1e-6).sum())
+    return found
+
+
+def barriers(arena: Arena) -> NDArray[np.object_]:
+    """Return every straight piece of wall, and of the rim of free space, as shapely lines (n,)."""
+    found = [shapely.LineString(wall) for wall in arena.walls]
+    found += list(getattr(shapely.boundary(arena.free), "geoms", [shapely.boundary(arena.free)]))
+    return np.array([segment for line in found for segment in _segments(line)])
 
 
 def _jumps(trajectory: Trajectory, part: float) -> int:
@@ -85,7 +111,9 @@ def _jumps(trajectory: Trajectory, part: float) -> int:
     return int(wrong.sum())
 
 
-def _clearance(trajectory: Trajectory, arena: Arena, radius: float) -> tuple[int, float]:
+def _clearance(
+    trajectory: Trajectory, arena: Arena, lines: NDArray[np.object_], radius: float
+) -> tuple[int, float]:
     """Count samples whose surroundings are not proven free; return the least distance that is proven.
 
     The distance to the nearest wall changes by no more than the way driven, so a sample with distance d and a
@@ -94,9 +122,6 @@ def _clearance(trajectory: Trajectory, arena: Arena, radius: float) -> tuple[int
     places = trajectory.poses[:, :2]
     steps = np.hypot(*np.diff(places, axis=0).T)
     moved = np.concatenate([[True], steps > 0])
-    barriers = [shapely.LineString(wall) for wall in arena.walls]
-    barriers += list(getattr(shapely.boundary(arena.free), "geoms", [shapely.boundary(arena.free)]))
-    lines = np.array([segment for line in barriers for segment in _segments(line)])
     distance = _distances(places[moved], lines)[np.cumsum(moved) - 1]
     distance[~arena.contains(places)] = 0.0
     half = np.zeros(len(places))
@@ -106,7 +131,7 @@ def _clearance(trajectory: Trajectory, arena: Arena, radius: float) -> tuple[int
     return int((proven < radius - 1e-6).sum()), float(proven.min())
 
 
-def _distances(points: Floats, lines: np.ndarray) -> Floats:
+def _distances(points: Floats, lines: NDArray[np.object_]) -> Floats:
     """Return (n,) [m] exact distances where they can be the least of all, and safe bounds of them elsewhere."""
     tree = shapely.STRtree(lines)
 

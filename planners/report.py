@@ -11,7 +11,7 @@ import numpy as np
 
 from planners import holes
 from planners.battery import Session
-from planners.check import check
+from planners.check import check_parts
 from planners.coverage import Coverage
 from planners.coverage_planner import Driven, Task
 from planners.robot import Robot
@@ -20,6 +20,8 @@ from planners.trajectory import Trajectory
 
 logger = logging.getLogger(__name__)
 
+CHECKED = 100.0
+"""[Hz] of the samples that are checked."""
 SMALL = 0.99
 """A start that reaches a smaller share of where the robot fits is worth a warning."""
 
@@ -61,7 +63,7 @@ def measured(
     none = np.zeros_like(grid.counts)
     empty = Coverage(origin=grid.origin, cell=grid.cell, reachable=grid.reachable, counts=none, core=none)
     reference = reference_time(empty, robot)
-    found = check(driven.curve.trajectory(100.0), task.arena, robot)
+    found = check_parts(driven.curve.parts(CHECKED), task.arena, robot)
     gap_m, gap_rad = grid.dispersion()
     start = trajectory.poses[0]
     warnings = []

@@ -6,6 +6,7 @@ quadrature, which is exact to rounding for straight moves and spins and to 1e-12
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -144,10 +145,22 @@ class Curve:
 
     def trajectory(self, rate: float = RATE) -> Trajectory:
         """Sample at an even rate [Hz], standing still up to the last sample."""
-        n = int(np.ceil(self.duration * rate - 1e-9)) + 1
-        poses, twists, labels = self.sample(np.arange(max(n, 2)) / rate)
-        twists[-1] = 0.0
-        return Trajectory(stamps=np.arange(max(n, 2)) / rate, poses=poses, twists=twists, primitives=labels)
+        (whole,) = self.parts(rate, self._count(rate))
+        return whole
+
+    def parts(self, rate: float, size: int = BLOCK) -> Iterator[Trajectory]:
+        """Sample at an even rate [Hz], in parts of `size` steps, each from the last sample of the one before."""
+        n = self._count(rate)
+        for first in range(0, n - 1, size):
+            stamps = np.arange(first, min(first + size + 1, n)) / rate
+            poses, twists, labels = self.sample(stamps)
+            if first + size >= n - 1:
+                twists[-1] = 0.0
+            yield Trajectory(stamps=stamps, poses=poses, twists=twists, primitives=labels)
+
+    def _count(self, rate: float) -> int:
+        """Return how many samples at a rate [Hz] there are, two at least."""
+        return max(int(np.ceil(self.duration * rate - 1e-9)) + 1, 2)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,9 @@ from planners.arena import Floats, wrap
 from planners.errors import PlanError
 
 COLUMNS = ("t", "x", "y", "phi", "v", "omega", "primitive")
+ROW = "%.6f," * 6 + "%s\n"
+BLOCK = 100_000
+"""Rows written at a time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,17 +59,25 @@ class Trajectory:
     def write_csv(self, path: Path) -> None:
         """Write columns t,x,y,phi,v,omega,primitive."""
         part = path.with_name(path.name + ".part")
+        quoted = {label: _quoted(label) for label in np.unique(self.primitives).tolist()}
         try:
             with part.open("w", newline="", encoding="utf-8") as file:
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(COLUMNS)
-                rows = np.column_stack([self.stamps, self.poses, self.twists])
-                for row, primitive in zip(rows.tolist(), self.primitives.tolist(), strict=True):
-                    writer.writerow([f"{value:.6f}" for value in row] + [primitive])
+                file.write(",".join(COLUMNS) + "\n")
+                for first in range(0, len(self.stamps), BLOCK):
+                    some = slice(first, first + BLOCK)
+                    rows = np.column_stack([self.stamps[some], self.poses[some], self.twists[some]]).tolist()
+                    labels = [quoted[label] for label in self.primitives[some].tolist()]
+                    file.write("".join(ROW % (*row, label) for row, label in zip(rows, labels, strict=True)))
             part.replace(path)
         except BaseException:
             part.unlink(missing_ok=True)
             raise
+
+
+def _quoted(label: str) -> str:
+    """Return a text as a CSV field (RFC 4180)."""
+    doubled = label.replace('"', '""')
+    return f'"{doubled}"' if any(c in label for c in ',"\r\n') else label
 
 
 def read_csv(path: Path) -> Trajectory:

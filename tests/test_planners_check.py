@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from planners_samples import door_arena, shipped
 
-from planners.check import check
+from planners.check import check, check_parts
 from planners.robot import Limits, Robot
 from planners.steering import Pen
 from planners.trajectory import Trajectory
@@ -124,3 +124,38 @@ def test_a_coarser_sampling_is_no_violation_by_itself() -> None:
         pen.turn(2.6, overlap=0.5)
     for rate in (20.0, 50.0, 100.0, 200.0):
         assert check(pen.curve().trajectory(rate), shipped("square"), ROBOT).violations["continuity"] == 0
+
+
+@pytest.mark.parametrize("size", [7, 100, 10_000])
+def test_in_parts_a_curve_is_sampled_and_checked_as_in_one(size: int) -> None:
+    pen = Pen(np.array([0.5, 0.5, 0.0]), ROBOT.limits)
+    for turn in (1.0, 2.0, -0.5, 1.2):
+        pen.move(0.8, overlap=0.5)
+        pen.turn(turn, overlap=0.5)
+    curve, arena = pen.curve(), door_arena(0.9)
+    whole, parts = curve.trajectory(100.0), list(curve.parts(100.0, size))
+    for name in ("stamps", "poses", "twists", "primitives"):
+        pieces = [getattr(part, name)[int(k > 0) :] for k, part in enumerate(parts)]
+        np.testing.assert_array_equal(np.concatenate(pieces), getattr(whole, name))
+    found, there = check_parts(parts, arena, ROBOT), check(whole, arena, ROBOT)
+    assert found.violations == there.violations
+    assert found.min_clearance == pytest.approx(there.min_clearance, abs=1e-12)
+
+
+def test_in_parts_what_was_planted_is_found_once_or_twice() -> None:
+    """Twice where two parts meet."""
+    bad = at_middle(clean(), 0, 0.002, "poses")
+    at = len(bad.stamps) // 2
+    for cut in (at - 1, at, at + 1):
+        first, second = (
+            changed(bad, **{n: getattr(bad, n)[s] for n in ("stamps", "poses", "twists", "primitives")})
+            for s in (slice(0, cut + 1), slice(cut, None))
+        )
+        one, two = (
+            found.violations["continuity"]
+            for found in (
+                check(bad, door_arena(0.9), ROBOT),
+                check_parts([first, second], door_arena(0.9), ROBOT),
+            )
+        )
+        assert one == two > 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -137,22 +139,29 @@ def test_aiming_hits_the_target_through_the_blends(
         assert abs(chosen.angle) >= 2 * np.pi * 14 / 16
 
 
-def test_samples_are_at_fifty_hertz_and_survive_the_file(tmp_path: object) -> None:
-    from pathlib import Path
-
+def test_samples_are_at_fifty_hertz_and_survive_the_file(tmp_path: Path) -> None:
     pen = Pen(np.array([0.1, 0.2, 3.0]), Limits())
     pen.move(1.0)
     pen.turn(1.0, "spin")
     trajectory = pen.curve().trajectory()
     assert np.diff(trajectory.stamps).max() <= 0.02 + 1e-9
     assert trajectory.twists[-1].tolist() == [0.0, 0.0]
-    path = Path(str(tmp_path)) / "t.csv"
+    path = tmp_path / "t.csv"
     trajectory.write_csv(path)
     again = read_csv(path)
     for name in ("stamps", "poses", "twists"):
         np.testing.assert_allclose(getattr(again, name), getattr(trajectory, name), atol=5.1e-7)  # six digits
     assert isinstance(again, Trajectory)
     assert set(again.primitives) == {"move", "spin"}
+
+
+def test_a_primitive_may_have_any_name(tmp_path: Path) -> None:
+    odd = np.array(['a "b", c', "lane", ""])
+    drawn = Trajectory(
+        stamps=np.arange(3.0), poses=np.full((3, 3), -1e-9), twists=np.zeros((3, 2)), primitives=odd
+    )
+    drawn.write_csv(tmp_path / "t.csv")
+    assert read_csv(tmp_path / "t.csv").primitives.tolist() == ['a "b", c', "lane", "move"]
 
 
 def test_nothing_drawn_is_an_error() -> None:
