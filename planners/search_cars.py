@@ -1,11 +1,15 @@
-"""What the search needs to know of cars: the curve of a drive, and where a Dubins car can go and come back from."""
+"""What the search needs to know of cars: how one comes to a heading of the table, the curve of a drive, and where a
+Dubins car can go and come back from.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy import ndimage
 
 from planners import search_kernels as kernels
 from planners.arena import Bools, Floats, wrap
@@ -23,26 +27,75 @@ STARTS = 6
 """Places to begin that are looked at."""
 ENOUGH = 0.5
 """Share of the bins of the disc from which on a start is good enough."""
+MOST_STEPS = 3
+"""Headings of the table that a car may pass before it takes one."""
+SAME = 1e-9
+"""[rad] headings closer than this are the same."""
+WAYPOINT = 0.005
+"""[m] between the places at which an arc is looked at."""
 
 
-def car_curve(found: Found, table: Table, limits: Limits) -> Curve:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Entry:
+    """The arc from where a car is to a heading of the table."""
+
+    pose: Floats
+    """(3,) where the car is."""
+    length: float
+    """[m] 0 where its heading is one already."""
+    bend: int
+    """1 turns counter-clockwise, 0 not, -1 clockwise."""
+    gear: int
+    """1 forward, -1 backward."""
+    state: Floats
+    """(4,) x, y [m], heading step, mode where the search begins."""
+
+
+def entry(pose: Floats, search: Search, limits: Limits) -> Entry | None:
+    """Return the shortest clear arc of the least radius that leads from `pose` (3,) to where the search can begin.
+
+    None where walls leave no such arc.
+    """
+    table, place = search.table, search.place
+    apart = float((pose[2] - table.first) / abs(table.step))
+    steps = np.arange(-MOST_STEPS, MOST_STEPS + 1) + np.round(apart) - apart
+    turns = abs(table.step) * steps[np.argsort(abs(steps), kind="stable")]
+    if abs(turns[0]) < SAME:
+        return Entry(pose=pose, length=0.0, bend=0, gear=1, state=state_at(table, pose))
+    moves, credits = search.moves(), np.empty(kernels.CREDITS, dtype=np.int64)
+    for turn in turns.tolist():
+        for mode, gear in enumerate(np.sign(table.speeds).astype(int).tolist()):
+            length, bend = abs(turn) * limits.turning_radius, int(np.sign(turn))
+            arc = geared(pose, np.array([length]), np.array([bend]), np.array([gear]), limits)
+            n = int(np.ceil(length / WAYPOINT))
+            poses = arc.sample(np.arange(1, n + 1) / n * arc.duration)[0]
+            nodes = (poses[:, :2] - place.origin) / place.step - 0.5
+            if ndimage.map_coordinates(place.distance, nodes.T, order=1).min() < place.least:
+                continue
+            x, y, h, _ = state = state_at(table, poses[-1], mode)
+            if kernels.is_safe(x, y, int(h), mode, table.safe_depth, search.world, moves, credits):
+                return Entry(pose=pose, length=length, bend=bend, gear=gear, state=state)
+    return None
+
+
+def car_curve(found: Found, begun: Entry, table: Table, limits: Limits) -> Curve:
     """Return the curve of a car's drive: as fast as v and a allow from rest to rest in each gear.
 
     Arcs and straight pieces follow each other at full speed, so omega jumps where the steering does; within a piece
     alpha holds.
     """
     then, turn = table.then.tolist(), table.turn.tolist()
-    gears, turns, units = [], [], []
+    gears, turns, units = [begun.gear], [begun.bend], list[float]()
     mode = int(found.start[3])
     for j in found.sequence.tolist():
         turns.append(int(np.sign(turn[mode][j])))
         units.append(table.period[mode, j])
         mode = then[mode][j]
-        gears.append(mode)
+        gears.append(int(np.sign(table.speeds[mode])))
     v = float(abs(table.speeds[0]))
-    length = np.array(units) * (table.ways.shape[3] - 1) * v  # [m]
-    pose = np.array([*found.start[:2], table.first + table.step * found.start[2]])
-    return geared(pose, length, np.array(turns), np.sign(table.speeds[gears]), limits, v)
+    length = np.append(begun.length, np.array(units) * (table.ways.shape[3] - 1) * v)  # [m]
+    some = length > 0
+    return geared(begun.pose, length[some], np.array(turns)[some], np.array(gears)[some], limits, v)
 
 
 def geared(
@@ -100,27 +153,31 @@ def _run(
 def cycle(reach: Reach, limits: Limits, headings: int, rate: float, pose: Floats) -> Bools:
     """Return the bins (nx, ny, n_phi) that a Dubins car at `pose` (3,) can get to, and come back from.
 
-    A flood backward marks the states from which the pose can be reached; one forward goes only through those.
+    A flood backward marks the states from which the pose can be reached; one forward goes only through those. Each
+    begins at the end of the arc by which the car leaves the pose, or comes to it.
     """
     wanted = np.repeat(np.asarray(reach.blocks(reach.mask).any(axis=-1))[:, :, None], headings, axis=2)
     bins, allowed = np.zeros_like(wanted), None
     for gear in (-1, 1):
-        table = driving(limits, headings, rate, (gear,), float(pose[2]))
+        table = driving(limits, headings, rate, (gear,))
         search = Search(scene(reach), table, wanted, rate)
         search.want(wanted, inner=False)
         shape = np.ceil(np.array(reach.shape) * reach.cell / FINE).astype(int) + 2
         met = np.zeros((*shape, table.n_headings), dtype=np.bool_)
         bins[:] = False
+        begun = entry(pose, search, limits)
+        if begun is None:
+            return bins
         allowed = np.ones_like(met) if allowed is None else allowed
-        kernels.spread(state_at(table, pose), allowed, met, bins, search.world, search.moves(), FINE)
+        kernels.spread(begun.state, allowed, met, bins, search.world, search.moves(), FINE)
         allowed = met
     return bins
 
 
-def state_at(table: Table, pose: Floats) -> Floats:
+def state_at(table: Table, pose: Floats, mode: int = 0) -> Floats:
     """Return (4,) the state at a pose whose heading the table has."""
     step = round(float((pose[2] - table.first) / table.step)) % table.n_headings
-    return np.array([pose[0], pose[1], step, 0.0])
+    return np.array([pose[0], pose[1], step, mode])
 
 
 def best_start(reach: Reach, limits: Limits, headings: int, rate: float, seed: int) -> tuple[Floats, Bools]:
@@ -148,13 +205,16 @@ def search_floor(
 ) -> Visit | None:
     """Drive a car through the bins `todo` (nx, ny, n_phi), one room after the other; None where it gets to none."""
     robot, grid = task.robot, task.coverage
-    table = driving(robot.limits, grid.headings, task.rate, GEARS[robot.drive], float(start[2]))
+    table = driving(robot.limits, grid.headings, task.rate, GEARS[robot.drive])
     search = Search(scene(task.reach), table, todo, task.rate, seed=seed, settings=settings)
-    search.begin(state_at(table, start))
+    begun = entry(start, search, robot.limits)
+    if begun is None:
+        return None
+    search.begin(begun.state)
     missing = todo
     curve: Curve | None = None
     for part, patience in [
-        *((room, 1.0) for room in _rooms(todo, start, task)),
+        *((room, 1.0) for room in room_order(todo, start, task)),
         (None, 1.0),
         (None, 1.3),
         (None, 1.6),
@@ -171,7 +231,7 @@ def search_floor(
         search.run(said)
         found = search.found()
         if len(found.sequence):
-            curve = car_curve(found, table, robot.limits)
+            curve = car_curve(found, begun, table, robot.limits)
             missing = missed(curve, todo, grid, task.rate)
     return None if curve is None else Visit(curve=curve, stops=cusps(curve), left=int(missing.sum()))
 
@@ -183,7 +243,7 @@ def cusps(curve: Curve) -> Floats:
     return np.column_stack([curve.poses[at], np.zeros(len(at))])
 
 
-def _rooms(todo: Bools, start: Floats, task: Task) -> list[Bools]:
+def room_order(todo: Bools, start: Floats, task: Task) -> list[Bools]:
     """Return the rooms (nx, ny) of each band of priority, each next to the one before."""
     reach, here, out = task.reach, start[:2], list[Bools]()
     bands = levels(task, todo)

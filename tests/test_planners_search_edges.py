@@ -1,0 +1,132 @@
+"""A car that starts at a round pose does not drive along the borders of bins, where rounding says which bin is logged."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+import shapely
+from planners_samples import outlined
+
+from planners import plan
+from planners.arena import Floats, wrap
+from planners.clearance import Barriers
+from planners.coverage import Coverage
+from planners.reach import reach
+from planners.robot import Drive, Limits, Robot
+from planners.search import Search, scene
+from planners.search_cars import Entry, entry, geared
+from planners.search_table import GEARS, driving
+
+LIMITS = Limits(turning_radius=0.4)
+ROOM = outlined(shapely.box(0, 0, 3, 2.5))
+CARS: tuple[Drive, ...] = ("reeds_shepp", "dubins")
+
+
+def searching(drive: Drive) -> Search:
+    """Make the search for every bin of a room."""
+    free = reach(ROOM, Barriers(ROOM), clearance=0.22, cell=0.5)
+    need = np.ones((*free.shape, 8), dtype=np.bool_)
+    return Search(scene(free), driving(LIMITS, 8, 10.0, GEARS[drive]), need, 10.0)
+
+
+def driven(begun: Entry) -> Floats:
+    """Return poses (n, 3) along the arc."""
+    parts = (np.array([part]) for part in (begun.length, begun.bend, begun.gear))
+    curve = geared(begun.pose, *parts, LIMITS)
+    return curve.sample(np.linspace(0.0, curve.duration, 50))[0]
+
+
+@pytest.mark.parametrize("drive", CARS)
+@pytest.mark.parametrize("headings", [4, 6, 7, 8, 9, 16, 36])
+@pytest.mark.parametrize("radius", [0.25, 0.4, 0.9])
+def test_no_straight_piece_runs_along_a_border(drive: Drive, headings: int, radius: float) -> None:
+    """Neither of a heading bin nor of a cell, which lie along the axes."""
+    table = driving(Limits(turning_radius=radius), headings, 10.0, GEARS[drive])
+    phi = table.first + table.step * np.arange(table.n_headings)
+    borders = [*((np.arange(headings) - 0.5) * 2 * np.pi / headings), *(np.arange(4) * np.pi / 2)]
+    nearest = np.abs(wrap(np.subtract.outer(phi, borders))).min()
+    assert nearest > 0.12 * table.step
+
+
+@pytest.mark.parametrize("drive", CARS)
+def test_from_any_heading_the_shortest_arc_comes_to_one_of_the_table(drive: Drive) -> None:
+    search = searching(drive)
+    table = search.table
+    for turn in np.random.default_rng(3).uniform(-4, 4, 12):
+        begun = entry(np.array([1.5, 1.25, turn]), search, LIMITS)
+        assert begun is not None
+        x, y, h, m = begun.state
+        np.testing.assert_allclose(driven(begun)[-1, :2], [x, y], atol=1e-12)
+        assert abs(wrap(driven(begun)[-1, 2] - table.first - table.step * h)) < 1e-12
+        assert np.sign(table.speeds[int(m)]) == begun.gear
+        assert begun.length <= 0.5 * table.step * LIMITS.turning_radius + 1e-12
+
+
+def test_a_heading_of_the_table_is_kept() -> None:
+    search = searching("reeds_shepp")
+    pose = np.array([1.5, 1.25, search.table.first + 5 * search.table.step - 2 * np.pi])
+    begun = entry(pose, search, LIMITS)
+    assert begun is not None
+    assert begun.length == 0
+    np.testing.assert_array_equal(begun.state, [1.5, 1.25, 5, 0])
+
+
+def test_beside_a_wall_the_arc_leads_away_from_it() -> None:
+    """Just clear of a wall along x, on the car's right: it turns left going forward, or comes back from a left arc."""
+    search = searching("reeds_shepp")
+    away = {}
+    for y in (0.2201, 2.2799):
+        begun = entry(np.array([1.5, y, 0.0]), search, LIMITS)
+        assert begun is not None
+        assert (abs(driven(begun)[:, 1] - 1.25) <= abs(y - 1.25) + 1e-12).all()
+        away[y] = begun.bend * begun.gear
+    assert away[0.2201] == -away[2.2799]
+
+
+def test_where_a_car_can_only_run_into_a_corner_it_enters_nothing() -> None:
+    pose = np.array([0.2201, 0.3, -2.4])
+    assert entry(pose, searching("dubins"), LIMITS) is None
+    back = entry(pose, searching("reeds_shepp"), LIMITS)
+    assert back is not None
+    assert back.gear == -1
+
+
+ROUND: list[tuple[Drive, tuple[float, float, float]]] = [
+    ("reeds_shepp", (1.0, 1.0, np.pi / 2)),
+    ("reeds_shepp", (1.5, 1.0, np.pi / 8)),
+    ("dubins", (2.0, 1.0, 0.0)),
+    ("dubins", (1.5, 1.0, np.pi / 8)),
+]
+"""Drives, and starts on the borders of cells, along an axis or the border of a heading bin."""
+
+
+def test_the_bins_of_a_round_start_do_not_hang_on_rounding() -> None:
+    does_not_hang_on_rounding("reeds_shepp", (0.5, 0.5, 0.0), (2.5, 2.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("drive", "start"), ROUND)
+def test_the_bins_of_any_round_start_do_not_hang_on_rounding(
+    drive: Drive, start: tuple[float, float, float]
+) -> None:
+    does_not_hang_on_rounding(drive, start, (4.0, 3.0))
+
+
+def does_not_hang_on_rounding(
+    drive: Drive, start: tuple[float, float, float], size: tuple[float, float]
+) -> None:
+    """Poses a micrometre and a microradian off count as those of the plan do."""
+    room = outlined(shapely.box(0, 0, *size))
+    made = plan(room, Robot(drive=drive, limits=LIMITS), start=np.array(start), cell=0.5, headings=8)
+    assert made.report["coverage"] >= 0.99
+    np.testing.assert_allclose(made.trajectory.poses[0], start, atol=1e-12)
+    grid, log = made.coverage, made.curve.log(10.0)
+    for shift in product((-1e-6, 0.0, 1e-6), repeat=3):
+        none = np.zeros_like(grid.counts)
+        again = Coverage(
+            origin=grid.origin, cell=grid.cell, reachable=grid.reachable, counts=none, core=none.copy()
+        )
+        again.add(log + np.array(shift))
+        assert again.fraction == grid.fraction
