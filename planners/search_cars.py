@@ -17,7 +17,7 @@ from planners.coverage_planner import Task, levels, missed
 from planners.reach import Reach
 from planners.robot import Limits
 from planners.rooms import rooms
-from planners.search import Found, Search, Settings, Visit, chained, scene
+from planners.search import Found, Scene, Search, Settings, Visit, chained, scene
 from planners.search_table import GEARS, Table, driving
 from planners.steering import Curve
 
@@ -37,8 +37,9 @@ WAYPOINT = 0.005
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Entry:
-    """The arc from where a car is to a heading of the table."""
+    """The arc from where a car is to a heading of the table by which it is searched for."""
 
+    table: Table
     pose: Floats
     """(3,) where the car is."""
     length: float
@@ -51,17 +52,33 @@ class Entry:
     """(4,) x, y [m], heading step, mode where the search begins."""
 
 
-def entry(pose: Floats, search: Search, limits: Limits) -> Entry | None:
+def begin(
+    pose: Floats, place: Scene, limits: Limits, headings: int, rate: float, gears: tuple[int, ...]
+) -> Entry:
+    """Return how a car at `pose` (3,) comes to a table.
+
+    Where walls leave no arc to it, or for a car of one gear none back, as in a corridor that just holds the car, the
+    heading of the pose is one of the table.
+    """
+    senses = [gears] if len(gears) > 1 else [gears, (-gears[0],)]
+    found = [entry(pose, place, driving(limits, headings, rate, sense), rate, limits) for sense in senses]
+    if found[0] is not None and all(found):
+        return found[0]
+    table = driving(limits, headings, rate, gears, float(pose[2]))
+    return Entry(table=table, pose=pose, length=0.0, bend=0, gear=gears[0], state=state_at(table, pose))
+
+
+def entry(pose: Floats, place: Scene, table: Table, rate: float, limits: Limits) -> Entry | None:
     """Return the shortest clear arc of the least radius that leads from `pose` (3,) to where the search can begin.
 
     None where walls leave no such arc.
     """
-    table, place = search.table, search.place
     apart = float((pose[2] - table.first) / abs(table.step))
     steps = np.arange(-MOST_STEPS, MOST_STEPS + 1) + np.round(apart) - apart
     turns = abs(table.step) * steps[np.argsort(abs(steps), kind="stable")]
     if abs(turns[0]) < SAME:
-        return Entry(pose=pose, length=0.0, bend=0, gear=1, state=state_at(table, pose))
+        return Entry(table=table, pose=pose, length=0.0, bend=0, gear=1, state=state_at(table, pose))
+    search = Search(place, table, np.zeros((*place.inner.shape, 1), dtype=np.bool_), rate)
     moves, credits = search.moves(), np.empty(kernels.CREDITS, dtype=np.int64)
     for turn in turns.tolist():
         for mode, gear in enumerate(np.sign(table.speeds).astype(int).tolist()):
@@ -74,16 +91,17 @@ def entry(pose: Floats, search: Search, limits: Limits) -> Entry | None:
                 continue
             x, y, h, _ = state = state_at(table, poses[-1], mode)
             if kernels.is_safe(x, y, int(h), mode, table.safe_depth, search.world, moves, credits):
-                return Entry(pose=pose, length=length, bend=bend, gear=gear, state=state)
+                return Entry(table=table, pose=pose, length=length, bend=bend, gear=gear, state=state)
     return None
 
 
-def car_curve(found: Found, begun: Entry, table: Table, limits: Limits) -> Curve:
+def car_curve(found: Found, begun: Entry, limits: Limits) -> Curve:
     """Return the curve of a car's drive: as fast as v and a allow from rest to rest in each gear.
 
     Arcs and straight pieces follow each other at full speed, so omega jumps where the steering does; within a piece
     alpha holds.
     """
+    table = begun.table
     then, turn = table.then.tolist(), table.turn.tolist()
     gears, turns, units = [begun.gear], [begun.bend], list[float]()
     mode = int(found.start[3])
@@ -157,17 +175,14 @@ def cycle(reach: Reach, limits: Limits, headings: int, rate: float, pose: Floats
     begins at the end of the arc by which the car leaves the pose, or comes to it.
     """
     wanted = np.repeat(np.asarray(reach.blocks(reach.mask).any(axis=-1))[:, :, None], headings, axis=2)
-    bins, allowed = np.zeros_like(wanted), None
+    bins, allowed, place = np.zeros_like(wanted), None, scene(reach)
     for gear in (-1, 1):
-        table = driving(limits, headings, rate, (gear,))
-        search = Search(scene(reach), table, wanted, rate)
+        begun = begin(pose, place, limits, headings, rate, (gear,))
+        search = Search(place, begun.table, wanted, rate)
         search.want(wanted, inner=False)
         shape = np.ceil(np.array(reach.shape) * reach.cell / FINE).astype(int) + 2
-        met = np.zeros((*shape, table.n_headings), dtype=np.bool_)
+        met = np.zeros((*shape, begun.table.n_headings), dtype=np.bool_)
         bins[:] = False
-        begun = entry(pose, search, limits)
-        if begun is None:
-            return bins
         allowed = np.ones_like(met) if allowed is None else allowed
         kernels.spread(begun.state, allowed, met, bins, search.world, search.moves(), FINE)
         allowed = met
@@ -205,11 +220,9 @@ def search_floor(
 ) -> Visit | None:
     """Drive a car through the bins `todo` (nx, ny, n_phi), one room after the other; None where it gets to none."""
     robot, grid = task.robot, task.coverage
-    table = driving(robot.limits, grid.headings, task.rate, GEARS[robot.drive])
-    search = Search(scene(task.reach), table, todo, task.rate, seed=seed, settings=settings)
-    begun = entry(start, search, robot.limits)
-    if begun is None:
-        return None
+    place = scene(task.reach)
+    begun = begin(start, place, robot.limits, grid.headings, task.rate, GEARS[robot.drive])
+    search = Search(place, begun.table, todo, task.rate, seed=seed, settings=settings)
     search.begin(begun.state)
     missing = todo
     curve: Curve | None = None
@@ -231,7 +244,7 @@ def search_floor(
         search.run(said)
         found = search.found()
         if len(found.sequence):
-            curve = car_curve(found, begun, table, robot.limits)
+            curve = car_curve(found, begun, robot.limits)
             missing = missed(curve, todo, grid, task.rate)
     return None if curve is None else Visit(curve=curve, stops=cusps(curve), left=int(missing.sum()))
 

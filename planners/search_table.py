@@ -143,12 +143,15 @@ GEARS = {"reeds_shepp": (1, -1), "dubins": (1,)}
 """Gears."""
 
 
-def driving(limits: Limits, headings: int, rate: float, gears: tuple[int, ...]) -> Table:
+def driving(
+    limits: Limits, headings: int, rate: float, gears: tuple[int, ...], phi: float | None = None
+) -> Table:
     """Return the primitives of a car: arcs of the least radius and straight pieces, in each of its gears.
 
     A car that can go back and forth also has halves, to shuffle along walls, and quarters for floods. Modes are
     gears; a change of gear costs the time of stopping and starting. Headings lie between the borders of bins, and
-    along no axis: a car that drove along the border of a bin would log this bin or the next, as rounding has it.
+    along no axis, unless `phi` [rad] must be one of them: a car that drives along the border of a bin logs this bin or
+    the next, as rounding has it.
     """
     width, radius = 2 * np.pi / headings, limits.turning_radius
     parts = max(math.ceil(width * radius / ARC - 1e-9), 1)
@@ -160,6 +163,8 @@ def driving(limits: Limits, headings: int, rate: float, gears: tuple[int, ...]) 
     branches = [(g, c, n) for g in range(len(gears)) for n in shares for c in (0, 1, -1)]
     modes, n_headings = len(gears), headings * parts * shares[0]
     first = 0.5 * unit_turn if len(shares) > 1 else width / parts / 8
+    if phi is not None:
+        first = phi % unit_turn
     heading = first + np.arange(n_headings) * unit_turn
     gear, curve, length = np.array(branches).T
     stamps = np.concatenate([(np.arange(SAMPLES) + 0.5) / SAMPLES, [1.0]])

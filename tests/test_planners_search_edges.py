@@ -10,13 +10,13 @@ import shapely
 from planners_samples import outlined
 
 from planners import plan
-from planners.arena import Floats, wrap
+from planners.arena import Arena, Floats, wrap
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.reach import reach
 from planners.robot import Drive, Limits, Robot
-from planners.search import Search, scene
-from planners.search_cars import Entry, entry, geared
+from planners.search import Scene, scene
+from planners.search_cars import Entry, begin, entry, geared
 from planners.search_table import GEARS, driving
 
 LIMITS = Limits(turning_radius=0.4)
@@ -24,17 +24,20 @@ ROOM = outlined(shapely.box(0, 0, 3, 2.5))
 CARS: tuple[Drive, ...] = ("reeds_shepp", "dubins")
 
 
-def searching(drive: Drive) -> Search:
-    """Make the search for every bin of a room."""
-    free = reach(ROOM, Barriers(ROOM), clearance=0.22, cell=0.5)
-    need = np.ones((*free.shape, 8), dtype=np.bool_)
-    return Search(scene(free), driving(LIMITS, 8, 10.0, GEARS[drive]), need, 10.0)
+def floor(arena: Arena) -> Scene:
+    """Make the scene of a room."""
+    return scene(reach(arena, Barriers(arena), clearance=0.22, cell=0.5))
+
+
+def entered(pose: Floats, drive: Drive) -> Entry | None:
+    """Return the arc in ROOM."""
+    return entry(pose, floor(ROOM), driving(LIMITS, 8, 10.0, GEARS[drive]), 10.0, LIMITS)
 
 
 def driven(begun: Entry) -> Floats:
     """Return poses (n, 3) along the arc."""
-    parts = (np.array([part]) for part in (begun.length, begun.bend, begun.gear))
-    curve = geared(begun.pose, *parts, LIMITS)
+    length, bend, gear = (np.array([part]) for part in (begun.length, begun.bend, begun.gear))
+    curve = geared(begun.pose, length, bend, gear, LIMITS)
     return curve.sample(np.linspace(0.0, curve.duration, 50))[0]
 
 
@@ -52,11 +55,10 @@ def test_no_straight_piece_runs_along_a_border(drive: Drive, headings: int, radi
 
 @pytest.mark.parametrize("drive", CARS)
 def test_from_any_heading_the_shortest_arc_comes_to_one_of_the_table(drive: Drive) -> None:
-    search = searching(drive)
-    table = search.table
     for turn in np.random.default_rng(3).uniform(-4, 4, 12):
-        begun = entry(np.array([1.5, 1.25, turn]), search, LIMITS)
+        begun = entered(np.array([1.5, 1.25, turn]), drive)
         assert begun is not None
+        table = begun.table
         x, y, h, m = begun.state
         np.testing.assert_allclose(driven(begun)[-1, :2], [x, y], atol=1e-12)
         assert abs(wrap(driven(begun)[-1, 2] - table.first - table.step * h)) < 1e-12
@@ -65,9 +67,8 @@ def test_from_any_heading_the_shortest_arc_comes_to_one_of_the_table(drive: Driv
 
 
 def test_a_heading_of_the_table_is_kept() -> None:
-    search = searching("reeds_shepp")
-    pose = np.array([1.5, 1.25, search.table.first + 5 * search.table.step - 2 * np.pi])
-    begun = entry(pose, search, LIMITS)
+    table = driving(LIMITS, 8, 10.0, GEARS["reeds_shepp"])
+    begun = entered(np.array([1.5, 1.25, table.first + 5 * table.step - 2 * np.pi]), "reeds_shepp")
     assert begun is not None
     assert begun.length == 0
     np.testing.assert_array_equal(begun.state, [1.5, 1.25, 5, 0])
@@ -75,10 +76,9 @@ def test_a_heading_of_the_table_is_kept() -> None:
 
 def test_beside_a_wall_the_arc_leads_away_from_it() -> None:
     """Just clear of a wall along x, on the car's right: it turns left going forward, or comes back from a left arc."""
-    search = searching("reeds_shepp")
     away = {}
     for y in (0.2201, 2.2799):
-        begun = entry(np.array([1.5, y, 0.0]), search, LIMITS)
+        begun = entered(np.array([1.5, y, 0.0]), "reeds_shepp")
         assert begun is not None
         assert (abs(driven(begun)[:, 1] - 1.25) <= abs(y - 1.25) + 1e-12).all()
         away[y] = begun.bend * begun.gear
@@ -87,10 +87,21 @@ def test_beside_a_wall_the_arc_leads_away_from_it() -> None:
 
 def test_where_a_car_can_only_run_into_a_corner_it_enters_nothing() -> None:
     pose = np.array([0.2201, 0.3, -2.4])
-    assert entry(pose, searching("dubins"), LIMITS) is None
-    back = entry(pose, searching("reeds_shepp"), LIMITS)
+    assert entered(pose, "dubins") is None
+    back = entered(pose, "reeds_shepp")
     assert back is not None
     assert back.gear == -1
+
+
+def test_in_a_corridor_that_just_holds_it_a_car_that_cannot_back_keeps_its_heading() -> None:
+    """Two rooms with a corridor 0.47 m wide between them, which only a straight drive leads through."""
+    around = [shapely.box(1.6, 0, 3.5, 0.5), shapely.box(1.6, 0.97, 3.5, 1.6)]
+    corridor = outlined(shapely.box(0, 0, 5, 1.6).difference(shapely.union_all(around)))
+    for arena, x, kept in ((corridor, 2.5, True), (ROOM, 1.3, False)):
+        begun = begin(np.array([x, 0.735, 0.0]), floor(arena), LIMITS, 8, 10.0, GEARS["dubins"])
+        phi = begun.table.first + begun.table.step * float(begun.state[2])
+        assert (begun.length == 0.0) is kept
+        assert bool(abs(wrap(np.float64(phi))) < 1e-12) is kept
 
 
 ROUND: list[tuple[Drive, tuple[float, float, float]]] = [
