@@ -21,6 +21,7 @@ from planners.coverage_planner import DWELL, Task, missed, places
 from planners.order import Ints
 from planners.primitives import aim
 from planners.search import Visit
+from planners.search_cars import redriven
 from planners.search_table import GEARS, driving
 from planners.steering import Curve, Pen, joined
 
@@ -28,6 +29,8 @@ ROUNDS = 40
 """Queries, at most."""
 MOST_GOALS = 400
 """Of one query, the nearest ones."""
+BACK = (4.0, 16.0, 64.0, 256.0)
+"""[s] before the end of a drive from where a way on is looked for."""
 AGAIN = 12
 """Missing bins from which on the search takes over."""
 FEW = 9
@@ -70,6 +73,33 @@ class CarRepair:
         """Drive on along a curve that starts here."""
         self.curves.append(curve)
         self.here = curve.sample(np.array([curve.duration]))[0][0]
+
+    def comes_to(self, pose: Floats) -> bool:
+        """Drive to a pose (3,), if need be from somewhat earlier than the last drive ended; False where no way is found.
+
+        A drive may end where OMPL finds no way out in its time: what is cut off is missing again.
+        """
+        if np.allclose(self.here[:2], pose[:2]) and abs(wrap(self.here[2] - pose[2])) < 1e-9:
+            return True
+        for back in (0.0, *BACK):
+            kept = self._until(back)
+            if back and not kept:
+                break
+            begin = kept[-1].sample(np.array([kept[-1].duration]))[0][0] if back else self.here
+            way = self._way(begin, pose[None], 0)
+            if way is not None and way.curve is not None:
+                self.curves = kept
+                self.take(way.curve)
+                return True
+        return False
+
+    def _until(self, back: float) -> list[Curve]:
+        """Return the curves without the last `back` [s]; none where that is more than the last of them."""
+        if back == 0.0 or not self.curves:
+            return self.curves
+        *before, curve = self.curves
+        last = int(np.searchsorted(curve.starts, curve.duration - back, side="right")) - 1
+        return [*before, redriven(curve, 0, last, self.task.robot.limits)] if last > 0 else []
 
     def missing(self) -> Bools:
         """Return (nx, ny, n_phi) what the log of some phase misses, but for what is lost."""

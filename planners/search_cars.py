@@ -29,7 +29,9 @@ ENOUGH = 0.5
 """Share of the bins of the disc from which on a start is good enough."""
 MOST_STEPS = 3
 """Headings of the table that a car may pass before it takes one."""
-SAME = 1e-9
+STILL = 1e-9
+"""[rad] pieces that turn less are straight."""
+SAME = 1e-5
 """[rad] headings closer than this are the same."""
 WAYPOINT = 0.005
 """[m] between the places at which an arc is looked at."""
@@ -137,6 +139,15 @@ def geared(
     ]
     dt, twists, rates = (np.concatenate(column) for column in zip(*parts, strict=True))
     return chained(pose, dt, twists, rates, np.full(len(dt), "drive" if v is not None else "join"))
+
+
+def redriven(curve: Curve, first: int, last: int, limits: Limits) -> Curve:
+    """Drive pieces `first` up to `last`, not included, of a car's curve again, starting and stopping on them."""
+    dt = np.diff(np.append(curve.starts, curve.duration))[first:last, None]
+    way, turn = (curve.twists[first:last] * dt + 0.5 * curve.rates[first:last] * dt * dt).T
+    bend = np.where(abs(turn) > STILL, np.sign(turn), 0.0)
+    top = float(abs(curve.twists[:, 0]).max())
+    return geared(curve.poses[first], abs(way), bend, np.sign(way), limits, top)
 
 
 def _run(

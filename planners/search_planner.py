@@ -24,7 +24,7 @@ from planners.order import Ints
 from planners.repair import CarRepair, SpinRepair, lead
 from planners.rooms import cell_graph, rooms, sequence
 from planners.search import Scene, Search, Settings, Visit, scene, spin_curve
-from planners.search_cars import cusps, search_floor
+from planners.search_cars import cusps, room_order, search_floor
 from planners.search_table import GEARS, Table, driving, spinning
 from planners.steering import Curve, Pen, joined
 
@@ -79,22 +79,27 @@ def plan_search(task: Task) -> Driven:
 
 
 def _by_car(task: Task) -> Driven:
-    """Search the whole floor, room after room: a car leaves each as it comes to the next."""
+    """Search the rooms side by side, and join them by OMPL; then complete what is missing."""
     todo = task.coverage.reachable & (task.coverage.counts == 0)
     if not todo.any():
         raise PlanError("every reachable bin is covered already; nothing is left to plan")
     start = task.start if task.start is not None else _first_pose(task)
 
-    def search(_: int, seed: int, tick: Callable[[int], bool]) -> Visit | None:
-        return search_floor(todo, task, start, seed, tick, CAR[task.robot.drive])
+    settings = CAR[task.robot.drive]
+    parts = [np.asarray(todo & room[:, :, None]) for room in room_order(todo, start, task)]
+    begins = [_begin(part, start, task) for part in parts]
+
+    def search(job: int, seed: int, tick: Callable[[int], bool]) -> Visit | None:
+        return search_floor(parts[job], task, begins[job], seed, tick, settings)
 
     def search_on(missing: Bools, here: Floats, seed: int) -> Visit | None:
-        return search_floor(missing, task, here, seed, lambda _: True, CAR[task.robot.drive])
+        return search_floor(missing, task, here, seed, lambda _: True, settings)
 
-    (best,), interrupted = _side_by_side(search, [int(todo.sum())], task)
+    visits, interrupted = _side_by_side(search, [int(part.sum()) for part in parts], task)
     repair = CarRepair(task, todo, start, search_on)
-    if best is not None:
-        repair.take(best.curve)
+    for begin, visit in zip(begins, visits, strict=True):
+        if visit is not None and repair.comes_to(begin):
+            repair.take(visit.curve)
     if not interrupted:
         repair.run()
     if not repair.curves:
@@ -105,6 +110,25 @@ def _by_car(task: Task) -> Driven:
     return Driven(
         curve=curve, stops=cusps(curve), joins=repair.joins, interrupted=interrupted, lost=repair.lost
     )
+
+
+def _begin(part: Bools, start: Floats, task: Task) -> Floats:
+    """Return where a car begins a room's bins `part` (nx, ny, n_phi): at its start (3,), if that lies within.
+
+    Elsewhere it is the middle of a free cell, with a heading that the search has.
+    """
+    (bin_,), inside = task.coverage.bins(start[None])
+    if inside[0] and part[bin_[0], bin_[1]].any():
+        return start
+    table = driving(task.robot.limits, task.coverage.headings, task.rate, GEARS[task.robot.drive])
+    heading = task.coverage.bins(np.array([[*task.reach.origin, wrap(np.float64(table.first))]]))[0][0, 2]
+    own = np.zeros_like(part)
+    own[:, :, heading] = part[:, :, heading]
+    own = own if own.any() else part
+    middle = _first_place(scene(task.reach), task, own, np.random.default_rng(task.seed))
+    if middle is None:
+        middle = task.reach.origin + (np.argwhere(own.any(axis=2))[0] + 0.5) * task.reach.cell
+    return np.array([*middle, table.first])
 
 
 def _first_pose(task: Task) -> Floats:
@@ -119,7 +143,9 @@ def _first_pose(task: Task) -> Floats:
 
 
 def _side_by_side(
-    job: Callable[[int, int, Callable[[int], bool]], Visit | None], sizes: list[int], task: Task
+    job: Callable[[int, int, Callable[[int], bool]], Visit | None],
+    sizes: list[int],
+    task: Task,
 ) -> tuple[list[Visit | None], bool]:
     """Do each job (number, seed, tick) some times on all processors; return the best visit of each.
 

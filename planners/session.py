@@ -22,7 +22,7 @@ from planners.order import Ints
 from planners.reach import Reach
 from planners.repair import lead
 from planners.robot import Robot
-from planners.search_cars import geared
+from planners.search_cars import redriven
 from planners.search_planner import face
 from planners.steering import Curve, Pen, joined
 
@@ -79,16 +79,7 @@ def section(curve: Curve, first: int, last: int, robot: Robot) -> Curve:
     """Return pieces `first` up to `last`, not included, from rest to rest; both must be some of `cuts`."""
     if robot.drive == "diff":
         return _of_turner(curve, first, last, robot.limits.alpha)
-    return _of_car(curve, first, last, robot)
-
-
-def _of_car(curve: Curve, first: int, last: int, robot: Robot) -> Curve:
-    """Drive the same arcs again, starting and stopping on them."""
-    dt = np.diff(np.append(curve.starts, curve.duration))[first:last, None]
-    way, turn = (curve.twists[first:last] * dt + 0.5 * curve.rates[first:last] * dt * dt).T
-    bend = np.where(abs(turn) > STILL, np.sign(turn), 0.0)
-    top = float(abs(curve.twists[:, 0]).max())
-    return geared(curve.poses[first], abs(way), bend, np.sign(way), robot.limits, top)
+    return redriven(curve, first, last, robot.limits)
 
 
 def _of_turner(curve: Curve, first: int, last: int, alpha: float) -> Curve:

@@ -7,7 +7,9 @@ import pytest
 from planners_samples import door_arena
 
 import planners.connect as connections
+from planners import plan
 from planners.arena import Arena, Bools, Floats
+from planners.car_connect import CarWay
 from planners.check import check
 from planners.clearance import Barriers
 from planners.connect import Joins, connect
@@ -163,3 +165,34 @@ def test_what_lies_behind_a_closed_door_is_said_to_have_no_way() -> None:
     repair.run()
     assert repair.joins.failed == 1
     np.testing.assert_array_equal(repair.lost, some(task, (12, 6, 0), (12, 7, 3)))
+
+
+def test_where_no_way_leads_on_from_the_end_of_a_drive_one_leads_on_from_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    task = task_of(door_arena(1.2), "reeds_shepp")
+    repair = CarRepair(task, some(task, (12, 6, 0)), START, gives_up)
+    repair.run()
+    end, driven, asked = repair.here.copy(), repair.curves[-1], list[Floats]()
+    way = CarRepair._way
+
+    def not_from_the_end(self: CarRepair, start: Floats, goals: Floats, round_: int) -> CarWay | None:
+        asked.append(start)
+        return None if np.hypot(*(start - end)[:2]) < 0.3 else way(self, start, goals, round_)
+
+    monkeypatch.setattr(CarRepair, "_way", not_from_the_end)
+    assert repair.comes_to(START)
+    assert len(asked) > 1
+    curve = joined(repair.curves)
+    np.testing.assert_allclose(curve.sample(np.array([curve.duration]))[0][0], START, atol=1e-6)
+    assert repair.curves[-2].duration < driven.duration
+    assert check(curve.trajectory(100.0), task.arena, task.robot).count == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
+def test_two_rooms_become_one_drive(drive: Drive) -> None:
+    robot = Robot(drive=drive, limits=Limits(turning_radius=0.3))
+    made = plan(door_arena(1.2), robot, cell=0.5, headings=8)
+    assert made.report["coverage"] > 0.99
+    assert made.report["limit_violations"] == 0
