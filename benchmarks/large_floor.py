@@ -1,6 +1,7 @@
 """One large floor: how long a plan takes, and the most memory it needs.
 
-    python -m benchmarks.large_floor                      # 50 x 50 m, 36 rooms, about 384,000 bins: some minutes
+    python -m benchmarks.large_floor                      # 50 x 50 m, 36 rooms, about 575,000 bins: some minutes
+    python -m benchmarks.large_floor --side 42 --rooms 30 # about 400,000 bins
     python -m benchmarks.large_floor --side 20 --rooms 9  # a smaller one
 
 The floor is `benchmarks/offices.py`'s: random rooms with doors and furniture, no code shared with the planner.

@@ -21,7 +21,8 @@ def warnings(
     rate : [Hz] of the log
     sweep_time : [s] that one entry of the log takes to measure
     """
-    v, omega = (float(most) for most in abs(trajectory.twists).max(axis=0))
+    twists = trajectory.twists
+    v, omega = np.maximum(twists.max(axis=0), -twists.min(axis=0)).tolist()
     width, found = 2 * np.pi / headings, []
     if v > 0 and cell * rate / v < LEAST:
         found.append(
