@@ -120,26 +120,35 @@ def _begin(part: Bools, start: Floats, task: Task) -> Floats:
     (bin_,), inside = task.coverage.bins(start[None])
     if inside[0] and part[bin_[0], bin_[1]].any():
         return start
-    table = driving(task.robot.limits, task.coverage.headings, task.rate, GEARS[task.robot.drive])
+    table = _table(task)
     heading = task.coverage.bins(np.array([[*task.reach.origin, wrap(np.float64(table.first))]]))[0][0, 2]
     own = np.zeros_like(part)
     own[:, :, heading] = part[:, :, heading]
     own = own if own.any() else part
-    middle = _first_place(scene(task.reach), task, own, np.random.default_rng(task.seed))
-    if middle is None:
+    pose = _pose_in(own, task)
+    if pose is None:
         middle = task.reach.origin + (np.argwhere(own.any(axis=2))[0] + 0.5) * task.reach.cell
-    return np.array([*middle, table.first])
+        return np.array([*middle, table.first])
+    return pose
 
 
 def _first_pose(task: Task) -> Floats:
     """Return (3,) the middle of a free cell, and a heading between the borders of bins."""
-    rng = np.random.default_rng(task.seed)
-    place = scene(task.reach)
-    table = driving(task.robot.limits, task.coverage.headings, task.rate, GEARS[task.robot.drive])
-    middle = _first_place(place, task, task.coverage.reachable, rng)
-    if middle is None:
+    pose = _pose_in(task.coverage.reachable, task)
+    if pose is None:
         raise PlanError("no place is free enough to begin; choose a start")
-    return np.array([*middle, table.first])
+    return pose
+
+
+def _pose_in(need: Bools, task: Task) -> Floats | None:
+    """Return a free place in the cells of `need` (nx, ny, n_phi), with a heading that the search has, (3,)."""
+    middle = _first_place(scene(task.reach), task, need, np.random.default_rng(task.seed))
+    return None if middle is None else np.array([*middle, _table(task).first])
+
+
+def _table(task: Task) -> Table:
+    """Return the primitives of the task's car."""
+    return driving(task.robot.limits, task.coverage.headings, task.rate, GEARS[task.robot.drive])
 
 
 def _side_by_side(
