@@ -16,7 +16,7 @@ LOG_P, WEIGHT, RESIDUAL, CORE, TAIL, LOST, STRAY = range(7)
 @kernel
 def _below(x: float) -> float:
     """Return the standard normal's integral up to x."""
-    return 0.5 * math.erfc(-x / math.sqrt(2.0))
+    return 0.5 * math.erfc(-x / ROOT2)
 
 
 @kernel

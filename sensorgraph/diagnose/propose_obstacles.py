@@ -55,14 +55,8 @@ def _shifted(view: View, feature: str, outline: Floats, ends: Floats, mine: Bool
     near = near[:: max(1, len(near) // 150)]
     steps = np.arange(-0.6, 0.61, 0.04)
     grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
-    a, d = outline[:, 0], outline[:, 1] - outline[:, 0]
-    size = np.maximum((d**2).sum(axis=1), 1e-12)
-    p = near[None] - grid[:, None]  # (n_grid, n_points, 2)
-    best = np.full(p.shape[:2], np.inf)
-    for k in range(len(outline)):
-        q = p - a[k]
-        share = np.clip((q @ d[k]) / size[k], 0.0, 1.0)
-        best = np.minimum(best, np.hypot(q[..., 0] - share * d[k, 0], q[..., 1] - share * d[k, 1]))
+    shifted = (near[None] - grid[:, None]).reshape(-1, 2)
+    best = _beside(shifted, outline).reshape(len(grid), len(near))
     score = np.exp(-0.5 * (best / 0.03) ** 2).sum(axis=1)
     at = int(score.argmax())
     share = score[at] / len(near)
