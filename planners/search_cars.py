@@ -4,7 +4,7 @@ Dubins car can go and come back from.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,7 +18,9 @@ from planners.reach import Reach
 from planners.robot import Limits
 from planners.rooms import rooms
 from planners.search import Found, Scene, Search, Settings, Visit, chained, scene
+from planners.search_shortcuts import drive_of, ground_of, shorter
 from planners.search_table import GEARS, Table, driving
+from planners.search_words import NONE, Arcs, part_of
 from planners.steering import Curve
 
 FINE = 0.02
@@ -143,11 +145,32 @@ def geared(
 
 def redriven(curve: Curve, first: int, last: int, limits: Limits) -> Curve:
     """Drive pieces `first` up to `last`, not included, of a car's curve again, starting and stopping on them."""
-    dt = np.diff(np.append(curve.starts, curve.duration))[first:last, None]
-    way, turn = (curve.twists[first:last] * dt + 0.5 * curve.rates[first:last] * dt * dt).T
-    bend = np.where(abs(turn) > STILL, np.sign(turn), 0.0)
+    arcs = part_of(arcs_of(curve), slice(first, last))
     top = float(abs(curve.twists[:, 0]).max())
-    return geared(curve.poses[first], abs(way), bend, np.sign(way), limits, top)
+    return geared(curve.poses[first], arcs.length, arcs.bend, arcs.gear, limits, top)
+
+
+def arcs_of(curve: Curve) -> Arcs:
+    """Return the arcs (n,) of a car's curve, one for each piece."""
+    dt = np.diff(np.append(curve.starts, curve.duration))[:, None]
+    way, turn = (curve.twists * dt + 0.5 * curve.rates * dt * dt).T
+    bend = np.where(abs(turn) > STILL, np.sign(turn), 0.0)
+    return Arcs(abs(way), bend.astype(np.int64), np.sign(way).astype(np.int64))
+
+
+def shortened(curve: Curve, todo: Bools, task: Task, speed: float) -> Iterator[Curve]:
+    """Yield the drive of a car, shorter and shorter, that wins all of the bins `todo` (nx, ny, n_phi) that it won.
+
+    Parameters
+    ----------
+    speed : [m/s]
+    """
+    limits, is_backward = task.robot.limits, len(GEARS[task.robot.drive]) > 1
+    ground = ground_of(task.reach, todo, limits, speed, task.rate, is_backward=is_backward)
+    arcs = arcs_of(curve)
+    begun, _ = drive_of(curve.poses[0], part_of(arcs, arcs.length > NONE), ground)
+    for drive in shorter(begun, ground):
+        yield geared(curve.poses[0], drive.length, drive.bend, drive.gear, limits, speed)
 
 
 def _run(
@@ -235,7 +258,7 @@ def search_floor(
     begun = begin(start, place, robot.limits, grid.headings, task.rate, GEARS[robot.drive])
     search = Search(place, begun.table, todo, task.rate, seed=seed, settings=settings)
     search.begin(begun.state)
-    missing = todo
+    missing, given_up = todo, np.zeros_like(todo)
     curve: Curve | None = None
     for part, patience in [
         *((room, 1.0) for room in room_order(todo, start, task)),
@@ -243,7 +266,7 @@ def search_floor(
         (None, 1.3),
         (None, 1.6),
     ]:
-        wanted = missing if part is None else missing & part[:, :, None]
+        wanted = (missing if part is None else missing & part[:, :, None]) & ~given_up
         if not wanted.any():
             continue
         others = int(missing.sum() - wanted.sum())
@@ -254,6 +277,7 @@ def search_floor(
 
         search.run(said)
         found = search.found()
+        given_up |= found.left
         if len(found.sequence):
             curve = car_curve(found, begun, robot.limits)
             missing = missed(curve, todo, grid, task.rate)

@@ -24,14 +24,17 @@ from planners.order import Ints
 from planners.repair import CarRepair, SpinRepair, lead
 from planners.rooms import cell_graph, rooms, sequence
 from planners.search import Scene, Search, Settings, Visit, scene, spin_curve
-from planners.search_cars import cusps, room_order, search_floor
+from planners.search_cars import cusps, geared, room_order, search_floor, shortened
 from planners.search_table import GEARS, Table, driving, spinning
 from planners.steering import Curve, Pen, joined
 
 logger = logging.getLogger(__name__)
 
-TRIES = 2
+TRIES = 1
 """Searches of each room, of which the best is kept."""
+SPIN, ALONE = Settings(beam=200, flood_width=400, flood_layers=300), 140
+"""How hard to search for robots that turn in place, each room once: a wide beam finds more than two narrow ones. The only
+room of a floor is searched twice by a beam of ALONE, since a processor would be idle."""
 PATIENCE = (1.3, 1.6)
 """How much longer to stay in a bin where a log of some phase missed it."""
 LOST = 4.0
@@ -65,10 +68,12 @@ def plan_search(task: Task) -> Driven:
         for room in rooms(task.reach, part.any(axis=2))
     ]
 
-    def search(job: int, seed: int, tick: Callable[[int], bool]) -> Visit | None:
-        return search_room(jobs[job][1], table, task, seed, tick)
+    tries, settings = (2, replace(SPIN, beam=ALONE)) if len(jobs) == 1 else (1, SPIN)
 
-    visits, interrupted = _side_by_side(search, [int(need.sum()) for _, need in jobs], task)
+    def search(job: int, seed: int, tick: Callable[[int], bool]) -> Visit | None:
+        return search_room(jobs[job][1], table, task, seed, tick, settings)
+
+    visits, interrupted = _side_by_side(search, [int(need.sum()) for _, need in jobs], task, tries)
     ordered: list[Visit] = []
     for band in range(len(bands)):
         own = [visit for (of, _), visit in zip(jobs, visits, strict=True) if of == band and visit is not None]
@@ -101,7 +106,7 @@ def _by_car(task: Task) -> Driven:
         if visit is not None and repair.comes_to(begin):
             repair.take(visit.curve)
     if not interrupted:
-        repair.run()
+        interrupted = _completed(repair, task)
     if not repair.curves:
         raise PlanError(
             f"the car cannot reach a bin from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}); choose another start"
@@ -110,6 +115,20 @@ def _by_car(task: Task) -> Driven:
     return Driven(
         curve=curve, stops=cusps(curve), joins=repair.joins, interrupted=interrupted, lost=repair.lost
     )
+
+
+def _completed(repair: CarRepair, task: Task) -> bool:
+    """Drive to what is missing, shorten the whole drive, and win again what a log met by luck; tell whether Ctrl-C came."""
+    try:
+        repair.run()
+        if repair.curves:
+            won = repair.todo & ~repair.missing()
+            for curve in shortened(joined(repair.curves), won, task, float(abs(_table(task).speeds[0]))):
+                repair.curves = [curve]
+            repair.run()
+    except KeyboardInterrupt:
+        return True
+    return False
 
 
 def _begin(part: Bools, start: Floats, task: Task) -> Floats:
@@ -155,6 +174,7 @@ def _side_by_side(
     job: Callable[[int, int, Callable[[int], bool]], Visit | None],
     sizes: list[int],
     task: Task,
+    tries: int = TRIES,
 ) -> tuple[list[Visit | None], bool]:
     """Do each job (number, seed, tick) some times on all processors; return the best visit of each.
 
@@ -168,7 +188,7 @@ def _side_by_side(
     -------
     visits, and whether the searches were interrupted
     """
-    left = {(room, attempt): size for attempt in range(TRIES) for room, size in enumerate(sizes)}
+    left = {(room, attempt): size for attempt in range(tries) for room, size in enumerate(sizes)}
     total, stop = sum(left.values()), threading.Event()
 
     def search(room: int, attempt: int) -> Visit | None:
@@ -181,7 +201,7 @@ def _side_by_side(
 
     _compiled(task)
     if task.progress:
-        task.progress(0, total // TRIES)
+        task.progress(0, total // tries)
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         futures: dict[tuple[int, int], Future[Visit | None]] = {
             key: threads.submit(search, *key) for key in sorted(left)
@@ -191,17 +211,17 @@ def _side_by_side(
             while open_:
                 _, open_ = wait(open_, timeout=LOOK)
                 if task.progress:
-                    task.progress((total - sum(left.values())) // TRIES, total // TRIES)
+                    task.progress((total - sum(left.values())) // tries, total // tries)
         except BaseException as exc:
             stop.set()
             threads.shutdown(cancel_futures=True)
             if not isinstance(exc, KeyboardInterrupt):
                 raise
     if task.progress and not stop.is_set():
-        task.progress(total // TRIES, total // TRIES)
+        task.progress(total // tries, total // tries)
     best: list[Visit | None] = []
     for room in range(len(sizes)):
-        done = [futures[room, attempt] for attempt in range(TRIES) if not futures[room, attempt].cancelled()]
+        done = [futures[room, attempt] for attempt in range(tries) if not futures[room, attempt].cancelled()]
         tried = [visit for future in done if (visit := future.result()) is not None]
         best.append(min(tried, key=lambda visit: visit.curve.duration + LOST * visit.left, default=None))
     if stop.is_set() and not any(best):
@@ -226,23 +246,33 @@ def _compiled(task: Task) -> None:
     said.start()
     try:
         Search(place, table, none, task.rate).run(lambda _: False)
+        if drive != "diff":
+            _shorten_nothing(task)
     finally:
         said.cancel()
 
 
+def _shorten_nothing(task: Task) -> None:
+    """Compile what shortens a car's drive: let it look for ways across a straight line of three arcs."""
+    arcs = np.full(3, 0.1), np.zeros(3), np.ones(3)
+    line = geared(np.array([*task.reach.origin, 0.0]), *arcs, task.robot.limits)
+    for _ in shortened(line, np.zeros_like(task.coverage.reachable), task, task.robot.limits.v):
+        pass
+
+
 def search_room(
-    need: Bools, table: Table, task: Task, seed: int, tick: Callable[[int], bool]
+    need: Bools, table: Table, task: Task, seed: int, tick: Callable[[int], bool], settings: Settings
 ) -> Visit | None:
     """Search for a drive through the bins `need` (nx, ny, n_phi); None where there is no place to begin."""
     place = scene(task.reach, np.asarray(need.any(axis=2)))
     own = place.part(need)
-    search = Search(place, table, own, task.rate, seed=seed)
+    search = Search(place, table, own, task.rate, seed=seed, settings=settings)
     start = _first_place(place, task, own, search.rng)
     if start is None:
         return None
     search.begin(np.array([*start, 0.0, 0.0]))
-    search.run(tick)
-    given_up = search.world.need.copy()
+    search.complete(tick)
+    given_up = search.given_up | search.world.need
     for patience in PATIENCE:
         again = place.part(_missed_by(search, table, task, need)) & ~given_up
         if not again.any():

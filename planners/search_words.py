@@ -1,0 +1,395 @@
+"""The quickest clear-space way of a car between two poses: compiled words of Reeds and Shepp, and of Dubins.
+
+A word is a chain of arcs of the least radius and straight pieces. Of all words that lead from one pose to the other,
+that with the least length counts, each change of gear being worth some metres: OMPL's `ReedsSheppStateSpace` takes
+the shortest, however often the car must stop.
+
+Sources: J. A. Reeds and L. A. Shepp, Optimal paths for a car that goes both forwards and backwards, Pacific J. Math.
+145 (1990), section 8; L. E. Dubins, On curves of minimal length ..., Am. J. Math. 79 (1957), in the closed forms of
+A. M. Shkel and V. Lumelsky, Classification of the Dubins set, Robotics and Autonomous Systems 34 (2001).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.arena import Floats
+from planners.kernel import kernel
+from planners.order import Ints
+
+MOST_ARCS = 5
+"""Arcs of the longest word."""
+NONE = 1e-9
+"""[m] arcs shorter than this are none."""
+TURN = 2 * np.pi
+FAMILIES = 8
+"""Of Reeds and Shepp, up to mirrors."""
+BENDS = np.array(
+    [
+        [1, 0, 1, 0, 0],
+        [1, 0, -1, 0, 0],
+        [1, -1, 1, 0, 0],
+        [1, -1, 1, -1, 0],
+        [1, -1, 1, -1, 0],
+        [1, -1, 0, 1, 0],
+        [1, -1, 0, -1, 0],
+        [1, -1, 0, 1, -1],
+    ]
+)
+"""(FAMILIES, MOST_ARCS) 1 steers left, -1 right."""
+BOTH_WAYS = np.array([False, False, True, False, False, True, True, False])
+"""(FAMILIES,) families whose words read backward are words of another kind."""
+DUBINS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [1, -1, 1]])
+"""(6, 3) 1 steers left, -1 right."""
+
+
+class Arcs(NamedTuple):
+    """Room for a chain of arcs."""
+
+    length: Floats
+    """(most,) [m]"""
+    bend: Ints
+    """(most,) 1 turns counter-clockwise, 0 not, -1 clockwise."""
+    gear: Ints
+    """(most,) 1 forward, -1 backward."""
+
+
+def part_of(arcs: Arcs, which: slice | NDArray[np.generic]) -> Arcs:
+    """Return some of the arcs, in room of their own."""
+    return Arcs(arcs.length[which].copy(), arcs.bend[which].copy(), arcs.gear[which].copy())
+
+
+def chain(parts: list[Arcs]) -> Arcs:
+    """Return all arcs of some chains."""
+    lengths, bends, gears = zip(*parts, strict=True)
+    return Arcs(np.concatenate(lengths), np.concatenate(bends), np.concatenate(gears))
+
+
+@kernel
+def arcs_for(most: int) -> Arcs:
+    """Return room for so many arcs."""
+    return Arcs(np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64))
+
+
+@kernel
+def along(pose: Floats, length: float, bend: int, gear: int, radius: float, out: Floats) -> None:
+    """Write the pose (3,) [m, m, rad] after an arc to `out`; headings run on, unwrapped."""
+    if bend == 0:
+        out[0] = pose[0] + gear * length * np.cos(pose[2])
+        out[1] = pose[1] + gear * length * np.sin(pose[2])
+        out[2] = pose[2]
+        return
+    heading = pose[2] + bend * length / radius
+    side = gear * bend * radius
+    out[0] = pose[0] + side * (np.sin(heading) - np.sin(pose[2]))
+    out[1] = pose[1] - side * (np.cos(heading) - np.cos(pose[2]))
+    out[2] = heading
+
+
+@kernel
+def quickest(
+    start: Floats,
+    goal: Floats,
+    radius: float,
+    before: int,
+    after: int,
+    pause: float,
+    is_backward: bool,
+    shortest: float,
+    first: int,
+    out: Arcs,
+) -> int:
+    """Write the quickest word from `start` (3,) to `goal` (3,) to `out`, from entry `first`; return how many arcs.
+
+    Parameters
+    ----------
+    before, after : gear that the car comes in and goes on with; 0: any
+    pause : [m] that a change of gear is worth
+    is_backward : the car has a reverse gear
+    shortest : [m] arcs may not be shorter, but for none at all
+
+    Returns
+    -------
+    count of arcs; -1 where there is no such word
+    """
+    dx, dy = goal[0] - start[0], goal[1] - start[1]
+    cos, sin = np.cos(start[2]), np.sin(start[2])
+    x, y = (cos * dx + sin * dy) / radius, (cos * dy - sin * dx) / radius
+    phi = _half(goal[2] - start[2])
+    if is_backward:
+        return _reeds_shepp(x, y, phi, radius, before, after, pause, shortest, first, out)
+    return _dubins(x, y, phi, radius, shortest, first, out)
+
+
+@kernel
+def _half(angle: float) -> float:
+    """Return an angle in (-pi, pi]."""
+    angle = angle % TURN
+    return angle - TURN if angle > np.pi else angle
+
+
+@kernel
+def _reeds_shepp(
+    x: float,
+    y: float,
+    phi: float,
+    radius: float,
+    before: int,
+    after: int,
+    pause: float,
+    shortest: float,
+    first: int,
+    out: Arcs,
+) -> int:
+    best, n_best = np.inf, -1
+    word = np.empty(MOST_ARCS)
+    cos, sin = np.cos(phi), np.sin(phi)
+    for family in range(FAMILIES):
+        for is_reversed in range(2 if BOTH_WAYS[family] else 1):
+            u = x * cos + y * sin if is_reversed else x
+            v = x * sin - y * cos if is_reversed else y
+            for mirror in range(4):
+                gears, sides = 1 - 2 * (mirror & 1), 1 - (mirror & 2)
+                n = _word(family, gears * u, sides * v, gears * sides * phi, word)
+                length = 0.0
+                for k in range(n):
+                    length += abs(word[k]) * radius
+                if n == 0 or length >= best or is_too_short(word, n, radius, shortest):
+                    continue
+                cost, gear = length, before
+                for k in range(n):
+                    part = word[n - 1 - k if is_reversed else k] * gears
+                    if abs(part) * radius < NONE:
+                        continue
+                    own = 1 if part > 0 else -1
+                    cost += pause * (gear != 0 and own != gear)
+                    gear = own
+                cost += pause * (gear != 0 and after != 0 and gear != after)
+                if cost >= best:
+                    continue
+                best, n_best = cost, 0
+                for k in range(n):
+                    at = n - 1 - k if is_reversed else k
+                    if abs(word[at]) * radius >= NONE:
+                        own = 1 if word[at] * gears > 0 else -1
+                        out.length[first + n_best] = abs(word[at]) * radius
+                        out.gear[first + n_best] = own
+                        out.bend[first + n_best] = BENDS[family, at] * sides * own
+                        n_best += 1
+    return n_best
+
+
+@kernel
+def is_too_short(word: Floats, n: int, radius: float, shortest: float) -> bool:
+    """Tell whether one of the `n` arcs of a word is shorter [m], but not none."""
+    is_short = False
+    for k in range(n):
+        is_short |= NONE <= abs(word[k]) * radius < shortest
+    return is_short
+
+
+@kernel
+def _word(family: int, x: float, y: float, phi: float, word: Floats) -> int:
+    """Fill `word` with the signed lengths, in radii, of a family's word to (x, y, phi); return their count, 0: none."""
+    if family == 0:
+        return _left_straight_left(x, y, phi, word)
+    if family == 1:
+        return _left_straight_right(x, y, phi, word)
+    if family == 2:
+        return _three_arcs(x, y, phi, word)
+    if family == 3:
+        return _four_arcs_outer(x, y, phi, word)
+    if family == 4:
+        return _four_arcs_inner(x, y, phi, word)
+    if family == 5:
+        return _quarter_left(x, y, phi, word)
+    if family == 6:
+        return _quarter_right(x, y, phi, word)
+    return _two_quarters(x, y, phi, word)
+
+
+@kernel
+def _left_straight_left(x: float, y: float, phi: float, word: Floats) -> int:
+    """L+ S+ L+, (8.1)."""
+    dx, dy = x - np.sin(phi), y - 1 + np.cos(phi)
+    t = np.arctan2(dy, dx)
+    v = _half(phi - t)
+    if t < 0 or v < 0:
+        return 0
+    word[0], word[1], word[2] = t, np.hypot(dx, dy), v
+    return 3
+
+
+@kernel
+def _left_straight_right(x: float, y: float, phi: float, word: Floats) -> int:
+    """L+ S+ R+, (8.2)."""
+    dx, dy = x + np.sin(phi), y - 1 - np.cos(phi)
+    square = dx * dx + dy * dy
+    if square < 4:
+        return 0
+    u = np.sqrt(square - 4)
+    t = _half(np.arctan2(dy, dx) + np.arctan2(2.0, u))
+    v = _half(t - phi)
+    if t < 0 or v < 0:
+        return 0
+    word[0], word[1], word[2] = t, u, v
+    return 3
+
+
+@kernel
+def _three_arcs(x: float, y: float, phi: float, word: Floats) -> int:
+    """L+ R- L and, read backward, the other words of three arcs, (8.3) and (8.4)."""
+    dx, dy = x - np.sin(phi), y - 1 + np.cos(phi)
+    far = np.hypot(dx, dy)
+    if far > 4:
+        return 0
+    u = -2 * np.arcsin(0.25 * far)
+    t = _half(np.arctan2(dy, dx) + 0.5 * u + np.pi)
+    if t < 0:
+        return 0
+    word[0], word[1], word[2] = t, u, _half(phi - t + u)
+    return 3
+
+
+@kernel
+def _ends_of_four(u: float, v: float, dx: float, dy: float, phi: float) -> tuple[float, float]:
+    """Return the first and the last arc of a word of four, (8.6)."""
+    delta = _half(u - v)
+    a, b = np.sin(u) - np.sin(delta), np.cos(u) - np.cos(delta) - 1
+    t = np.arctan2(dy * a - dx * b, dx * a + dy * b)
+    if 2 * (np.cos(delta) - np.cos(v) - np.cos(u)) + 3 < 0:
+        t += np.pi
+    t = _half(t)
+    return t, _half(t - u + v - phi)
+
+
+@kernel
+def _four_arcs_outer(x: float, y: float, phi: float, word: Floats) -> int:
+    """L+ R(u)+ L(u)- R-, (8.7)."""
+    dx, dy = x + np.sin(phi), y - 1 - np.cos(phi)
+    share = 0.25 * (2 + np.hypot(dx, dy))
+    if share > 1:
+        return 0
+    u = np.arccos(share)
+    t, v = _ends_of_four(u, -u, dx, dy, phi)
+    if t < 0 or v > 0:
+        return 0
+    word[0], word[1], word[2], word[3] = t, u, -u, v
+    return 4
+
+
+@kernel
+def _four_arcs_inner(x: float, y: float, phi: float, word: Floats) -> int:
+    """L+ R(u)- L(u)- R+, (8.8)."""
+    dx, dy = x + np.sin(phi), y - 1 - np.cos(phi)
+    share = (20 - dx * dx - dy * dy) / 16
+    if share < 0 or share > 1:
+        return 0
+    u = -np.arccos(share)
+    t, v = _ends_of_four(u, u, dx, dy, phi)
+    if t < 0 or v < 0:
+        return 0
+    word[0], word[1], word[2], word[3] = t, u, u, v
+    return 4
+
+
+@kernel
+def _quarter_left(x: float, y: float, phi: float, word: Floats) -> int:
+    """L+ R(quarter)- S- L-, (8.9)."""
+    dx, dy = x - np.sin(phi), y - 1 + np.cos(phi)
+    square = dx * dx + dy * dy
+    if square < 4:
+        return 0
+    r = np.sqrt(square - 4)
+    t = _half(np.arctan2(dy, dx) + np.arctan2(r, -2.0))
+    v = _half(phi - 0.5 * np.pi - t)
+    if t < 0 or r < 2 or v > 0:
+        return 0
+    word[0], word[1], word[2], word[3] = t, -0.5 * np.pi, 2 - r, v
+    return 4
+
+
+@kernel
+def _quarter_right(x: float, y: float, phi: float, word: Floats) -> int:
+    """L+ R(quarter)- S- R-, (8.10)."""
+    dx, dy = x + np.sin(phi), y - 1 - np.cos(phi)
+    far = np.hypot(dx, dy)
+    t = np.arctan2(dx, -dy)
+    v = _half(t + 0.5 * np.pi - phi)
+    if far < 2 or t < 0 or v > 0:
+        return 0
+    word[0], word[1], word[2], word[3] = t, -0.5 * np.pi, 2 - far, v
+    return 4
+
+
+@kernel
+def _two_quarters(x: float, y: float, phi: float, word: Floats) -> int:
+    """L+ R(quarter)- S- L(quarter)- R+, (8.11)."""
+    dx, dy = x + np.sin(phi), y - 1 - np.cos(phi)
+    square = dx * dx + dy * dy
+    if square < 4:
+        return 0
+    u = 4 - np.sqrt(square - 4)
+    if u > 0:
+        return 0
+    t = _half(np.arctan2((4 - u) * dx - 2 * dy, -2 * dx + (u - 4) * dy))
+    v = _half(t - phi)
+    if t < 0 or v < 0:
+        return 0
+    word[0], word[1], word[2], word[3], word[4] = t, -0.5 * np.pi, u, -0.5 * np.pi, v
+    return 5
+
+
+@kernel
+def _dubins(x: float, y: float, phi: float, radius: float, shortest: float, first: int, out: Arcs) -> int:
+    d, theta = np.hypot(x, y), np.arctan2(y, x)
+    a, b = (-theta) % TURN, (phi - theta) % TURN
+    best, n_best = np.inf, -1
+    word = np.empty(3)
+    for kind in range(len(DUBINS)):
+        is_word = _with_straight(kind, d, a, b, word) if kind < 4 else _without_straight(kind, d, a, b, word)
+        length = (word[0] + word[1] + word[2]) * radius
+        if not is_word or length >= best or is_too_short(word, 3, radius, shortest):
+            continue
+        best, n_best = length, 0
+        for k in range(3):
+            if word[k] * radius >= NONE:
+                out.length[first + n_best] = word[k] * radius
+                out.gear[first + n_best] = 1
+                out.bend[first + n_best] = DUBINS[kind, k]
+                n_best += 1
+    return n_best
+
+
+@kernel
+def _with_straight(kind: int, d: float, a: float, b: float, word: Floats) -> bool:
+    """LSL, RSR, LSR and RSL of a car that goes d radii along the x axis, from heading a to b."""
+    one, other = DUBINS[kind, 0], DUBINS[kind, 2]
+    dx = d + one * np.sin(a) - other * np.sin(b)
+    dy = other * np.cos(b) - one * np.cos(a)
+    across = 0.0 if one == other else 2.0
+    square = dx * dx + dy * dy - across * across
+    if square < 0:
+        return False
+    p = np.sqrt(square)
+    heading = np.arctan2(dy, dx) + one * np.arctan2(across, p)
+    word[0], word[1], word[2] = (one * (heading - a)) % TURN, p, (other * (b - heading)) % TURN
+    return True
+
+
+@kernel
+def _without_straight(kind: int, d: float, a: float, b: float, word: Floats) -> bool:
+    """RLR and LRL."""
+    one = DUBINS[kind, 0]
+    dx = d + one * (np.sin(a) - np.sin(b))
+    dy = one * (np.cos(b) - np.cos(a))
+    square = dx * dx + dy * dy
+    if square > 16:
+        return False
+    p = TURN - np.arccos(1 - square / 8)
+    t = (one * (np.arctan2(dy, dx) - a) + 0.5 * p) % TURN
+    word[0], word[1], word[2] = t, p, (one * (b - a) - t + p) % TURN
+    return True
