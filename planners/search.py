@@ -17,7 +17,7 @@ from planners.search_outlook import lattice
 from planners.search_table import Table
 from planners.steering import Curve, displace
 
-INNER = 0.05
+INNER = 0.12
 """A cell with at least this share of its inner half in reach is visited there; others anywhere."""
 LATTICE = 0.03
 """[m] states closer than this are alike."""
@@ -31,6 +31,10 @@ SLICE = 20
 """Decisions between two looks at the clock."""
 PHASES = 10
 """Phases of the log's clock for which every bin must be met."""
+PASSED_OVER = 16
+"""Times that a search goes on after it has come to nothing, at most."""
+STOPPED, DONE, OUT_OF_REACH, GAVE_UP = range(4)
+"""What a run may come to."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,9 +123,8 @@ def _inner(reach: Reach) -> Bools:
     """Return (nx, ny) cells whose inner half can be reached, at least in part."""
     p = reach.per_cell
     blocks = reach.blocks(reach.mask).reshape(*reach.shape, p, p)
-    rim = -(-p // 4)
-    within = blocks[:, :, rim : max(p - rim, rim + 1), rim : max(p - rim, rim + 1)]
-    return np.asarray(within.mean(axis=(2, 3)) >= INNER)
+    within = abs((np.arange(p) + 0.5) / p - 0.5) <= 0.25
+    return np.asarray(blocks[:, :, within][:, :, :, within].mean(axis=(2, 3)) >= INNER)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -173,6 +176,8 @@ class Search:
         self._sequence = np.empty(0, dtype=np.int32)
         self._parts: list[NDArray[np.int32]] = []
         self.floods = 0
+        self.given_up = np.zeros_like(need)
+        self._before = [self._here()]
 
     def want(self, need: Bools, patience: float = 1.0, *, inner: bool = True) -> None:
         """Set the bins to drive for; `patience` stretches the time to stay in each."""
@@ -206,7 +211,7 @@ class Search:
     def run(self, tick: Callable[[int], bool]) -> int:
         """Drive until all is done or nothing more can be had; `tick` takes the bins left and answers whether to go on.
 
-        Returns 1 all done, 2 the rest is out of reach at this resolution, 3 gave up, 0 stopped by `tick`.
+        Returns DONE, OUT_OF_REACH (of what is left, at this resolution), GAVE_UP, or STOPPED by `tick`.
         """
         hunt, moves = self._hunt(), self.moves()
         desk, ahead = kernels.desk(hunt, moves), self._outlook()
@@ -214,12 +219,71 @@ class Search:
         sequence = np.empty(SLICE * kernels.LONGEST_FLOOD, dtype=np.int32)
         while counters[3] == 0:
             counters[0] = 0
+            self._before = [*self._before[-1:], self._here()]
             kernels.advance(self.state, SLICE, hunt, self.world, moves, ahead, desk, sequence, counters)
             self._parts.append(sequence[: counters[0]].copy())
             if not tick(int(counters[1])):
                 break
         self.floods += int(counters[2])
         return int(counters[3])
+
+    def complete(self, tick: Callable[[int], bool]) -> None:
+        """Run until nothing more can be had: pass over cells that nothing leads into, and turn back from traps."""
+        for _ in range(PASSED_OVER):
+            status = self.run(tick)
+            if status in (STOPPED, DONE) or (status == OUT_OF_REACH and not self._is_trapped()):
+                return
+            if status == OUT_OF_REACH:
+                self._turn_back()
+            if not self._pass_over():
+                return
+
+    def _is_trapped(self) -> bool:
+        """Tell whether nothing leads from here back to where the robot began."""
+        i, k = ((self.start[:2] - self.place.origin) / self.place.cell).astype(np.int64).tolist()
+        home = np.zeros_like(self.world.need)
+        home[i, k] = True
+        way = Search(self.place, self.table, home, self.rate, settings=self.settings)
+        way.want(home, inner=False)
+        way.begin(self.state)
+        return way.run(lambda _: False) == OUT_OF_REACH
+
+    def _turn_back(self) -> None:
+        """Go back to before the last decisions, and want no more of the cell where the robot cannot go on from."""
+        i, k = self._cell
+        self.state, self.world.need[:], self.world.missing[:], n_parts = self._before.pop(0)
+        self._before.clear()
+        del self._parts[n_parts:]
+        self._give_up(i, k)
+
+    def _pass_over(self) -> bool:
+        """Want no more of the nearest cell where something is missing; False if no such cell is in the robot's reach."""
+        world = self.world
+        far, queue = np.empty(world.missing.shape, np.int64), np.empty(world.missing.size, np.int64)
+        kernels.potential(world, far, queue)
+        i, k = self._cell
+        while 0 < far[i, k] <= far.size:
+            ways = [(i + a, k + b) for bit, (a, b) in enumerate(SIDES) if world.links[i, k] >> bit & 1]
+            i, k = min(ways, key=lambda way: int(far[way]))
+        if far[i, k] > 0:
+            return False
+        self._give_up(i, k)
+        return self.left > 0
+
+    def _here(self) -> tuple[Floats, Bools, Ints, int]:
+        """Return the state, the bins still wanted, how many of a cell, and how many parts were driven."""
+        return self.state.copy(), self.world.need.copy(), self.world.missing.copy(), len(self._parts)
+
+    @property
+    def _cell(self) -> tuple[int, int]:
+        """Cell of the scene where the robot is."""
+        i, k = ((self.state[:2] - self.place.origin) / self.place.cell).astype(np.int64).tolist()
+        return i, k
+
+    def _give_up(self, i: int, k: int) -> None:
+        """Want no more of a cell."""
+        self.given_up[i, k] |= self.world.need[i, k]
+        self.world.need[i, k], self.world.missing[i, k] = False, 0
 
     def rest(self) -> bool:
         """Drive on until the robot stands still but for its spin; False if that is not found."""

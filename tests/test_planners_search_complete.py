@@ -1,0 +1,97 @@
+"""A search goes on after what it cannot get: past cells that nothing leads into, and out of traps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from planners_samples import door_arena
+
+from planners.arena import Bools
+from planners.clearance import Barriers
+from planners.reach import Reach, reach
+from planners.robot import Limits
+from planners.search import DONE, STOPPED, Search, Settings, scene
+from planners.search_table import spinning
+
+FLOOR = door_arena(9)  # one room, 16 x 12 cells
+SHUT, OPEN = (5, 6), (13, 6)
+"""A cell that is put out of reach, and one far behind it."""
+START = np.array([0.625, 1.625, 0.0, 0.0])
+
+
+def free_floor() -> Reach:
+    return reach(FLOOR, Barriers(FLOOR), clearance=0.22, cell=0.25)
+
+
+def searching(*cells: tuple[int, int], blocked: tuple[int, int] | None = None) -> Search:
+    """Search the floor for all headings of some cells; `blocked` is kept shut by a wall that only its links ignore."""
+    free = free_floor()
+    need: Bools = np.zeros((*free.shape, 16), dtype=np.bool_)
+    for cell in cells:
+        need[cell] = True
+    place = scene(free)
+    if blocked is not None:
+        p, (i, k) = free.per_cell, blocked
+        distance = place.distance.copy()
+        distance[i * p : (i + 1) * p, k * p : (k + 1) * p] = 0.0
+        place = replace(place, distance=distance)
+    settings = Settings(beam=20, flood_width=200, flood_states=60_000)
+    search = Search(place, spinning(Limits(), 16, 10.0), need, 10.0, settings=settings)
+    search.begin(START)
+    return search
+
+
+def test_what_lies_behind_a_cell_out_of_reach_is_still_driven_to() -> None:
+    """A run alone stops before the nearest cell, which it cannot enter."""
+    alone = searching(SHUT, OPEN, blocked=SHUT)
+    alone.run(lambda _: True)
+    assert alone.world.need[OPEN].all()
+    search = searching(SHUT, OPEN, blocked=SHUT)
+    search.complete(lambda _: True)
+    assert not search.world.need.any()
+    np.testing.assert_array_equal(np.argwhere(search.given_up.any(axis=2)), [SHUT])
+
+
+def test_nothing_is_given_up_on_an_open_floor() -> None:
+    search = searching(SHUT, OPEN)
+    search.complete(lambda _: True)
+    assert search.left == 0
+    assert not search.given_up.any()
+
+
+def test_a_search_that_has_driven_into_a_trap_turns_back_and_is_completed() -> None:
+    """The trap is a place from which every move is blocked, but where the robot can turn."""
+    search = searching(*((i, k) for i in range(3, 14) for k in (5, 6, 7)))
+    assert search.run(lambda _: False) == STOPPED
+    assert not search._is_trapped()
+    distance = search.place.distance
+    node = np.array([100, 20])
+    distance[90:111, 10:31] = 0.0
+    distance[99:102, 19:22] = 0.22
+    search.state[:2] = search.place.origin + (node + 0.5) * search.place.step
+    search.state[3] = 0.0
+    trap = search.state.copy()
+    assert search._is_trapped()
+    search.complete(lambda _: True)
+    assert search.left == 0
+    assert not np.array_equal(search.state[:2], trap[:2])
+    assert search.found().start.tolist() == START.tolist()
+    np.testing.assert_allclose(
+        driven(search)[:2], search.state[:2], atol=1e-9
+    )  # without the way into the trap
+
+
+def driven(search: Search) -> np.ndarray:
+    """Return the state (4,) at the end of what a search has driven, from its start on."""
+    found, table = search.found(), search.table
+    x, y, h, m = found.start.tolist()
+    for j in found.sequence.tolist():
+        way = table.ways[int(h), int(m), j, -1]
+        x, y = x + way[0], y + way[1]
+        h, m = (h + table.turn[int(m), j]) % table.n_headings, table.then[int(m), j]
+    return np.array([x, y, h, m])
+
+
+def test_done_is_said_when_all_is_met() -> None:
+    assert searching(OPEN).run(lambda _: True) == DONE
