@@ -1,4 +1,4 @@
-"""The coverage planner: search each room for itself, keep the best of some tries, join the rooms by OMPL.
+"""The coverage planner: search each room for itself, and join the rooms by OMPL.
 
 Rooms do not wait for each other, so they are searched side by side, with the same result on any count of
 processors.
@@ -32,7 +32,7 @@ logger = logging.getLogger(__name__)
 
 TRIES = 1
 """Searches of each room, of which the best is kept."""
-SPIN, ALONE = Settings(beam=200, flood_width=400, flood_layers=300), 140
+SPIN, ALONE = Settings(beam=170, executed=1.2, flood_width=400, flood_layers=300), 100
 """How hard to search for robots that turn in place, each room once: a wide beam finds more than two narrow ones. The only
 room of a floor is searched twice by a beam of ALONE, since a processor would be idle."""
 PATIENCE = (1.3, 1.6)
