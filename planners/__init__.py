@@ -5,7 +5,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from planners.errors import PlanError
-from planners.planning import PLANNERS, Plan, plan
+
+if TYPE_CHECKING:
+    from planners.planning import PLANNERS, Plan, plan
 
 __all__ = ["PLANNERS", "Plan", "PlanError", "plan"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what plans when it is asked for: the processes in which OMPL works start without it."""
+    if name in __all__:
+        from planners import planning
+
+        return getattr(planning, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

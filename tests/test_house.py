@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("planners", "logs", "robotmodic_ident", "sensorgraph")
 OWNERS = {
-    "ompl": {"planners/connect.py", "planners/ompl_planner.py"},
+    "ompl": {"planners/ompl_process.py", "planners/ompl_planner.py"},
     "mcap": {"logs/"},
     "rosbags": {"logs/"},
     "zstandard": {"logs/"},  # both come with mcap: recovery must decompress what is left of a cut chunk

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from planners_samples import door_arena
 
-import planners.car_connect as car_connect
+import planners.ompl_car_ways as car_ways
 from planners.arena import Floats, wrap
-from planners.car_connect import along, connect_cars
+from planners.car_connect import connect_cars
 from planners.check import check
 from planners.clearance import Barriers
 from planners.reach import reach
@@ -125,8 +125,8 @@ def test_arcs_read_off_a_curve_lead_where_it_leads(seed: int) -> None:
 
 def test_an_arc_forward_and_the_same_backward_meet_again() -> None:
     pose = np.array([0.3, -0.2, 0.7])
-    there = along(pose, 1.0, 1.0, 0.5, 0.4)
-    np.testing.assert_allclose(along(there, -1.0, -1.0, 0.5, 0.4), pose, atol=1e-12)
+    there = car_ways.along(pose, 1.0, 1.0, 0.5, 0.4)
+    np.testing.assert_allclose(car_ways.along(there, -1.0, -1.0, 0.5, 0.4), pose, atol=1e-12)
     assert there[2] == pytest.approx(0.7 + 0.5 / 0.4)
 
 
@@ -151,7 +151,7 @@ def test_same_seed_same_ways_whatever_the_process_did_before() -> None:
 
 def test_callbacks_of_ompl_hold_nothing_of_ompl_and_answer_with_a_bool() -> None:
     """A closure over `self` or the space leaks all it holds; a np.bool_ raises std::bad_cast."""
-    source = Path(car_connect.__file__).read_text()
+    source = Path(car_ways.__file__).read_text()
     callbacks = [
         node.args[0]
         for node in ast.walk(ast.parse(source))
