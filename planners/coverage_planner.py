@@ -97,13 +97,16 @@ def wanted(task: Task) -> Bools:
 
 def missed(curve: Curve, todo: Bools, grid: Coverage, rate: float) -> Bools:
     """Return (nx, ny, n_phi) bins of `todo` that the log [Hz] of at least one phase does not meet."""
-    missing = np.zeros_like(todo)
+    return np.asarray(todo & ~met(curve, grid, rate).all(axis=0))
+
+
+def met(curve: Curve, grid: Coverage, rate: float, clock: float = 0.0) -> Bools:
+    """Return (PHASES, nx, ny, n_phi) the bins that the log [Hz] of each phase meets on a curve that starts at `clock` [s]."""
+    found = np.zeros((PHASES, *grid.reachable.shape), dtype=np.bool_)
     for phase in range(PHASES):
-        bins, inside = grid.bins(curve.log(rate, phase / PHASES / rate))
-        met = np.zeros_like(todo)
-        met[tuple(bins[inside].T)] = True
-        missing |= todo & ~met
-    return missing
+        bins, inside = grid.bins(curve.log(rate, (phase / PHASES / rate - clock) % (1 / rate)))
+        found[phase][tuple(bins[inside].T)] = True
+    return found
 
 
 def levels(task: Task, todo: Bools) -> Ints:

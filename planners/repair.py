@@ -17,13 +17,14 @@ import numpy as np
 from planners.arena import Bools, Floats, wrap
 from planners.car_connect import CarWay, connect_cars
 from planners.connect import Joins, connect_nearest
-from planners.coverage_planner import DWELL, Task, missed, places
+from planners.coverage_planner import DWELL, PHASES, Task, met, missed, places
 from planners.order import Ints
 from planners.primitives import aim
+from planners.reach import Reach
 from planners.search import Visit
 from planners.search_cars import redriven
 from planners.search_table import GEARS, driving
-from planners.steering import Curve, Pen, joined
+from planners.steering import Curve, Pen
 
 ROUNDS = 40
 """Queries, at most."""
@@ -33,11 +34,17 @@ BACK = (4.0, 16.0, 64.0, 256.0)
 """[s] before the end of a drive from where a way on is looked for."""
 AGAIN = 12
 """Missing bins from which on the search takes over."""
+SEARCHES = 3
+"""Times that one bin is searched for, at most."""
+NEAR = 3.0
+"""[m] within which they are."""
 FEW = 9
 POSES = np.array(
     [(x, y, turn) for turn in (0.0, -0.3, 0.3) for x in (0.0, -0.3, 0.3) for y in (0.0, -0.3, 0.3)]
 )
 """Goals within a bin, in parts of it; the first FEW where there are many bins."""
+TURNED = np.array([0.0, -0.3, 0.3])
+"""Goals at the place of a bin that is farthest from walls, in parts of its heading: slits hold no other."""
 
 TURNS = 2
 """Times that a robot stops in a cell for what is missing there, at most."""
@@ -64,6 +71,10 @@ class CarRepair:
     def __post_init__(self) -> None:
         self.lost: Bools = np.zeros_like(self.todo)
         """(nx, ny, n_phi) bins that no way was found to."""
+        self._kept: tuple[list[Curve], float, Bools] = [], 0.0, self._none()
+        """All curves but the last, their time [s], and what a log of each phase meets on them."""
+        self.tried: Ints = np.zeros(self.todo.shape, dtype=np.int64)
+        """(nx, ny, n_phi) how often each bin was searched for."""
         limits, drive = self.task.robot.limits, self.task.robot.drive
         table = driving(limits, self.task.coverage.headings, self.task.rate, GEARS[drive])
         self.aside = table.first
@@ -103,9 +114,20 @@ class CarRepair:
 
     def missing(self) -> Bools:
         """Return (nx, ny, n_phi) what the log of some phase misses, but for what is lost."""
-        if not self.curves:
-            return self.todo & ~self.lost
-        return missed(joined(self.curves), self.todo, self.task.coverage, self.task.rate) & ~self.lost
+        last, clock, seen = self._kept
+        if self.curves[: len(last)] != last:  # some drive was cut, or all shortened
+            last, clock, seen = [], 0.0, self._none()
+        grid, rate = self.task.coverage, self.task.rate
+        for curve in self.curves[len(last) : -1]:
+            seen |= met(curve, grid, rate, clock)
+            clock += curve.duration
+        self._kept = self.curves[:-1], clock, seen
+        if self.curves:
+            seen = seen | met(self.curves[-1], grid, rate, clock)
+        return np.asarray(self.todo & ~seen.all(axis=0) & ~self.lost)
+
+    def _none(self) -> Bools:
+        return np.zeros((PHASES, *self.todo.shape), dtype=np.bool_)
 
     def run(self) -> None:
         """Drive to missing bins until none is left, or all that is left is lost."""
@@ -113,7 +135,8 @@ class CarRepair:
             missing = self.missing()
             if not missing.any():
                 return
-            if self.curves and missing.sum() >= AGAIN and self._searched(missing, round_):
+            near = missing & (self.tried < SEARCHES) & self._around()[:, :, None]
+            if self.curves and near.sum() >= AGAIN and self._searched(near, round_):
                 continue
             bins, goals = goals_in(missing, self.here, self.aside, self.task)
             if not len(bins):  # no free place within any: slits between the raster's nodes
@@ -130,10 +153,17 @@ class CarRepair:
             self.take(way.curve)
             self.lost[goal] = self.missing()[goal]  # driven to, but not long enough within it
 
-    def _searched(self, missing: Bools, round_: int) -> bool:
+    def _around(self) -> Bools:
+        """Return the cells (nx, ny) near here: a search does not get to others."""
+        rows, columns = np.indices(self.todo.shape[:2])
+        i, k = _cell(self.here, self.task)
+        return np.asarray(np.hypot(rows - i, columns - k) * self.task.reach.cell <= NEAR)
+
+    def _searched(self, wanted: Bools, round_: int) -> bool:
         """Let the search go on from here; say whether it got something."""
-        visit = self.search(missing, self.here, self.task.seed + round_)
-        if visit is None or visit.left >= missing.sum():
+        visit = self.search(wanted, self.here, self.task.seed + round_)
+        self.tried += wanted
+        if visit is None or visit.left >= wanted.sum():
             return False
         self.take(visit.curve)
         return True
@@ -238,13 +268,29 @@ def goals_in(missing: Bools, here: Floats, aside: float, task: Task) -> tuple[In
     bins = np.argwhere(missing)
     bins = bins[np.argsort(np.hypot(*(bins[:, :2] - _cell(here, task)).T), kind="stable")[:MOST_GOALS]]
     shares = POSES if len(bins) * len(POSES) <= MOST_GOALS else POSES[:FEW]  # (p, 3)
-    bins = np.repeat(bins, len(shares), axis=0)
-    x, y, turn = np.tile(shares, (len(bins) // len(shares), 1)).T
-    places = reach.origin + (bins[:, :2] + 0.5 + np.column_stack([x, y])) * reach.cell
+    own = np.repeat(bins, len(shares), axis=0)
+    x, y, turn = np.tile(shares, (len(bins), 1)).T
+    deepest, turns = np.repeat(bins, len(TURNED), axis=0), np.tile(TURNED, len(bins))
+    places = np.concatenate(
+        [
+            reach.origin + (own[:, :2] + 0.5 + np.column_stack([x, y])) * reach.cell,
+            _deepest(deepest[:, :2], reach),
+        ]
+    )
+    bins, turn = np.concatenate([own, deepest]), np.append(turn, turns)
     heading = (bins[:, 2] + turn) * (2 * np.pi / grid.headings) + aside
     node = np.floor((places - reach.origin) / reach.step).astype(np.int64)
     free = reach.mask[node[:, 0], node[:, 1]]
     return bins[free], np.column_stack([places, wrap(heading)])[free]
+
+
+def _deepest(cells: Ints, reach: Reach) -> Floats:
+    """Return the place (n, 2) [m] in each cell (n, 2) that is in reach and farthest from walls."""
+    within = tuple(cells.T)
+    depth = np.where(reach.blocks(reach.mask)[within], reach.blocks(reach.distance)[within], 0.0)
+    node = depth.argmax(axis=1)
+    inside = np.column_stack([node // reach.per_cell, node % reach.per_cell])
+    return np.asarray(reach.origin + cells * reach.cell + (inside + 0.5) * reach.step)
 
 
 def _cell(pose: Floats, task: Task) -> Floats:

@@ -170,6 +170,13 @@ class Search:
         self.value = 1.0 + SPREAD * self.rng.random(need.shape[:2])
         if value is not None:
             self.value *= value
+        size = np.ones(3, dtype=np.int64)
+        if table.safe_depth > 1:
+            size[:] = (
+                *np.ceil(np.array(place.distance.shape) * place.step / LATTICE).astype(int) + 1,
+                table.n_headings,
+            )
+        self._trapped = np.zeros(size, dtype=np.bool_)
         self.want(need)
         self.state = np.zeros(4)
         self.start = self.state.copy()
@@ -197,6 +204,7 @@ class Search:
             least=where.least,
             dwell=dwell,
             inner_dwell=SHORT * dwell,
+            trapped=self._trapped,
         )
 
     def begin(self, state: Floats) -> None:

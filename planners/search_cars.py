@@ -4,7 +4,7 @@ Dubins car can go and come back from.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -158,19 +158,30 @@ def arcs_of(curve: Curve) -> Arcs:
     return Arcs(abs(way), bend.astype(np.int64), np.sign(way).astype(np.int64))
 
 
-def shortened(curve: Curve, todo: Bools, task: Task, speed: float) -> Iterator[Curve]:
-    """Yield the drive of a car, shorter and shorter, that wins all of the bins `todo` (nx, ny, n_phi) that it won.
+def shortened(curve: Curve, todo: Bools, task: Task, speed: float) -> tuple[Curve, bool]:
+    """Return a shorter drive of a car that wins all of the bins `todo` (nx, ny, n_phi) that it won.
 
     Parameters
     ----------
     speed : [m/s]
+
+    Returns
+    -------
+    curve, and whether Ctrl-C ended the work: what was found by then
     """
     limits, is_backward = task.robot.limits, len(GEARS[task.robot.drive]) > 1
     ground = ground_of(task.reach, todo, limits, speed, task.rate, is_backward=is_backward)
     arcs = arcs_of(curve)
     begun, _ = drive_of(curve.poses[0], part_of(arcs, arcs.length > NONE), ground)
-    for drive in shorter(begun, ground):
-        yield geared(curve.poses[0], drive.length, drive.bend, drive.gear, limits, speed)
+    best, interrupted = begun, False
+    try:
+        for drive in shorter(begun, ground):
+            best = drive
+    except KeyboardInterrupt:
+        interrupted = True
+    if best is begun:
+        return curve, interrupted
+    return geared(curve.poses[0], best.length, best.bend, best.gear, limits, speed), interrupted
 
 
 def _run(

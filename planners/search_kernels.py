@@ -54,6 +54,8 @@ class World(NamedTuple):
     """[s] to stay in a bin."""
     inner_dwell: float
     """[s] to stay in the inner half of one."""
+    trapped: Bools
+    """(lx, ly, n_headings) lattice cells from which no way on was found; (1, 1, 1) where that is not remembered."""
 
 
 class Moves(NamedTuple):
@@ -317,6 +319,20 @@ def is_safe(
 
 
 @kernel
+def goes_on(
+    x: float, y: float, h: int, m: int, hunt: Hunt, world: World, moves: Moves, credits: Ints
+) -> bool:
+    """Tell whether an end is safe; where it is not, remember it: in a pocket that takes thousands of tries."""
+    if world.trapped.size == 1:
+        return is_safe(x, y, h, m, hunt.safe_depth, world, moves, credits)
+    i, k = int((x - world.x0) / hunt.lattice), int((y - world.y0) / hunt.lattice)
+    if world.trapped[i, k, h]:
+        return False
+    world.trapped[i, k, h] = not is_safe(x, y, h, m, hunt.safe_depth, world, moves, credits)
+    return not world.trapped[i, k, h]
+
+
+@kernel
 def cells_away(x: float, y: float, world: World, far: Ints) -> int:
     """Return how many cell borders lie before something missing."""
     return int(far[int((x - world.x0) / world.cell), int((y - world.y0) / world.cell)])
@@ -454,7 +470,7 @@ def harvest(
         n_leaves += fill[layer]
     for o in np.argsort(-scores[leaves], kind="mergesort"):
         node = leaves[o]
-        if is_safe(at[node, 0], at[node, 1], hs[node], ms[node], hunt.safe_depth, world, moves, credits):
+        if goes_on(at[node, 0], at[node, 1], hs[node], ms[node], hunt, world, moves, credits):
             return trace(node, parents, branches, out), totals[node]
     return 0, 0
 
@@ -498,8 +514,8 @@ def flood(
 ) -> int:
     """Search breadth first for the nearest bin; write branches to `out`; return their count.
 
-    Each lattice cell is visited once, and of each unit of time the `width` states nearest to something missing go on:
-    nearest by what was seen `ahead`, or by cells.
+    Each lattice cell is visited once, and once more with a bin, and of each unit of time the `width` states nearest to
+    something missing go on: nearest by what was seen `ahead`, or by cells.
     0: nothing is within reach at this resolution; -1: gave up.
     """
     n_branches, most = moves.then.shape[1], hunt.flood_states
@@ -519,8 +535,8 @@ def flood(
             return -1 if is_cut else 0
         top, chosen = 0, -1
         for node in here:
-            if gains[node] > top and is_safe(
-                at[node, 0], at[node, 1], hs[node], ms[node], hunt.safe_depth, world, moves, credits
+            if gains[node] > top and goes_on(
+                at[node, 0], at[node, 1], hs[node], ms[node], hunt, world, moves, credits
             ):
                 top, chosen = gains[node], node
         if chosen >= 0:
@@ -543,8 +559,8 @@ def flood(
                 if not free:
                     continue
                 x2, y2, h2, m2 = end_of(x, y, h, m, j, moves)
-                key = lattice_key(x2, y2, h2, m2, world, moves, hunt.lattice)
-                if find_slot(desk.keys, desk.stamp[0], desk.marks, key) >= 0 and n_won == 0:
+                key = 2 * lattice_key(x2, y2, h2, m2, world, moves, hunt.lattice) + (n_won > 0)
+                if find_slot(desk.keys, desk.stamp[0], desk.marks, key) >= 0:
                     continue
                 later = (layer + moves.cost[m, j]) % ring
                 if n_nodes >= most:

@@ -20,7 +20,7 @@ from planners.search_table import Table
 
 POINTS = 4
 """Lattice points along a cell's side."""
-AROUND = 1.6
+AROUND = 1.2
 """[m] round the car that the wave covers."""
 SLACK = 0.02
 """[m] that lattice points may be too near to a wall: poses beside them may not be."""

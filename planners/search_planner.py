@@ -40,8 +40,16 @@ PATIENCE = (1.3, 1.6)
 LOST = 4.0
 """[s] that a bin costs which a search leaves to the repair."""
 CAR = {
-    "reeds_shepp": Settings(executed=3.2, eagerness=0.5, beam=50, flood_layers=400, narrow=60),
-    "dubins": Settings(executed=0.8, eagerness=1.0, flood_layers=400),
+    "reeds_shepp": Settings(
+        executed=3.2,
+        eagerness=0.5,
+        beam=25,
+        flood_layers=400,
+        flood_width=300,
+        flood_states=100_000,
+        narrow=8,
+    ),
+    "dubins": Settings(executed=1.6, eagerness=1.0, beam=50, flood_layers=400),
 }
 """How cars are searched for."""
 SLOW = 2.0
@@ -123,8 +131,11 @@ def _completed(repair: CarRepair, task: Task) -> bool:
         repair.run()
         if repair.curves:
             won = repair.todo & ~repair.missing()
-            for curve in shortened(joined(repair.curves), won, task, float(abs(_table(task).speeds[0]))):
-                repair.curves = [curve]
+            speed = float(abs(_table(task).speeds[0]))
+            short, interrupted = shortened(joined(repair.curves), won, task, speed)
+            repair.curves = [short]
+            if interrupted:
+                return True
             repair.run()
     except KeyboardInterrupt:
         return True
@@ -256,8 +267,7 @@ def _shorten_nothing(task: Task) -> None:
     """Compile what shortens a car's drive: let it look for ways across a straight line of three arcs."""
     arcs = np.full(3, 0.1), np.zeros(3), np.ones(3)
     line = geared(np.array([*task.reach.origin, 0.0]), *arcs, task.robot.limits)
-    for _ in shortened(line, np.zeros_like(task.coverage.reachable), task, task.robot.limits.v):
-        pass
+    shortened(line, np.zeros_like(task.coverage.reachable), task, task.robot.limits.v)
 
 
 def search_room(

@@ -35,11 +35,11 @@ SHORTEST = 0.01
 """[m] of an arc: steering takes time too."""
 LONGEST = 60.0
 """[s] of a part."""
-ALONE = 4
-"""Bins that a part alone wins, at most; a way across wins few of them."""
+ALONE = (2, 4)
+"""Bins that a part alone wins, at most, in the first pass and in later ones; a way across wins few of them."""
 LEAST = 0.1
 """[s] that a way across saves, at least."""
-WORTH = 0.002
+WORTH = 0.003
 """Of the drive's time, which a pass saves at least if there is to be another."""
 PASSES = 6
 AROUND = 20
@@ -164,7 +164,7 @@ class Notes(NamedTuple):
     touched: Ints
     """(most,) bins with some."""
     critical: Ints
-    """(ALONE + 1,) bins with all."""
+    """(most,) bins with all."""
     won: Ints
     """(MOST_WON,) bins that the way across wins."""
     arcs: Arcs
@@ -478,10 +478,19 @@ def replace(i: int, j: int, alone: int, n_touched: int, known: Known, notes: Not
 
 @kernel
 def look(
-    begin: int, stop: int, fresh: Bools, known: Known, good: Bools, fixed: Bools, count: Ints, cuts: Cuts
+    begin: int,
+    stop: int,
+    most: int,
+    fresh: Bools,
+    known: Known,
+    good: Bools,
+    fixed: Bools,
+    count: Ints,
+    cuts: Cuts,
 ) -> None:
     """Find the best part to replace that begins with each `fresh` (n,) arc from `begin` to `stop`, not included.
 
+    most : bins that a part alone wins
     good : (m,) stretches that win their bin; fixed : (m,) those that must stay; count : (n_bins,) how many win each
     """
     drive, parts, runs, ground = known
@@ -490,7 +499,7 @@ def look(
         count,
         np.zeros(len(count), np.int64),
         np.empty(len(parts.bin), np.int64),
-        np.empty(ALONE + 1, np.int64),
+        np.empty(most + 1, np.int64),
         np.empty(MOST_WON, np.int64),
         arcs_for(2 * MOST_ARCS),
         np.empty(3),
@@ -503,7 +512,7 @@ def look(
             while at < parts.first[j]:
                 at += 1
                 if fixed[at]:
-                    alone = ALONE + 1
+                    alone = most + 1
                 if good[at]:
                     own = parts.bin[at]
                     if notes.within[own] == 0:
@@ -511,9 +520,9 @@ def look(
                         n_touched += 1
                     notes.within[own] += 1
                     if notes.within[own] == count[own]:
-                        notes.critical[min(alone, ALONE)] = own
+                        notes.critical[min(alone, most)] = own
                         alone += 1
-            if alone > ALONE or most_saved(i, j, drive, runs, ground) > LONGEST:
+            if alone > most or most_saved(i, j, drive, runs, ground) > LONGEST:
                 break
             replace(i, j, alone, n_touched, known, notes, cuts)
         for k in range(n_touched):
@@ -650,9 +659,9 @@ def shorter(drive: Drive, ground: Ground) -> Iterator[Drive]:
     """Shorten a drive pass by pass, and yield each that is shorter; the same on any count of processors."""
     fresh = np.ones(len(drive.length), dtype=np.bool_)
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        for _ in range(PASSES):
+        for number in range(PASSES):
             before = gears(drive, ground).clock[-1]
-            drive, fresh = _pass(drive, fresh, ground, threads)
+            drive, fresh = _pass(drive, fresh, ALONE[number > 0], ground, threads)
             after = gears(drive, ground).clock[-1]
             if after < before:
                 yield drive
@@ -660,8 +669,13 @@ def shorter(drive: Drive, ground: Ground) -> Iterator[Drive]:
                 return
 
 
-def _pass(drive: Drive, fresh: Bools, ground: Ground, threads: ThreadPoolExecutor) -> tuple[Drive, Bools]:
-    """Replace some parts that do not touch, which begin with arcs that are `fresh` (n,); return what is fresh then."""
+def _pass(
+    drive: Drive, fresh: Bools, alone: int, ground: Ground, threads: ThreadPoolExecutor
+) -> tuple[Drive, Bools]:
+    """Replace some parts that do not touch, which begin with arcs that are `fresh` (n,); return what is fresh then.
+
+    alone : bins that a part alone wins, at most
+    """
     n, parts, runs = len(drive.length), stretches(drive, ground), gears(drive, ground)
     known = Known(drive, parts, runs, ground)
     stays = (parts.length >= ground.stay) | ((parts.stops > 0) & (parts.length >= ground.slow))
@@ -670,7 +684,8 @@ def _pass(drive: Drive, fresh: Bools, ground: Ground, threads: ThreadPoolExecuto
     fixed = (parts.bin >= 0) & (count[parts.bin] == 0)
     cuts = Cuts(np.zeros(n), np.zeros(n, dtype=np.int64), np.full(n, -1))
     jobs = [
-        threads.submit(look, k, k + CHUNK, fresh, known, good, fixed, count, cuts) for k in range(0, n, CHUNK)
+        threads.submit(look, k, k + CHUNK, alone, fresh, known, good, fixed, count, cuts)
+        for k in range(0, n, CHUNK)
     ]
     try:
         for job in jobs:

@@ -71,9 +71,9 @@ def crossed(curve: Curve, task: Task) -> Bools:
 
 
 def best(curve: Curve, todo: Bools, task: Task) -> Curve:
-    for found in shortened(curve, todo, task, LIMITS.v):
-        curve = found
-    return curve
+    short, interrupted = shortened(curve, todo, task, LIMITS.v)
+    assert not interrupted
+    return short
 
 
 def ends(curve: Curve) -> Floats:
