@@ -49,7 +49,7 @@ CAR = {
         flood_states=100_000,
         narrow=8,
     ),
-    "dubins": Settings(executed=1.6, eagerness=1.0, beam=50, flood_layers=400),
+    "dubins": Settings(executed=2.4, eagerness=1.0, beam=40, flood_layers=400),
 }
 """How cars are searched for."""
 SLOW = 2.0

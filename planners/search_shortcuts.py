@@ -39,7 +39,7 @@ ALONE = (2, 4)
 """Bins that a part alone wins, at most, in the first pass and in later ones; a way across wins few of them."""
 LEAST = 0.1
 """[s] that a way across saves, at least."""
-WORTH = 0.003
+WORTH = 0.006
 """Of the drive's time, which a pass saves at least if there is to be another."""
 PASSES = 6
 AROUND = 20
