@@ -22,6 +22,10 @@ NEAREST = 16
 """Goals to which the shortest curve is tried."""
 CUSP_COST = 0.6
 """[m] that a change of gear costs when solutions are compared: the car must stop."""
+SHORTEST = 0.01
+"""[m] of an arc."""
+TWITCH_COST = 10.0
+"""[m] that a shorter one costs when solutions are compared."""
 SAME = 1e-7
 """[m, rad] poses closer than this are the same."""
 
@@ -74,9 +78,13 @@ class _Solver:
         self.field.least = min(self.clearance + SLACK, max(lowest, self.clearance)) - 1e-9
         self._begin(here, there)
         far = np.array([self.space.distance(here, goal) for goal in there])
-        for k in np.argsort(far, kind="stable")[:NEAREST].tolist():
-            if self.information.checkMotion(here, there[k]):
-                return np.array(list(self._arcs(here, there[k]))).reshape(-1, 3), k, True
+        clear = [
+            (np.array(list(self._arcs(here, there[k]))).reshape(-1, 3), k, True)
+            for k in np.argsort(far, kind="stable")[:NEAREST].tolist()
+            if self.information.checkMotion(here, there[k])
+        ]
+        if clear:
+            return min(clear, key=lambda way: _twitches(way[0]))
         for window, step, iterations in SEARCHES:
             self.planner.setRange(step)
             places = np.concatenate([start[None], goals])[:, :2]
@@ -197,7 +205,13 @@ def _apart(a: Floats, b: Floats) -> Floats:
 
 
 def _cost(arcs: Arcs) -> float:
-    return float(arcs[:, 2].sum() + CUSP_COST * (np.diff(arcs[:, 0]) != 0).sum())
+    stops = (np.diff(arcs[:, 0]) != 0).sum()
+    return float(arcs[:, 2].sum() + CUSP_COST * stops + TWITCH_COST * _twitches(arcs))
+
+
+def _twitches(arcs: Arcs) -> int:
+    """Count arcs too short for a wheel to turn there and back."""
+    return int((arcs[:, 2] < SHORTEST).sum())
 
 
 def wrap(angle: float) -> float:
