@@ -16,6 +16,7 @@ from scipy import ndimage
 from planners.arena import Bools, Floats
 from planners.clearance import Barriers
 from planners.connect import Joins, field_of
+from planners.ompl_car_ways import Arcs
 from planners.ompl_process import SLACK, ask
 from planners.reach import Reach
 from planners.robot import Robot
@@ -24,9 +25,6 @@ from planners.steering import Curve
 
 PROOF_STEP = 0.004
 """[m] between the poses at which clearance is measured; it is less by up to half as much in between."""
-
-Arcs = Floats
-"""(k, 3) gear (1, -1), bend (1 turns counter-clockwise, 0 not, -1 clockwise), length [m] of the parts of a way."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -114,11 +114,7 @@ def _by_legs(start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed:
     while route[-1] != first:
         route.append(int(before[0, route[-1]]))
     cells = np.unravel_index(route[::-1][:: max(round(LEG / reach.cell), 1)][1:], reach.shape)
-    depth = np.where(reach.blocks(reach.mask)[cells], reach.blocks(reach.distance)[cells], 0.0)
-    node = depth.argmax(axis=1)
-    within = np.column_stack([node // reach.per_cell, node % reach.per_cell])
-    between = reach.origin + np.column_stack(cells) * reach.cell + (within + 0.5) * reach.step
-    stops = np.concatenate([start[None], between, end[None]])
+    stops = np.concatenate([start[None], reach.deepest(np.column_stack(cells)), end[None]])
     legs, _ = connect(stops[:-1], stops[1:], reach=reach, barriers=barriers, seed=seed)
     found = [leg for leg in legs if leg is not None]
     return np.concatenate([start[None], *(leg[1:] for leg in found)]) if len(found) == len(legs) else None

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from planners.ompl_process import CHECK_STEP, SLACK, Countdown, Field, Floats, serve
+from planners.robot import SHORTEST_ARC
 
 SEARCHES = ((2.0, 1.0, 800), (np.inf, 2.0, 1_500), (np.inf, 0.5, 3_000))
 """Window [m] around start and goals to sample in, longest step [m], iterations; the first to succeed is used."""
@@ -22,8 +23,6 @@ NEAREST = 16
 """Goals to which the shortest curve is tried."""
 CUSP_COST = 0.6
 """[m] that a change of gear costs when solutions are compared: the car must stop."""
-SHORTEST = 0.01
-"""[m] of an arc."""
 TWITCH_COST = 10.0
 """[m] that a shorter one costs when solutions are compared."""
 SAME = 1e-7
@@ -179,7 +178,7 @@ class _Solver:
     def _state(self, pose: Floats) -> Any:
         state = self.space.allocState()
         state.setXY(float(pose[0]), float(pose[1]))
-        state.setYaw(float(wrap(float(pose[2]))))
+        state.setYaw(wrap(float(pose[2])))
         return state
 
     @staticmethod
@@ -210,8 +209,8 @@ def _cost(arcs: Arcs) -> float:
 
 
 def _twitches(arcs: Arcs) -> int:
-    """Count arcs too short for a wheel to turn there and back."""
-    return int((arcs[:, 2] < SHORTEST).sum())
+    """Count arcs that are too short."""
+    return int((arcs[:, 2] < SHORTEST_ARC).sum())
 
 
 def wrap(angle: float) -> float:

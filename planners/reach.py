@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from planners.arena import Arena, Bools, Floats
@@ -64,6 +65,14 @@ class Reach:
         """Reshape a raster (mx, my) to (nx, ny, per_cell²), a row for each cell."""
         (nx, ny), k = self.shape, self.per_cell
         return raster.reshape(nx, k, ny, k).swapaxes(1, 2).reshape(nx, ny, k * k)
+
+    def deepest(self, cells: NDArray[np.int64]) -> Floats:
+        """Return (n, 2) [m] the place in each cell (n, 2) that is in reach and farthest from walls."""
+        within = tuple(cells.T)
+        depth = np.where(self.blocks(self.mask)[within], self.blocks(self.distance)[within], 0.0)
+        node = depth.argmax(axis=1)
+        inside = np.column_stack([node // self.per_cell, node % self.per_cell])
+        return np.asarray(self.origin + cells * self.cell + (inside + 0.5) * self.step)
 
     def areas(self) -> Floats:
         """Return (nx, ny) the reachable share of each cell's area, its rim counted by parts of nodes."""

@@ -20,7 +20,6 @@ from planners.connect import Joins, connect_nearest
 from planners.coverage_planner import DWELL, PHASES, Task, met, missed, places
 from planners.order import Ints
 from planners.primitives import aim
-from planners.reach import Reach
 from planners.search import Visit
 from planners.search_cars import redriven
 from planners.search_table import GEARS, driving
@@ -274,7 +273,7 @@ def goals_in(missing: Bools, here: Floats, aside: float, task: Task) -> tuple[In
     places = np.concatenate(
         [
             reach.origin + (own[:, :2] + 0.5 + np.column_stack([x, y])) * reach.cell,
-            _deepest(deepest[:, :2], reach),
+            reach.deepest(deepest[:, :2]),
         ]
     )
     bins, turn = np.concatenate([own, deepest]), np.append(turn, turns)
@@ -282,15 +281,6 @@ def goals_in(missing: Bools, here: Floats, aside: float, task: Task) -> tuple[In
     node = np.floor((places - reach.origin) / reach.step).astype(np.int64)
     free = reach.mask[node[:, 0], node[:, 1]]
     return bins[free], np.column_stack([places, wrap(heading)])[free]
-
-
-def _deepest(cells: Ints, reach: Reach) -> Floats:
-    """Return the place (n, 2) [m] in each cell (n, 2) that is in reach and farthest from walls."""
-    within = tuple(cells.T)
-    depth = np.where(reach.blocks(reach.mask)[within], reach.blocks(reach.distance)[within], 0.0)
-    node = depth.argmax(axis=1)
-    inside = np.column_stack([node // reach.per_cell, node % reach.per_cell])
-    return np.asarray(reach.origin + cells * reach.cell + (inside + 0.5) * reach.step)
 
 
 def _cell(pose: Floats, task: Task) -> Floats:

@@ -9,6 +9,8 @@ import numpy as np
 
 Drive = Literal["diff", "reeds_shepp", "dubins"]
 DRIVES: tuple[str, ...] = get_args(Drive)
+SHORTEST_ARC = 0.01
+"""[m] that a car drives on one arc, at least: to turn its wheels there and back takes time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +27,11 @@ class Limits:
     """[rad/s²] largest change of omega."""
     turning_radius: float = 0.0
     """[m] least radius of a car's curve; 0 for a robot that turns in place."""
+
+    @property
+    def a_on_arc(self) -> float:
+        """[m/s²] largest change of a car's speed on an arc of its least radius, where alpha must hold too."""
+        return min(self.a, self.alpha * self.turning_radius)
 
     def __post_init__(self) -> None:
         for name in ("v", "omega", "a", "alpha"):

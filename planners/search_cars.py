@@ -133,7 +133,7 @@ def geared(
     v : [m/s] default: the fastest that the limits allow
     """
     top = min(limits.v, limits.omega * limits.turning_radius) if v is None else v
-    a = min(limits.a, limits.alpha * limits.turning_radius)
+    a = limits.a_on_arc
     runs = np.flatnonzero(np.diff(gear, prepend=gear[:1] - 1, append=gear[-1:] + 1))
     parts = [
         _run(length[i:k], bend[i:k], top, a, float(gear[i]), limits.turning_radius)

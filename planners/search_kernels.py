@@ -160,6 +160,14 @@ def desk(hunt: Hunt, moves: Moves) -> Desk:
 
 
 @kernel
+def between(distance: Floats, i: int, k: int, a: float, b: float) -> float:
+    """Interpolate a raster from node (i, k) on, by the shares a and b of the way to the next nodes."""
+    near = (1 - b) * distance[i, k] + b * distance[i, k + 1]
+    far = (1 - b) * distance[i + 1, k] + b * distance[i + 1, k + 1]
+    return float((1 - a) * near + a * far)
+
+
+@kernel
 def attempt(
     x: float, y: float, h: int, m: int, j: int, world: World, moves: Moves, credits: Ints
 ) -> tuple[bool, int]:
@@ -208,11 +216,7 @@ def attempt(
             if near < least + 1.5 * step:
                 if near < least - 1.5 * step:
                     return False, 0
-                a, b = u - i, v - k
-                exact = (1 - a) * ((1 - b) * near + b * distance[i, k + 1]) + a * (
-                    (1 - b) * distance[i + 1, k] + b * distance[i + 1, k + 1]
-                )
-                if exact < least:
+                if between(distance, i, k, u - i, v - k) < least:
                     return False, 0
         if is_vain:
             continue

@@ -30,8 +30,6 @@ from planners.steering import Curve, Pen, joined
 
 logger = logging.getLogger(__name__)
 
-TRIES = 1
-"""Searches of each room, of which the best is kept."""
 SPIN, ALONE = Settings(beam=170, executed=1.2, flood_width=400, flood_layers=300), 100
 """How hard to search for robots that turn in place, each room once: a wide beam finds more than two narrow ones. The only
 room of a floor is searched twice by a beam of ALONE, since a processor would be idle."""
@@ -65,7 +63,7 @@ def plan_search(task: Task) -> Driven:
     if task.robot.drive != "diff":
         return _by_car(task)
     todo = wanted(task)
-    table = spinning(task.robot.limits, task.coverage.headings, task.rate)
+    table = _table(task)
     bands = [
         todo & (levels(task, todo) == band)[:, :, None]
         for band in np.unique(levels(task, todo)[todo.any(axis=2)])
@@ -177,15 +175,20 @@ def _pose_in(need: Bools, task: Task) -> Floats | None:
 
 
 def _table(task: Task) -> Table:
-    """Return the primitives of the task's car."""
-    return driving(task.robot.limits, task.coverage.headings, task.rate, GEARS[task.robot.drive])
+    """Return the primitives of the task's robot."""
+    limits, headings, drive = task.robot.limits, task.coverage.headings, task.robot.drive
+    return (
+        spinning(limits, headings, task.rate)
+        if drive == "diff"
+        else driving(limits, headings, task.rate, GEARS[drive])
+    )
 
 
 def _side_by_side(
     job: Callable[[int, int, Callable[[int], bool]], Visit | None],
     sizes: list[int],
     task: Task,
-    tries: int = TRIES,
+    tries: int = 1,
 ) -> tuple[list[Visit | None], bool]:
     """Do each job (number, seed, tick) some times on all processors; return the best visit of each.
 
@@ -242,22 +245,16 @@ def _side_by_side(
 
 def _compiled(task: Task) -> None:
     """Compile the kernels, or read them from disk, before the progress starts: search for no bin at all."""
-    drive, limits, headings = task.robot.drive, task.robot.limits, task.coverage.headings
     said = threading.Timer(SLOW, logger.warning, ["compiling the search for this machine: a minute, once"])
     said.daemon = True
-    table = (
-        spinning(limits, headings, task.rate)
-        if drive == "diff"
-        else driving(limits, headings, task.rate, GEARS[drive])
-    )
     cells = np.zeros(task.reach.shape, dtype=np.bool_)
     cells[tuple(np.argwhere(task.reach.cells())[0])] = True
     place = scene(task.reach, cells)
-    none = np.zeros((*place.inner.shape, headings), dtype=np.bool_)
+    none = np.zeros((*place.inner.shape, task.coverage.headings), dtype=np.bool_)
     said.start()
     try:
-        Search(place, table, none, task.rate).run(lambda _: False)
-        if drive != "diff":
+        Search(place, _table(task), none, task.rate).run(lambda _: False)
+        if task.robot.drive != "diff":
             _shorten_nothing(task)
     finally:
         said.cancel()

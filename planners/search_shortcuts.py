@@ -22,7 +22,8 @@ from planners.arena import Bools, Floats
 from planners.kernel import kernel
 from planners.order import Ints
 from planners.reach import Reach
-from planners.robot import Limits
+from planners.robot import SHORTEST_ARC, Limits
+from planners.search_kernels import between
 from planners.search_words import MOST_ARCS, Arcs, along, arcs_for, chain, part_of, quickest
 
 SAMPLE = 0.005
@@ -31,8 +32,6 @@ CLEAR = 0.02
 """[m] between the poses of which the clearance is looked at."""
 PIECES = {False: 0.16, True: 0.12}
 """[m] longest arc that is kept in one, of a car without or with a reverse gear: a part begins and ends with an arc."""
-SHORTEST = 0.01
-"""[m] of an arc: steering takes time too."""
 LONGEST = 60.0
 """[s] of a part."""
 ALONE = (2, 4)
@@ -248,6 +247,15 @@ def stretches(drive: Drive, ground: Ground) -> Stretches:
 
 
 @kernel
+def winning(parts: Stretches, ground: Ground) -> Bools:
+    """Return (m,) which stretches win their bin."""
+    found = np.zeros(len(parts.bin), np.bool_)
+    for k in range(len(found)):
+        found[k] = parts.bin[k] >= 0 and counts(parts.length[k], parts.stops[k], ground)
+    return found
+
+
+@kernel
 def rest_to_rest(length: float, ground: Ground) -> float:
     """Return how long [s] a run in one gear takes."""
     v, a = ground.speed, ground.acceleration
@@ -342,11 +350,7 @@ def is_clear(start: Floats, arcs: Arcs, n: int, ground: Ground) -> bool:
             i, k = int(u), int(v)
             if u < 0 or v < 0 or i >= distance.shape[0] - 1 or k >= distance.shape[1] - 1:
                 return False
-            a, b = u - i, v - k
-            near = (1 - a) * ((1 - b) * distance[i, k] + b * distance[i, k + 1]) + a * (
-                (1 - b) * distance[i + 1, k] + b * distance[i + 1, k + 1]
-            )
-            if near < ground.least:
+            if between(distance, i, k, u - i, v - k) < ground.least:
                 return False
         pose[:] = place
     return True
@@ -372,7 +376,7 @@ def across(i: int, j: int, by: int, drive: Drive, parts: Stretches, ground: Grou
             middle_of(by, drive, parts, ground, middle)
             goal, after = middle, 0
         more = quickest(
-            start, goal, ground.radius, gear, after, ground.pause, ground.is_backward, SHORTEST, n, out
+            start, goal, ground.radius, gear, after, ground.pause, ground.is_backward, SHORTEST_ARC, n, out
         )
         if more < 0:
             return -1
@@ -438,7 +442,7 @@ def unseen(
 
 
 @kernel
-def replace(i: int, j: int, alone: int, n_touched: int, known: Known, notes: Notes, cuts: Cuts) -> None:
+def weigh(i: int, j: int, alone: int, n_touched: int, known: Known, notes: Notes, cuts: Cuts) -> None:
     """Note the quickest way across from arc i to arc j, if it saves more than what is noted for arc i.
 
     alone : bins that this part alone wins; n_touched : all that it wins
@@ -524,7 +528,7 @@ def look(
                         alone += 1
             if alone > most or most_saved(i, j, drive, runs, ground) > LONGEST:
                 break
-            replace(i, j, alone, n_touched, known, notes, cuts)
+            weigh(i, j, alone, n_touched, known, notes, cuts)
         for k in range(n_touched):
             notes.within[notes.touched[k]] = 0
 
@@ -610,7 +614,7 @@ def ground_of(
     speed : [m/s] of the car
     rate : [Hz] of the log
     """
-    a = min(limits.a, limits.alpha * limits.turning_radius)
+    a = limits.a_on_arc
     return Ground(
         distance=reach.distance,
         need=np.ascontiguousarray(todo),
@@ -678,8 +682,7 @@ def _pass(
     """
     n, parts, runs = len(drive.length), stretches(drive, ground), gears(drive, ground)
     known = Known(drive, parts, runs, ground)
-    stays = (parts.length >= ground.stay) | ((parts.stops > 0) & (parts.length >= ground.slow))
-    good = (parts.bin >= 0) & stays
+    good = winning(parts, ground)
     count = np.bincount(parts.bin[good], minlength=ground.need.size)
     fixed = (parts.bin >= 0) & (count[parts.bin] == 0)
     cuts = Cuts(np.zeros(n), np.zeros(n, dtype=np.int64), np.full(n, -1))
