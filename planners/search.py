@@ -336,7 +336,7 @@ class Search:
         where = self.place
         grid = lattice(self.table, where.distance, where.step, where.cell, where.least)
         side = grid.side if self.settings.narrow > 0 else 1
-        value = np.empty((side, side, len(grid.bins), grid.n_gears), dtype=np.int16)
+        value = np.empty(side * side * len(grid.bins) * grid.n_gears, dtype=np.int16)
         room = np.empty((2, 4 * value.size), dtype=np.int32)
         heads = np.empty(int(grid.cost.max()) + grid.pause + 1, dtype=np.int32)
         return kernels.Outlook(grid, value, room[0], room[1], heads, np.zeros(2, dtype=np.int64))

@@ -220,18 +220,17 @@ def cycle(reach: Reach, limits: Limits, headings: int, rate: float, pose: Floats
     begins at the end of the arc by which the car leaves the pose, or comes to it.
     """
     wanted = np.repeat(np.asarray(reach.blocks(reach.mask).any(axis=-1))[:, :, None], headings, axis=2)
-    bins, allowed, place = np.zeros_like(wanted), None, scene(reach)
+    allowed, place, need = None, scene(reach), np.zeros_like(wanted)
     for gear in (-1, 1):
         begun = begin(pose, place, limits, headings, rate, (gear,))
         search = Search(place, begun.table, wanted, rate)
-        search.want(wanted, inner=False)
+        search.want(wanted if gear > 0 else need, inner=False)
         shape = np.ceil(np.array(reach.shape) * reach.cell / FINE).astype(int) + 2
         met = np.zeros((*shape, begun.table.n_headings), dtype=np.bool_)
-        bins[:] = False
         allowed = np.ones_like(met) if allowed is None else allowed
-        kernels.spread(begun.state, allowed, met, bins, search.world, search.moves(), FINE)
-        allowed = met
-    return bins
+        kernels.spread(begun.state, allowed, met, search.world, search.moves(), FINE)
+        allowed, left = met, search.world.need
+    return np.asarray(wanted & ~left)
 
 
 def state_at(table: Table, pose: Floats, mode: int = 0) -> Floats:

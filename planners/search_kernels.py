@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.arena import Bools, Floats
-from planners.kernel import kernel
+from planners.kernel import inlined_kernel, inner_kernel, kernel
 from planners.order import Ints
 from planners.search_outlook import FARTHEST, Lattice, Units, wave
 
@@ -99,7 +99,7 @@ class Outlook(NamedTuple):
 
     grid: Lattice
     value: Units
-    """(side, side, n_classes, n_gears)"""
+    """(side * side * n_classes * n_gears,)"""
     queue: Branches
     following: Branches
     heads: Branches
@@ -159,7 +159,7 @@ def desk(hunt: Hunt, moves: Moves) -> Desk:
     )
 
 
-@kernel
+@inner_kernel
 def between(distance: Floats, i: int, k: int, a: float, b: float) -> float:
     """Interpolate a raster from node (i, k) on, by the shares a and b of the way to the next nodes."""
     near = (1 - b) * distance[i, k] + b * distance[i, k + 1]
@@ -167,7 +167,7 @@ def between(distance: Floats, i: int, k: int, a: float, b: float) -> float:
     return float((1 - a) * near + a * far)
 
 
-@kernel
+@inlined_kernel
 def attempt(
     x: float, y: float, h: int, m: int, j: int, world: World, moves: Moves, credits: Ints
 ) -> tuple[bool, int]:
@@ -244,7 +244,7 @@ def attempt(
     return True, n_won
 
 
-@kernel
+@inner_kernel
 def potential(world: World, far: Ints, queue: Ints) -> None:
     """Fill `far (nx, ny)` with the count of cell borders to the nearest cell where something is missing."""
     missing, links = world.missing, world.links
@@ -269,7 +269,7 @@ def potential(world: World, far: Ints, queue: Ints) -> None:
                     tail += 1
 
 
-@kernel
+@inlined_kernel
 def end_of(x: float, y: float, h: int, m: int, j: int, moves: Moves) -> tuple[float, float, int, int]:
     """Return the state after branch j."""
     way = moves.ways[h, m, j, moves.bins.shape[3]]
@@ -336,13 +336,13 @@ def goes_on(
     return not world.trapped[i, k, h]
 
 
-@kernel
+@inner_kernel
 def cells_away(x: float, y: float, world: World, far: Ints) -> int:
     """Return how many cell borders lie before something missing."""
     return int(far[int((x - world.x0) / world.cell), int((y - world.y0) / world.cell)])
 
 
-@kernel
+@inner_kernel
 def find_slot(table: Ints, stamp: int, marks: Ints, key: int) -> int:
     """Return the slot of `key` in an open hash table, or -1 - slot if it is new; other stamps mark what is free."""
     mask = len(table) - 1
@@ -357,14 +357,14 @@ def find_slot(table: Ints, stamp: int, marks: Ints, key: int) -> int:
     return -slot - 1
 
 
-@kernel
+@inner_kernel
 def lattice_key(x: float, y: float, h: int, m: int, world: World, moves: Moves, fine: float) -> int:
     """Return the lattice cell of a state."""
     i, k = int((x - world.x0) / fine), int((y - world.y0) / fine)
     return int(((i * 65536 + k) * moves.ways.shape[0] + h) * moves.ways.shape[1] + m)
 
 
-@kernel
+@inner_kernel
 def look(state: Floats, world: World, ahead: Outlook) -> None:
     """Tell how far what is missing is from the poses round a state."""
     i0, k0 = wave(
@@ -383,14 +383,15 @@ def look(state: Floats, world: World, ahead: Outlook) -> None:
     ahead.corner[0], ahead.corner[1] = i0, k0
 
 
-@kernel
+@inner_kernel
 def units_away(x: float, y: float, h: int, m: int, world: World, ahead: Outlook) -> int:
     """Return how many units of time lie before something missing; FARTHEST where that was not seen."""
     i = int((x - world.x0) / ahead.grid.fine) - ahead.corner[0]
     k = int((y - world.y0) / ahead.grid.fine) - ahead.corner[1]
     if i < 0 or k < 0 or i >= ahead.grid.side or k >= ahead.grid.side:
         return FARTHEST
-    away = int(ahead.value[i, k, h // ahead.grid.group, m])
+    pose = (i * ahead.grid.side + k) * len(ahead.grid.bins) + h // ahead.grid.group
+    away = int(ahead.value[pose * ahead.grid.n_gears + m])
     return away if away >= 0 else FARTHEST
 
 
@@ -403,6 +404,53 @@ def best_of(costs: Floats, most: int) -> Ints:
     return few[np.argsort(costs[few], kind="mergesort")]
 
 
+@inner_kernel
+def _grow(
+    node: int,
+    layer: int,
+    n_nodes: int,
+    room: int,
+    hunt: Hunt,
+    world: World,
+    moves: Moves,
+    far: Ints,
+    desk: Desk,
+    credits: Ints,
+) -> int:
+    """Add the children of a node of the beam to those that wait, at most `room` of a layer; return the count of nodes."""
+    at, wins, fill = desk.at, desk.wins, desk.fill
+    x, y, h, m = at[node, 0], at[node, 1], desk.hs[node], desk.ms[node]
+    ny, n_phi = world.need.shape[1], world.need.shape[2]
+    for j in range(moves.then.shape[1]):
+        if moves.then[m, j] < 0 or moves.patient[m, j]:
+            continue
+        later = layer + moves.cost[m, j]
+        if fill[later] >= room or n_nodes >= len(at):
+            continue
+        free, n_won = attempt(x, y, h, m, j, world, moves, credits)
+        if not free:
+            continue
+        gain, count = 0.0, 0
+        for c in range(n_won):
+            if _has_won(node, credits[c], desk.parents, desk.won, wins):
+                continue
+            ci, ck = credits[c] // (n_phi * ny), (credits[c] // n_phi) % ny
+            gain += world.value[ci, ck] * (1.0 + hunt.eagerness * (1.0 - world.missing[ci, ck] / n_phi))
+            wins[n_nodes, count] = credits[c]
+            count += 1
+        at[n_nodes, 0], at[n_nodes, 1], desk.hs[n_nodes], desk.ms[n_nodes] = end_of(x, y, h, m, j, moves)
+        desk.parents[n_nodes], desk.branches[n_nodes], desk.won[n_nodes] = node, j, count
+        desk.totals[n_nodes] = desk.totals[node] + count
+        desk.scores[n_nodes] = desk.scores[node] + gain * (1.0 - hunt.discount * layer)
+        if later >= hunt.horizon:
+            away = min(cells_away(at[n_nodes, 0], at[n_nodes, 1], world, far), 1000)
+            desk.scores[n_nodes] -= hunt.pull * away + OVERTIME * (later - hunt.horizon)
+        desk.pool[later, fill[later]] = n_nodes
+        fill[later] += 1
+        n_nodes += 1
+    return n_nodes
+
+
 @kernel
 def harvest(
     state: Floats, hunt: Hunt, world: World, moves: Moves, far: Ints, desk: Desk, out: Branches
@@ -411,19 +459,16 @@ def harvest(
 
     Children wait in a pool for each unit of time; of each pool the `hunt.width` best that differ go on.
     """
-    n_branches = moves.then.shape[1]
-    ny, n_phi = world.need.shape[1], world.need.shape[2]
     horizon = hunt.horizon
     layers = horizon + moves.cost.max()
-    room = hunt.width * n_branches * (2 if n_branches > 3 else 1)
-    most = layers * room
+    room = hunt.width * moves.then.shape[1] * (2 if moves.then.shape[1] > 3 else 1)
     at, scores, hs, ms = desk.at, desk.scores, desk.hs, desk.ms
-    totals, parents, branches, won, wins = desk.totals, desk.parents, desk.branches, desk.won, desk.wins
     pool, fill = desk.pool, desk.fill
     fill[:] = 0
     credits = np.empty(CREDITS, np.int64)
     at[0, 0], at[0, 1], hs[0], ms[0] = state[0], state[1], int(state[2]), int(state[3])
-    scores[0], parents[0], won[0], totals[0], pool[0, 0], fill[0] = 0.0, -1, 0, 0, 0, 1
+    scores[0], desk.parents[0], desk.won[0], desk.totals[0] = 0.0, -1, 0, 0
+    pool[0, 0], fill[0] = 0, 1
     n_nodes = 1
     for layer in range(horizon):
         desk.stamp[0] += 1
@@ -431,42 +476,13 @@ def harvest(
         kept = 0
         for o in order:
             node = pool[layer, o]
-            x, y, h, m = at[node, 0], at[node, 1], hs[node], ms[node]
-            key = lattice_key(x, y, h, m, world, moves, hunt.lattice)
+            key = lattice_key(at[node, 0], at[node, 1], hs[node], ms[node], world, moves, hunt.lattice)
             if find_slot(desk.keys, desk.stamp[0], desk.marks, key) >= 0:
                 continue  # a better one is there
             kept += 1
             if kept > hunt.width:
                 break
-            for j in range(n_branches):
-                if moves.then[m, j] < 0 or moves.patient[m, j]:
-                    continue
-                later = layer + moves.cost[m, j]
-                if fill[later] >= room or n_nodes >= most:
-                    continue
-                free, n_won = attempt(x, y, h, m, j, world, moves, credits)
-                if not free:
-                    continue
-                gain, count = 0.0, 0
-                for c in range(n_won):
-                    if _has_won(node, credits[c], parents, won, wins):
-                        continue
-                    ci, ck = credits[c] // (n_phi * ny), (credits[c] // n_phi) % ny
-                    gain += world.value[ci, ck] * (
-                        1.0 + hunt.eagerness * (1.0 - world.missing[ci, ck] / n_phi)
-                    )
-                    wins[n_nodes, count] = credits[c]
-                    count += 1
-                at[n_nodes, 0], at[n_nodes, 1], hs[n_nodes], ms[n_nodes] = end_of(x, y, h, m, j, moves)
-                parents[n_nodes], branches[n_nodes], won[n_nodes] = node, j, count
-                totals[n_nodes] = totals[node] + count
-                scores[n_nodes] = scores[node] + gain * (1.0 - hunt.discount * layer)
-                if later >= horizon:
-                    away = min(cells_away(at[n_nodes, 0], at[n_nodes, 1], world, far), 1000)
-                    scores[n_nodes] -= hunt.pull * away + OVERTIME * (later - horizon)
-                pool[later, fill[later]] = n_nodes
-                fill[later] += 1
-                n_nodes += 1
+            n_nodes = _grow(node, layer, n_nodes, room, hunt, world, moves, far, desk, credits)
     leaves = np.empty(fill[horizon:].sum(), np.int32)
     n_leaves = 0
     for layer in range(horizon, layers + 1):
@@ -475,11 +491,11 @@ def harvest(
     for o in np.argsort(-scores[leaves], kind="mergesort"):
         node = leaves[o]
         if goes_on(at[node, 0], at[node, 1], hs[node], ms[node], hunt, world, moves, credits):
-            return trace(node, parents, branches, out), totals[node]
+            return trace(node, desk.parents, desk.branches, out), desk.totals[node]
     return 0, 0
 
 
-@kernel
+@inner_kernel
 def _has_won(node: int, credit: int, parents: Branches, won: Branches, wins: Ints) -> bool:
     """Tell whether a bin was won on the way to a node."""
     while node > 0:
@@ -490,7 +506,7 @@ def _has_won(node: int, credit: int, parents: Branches, won: Branches, wins: Int
     return False
 
 
-@kernel
+@inner_kernel
 def trace(node: int, parents: Branches, branches: Branches, out: Branches) -> int:
     """Write the branches that lead to a node; return how many."""
     n, up = 0, node
@@ -501,6 +517,46 @@ def trace(node: int, parents: Branches, branches: Branches, out: Branches) -> in
         out[k] = branches[node]
         node = parents[node]
     return n
+
+
+@inner_kernel
+def _flow(
+    node: int,
+    layer: int,
+    n_nodes: int,
+    room: int,
+    hunt: Hunt,
+    world: World,
+    moves: Moves,
+    desk: Desk,
+    credits: Ints,
+) -> tuple[int, bool]:
+    """Add what a state of the flood leads to; return the count of states, -1 if too many, and whether some were left out."""
+    at, fill, ring = desk.at, desk.fill, moves.cost.max() + 1
+    x, y, h, m = at[node, 0], at[node, 1], desk.hs[node], desk.ms[node]
+    was_full = False
+    for j in range(moves.then.shape[1]):
+        if moves.then[m, j] < 0:
+            continue
+        free, n_won = attempt(x, y, h, m, j, world, moves, credits)
+        if not free:
+            continue
+        x2, y2, h2, m2 = end_of(x, y, h, m, j, moves)
+        key = 2 * lattice_key(x2, y2, h2, m2, world, moves, hunt.lattice) + (n_won > 0)
+        if find_slot(desk.keys, desk.stamp[0], desk.marks, key) >= 0:
+            continue
+        later = (layer + moves.cost[m, j]) % ring
+        if n_nodes >= hunt.flood_states:
+            return -1, was_full
+        if fill[later] >= room:
+            was_full = True
+            continue
+        at[n_nodes, 0], at[n_nodes, 1], desk.hs[n_nodes], desk.ms[n_nodes] = x2, y2, h2, m2
+        desk.parents[n_nodes], desk.branches[n_nodes], desk.won[n_nodes] = node, j, n_won
+        desk.pool[later, fill[later]] = n_nodes
+        fill[later] += 1
+        n_nodes += 1
+    return n_nodes, was_full
 
 
 @kernel
@@ -522,16 +578,14 @@ def flood(
     something missing go on: nearest by what was seen `ahead`, or by cells.
     0: nothing is within reach at this resolution; -1: gave up.
     """
-    n_branches, most = moves.then.shape[1], hunt.flood_states
     at, hs, ms, gains = desk.at, desk.hs, desk.ms, desk.won
-    parents, branches = desk.parents, desk.branches
     ring, room = moves.cost.max() + 1, width * 8
     pool, fill = desk.pool, desk.fill
     fill[:] = 0
     credits = np.empty(CREDITS, np.int64)
     desk.stamp[0] += 1
     at[0, 0], at[0, 1], hs[0], ms[0] = state[0], state[1], int(state[2]), int(state[3])
-    parents[0], gains[0], pool[0, 0], fill[0] = -1, 0, 0, 1
+    desk.parents[0], gains[0], pool[0, 0], fill[0] = -1, 0, 0, 1
     n_nodes, is_cut = 1, False
     for layer in range(hunt.flood_layers):
         here = pool[layer % ring, : fill[layer % ring]]
@@ -544,7 +598,7 @@ def flood(
             ):
                 top, chosen = gains[node], node
         if chosen >= 0:
-            return trace(chosen, parents, branches, out)
+            return trace(chosen, desk.parents, desk.branches, out)
         away = np.empty(len(here), np.int64)
         for o in range(len(here)):
             node = here[o]
@@ -554,29 +608,10 @@ def flood(
                 away[o] = cells_away(at[node, 0], at[node, 1], world, far)
         is_cut = is_cut or len(here) > width
         for o in np.argsort(away, kind="mergesort")[:width]:
-            node = here[o]
-            x, y, h, m = at[node, 0], at[node, 1], hs[node], ms[node]
-            for j in range(n_branches):
-                if moves.then[m, j] < 0:
-                    continue
-                free, n_won = attempt(x, y, h, m, j, world, moves, credits)
-                if not free:
-                    continue
-                x2, y2, h2, m2 = end_of(x, y, h, m, j, moves)
-                key = 2 * lattice_key(x2, y2, h2, m2, world, moves, hunt.lattice) + (n_won > 0)
-                if find_slot(desk.keys, desk.stamp[0], desk.marks, key) >= 0:
-                    continue
-                later = (layer + moves.cost[m, j]) % ring
-                if n_nodes >= most:
-                    return -1
-                if fill[later] >= room:
-                    is_cut = True
-                    continue
-                at[n_nodes, 0], at[n_nodes, 1], hs[n_nodes], ms[n_nodes] = x2, y2, h2, m2
-                parents[n_nodes], branches[n_nodes], gains[n_nodes] = node, j, n_won
-                pool[later, fill[later]] = n_nodes
-                fill[later] += 1
-                n_nodes += 1
+            n_nodes, was_full = _flow(here[o], layer, n_nodes, room, hunt, world, moves, desk, credits)
+            is_cut = is_cut or was_full
+            if n_nodes < 0:
+                return -1
         fill[layer % ring] = 0
     return -1
 
@@ -601,7 +636,7 @@ def transfer(
     return flood(state, hunt, world, moves, far, hunt.flood_width, False, ahead, desk, out)
 
 
-@kernel
+@inner_kernel
 def drive(state: Floats, j: int, world: World, moves: Moves, credits: Ints) -> int:
     """Drive branch j, take what it wins off what is wanted, and return how many bins that were."""
     n_won, ny, n_phi = 0, world.need.shape[1], world.need.shape[2]
@@ -666,16 +701,48 @@ def advance(
             counters[0] += 1
 
 
-@kernel
-def spread(
-    state: Floats, allowed: Bools, met: Bools, bins: Bools, world: World, moves: Moves, lattice: float
+@inner_kernel
+def _spread_on(
+    head: int,
+    tail: int,
+    at: Floats,
+    hs: Branches,
+    allowed: Bools,
+    met: Bools,
+    world: World,
+    moves: Moves,
+    lattice: float,
+    credits: Ints,
 ) -> int:
+    """Queue the states that state `head` leads to; return the end of the queue."""
+    ny, n_phi = world.need.shape[1], world.need.shape[2]
+    x, y, h = at[head, 0], at[head, 1], hs[head]
+    for j in range(moves.then.shape[1]):
+        free, n_won = attempt(x, y, h, 0, j, world, moves, credits)
+        if not free:
+            continue
+        x2, y2, h2, _ = end_of(x, y, h, 0, j, moves)
+        i, k = int((x2 - world.x0) / lattice), int((y2 - world.y0) / lattice)
+        if not allowed[i, k, h2]:
+            continue
+        for c in range(n_won):
+            ci, ck, b = credits[c] // (n_phi * ny), (credits[c] // n_phi) % ny, credits[c] % n_phi
+            world.missing[ci, ck] -= world.need[ci, ck, b]
+            world.need[ci, ck, b] = False
+        if not met[i, k, h2]:
+            met[i, k, h2] = True
+            at[tail, 0], at[tail, 1], hs[tail] = x2, y2, h2
+            tail += 1
+    return tail
+
+
+@kernel
+def spread(state: Floats, allowed: Bools, met: Bools, world: World, moves: Moves, lattice: float) -> int:
     """Flood all that can be reached within `allowed`; return how many lattice cells `met` were, both (n, n, n_headings).
 
-    `bins (nx, ny, n_phi)` is filled with those in which some primitive stays long enough.
+    The bins in which some primitive stays long enough are taken off what the world wants.
     """
     met[:] = False
-    ny, n_phi = world.need.shape[1], world.need.shape[2]
     size = 1 << 16
     at, hs = np.empty((size, 2)), np.empty(size, np.int32)
     credits = np.empty(CREDITS, np.int64)
@@ -683,25 +750,10 @@ def spread(
     head, tail = 0, 1
     met[int((state[0] - world.x0) / lattice), int((state[1] - world.y0) / lattice), hs[0]] = True
     while head < tail:
-        x, y, h = at[head, 0], at[head, 1], hs[head]
+        if tail + moves.then.shape[1] > len(hs):
+            more, turned = np.empty((2 * len(hs), 2)), np.empty(2 * len(hs), np.int32)
+            more[:tail], turned[:tail] = at[:tail], hs[:tail]
+            at, hs = more, turned
+        tail = _spread_on(head, tail, at, hs, allowed, met, world, moves, lattice, credits)
         head += 1
-        for j in range(moves.then.shape[1]):
-            free, n_won = attempt(x, y, h, 0, j, world, moves, credits)
-            if not free:
-                continue
-            x2, y2, h2, _ = end_of(x, y, h, 0, j, moves)
-            i, k = int((x2 - world.x0) / lattice), int((y2 - world.y0) / lattice)
-            if not allowed[i, k, h2]:
-                continue
-            for c in range(n_won):
-                bins[credits[c] // (n_phi * ny), (credits[c] // n_phi) % ny, credits[c] % n_phi] = True
-            if met[i, k, h2]:
-                continue
-            met[i, k, h2] = True
-            if tail >= len(hs):
-                more, turned = np.empty((2 * tail, 2)), np.empty(2 * tail, np.int32)
-                more[:tail], turned[:tail] = at, hs
-                at, hs = more, turned
-            at[tail, 0], at[tail, 1], hs[tail] = x2, y2, h2
-            tail += 1
     return tail

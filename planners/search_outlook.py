@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.arena import Bools, Floats
-from planners.kernel import kernel
+from planners.kernel import inner_kernel
 from planners.order import Ints
 from planners.search_table import Table
 
@@ -28,6 +28,8 @@ BEYOND = 6
 """Units of time that the wave goes on when it has come to the car."""
 RIM = 5
 """Points at the window's rim where no wave comes, more than a move is long."""
+PHASES = 16
+"""Lattice points round up and down in so many ways."""
 FARTHEST = 1 << 12
 """Units of time of what the wave does not reach."""
 Units = NDArray[np.int16]
@@ -44,10 +46,9 @@ class Lattice(NamedTuple):
     """Points of the window each way."""
     free: Bools
     """(Lx, Ly) points of the scene where the car may be, or almost."""
-    ahead: Floats
-    """(n_classes, n_moves, 2) points that a move leads on."""
-    turn: Ints
-    """(n_moves,) lattice headings turned."""
+    back: Ints
+    """(PHASES, n_classes, n_moves) from the place of a pose among the wave's values to that from which a move leads
+    there, if the gear stays."""
     cost: Ints
     """(n_moves,) units of time."""
     gear: Ints
@@ -69,22 +70,33 @@ def lattice(table: Table, distance: Floats, step: float, cell: float, least: flo
     size = (np.array(distance.shape) * step / fine).astype(np.int64)
     at = [np.minimum(((np.arange(n) + 0.5) * fine / step).astype(np.int64), distance.shape[k] - 1)
           for k, n in enumerate(size.tolist())]  # fmt: skip
+    side, bins, n_gears = (
+        2 * (int(np.ceil(AROUND / fine)) + RIM) + 1,
+        table.rests[group // 2 :: group],
+        len(table.then),
+    )
+    ahead = (
+        table.ways[group // 2 :: group, 0][:, own, -1] / fine
+    )  # (n_classes, n_moves, 2) points that a move leads on
+    classes, dither = np.arange(len(bins))[:, None], (np.arange(PHASES)[:, None, None] + 0.5) / PHASES
+    before = (classes - turn // group) % len(bins)
+    i, k = np.moveaxis(ahead[before, np.arange(len(turn))], -1, 0)
+    points = np.floor(i + dither) * side + np.floor(k + 1.0 - dither)
     return Lattice(
         fine=fine,
         group=group,
-        side=2 * (int(np.ceil(AROUND / fine)) + RIM) + 1,
+        side=side,
         free=np.ascontiguousarray(distance[np.ix_(*at)] >= least - SLACK),
-        ahead=np.ascontiguousarray(table.ways[group // 2 :: group, 0][:, own, -1] / fine),
-        turn=turn // group,
+        back=((before - classes - points * len(bins)) * n_gears).astype(np.int64),
         cost=length,
         gear=gear,
         pause=int((table.cost - table.cost.min(axis=0)).max()),
-        bins=table.rests[group // 2 :: group].astype(np.int64),
-        n_gears=len(table.then),
+        bins=bins.astype(np.int64),
+        n_gears=n_gears,
     )
 
 
-@kernel
+@inner_kernel
 def wave(
     x: float,
     y: float,
@@ -98,7 +110,7 @@ def wave(
     following: NDArray[np.int32],
     heads: NDArray[np.int32],
 ) -> tuple[int, int]:
-    """Fill `value (side, side, n_classes, n_gears)` with the units of time to the nearest missing bin.
+    """Fill `value (side * side * n_classes * n_gears,)` with the units of time to the nearest missing bin.
 
     x, y : [m] of the car, from the scene's origin; here, mode : its lattice heading, and its gear
     queue, following : of entries of the wave; heads : of the entries of each unit of time, in turn
@@ -111,32 +123,28 @@ def wave(
     i0, k0 = int(x / grid.fine) - side // 2, int(y / grid.fine) - side // 2
     n_queued = _begin(i0, k0, need, missing, grid, value, queue, following, heads)
     units, empty = 0, 0
-    ahead, turn, cost, gear, pause = grid.ahead, grid.turn, grid.cost, grid.gear, grid.pause
-    while empty < ring and (value[side // 2, side // 2, here, mode] + BEYOND) >= units:
+    at_car = ((side // 2 * side + side // 2) * n_classes + here) * n_gears + mode
+    while empty < ring and value[at_car] + BEYOND >= units:
         entry = heads[units % ring]
         heads[units % ring] = -1
         empty = empty + 1 if entry < 0 else 0
         while entry >= 0:
             state = queue[entry]
             entry = following[entry]
-            g = state % n_gears
-            c = (state // n_gears) % n_classes
-            k = (state // (n_gears * n_classes)) % side
-            i = state // (n_gears * n_classes * side)
-            if value[i, k, c, g] != units:
+            if value[state] != units:
                 continue  # reached earlier
-            dither = ((i * 5 + k * 3 + c * 7) & 15) / 16.0 + 1.0 / 32
-            for j in range(len(gear)):
-                if gear[j] != g:
+            g, pose = state % n_gears, state // n_gears
+            c, point = pose % n_classes, pose // n_classes
+            phase = ((point // side) * 5 + (point % side) * 3 + c * 7) % PHASES
+            for j in range(len(grid.gear)):
+                if grid.gear[j] != g:
                     continue
-                before = (c - turn[j]) % n_classes
-                pi = i - int(np.floor(ahead[before, j, 0] + dither))
-                pk = k - int(np.floor(ahead[before, j, 1] + 1.0 - dither))
+                before = state - g + grid.back[phase, c, j]
                 for own in range(n_gears):
-                    later = units + cost[j] + (pause if own != g else 0)
-                    if later < value[pi, pk, before, own] and n_queued < len(queue):
-                        value[pi, pk, before, own] = later
-                        queue[n_queued] = ((pi * side + pk) * n_classes + before) * n_gears + own
+                    later = units + grid.cost[j] + (grid.pause if own != g else 0)
+                    if later < value[before + own] and n_queued < len(queue):
+                        value[before + own] = later
+                        queue[n_queued] = before + own
                         following[n_queued] = heads[later % ring]
                         heads[later % ring] = n_queued
                         n_queued += 1
@@ -144,7 +152,7 @@ def wave(
     return i0, k0
 
 
-@kernel
+@inner_kernel
 def _begin(
     i0: int,
     k0: int,
@@ -169,14 +177,16 @@ def _begin(
             ci, ck = (i + i0) // POINTS, (k + k0) // POINTS
             if not grid.free[i + i0, k + k0]:
                 continue
-            value[i, k] = FARTHEST
+            first = (i * side + k) * n_classes * n_gears
+            value[first : first + n_classes * n_gears] = FARTHEST
             if missing[ci, ck] == 0:
                 continue
             for c in range(n_classes):
                 if need[ci, ck, grid.bins[c]]:
                     for g in range(n_gears):
-                        value[i, k, c, g] = 0
-                        queue[n_queued] = ((i * side + k) * n_classes + c) * n_gears + g
+                        state = first + c * n_gears + g
+                        value[state] = 0
+                        queue[n_queued] = state
                         following[n_queued] = heads[0]
                         heads[0] = n_queued
                         n_queued += 1

@@ -19,12 +19,12 @@ from typing import NamedTuple
 import numpy as np
 
 from planners.arena import Bools, Floats
-from planners.kernel import kernel
+from planners.kernel import inner_kernel, kernel
 from planners.order import Ints
 from planners.reach import Reach
 from planners.robot import SHORTEST_ARC, Limits
 from planners.search_kernels import between
-from planners.search_words import MOST_ARCS, Arcs, along, arcs_for, chain, part_of, quickest
+from planners.search_words import MOST_ARCS, Arcs, Pose, along, arcs_for, chain, part_of, quickest
 
 SAMPLE = 0.005
 """[m] between the poses of which the bin is looked at."""
@@ -167,13 +167,19 @@ class Notes(NamedTuple):
     won: Ints
     """(MOST_WON,) bins that the way across wins."""
     arcs: Arcs
-    middle: Floats
-    """(3,)"""
+    word: Floats
+    """(MOST_ARCS,)"""
 
 
-@kernel
-def flat_bin(pose: Floats, ground: Ground) -> int:
-    """Return the flat bin of a pose (3,), -1 where it does not count."""
+@inner_kernel
+def pose_at(drive: Drive, k: int) -> Pose:
+    """Return where arc k begins."""
+    return drive.poses[k, 0], drive.poses[k, 1], drive.poses[k, 2]
+
+
+@inner_kernel
+def flat_bin(pose: Pose, ground: Ground) -> int:
+    """Return the flat bin of a pose, -1 where it does not count."""
     nx, ny, n_phi = ground.need.shape
     i, k = int((pose[0] - ground.x0) / ground.cell), int((pose[1] - ground.y0) / ground.cell)
     b = int(np.floor(pose[2] * n_phi / (2 * np.pi) + 0.5)) % n_phi
@@ -182,13 +188,13 @@ def flat_bin(pose: Floats, ground: Ground) -> int:
     return int((i * ny + k) * n_phi + b)
 
 
-@kernel
+@inner_kernel
 def counts(length: float, stops: int, ground: Ground) -> bool:
     """Tell whether a log of any phase meets the bin of a stretch."""
     return length >= ground.stay or (stops > 0 and length >= ground.slow)
 
 
-@kernel
+@inner_kernel
 def samples(length: float, step: float) -> int:
     """Return how many samples an arc has."""
     return int(np.ceil(length / step))
@@ -204,22 +210,24 @@ def stretches(drive: Drive, ground: Ground) -> Stretches:
     length, start = np.zeros(most), np.zeros(most)
     last, first = np.empty(n + 1, np.int64), np.empty(n + 1, np.int64)
     until, way, stops_until = np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1, np.int64)
-    at, pose = -1, np.empty(3)
+    at = -1
     for k in range(n):
         last[k] = at
         if at >= 0:
             until[k], stops_until[k] = length[at], stops[at]
         is_stop = k == 0 or drive.gear[k] != drive.gear[k - 1]
         if is_stop:
-            own = flat_bin(drive.poses[k], ground)
+            own = flat_bin(pose_at(drive, k), ground)
             if at < 0 or own != bins[at]:  # of no length, if the car only stops there
                 at += 1
                 bins[at], start[at], stops[at] = own, way[k], 0
         count = samples(drive.length[k], SAMPLE)
         step = drive.length[k] / count
         for s in range(count):
-            along(drive.poses[k], (s + 0.5) * step, drive.bend[k], drive.gear[k], ground.radius, pose)
-            own = flat_bin(pose, ground)
+            own = flat_bin(
+                along(pose_at(drive, k), (s + 0.5) * step, drive.bend[k], drive.gear[k], ground.radius),
+                ground,
+            )
             if at < 0 or own != bins[at]:
                 at += 1
                 bins[at], start[at] = own, way[k] + s * step
@@ -255,7 +263,7 @@ def winning(parts: Stretches, ground: Ground) -> Bools:
     return found
 
 
-@kernel
+@inner_kernel
 def rest_to_rest(length: float, ground: Ground) -> float:
     """Return how long [s] a run in one gear takes."""
     v, a = ground.speed, ground.acceleration
@@ -279,7 +287,7 @@ def gears(drive: Drive, ground: Ground) -> Gears:
     return Gears(run, before, length[: at + 1].copy(), clock)
 
 
-@kernel
+@inner_kernel
 def time_across(i: int, j: int, arcs: Arcs, n: int, drive: Drive, runs: Gears, ground: Ground) -> float:
     """Return how long [s] the runs take that part (i, j) belongs to, with the `n` arcs in its place."""
     gear, length = drive.gear[i - 1], runs.before[i - 1] + drive.length[i - 1]
@@ -295,30 +303,28 @@ def time_across(i: int, j: int, arcs: Arcs, n: int, drive: Drive, runs: Gears, g
     return total + rest_to_rest(length + runs.length[runs.run[j]] - runs.before[j], ground)
 
 
-@kernel
+@inner_kernel
 def won(i: int, j: int, arcs: Arcs, n: int, drive: Drive, parts: Stretches, ground: Ground, out: Ints) -> int:
     """Write the bins won from the stretch before arc i to that after arc j, with `n` arcs in between; return their count."""
     own, length, stops = -1, 0.0, 0
     if parts.last[i] >= 0:
         own, length, stops = parts.bin[parts.last[i]], parts.until[i], parts.stops_until[i]
     gear, n_won = drive.gear[i - 1], 0
-    start, pose = drive.poses[i].copy(), np.empty(3)
+    start = pose_at(drive, i)
     for k in range(n):
         is_stop = arcs.gear[k] != gear
         stops += is_stop
         count = samples(arcs.length[k], SAMPLE)
         step = arcs.length[k] / count
         for s in range(count):
-            along(start, (s + 0.5) * step, arcs.bend[k], arcs.gear[k], ground.radius, pose)
-            this = flat_bin(pose, ground)
+            this = flat_bin(along(start, (s + 0.5) * step, arcs.bend[k], arcs.gear[k], ground.radius), ground)
             if this != own:
                 if own >= 0 and n_won < len(out) - 2 and counts(length, stops, ground):
                     out[n_won] = own
                     n_won += 1
                 own, length, stops = this, 0.0, int(s == 0 and is_stop)
             length += step
-        along(start, arcs.length[k], arcs.bend[k], arcs.gear[k], ground.radius, pose)
-        start[:] = pose
+        start = along(start, arcs.length[k], arcs.bend[k], arcs.gear[k], ground.radius)
         gear = arcs.gear[k]
     is_stop = gear != drive.gear[j]
     stops += is_stop
@@ -337,56 +343,69 @@ def won(i: int, j: int, arcs: Arcs, n: int, drive: Drive, parts: Stretches, grou
     return n_won
 
 
-@kernel
-def is_clear(start: Floats, arcs: Arcs, n: int, ground: Ground) -> bool:
-    """Tell whether the car keeps its distance on `n` arcs from a pose (3,)."""
+@inner_kernel
+def is_clear(pose: Pose, arcs: Arcs, n: int, ground: Ground) -> bool:
+    """Tell whether the car keeps its distance on `n` arcs from a pose."""
     distance = ground.distance
-    pose, place = start.copy(), np.empty(3)
     for m in range(n):
         count = samples(arcs.length[m], CLEAR)
         for s in range(1, count + 1):
-            along(pose, s * arcs.length[m] / count, arcs.bend[m], arcs.gear[m], ground.radius, place)
+            place = along(pose, s * arcs.length[m] / count, arcs.bend[m], arcs.gear[m], ground.radius)
             u, v = (place[0] - ground.x0) / ground.step - 0.5, (place[1] - ground.y0) / ground.step - 0.5
             i, k = int(u), int(v)
             if u < 0 or v < 0 or i >= distance.shape[0] - 1 or k >= distance.shape[1] - 1:
                 return False
             if between(distance, i, k, u - i, v - k) < ground.least:
                 return False
-        pose[:] = place
+        pose = along(pose, arcs.length[m], arcs.bend[m], arcs.gear[m], ground.radius)
     return True
 
 
-@kernel
-def middle_of(stretch: int, drive: Drive, parts: Stretches, ground: Ground, out: Floats) -> None:
-    """Write the pose (3,) in the middle of a stretch to `out`."""
+@inner_kernel
+def middle_of(stretch: int, drive: Drive, parts: Stretches, ground: Ground) -> Pose:
+    """Return the pose in the middle of a stretch."""
     way = parts.start[stretch] + 0.5 * parts.length[stretch]
     k = min(int(np.searchsorted(parts.way, way, side="right")) - 1, len(drive.length) - 1)
-    along(drive.poses[k], way - parts.way[k], drive.bend[k], drive.gear[k], ground.radius, out)
+    return along(pose_at(drive, k), way - parts.way[k], drive.bend[k], drive.gear[k], ground.radius)
 
 
-@kernel
-def across(i: int, j: int, by: int, drive: Drive, parts: Stretches, ground: Ground, out: Arcs) -> int:
-    """Write the quickest arcs from arc i to arc j, by way of the middle of a stretch or not (-1); return their count."""
-    middle, gear, n = drive.poses[i].copy(), drive.gear[i - 1], 0
-    start = middle.copy()
+@inner_kernel
+def across(
+    i: int, j: int, by: int, drive: Drive, parts: Stretches, ground: Ground, word: Floats, out: Arcs
+) -> int:
+    """Write the quickest arcs from arc i to arc j, by way of the middle of a stretch or not (-1); return their count.
+
+    word : (MOST_ARCS,) room to work in
+    """
+    gear, n = drive.gear[i - 1], 0
+    start = pose_at(drive, i)
     n_legs = 1 if by < 0 else 2
     for leg in range(n_legs):
-        goal, after = drive.poses[j], drive.gear[j]
+        goal, after = pose_at(drive, j), drive.gear[j]
         if leg < n_legs - 1:
-            middle_of(by, drive, parts, ground, middle)
-            goal, after = middle, 0
+            goal, after = middle_of(by, drive, parts, ground), 0
         more = quickest(
-            start, goal, ground.radius, gear, after, ground.pause, ground.is_backward, SHORTEST_ARC, n, out
+            start,
+            goal,
+            ground.radius,
+            gear,
+            after,
+            ground.pause,
+            ground.is_backward,
+            SHORTEST_ARC,
+            n,
+            word,
+            out,
         )
         if more < 0:
             return -1
         n += more
         gear = out.gear[n - 1] if n > 0 else gear
-        start[:] = middle
+        start = goal
     return n
 
 
-@kernel
+@inner_kernel
 def lost(n_touched: int, n_won: int, notes: Notes) -> tuple[int, int]:
     """Return how many bins would be lost, up to two, and the last of them."""
     for k in range(n_won):
@@ -401,7 +420,7 @@ def lost(n_touched: int, n_won: int, notes: Notes) -> tuple[int, int]:
     return n_lost, one
 
 
-@kernel
+@inner_kernel
 def unseen(
     i: int,
     j: int,
@@ -422,18 +441,18 @@ def unseen(
     for k in range(n_critical):
         if critical[k] == parts.bin[parts.last[i]] or critical[k] == parts.bin[parts.first[j]]:
             seen |= 1 << k
-    start, pose = drive.poses[i].copy(), np.empty(3)
+    start = pose_at(drive, i)
     for m in range(n):
         if seen == all_seen:
             return 0, -1
         count = samples(arcs.length[m], ground.stay / 2)
         for s in range(1, count + 1):
-            along(start, s * arcs.length[m] / count, arcs.bend[m], arcs.gear[m], ground.radius, pose)
+            pose = along(start, s * arcs.length[m] / count, arcs.bend[m], arcs.gear[m], ground.radius)
             own = flat_bin(pose, ground)
             for k in range(n_critical):
                 if critical[k] == own:
                     seen |= 1 << k
-        start[:] = pose
+        start = along(start, arcs.length[m], arcs.bend[m], arcs.gear[m], ground.radius)
     n_unseen, one = 0, -1
     for k in range(n_critical):
         if not seen & (1 << k):
@@ -441,7 +460,7 @@ def unseen(
     return n_unseen, one
 
 
-@kernel
+@inner_kernel
 def weigh(i: int, j: int, alone: int, n_touched: int, known: Known, notes: Notes, cuts: Cuts) -> None:
     """Note the quickest way across from arc i to arc j, if it saves more than what is noted for arc i.
 
@@ -449,12 +468,13 @@ def weigh(i: int, j: int, alone: int, n_touched: int, known: Known, notes: Notes
     """
     drive, parts, runs, ground = known
     best, before = max(cuts.saved[i], LEAST), time_of(i, j, runs)
-    arcs, middle, by = notes.arcs, notes.middle, -1
+    arcs, by = notes.arcs, -1
+    start, goal = pose_at(drive, i), pose_at(drive, j)
     most = most_saved(i, j, drive, runs, ground)
-    if most - least_way(drive.poses[i], drive.poses[j], ground.radius) / ground.speed <= best:
+    if most - least_way(start, goal, ground.radius) / ground.speed <= best:
         return
     for _ in range(2):
-        n_arcs = across(i, j, by, drive, parts, ground, arcs)
+        n_arcs = across(i, j, by, drive, parts, ground, notes.word, arcs)
         if n_arcs < 0:
             return
         saved = before - time_across(i, j, arcs, n_arcs, drive, runs, ground)
@@ -467,17 +487,42 @@ def weigh(i: int, j: int, alone: int, n_touched: int, known: Known, notes: Notes
                 n_won = won(i, j, arcs, n_arcs, drive, parts, ground, notes.won)
                 n_lost, one = lost(n_touched, n_won, notes)
         if n_lost == 0:
-            if is_clear(drive.poses[i], arcs, n_arcs, ground):
+            if is_clear(start, arcs, n_arcs, ground):
                 cuts.saved[i], cuts.end[i], cuts.by[i] = saved, j, by
             return
         if n_lost > 1 or by >= 0:
             return
         by = widest(one, parts.last[i], parts.first[j], parts)
-        middle_of(by, drive, parts, ground, middle)
-        way = least_way(drive.poses[i], middle, ground.radius)
-        way += least_way(middle, drive.poses[j], ground.radius)
+        middle = middle_of(by, drive, parts, ground)
+        way = least_way(start, middle, ground.radius) + least_way(middle, goal, ground.radius)
         if most - way / ground.speed <= best:
             return
+
+
+@inner_kernel
+def look_from(i: int, most: int, known: Known, good: Bools, fixed: Bools, notes: Notes, cuts: Cuts) -> None:
+    """Find the best part to replace that begins with arc i; see `look`."""
+    drive, parts, runs, ground = known
+    n_touched, alone, at = 0, 0, parts.last[i] - 1
+    for j in range(i + 1, len(drive.length)):
+        while at < parts.first[j]:
+            at += 1
+            if fixed[at]:
+                alone = most + 1
+            if good[at]:
+                own = parts.bin[at]
+                if notes.within[own] == 0:
+                    notes.touched[n_touched] = own
+                    n_touched += 1
+                notes.within[own] += 1
+                if notes.within[own] == notes.winners[own]:
+                    notes.critical[min(alone, most)] = own
+                    alone += 1
+        if alone > most or most_saved(i, j, drive, runs, ground) > LONGEST:
+            break
+        weigh(i, j, alone, n_touched, known, notes, cuts)
+    for k in range(n_touched):
+        notes.within[notes.touched[k]] = 0
 
 
 @kernel
@@ -497,63 +542,42 @@ def look(
     most : bins that a part alone wins
     good : (m,) stretches that win their bin; fixed : (m,) those that must stay; count : (n_bins,) how many win each
     """
-    drive, parts, runs, ground = known
-    n = len(drive.length)
+    n = len(known.drive.length)
     notes = Notes(
         count,
         np.zeros(len(count), np.int64),
-        np.empty(len(parts.bin), np.int64),
+        np.empty(len(known.parts.bin), np.int64),
         np.empty(most + 1, np.int64),
         np.empty(MOST_WON, np.int64),
         arcs_for(2 * MOST_ARCS),
-        np.empty(3),
+        np.empty(MOST_ARCS),
     )
     for i in range(max(begin, 1), min(stop, n - 1)):
-        if not fresh[i]:
-            continue
-        n_touched, alone, at = 0, 0, parts.last[i] - 1
-        for j in range(i + 1, n):
-            while at < parts.first[j]:
-                at += 1
-                if fixed[at]:
-                    alone = most + 1
-                if good[at]:
-                    own = parts.bin[at]
-                    if notes.within[own] == 0:
-                        notes.touched[n_touched] = own
-                        n_touched += 1
-                    notes.within[own] += 1
-                    if notes.within[own] == count[own]:
-                        notes.critical[min(alone, most)] = own
-                        alone += 1
-            if alone > most or most_saved(i, j, drive, runs, ground) > LONGEST:
-                break
-            weigh(i, j, alone, n_touched, known, notes, cuts)
-        for k in range(n_touched):
-            notes.within[notes.touched[k]] = 0
+        if fresh[i]:
+            look_from(i, most, known, good, fixed, notes, cuts)
 
 
-@kernel
+@inner_kernel
 def time_of(i: int, j: int, runs: Gears) -> float:
     """Return how long [s] the runs take that part (i, j) belongs to."""
     return float(runs.clock[runs.run[j] + 1] - runs.clock[runs.run[i - 1]])
 
 
-@kernel
+@inner_kernel
 def most_saved(i: int, j: int, drive: Drive, runs: Gears, ground: Ground) -> float:
     """Return how much [s] were saved if there were no way from arc i to arc j."""
     outside = runs.before[i - 1] + drive.length[i - 1] + runs.length[runs.run[j]] - runs.before[j]
     return float(time_of(i, j, runs) - outside / ground.speed)
 
 
-@kernel
-def least_way(one: Floats, other: Floats, radius: float) -> float:
-    """Return what lies between two poses (3,) at least [m]: the straight way, or the turn by an arc."""
+@inner_kernel
+def least_way(one: Pose, other: Pose, radius: float) -> float:
+    """Return what lies between two poses at least [m]: the straight way, or the turn by an arc."""
     turn = abs((other[2] - one[2] + np.pi) % (2 * np.pi) - np.pi)
     return float(max(np.hypot(one[0] - other[0], one[1] - other[1]), radius * turn))
 
 
-@kernel
+@inner_kernel
 def widest(own: int, first: int, last: int, parts: Stretches) -> int:
     """Return the longest of the stretches `first` to `last` in a bin."""
     best = -1
@@ -568,7 +592,7 @@ def choose(
     drive: Drive, parts: Stretches, runs: Gears, good: Bools, count: Ints, ground: Ground, cuts: Cuts
 ) -> Ints:
     """Return the arcs (k,) with which the parts to replace begin: those that save most first, none touching another."""
-    arcs, gained = arcs_for(2 * MOST_ARCS), np.empty(MOST_WON, np.int64)
+    arcs, word, gained = arcs_for(2 * MOST_ARCS), np.empty(MOST_ARCS), np.empty(MOST_WON, np.int64)
     is_run_taken, is_taken = np.zeros(len(runs.length), np.bool_), np.zeros(len(parts.bin), np.bool_)
     chosen, n_chosen = np.empty(len(drive.length), np.int64), 0
     for i in np.argsort(-cuts.saved, kind="mergesort"):
@@ -580,7 +604,7 @@ def choose(
             continue
         if ground.is_backward and is_run_taken[runs.run[i - 1] : runs.run[j] + 1].any():
             continue
-        n_arcs = across(i, j, cuts.by[i], drive, parts, ground, arcs)
+        n_arcs = across(i, j, cuts.by[i], drive, parts, ground, word, arcs)
         n_gained = won(i, j, arcs, n_arcs, drive, parts, ground, gained)
         for k in range(n_gained):
             count[gained[k]] += 1
@@ -652,11 +676,12 @@ def drive_of(pose: Floats, arcs: Arcs, ground: Ground) -> tuple[Drive, Ints]:
     return Drive(poses, length, bend, gear), inside.clip(0, len(ends) - 1)
 
 
-@kernel
+@inner_kernel
 def follow(poses: Floats, length: Floats, bend: Ints, gear: Ints, radius: float) -> None:
     """Fill `poses` (n + 1, 3) after the first with the ends of n arcs."""
     for k in range(len(length)):
-        along(poses[k], length[k], bend[k], gear[k], radius, poses[k + 1])
+        pose = poses[k, 0], poses[k, 1], poses[k, 2]
+        poses[k + 1, 0], poses[k + 1, 1], poses[k + 1, 2] = along(pose, length[k], bend[k], gear[k], radius)
 
 
 def shorter(drive: Drive, ground: Ground) -> Iterator[Drive]:
@@ -707,7 +732,7 @@ def _spliced(drive: Drive, parts: Stretches, ground: Ground, cuts: Cuts, chosen:
     -------
     drive, and (n,) its arcs with which a part may begin that could not be replaced before
     """
-    room, at = arcs_for(2 * MOST_ARCS), 0
+    room, word, at = arcs_for(2 * MOST_ARCS), np.empty(MOST_ARCS), 0
     before = Arcs(drive.length, drive.bend, drive.gear)
     fresh = cuts.saved > 0
     for i in chosen.tolist():
@@ -715,7 +740,7 @@ def _spliced(drive: Drive, parts: Stretches, ground: Ground, cuts: Cuts, chosen:
     kept, is_fresh = list[Arcs](), list[Bools]()
     for i in chosen.tolist():
         end = int(cuts.end[i])
-        n = across(i, end, int(cuts.by[i]), drive, parts, ground, room)
+        n = across(i, end, int(cuts.by[i]), drive, parts, ground, word, room)
         kept += [part_of(before, slice(at, i)), part_of(room, slice(n))]
         is_fresh += [fresh[at:i], np.ones(n, dtype=np.bool_)]
         at = end

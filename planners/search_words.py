@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.arena import Floats
-from planners.kernel import kernel
+from planners.kernel import inner_kernel, kernel
 from planners.order import Ints
 
 MOST_ARCS = 5
@@ -25,6 +25,8 @@ MOST_ARCS = 5
 NONE = 1e-9
 """[m] arcs shorter than this are none."""
 TURN = 2 * np.pi
+Pose = tuple[float, float, float]
+"""[m, m, rad]"""
 FAMILIES = 8
 """Of Reeds and Shepp, up to mirrors."""
 BENDS = np.array(
@@ -74,25 +76,22 @@ def arcs_for(most: int) -> Arcs:
     return Arcs(np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64))
 
 
-@kernel
-def along(pose: Floats, length: float, bend: int, gear: int, radius: float, out: Floats) -> None:
-    """Write the pose (3,) [m, m, rad] after an arc to `out`; headings run on, unwrapped."""
+@inner_kernel
+def along(pose: Pose, length: float, bend: int, gear: int, radius: float) -> Pose:
+    """Return the pose after an arc; headings run on, unwrapped."""
+    x, y, phi = pose
     if bend == 0:
-        out[0] = pose[0] + gear * length * np.cos(pose[2])
-        out[1] = pose[1] + gear * length * np.sin(pose[2])
-        out[2] = pose[2]
-        return
-    heading = pose[2] + bend * length / radius
+        return x + gear * length * np.cos(phi), y + gear * length * np.sin(phi), phi
+    heading = phi + bend * length / radius
     side = gear * bend * radius
-    out[0] = pose[0] + side * (np.sin(heading) - np.sin(pose[2]))
-    out[1] = pose[1] - side * (np.cos(heading) - np.cos(pose[2]))
-    out[2] = heading
+    x, y = x + side * (np.sin(heading) - np.sin(phi)), y - side * (np.cos(heading) - np.cos(phi))
+    return x, y, heading
 
 
-@kernel
+@inner_kernel
 def quickest(
-    start: Floats,
-    goal: Floats,
+    start: Pose,
+    goal: Pose,
     radius: float,
     before: int,
     after: int,
@@ -100,9 +99,10 @@ def quickest(
     is_backward: bool,
     shortest: float,
     first: int,
+    word: Floats,
     out: Arcs,
 ) -> int:
-    """Write the quickest word from `start` (3,) to `goal` (3,) to `out`, from entry `first`; return how many arcs.
+    """Write the quickest word from one pose to another to `out`, from entry `first`; return how many arcs.
 
     Parameters
     ----------
@@ -110,6 +110,7 @@ def quickest(
     pause : [m] that a change of gear is worth
     is_backward : the car has a reverse gear
     shortest : [m] arcs may not be shorter, but for none at all
+    word : (MOST_ARCS,) room to work in
 
     Returns
     -------
@@ -120,18 +121,18 @@ def quickest(
     x, y = (cos * dx + sin * dy) / radius, (cos * dy - sin * dx) / radius
     phi = _half(goal[2] - start[2])
     if is_backward:
-        return _reeds_shepp(x, y, phi, radius, before, after, pause, shortest, first, out)
-    return _dubins(x, y, phi, radius, shortest, first, out)
+        return _reeds_shepp(x, y, phi, radius, before, after, pause, shortest, first, word, out)
+    return _dubins(x, y, phi, radius, shortest, first, word, out)
 
 
-@kernel
+@inner_kernel
 def _half(angle: float) -> float:
     """Return an angle in (-pi, pi]."""
     angle = angle % TURN
     return angle - TURN if angle > np.pi else angle
 
 
-@kernel
+@inner_kernel
 def _reeds_shepp(
     x: float,
     y: float,
@@ -142,10 +143,10 @@ def _reeds_shepp(
     pause: float,
     shortest: float,
     first: int,
+    word: Floats,
     out: Arcs,
 ) -> int:
     best, n_best = np.inf, -1
-    word = np.empty(MOST_ARCS)
     cos, sin = np.cos(phi), np.sin(phi)
     for family in range(FAMILIES):
         for is_reversed in range(2 if BOTH_WAYS[family] else 1):
@@ -182,7 +183,7 @@ def _reeds_shepp(
     return n_best
 
 
-@kernel
+@inner_kernel
 def is_too_short(word: Floats, n: int, radius: float, shortest: float) -> bool:
     """Tell whether one of the `n` arcs of a word is shorter [m], but not none."""
     is_short = False
@@ -191,7 +192,7 @@ def is_too_short(word: Floats, n: int, radius: float, shortest: float) -> bool:
     return is_short
 
 
-@kernel
+@inner_kernel
 def _word(family: int, x: float, y: float, phi: float, word: Floats) -> int:
     """Fill `word` with the signed lengths, in radii, of a family's word to (x, y, phi); return their count, 0: none."""
     if family == 0:
@@ -211,7 +212,7 @@ def _word(family: int, x: float, y: float, phi: float, word: Floats) -> int:
     return _two_quarters(x, y, phi, word)
 
 
-@kernel
+@inner_kernel
 def _left_straight_left(x: float, y: float, phi: float, word: Floats) -> int:
     """L+ S+ L+, (8.1)."""
     dx, dy = x - np.sin(phi), y - 1 + np.cos(phi)
@@ -223,7 +224,7 @@ def _left_straight_left(x: float, y: float, phi: float, word: Floats) -> int:
     return 3
 
 
-@kernel
+@inner_kernel
 def _left_straight_right(x: float, y: float, phi: float, word: Floats) -> int:
     """L+ S+ R+, (8.2)."""
     dx, dy = x + np.sin(phi), y - 1 - np.cos(phi)
@@ -239,7 +240,7 @@ def _left_straight_right(x: float, y: float, phi: float, word: Floats) -> int:
     return 3
 
 
-@kernel
+@inner_kernel
 def _three_arcs(x: float, y: float, phi: float, word: Floats) -> int:
     """L+ R- L and, read backward, the other words of three arcs, (8.3) and (8.4)."""
     dx, dy = x - np.sin(phi), y - 1 + np.cos(phi)
@@ -254,7 +255,7 @@ def _three_arcs(x: float, y: float, phi: float, word: Floats) -> int:
     return 3
 
 
-@kernel
+@inner_kernel
 def _ends_of_four(u: float, v: float, dx: float, dy: float, phi: float) -> tuple[float, float]:
     """Return the first and the last arc of a word of four, (8.6)."""
     delta = _half(u - v)
@@ -266,7 +267,7 @@ def _ends_of_four(u: float, v: float, dx: float, dy: float, phi: float) -> tuple
     return t, _half(t - u + v - phi)
 
 
-@kernel
+@inner_kernel
 def _four_arcs_outer(x: float, y: float, phi: float, word: Floats) -> int:
     """L+ R(u)+ L(u)- R-, (8.7)."""
     dx, dy = x + np.sin(phi), y - 1 - np.cos(phi)
@@ -281,7 +282,7 @@ def _four_arcs_outer(x: float, y: float, phi: float, word: Floats) -> int:
     return 4
 
 
-@kernel
+@inner_kernel
 def _four_arcs_inner(x: float, y: float, phi: float, word: Floats) -> int:
     """L+ R(u)- L(u)- R+, (8.8)."""
     dx, dy = x + np.sin(phi), y - 1 - np.cos(phi)
@@ -296,7 +297,7 @@ def _four_arcs_inner(x: float, y: float, phi: float, word: Floats) -> int:
     return 4
 
 
-@kernel
+@inner_kernel
 def _quarter_left(x: float, y: float, phi: float, word: Floats) -> int:
     """L+ R(quarter)- S- L-, (8.9)."""
     dx, dy = x - np.sin(phi), y - 1 + np.cos(phi)
@@ -312,7 +313,7 @@ def _quarter_left(x: float, y: float, phi: float, word: Floats) -> int:
     return 4
 
 
-@kernel
+@inner_kernel
 def _quarter_right(x: float, y: float, phi: float, word: Floats) -> int:
     """L+ R(quarter)- S- R-, (8.10)."""
     dx, dy = x + np.sin(phi), y - 1 - np.cos(phi)
@@ -325,7 +326,7 @@ def _quarter_right(x: float, y: float, phi: float, word: Floats) -> int:
     return 4
 
 
-@kernel
+@inner_kernel
 def _two_quarters(x: float, y: float, phi: float, word: Floats) -> int:
     """L+ R(quarter)- S- L(quarter)- R+, (8.11)."""
     dx, dy = x + np.sin(phi), y - 1 - np.cos(phi)
@@ -343,12 +344,13 @@ def _two_quarters(x: float, y: float, phi: float, word: Floats) -> int:
     return 5
 
 
-@kernel
-def _dubins(x: float, y: float, phi: float, radius: float, shortest: float, first: int, out: Arcs) -> int:
+@inner_kernel
+def _dubins(
+    x: float, y: float, phi: float, radius: float, shortest: float, first: int, word: Floats, out: Arcs
+) -> int:
     d, theta = np.hypot(x, y), np.arctan2(y, x)
     a, b = (-theta) % TURN, (phi - theta) % TURN
     best, n_best = np.inf, -1
-    word = np.empty(3)
     for kind in range(len(DUBINS)):
         is_word = _with_straight(kind, d, a, b, word) if kind < 4 else _without_straight(kind, d, a, b, word)
         length = (word[0] + word[1] + word[2]) * radius
@@ -364,7 +366,7 @@ def _dubins(x: float, y: float, phi: float, radius: float, shortest: float, firs
     return n_best
 
 
-@kernel
+@inner_kernel
 def _with_straight(kind: int, d: float, a: float, b: float, word: Floats) -> bool:
     """LSL, RSR, LSR and RSL of a car that goes d radii along the x axis, from heading a to b."""
     one, other = DUBINS[kind, 0], DUBINS[kind, 2]
@@ -380,7 +382,7 @@ def _with_straight(kind: int, d: float, a: float, b: float, word: Floats) -> boo
     return True
 
 
-@kernel
+@inner_kernel
 def _without_straight(kind: int, d: float, a: float, b: float, word: Floats) -> bool:
     """RLR and LRL."""
     one = DUBINS[kind, 0]

@@ -26,17 +26,17 @@ def word(
     shortest: float = 0.0,
 ) -> Arcs:
     room = arcs_for(MOST_ARCS)
-    n = quickest(start, goal, RADIUS, before, after, pause, is_backward, shortest, 0, room)
+    ends = tuple(start.tolist()), tuple(goal.tolist())
+    n = quickest(*ends, RADIUS, before, after, pause, is_backward, shortest, 0, np.empty(MOST_ARCS), room)
     assert n >= 0, "there is no such word"
     return part_of(room, slice(n))
 
 
 def driven(start: Floats, arcs: Arcs) -> Floats:
-    here, there = start.copy(), np.empty(3)
+    here = tuple(start.tolist())
     for length, bend, gear in zip(*arcs, strict=True):
-        along(here, float(length), int(bend), int(gear), RADIUS, there)
-        here[:] = there
-    return here
+        here = along(here, float(length), int(bend), int(gear), RADIUS)
+    return np.array(here)
 
 
 def cost(arcs: Arcs, before: int, after: int, pause: float) -> float:
@@ -82,11 +82,12 @@ def test_a_price_of_stopping_is_worth_its_longer_way_and_never_saves_length() ->
 
 
 def test_no_arc_is_shorter_than_asked() -> None:
-    room = arcs_for(MOST_ARCS)
+    room, space = arcs_for(MOST_ARCS), np.empty(MOST_ARCS)
     found = 0
-    for start, goal in POSES:
+    for start, goal in POSES.tolist():
         for is_backward in (True, False):
-            n = quickest(start, goal, RADIUS, 0, 0, 0.0, is_backward, 0.05, 0, room)
+            ends = tuple(start), tuple(goal)
+            n = quickest(*ends, RADIUS, 0, 0, 0.0, is_backward, 0.05, 0, space, room)
             found += n >= 0
             assert n < 0 or room.length[:n].min() >= 0.05
     assert found > 1.9 * len(POSES)
