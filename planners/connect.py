@@ -34,6 +34,8 @@ class Joins:
     """Moves that OMPL planned."""
     failed: int = 0
     """Moves for which OMPL found no path."""
+    flooded: int = 0
+    """Moves of a Dubins car that its own flood found then."""
     planned_m: float = 0.0
     """[m] of all planned moves."""
 
@@ -42,6 +44,7 @@ class Joins:
             direct=self.direct + other.direct,
             planned=self.planned + other.planned,
             failed=self.failed + other.failed,
+            flooded=self.flooded + other.flooded,
             planned_m=self.planned_m + other.planned_m,
         )
 

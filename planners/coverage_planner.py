@@ -17,6 +17,7 @@ from planners.order import Cells, Ints
 from planners.primitives import ZIGZAG, aim
 from planners.reach import LEAST_SHARE, Reach
 from planners.robot import Robot
+from planners.search_log import missed
 from planners.steering import Curve, Pen
 
 Progress = Callable[[int, int], None]
@@ -28,8 +29,6 @@ HEDGE = 0.75
 """Of the least share: cells this near to counting are visited too, since another raster may count them."""
 ROUNDS = 4
 """Times that bins which a log may miss are visited again."""
-PHASES = 10
-"""Phases of the log's clock for which every bin must be met."""
 DWELL = 1.25
 """Log periods that a spin stays in a heading bin, at least."""
 BACK = (1, 4, 16, 64)
@@ -93,20 +92,6 @@ def wanted(task: Task) -> Bools:
     if not todo.any():
         raise PlanError("every reachable bin is covered already; nothing is left to plan")
     return np.asarray(todo)
-
-
-def missed(curve: Curve, todo: Bools, grid: Coverage, rate: float) -> Bools:
-    """Return (nx, ny, n_phi) bins of `todo` that the log [Hz] of at least one phase does not meet."""
-    return np.asarray(todo & ~met(curve, grid, rate).all(axis=0))
-
-
-def met(curve: Curve, grid: Coverage, rate: float, clock: float = 0.0) -> Bools:
-    """Return (PHASES, nx, ny, n_phi) the bins that the log [Hz] of each phase meets on a curve that starts at `clock` [s]."""
-    found = np.zeros((PHASES, *grid.reachable.shape), dtype=np.bool_)
-    for phase in range(PHASES):
-        bins, inside = grid.bins(curve.log(rate, (phase / PHASES / rate - clock) % (1 / rate)))
-        found[phase][tuple(bins[inside].T)] = True
-    return found
 
 
 def levels(task: Task, todo: Bools) -> Ints:

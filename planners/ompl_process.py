@@ -8,11 +8,16 @@ machine. What runs there imports little: a process for each of a hundred queries
 
 from __future__ import annotations
 
+import atexit
 import io
 import os
+import signal
+import struct
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,54 +34,137 @@ CHECK_STEP = 0.01
 SLACK = 0.002
 """[m] that OMPL keeps beyond the clearance, where start and goal do; where none does, it may miss as much."""
 
+HEAD = struct.Struct("<qq")
+"""Length of what follows, and an exit code."""
+
 Floats = NDArray[np.float64]
 
 
+class _Server:
+    """A process that has imported OMPL, and forks for each question."""
+
+    def __init__(self, module: str) -> None:
+        package = Path(__file__).parent.parent
+        others = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", module],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C is for the one who asks
+            env=os.environ
+            | {"PYTHONPATH": os.pathsep.join([str(package), *others]), "OPENBLAS_NUM_THREADS": "1"},
+        )
+
+    def ask(self, question: bytes) -> tuple[int, bytes]:
+        """Return the exit code of the fork that answered, and its answer or its complaint."""
+        sent, got = self.process.stdin, self.process.stdout
+        assert sent is not None and got is not None
+        try:
+            sent.write(HEAD.pack(len(question), 0) + question)
+            sent.flush()
+            head = got.read(HEAD.size)
+            if len(head) == HEAD.size:
+                size, code = HEAD.unpack(head)
+                return code, got.read(size)
+        except BrokenPipeError:
+            pass
+        return self.process.wait(), b""
+
+    def close(self) -> None:
+        """End the process, and its fork."""
+        with suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.communicate()
+
+
+_idle: dict[tuple[str, str, int], list[_Server]] = {}
+"""Servers that wait, by module, environment, and the process that started them."""
+_lock = threading.Lock()
+
+
+@atexit.register
+def _close_all() -> None:
+    for (_, _, owner), servers in _idle.items():
+        for server in servers:
+            if owner == os.getpid():
+                server.close()
+    _idle.clear()
+
+
 def ask(module: str, **question: Any) -> dict[str, np.ndarray]:
-    """Run a module of ours as a fresh process that answers a question; both are arrays by name."""
-    package = Path(__file__).parent.parent
-    others = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(package), *others])}
+    """Let a fresh process of a module of ours answer a question; both are arrays by name."""
     sent = io.BytesIO()
     np.savez(sent, **question)
-    with subprocess.Popen(
-        [sys.executable, "-P", "-m", module],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env=environment,
-    ) as process:
-        try:
-            answer, complaint = process.communicate(sent.getvalue())
-        except BaseException:
-            process.kill()
-            raise
-    if process.returncode == MISSING:
+    kind = module, os.environ.get("PYTHONPATH", ""), os.getpid()
+    with _lock:
+        servers = _idle.setdefault(kind, [])
+        server = servers.pop() if servers else _Server(module)
+    try:
+        code, answer = server.ask(sent.getvalue())
+    except BaseException:
+        server.close()
+        raise
+    if server.process.poll() is None:
+        with _lock:
+            servers.append(server)
+    else:
+        server.close()
+    if code == MISSING:
         raise PlanError(INSTALL)
-    if process.returncode != 0:
-        last = complaint.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
-        raise PlanError(
-            f"OMPL ended with code {process.returncode} ({last[0]}); please report the arena and seed"
-        )
+    if code != 0:
+        last = answer.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
+        raise PlanError(f"OMPL ended with code {code} ({last[0]}); please report the arena and seed")
     with np.load(io.BytesIO(answer)) as data:
         return dict(data)
 
 
 def serve(work: Callable[[Any, Any, Mapping[str, np.ndarray]], dict[str, Any]]) -> int:
-    """Answer the question on standard input by `work(ompl.base, ompl.geometric, question)`; return an exit code."""
+    """Answer questions on standard input by `work(ompl.base, ompl.geometric, question)`, each in a fork.
+
+    Returns an exit code when the input ends.
+    """
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # OMPL may print
     try:
         from ompl import base, geometric, util  # type: ignore[import-untyped]
     except ImportError:
         return MISSING
-    with np.load(io.BytesIO(sys.stdin.buffer.read())) as data:
-        question = dict(data)
-    util.RNG.setSeed(int(question["seed"]) % (2**31 - 1) + 1)  # must be the first call; 0 is refused
-    util.setLogLevel(util.LOG_NONE)
-    answer = io.BytesIO()
-    np.savez(answer, **work(base, geometric, question))
-    sys.stdout.buffer.write(answer.getvalue())
-    sys.stdout.buffer.flush()
+
+    def answered(question: bytes) -> bytes:
+        with np.load(io.BytesIO(question)) as data:
+            asked = dict(data)
+        util.RNG.setSeed(int(asked["seed"]) % (2**31 - 1) + 1)  # must be the first call; 0 is refused
+        util.setLogLevel(util.LOG_NONE)
+        answer = io.BytesIO()
+        np.savez(answer, **work(base, geometric, asked))
+        return answer.getvalue()
+
+    while len(head := sys.stdin.buffer.read(HEAD.size)) == HEAD.size:
+        code, answer = _forked(answered, sys.stdin.buffer.read(HEAD.unpack(head)[0]))
+        answers.write(HEAD.pack(len(answer), code) + answer)
+        answers.flush()
     return 0
+
+
+def _forked(work: Callable[[bytes], bytes], question: bytes) -> tuple[int, bytes]:
+    """Do some work in a fork; return its exit code, negative for a signal, and its answer, or the last line of its error."""
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        code, answer = 1, b""
+        try:
+            code, answer = 0, work(question)
+        except BaseException as exc:
+            answer = f"{type(exc).__name__}: {exc}".encode()
+        finally:
+            with os.fdopen(write, "wb") as pipe:
+                pipe.write(answer)
+            os._exit(code)
+    os.close(write)
+    with os.fdopen(read, "rb") as pipe:
+        answer = pipe.read()
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), answer
 
 
 class Countdown:

@@ -20,7 +20,7 @@ from planners.errors import PlanError
 from planners.reach import Reach, reach
 from planners.report import counted, measured, reference_time
 from planners.robot import Robot
-from planners.search_cars import best_start, cycle
+from planners.search_flood import best_start, cycle
 from planners.search_planner import plan_search
 from planners.session import check_pose, ends, within
 from planners.steering import Curve

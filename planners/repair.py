@@ -17,11 +17,13 @@ import numpy as np
 from planners.arena import Bools, Floats, wrap
 from planners.car_connect import CarWay, connect_cars
 from planners.connect import Joins, connect_nearest
-from planners.coverage_planner import DWELL, PHASES, Task, met, missed, places
+from planners.coverage_planner import DWELL, Task, places
 from planners.order import Ints
 from planners.primitives import aim
 from planners.search import Visit
 from planners.search_cars import redriven
+from planners.search_flood import Ways
+from planners.search_log import PHASES, met, missed
 from planners.search_table import GEARS, driving
 from planners.steering import Curve, Pen
 
@@ -74,6 +76,7 @@ class CarRepair:
         """All curves but the last, their time [s], and what a log of each phase meets on them."""
         self.tried: Ints = np.zeros(self.todo.shape, dtype=np.int64)
         """(nx, ny, n_phi) how often each bin was searched for."""
+        self._ways = Ways(self.task)
         limits, drive = self.task.robot.limits, self.task.robot.drive
         table = driving(limits, self.task.coverage.headings, self.task.rate, GEARS[drive])
         self.aside = table.first
@@ -84,14 +87,14 @@ class CarRepair:
         self.curves.append(curve)
         self.here = curve.sample(np.array([curve.duration]))[0][0]
 
-    def comes_to(self, pose: Floats) -> bool:
-        """Drive to a pose (3,), if need be from somewhat earlier than the last drive ended; False where no way is found.
+    def comes_to(self, pose: Floats, before: tuple[float, ...] = (0.0, *BACK)) -> bool:
+        """Drive to a pose (3,) from so much [s] `before` the last drive ended, or more; False where no way is found.
 
         A drive may end where OMPL finds no way out in its time: what is cut off is missing again.
         """
         if np.allclose(self.here[:2], pose[:2]) and abs(wrap(self.here[2] - pose[2])) < 1e-9:
             return True
-        for back in (0.0, *BACK):
+        for back in before:
             kept = self._until(back)
             if back and not kept:
                 break
@@ -102,6 +105,33 @@ class CarRepair:
                 self.take(way.curve)
                 return True
         return False
+
+    def floods_to(self, wanted: Bools) -> bool:
+        """Drive to one of the bins `wanted` by a flood of the whole floor; False where that finds no way."""
+        if len(GEARS[self.task.robot.drive]) > 1:
+            return False
+        curve = self._ways.to_one_of(wanted, self.here)
+        if curve is None:
+            return False
+        here, before = self.here, self.missing()
+        self.take(curve)
+        if not (before & ~self.missing()).any():  # too short a stay for some phase of the log
+            self.curves.pop()
+            self.here = here
+            return False
+        self.joins += Joins(flooded=1)
+        return True
+
+    def enters(self, room: Bools, begin: Floats, curve: Curve, seed: int) -> None:
+        """Drive through a room, bins (nx, ny, n_phi), by the curve that begins at a pose (3,), or from where a way leads."""
+        if self.comes_to(begin, (0.0,)):
+            self.take(curve)
+        elif self.floods_to(room):
+            visit = self.search(room & self.missing(), self.here, seed)
+            if visit is not None:
+                self.take(visit.curve)
+        elif self.comes_to(begin, BACK):
+            self.take(curve)
 
     def _until(self, back: float) -> list[Curve]:
         """Return the curves without the last `back` [s]; none where that is more than the last of them."""
@@ -143,7 +173,8 @@ class CarRepair:
                 return
             way = self._way(self.here, goals, round_)
             if way is None:
-                self.lost[tuple(bins.T)] = True
+                if not self.floods_to(missing):
+                    self.lost[tuple(bins.T)] = True
                 continue
             goal = tuple(bins[way.goal])
             if way.curve is None or not self._leads_on(way.curve, round_):

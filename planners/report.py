@@ -99,6 +99,7 @@ def measured(
             "planned": driven.joins.planned,
             "failed": driven.joins.failed,
             "planned_m": driven.joins.planned_m,
+            "flooded": driven.joins.flooded,
         },
         "violations": dict(found.violations),
         "turned_rad": float(abs(driven.stops[:, 3]).sum()),

@@ -29,8 +29,6 @@ SHORT = 0.85
 """Of a log period: enough in the inner half of a cell, since the way out of the cell takes the rest."""
 SLICE = 20
 """Decisions between two looks at the clock."""
-PHASES = 10
-"""Phases of the log's clock for which every bin must be met."""
 PASSED_OVER = 16
 """Times that a search goes on after it has come to nothing, at most."""
 STOPPED, DONE, OUT_OF_REACH, GAVE_UP = range(4)
@@ -135,11 +133,8 @@ class Found:
     """(4,) x, y [m], heading step, mode."""
     sequence: NDArray[np.int32]
     """(n,) branches."""
-    end: Floats
-    """(4,) as `start`."""
     left: Bools
     """(nx, ny, n_phi) bins of the scene that it did not get."""
-    floods: int
 
 
 class Search:
@@ -182,7 +177,6 @@ class Search:
         self.start = self.state.copy()
         self._sequence = np.empty(0, dtype=np.int32)
         self._parts: list[NDArray[np.int32]] = []
-        self.floods = 0
         self.given_up = np.zeros_like(need)
         self._before = [self._here()]
 
@@ -232,7 +226,6 @@ class Search:
             self._parts.append(sequence[: counters[0]].copy())
             if not tick(int(counters[1])):
                 break
-        self.floods += int(counters[2])
         return int(counters[3])
 
     def complete(self, tick: Callable[[int], bool]) -> None:
@@ -308,9 +301,7 @@ class Search:
         return Found(
             start=self.start,
             sequence=np.concatenate([np.empty(0, dtype=np.int32), *self._parts]),
-            end=self.state.copy(),
             left=self.world.need.copy(),
-            floods=self.floods,
         )
 
     def _hunt(self) -> kernels.Hunt:

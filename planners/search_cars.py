@@ -1,6 +1,4 @@
-"""What the search needs to know of cars: how one comes to a heading of the table, the curve of a drive, and where a
-Dubins car can go and come back from.
-"""
+"""What the search needs to know of cars: how one comes to a heading of the table, and the curve of a drive."""
 
 from __future__ import annotations
 
@@ -12,23 +10,17 @@ import numpy as np
 from scipy import ndimage
 
 from planners import search_kernels as kernels
-from planners.arena import Bools, Floats, wrap
-from planners.coverage_planner import Task, levels, missed
-from planners.reach import Reach
+from planners.arena import Bools, Floats
+from planners.coverage_planner import Task, levels
 from planners.robot import Limits
 from planners.rooms import rooms
 from planners.search import Found, Scene, Search, Settings, Visit, chained, scene
+from planners.search_log import missed
 from planners.search_shortcuts import drive_of, ground_of, shorter
 from planners.search_table import GEARS, Table, driving
 from planners.search_words import NONE, Arcs, part_of
 from planners.steering import Curve
 
-FINE = 0.02
-"""[m] lattice of the set that a Dubins car can go to and come back from."""
-STARTS = 6
-"""Places to begin that are looked at."""
-ENOUGH = 0.5
-"""Share of the bins of the disc from which on a start is good enough."""
 MOST_STEPS = 3
 """Headings of the table that a car may pass before it takes one."""
 STILL = 1e-9
@@ -213,50 +205,10 @@ def _run(
     )
 
 
-def cycle(reach: Reach, limits: Limits, headings: int, rate: float, pose: Floats) -> Bools:
-    """Return the bins (nx, ny, n_phi) that a Dubins car at `pose` (3,) can get to, and come back from.
-
-    A flood backward marks the states from which the pose can be reached; one forward goes only through those. Each
-    begins at the end of the arc by which the car leaves the pose, or comes to it.
-    """
-    wanted = np.repeat(np.asarray(reach.blocks(reach.mask).any(axis=-1))[:, :, None], headings, axis=2)
-    allowed, place, need = None, scene(reach), np.zeros_like(wanted)
-    for gear in (-1, 1):
-        begun = begin(pose, place, limits, headings, rate, (gear,))
-        search = Search(place, begun.table, wanted, rate)
-        search.want(wanted if gear > 0 else need, inner=False)
-        shape = np.ceil(np.array(reach.shape) * reach.cell / FINE).astype(int) + 2
-        met = np.zeros((*shape, begun.table.n_headings), dtype=np.bool_)
-        allowed = np.ones_like(met) if allowed is None else allowed
-        kernels.spread(begun.state, allowed, met, search.world, search.moves(), FINE)
-        allowed, left = met, search.world.need
-    return np.asarray(wanted & ~left)
-
-
 def state_at(table: Table, pose: Floats, mode: int = 0) -> Floats:
     """Return (4,) the state at a pose whose heading the table has."""
     step = round(float((pose[2] - table.first) / table.step)) % table.n_headings
     return np.array([pose[0], pose[1], step, mode])
-
-
-def best_start(reach: Reach, limits: Limits, headings: int, rate: float, seed: int) -> tuple[Floats, Bools]:
-    """Return the pose (3,) of some random ones from which a Dubins car can go to most bins and come back, and those."""
-    rng = np.random.default_rng([seed, 7])
-    free = np.argwhere(reach.blocks(reach.mask).all(axis=-1))
-    if not len(free):
-        free = np.argwhere(reach.cells())
-    best: tuple[Floats, Bools] | None = None
-    for _ in range(STARTS):
-        place = reach.origin + (free[int(rng.integers(len(free)))] + 0.5) * reach.cell
-        table = driving(limits, headings, rate, (1,))
-        pose = np.array([*place, wrap(table.first + table.step * rng.integers(table.n_headings))])
-        bins = cycle(reach, limits, headings, rate, pose)
-        if best is None or bins.sum() > best[1].sum():
-            best = pose, bins
-        if best[1].sum() > ENOUGH * reach.cells().sum() * headings:
-            break
-    assert best is not None
-    return best
 
 
 def search_floor(

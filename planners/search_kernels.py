@@ -701,22 +701,48 @@ def advance(
             counters[0] += 1
 
 
+class Queue(NamedTuple):
+    """The states that a flood of the whole floor has come to, in order."""
+
+    at: Floats
+    """(n, 2)"""
+    hs: Branches
+    parents: Branches
+    branches: Branches
+
+
+@kernel
+def queue_for(n: int) -> Queue:
+    """Return room for so many states."""
+    return Queue(np.empty((n, 2)), np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32))
+
+
+@kernel
+def larger(queue: Queue) -> Queue:
+    """Return a queue with twice the room."""
+    n = len(queue.hs)
+    more = queue_for(2 * n)
+    more.at[:n], more.hs[:n] = queue.at, queue.hs
+    more.parents[:n], more.branches[:n] = queue.parents, queue.branches
+    return more
+
+
 @inner_kernel
 def _spread_on(
     head: int,
     tail: int,
-    at: Floats,
-    hs: Branches,
+    queue: Queue,
     allowed: Bools,
     met: Bools,
+    to_first: bool,
     world: World,
     moves: Moves,
     lattice: float,
     credits: Ints,
-) -> int:
-    """Queue the states that state `head` leads to; return the end of the queue."""
+) -> tuple[int, bool]:
+    """Queue the states that state `head` leads to; return the end of the queue, and whether the last one ends the flood."""
     ny, n_phi = world.need.shape[1], world.need.shape[2]
-    x, y, h = at[head, 0], at[head, 1], hs[head]
+    x, y, h = queue.at[head, 0], queue.at[head, 1], queue.hs[head]
     for j in range(moves.then.shape[1]):
         free, n_won = attempt(x, y, h, 0, j, world, moves, credits)
         if not free:
@@ -729,31 +755,42 @@ def _spread_on(
             ci, ck, b = credits[c] // (n_phi * ny), (credits[c] // n_phi) % ny, credits[c] % n_phi
             world.missing[ci, ck] -= world.need[ci, ck, b]
             world.need[ci, ck, b] = False
-        if not met[i, k, h2]:
+        is_last = to_first and n_won > 0
+        if is_last or not met[i, k, h2]:
             met[i, k, h2] = True
-            at[tail, 0], at[tail, 1], hs[tail] = x2, y2, h2
+            queue.at[tail, 0], queue.at[tail, 1], queue.hs[tail] = x2, y2, h2
+            queue.parents[tail], queue.branches[tail] = head, j
             tail += 1
-    return tail
+        if is_last:
+            return tail, True
+    return tail, False
 
 
 @kernel
-def spread(state: Floats, allowed: Bools, met: Bools, world: World, moves: Moves, lattice: float) -> int:
-    """Flood all that can be reached within `allowed`; return how many lattice cells `met` were, both (n, n, n_headings).
+def spread(
+    state: Floats, allowed: Bools, met: Bools, to_first: bool, world: World, moves: Moves, lattice: float
+) -> Branches:
+    """Flood all that can be reached within `allowed`, or find the way to the first bin.
 
-    The bins in which some primitive stays long enough are taken off what the world wants.
+    The lattice cells come to are marked in `met`; both (n, n, n_headings). The bins in which some primitive stays long
+    enough are taken off what the world wants.
+
+    Returns
+    -------
+    (n,) the branches to the first bin; none if it was not asked for, or not found
     """
     met[:] = False
-    size = 1 << 16
-    at, hs = np.empty((size, 2)), np.empty(size, np.int32)
+    queue = queue_for(1 << 16)
     credits = np.empty(CREDITS, np.int64)
-    at[0, 0], at[0, 1], hs[0] = state[0], state[1], int(state[2])
-    head, tail = 0, 1
-    met[int((state[0] - world.x0) / lattice), int((state[1] - world.y0) / lattice), hs[0]] = True
-    while head < tail:
-        if tail + moves.then.shape[1] > len(hs):
-            more, turned = np.empty((2 * len(hs), 2)), np.empty(2 * len(hs), np.int32)
-            more[:tail], turned[:tail] = at[:tail], hs[:tail]
-            at, hs = more, turned
-        tail = _spread_on(head, tail, at, hs, allowed, met, world, moves, lattice, credits)
+    queue.at[0, 0], queue.at[0, 1], queue.hs[0], queue.parents[0] = state[0], state[1], int(state[2]), -1
+    head, tail, is_found = 0, 1, False
+    met[int((state[0] - world.x0) / lattice), int((state[1] - world.y0) / lattice), queue.hs[0]] = True
+    while head < tail and not is_found:
+        if tail + moves.then.shape[1] > len(queue.hs):
+            queue = larger(queue)
+        tail, is_found = _spread_on(head, tail, queue, allowed, met, to_first, world, moves, lattice, credits)
         head += 1
-    return tail
+    out, n = np.empty(tail, np.int32), 0
+    if is_found:
+        n = trace(tail - 1, queue.parents, queue.branches, out)
+    return out[:n].copy()

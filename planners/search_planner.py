@@ -18,13 +18,14 @@ from scipy.sparse import csgraph
 
 from planners.arena import Bools, Floats, wrap
 from planners.connect import connect
-from planners.coverage_planner import Driven, Task, levels, missed, wanted
+from planners.coverage_planner import Driven, Task, levels, wanted
 from planners.errors import PlanError
 from planners.order import Ints
 from planners.repair import CarRepair, SpinRepair, lead
 from planners.rooms import cell_graph, rooms, sequence
 from planners.search import Scene, Search, Settings, Visit, scene, spin_curve
 from planners.search_cars import cusps, geared, room_order, search_floor, shortened
+from planners.search_log import missed
 from planners.search_table import GEARS, Table, driving, spinning
 from planners.steering import Curve, Pen, joined
 
@@ -108,9 +109,9 @@ def _by_car(task: Task) -> Driven:
 
     visits, interrupted = _side_by_side(search, [int(part.sum()) for part in parts], task)
     repair = CarRepair(task, todo, start, search_on)
-    for begin, visit in zip(begins, visits, strict=True):
-        if visit is not None and repair.comes_to(begin):
-            repair.take(visit.curve)
+    for part, begin, visit in zip(parts, begins, visits, strict=True):
+        if visit is not None:
+            repair.enters(part, begin, visit.curve, task.seed)
     if not interrupted:
         interrupted = _completed(repair, task)
     if not repair.curves:

@@ -21,7 +21,7 @@ RATE = 50.0
 """[Hz] of exported samples."""
 BLOCK = 1 << 16
 """Samples that are worked on at a time."""
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 Profile = tuple[Floats, Floats]
 """Durations (k,) [s] and accelerations (k,) of one rest-to-rest motion."""
@@ -50,10 +50,10 @@ def displace(
     phi: Floats, v: Floats, a: Floats, omega: Floats, alpha: Floats, dt: Floats
 ) -> tuple[Floats, Floats]:
     """Return x and y [m] driven within `dt` from heading phi at twist (v, omega) with accelerations (a, alpha)."""
-    t = dt[..., None] * (0.5 + 0.5 * _NODES)  # (..., 8)
+    t = dt[..., None] * (0.5 + 0.5 * NODES)  # (..., 8)
     speed = v[..., None] + a[..., None] * t
     heading = phi[..., None] + omega[..., None] * t + 0.5 * alpha[..., None] * t * t
-    weight = 0.5 * dt[..., None] * _WEIGHTS * speed
+    weight = 0.5 * dt[..., None] * WEIGHTS * speed
     return (weight * np.cos(heading)).sum(axis=-1), (weight * np.sin(heading)).sum(axis=-1)
 
 

@@ -14,12 +14,13 @@ from planners.check import check
 from planners.clearance import Barriers
 from planners.connect import Joins, connect
 from planners.coverage import Coverage
-from planners.coverage_planner import Task, missed
+from planners.coverage_planner import Task
 from planners.reach import Reach, reach
 from planners.repair import CarRepair, SpinRepair
 from planners.robot import Drive, Limits, Robot
 from planners.search import Settings, Visit
 from planners.search_cars import search_floor
+from planners.search_log import missed
 from planners.steering import joined
 
 START = np.array([0.8, 0.8, 0.3])

@@ -13,10 +13,10 @@ from planners.arena import Arena, Bools, Floats
 from planners.check import check
 from planners.clearance import Barriers
 from planners.coverage import Coverage
-from planners.coverage_planner import missed
 from planners.reach import Reach, reach
 from planners.robot import Limits, Robot
 from planners.search_cars import geared, shortened
+from planners.search_log import missed
 from planners.search_planner import Task
 from planners.steering import Curve
 

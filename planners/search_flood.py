@@ -1,0 +1,124 @@
+"""Floods of the whole floor by a Dubins car's primitives: where it can go and come back from, and the way there.
+
+Every state that a flood comes to is one that the car can be in, and each cell of a fine lattice is entered once: so a
+way is found through any gap that the lattice resolves, where planners that sample at random need luck.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from planners import search_kernels as kernels
+from planners.arena import Bools, Floats, wrap
+from planners.coverage_planner import Task
+from planners.reach import Reach
+from planners.robot import Limits
+from planners.search import Found, Scene, Search, scene
+from planners.search_cars import Entry, begin, car_curve
+from planners.search_table import driving
+from planners.steering import Curve
+
+FINE = 0.02
+"""[m] between the cells of the lattice."""
+STARTS = 6
+"""Places to begin that are looked at."""
+ENOUGH = 0.5
+"""Share of the bins of the disc from which on a start is good enough."""
+
+
+def cycle(reach: Reach, limits: Limits, headings: int, rate: float, pose: Floats) -> Bools:
+    """Return the bins (nx, ny, n_phi) that a Dubins car at `pose` (3,) can get to, and come back from.
+
+    A flood backward marks the states from which the pose can be reached; one forward goes only through those. Each
+    begins at the end of the arc by which the car leaves the pose, or comes to it.
+    """
+    place = scene(reach)
+    wanted = np.repeat(np.asarray(reach.blocks(reach.mask).any(axis=-1))[:, :, None], headings, axis=2)
+    begins = [begin(pose, place, limits, headings, rate, (gear,)) for gear in (-1, 1)]
+    back = _flood(begins[0], np.zeros_like(wanted), place, rate)
+    there = _flood(begins[1], wanted, place, rate, within=back.met)
+    return np.asarray(wanted & ~there.left)
+
+
+@dataclass(eq=False)
+class Ways:
+    """Finds ways of a Dubins car over the whole floor."""
+
+    task: Task
+
+    def __post_init__(self) -> None:
+        self.place = scene(self.task.reach)
+        self._back: dict[float, Bools] = {}
+        """Where the first pose that was asked about can be reached from, by the first heading of the table: other poses
+        on the same drive can be too."""
+
+    def to_one_of(self, wanted: Bools, pose: Floats) -> Curve | None:
+        """Return the quickest drive from `pose` (3,) to one of the bins `wanted` (nx, ny, n_phi).
+
+        It ends where the car can come back from; None where the flood comes to no such place.
+        """
+        task, limits = self.task, self.task.robot.limits
+        begins = [
+            begin(pose, self.place, limits, task.coverage.headings, task.rate, (gear,)) for gear in (-1, 1)
+        ]
+        first = round(begins[0].table.first, 9)
+        if first not in self._back:
+            self._back[first] = _flood(begins[0], np.zeros_like(wanted), self.place, task.rate).met
+        there = _flood(begins[1], wanted, self.place, task.rate, within=self._back[first], to_first=True)
+        if not len(there.branches):
+            return None
+        found = Found(start=begins[1].state, sequence=there.branches, left=there.left)
+        return car_curve(found, begins[1], limits)
+
+
+class _Flooded(NamedTuple):
+    """What a flood came to."""
+
+    met: Bools
+    """(n, n, n_headings) cells of the lattice."""
+    left: Bools
+    """(nx, ny, n_phi) bins that it did not meet."""
+    branches: kernels.Branches
+    """(n,) the way to the first one that it met, if that was asked for."""
+
+
+def _flood(
+    begun: Entry,
+    wanted: Bools,
+    place: Scene,
+    rate: float,
+    *,
+    within: Bools | None = None,
+    to_first: bool = False,
+) -> _Flooded:
+    """Flood from where a car begins, within cells of the lattice; all of it, or up to the first bin `wanted`."""
+    search = Search(place, begun.table, wanted, rate)
+    search.want(wanted, inner=False)
+    shape = np.ceil(np.array(place.distance.shape) * place.step / FINE - 1e-9).astype(int) + 2
+    met = np.zeros((*shape, begun.table.n_headings), dtype=np.bool_)
+    allowed = np.ones_like(met) if within is None else within
+    branches = kernels.spread(begun.state, allowed, met, to_first, search.world, search.moves(), FINE)
+    return _Flooded(met, search.world.need, branches)
+
+
+def best_start(reach: Reach, limits: Limits, headings: int, rate: float, seed: int) -> tuple[Floats, Bools]:
+    """Return the pose (3,) of some random ones from which a Dubins car can go to most bins and come back, and those."""
+    rng = np.random.default_rng([seed, 7])
+    free = np.argwhere(reach.blocks(reach.mask).all(axis=-1))
+    if not len(free):
+        free = np.argwhere(reach.cells())
+    best: tuple[Floats, Bools] | None = None
+    for _ in range(STARTS):
+        place = reach.origin + (free[int(rng.integers(len(free)))] + 0.5) * reach.cell
+        table = driving(limits, headings, rate, (1,))
+        pose = np.array([*place, wrap(table.first + table.step * rng.integers(table.n_headings))])
+        bins = cycle(reach, limits, headings, rate, pose)
+        if best is None or bins.sum() > best[1].sum():
+            best = pose, bins
+        if best[1].sum() > ENOUGH * reach.cells().sum() * headings:
+            break
+    assert best is not None
+    return best
