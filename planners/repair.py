@@ -21,11 +21,14 @@ from planners.coverage_planner import DWELL, Task, places
 from planners.order import Ints
 from planners.primitives import aim
 from planners.search import Visit
-from planners.search_cars import redriven
+from planners.search_cars import arcs_of, geared, redriven
+from planners.search_detours import with_detours
 from planners.search_flood import Ways
 from planners.search_log import PHASES, met, missed
+from planners.search_shortcuts import drive_of, ground_of
 from planners.search_table import GEARS, driving
-from planners.steering import Curve, Pen
+from planners.search_words import NONE, part_of
+from planners.steering import Curve, Pen, joined
 
 ROUNDS = 40
 """Queries, at most."""
@@ -154,6 +157,23 @@ class CarRepair:
         if self.curves:
             seen = seen | met(self.curves[-1], grid, rate, clock)
         return np.asarray(self.todo & ~seen.all(axis=0) & ~self.lost)
+
+    def passes_by(self, speed: float) -> None:
+        """Insert detours at some speed [m/s] into what was driven, to bins beside it that are missing, or lost."""
+        lost, self.lost = self.lost, np.zeros_like(self.lost)
+        missing = self.missing()
+        bins, goals = goals_in(missing, self.here, self.aside, self.task)
+        if self.curves and len(bins):
+            task, curve = self.task, joined(self.curves)
+            limits, is_backward = task.robot.limits, len(GEARS[task.robot.drive]) > 1
+            ground = ground_of(task.reach, self.todo, limits, speed, task.rate, is_backward=is_backward)
+            arcs = arcs_of(curve)
+            drive, _ = drive_of(curve.poses[0], part_of(arcs, arcs.length > NONE), ground)
+            own = np.ravel_multi_index(tuple(bins.T), missing.shape)
+            longer = with_detours(drive, goals, own, ground)
+            if len(longer.length) > len(drive.length):
+                self.curves = [geared(curve.poses[0], longer.length, longer.bend, longer.gear, limits, speed)]
+        self.lost = lost & self.missing()
 
     def _none(self) -> Bools:
         return np.zeros((PHASES, *self.todo.shape), dtype=np.bool_)

@@ -51,6 +51,8 @@ CAR = {
     "dubins": Settings(executed=2.4, eagerness=1.0, beam=40, flood_layers=400),
 }
 """How cars are searched for."""
+FEW = 0.03
+"""Of all bins: so few missing ones are first looked for beside the drive."""
 SLOW = 2.0
 """[s] of compiling before that is said."""
 LOOK = 0.1
@@ -127,14 +129,18 @@ def _by_car(task: Task) -> Driven:
 def _completed(repair: CarRepair, task: Task) -> bool:
     """Drive to what is missing, shorten the whole drive, and win again what a log met by luck; tell whether Ctrl-C came."""
     try:
+        speed = float(abs(_table(task).speeds[0]))
+        if repair.missing().sum() < FEW * repair.todo.sum():
+            repair.passes_by(speed)
         repair.run()
         if repair.curves:
+            repair.passes_by(speed)
             won = repair.todo & ~repair.missing()
-            speed = float(abs(_table(task).speeds[0]))
             short, interrupted = shortened(joined(repair.curves), won, task, speed)
             repair.curves = [short]
             if interrupted:
                 return True
+            repair.passes_by(speed)
             repair.run()
     except KeyboardInterrupt:
         return True
