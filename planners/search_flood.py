@@ -23,6 +23,8 @@ from planners.steering import Curve
 
 FINE = 0.02
 """[m] between the cells of the lattice."""
+PATIENCE = 1.3
+"""How much longer to stay in the bin that a way leads to: a log of each phase must meet it."""
 STARTS = 6
 """Places to begin that are looked at."""
 ENOUGH = 0.5
@@ -52,8 +54,8 @@ class Ways:
     def __post_init__(self) -> None:
         self.place = scene(self.task.reach)
         self._back: dict[float, Bools] = {}
-        """Where the first pose that was asked about can be reached from, by the first heading of the table: other poses
-        on the same drive can be too."""
+        """Where a pose that was asked about can be reached from, by the first heading of the table: others on the same
+        drive can be too."""
 
     def to_one_of(self, wanted: Bools, pose: Floats) -> Curve | None:
         """Return the quickest drive from `pose` (3,) to one of the bins `wanted` (nx, ny, n_phi).
@@ -65,13 +67,19 @@ class Ways:
             begin(pose, self.place, limits, task.coverage.headings, task.rate, (gear,)) for gear in (-1, 1)
         ]
         first = round(begins[0].table.first, 9)
-        if first not in self._back:
+        branches = self._first_within(self._back.get(first), begins[1], wanted)
+        if not len(branches):  # the lattice is entered elsewhere: from here itself more may be had
             self._back[first] = _flood(begins[0], np.zeros_like(wanted), self.place, task.rate).met
-        there = _flood(begins[1], wanted, self.place, task.rate, within=self._back[first], to_first=True)
-        if not len(there.branches):
+            branches = self._first_within(self._back[first], begins[1], wanted)
+        if not len(branches):
             return None
-        found = Found(start=begins[1].state, sequence=there.branches, left=there.left)
-        return car_curve(found, begins[1], limits)
+        return car_curve(Found(start=begins[1].state, sequence=branches, left=wanted), begins[1], limits)
+
+    def _first_within(self, met: Bools | None, begun: Entry, wanted: Bools) -> kernels.Branches:
+        """Return the way (n,) within cells of the lattice to the first bin; none where there is no such way."""
+        if met is None:
+            return np.empty(0, dtype=np.int32)
+        return _flood(begun, wanted, self.place, self.task.rate, within=met, to_first=True).branches
 
 
 class _Flooded(NamedTuple):
@@ -96,11 +104,12 @@ def _flood(
 ) -> _Flooded:
     """Flood from where a car begins, within cells of the lattice; all of it, or up to the first bin `wanted`."""
     search = Search(place, begun.table, wanted, rate)
-    search.want(wanted, inner=False)
+    search.want(wanted, PATIENCE if to_first else 1.0, inner=False)
     shape = np.ceil(np.array(place.distance.shape) * place.step / FINE - 1e-9).astype(int) + 2
     met = np.zeros((*shape, begun.table.n_headings), dtype=np.bool_)
     allowed = np.ones_like(met) if within is None else within
-    branches = kernels.spread(begun.state, allowed, met, to_first, search.world, search.moves(), FINE)
+    depth = begun.table.safe_depth if to_first else 0
+    branches = kernels.spread(begun.state, allowed, met, depth, search.world, search.moves(), FINE)
     return _Flooded(met, search.world.need, branches)
 
 

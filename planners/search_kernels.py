@@ -739,8 +739,11 @@ def _spread_on(
     moves: Moves,
     lattice: float,
     credits: Ints,
-) -> tuple[int, bool]:
-    """Queue the states that state `head` leads to; return the end of the queue, and whether the last one ends the flood."""
+) -> int:
+    """Queue the states that state `head` leads to; return the end of the queue.
+
+    to_first : branches that come to a bin are noted as -1 - branch, and the bins are left
+    """
     ny, n_phi = world.need.shape[1], world.need.shape[2]
     x, y, h = queue.at[head, 0], queue.at[head, 1], queue.hs[head]
     for j in range(moves.then.shape[1]):
@@ -755,42 +758,45 @@ def _spread_on(
             ci, ck, b = credits[c] // (n_phi * ny), (credits[c] // n_phi) % ny, credits[c] % n_phi
             world.missing[ci, ck] -= world.need[ci, ck, b]
             world.need[ci, ck, b] = False
-        is_last = to_first and n_won > 0
-        if is_last or not met[i, k, h2]:
+        is_end = to_first and n_won > 0
+        if is_end or not met[i, k, h2]:
             met[i, k, h2] = True
             queue.at[tail, 0], queue.at[tail, 1], queue.hs[tail] = x2, y2, h2
-            queue.parents[tail], queue.branches[tail] = head, j
+            queue.parents[tail], queue.branches[tail] = head, -1 - j if is_end else j
             tail += 1
-        if is_last:
-            return tail, True
-    return tail, False
+    return tail
 
 
 @kernel
 def spread(
-    state: Floats, allowed: Bools, met: Bools, to_first: bool, world: World, moves: Moves, lattice: float
+    state: Floats, allowed: Bools, met: Bools, depth: int, world: World, moves: Moves, lattice: float
 ) -> Branches:
-    """Flood all that can be reached within `allowed`, or find the way to the first bin.
+    """Flood all that can be reached within `allowed`, or find the way to the first bin from where `depth` branches go on.
 
     The lattice cells come to are marked in `met`; both (n, n, n_headings). The bins in which some primitive stays long
     enough are taken off what the world wants.
 
     Returns
     -------
-    (n,) the branches to the first bin; none if it was not asked for, or not found
+    (n,) the branches to the first bin; none if depth is 0, or no bin was found
     """
     met[:] = False
     queue = queue_for(1 << 16)
     credits = np.empty(CREDITS, np.int64)
     queue.at[0, 0], queue.at[0, 1], queue.hs[0], queue.parents[0] = state[0], state[1], int(state[2]), -1
-    head, tail, is_found = 0, 1, False
+    head, tail = 0, 1
     met[int((state[0] - world.x0) / lattice), int((state[1] - world.y0) / lattice), queue.hs[0]] = True
-    while head < tail and not is_found:
+    while head < tail:
         if tail + moves.then.shape[1] > len(queue.hs):
             queue = larger(queue)
-        tail, is_found = _spread_on(head, tail, queue, allowed, met, to_first, world, moves, lattice, credits)
+        new = tail
+        tail = _spread_on(head, tail, queue, allowed, met, depth > 0, world, moves, lattice, credits)
         head += 1
-    out, n = np.empty(tail, np.int32), 0
-    if is_found:
-        n = trace(tail - 1, queue.parents, queue.branches, out)
-    return out[:n].copy()
+        for end in range(new, tail):
+            if queue.branches[end] < 0:
+                queue.branches[end] = -1 - queue.branches[end]
+                x, y, h = queue.at[end, 0], queue.at[end, 1], queue.hs[end]
+                if is_safe(x, y, h, 0, depth, world, moves, credits):
+                    out = np.empty(end, np.int32)
+                    return out[: trace(end, queue.parents, queue.branches, out)].copy()
+    return np.empty(0, np.int32)

@@ -31,7 +31,7 @@ from planners.steering import Curve, Pen, joined
 
 logger = logging.getLogger(__name__)
 
-SPIN, ALONE = Settings(beam=170, executed=1.2, flood_width=400, flood_layers=300), 100
+SPIN, ALONE = Settings(beam=250, executed=1.2, flood_width=400, flood_layers=300), 150
 """How hard to search for robots that turn in place, each room once: a wide beam finds more than two narrow ones. The only
 room of a floor is searched twice by a beam of ALONE, since a processor would be idle."""
 PATIENCE = (1.3, 1.6)
@@ -42,13 +42,13 @@ CAR = {
     "reeds_shepp": Settings(
         executed=3.2,
         eagerness=0.5,
-        beam=25,
+        beam=50,
         flood_layers=400,
         flood_width=300,
         flood_states=100_000,
         narrow=8,
     ),
-    "dubins": Settings(executed=2.4, eagerness=1.0, beam=40, flood_layers=400),
+    "dubins": Settings(executed=2.4, eagerness=0.5, beam=120, flood_layers=400),
 }
 """How cars are searched for."""
 FEW = 0.03
