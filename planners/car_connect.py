@@ -8,6 +8,7 @@ OMPL works in a process of its own (`ompl_car_ways`).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,12 +20,15 @@ from planners.connect import Joins, field_of
 from planners.ompl_car_ways import Arcs
 from planners.ompl_process import SLACK, ask
 from planners.reach import Reach
-from planners.robot import Robot
+from planners.robot import SHORTEST_ARC, Robot
 from planners.search_cars import geared
+from planners.search_words import MOST_ARCS, Pose, along, arcs_for, quickest
 from planners.steering import Curve
 
 PROOF_STEP = 0.004
 """[m] between the poses at which clearance is measured; it is less by up to half as much in between."""
+CUSP = 0.3
+"""[m] that a change of gear is worth."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,13 +67,15 @@ def connect_cars(
         backward=robot.drive == "reeds_shepp",
         **field_of(reach),
     )
-    arcs = np.split(answer["arcs"], np.cumsum(answer["lengths"])[:-1])
+    found_arcs = np.split(answer["arcs"], np.cumsum(answer["lengths"])[:-1])
     ways: list[CarWay | None] = []
     joins = Joins()
-    for k, (start, own) in enumerate(zip(starts, arcs, strict=True)):
+    for k, (start, own) in enumerate(zip(starts, found_arcs, strict=True)):
         found, straight = int(answer["goal"][k]), bool(answer["direct"][k])
         goal = int(within[k][found]) if found >= 0 else -1
-        way = _proven(start, own, goal, barriers, reach.clearance, robot) if goal >= 0 else None
+        tried = _untwitched(start, own, robot) if goal >= 0 else iter(())
+        made = (_proven(start, arcs, goal, barriers, reach.clearance, robot) for arcs in tried)
+        way = next((one for one in made if one is not None), None)
         ways.append(way)
         joins += Joins(
             direct=int(way is not None and straight),
@@ -78,6 +84,31 @@ def connect_cars(
             planned_m=float(own[:, 2].sum()) if way is not None and not straight else 0.0,
         )
     return ways, joins
+
+
+def _untwitched(start: Floats, arcs: Arcs, robot: Robot) -> Iterator[Arcs]:
+    """Yield the way with its twitches of the wheel, and ever more arcs round them, replaced by a word without; then itself.
+
+    Twitches are arcs so short that the wheel turns there and back within a sample.
+    """
+    short = np.flatnonzero(arcs[:, 2] < SHORTEST_ARC)
+    n, radius = len(arcs), robot.limits.turning_radius
+    poses: list[Pose] = [(float(start[0]), float(start[1]), float(start[2]))]
+    for gear, bend, length in arcs.tolist():
+        poses.append(along(poses[-1], length, int(bend), int(gear), radius))
+    gears = [0, *arcs[:, 0].astype(int).tolist(), 0]
+    room, word = arcs_for(MOST_ARCS), np.empty(MOST_ARCS)
+    for wide in range(1, n + 1) if len(short) else ():
+        i, k = max(int(short[0]) - wide, 0), min(int(short[-1]) + wide + 1, n)
+        ends = poses[i], poses[k], radius, gears[i], gears[k + 1]
+        m = quickest(*ends, CUSP, robot.drive == "reeds_shepp", SHORTEST_ARC, 0, word, room)
+        if m >= 0:
+            yield np.concatenate(
+                [arcs[:i], np.column_stack([room.gear, room.bend, room.length])[:m], arcs[k:]]
+            )
+        if i == 0 and k == n:
+            break
+    yield arcs
 
 
 def _floods_to(goals: Floats, reach: Reach) -> Bools:

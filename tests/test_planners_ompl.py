@@ -17,7 +17,9 @@ from planners.car_connect import connect_cars
 from planners.check import check
 from planners.clearance import Barriers
 from planners.reach import reach
-from planners.robot import Drive, Limits, Robot
+from planners.robot import SHORTEST_ARC, Drive, Limits, Robot
+from planners.search_cars import arcs_of
+from planners.search_shortcuts import drive_of, ground_of
 from planners.steering import Curve
 
 CLEARANCE = 0.22
@@ -121,6 +123,30 @@ def test_arcs_read_off_a_curve_lead_where_it_leads(seed: int) -> None:
     assert abs(wrap(np.float64(last[2] - goal[2]))) < 1e-6
     parts = np.sign(np.round(ways[0].curve.twists + 1e-3 * ways[0].curve.rates, 9))
     assert (np.diff(parts, axis=0) != 0).any(axis=1).sum() <= 4  # Reeds and Shepp: five parts at most
+
+
+@pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
+@pytest.mark.parametrize("aside", [1e-6, 1e-4, -1e-3])
+def test_a_way_that_is_all_but_straight_does_not_twitch_its_wheel(drive: Drive, aside: float) -> None:
+    """The shortest word to a goal a hair aside holds arcs of a hair; a wheel cannot turn there and back in a sample."""
+    arena = door_arena(9.0)
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=0.05, cell=0.25)
+    start, goal = np.array([1.2, 1.5, 0.0]), np.array([2.8, 1.5 + aside, 0.0])
+    robot = car(drive, 0.2)
+    (way,), _ = connect_cars(start[None], [goal[None]], reach=free, barriers=barriers, robot=robot, seed=0)
+    assert way is not None
+    assert way.curve is not None
+    np.testing.assert_allclose(ends(way.curve)[1][:2], goal[:2], atol=1e-6)
+    assert arcs_of(way.curve).length.sum() < 1.6 + 4 * np.pi * 0.2 + 0.1  # at most two loops more
+    whole, _ = drive_of(
+        start, arcs_of(way.curve), ground_of(free, np.ones((*free.shape, 1), dtype=np.bool_), robot.limits, 0.2, 10.0,
+        is_backward=drive == "reeds_shepp"),
+    )  # fmt: skip
+    turns = np.diff(whole.bend) | np.diff(whole.gear)
+    runs = np.add.reduceat(whole.length, np.append(0, np.flatnonzero(turns) + 1))
+    assert runs.min() >= SHORTEST_ARC
+    assert check(way.curve.trajectory(100.0), arena, robot).count == 0
 
 
 def test_an_arc_forward_and_the_same_backward_meet_again() -> None:
