@@ -87,7 +87,7 @@ class CarRepair:
 
     def take(self, curve: Curve) -> None:
         """Drive on along a curve that starts here."""
-        self.curves.append(curve)
+        self.curves = [*self.curves, curve]
         self.here = curve.sample(np.array([curve.duration]))[0][0]
 
     def comes_to(self, pose: Floats, before: tuple[float, ...] = (0.0, *BACK)) -> bool:
@@ -110,26 +110,35 @@ class CarRepair:
         return False
 
     def floods_to(self, wanted: Bools) -> bool:
-        """Drive to one of the bins `wanted` by a flood of the whole floor; False where that finds no way."""
+        """Drive to one of the bins `wanted` by a flood of the whole floor; False where that finds no way.
+
+        Where the lattice of the flood holds no way on from here, one may lead on from somewhat earlier.
+        """
         if len(GEARS[self.task.robot.drive]) > 1:
             return False
-        curve = self._ways.to_one_of(wanted, self.here)
-        if curve is None:
-            return False
-        here, before = self.here, self.missing()
-        self.take(curve)
-        if not (before & ~self.missing()).any():  # too short a stay for some phase of the log
-            self.curves.pop()
-            self.here = here
-            return False
-        self.joins += Joins(flooded=1)
-        return True
+        kept, here, before = self.curves, self.here, self.missing()
+        for back, anew in ((0.0, False), *((back, False) for back in BACK[:-1]), (0.0, True)):
+            self.curves, self.here = kept, here
+            if back:
+                if not (shorter := self._until(back)):
+                    continue
+                *self.curves, last = shorter
+                self.take(last)
+            curve = self._ways.to_one_of(wanted, self.here, anew=anew)
+            if curve is None:
+                continue
+            self.take(curve)
+            if (before & ~self.missing()).any():  # else too short a stay for some phase of the log
+                self.joins += Joins(flooded=1)
+                return True
+        self.curves, self.here = kept, here
+        return False
 
     def enters(self, room: Bools, begin: Floats, curve: Curve, seed: int) -> None:
         """Drive through a room, bins (nx, ny, n_phi), by the curve that begins at a pose (3,), or from where a way leads."""
         if self.comes_to(begin, (0.0,)):
             self.take(curve)
-        elif self.floods_to(room):
+        elif self.floods_to(room & self.missing()):
             visit = self.search(room & self.missing(), self.here, seed)
             if visit is not None:
                 self.take(visit.curve)

@@ -57,10 +57,12 @@ class Ways:
         """Where a pose that was asked about can be reached from, by the first heading of the table: others on the same
         drive can be too."""
 
-    def to_one_of(self, wanted: Bools, pose: Floats) -> Curve | None:
+    def to_one_of(self, wanted: Bools, pose: Floats, *, anew: bool = True) -> Curve | None:
         """Return the quickest drive from `pose` (3,) to one of the bins `wanted` (nx, ny, n_phi).
 
         It ends where the car can come back from; None where the flood comes to no such place.
+
+        anew : if there is no way within what is known to lead back, find out what leads back to this pose
         """
         task, limits = self.task, self.task.robot.limits
         begins = [
@@ -68,7 +70,7 @@ class Ways:
         ]
         first = round(begins[0].table.first, 9)
         branches = self._first_within(self._back.get(first), begins[1], wanted)
-        if not len(branches):  # the lattice is entered elsewhere: from here itself more may be had
+        if not len(branches) and (anew or first not in self._back):
             self._back[first] = _flood(begins[0], np.zeros_like(wanted), self.place, task.rate).met
             branches = self._first_within(self._back[first], begins[1], wanted)
         if not len(branches):
