@@ -15,7 +15,7 @@ from planners.coverage import Coverage
 from planners.errors import PlanError
 from planners.order import Cells, Ints
 from planners.primitives import ZIGZAG, aim
-from planners.reach import LEAST_SHARE, Reach
+from planners.reach import LEAST_SHARE, Cycle, Reach
 from planners.robot import Robot
 from planners.search_log import missed
 from planners.steering import Curve, Pen
@@ -59,6 +59,8 @@ class Task:
     progress: Progress | None
     targets: Floats | None = None
     """(n, 3) [m, m, rad] poses to visit, for the planner of views."""
+    cycle: Cycle | None = None
+    """Of a car that only goes forward, what it can get to from the start and come back from, if that is known."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from planners.connect import Joins
 from planners.coverage import Coverage
 from planners.coverage_planner import Driven, Progress, Task, plan_stop_and_spin
 from planners.errors import PlanError
-from planners.reach import Reach, reach
+from planners.reach import Cycle, Reach, reach
 from planners.report import counted, measured, reference_time
 from planners.robot import Robot
 from planners.search_flood import best_start, cycle
@@ -134,8 +134,10 @@ def plan(
         raise PlanError(
             f"no {cell} m cell has {100 * 0.04:.0f} % of its area within reach; use a smaller cell"
         )
+    cyclic: Cycle | None = None
     if robot.drive == "dubins":
-        start, grid = _cyclic(free, robot, grid, rate, start, seed)
+        start, cyclic = _cyclic(free, robot, grid, rate, start, seed)
+        grid = replace(grid, reachable=grid.reachable & cyclic.bins)
     if callable(priority):
         priority = priority(grid)
     if priority is not None and np.shape(priority) != grid.counts.shape:
@@ -159,6 +161,7 @@ def plan(
         duration=duration if duration is not None else reference_time(grid, robot),
         progress=progress,
         targets=targets(free) if callable(targets) else targets,
+        cycle=cyclic,
     )
     if battery is not None and start is not None:
         check_battery(task, battery, start)
@@ -231,23 +234,21 @@ def _check_ends(
 
 def _cyclic(
     free: Reach, robot: Robot, grid: Coverage, rate: float, start: Floats | None, seed: int
-) -> tuple[Floats, Coverage]:
-    """Return where a car that only goes forward begins, and the bins that it can go to and come back from."""
+) -> tuple[Floats, Cycle]:
+    """Return where a car that only goes forward begins, and what it can go to and come back from."""
     limits, headings = robot.limits, grid.headings
     if start is None:
-        start, bins = best_start(free, limits, headings, rate, seed)
+        start, found = best_start(free, limits, headings, rate, seed)
     else:
-        bins = cycle(free, limits, headings, rate, start)
-    reachable = grid.reachable & bins
+        found = cycle(free, limits, headings, rate, start)
+    reachable = grid.reachable & found.bins
     if reachable.sum() < LITTLE * grid.reachable.sum():
         better, _ = best_start(free, limits, headings, rate, seed)
         raise PlanError(
             f"from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}) the car can go to {int(reachable.sum()):,} of "
             f"{int(grid.reachable.sum()):,} bins and come back; start at {better[0]:.2f},{better[1]:.2f},{better[2]:.2f}"
         )
-    return start, Coverage(
-        origin=grid.origin, cell=grid.cell, reachable=reachable, counts=grid.counts, core=grid.core
-    )
+    return start, found
 
 
 def _check_numbers(

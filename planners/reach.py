@@ -85,6 +85,18 @@ class Reach:
         return np.asarray((self.areas() >= LEAST_SHARE) & self.blocks(self.mask).any(axis=-1))
 
 
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """What a Dubins car can get to from some pose, and come back from."""
+
+    bins: Bools
+    """(nx, ny, n_phi)"""
+    back: Bools
+    """(n, n, n_headings) cells of the lattice from which the pose can be reached."""
+    first: float
+    """[rad] first heading of the lattice."""
+
+
 def reach(
     arena: Arena,
     barriers: Barriers,

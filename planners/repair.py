@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import count
 
 import numpy as np
 
@@ -30,8 +31,8 @@ from planners.search_table import GEARS, driving
 from planners.search_words import NONE, part_of
 from planners.steering import Curve, Pen, joined
 
-ROUNDS = 40
-"""Queries, at most."""
+IDLE = 12
+"""Queries in a row after which no fewer bins are missing, at most: a way on from before the end may cut others off."""
 MOST_GOALS = 400
 """Of one query, the nearest ones."""
 BACK = (4.0, 16.0, 64.0, 256.0)
@@ -75,12 +76,15 @@ class CarRepair:
     def __post_init__(self) -> None:
         self.lost: Bools = np.zeros_like(self.todo)
         """(nx, ny, n_phi) bins that no way was found to."""
+        self._in_vain: Bools = np.zeros_like(self.todo)
+        """(nx, ny, n_phi) bins of queries that OMPL found no way for."""
         self._kept: tuple[list[Curve], float, Bools] = [], 0.0, self._none()
         """All curves but the last, their time [s], and what a log of each phase meets on them."""
         self.tried: Ints = np.zeros(self.todo.shape, dtype=np.int64)
         """(nx, ny, n_phi) how often each bin was searched for."""
         self._ways = Ways(self.task)
         limits, drive = self.task.robot.limits, self.task.robot.drive
+        self._is_forward_only = len(GEARS[drive]) == 1
         table = driving(limits, self.task.coverage.headings, self.task.rate, GEARS[drive])
         self.aside = table.first
         """[rad] from the middle of a heading bin to the headings that the search likes."""
@@ -114,7 +118,7 @@ class CarRepair:
 
         Where the lattice of the flood holds no way on from here, one may lead on from somewhat earlier.
         """
-        if len(GEARS[self.task.robot.drive]) > 1:
+        if not self._is_forward_only:
             return False
         kept, here, before = self.curves, self.here, self.missing()
         for back, anew in ((0.0, False), *((back, False) for back in BACK[:-1]), (0.0, True)):
@@ -189,28 +193,39 @@ class CarRepair:
 
     def run(self) -> None:
         """Drive to missing bins until none is left, or all that is left is lost."""
-        for round_ in range(ROUNDS):
+        fewest, idle = self.todo.size, 0
+        for round_ in count():
             missing = self.missing()
-            if not missing.any():
+            n = int(missing.sum())
+            fewest, idle = min(n, fewest), 0 if n < fewest else idle + 1
+            if n == 0:
+                return
+            if idle > IDLE:
+                self.lost |= missing
                 return
             near = missing & (self.tried < SEARCHES) & self._around()[:, :, None]
             if self.curves and near.sum() >= AGAIN and self._searched(near, round_):
                 continue
-            bins, goals = goals_in(missing, self.here, self.aside, self.task)
-            if not len(bins):  # no free place within any: slits between the raster's nodes
-                self.lost |= missing
-                return
-            way = self._way(self.here, goals, round_)
-            if way is None:
-                if not self.floods_to(missing):
-                    self.lost[tuple(bins.T)] = True
-                continue
-            goal = tuple(bins[way.goal])
-            if way.curve is None or not self._leads_on(way.curve, round_):
-                self.lost[goal] = True
-                continue
+            self._drive_to_one_of(missing, round_)
+
+    def _drive_to_one_of(self, missing: Bools, round_: int) -> None:
+        """Drive to one of some bins by OMPL, or by a flood where OMPL finds no way; lose what both come to in vain."""
+        bins, goals = goals_in(missing & ~self._in_vain, self.here, self.aside, self.task)
+        if self._is_forward_only and len(bins):  # it may be trapped in a corner
+            leads_back = self._ways.leads_back(goals, self.here)
+            bins, goals = bins[leads_back], goals[leads_back]
+        way = self._way(self.here, goals, round_) if len(bins) else None
+        if way is None:
+            self._in_vain[tuple(bins.T)] = True
+            if not self.floods_to(missing):
+                self.lost[tuple(bins.T)] = True
+                if not len(bins):  # no free place within any: slits between the raster's nodes
+                    self.lost |= missing
+            return
+        goal = tuple(bins[way.goal])
+        if way.curve is not None:
             self.take(way.curve)
-            self.lost[goal] = self.missing()[goal]  # driven to, but not long enough within it
+        self.lost[goal] = self.missing()[goal]  # driven to, but not long enough within it
 
     def _around(self) -> Bools:
         """Return the cells (nx, ny) near here: a search does not get to others."""
@@ -239,16 +254,6 @@ class CarRepair:
         )
         self.joins += joins
         return ways[0]
-
-    def _leads_on(self, curve: Curve, round_: int) -> bool:
-        """Tell whether the car can come back from a way; one that only goes forward may be trapped in a corner."""
-        if self.task.robot.drive == "reeds_shepp":
-            return True
-        before = self.joins
-        end = curve.sample(np.array([curve.duration]))[0][0]
-        back = self._way(end, self.here[None], round_)
-        self.joins = before  # not driven
-        return back is not None
 
 
 @dataclass(eq=False)

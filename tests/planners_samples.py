@@ -1,4 +1,4 @@
-"""Arenas that several planner tests share."""
+"""Arenas and tasks that several planner tests share."""
 
 from __future__ import annotations
 
@@ -7,8 +7,13 @@ from importlib.resources import files
 import numpy as np
 import shapely
 
-from planners.arena import Arena
+from planners.arena import Arena, Bools, Floats
+from planners.clearance import Barriers
+from planners.coverage import Coverage
+from planners.coverage_planner import Task
 from planners.maps import geojson
+from planners.reach import reach
+from planners.robot import Drive, Limits, Robot
 
 
 def shipped(name: str) -> Arena:
@@ -41,3 +46,30 @@ def random_arena(rng: np.random.Generator) -> Arena:
         corners = rng.uniform(0.5, 3.2, 2) + rng.uniform(-0.4, 0.4, (6, 2))
         free = free.difference(shapely.convex_hull(shapely.multipoints(corners)))
     return outlined(free)
+
+
+def task_of(arena: Arena, drive: Drive, start: Floats) -> Task:
+    """Return the task to cover all of an arena from `start` (3,), in cells of 0.25 m and 16 headings."""
+    barriers = Barriers(arena)
+    free = reach(arena, barriers, clearance=0.22, cell=0.25, start=start)
+    grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=16)
+    return Task(
+        arena=arena,
+        robot=Robot(drive=drive, limits=Limits(turning_radius=0.3)),
+        barriers=barriers,
+        reach=free,
+        coverage=grid,
+        start=start,
+        seed=0,
+        rate=10.0,
+        priority=None,
+        duration=None,
+        progress=None,
+    )
+
+
+def some(task: Task, *bins: tuple[int, int, int]) -> Bools:
+    """Return (nx, ny, n_phi) some of the bins of a task."""
+    todo = np.zeros_like(task.coverage.reachable)
+    todo[tuple(np.array(bins).T)] = True
+    return todo

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from planners_samples import door_arena
+from planners_samples import door_arena, some, task_of
 
 import planners.connect as connections
+import planners.repair as repairs
 from planners import plan
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Bools, Floats
 from planners.car_connect import CarWay
 from planners.check import check
-from planners.clearance import Barriers
 from planners.connect import Joins, connect
-from planners.coverage import Coverage
-from planners.coverage_planner import Task
-from planners.reach import Reach, reach
+from planners.reach import Reach
 from planners.repair import CarRepair, SpinRepair
 from planners.robot import Drive, Limits, Robot
 from planners.search import Settings, Visit
@@ -26,30 +24,13 @@ from planners.steering import joined
 START = np.array([0.8, 0.8, 0.3])
 
 
-def task_of(arena: Arena, drive: Drive) -> Task:
-    barriers = Barriers(arena)
-    free = reach(arena, barriers, clearance=0.22, cell=0.25, start=START)
-    grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=16)
-    robot = Robot(drive=drive, limits=Limits(turning_radius=0.3))
-    return Task(
-        arena=arena, robot=robot, barriers=barriers, reach=free, coverage=grid, start=START, seed=0,
-        rate=10.0, priority=None, duration=None, progress=None,
-    )  # fmt: skip
-
-
 def gives_up(_: Bools, __: Floats, ___: int) -> Visit | None:
     return None
 
 
-def some(task: Task, *bins: tuple[int, int, int]) -> Bools:
-    todo = np.zeros_like(task.coverage.reachable)
-    todo[tuple(np.array(bins).T)] = True
-    return todo
-
-
 @pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
 def test_bins_behind_a_wall_that_the_search_gives_up_on_are_met_by_ompl(drive: Drive) -> None:
-    task = task_of(door_arena(1.2), drive)
+    task = task_of(door_arena(1.2), drive, START)
     todo = some(task, (12, 1, 0), (12, 2, 0), (3, 6, 8))  # two beyond the wall, one by the start
     repair = CarRepair(task, todo, START, gives_up)
     repair.run()
@@ -64,7 +45,7 @@ def test_bins_behind_a_wall_that_the_search_gives_up_on_are_met_by_ompl(drive: D
 
 
 def test_what_is_crossed_on_the_way_is_not_driven_to_again() -> None:
-    task = task_of(door_arena(9.0), "reeds_shepp")
+    task = task_of(door_arena(9.0), "reeds_shepp", START)
     ahead = CarRepair(task, some(task, (12, 6, 0)), START, gives_up)
     ahead.run()
     (curve,) = ahead.curves
@@ -80,7 +61,7 @@ def test_what_is_crossed_on_the_way_is_not_driven_to_again() -> None:
 
 def test_a_bin_that_no_way_leads_to_is_given_up_and_said_to_be() -> None:
     """A Dubins car cannot come back from a corner that it drives straight into."""
-    task = task_of(door_arena(9.0), "dubins")
+    task = task_of(door_arena(9.0), "dubins", START)
     corner = (14, 10, 2)
     repair = CarRepair(task, some(task, corner, (5, 6, 8)), START, gives_up)
     repair.run()
@@ -88,10 +69,39 @@ def test_a_bin_that_no_way_leads_to_is_given_up_and_said_to_be() -> None:
     assert repair.lost.sum() == 1
 
 
+def test_ompl_is_not_asked_twice_for_a_bin_that_it_found_no_way_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    task, asked = task_of(door_arena(1.2), "dubins", START), list[Bools]()
+
+    def in_vain(starts: Floats, goals: list[Floats], **_: object) -> tuple[list[None], Joins]:
+        (bins, inside) = task.coverage.bins(goals[0])
+        assert inside.all()
+        asked.append(some(task, *(tuple(own) for own in bins.tolist())))
+        return [None] * len(starts), Joins(failed=len(starts))
+
+    monkeypatch.setattr(repairs, "connect_cars", in_vain)
+    todo = some(task, (12, 6, 0), (12, 7, 8), (3, 6, 8), (6, 8, 4))
+    repair = CarRepair(task, todo, START, gives_up)
+    repair.run()
+    assert len(asked) == 1
+    assert (todo & ~asked[0]).sum() == 0
+    assert repair.joins.flooded >= 1
+    assert missed(joined(repair.curves), todo, task.coverage, task.rate).sum() == repair.lost.sum() == 0
+
+
+def test_more_bins_are_driven_to_one_by_one_than_queries_may_be_in_vain() -> None:
+    task = task_of(door_arena(9.0), "reeds_shepp", START)
+    todo = np.zeros_like(task.coverage.reachable)
+    todo[3:13:2, 3:9:2, ::4] = True  # too few near each other for a search, too far apart for one way
+    repair = CarRepair(task, todo, START, gives_up)
+    repair.run()
+    assert len(repair.curves) > 2 * repairs.IDLE
+    assert missed(joined(repair.curves), todo, task.coverage, task.rate).sum() == repair.lost.sum() <= 2
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
 def test_a_search_whose_flood_gives_up_goes_on_where_ompl_has_brought_the_car(drive: Drive) -> None:
-    task = task_of(door_arena(1.2), drive)
+    task = task_of(door_arena(1.2), drive, START)
     todo = np.zeros_like(task.coverage.reachable)
     todo[11:13, 5:7] = True
     short = Settings(beam=30, ahead=1.5, flood_layers=24 if drive == "reeds_shepp" else 6)
@@ -111,7 +121,7 @@ def test_a_search_whose_flood_gives_up_goes_on_where_ompl_has_brought_the_car(dr
 
 def test_a_robot_that_turns_in_place_goes_round_the_wall_and_turns_through_what_is_missing() -> None:
     """The cells beyond the wall have no straight way; the one by the start has."""
-    task = task_of(door_arena(1.2), "diff")
+    task = task_of(door_arena(1.2), "diff", START)
     todo = some(task, (12, 1, 0), (12, 1, 5), (13, 1, 9), (3, 6, 8))
     repair = SpinRepair(task, todo, START)
     repair.run()
@@ -128,7 +138,7 @@ def test_a_robot_that_turns_in_place_goes_round_the_wall_and_turns_through_what_
 
 def test_turns_where_nothing_is_missing_are_not_made() -> None:
     """What the way to the first cell meets, and what it needs no more, is not driven to."""
-    task = task_of(door_arena(9.0), "diff")
+    task = task_of(door_arena(9.0), "diff", START)
     here = (3, 3, 1)  # the bin that START lies in
     repair = SpinRepair(task, some(task, here), START)
     repair.run()
@@ -141,7 +151,7 @@ def test_a_way_that_ompl_does_not_find_as_a_whole_is_found_leg_by_leg(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As on a floor of forty rooms: here OMPL is told to give up at once on ways longer than two metres."""
-    task = task_of(door_arena(1.2), "diff")
+    task = task_of(door_arena(1.2), "diff", START)
     solve = connections._in_a_process
 
     def near(starts: Floats, goals: list[Floats], free: Reach, seed: int) -> list[Floats]:
@@ -160,7 +170,7 @@ def test_a_way_that_ompl_does_not_find_as_a_whole_is_found_leg_by_leg(
 
 
 def test_what_lies_behind_a_closed_door_is_said_to_have_no_way() -> None:
-    task = task_of(door_arena(0.3), "diff")
+    task = task_of(door_arena(0.3), "diff", START)
     todo = some(task, (12, 6, 0), (12, 7, 3), (3, 6, 8))
     repair = SpinRepair(task, todo, START)
     repair.run()
@@ -171,7 +181,7 @@ def test_what_lies_behind_a_closed_door_is_said_to_have_no_way() -> None:
 def test_where_no_way_leads_on_from_the_end_of_a_drive_one_leads_on_from_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    task = task_of(door_arena(1.2), "reeds_shepp")
+    task = task_of(door_arena(1.2), "reeds_shepp", START)
     repair = CarRepair(task, some(task, (12, 6, 0)), START, gives_up)
     repair.run()
     end, driven, asked = repair.here.copy(), repair.curves[-1], list[Floats]()

@@ -4,32 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from planners_samples import door_arena
+from planners_samples import door_arena, some, task_of
 
-from planners.arena import Arena, Bools
+from planners.arena import Bools
 from planners.check import check
-from planners.clearance import Barriers
-from planners.coverage import Coverage
 from planners.coverage_planner import Task
-from planners.reach import reach
 from planners.repair import CarRepair
-from planners.robot import Drive, Limits, Robot
+from planners.robot import Drive
 from planners.search_cars import geared
 from planners.search_log import met, missed
 from planners.steering import Curve, joined
 
 START = np.array([0.5, 1.375, 0.0])
 SPEED = 0.3
-
-
-def task_of(arena: Arena, drive: Drive) -> Task:
-    barriers = Barriers(arena)
-    free = reach(arena, barriers, clearance=0.22, cell=0.25, start=START)
-    grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=16)
-    return Task(
-        arena=arena, robot=Robot(drive=drive, limits=Limits(turning_radius=0.3)), barriers=barriers, reach=free,
-        coverage=grid, start=START, seed=0, rate=10.0, priority=None, duration=None, progress=None,
-    )  # fmt: skip
 
 
 def straight(task: Task, length: float) -> Curve:
@@ -42,15 +29,9 @@ def repair_of(task: Task, todo: Bools, curve: Curve) -> CarRepair:
     return repair
 
 
-def some(task: Task, *bins: tuple[int, int, int]) -> Bools:
-    todo = np.zeros_like(task.coverage.reachable)
-    todo[tuple(np.array(bins).T)] = True
-    return todo
-
-
 @pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
 def test_a_bin_beside_the_drive_is_met_and_those_on_it_stay_met(drive: Drive) -> None:
-    task = task_of(door_arena(9.0), drive)
+    task = task_of(door_arena(9.0), drive, START)
     curve = straight(task, 2.8)
     on_it = met(curve, task.coverage, task.rate).all(axis=0)
     todo = on_it | some(task, (8, 8, 3), (5, 3, 12))
@@ -66,7 +47,7 @@ def test_a_bin_beside_the_drive_is_met_and_those_on_it_stay_met(drive: Drive) ->
 
 
 def test_a_detour_costs_less_than_a_drive_to_the_bin_from_the_end() -> None:
-    task = task_of(door_arena(9.0), "reeds_shepp")
+    task = task_of(door_arena(9.0), "reeds_shepp", START)
     curve, todo = straight(task, 2.8), some(task, (4, 5, 4))  # beside where the drive begins
     by_detour, at_end = repair_of(task, todo, curve), repair_of(task, todo, curve)
     by_detour.passes_by(SPEED)
@@ -79,7 +60,7 @@ def test_a_detour_costs_less_than_a_drive_to_the_bin_from_the_end() -> None:
 
 def test_what_lies_behind_a_wall_stays_missing() -> None:
     """In the other room, a hand's breadth from the wall along which the car drives."""
-    task = task_of(door_arena(0.0), "reeds_shepp")
+    task = task_of(door_arena(0.0), "reeds_shepp", START)
     curve, todo = straight(task, 1.0), np.zeros_like(task.coverage.reachable)
     todo[9, 5, 4] = True
     repair = repair_of(task, todo, curve)
@@ -89,7 +70,7 @@ def test_what_lies_behind_a_wall_stays_missing() -> None:
 
 
 def test_what_was_lost_is_found_again_and_no_longer_lost() -> None:
-    task = task_of(door_arena(9.0), "reeds_shepp")
+    task = task_of(door_arena(9.0), "reeds_shepp", START)
     repair = repair_of(task, some(task, (6, 7, 5)), straight(task, 2.8))
     repair.lost[6, 7, 5] = True
     repair.passes_by(SPEED)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from planners_samples import door_arena
+from planners_samples import door_arena, some, task_of
 
 import planners.repair as repairs
-from planners.arena import Arena, Bools, Floats
+import planners.search_flood as floors
+from planners.arena import Bools, Floats
 from planners.check import check
-from planners.clearance import Barriers
 from planners.connect import Joins
-from planners.coverage import Coverage
-from planners.coverage_planner import Task
-from planners.reach import reach
 from planners.repair import CarRepair
-from planners.robot import Limits, Robot
 from planners.search import Settings, Visit
 from planners.search_cars import search_floor
 from planners.search_flood import Ways, cycle
@@ -25,26 +23,10 @@ from planners.steering import joined
 START = np.array([0.8, 0.8, 0.3])
 
 
-def task_of(arena: Arena, headings: int = 16) -> Task:
-    barriers = Barriers(arena)
-    free = reach(arena, barriers, clearance=0.22, cell=0.25, start=START)
-    grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
-    return Task(
-        arena=arena, robot=Robot(drive="dubins", limits=Limits(turning_radius=0.3)), barriers=barriers, reach=free,
-        coverage=grid, start=START, seed=0, rate=10.0, priority=None, duration=None, progress=None,
-    )  # fmt: skip
-
-
-def some(task: Task, *bins: tuple[int, int, int]) -> Bools:
-    todo = np.zeros_like(task.coverage.reachable)
-    todo[tuple(np.array(bins).T)] = True
-    return todo
-
-
 @pytest.mark.parametrize("door", [0.5, 0.6, 1.2])
 @pytest.mark.parametrize("goal", [(12, 6, 0), (12, 6, 8), (13, 4, 4)])
 def test_a_way_leads_through_the_door_into_the_bin(door: float, goal: tuple[int, int, int]) -> None:
-    task = task_of(door_arena(door))
+    task = task_of(door_arena(door), "dubins", START)
     wanted = some(task, goal)
     curve = Ways(task).to_one_of(wanted, START)
     assert curve is not None
@@ -58,7 +40,7 @@ def test_a_way_leads_through_the_door_into_the_bin(door: float, goal: tuple[int,
 
 
 def test_of_several_bins_it_goes_to_the_nearest() -> None:
-    task = task_of(door_arena(0.6))
+    task = task_of(door_arena(0.6), "dubins", START)
     near, both = some(task, (6, 4, 2)), some(task, (6, 4, 2), (13, 4, 4))
     ways = Ways(task)
     one, other = ways.to_one_of(near, START), ways.to_one_of(both, START)
@@ -68,20 +50,54 @@ def test_of_several_bins_it_goes_to_the_nearest() -> None:
 
 
 def test_no_way_leads_through_a_wall_or_to_where_the_car_could_not_come_back_from() -> None:
-    closed, open_ = task_of(door_arena(0.0)), task_of(door_arena(0.6))
+    closed, open_ = task_of(door_arena(0.0), "dubins", START), task_of(door_arena(0.6), "dubins", START)
     assert Ways(closed).to_one_of(some(closed, (12, 6, 0)), START) is None
-    back = cycle(open_.reach, open_.robot.limits, 16, 10.0, START)
+    back = cycle(open_.reach, open_.robot.limits, 16, 10.0, START).bins
     trapped = open_.coverage.reachable & ~back
     assert trapped.any()
     assert back[12:14].any()
     assert Ways(open_).to_one_of(trapped, START) is None
 
 
+def test_a_pose_leads_back_where_a_way_from_it_comes_back_and_not_out_of_a_corner() -> None:
+    """Along a way through the door and back again each pose does; driving straight into a wall, none does."""
+    task = task_of(door_arena(0.6), "dubins", START)
+    ways = Ways(task)
+    there = ways.to_one_of(some(task, (12, 6, 8)), START)
+    assert there is not None
+    end = there.sample(np.array([there.duration]))[0][0]
+    back = ways.to_one_of(some(task, (3, 3, 1)), end)
+    assert back is not None
+    poses = np.concatenate([one.sample(np.linspace(0.0, one.duration, 60))[0] for one in (there, back)])
+    assert ways.leads_back(poses, START).mean() > 0.9  # a lattice's cell may touch a wall
+    trapped = np.array([[3.7, 2.7, np.pi / 4], [3.75, 1.5, 0.0], [1.0, 2.75, np.pi / 2]])
+    assert not ways.leads_back(trapped, START).any()
+
+
+def test_what_a_flood_of_all_that_leads_back_did_not_find_is_not_looked_for_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    task = task_of(door_arena(0.0), "dubins", START)
+    floods, flood = list[int](), floors._flood
+
+    def counted(*args: Any, **kwargs: Any) -> floors._Flooded:
+        floods.append(1)
+        return flood(*args, **kwargs)
+
+    monkeypatch.setattr(floors, "_flood", counted)
+    ways, behind = Ways(task), some(task, (12, 6, 0), (12, 6, 4))
+    assert ways.to_one_of(behind, START) is None
+    before = len(floods)
+    assert ways.to_one_of(behind, np.array([1.2, 1.0, 2.0])) is None
+    assert len(floods) == before
+    assert ways.to_one_of(behind | some(task, (4, 6, 2)), START) is not None
+
+
 def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_flood(monkeypatch: pytest.MonkeyPatch) -> None:
-    task = task_of(door_arena(0.6))
+    task = task_of(door_arena(0.6), "dubins", START)
     todo = np.zeros_like(task.coverage.reachable)
     todo[11:13, 5:7] = True
-    todo &= cycle(task.reach, task.robot.limits, 16, 10.0, START)
+    todo &= cycle(task.reach, task.robot.limits, 16, 10.0, START).bins
 
     def in_vain(starts: Floats, goals: list[Floats], **_: object) -> tuple[list[None], Joins]:
         return [None] * len(starts), Joins(failed=len(starts))
