@@ -24,9 +24,9 @@ from planners.primitives import aim
 from planners.search import Visit
 from planners.search_cars import arcs_of, geared, redriven
 from planners.search_detours import with_detours
+from planners.search_drive import drive_of, ground_of
 from planners.search_flood import Ways
 from planners.search_log import PHASES, met, missed
-from planners.search_shortcuts import drive_of, ground_of
 from planners.search_table import GEARS, driving
 from planners.search_words import NONE, part_of
 from planners.steering import Curve, Pen, joined

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planners import search_kernels as kernels
 from planners.arena import Bools, Floats
 from planners.order import Ints
 from planners.reach import Reach
 from planners.rooms import SIDES, links
+from planners.search_beam import LONGEST_FLOOD, Hunt, Outlook, advance, desk, potential
 from planners.search_outlook import lattice
 from planners.search_table import Table
+from planners.search_world import CREDITS, Moves, World, drive, escape
 from planners.steering import Curve, displace
 
 INNER = 0.12
@@ -184,7 +185,7 @@ class Search:
         """Set the bins to drive for; `patience` stretches the time to stay in each."""
         where = self.place
         dwell = patience / self.rate
-        self.world = kernels.World(
+        self.world = World(
             distance=where.distance,
             need=need.copy(),
             missing=need.sum(axis=2).astype(np.int64),
@@ -216,13 +217,13 @@ class Search:
         Returns DONE, OUT_OF_REACH (of what is left, at this resolution), GAVE_UP, or STOPPED by `tick`.
         """
         hunt, moves = self._hunt(), self.moves()
-        desk, ahead = kernels.desk(hunt, moves), self._outlook()
+        room, ahead = desk(hunt, moves), self._outlook()
         counters = np.array([0, self.left, 0, 0])
-        sequence = np.empty(SLICE * kernels.LONGEST_FLOOD, dtype=np.int32)
+        sequence = np.empty(SLICE * LONGEST_FLOOD, dtype=np.int32)
         while counters[3] == 0:
             counters[0] = 0
             self._before = [*self._before[-1:], self._here()]
-            kernels.advance(self.state, SLICE, hunt, self.world, moves, ahead, desk, sequence, counters)
+            advance(self.state, SLICE, hunt, self.world, moves, ahead, room, sequence, counters)
             self._parts.append(sequence[: counters[0]].copy())
             if not tick(int(counters[1])):
                 break
@@ -261,7 +262,7 @@ class Search:
         """Want no more of the nearest cell where something is missing; False if no such cell is in the robot's reach."""
         world = self.world
         far, queue = np.empty(world.missing.shape, np.int64), np.empty(world.missing.size, np.int64)
-        kernels.potential(world, far, queue)
+        potential(world, far, queue)
         i, k = self._cell
         while 0 < far[i, k] <= far.size:
             ways = [(i + a, k + b) for bit, (a, b) in enumerate(SIDES) if world.links[i, k] >> bit & 1]
@@ -288,11 +289,11 @@ class Search:
 
     def rest(self) -> bool:
         """Drive on until the robot stands still but for its spin; False if that is not found."""
-        out, credits = np.empty(64, dtype=np.int32), np.empty(kernels.CREDITS, dtype=np.int64)
+        out, credits = np.empty(64, dtype=np.int32), np.empty(CREDITS, dtype=np.int64)
         x, y, h, m = self.state.tolist()
-        n = kernels.escape(x, y, int(h), int(m), -24, self.world, self.moves(), credits, out)
+        n = escape(x, y, int(h), int(m), -24, self.world, self.moves(), credits, out)
         for j in out[: max(n, 0)].tolist():
-            kernels.drive(self.state, j, self.world, self.moves(), credits)
+            drive(self.state, j, self.world, self.moves(), credits)
         self._parts.append(out[: max(n, 0)].copy())
         return bool(n >= 0)
 
@@ -304,10 +305,10 @@ class Search:
             left=self.world.need.copy(),
         )
 
-    def _hunt(self) -> kernels.Hunt:
+    def _hunt(self) -> Hunt:
         s, unit = self.settings, self.table.unit
         horizon = max(round(s.ahead / unit), 4)
-        return kernels.Hunt(
+        return Hunt(
             horizon=horizon,
             executed=max(round(s.executed / unit), 1),
             width=s.beam,
@@ -323,21 +324,21 @@ class Search:
             narrow=s.narrow,
         )
 
-    def _outlook(self) -> kernels.Outlook:
+    def _outlook(self) -> Outlook:
         where = self.place
         grid = lattice(self.table, where.distance, where.step, where.cell, where.least)
         side = grid.side if self.settings.narrow > 0 else 1
         value = np.empty(side * side * len(grid.bins) * grid.n_gears, dtype=np.int16)
         room = np.empty((2, 4 * value.size), dtype=np.int32)
         heads = np.empty(int(grid.cost.max()) + grid.pause + 1, dtype=np.int32)
-        return kernels.Outlook(grid, value, room[0], room[1], heads, np.zeros(2, dtype=np.int64))
+        return Outlook(grid, value, room[0], room[1], heads, np.zeros(2, dtype=np.int64))
 
-    def moves(self) -> kernels.Moves:
+    def moves(self) -> Moves:
         """Return the table as the kernels take it."""
         t = self.table
         apart = t.ways - t.ways[..., [(t.ways.shape[3] - 1) // 2], :]
         longest = float(np.hypot(*np.moveaxis(apart, -1, 0)).max()) + 2 * self.place.step
-        return kernels.Moves(
+        return Moves(
             t.ways, t.bins, t.core, t.turn, t.then, t.cost, t.period, t.patient, t.stops, t.rests, longest
         )
 

@@ -9,16 +9,17 @@ from itertools import pairwise
 import numpy as np
 from scipy import ndimage
 
-from planners import search_kernels as kernels
 from planners.arena import Bools, Floats
 from planners.coverage_planner import Task, levels
 from planners.robot import Limits
 from planners.rooms import rooms
 from planners.search import Found, Scene, Search, Settings, Visit, chained, scene
+from planners.search_drive import drive_of, ground_of
 from planners.search_log import missed
-from planners.search_shortcuts import drive_of, ground_of, shorter
+from planners.search_shortcuts import shorter
 from planners.search_table import GEARS, Table, driving
 from planners.search_words import NONE, Arcs, part_of
+from planners.search_world import CREDITS, is_safe
 from planners.steering import Curve
 
 MOST_STEPS = 3
@@ -75,7 +76,7 @@ def entry(pose: Floats, place: Scene, table: Table, rate: float, limits: Limits)
     if abs(turns[0]) < SAME:
         return Entry(table=table, pose=pose, length=0.0, bend=0, gear=1, state=state_at(table, pose))
     search = Search(place, table, np.zeros((*place.inner.shape, 1), dtype=np.bool_), rate)
-    moves, credits = search.moves(), np.empty(kernels.CREDITS, dtype=np.int64)
+    moves, credits = search.moves(), np.empty(CREDITS, dtype=np.int64)
     for turn in turns.tolist():
         for mode, gear in enumerate(np.sign(table.speeds).astype(int).tolist()):
             length, bend = abs(turn) * limits.turning_radius, int(np.sign(turn))
@@ -86,7 +87,7 @@ def entry(pose: Floats, place: Scene, table: Table, rate: float, limits: Limits)
             if ndimage.map_coordinates(place.distance, nodes.T, order=1).min() < place.least:
                 continue
             x, y, h, _ = state = state_at(table, poses[-1], mode)
-            if kernels.is_safe(x, y, int(h), mode, table.safe_depth, search.world, moves, credits):
+            if is_safe(x, y, int(h), mode, table.safe_depth, search.world, moves, credits):
                 return Entry(table=table, pose=pose, length=length, bend=bend, gear=gear, state=state)
     return None
 

@@ -16,7 +16,7 @@ from planners.arena import Floats
 from planners.kernel import inner_kernel
 from planners.order import Ints
 from planners.robot import SHORTEST_ARC
-from planners.search_shortcuts import (
+from planners.search_drive import (
     MOST_WON,
     Drive,
     Gears,

@@ -10,14 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planners import search_kernels as kernels
 from planners.arena import Bools, Floats, wrap
 from planners.coverage_planner import Task
 from planners.reach import Cycle, Reach
 from planners.robot import Limits
 from planners.search import Found, Scene, Search, scene
 from planners.search_cars import Entry, begin, car_curve
+from planners.search_spread import spread
 from planners.search_table import driving
+from planners.search_world import Branches
 from planners.steering import Curve
 
 FINE = 0.02
@@ -112,7 +113,7 @@ class Ways:
         none = np.zeros_like(self.task.coverage.reachable)
         self._back[round(begun.table.first, 9)] = _flood(begun, none, self.place, self.task.rate).met
 
-    def _first_within(self, begun: Entry, wanted: Bools) -> kernels.Branches:
+    def _first_within(self, begun: Entry, wanted: Bools) -> Branches:
         """Return the way (n,) within what leads back to the first bin; none where there is no such way."""
         back = self._back.get(round(begun.table.first, 9))
         if back is None:
@@ -130,7 +131,7 @@ class _Flooded(NamedTuple):
     """(n, n, n_headings) cells of the lattice."""
     left: Bools
     """(nx, ny, n_phi) bins that it did not meet."""
-    branches: kernels.Branches
+    branches: Branches
     """(n,) the way to the first one that it met, if that was asked for."""
 
 
@@ -150,7 +151,7 @@ def _flood(
     met = np.zeros((*shape, begun.table.n_headings), dtype=np.bool_)
     allowed = np.ones_like(met) if within is None else within
     depth = begun.table.safe_depth if to_first else 0
-    branches = kernels.spread(begun.state, allowed, met, depth, search.world, search.moves(), FINE)
+    branches = spread(begun.state, allowed, met, depth, search.world, search.moves(), FINE)
     return _Flooded(met, search.world.need, branches)
 
 

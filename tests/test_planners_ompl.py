@@ -19,7 +19,7 @@ from planners.clearance import Barriers
 from planners.reach import reach
 from planners.robot import SHORTEST_ARC, Drive, Limits, Robot
 from planners.search_cars import arcs_of
-from planners.search_shortcuts import drive_of, ground_of
+from planners.search_drive import drive_of, ground_of
 from planners.steering import Curve
 
 CLEARANCE = 0.22

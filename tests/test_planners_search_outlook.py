@@ -11,8 +11,8 @@ from planners.clearance import Barriers
 from planners.reach import reach
 from planners.robot import Limits
 from planners.search import Search, Settings, scene
+from planners.search_beam import look, units_away
 from planners.search_cars import state_at
-from planners.search_kernels import look, units_away
 from planners.search_outlook import FARTHEST
 from planners.search_table import GEARS, driving
 
