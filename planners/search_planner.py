@@ -21,7 +21,8 @@ from planners.connect import connect
 from planners.coverage_planner import Driven, Task, levels, wanted
 from planners.errors import PlanError
 from planners.order import Ints
-from planners.repair import CarRepair, SpinRepair, lead
+from planners.repair_cars import CarRepair
+from planners.repair_spins import SpinRepair, lead
 from planners.rooms import cell_graph, rooms, sequence
 from planners.search import Scene, Search, Settings, Visit, scene, spin_curve
 from planners.search_cars import cusps, geared, room_order, search_floor, shortened
@@ -116,11 +117,11 @@ def _by_car(task: Task) -> Driven:
             repair.enters(part, begin, visit.curve, task.seed)
     if not interrupted:
         interrupted = _completed(repair, task)
-    if not repair.curves:
+    if not repair.trip.curves:
         raise PlanError(
             f"the car cannot reach a bin from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}); choose another start"
         )
-    curve = joined(repair.curves)
+    curve = repair.trip.curve
     return Driven(
         curve=curve, stops=cusps(curve), joins=repair.joins, interrupted=interrupted, lost=repair.lost
     )
@@ -133,11 +134,11 @@ def _completed(repair: CarRepair, task: Task) -> bool:
         if repair.missing().sum() < FEW * repair.todo.sum():
             repair.passes_by(speed)
         repair.run()
-        if repair.curves:
+        if repair.trip.curves:
             repair.passes_by(speed)
             won = repair.todo & ~repair.missing()
-            short, interrupted = shortened(joined(repair.curves), won, task, speed)
-            repair.curves = [short]
+            short, interrupted = shortened(repair.trip.curve, won, task, speed)
+            repair.redrive(short)
             if interrupted:
                 return True
             repair.passes_by(speed)

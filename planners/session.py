@@ -20,7 +20,7 @@ from planners.coverage_planner import Driven, Task
 from planners.errors import PlanError
 from planners.order import Ints
 from planners.reach import Reach
-from planners.repair import lead
+from planners.repair_spins import lead
 from planners.robot import Robot
 from planners.search_cars import redriven
 from planners.search_planner import face

@@ -9,11 +9,11 @@ from planners_samples import door_arena, some, task_of
 from planners.arena import Bools
 from planners.check import check
 from planners.coverage_planner import Task
-from planners.repair import CarRepair
+from planners.repair_cars import CarRepair
 from planners.robot import Drive
 from planners.search_cars import geared
 from planners.search_log import met, missed
-from planners.steering import Curve, joined
+from planners.steering import Curve
 
 START = np.array([0.5, 1.375, 0.0])
 SPEED = 0.3
@@ -38,7 +38,7 @@ def test_a_bin_beside_the_drive_is_met_and_those_on_it_stay_met(drive: Drive) ->
     repair = repair_of(task, todo, curve)
     assert repair.missing().sum() == 2
     repair.passes_by(SPEED)
-    after = joined(repair.curves)
+    after = repair.trip.curve
     assert not missed(after, todo, task.coverage, task.rate).any()
     np.testing.assert_allclose(after.poses[0], START)
     ends = [own.sample(np.array([own.duration]))[0][0] for own in (curve, after)]
@@ -55,7 +55,7 @@ def test_a_detour_costs_less_than_a_drive_to_the_bin_from_the_end() -> None:
     for repair in (by_detour, at_end):
         assert not repair.missing().any()
         assert not repair.lost.any()
-    assert joined(by_detour.curves).duration < joined(at_end.curves).duration
+    assert by_detour.trip.curve.duration < at_end.trip.curve.duration
 
 
 def test_what_lies_behind_a_wall_stays_missing() -> None:
@@ -65,7 +65,7 @@ def test_what_lies_behind_a_wall_stays_missing() -> None:
     todo[9, 5, 4] = True
     repair = repair_of(task, todo, curve)
     repair.passes_by(SPEED)
-    assert repair.curves == [curve]
+    assert repair.trip.curves == (curve,)
     assert repair.missing().sum() == 1
 
 

@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 from planners_samples import door_arena, some, task_of
 
-import planners.repair as repairs
+import planners.repair_cars as repairs
 import planners.search_flood as floors
 from planners.arena import Bools, Floats
 from planners.check import check
 from planners.connect import Joins
-from planners.repair import CarRepair
+from planners.repair_cars import CarRepair
 from planners.search import Settings, Visit
 from planners.search_cars import search_floor
 from planners.search_flood import Ways, cycle
 from planners.search_log import missed
-from planners.steering import joined
 
 START = np.array([0.8, 0.8, 0.3])
 
@@ -110,7 +109,7 @@ def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_flood(monkeypatch:
     visit = search(todo, np.array([3.1, 1.5, 0.0]), 0)
     assert visit is not None
     repair.enters(todo, visit.ends[0], visit.curve, 0)
-    curve = joined(repair.curves)
+    curve = repair.trip.curve
     assert (repair.joins.failed, repair.joins.flooded) == (1, 1)
     assert missed(curve, todo, task.coverage, task.rate).sum() <= 0.1 * todo.sum()
     assert check(curve.trajectory(100.0), task.arena, task.robot).count == 0

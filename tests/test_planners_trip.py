@@ -1,0 +1,58 @@
+"""A trip's log is that of its curves in one, however it grew; and it can go on from earlier."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from planners_samples import door_arena, task_of
+
+from planners.search_cars import geared
+from planners.search_log import missed
+from planners.trip import Trip
+
+TASK = task_of(door_arena(9.0), "reeds_shepp", np.array([1.0, 1.4, 0.3]))
+PIECES = st.lists(st.tuples(st.floats(0.05, 0.6), st.sampled_from([-1, 0, 1])), min_size=1, max_size=4)
+
+
+def begun() -> Trip:
+    return Trip(grid=TASK.coverage, rate=TASK.rate, limits=TASK.robot.limits, here=np.array([1.0, 1.4, 0.3]))
+
+
+def going_on(trip: Trip, pieces: list[tuple[float, int]], gear: int) -> Trip:
+    length, bend = (np.array(column) for column in zip(*pieces, strict=True))
+    return trip.then(geared(trip.here, length, bend, np.full(len(length), gear), TASK.robot.limits))
+
+
+@given(drives=st.lists(st.tuples(PIECES, st.sampled_from([1, -1])), min_size=1, max_size=4))
+@settings(max_examples=40, deadline=None)
+def test_the_log_of_the_curves_is_that_of_all_in_one(
+    drives: list[tuple[list[tuple[float, int]], int]],
+) -> None:
+    trip = begun()
+    for pieces, gear in drives:
+        trip = going_on(trip, pieces, gear)
+    everything = np.ones_like(TASK.coverage.reachable)
+    np.testing.assert_array_equal(~trip.met, missed(trip.curve, everything, TASK.coverage, TASK.rate))
+    np.testing.assert_allclose(trip.here, trip.curve.sample(np.array([trip.duration]))[0][0], atol=1e-9)
+    assert len(trip.curves) == len(drives)
+
+
+def test_a_trip_without_its_end_is_as_long_ago_on_the_same_way() -> None:
+    trip = going_on(going_on(begun(), [(0.5, 1), (0.4, 0)], 1), [(0.3, 0), (0.3, 1), (0.3, -1)], -1)
+    shorter = trip.before(1.5)
+    assert shorter is not None
+    assert trip.duration - 1.5 - 0.7 < shorter.duration < trip.duration  # it stops, and only between pieces
+    assert shorter.curves[0] is trip.curves[0]
+    ends = trip.curve.poses[:, :2]
+    assert np.hypot(*(ends - shorter.here[:2]).T).min() < 1e-6
+    assert (shorter.met & ~trip.met).sum() <= 2  # it stays longer where it stops
+    assert trip.before(0.0) is trip
+    assert trip.before(60.0) is None
+    assert begun().before(1.0) is None
+
+
+def test_a_trip_that_has_not_begun_meets_nothing() -> None:
+    trip = begun()
+    assert not trip.met.any()
+    assert trip.duration == 0.0
