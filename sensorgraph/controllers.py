@@ -26,6 +26,10 @@ NEAR = 0.35
 """[m] beyond the footprint at which a robot turns away from what is ahead."""
 BESIDE = 0.30
 """[m] beyond the footprint at which a wall is followed."""
+AWAY = 0.50
+"""[m] beyond the distance of a followed wall from which on there is none beside the robot."""
+SEARCHED = 1.5 * np.pi
+"""[rad] that it turns to the right for a wall that it has lost, at most: round the end of one, but not in circles."""
 AHEAD = np.radians(30.0)  # half width of what counts as ahead
 CRUISE = 0.75  # of the largest speed
 
@@ -51,21 +55,25 @@ class _Reactive:
 
 
 class WallFollowing(_Reactive):
-    """Keep the wall on the right at an even distance; turn left before what is ahead."""
+    """Keep the wall on the right at an even distance; turn left before what is ahead; where there is no wall, drive on."""
 
     def __init__(self, robot: RobotFile, seed: int) -> None:
         super().__init__(robot, seed)
+        self.period = 1.0 / robot.sensor.rate
+        self.searched = np.inf  # [rad] turned to the right without a wall beside
         self.right = (self.bearings < -np.radians(20.0)) & (self.bearings > -np.radians(100.0))
 
     def __call__(self, readings: Floats) -> tuple[float, float]:
         """Steer by the distance to the right and the way ahead."""
         way = self.open_way(readings)
         if way < NEAR:
+            self.searched = 0.0
             return 0.0, 0.6 * self.limits.omega
         off = self.nearest(readings, self.right) - self.radius - BESIDE
         slow = min((way - NEAR) / 0.5 + 0.2, 1.0)
         turn = float(np.clip(-1.6 * off, -0.5, 0.5)) * self.limits.omega
-        return CRUISE * self.limits.v * slow, turn
+        self.searched = self.searched - turn * self.period if off > AWAY else 0.0
+        return CRUISE * self.limits.v * slow, turn if self.searched < SEARCHED else 0.0
 
 
 class RandomBounce(_Reactive):
