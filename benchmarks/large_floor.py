@@ -36,7 +36,8 @@ def main() -> None:
     report = plan(
         arena, robot(options.drive), cell=options.cell, headings=options.headings, progress=said
     ).report
-    sys.stderr.write("\n")
+    if sys.stderr.isatty():
+        sys.stderr.write("\n")
     bins = report["reachable_cells"]
     joins = report["joins"]
     print(
@@ -56,8 +57,9 @@ def robot(drive: Drive) -> Robot:
 
 
 def said(done: int, total: int) -> None:
-    """Write how far it is."""
-    sys.stderr.write(f"\r{done:,} of {total:,} bins")
+    """Write how far it is, if someone looks."""
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r{done:,} of {total:,} bins")
     sys.stderr.flush()
 
 
