@@ -15,6 +15,7 @@ from planners.coverage import Coverage
 from planners.errors import PlanError
 from planners.order import Cells, Ints
 from planners.primitives import ZIGZAG, aim
+from planners.priority import levels
 from planners.reach import LEAST_SHARE, Cycle, Reach
 from planners.robot import Robot
 from planners.search_log import missed
@@ -33,8 +34,6 @@ DWELL = 1.25
 """Log periods that a spin stays in a heading bin, at least."""
 BACK = (1, 4, 16, 64)
 """Stops to go back where the robot is stuck."""
-BANDS = 4
-"""Levels of priority, one after the other."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,17 +95,6 @@ def wanted(task: Task) -> Bools:
     return np.asarray(todo)
 
 
-def levels(task: Task, todo: Bools) -> Ints:
-    """Return (nx, ny) the band of priority of each cell of `todo`, the lowest being the first."""
-    band = np.zeros(todo.shape[:2], dtype=np.int64)
-    if task.priority is not None:
-        cells = todo.any(axis=2)
-        score = np.where(todo, task.priority, -np.inf).max(axis=2)[cells]
-        marks = np.quantile(score, np.arange(1, BANDS) / BANDS)
-        band[cells] = -np.searchsorted(np.unique(marks), score, side="left")
-    return band
-
-
 class Stops:
     """Draws stops in every cell of `todo`, each left towards the next."""
 
@@ -159,7 +147,7 @@ class Stops:
 
     def _sequence(self, cells: Cells, todo: Bools) -> Ints:
         """Order the cells: bands of priority in turn, each by the better of lanes along x and along y."""
-        band = levels(self.task, todo)[tuple(cells.index.T)]
+        band = levels(self.task.priority, todo, self.task.reach.cell)[tuple(cells.index.T)]
         here = self._here()
         found: list[Ints] = []
         for level in np.unique(band).tolist():

@@ -10,7 +10,8 @@ import numpy as np
 from scipy import ndimage
 
 from planners.arena import Bools, Floats
-from planners.coverage_planner import Task, levels
+from planners.coverage_planner import Task
+from planners.priority import urgency, worth
 from planners.robot import Limits
 from planners.rooms import rooms
 from planners.search import Found, Scene, Search, Settings, Visit, chained, scene
@@ -219,7 +220,8 @@ def search_floor(
     robot, grid = task.robot, task.coverage
     place = scene(task.reach)
     begun = begin(start, place, robot.limits, grid.headings, task.rate, GEARS[robot.drive])
-    search = Search(place, begun.table, todo, task.rate, seed=seed, settings=settings)
+    value = worth(task.priority, todo)
+    search = Search(place, begun.table, todo, task.rate, seed=seed, value=value, settings=settings)
     search.begin(begun.state)
     missing, given_up = todo, np.zeros_like(todo)
     curve: Curve | None = None
@@ -255,11 +257,12 @@ def cusps(curve: Curve) -> Floats:
 
 
 def room_order(todo: Bools, start: Floats, task: Task) -> list[Bools]:
-    """Return the rooms (nx, ny) of each band of priority, each next to the one before."""
+    """Return the rooms (nx, ny), those of high priority first, and else each next to the one before."""
     reach, here, out = task.reach, start[:2], list[Bools]()
-    bands = levels(task, todo)
-    for band in np.unique(bands[todo.any(axis=2)]).tolist():
-        left = rooms(reach, np.asarray(todo.any(axis=2) & (bands == band)))
+    found = rooms(reach, np.asarray(todo.any(axis=2)))
+    bands = urgency(task.priority, todo, found)
+    for band in np.unique(bands).tolist():
+        left = [room for room, own in zip(found, bands.tolist(), strict=True) if own == band]
         while left:
             middles = [reach.origin + (np.argwhere(room).mean(axis=0) + 0.5) * reach.cell for room in left]
             nearest = int(np.argmin([np.hypot(*(middle - here)) for middle in middles]))

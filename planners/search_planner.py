@@ -18,9 +18,10 @@ from scipy.sparse import csgraph
 
 from planners.arena import Bools, Floats, wrap
 from planners.connect import connect
-from planners.coverage_planner import Driven, Task, levels, wanted
+from planners.coverage_planner import Driven, Task, wanted
 from planners.errors import PlanError
 from planners.order import Ints
+from planners.priority import levels
 from planners.repair_cars import CarRepair
 from planners.repair_spins import SpinRepair, lead
 from planners.rooms import cell_graph, rooms, sequence
@@ -68,10 +69,8 @@ def plan_search(task: Task) -> Driven:
         return _by_car(task)
     todo = wanted(task)
     table = _table(task)
-    bands = [
-        todo & (levels(task, todo) == band)[:, :, None]
-        for band in np.unique(levels(task, todo)[todo.any(axis=2)])
-    ]
+    level = levels(task.priority, todo, task.reach.cell)
+    bands = [todo & (level == band)[:, :, None] for band in np.unique(level[todo.any(axis=2)])]
     jobs = [
         (band, np.asarray(part & room[:, :, None]))
         for band, part in enumerate(bands)

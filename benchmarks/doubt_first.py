@@ -1,0 +1,79 @@
+"""How much of a graph's doubt a drive meets by when, with `--priority` and without.
+
+A robot bounces at random through an arena for some minutes, and what it logs becomes a graph. Then each kind of robot
+plans to fill (x, y, phi), once by the doubts of that graph and once without: how much of all doubt lies in the bins
+met after a share of the reference time, and what it costs.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from planners import plan
+from planners.arena import Arena, Floats
+from planners.planning import Plan
+from planners.robot import Drive, Limits, Robot
+from sensorgraph.build import build
+from sensorgraph.cli.inputs import named_arena
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.priority import doubt
+from sensorgraph.world.clearance import WallDistance
+from sensorgraph.world.drive import follow
+from sensorgraph.world.robot_file import default
+from sensorgraph.world.simulate import simulate
+
+SHARES = (0.1, 0.25, 0.5, 0.75, 1.0)
+"""Of the reference time."""
+DRIVES: tuple[Drive, ...] = ("diff", "reeds_shepp", "dubins")
+
+
+def main() -> None:
+    """Print a row for each arena and drive."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--arena", nargs="+", default=["square", "office"])
+    parser.add_argument("--drive", nargs="+", default=list(DRIVES), choices=DRIVES)
+    parser.add_argument("--minutes", type=float, default=15.0, help="of random driving")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    print("doubt met after a share of the reference time, by doubt (without)")
+    print("| arena, drive | T / T_ref | " + " | ".join(f"{share:g}" for share in SHARES) + " |")
+    print("|---|---|" + "---|" * len(SHARES))
+    for name in options.arena:
+        arena = named_arena(name)
+        graph = bounced(arena, options.minutes, options.seed)
+        for drive in options.drive:
+            robot = Robot(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
+            without = plan(arena, robot)
+            doubts = doubt(graph, without.coverage)
+            by_doubt = plan(arena, robot, priority=doubts)
+            met = zip(growth(by_doubt, doubts), growth(without, doubts), strict=True)
+            cells = " | ".join(f"{100 * a:.0f} % ({100 * b:.0f})" for a, b in met)
+            ratios = f"{by_doubt.report['ratio']:.3f} ({without.report['ratio']:.3f})"
+            print(f"| {name}, {drive} | {ratios} | {cells} |", flush=True)
+
+
+def bounced(arena: Arena, minutes: float, seed: int) -> Sensorgraph:
+    """Return the graph of a random drive by the shipped robot."""
+    robot, rng = default(), np.random.default_rng(seed)
+    drive = plan(arena, robot.robot, planner="random_bounce", duration=60.0 * minutes, seed=seed).trajectory
+    driven = follow(drive, robot, clearance=WallDistance(arena), rng=rng)
+    return build([simulate(driven, arena, robot, rng=rng, seed=seed)])
+
+
+def growth(made: Plan, doubts: Floats) -> list[float]:
+    """Return the share of the doubt in reachable bins that lies in those met after each of SHARES."""
+    grid = made.coverage
+    weight = np.where(grid.reachable, doubts, 0.0)
+    bins, inside = grid.bins(made.curve.log(10.0))
+    flat = np.ravel_multi_index(tuple(bins.T), weight.shape)
+    out = list[float]()
+    for share in SHARES:
+        n = int(10.0 * share * made.report["t_ref_s"])
+        out.append(float(weight.ravel()[np.unique(flat[:n][inside[:n]])].sum() / weight.sum()))
+    return out
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+"""What comes first: bands of cells and of rooms, and what a bin is worth, by a priority of bins.
+
+Robots that turn in place fill one band of cells after the other. For a car that costs half as much time again, and the
+doubtful bins are met no earlier: it cannot turn within a band. So cars take the rooms by their mean priority, and within
+a room doubtful bins are worth more.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from planners.arena import Bools, Floats
+from planners.order import Ints
+
+BANDS = 4
+"""Levels of priority, one after the other."""
+AROUND = 0.75
+"""[m] within which a cell's band is the middle one: scattered cells cost more way than they are worth."""
+WORTH = 3.0
+"""How much more than the last bin the first one is worth."""
+
+
+def levels(priority: Floats | None, todo: Bools, cell: float) -> Ints:
+    """Return (nx, ny) the band of each cell of `todo` (nx, ny, n_phi), the lowest being the first.
+
+    Parameters
+    ----------
+    priority : (nx, ny, n_phi) higher comes earlier
+    cell : [m]
+    """
+    band = np.zeros(todo.shape[:2], dtype=np.int64)
+    if priority is None or not todo.any():
+        return band
+    cells = np.asarray(todo.any(axis=2))
+    score = mean(priority, todo)
+    marks = np.unique(np.quantile(score[cells], np.arange(1, BANDS) / BANDS))
+    band[cells] = -np.searchsorted(marks, score[cells], side="left")
+    return _middle_of(band, cells, AROUND / cell)
+
+
+def urgency(priority: Floats | None, todo: Bools, rooms: list[Bools]) -> Ints:
+    """Return (n_rooms,) the band of each room, a mask (nx, ny), by its mean priority; the lowest is the first."""
+    if priority is None or not rooms:
+        return np.zeros(len(rooms), dtype=np.int64)
+    score = np.array([mean(priority, todo & room[:, :, None], over=(0, 1, 2)) for room in rooms])
+    low, high = score.min(), score.max()
+    if high - low <= 1e-9 * max(abs(high), 1.0):
+        return np.zeros(len(rooms), dtype=np.int64)
+    return np.asarray(-np.ceil(BANDS * (score - low) / (high - low)).clip(1, BANDS), dtype=np.int64)
+
+
+def worth(priority: Floats | None, todo: Bools) -> Floats:
+    """Return (nx, ny) what a bin of each cell is worth, from 1 to 1 + WORTH by the rank of the cell's mean priority."""
+    out = np.ones(todo.shape[:2])
+    cells = np.asarray(todo.any(axis=2))
+    if priority is None or not cells.any():
+        return out
+    score = mean(priority, todo)[cells]
+    out[cells] += WORTH * np.searchsorted(np.unique(score), score) / max(len(np.unique(score)) - 1, 1)
+    return out
+
+
+def mean(priority: Floats, todo: Bools, over: tuple[int, ...] = (2,)) -> Floats:
+    """Return the mean priority of the bins of `todo` over some axes; 0 where there are none."""
+    return np.asarray(np.where(todo, priority, 0.0).sum(axis=over) / np.maximum(todo.sum(axis=over), 1))
+
+
+def _middle_of(band: Ints, cells: Bools, radius: float) -> Ints:
+    """Return (nx, ny) the median band of the cells within a radius [cells] of each."""
+    k = int(radius)
+    if k < 1:
+        return band
+    x, y = np.mgrid[-k : k + 1, -k : k + 1]
+    disc = (np.hypot(x, y) <= radius).astype(np.float64)
+    count = ndimage.convolve(cells.astype(np.float64), disc, mode="constant")
+    out = np.zeros_like(band)
+    for own in np.unique(band[cells])[::-1].tolist():
+        up_to = ndimage.convolve((cells & (band <= own)).astype(np.float64), disc, mode="constant")
+        out[cells & (2 * up_to >= count - 1e-9)] = own
+    return out
