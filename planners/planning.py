@@ -17,7 +17,7 @@ from planners.connect import Joins
 from planners.coverage import Coverage
 from planners.coverage_planner import Driven, Progress, Task, plan_stop_and_spin
 from planners.errors import PlanError
-from planners.reach import Cycle, Reach, reach
+from planners.reach import LEAST_SHARE, Cycle, Reach, reach
 from planners.report import counted, measured, reference_time
 from planners.robot import Robot
 from planners.search_flood import best_start, cycle
@@ -115,24 +115,15 @@ def plan(
     start, end, dock = _pose("start", start), _pose("end", end), _pose("dock", dock)
     _check_ends(start=start, end=end, budget=budget, battery=battery, dock=dock)
     start = start if dock is None else dock
-    x0, y0, x1, y1 = arena.bounds
-    if cell > max(x1 - x0, y1 - y0):
-        raise PlanError(f"cell is {cell:g} m, larger than the whole arena; expected metres, such as 0.25")
     if duration is not None and planner in ("coverage", "stop_and_spin", "views"):
         raise PlanError(f"the planner {planner} drives until all is visited; duration is for the baselines")
-    barriers = Barriers(arena)
-    free = reach(
-        arena,
-        barriers,
-        clearance=robot.footprint_radius + margin,
-        cell=float(cell),
-        start=start,
-        name="start" if dock is None else "dock",
-    )
+    if (targets is None) != (planner != "views"):
+        raise PlanError(f"targets are for the planner views, and views needs them; the planner is {planner}")
+    free, barriers = _floor(arena, robot, cell, margin, start, "start" if dock is None else "dock")
     grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
     if not grid.reachable.any():
         raise PlanError(
-            f"no {cell} m cell has {100 * 0.04:.0f} % of its area within reach; use a smaller cell"
+            f"no {cell} m cell has {100 * LEAST_SHARE:.0f} % of its area within reach; use a smaller cell"
         )
     cyclic: Cycle | None = None
     if robot.drive == "dubins":
@@ -144,8 +135,6 @@ def plan(
         raise PlanError(f"priority has shape {np.shape(priority)}, expected {grid.counts.shape}")
     if visited is not None:
         grid.add(np.asarray(visited, dtype=np.float64).reshape(-1, 3))
-    if (targets is None) != (planner != "views"):
-        raise PlanError(f"targets are for the planner views, and views needs them; the planner is {planner}")
     if end is not None:
         check_pose("end", end, arena, barriers, free)
     task = Task(
@@ -165,33 +154,68 @@ def plan(
     )
     if battery is not None and start is not None:
         check_battery(task, battery, start)
+    made = _driven(task, planner, end=end, budget=budget, battery=battery, sweep_time=sweep_time)
+    made.report["planning_s"] = round(time.perf_counter() - began, 3)
+    return made
+
+
+def _floor(
+    arena: Arena, robot: Robot, cell: float, margin: float, start: Floats | None, name: str
+) -> tuple[Reach, Barriers]:
+    """Return where the robot can be, and what it must not touch."""
+    x0, y0, x1, y1 = arena.bounds
+    if cell > max(x1 - x0, y1 - y0):
+        raise PlanError(f"cell is {cell:g} m, larger than the whole arena; expected metres, such as 0.25")
+    barriers = Barriers(arena)
+    free = reach(
+        arena,
+        barriers,
+        clearance=robot.footprint_radius + margin,
+        cell=float(cell),
+        start=start,
+        name=name,
+    )
+    return free, barriers
+
+
+def _driven(
+    task: Task,
+    planner: str,
+    *,
+    end: Floats | None,
+    budget: float | None,
+    battery: float | None,
+    sweep_time: float,
+) -> Plan:
+    """Let the planner plan, fit that into the time there is, and measure it."""
+    grid, rate = task.coverage, task.rate
     driven = PLANNERS[planner](task)
     lost = np.zeros_like(grid.reachable) if driven.lost is None else driven.lost
-    before, runs = grid.fraction, list[Session]()
+    before, runs, ended = grid.fraction, list[Session](), dict[str, Any]()
     if battery is None:
         driven = within(driven, task, budget=budget, end=end)
         grid.add(driven.curve.log(rate))
     else:
-        home = ends(driven.curve)[0] if start is None else start
+        home = ends(driven.curve)[0] if task.start is None else task.start
         runs = sessions(driven, task, battery=battery, dock=home)
         driven = chain(runs, driven)
-    so_far = [counted(grid, run, rate) for run in runs]
+        so_far = [counted(grid, run, rate) for run in runs]
+        ended = {"battery_s": battery, "dock": home.tolist(), "sessions": so_far}
     trajectory = driven.curve.trajectory()
     report = measured(task, driven, trajectory, planner, sweep_time) | {
         **({"interrupted": True} if driven.interrupted else {}),
         **({} if budget is None else {"budget_s": budget}),
         **({} if end is None else {"end": end.tolist()}),
-        **({} if battery is None else {"battery_s": battery, "dock": home.tolist(), "sessions": so_far}),
+        **ended,
         **({} if task.targets is None else {"views": task.targets.round(6).tolist()}),
-        "unreached": holes.counted(grid, free, lost),
+        "unreached": holes.counted(grid, task.reach, lost),
         "coverage_before": before,
-        "planning_s": round(time.perf_counter() - began, 3),
     }
     return Plan(
         trajectory=trajectory,
         curve=driven.curve,
         coverage=grid,
-        reach=free,
+        reach=task.reach,
         joins=driven.joins,
         stops=driven.stops,
         lost=lost,
