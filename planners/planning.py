@@ -17,6 +17,7 @@ from planners.connect import Joins
 from planners.coverage import Coverage
 from planners.coverage_planner import Driven, Progress, Task, plan_stop_and_spin
 from planners.errors import PlanError
+from planners.interrupt import undisturbed
 from planners.reach import LEAST_SHARE, Cycle, Reach, reach
 from planners.report import counted, measured, reference_time
 from planners.robot import Robot
@@ -188,8 +189,27 @@ def _driven(
     sweep_time: float,
 ) -> Plan:
     """Let the planner plan, fit that into the time there is, and measure it."""
-    grid, rate = task.coverage, task.rate
     driven = PLANNERS[planner](task)
+    made, was_asked = undisturbed(
+        lambda: _fitted(driven, task, planner, end=end, budget=budget, battery=battery, sweep_time=sweep_time)
+    )
+    if was_asked:
+        made.report["interrupted"] = True
+    return made
+
+
+def _fitted(
+    driven: Driven,
+    task: Task,
+    planner: str,
+    *,
+    end: Floats | None,
+    budget: float | None,
+    battery: float | None,
+    sweep_time: float,
+) -> Plan:
+    """Fit a drive into the time there is, and measure it."""
+    grid, rate = task.coverage, task.rate
     lost = np.zeros_like(grid.reachable) if driven.lost is None else driven.lost
     before, runs, ended = grid.fraction, list[Session](), dict[str, Any]()
     if battery is None:

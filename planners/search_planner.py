@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.sparse import csgraph
@@ -20,6 +21,7 @@ from planners.arena import Bools, Floats, wrap
 from planners.connect import connect
 from planners.coverage_planner import Driven, Task, wanted
 from planners.errors import PlanError
+from planners.interrupt import undisturbed
 from planners.order import Ints
 from planners.priority import levels
 from planners.repair_cars import CarRepair
@@ -88,8 +90,10 @@ def plan_search(task: Task) -> Driven:
         own = [visit for (of, _), visit in zip(jobs, visits, strict=True) if of == band and visit is not None]
         here = ordered[-1].ends[1] if ordered else task.start
         ordered += [own[k] for k in _order(own, here, task)]
-    drawn = _drawn(ordered, task)
-    return replace(drawn, interrupted=True) if interrupted else _repaired(drawn, todo, task)
+    drawn, was_asked = undisturbed(partial(_drawn, ordered, task))
+    if interrupted or was_asked:
+        return replace(drawn, interrupted=True)
+    return _repaired(drawn, todo, task)
 
 
 def _by_car(task: Task) -> Driven:
@@ -112,8 +116,12 @@ def _by_car(task: Task) -> Driven:
     visits, interrupted = _side_by_side(search, [int(part.sum()) for part in parts], task)
     repair = CarRepair(task, todo, start, search_on)
     for part, begin, visit in zip(parts, begins, visits, strict=True):
-        if visit is not None:
-            repair.enters(part, begin, visit.curve, task.seed)
+        if visit is None:
+            continue
+        _, was_asked = undisturbed(partial(repair.enters, part, begin, visit.curve, task.seed))
+        if was_asked:
+            interrupted = True
+            break
     if not interrupted:
         interrupted = _completed(repair, task)
     if not repair.trip.curves:
@@ -392,8 +400,13 @@ def _repaired(driven: Driven, todo: Bools, task: Task) -> Driven:
     if not missing.any():
         return driven
     repair = SpinRepair(task, missing, driven.curve.sample(np.array([driven.curve.duration]))[0][0])
-    repair.run()
+    interrupted = False
+    try:
+        repair.run()
+    except KeyboardInterrupt:
+        interrupted = True
     return Driven(
+        interrupted=interrupted,
         curve=joined([driven.curve, *repair.curves]),
         stops=np.concatenate([driven.stops, np.array(repair.stops).reshape(-1, 4)]),
         joins=driven.joins + repair.joins,

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
+import time
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,7 +18,7 @@ import shapely
 import yaml
 from planners_samples import door_arena, outlined, shipped
 
-from planners import Plan, PlanError, plan
+from planners import Plan, PlanError, plan, planning, search_planner
 from planners.arena import Arena, wrap
 from planners.battery import sessions, spread
 from planners.check import check
@@ -24,7 +28,8 @@ from planners.coverage import Coverage
 from planners.coverage_planner import Driven, Task
 from planners.export import commands, waypoints
 from planners.no_go import without, zones
-from planners.robot import Limits, Robot
+from planners.repair_cars import CarRepair
+from planners.robot import Drive, Limits, Robot
 from planners.sampling import warnings
 from planners.session import Ways, cut_at, cuts, ends, latest, section, turns, within
 from planners.steering import Curve
@@ -244,6 +249,44 @@ def test_ctrl_c_keeps_a_valid_shorter_plan(rooms: tuple[Plan, Arena]) -> None:
     assert "shorter" in made.report["warnings"][0]
     assert 0.0 < made.report["coverage"] < 1.0
     assert_drives(made.curve, rooms[1])
+
+
+def pressing(work: Callable[..., Any], times: int = 1) -> Callable[..., Any]:
+    """Return what does some work while Ctrl-C is pressed some times."""
+
+    def pressed(*args: Any, **kwargs: Any) -> Any:
+        for _ in range(times):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.3)
+        return work(*args, **kwargs)
+
+    return pressed
+
+
+@pytest.mark.parametrize("drive", ["diff", "reeds_shepp"])
+def test_ctrl_c_while_rooms_are_joined_keeps_what_is_joined(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = Robot(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.3))
+    if drive == "diff":
+        monkeypatch.setattr(search_planner, "_drawn", pressing(search_planner._drawn))
+    else:
+        monkeypatch.setattr(CarRepair, "enters", pressing(CarRepair.enters))
+    made = plan(door_arena(1.2), robot, cell=0.25, headings=8)
+    assert made.report["interrupted"]
+    assert made.report["coverage"] > 0.3
+    assert made.report["limit_violations"] == 0
+
+
+def test_ctrl_c_while_a_plan_is_measured_keeps_it_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = plan(door_arena(9.0), ROBOT, cell=0.5, headings=4)
+    monkeypatch.setattr(planning, "measured", pressing(planning.measured))
+    made = plan(door_arena(9.0), ROBOT, cell=0.5, headings=4)
+    assert made.report["interrupted"]
+    assert made.report["coverage"] == whole.report["coverage"]
+    monkeypatch.setattr(planning, "measured", pressing(planning.measured, times=2))
+    with pytest.raises(KeyboardInterrupt):
+        plan(door_arena(9.0), ROBOT, cell=0.5, headings=4)
 
 
 def test_ctrl_c_before_anything_is_found_ends_all(rooms: tuple[Plan, Arena]) -> None:
