@@ -174,13 +174,14 @@ def _summary(report: dict[str, Any]) -> str:
     hours, minutes = divmod(round(report["drive_time_s"] / 60), 60)
     joins = report["joins"]
     failed = f", {joins['failed']} failed" if joins["failed"] else ""
+    flooded = f", {joins['flooded']} by a flood" if joins["flooded"] else ""
     before = f"; {100 * report['coverage_before']:.2f} % before" if report["coverage_before"] else ""
     views = f"{len(report['views']) - joins['failed']:,} views, " if "views" in report else ""
     return (
         f"{views}{report['covered_cells']:,} of {report['reachable_cells']:,} (x, y, phi) bins "
         f"({100 * report['coverage']:.2f} %{before}) in {hours} h {minutes:02d} min and {report['path_m']:.0f} m, "
         f"{report['ratio']:.2f} of the reference time; {joins['direct']:,} straight joins, "
-        f"{joins['planned']} by OMPL{failed}; clearance {report['min_clearance_m']:.3f} m; "
+        f"{joins['planned']} by OMPL{flooded}{failed}; clearance {report['min_clearance_m']:.3f} m; "
         f"planned in {report['planning_s']:.1f} s"
     )
 
