@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -155,7 +156,11 @@ def plan(
     )
     if battery is not None and start is not None:
         check_battery(task, battery, start)
-    made = _driven(task, planner, end=end, budget=budget, battery=battery, sweep_time=sweep_time)
+    driven = PLANNERS[planner](task)
+    fitted = partial(_fitted, end=end, budget=budget, battery=battery, sweep_time=sweep_time)
+    made, was_asked = undisturbed(partial(fitted, driven, task, planner))
+    if was_asked:
+        made.report["interrupted"] = True
     made.report["planning_s"] = round(time.perf_counter() - began, 3)
     return made
 
@@ -177,25 +182,6 @@ def _floor(
         name=name,
     )
     return free, barriers
-
-
-def _driven(
-    task: Task,
-    planner: str,
-    *,
-    end: Floats | None,
-    budget: float | None,
-    battery: float | None,
-    sweep_time: float,
-) -> Plan:
-    """Let the planner plan, fit that into the time there is, and measure it."""
-    driven = PLANNERS[planner](task)
-    made, was_asked = undisturbed(
-        lambda: _fitted(driven, task, planner, end=end, budget=budget, battery=battery, sweep_time=sweep_time)
-    )
-    if was_asked:
-        made.report["interrupted"] = True
-    return made
 
 
 def _fitted(
