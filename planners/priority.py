@@ -56,8 +56,8 @@ def worth(priority: Floats | None, todo: Bools) -> Floats:
     cells = np.asarray(todo.any(axis=2))
     if priority is None or not cells.any():
         return out
-    score = mean(priority, todo)[cells]
-    out[cells] += WORTH * np.searchsorted(np.unique(score), score) / max(len(np.unique(score)) - 1, 1)
+    distinct, rank = np.unique(mean(priority, todo)[cells], return_inverse=True)
+    out[cells] += WORTH * rank / max(len(distinct) - 1, 1)
     return out
 
 

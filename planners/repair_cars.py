@@ -10,7 +10,7 @@ were in vain.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import count
 
 import numpy as np
@@ -21,12 +21,10 @@ from planners.connect import Joins
 from planners.coverage_planner import Task
 from planners.order import Ints
 from planners.search import Visit
-from planners.search_cars import arcs_of, geared
+from planners.search_cars import drive_on, geared
 from planners.search_detours import with_detours
-from planners.search_drive import drive_of, ground_of
 from planners.search_flood import Ways
 from planners.search_table import GEARS, driving
-from planners.search_words import NONE, part_of
 from planners.steering import Curve
 from planners.trip import Trip
 
@@ -74,8 +72,8 @@ class CarRepair:
         """(nx, ny, n_phi) how often each bin was searched for."""
         self._in_vain: Bools = np.zeros_like(self.todo)
         """(nx, ny, n_phi) bins of queries that OMPL found no way for."""
-        self._ways = Ways(task)
-        self._is_forward_only = len(GEARS[robot.drive]) == 1
+        self._ways = Ways(task) if len(GEARS[robot.drive]) == 1 else None
+        """Of a car that only goes forward: another comes back from anywhere."""
         self.aside = driving(robot.limits, task.coverage.headings, task.rate, GEARS[robot.drive]).first
         """[rad] from the middle of a heading bin to the headings that the search likes."""
 
@@ -85,7 +83,7 @@ class CarRepair:
 
     def redrive(self, curve: Curve) -> None:
         """Drive a curve in place of all that was driven."""
-        self.trip = replace(self.trip, curves=(), clock=0.0, earlier=None).then(curve)
+        self.trip = self.trip.instead(curve)
 
     def missing(self) -> Bools:
         """Return (nx, ny, n_phi) what the log of some phase misses, but for what is lost."""
@@ -114,7 +112,7 @@ class CarRepair:
 
         Where the lattice of the flood holds no way on from here, one may lead on from somewhat earlier.
         """
-        if not self._is_forward_only:
+        if self._ways is None:
             return False
         missing = self.missing()
         for back, anew in ((0.0, False), *((back, False) for back in BACK[:-1]), (0.0, True)):
@@ -146,11 +144,8 @@ class CarRepair:
         missing = self.missing()
         bins, goals = goals_in(missing, self.trip.here, self.aside, self.task)
         if self.trip.curves and len(bins):
-            task, curve = self.task, self.trip.curve
-            limits, is_backward = task.robot.limits, len(GEARS[task.robot.drive]) > 1
-            ground = ground_of(task.reach, self.todo, limits, speed, task.rate, is_backward=is_backward)
-            arcs = arcs_of(curve)
-            drive, _ = drive_of(curve.poses[0], part_of(arcs, arcs.length > NONE), ground)
+            curve, limits = self.trip.curve, self.task.robot.limits
+            drive, ground = drive_on(curve, self.todo, self.task, speed)
             own = np.ravel_multi_index(tuple(bins.T), missing.shape)
             longer = with_detours(drive, goals, own, ground)
             if len(longer.length) > len(drive.length):
@@ -177,7 +172,7 @@ class CarRepair:
     def _drive_to_one_of(self, missing: Bools, round_: int) -> None:
         """Drive to one of some bins by OMPL, or by a flood where OMPL finds no way; lose what both come to in vain."""
         bins, goals = goals_in(missing & ~self._in_vain, self.trip.here, self.aside, self.task)
-        if self._is_forward_only and len(bins):  # it may be trapped in a corner
+        if self._ways is not None and len(bins):  # it may be trapped in a corner
             leads_back = self._ways.leads_back(goals, self.trip.here)
             bins, goals = bins[leads_back], goals[leads_back]
         way = self._way(self.trip.here, goals, round_) if len(bins) else None

@@ -15,7 +15,7 @@ from planners.priority import urgency, worth
 from planners.robot import Limits
 from planners.rooms import rooms
 from planners.search import Found, Scene, Search, Settings, Visit, chained, scene
-from planners.search_drive import drive_of, ground_of
+from planners.search_drive import Drive, Ground, drive_of, ground_of
 from planners.search_log import missed
 from planners.search_shortcuts import shorter
 from planners.search_table import GEARS, Table, driving
@@ -152,6 +152,15 @@ def arcs_of(curve: Curve) -> Arcs:
     return Arcs(abs(way), bend.astype(np.int64), np.sign(way).astype(np.int64))
 
 
+def drive_on(curve: Curve, todo: Bools, task: Task, speed: float) -> tuple[Drive, Ground]:
+    """Return a car's curve as a drive at some speed [m/s], and the ground on which it wins the bins `todo`."""
+    limits, is_backward = task.robot.limits, len(GEARS[task.robot.drive]) > 1
+    ground = ground_of(task.reach, todo, limits, speed, task.rate, is_backward=is_backward)
+    arcs = arcs_of(curve)
+    drive, _ = drive_of(curve.poses[0], part_of(arcs, arcs.length > NONE), ground)
+    return drive, ground
+
+
 def shortened(curve: Curve, todo: Bools, task: Task, speed: float) -> tuple[Curve, bool]:
     """Return a shorter drive of a car that wins all of the bins `todo` (nx, ny, n_phi) that it won.
 
@@ -163,10 +172,7 @@ def shortened(curve: Curve, todo: Bools, task: Task, speed: float) -> tuple[Curv
     -------
     curve, and whether Ctrl-C ended the work: what was found by then
     """
-    limits, is_backward = task.robot.limits, len(GEARS[task.robot.drive]) > 1
-    ground = ground_of(task.reach, todo, limits, speed, task.rate, is_backward=is_backward)
-    arcs = arcs_of(curve)
-    begun, _ = drive_of(curve.poses[0], part_of(arcs, arcs.length > NONE), ground)
+    limits, (begun, ground) = task.robot.limits, drive_on(curve, todo, task, speed)
     best, interrupted = begun, False
     try:
         for drive in shorter(begun, ground):

@@ -65,6 +65,10 @@ class Trip:
             earlier=self.seen if self.curves else None,
         )
 
+    def instead(self, curve: Curve) -> Trip:
+        """Return the trip that drives a curve in place of all curves."""
+        return replace(self, curves=(), clock=0.0, earlier=None).then(curve)
+
     def before(self, back: float) -> Trip | None:
         """Return the trip without its last `back` [s]; None where that is all of the last curve, or more."""
         if back == 0.0:
