@@ -20,7 +20,7 @@ import logs
 from logs.run import RangeSensor, Run
 from logs.stream import open_log
 from planners.maps import geojson
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.demo import check_run
 from sensorgraph.world.robot_file import default
 

@@ -23,8 +23,8 @@ from planners import PlanError, plan
 from planners.arena import Arena, Floats
 from planners.maps import geojson
 from planners.robot import Drive, Limits, Robot
-from sensorgraph import figures
 from sensorgraph.cli.inputs import named_arena
+from sensorgraph.show import figures
 
 FIRST = 1001
 """Seed of the first random office."""

@@ -15,10 +15,10 @@ from planners import plan
 from planners.arena import Arena, Floats
 from planners.planning import Plan
 from planners.robot import Drive, Limits, Robot
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.cli.inputs import named_arena
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.priority import doubt
+from sensorgraph.planning.priority import doubt
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow
 from sensorgraph.world.robot_file import default

@@ -9,8 +9,8 @@ import numpy as np
 from logs.run import Run
 from planners import plan
 from planners.arena import Arena, Floats
-from sensorgraph.controllers import Controller, controller_named
-from sensorgraph.identified_world import ArenaWorld
+from sensorgraph.recording.controllers import Controller, controller_named
+from sensorgraph.recording.identified_world import ArenaWorld
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow, react
 from sensorgraph.world.robot_file import RobotFile, default

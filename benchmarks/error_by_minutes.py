@@ -23,14 +23,14 @@ from logs.run import Run, pair
 from planners import plan
 from planners.arena import Arena, Floats
 from planners.trajectory import Trajectory
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.cli.inputs import named_arena
 from sensorgraph.demo import check_run
-from sensorgraph.evaluate import Evaluation, evaluate
-from sensorgraph.figures import INK, SOLID, new_figure, quiet, save_figure
+from sensorgraph.evaluation import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.priority import doubt
-from sensorgraph.views import views_within
+from sensorgraph.planning.priority import doubt
+from sensorgraph.planning.views import views_within
+from sensorgraph.show.figures import INK, SOLID, new_figure, quiet, save_figure
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow
 from sensorgraph.world.robot_file import RobotFile, default

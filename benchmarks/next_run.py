@@ -21,13 +21,13 @@ from benchmarks.hidden_effects.world import make_room
 from planners.arena import Arena
 from planners.maps import geojson
 from planners.trajectory import Trajectory
-from sensorgraph.diagnose.drawing import random_run
-from sensorgraph.diagnose.evidence import Evidence, gather
-from sensorgraph.diagnose.ground import Ground
-from sensorgraph.diagnose.model import ROUGH, Fitted, fit, start_state
-from sensorgraph.diagnose.next_run import next_run
-from sensorgraph.diagnose.nuisance import Freedom
-from sensorgraph.diagnose.questions import OPEN, between
+from sensorgraph.diagnosis.next_run.assemble import random_run
+from sensorgraph.diagnosis.next_run.candidate_motions import Ground
+from sensorgraph.diagnosis.next_run.design import next_run
+from sensorgraph.diagnosis.next_run.questions import OPEN, between
+from sensorgraph.diagnosis.scan.fit import ROUGH, Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.nuisance import Freedom
+from sensorgraph.diagnosis.scan.scan_data import Evidence, gather
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from benchmarks.tsdf import Tsdf
 from logs import Run, pair, read
-from sensorgraph.build import build
-from sensorgraph.evaluate import Evaluation, evaluate
+from sensorgraph.building.build import build
+from sensorgraph.building.split import held_out
+from sensorgraph.evaluation import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Point, Prediction
-from sensorgraph.split import held_out
 
 Floats = NDArray[np.float64]
 CELL = 0.05  # [m]

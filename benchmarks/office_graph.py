@@ -3,7 +3,7 @@
     OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python -m benchmarks.office_graph [--arenas office,1,2,3,4,5] [--seeds 0,1] [--poses 1000]
 
 The shipped office and random ones (`benchmarks/offices.py`), 181 rays over half a turn, sigma 1 cm, exact poses. A graph
-is built from poses chosen by `sensorgraph.views.choose_views` and from as many drawn evenly; it is asked for 2,000 fresh
+is built from poses chosen by `sensorgraph.planning.views.choose_views` and from as many drawn evenly; it is asked for 2,000 fresh
 poses. Shares are of the rays that hit something; within 3 sigma of the noisy reading, wrong against the true range. An
 interval is that of the mean over arenas and seeds, 95 % by Student's t. Speed is compared with the same prediction in
 plain numpy, in the same process.
@@ -26,11 +26,11 @@ from benchmarks.offices import office
 from logs.run import RangeSensor, Run
 from planners.arena import Arena, Floats
 from planners.maps import geojson
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces import Faces
 from sensorgraph.models.mixture import summarise_plain
-from sensorgraph.views import choose_views
+from sensorgraph.planning.views import choose_views
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.raycast import cast
 

@@ -22,14 +22,14 @@ from benchmarks.drives import closed_loop, covered, robot_of_the_paper
 from logs.run import Run, pair
 from planners.arena import Arena, Floats
 from robotmodic_ident.score import Score
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.cli.inputs import named_arena
-from sensorgraph.evaluate import poses_for
-from sensorgraph.figures import ALARM, INK, SOLID, draw_floor, new_figure, quiet, save_figure
-from sensorgraph.figures_identify import AMBER, SEA, series
+from sensorgraph.evaluation import poses_for
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.identify import Identified, Question, identify, score
-from sensorgraph.signals import of_run, perceived, rays_of
+from sensorgraph.identification.identify import Identified, Question, identify, score
+from sensorgraph.identification.signals import of_run, perceived, rays_of
+from sensorgraph.show.figures import ALARM, INK, SOLID, draw_floor, new_figure, quiet, save_figure
+from sensorgraph.show.figures_identify import AMBER, SEA, series
 
 EVERY = 15
 RAY = "L67"

@@ -22,10 +22,10 @@ from scipy.stats import t as student
 
 from benchmarks.occupancy_grid import CAP, Grid, Tuned, tuned
 from logs import Run, pair, read
-from sensorgraph.build import build
-from sensorgraph.evaluate import Evaluation, evaluate
+from sensorgraph.building.build import build
+from sensorgraph.building.split import N_STRETCHES, held_out
+from sensorgraph.evaluation import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.split import N_STRETCHES, held_out
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

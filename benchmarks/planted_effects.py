@@ -29,8 +29,8 @@ from scipy.spatial import cKDTree
 
 from logs import Run, read
 from planners.arena import Arena
-from sensorgraph.diagnose.commissioning import Commissioned, commission, merged
-from sensorgraph.diagnose.diagnose import Finding, diagnose
+from sensorgraph.diagnosis.commissioning import Commissioned, commission, merged
+from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.robot_file import RobotFile, default
 

@@ -17,10 +17,11 @@ from unittest import mock
 
 import numpy as np
 
-from planners import Plan, plan, search
+from planners import Plan, plan
 from planners.arena import Arena, Bools, Floats, wrap
+from planners.search.search import search
 from sensorgraph.cli.inputs import named_arena, named_robot
-from sensorgraph.plan_folder import counted
+from sensorgraph.planning.plan_folder import counted
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow
 

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from planners.arena import Floats
 from robotmodic_ident import Narmax, Record, Terms, fit, lags, polynomial
-from sensorgraph.identify import score
+from sensorgraph.identification.identify import score
 
 RATES = {"Move-Forward": 0.0, "Slight-Left-Turn": 0.5, "Slight-Right-Turn": -0.5, "Sharp-Right-Turn": -1.0}
 FOLDS = 10

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from planners.arena import Floats, wrap
+from planners.curve import Curve
 from planners.planning import Plan
-from planners.steering import Curve
 
 COMMAND_RATE = 20.0
 """[Hz] of cmd_vel.csv."""

@@ -53,6 +53,8 @@ def _stored(compiler: Callable[..., Any], function: Function) -> Function:
 
 @cache
 def _stamp() -> tuple[tuple[str, int, int], ...]:
-    """Name, time of change and size of every source beside this one that holds kernels."""
-    files = [Path(__file__), *sorted(Path(__file__).parent.glob("search*.py"))]
-    return tuple((file.name, file.stat().st_mtime_ns, file.stat().st_size) for file in files)
+    """Name, time of change and size of every source of this package that holds kernels."""
+    here = Path(__file__).parent
+    files = [file for file in sorted(here.rglob("*.py")) if b"planners.kernel" in file.read_bytes()]
+    stats = [(file.relative_to(here).as_posix(), file.stat()) for file in (Path(__file__), *files)]
+    return tuple((name, stat.st_mtime_ns, stat.st_size) for name, stat in stats)

@@ -23,7 +23,7 @@ import numpy as np
 from planners.arena import Arena, Floats, wrap
 from planners.clearance import Barriers
 from planners.errors import PlanError
-from planners.ompl_process import CHECK_STEP, INSTALL, Field
+from planners.joins.ompl_process import CHECK_STEP, INSTALL, Field
 from planners.planning import Plan, plan
 from planners.reach import reach
 from planners.robot import Robot

@@ -10,24 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from planners import baselines, holes
+from planners import holes
 from planners.arena import Arena, Bools, Floats
 from planners.battery import Session, chain, check_battery, sessions
+from planners.cars.reachability import best_start, cycle
 from planners.clearance import Barriers
-from planners.connect import Joins
 from planners.coverage import Coverage
-from planners.coverage_planner import Driven, Progress, Task, plan_stop_and_spin
+from planners.curve import Curve
 from planners.errors import PlanError
 from planners.interrupt import undisturbed
+from planners.joins.paths import Joins
+from planners.methods import baselines
+from planners.methods.coverage import plan_search
+from planners.methods.stop_and_spin import Driven, Progress, Task, plan_stop_and_spin
+from planners.methods.views import plan_views
 from planners.reach import LEAST_SHARE, Cycle, Reach, reach
 from planners.report import counted, measured, reference_time
 from planners.robot import Robot
-from planners.search_flood import best_start, cycle
-from planners.search_planner import plan_search
 from planners.session import check_pose, ends, within
-from planners.steering import Curve
 from planners.trajectory import Trajectory
-from planners.views_planner import plan_views
 
 PLANNERS: dict[str, Callable[[Task], Driven]] = {
     "coverage": plan_search,

@@ -13,7 +13,7 @@ from planners import holes
 from planners.battery import Session
 from planners.check import check_parts
 from planners.coverage import Coverage
-from planners.coverage_planner import Driven, Task
+from planners.methods.stop_and_spin import Driven, Task
 from planners.robot import Robot
 from planners.sampling import warnings as too_fast
 from planners.trajectory import Trajectory

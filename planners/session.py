@@ -13,18 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planners.arena import Arena, Floats, wrap
-from planners.car_connect import connect_cars
+from planners.cars.search import redriven
 from planners.clearance import Barriers
-from planners.connect import Joins, connect
-from planners.coverage_planner import Driven, Task
+from planners.curve import Curve, Pen, joined
 from planners.errors import PlanError
+from planners.joins.car_paths import connect_cars
+from planners.joins.paths import Joins, connect
+from planners.methods.coverage import face
+from planners.methods.repair_spins import lead
+from planners.methods.stop_and_spin import Driven, Task
 from planners.order import Ints
 from planners.reach import Reach
-from planners.repair_spins import lead
 from planners.robot import Robot
-from planners.search_cars import redriven
-from planners.search_planner import face
-from planners.steering import Curve, Pen, joined
 
 STILL = 1e-9
 """[m/s, rad/s] slower is standing."""

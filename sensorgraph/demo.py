@@ -16,13 +16,14 @@ from planners import plan as make_plan
 from planners.arena import Arena, Floats
 from planners.coverage import Coverage
 from planners.maps import geojson
-from sensorgraph import figures, view
-from sensorgraph.build import build
-from sensorgraph.evaluate import Evaluation, evaluate
+from sensorgraph.building.build import build
+from sensorgraph.evaluation import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.plan_folder import counted, save
-from sensorgraph.record import record
-from sensorgraph.review import review
+from sensorgraph.planning.plan_folder import counted, save
+from sensorgraph.recording.record import record
+from sensorgraph.show import figures
+from sensorgraph.show import rerun_view as view
+from sensorgraph.show.review import review
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot_file import RobotFile

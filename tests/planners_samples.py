@@ -10,8 +10,8 @@ import shapely
 from planners.arena import Arena, Bools, Floats
 from planners.clearance import Barriers
 from planners.coverage import Coverage
-from planners.coverage_planner import Task
 from planners.maps import geojson
+from planners.methods.stop_and_spin import Task
 from planners.reach import reach
 from planners.robot import Drive, Limits, Robot
 

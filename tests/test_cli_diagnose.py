@@ -19,7 +19,7 @@ from logs.run import Run
 from planners.maps import geojson
 from sensorgraph.cli import run as cli
 from sensorgraph.cli.inputs import named_arena, named_robot
-from sensorgraph.diagnose import figures
+from sensorgraph.diagnosis.report import figures
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effects_file import write as write_effects
 from sensorgraph.world import robot_file

@@ -15,7 +15,7 @@ import yaml
 from planners_samples import shipped
 
 from planners.check import check
-from planners.no_go import without, zones
+from planners.maps.no_go import without, zones
 from planners.robot import Robot
 from planners.trajectory import read_csv
 from sensorgraph.cli import run as cli

@@ -11,11 +11,11 @@ import pytest
 import logs
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.cli import run as cli
-from sensorgraph.figures_graph import _residuals, residual_pieces, stretches
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces import Faces
+from sensorgraph.show.figures_graph import _residuals, residual_pieces, stretches
 from sensorgraph.world.raycast import cast
 
 

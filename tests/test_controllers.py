@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planners.arena import Floats
-from sensorgraph.controllers import BESIDE, Controller, WallFollowing
+from sensorgraph.recording.controllers import BESIDE, Controller, WallFollowing
 from sensorgraph.world.robot_file import RobotFile, default
 
 SIDE = 6.0

@@ -13,10 +13,10 @@ from conftest import polygon_arena
 
 from logs.run import RangeSensor, Run
 from planners.arena import Arena, Floats
-from sensorgraph.diagnose.commissioning import Commissioned, commission, commission_all
-from sensorgraph.diagnose.diagnose import Finding, diagnose
-from sensorgraph.diagnose.evidence import gather
-from sensorgraph.diagnose.usual import Sighting, usual_sizes
+from sensorgraph.diagnosis.commissioning import Commissioned, commission, commission_all
+from sensorgraph.diagnosis.diagnose import Finding, diagnose
+from sensorgraph.diagnosis.scan.scan_data import gather
+from sensorgraph.diagnosis.scan.site_variation import Sighting, usual_sizes
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world import robot_file
 

@@ -13,12 +13,12 @@ from planners.arena import Arena
 from planners.check import check
 from planners.errors import PlanError
 from planners.trajectory import read_csv
-from sensorgraph.diagnose.drawing import random_run
-from sensorgraph.diagnose.expected import Forecast, Motion, Question
-from sensorgraph.diagnose.finding import Ledger, Rival
-from sensorgraph.diagnose.ground import Ground
-from sensorgraph.diagnose.next_run import NextRun, next_run
-from sensorgraph.diagnose.questions import ask, between, typical
+from sensorgraph.diagnosis.next_run.assemble import random_run
+from sensorgraph.diagnosis.next_run.candidate_motions import Ground
+from sensorgraph.diagnosis.next_run.design import NextRun, next_run
+from sensorgraph.diagnosis.next_run.forecast import Forecast, Motion, Question
+from sensorgraph.diagnosis.next_run.questions import ask, between, typical
+from sensorgraph.diagnosis.result import Ledger, Rival
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot_file import RobotFile, default
 from tests.effects_samples import arena as sample_arena

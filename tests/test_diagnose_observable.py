@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from planners.arena import Floats
-from sensorgraph.diagnose.evidence import Evidence, velocities
-from sensorgraph.diagnose.model import Fitted, fit, start_state
-from sensorgraph.diagnose.nuisance import Freedom
-from sensorgraph.diagnose.observable import alike, not_observable
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.nuisance import Freedom
+from sensorgraph.diagnosis.scan.observability import alike, not_observable
+from sensorgraph.diagnosis.scan.scan_data import Evidence, velocities
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot_file import default
 from sensorgraph.world.scene import draw

@@ -10,12 +10,12 @@ from conftest import polygon_arena
 
 from logs.run import Run
 from planners.arena import Arena, wrap
-from sensorgraph.diagnose.diagnose import diagnose
-from sensorgraph.diagnose.evidence import Evidence, gather
-from sensorgraph.diagnose.model import Fitted, fit, start_state
-from sensorgraph.diagnose.nuisance import Freedom
-from sensorgraph.diagnose.propose_obstacles import nudged
-from sensorgraph.diagnose.view import View
+from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.nuisance import Freedom
+from sensorgraph.diagnosis.scan.propose_obstacles import nudged
+from sensorgraph.diagnosis.scan.residuals import View
+from sensorgraph.diagnosis.scan.scan_data import Evidence, gather
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world import robot_file
 from sensorgraph.world.scene import Scene, draw

@@ -12,10 +12,10 @@ from diagnose_samples import ROBOT, make_run, without_odometry
 
 from logs.run import Run
 from planners.arena import wrap
-from sensorgraph.diagnose.noise import Noise
-from sensorgraph.diagnose.odometry import diagnose_odometry
-from sensorgraph.diagnose.rows import aligned, signals_of
-from sensorgraph.diagnose.structure import Family, Judge, families
+from sensorgraph.diagnosis.motion.noise import Noise
+from sensorgraph.diagnosis.motion.odometry_rows import aligned, signals_of
+from sensorgraph.diagnosis.motion.unmodelled_structure import Family, Judge, families
+from sensorgraph.diagnosis.motion.wheels import diagnose_odometry
 
 PLANTED: list[tuple[str, dict[str, Any], dict[str, float]]] = [
     ("wheel_radius", {"radius": 0.02}, {"s": 0.02}),

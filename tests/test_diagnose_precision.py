@@ -11,12 +11,12 @@ from scipy.stats import norm
 from test_diagnose_scan import drive
 
 from planners.arena import Arena
-from sensorgraph.diagnose.decide import searched
-from sensorgraph.diagnose.diagnose import is_known
-from sensorgraph.diagnose.evidence import gather
-from sensorgraph.diagnose.model import Fitted, fit, start_state
-from sensorgraph.diagnose.nuisance import Freedom
-from sensorgraph.diagnose.precision import lattice_error, material_probability, standard_errors
+from sensorgraph.diagnosis.diagnose import is_known
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.model_selection import searched
+from sensorgraph.diagnosis.scan.nuisance import Freedom
+from sensorgraph.diagnosis.scan.scan_data import gather
+from sensorgraph.diagnosis.scan.standard_errors import lattice_error, material_probability, standard_errors
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world import robot_file
 

@@ -16,13 +16,13 @@ from logs import write
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.cli import run as cli
-from sensorgraph.diagnose.diagnose import Finding, diagnose
-from sensorgraph.diagnose.finding import Fit, Gap, Ledger, Rival, Unknown, Where
-from sensorgraph.diagnose.report import plain, save, to_dict
-from sensorgraph.diagnose.words import gap_sentence, number, parameters, percent, said
+from sensorgraph.demo_effect import Hidden
+from sensorgraph.demo_effect import to_dict as hidden_dict
+from sensorgraph.diagnosis.diagnose import Finding, diagnose
+from sensorgraph.diagnosis.report.files import plain, save, to_dict
+from sensorgraph.diagnosis.report.phrases import gap_sentence, number, parameters, percent, said
+from sensorgraph.diagnosis.result import Fit, Gap, Ledger, Rival, Unknown, Where
 from sensorgraph.effects import EFFECTS, effects_file
-from sensorgraph.hidden import Hidden
-from sensorgraph.hidden import to_dict as hidden_dict
 from sensorgraph.world import robot_file
 from sensorgraph.world.raycast import cast
 
@@ -146,7 +146,7 @@ def test_the_recording_holds_three_kinds_of_scans(found: Finding, saved: Path) -
 
 
 def test_amended_scans_lie_nearer_than_nominal_ones(found: Finding) -> None:
-    from sensorgraph.diagnose.compared import compare
+    from sensorgraph.diagnosis.report.comparison import compare
 
     compared = compare(found)
     assert compared is not None

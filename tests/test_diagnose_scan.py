@@ -10,18 +10,18 @@ from conftest import polygon_arena
 
 from logs.run import Run
 from planners.arena import Arena, Floats, wrap
-from sensorgraph.diagnose.criticise import check, dispersion, replicate
-from sensorgraph.diagnose.diagnose import diagnose, is_material
-from sensorgraph.diagnose.evidence import Evidence, gather
-from sensorgraph.diagnose.fits import placement
-from sensorgraph.diagnose.likelihood import Predicted, judge, plain_judge, predicted
-from sensorgraph.diagnose.model import SMOOTH, Fitted, cast, fit, solver_for, start_state
-from sensorgraph.diagnose.nuisance import BOX, DENSE, Freedom, Noise, pose_prior
-from sensorgraph.diagnose.prove import held_out
-from sensorgraph.diagnose.screen import smooth_candidates
-from sensorgraph.diagnose.solve import boxed
-from sensorgraph.diagnose.sums import plain_wall_sums, wall_sums
-from sensorgraph.diagnose.view import View, best_run
+from sensorgraph.diagnosis.diagnose import diagnose, is_material
+from sensorgraph.diagnosis.scan.fit import SMOOTH, Fitted, cast, fit, solver_for, start_state
+from sensorgraph.diagnosis.scan.gauss_newton import boxed
+from sensorgraph.diagnosis.scan.goodness_of_fit import check, dispersion, replicate
+from sensorgraph.diagnosis.scan.held_out_gap import held_out
+from sensorgraph.diagnosis.scan.likelihood import Predicted, judge, plain_judge, predicted
+from sensorgraph.diagnosis.scan.map_alignment import placement
+from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, Freedom, Noise, pose_prior
+from sensorgraph.diagnosis.scan.residuals import View, best_run
+from sensorgraph.diagnosis.scan.scan_data import Evidence, gather
+from sensorgraph.diagnosis.scan.score_test import smooth_candidates
+from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.errors import GapError
 from sensorgraph.world import robot_file

@@ -10,8 +10,8 @@ from conftest import polygon_arena
 
 from logs.run import RangeSensor, Run
 from planners.arena import Arena, Floats
-from sensorgraph.build import build
-from sensorgraph.diagnose.diagnose import Finding, diagnose
+from sensorgraph.building.build import build
+from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.world import robot_file
 from sensorgraph.world.identified_arena import arena_of

@@ -13,13 +13,13 @@ from effects_samples import arena, motion, strong
 import logs
 from logs import pair
 from planners.maps import geojson
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.cli import run as cli
 from sensorgraph.effects import EFFECTS as LIBRARY
 from sensorgraph.effects.effects_file import write
-from sensorgraph.evaluate import evaluate
-from sensorgraph.record import Commands, record
-from sensorgraph.simulator import compare, predict
+from sensorgraph.evaluation import evaluate
+from sensorgraph.recording.record import Commands, record
+from sensorgraph.recording.simulator import compare, predict
 from sensorgraph.world.robot_file import default
 
 ROOM, ROBOT = arena(), default()

@@ -10,9 +10,9 @@ import pytest
 
 from logs import read
 from logs.run import RangeSensor
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.errors import GapError
-from sensorgraph.evaluate import evaluate
+from sensorgraph.evaluation import evaluate
 from sensorgraph.models.base import Scans
 from sensorgraph.models.cell_calibration import KNOTS, best_sigma, seen_for_said
 from sensorgraph.models.cell_evidence import Evidence

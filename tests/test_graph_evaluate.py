@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs.run import RangeSensor, Run
-from sensorgraph.build import build
+from sensorgraph.building.build import build
+from sensorgraph.building.split import SPLITS, held_out
 from sensorgraph.errors import GapError
-from sensorgraph.evaluate import evaluate
-from sensorgraph.split import SPLITS, held_out
+from sensorgraph.evaluation import evaluate
 
 KEYS = [
     "median_m",

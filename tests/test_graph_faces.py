@@ -17,7 +17,7 @@ from sensorgraph.models.base import Floats, Scans
 from sensorgraph.models.face_march import ROOM, FaceSet, gather, index
 from sensorgraph.models.faces import Faces
 from sensorgraph.models.surfaces import Surfaces
-from sensorgraph.views import choose_views
+from sensorgraph.planning.views import choose_views
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.raycast import cast
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from logs.run import RangeSensor, Run
-from sensorgraph.build import build as build_any
+from sensorgraph.building.build import build as build_any
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models import MODELS

@@ -10,9 +10,9 @@ from planners import plan
 from planners.arena import Arena
 from planners.coverage import Coverage
 from planners.robot import Robot
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.priority import doubt
+from sensorgraph.planning.priority import doubt
 from sensorgraph.world.raycast import cast
 
 

@@ -14,8 +14,8 @@ from logs import stream
 from logs.run import RangeSensor, Run
 from logs.stream import McapLog, open_log
 from planners.arena import Arena
-from sensorgraph import feed
-from sensorgraph.build import build
+from sensorgraph.building import feed
+from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
 from sensorgraph.errors import GapError
 from sensorgraph.models import reduction
@@ -90,7 +90,7 @@ def test_streamed_and_whole_give_the_same_bytes(path: Path, split: str | None, t
 @pytest.mark.usefixtures("small")
 def test_a_cluster_gives_the_same_bytes(path: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install '.[dask]'")
-    from sensorgraph.cluster import cluster
+    from sensorgraph.building.cluster import cluster
 
     plain = build([open_log(path), open_log(path)], names=["a", "b"])
     with (
@@ -107,7 +107,7 @@ def test_no_scheduler_is_said_in_one_line(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("distributed", reason="Dask is not installed: pip install '.[dask]'")
-    monkeypatch.setattr("sensorgraph.cluster.TIMEOUT", 0.5)
+    monkeypatch.setattr("sensorgraph.building.cluster.TIMEOUT", 0.5)
     out = tmp_path / "g.sensorgraph"
     assert command(["build", str(path), "--dask", "tcp://127.0.0.1:1", "-o", str(out)]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()

@@ -11,7 +11,7 @@ from conftest import polygon_arena
 import logs
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.hidden_effects.cases import CaseSpec, make_case
 from planners.maps import geojson
-from sensorgraph.diagnose.diagnose import Finding, diagnose
+from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.world import robot_file
 
 

@@ -9,12 +9,12 @@ import pytest
 
 from logs.run import RangeSensor, Run
 from robotmodic_ident import Record
-from sensorgraph.behaviour import track_dimension
-from sensorgraph.controllers import PolynomialController, controller_named
 from sensorgraph.errors import GapError
-from sensorgraph.identified_world import ArenaWorld
-from sensorgraph.identify import Question, identify, split_records
-from sensorgraph.signals import Data, of_run, of_table, rays_of, variable
+from sensorgraph.identification.behaviour import track_dimension
+from sensorgraph.identification.identify import Question, identify, split_records
+from sensorgraph.identification.signals import Data, of_run, of_table, rays_of, variable
+from sensorgraph.recording.controllers import PolynomialController, controller_named
+from sensorgraph.recording.identified_world import ArenaWorld
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import react
 from sensorgraph.world.robot_file import RobotFile, default

@@ -9,8 +9,8 @@ import pytest
 from planners_samples import door_arena, shipped
 
 from planners.check import check, check_parts
+from planners.curve import Pen
 from planners.robot import Limits, Robot
-from planners.steering import Pen
 from planners.trajectory import Trajectory
 
 ROBOT = Robot()

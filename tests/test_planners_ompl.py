@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from planners_samples import door_arena
 
-import planners.ompl_car_ways as car_ways
+import planners.joins.ompl_car_paths as car_ways
 from planners.arena import Floats, wrap
-from planners.car_connect import connect_cars
+from planners.cars.arc_path import drive_of, ground_of
+from planners.cars.search import arcs_of
 from planners.check import check
 from planners.clearance import Barriers
+from planners.curve import Curve
+from planners.joins.car_paths import connect_cars
 from planners.reach import reach
 from planners.robot import SHORTEST_ARC, Drive, Limits, Robot
-from planners.search_cars import arcs_of
-from planners.search_drive import drive_of, ground_of
-from planners.steering import Curve
 
 CLEARANCE = 0.22
 STARTS = np.array([[1.0, 1.0, 0.0], [1.0, 0.7, 0.0], [1.0, 2.0, 1.0]])

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from planners.errors import PlanError
-from planners.ompl_process import ask
+from planners.joins.ompl_process import ask
 
 MODULE = """
 import os, sys, signal
 import numpy as np
-from planners.ompl_process import serve
+from planners.joins.ompl_process import serve
 
 def work(base, geometric, question):
     print("noise on standard output", flush=True)
@@ -71,7 +71,7 @@ def test_questions_side_by_side_are_not_mixed_up(module: str) -> None:
 
 def test_no_process_outlives_the_one_that_asked(module: str) -> None:
     code = f"""
-        import planners.ompl_process as p
+        import planners.joins.ompl_process as p
         p.ask("{module}", seed=1, what="draw", number=1)
         (servers,) = p._idle.values()
         print(servers[0].process.pid)

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 from planners_samples import door_arena, some, task_of
 
-import planners.connect as connections
-import planners.repair_cars as repairs
+import planners.joins.paths as connections
+import planners.methods.repair_cars as repairs
 from planners import plan
 from planners.arena import Bools, Floats
-from planners.car_connect import CarWay
+from planners.cars.search import search_floor
 from planners.check import check
-from planners.connect import Joins, connect
+from planners.curve import joined
+from planners.joins.car_paths import CarWay
+from planners.joins.paths import Joins, connect
+from planners.methods.repair_cars import CarRepair
+from planners.methods.repair_spins import SpinRepair
 from planners.reach import Reach
-from planners.repair_cars import CarRepair
-from planners.repair_spins import SpinRepair
 from planners.robot import Drive, Limits, Robot
-from planners.search import Settings, Visit
-from planners.search_cars import search_floor
-from planners.search_log import missed
-from planners.steering import joined
+from planners.search.log_phases import missed
+from planners.search.search import Settings, Visit
 
 START = np.array([0.8, 0.8, 0.3])
 

@@ -18,9 +18,9 @@ from planners import PLANNERS, Plan, PlanError, plan
 from planners.arena import wrap
 from planners.check import check
 from planners.clearance import Barriers
-from planners.connect import connect
 from planners.coverage import Coverage
 from planners.export import waypoints
+from planners.joins.paths import connect
 from planners.reach import reach
 from planners.robot import Limits, Robot
 
@@ -188,7 +188,7 @@ def test_planning_needs_ompl_only_where_a_straight_move_is_blocked(
 
 
 def test_importing_planners_does_not_import_ompl() -> None:
-    code = "import sys, planners, planners.connect; sys.exit('ompl' in sys.modules)"
+    code = "import sys, planners, planners.joins.paths; sys.exit('ompl' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -7,13 +7,13 @@ import pytest
 from planners_samples import door_arena, some, task_of
 
 from planners.arena import Bools
+from planners.cars.search import geared
 from planners.check import check
-from planners.coverage_planner import Task
-from planners.repair_cars import CarRepair
+from planners.curve import Curve
+from planners.methods.repair_cars import CarRepair
+from planners.methods.stop_and_spin import Task
 from planners.robot import Drive
-from planners.search_cars import geared
-from planners.search_log import met, missed
-from planners.steering import Curve
+from planners.search.log_phases import met, missed
 
 START = np.array([0.5, 1.375, 0.0])
 SPEED = 0.3

@@ -11,13 +11,13 @@ from planners_samples import outlined
 
 from planners import plan
 from planners.arena import Arena, Floats, wrap
+from planners.cars.search import Entry, begin, entry, geared
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.reach import reach
 from planners.robot import Drive, Limits, Robot
-from planners.search import Scene, scene
-from planners.search_cars import Entry, begin, entry, geared
-from planners.search_table import GEARS, driving
+from planners.search.motion_primitives import GEARS, driving
+from planners.search.search import Scene, scene
 
 LIMITS = Limits(turning_radius=0.4)
 ROOM = outlined(shapely.box(0, 0, 3, 2.5))

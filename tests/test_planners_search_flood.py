@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from planners_samples import door_arena, some, task_of
 
-import planners.repair_cars as repairs
-import planners.search_flood as floors
+import planners.cars.reachability as floors
+import planners.methods.repair_cars as repairs
 from planners.arena import Bools, Floats
+from planners.cars.reachability import Ways, cycle
+from planners.cars.search import search_floor
 from planners.check import check
-from planners.connect import Joins
-from planners.repair_cars import CarRepair
-from planners.search import Settings, Visit
-from planners.search_cars import search_floor
-from planners.search_flood import Ways, cycle
-from planners.search_log import missed
+from planners.joins.paths import Joins
+from planners.methods.repair_cars import CarRepair
+from planners.search.log_phases import missed
+from planners.search.search import Settings, Visit
 
 START = np.array([0.8, 0.8, 0.3])
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from planners.coverage import Coverage
-from planners.search import chained
-from planners.search_log import PHASES, met, missed
-from planners.steering import Curve
+from planners.curve import Curve
+from planners.search.log_phases import PHASES, met, missed
+from planners.search.search import chained
 
 RATE = 10.0
 

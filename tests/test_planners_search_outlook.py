@@ -7,14 +7,14 @@ import pytest
 from planners_samples import door_arena
 
 from planners.arena import Bools, Floats
+from planners.cars.search import state_at
 from planners.clearance import Barriers
 from planners.reach import reach
 from planners.robot import Limits
-from planners.search import Search, Settings, scene
-from planners.search_beam import look, units_away
-from planners.search_cars import state_at
-from planners.search_outlook import FARTHEST
-from planners.search_table import GEARS, driving
+from planners.search.beam import look, units_away
+from planners.search.heuristic import FARTHEST
+from planners.search.motion_primitives import GEARS, driving
+from planners.search.search import Search, Settings, scene
 
 LIMITS = Limits(turning_radius=0.4)
 

@@ -10,15 +10,15 @@ import shapely
 from planners_samples import outlined
 
 from planners.arena import Arena, Bools, Floats
+from planners.cars.search import geared, shortened
 from planners.check import check
 from planners.clearance import Barriers
 from planners.coverage import Coverage
+from planners.curve import Curve
+from planners.methods.coverage import Task
 from planners.reach import Reach, reach
 from planners.robot import Limits, Robot
-from planners.search_cars import geared, shortened
-from planners.search_log import missed
-from planners.search_planner import Task
-from planners.steering import Curve
+from planners.search.log_phases import missed
 
 LIMITS = Limits(turning_radius=0.4)
 RATE = 10.0

@@ -18,23 +18,24 @@ import shapely
 import yaml
 from planners_samples import door_arena, outlined, shipped
 
-from planners import Plan, PlanError, plan, planning, search_planner
+from planners import Plan, PlanError, plan, planning
 from planners.arena import Arena, wrap
 from planners.battery import sessions, spread
 from planners.check import check
 from planners.clearance import Barriers
-from planners.connect import Joins
 from planners.coverage import Coverage
-from planners.coverage_planner import Driven, Task
+from planners.curve import Curve
 from planners.export import commands, waypoints
-from planners.no_go import without, zones
-from planners.repair_cars import CarRepair
+from planners.joins.paths import Joins
+from planners.maps.no_go import without, zones
+from planners.methods import coverage as search_planner
+from planners.methods.repair_cars import CarRepair
+from planners.methods.stop_and_spin import Driven, Task
 from planners.robot import Drive, Limits, Robot
 from planners.sampling import warnings
 from planners.session import Ways, cut_at, cuts, ends, latest, section, turns, within
-from planners.steering import Curve
 from planners.trajectory import Trajectory
-from sensorgraph.plan_folder import counted
+from sensorgraph.planning.plan_folder import counted
 
 ROBOT = Robot()
 GRID = {"cell": 0.5, "headings": 8}

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planners.primitives import GUARD, aim, least_sweep
+from planners.curve import Curve, Pen, duration, trapezoid
+from planners.methods.primitives import GUARD, aim, least_sweep
 from planners.robot import Limits
-from planners.steering import Curve, Pen, duration, trapezoid
 from planners.trajectory import Trajectory, read_csv
 
 LIMITS = st.builds(

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planners_samples import door_arena, task_of
 
-from planners.search_cars import geared
-from planners.search_log import missed
-from planners.trip import Trip
+from planners.cars.search import geared
+from planners.methods.partial_drive import Trip
+from planners.search.log_phases import missed
 
 TASK = task_of(door_arena(9.0), "reeds_shepp", np.array([1.0, 1.4, 0.3]))
 PIECES = st.lists(st.tuples(st.floats(0.05, 0.6), st.sampled_from([-1, 0, 1])), min_size=1, max_size=4)

@@ -13,9 +13,9 @@ from logs import RangeSensor, Recorder, Run
 from planners.arena import Arena
 from planners.errors import PlanError
 from planners.maps import geojson
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.cli import run as cli
-from sensorgraph.resume import doubts, driven_poses, shared_walls
+from sensorgraph.planning.resume import doubts, driven_poses, shared_walls
 from sensorgraph.world.raycast import cast
 
 

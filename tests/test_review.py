@@ -11,12 +11,13 @@ import rerun as rr
 
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
-from sensorgraph import view, view_maps
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.review import RIGHT, UNANSWERED, UNSCORED, WRONG, Review, report, review
-from sensorgraph.review_cells import HEADINGS, Tally
+from sensorgraph.show import rerun_maps as view_maps
+from sensorgraph.show import rerun_view as view
+from sensorgraph.show.review import RIGHT, UNANSWERED, UNSCORED, WRONG, Review, report, review
+from sensorgraph.show.review_cells import HEADINGS, Tally
 from sensorgraph.world.raycast import cast
 
 

@@ -12,13 +12,13 @@ import logs
 from logs.run import RangeSensor, Run
 from planners import plan as make_plan
 from planners.arena import Arena
-from sensorgraph.behaviour import behaviour, lyapunov, table
-from sensorgraph.build import build
+from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.identified_world import IdentifiedWorld
-from sensorgraph.plan_folder import save
+from sensorgraph.identification.behaviour import behaviour, lyapunov, table
+from sensorgraph.planning.plan_folder import save
+from sensorgraph.recording.identified_world import IdentifiedWorld
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot_file import RobotFile, default

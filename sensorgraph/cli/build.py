@@ -65,9 +65,9 @@ def build(
     """
     from logs import parse_topics
     from logs.stream import open_log
-    from sensorgraph.build import build as build_graph
+    from sensorgraph.building.build import build as build_graph
+    from sensorgraph.building.cluster import cluster
     from sensorgraph.cli.inputs import check_output, named_arena, read_robot_sensor
-    from sensorgraph.cluster import cluster
     from sensorgraph.errors import GapError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.models import MODELS

@@ -9,7 +9,7 @@ import typer
 
 if TYPE_CHECKING:
     from sensorgraph.demo import Trip
-    from sensorgraph.hidden import Hidden
+    from sensorgraph.demo_effect import Hidden
 
 
 def demo(
@@ -36,8 +36,8 @@ def demo(
     from sensorgraph.cli.progress import progress
     from sensorgraph.demo import demo as run_demo
     from sensorgraph.demo import to_dict
-    from sensorgraph.hidden import hide_and_find
-    from sensorgraph.hidden import to_dict as hidden_dict
+    from sensorgraph.demo_effect import hide_and_find
+    from sensorgraph.demo_effect import to_dict as hidden_dict
 
     began = time.monotonic()
     folder = out or Path("runs") / time.strftime("demo-%Y%m%d-%H%M%S")
@@ -68,7 +68,7 @@ def demo(
 
 def told(hidden: Hidden) -> list[str]:
     """Say what was hidden, what was found, and what it brought."""
-    from sensorgraph.diagnose.words import said
+    from sensorgraph.diagnosis.report.phrases import said
 
     planted = hidden.planted
     place = f" at {planted.place}" if planted.place else ""

@@ -11,8 +11,8 @@ import typer
 if TYPE_CHECKING:
     from logs.run import Run
     from planners.arena import Arena
-    from sensorgraph.diagnose.commissioning import Commissioned
-    from sensorgraph.diagnose.diagnose import Finding
+    from sensorgraph.diagnosis.commissioning import Commissioned
+    from sensorgraph.diagnosis.diagnose import Finding
     from sensorgraph.effects import Amendment
     from sensorgraph.world.robot_file import RobotFile
 
@@ -63,7 +63,7 @@ def diagnose(
     """
     from sensorgraph.cli.inputs import check_folder
     from sensorgraph.cli.progress import progress
-    from sensorgraph.diagnose.diagnose import diagnose as work
+    from sensorgraph.diagnosis.diagnose import diagnose as work
 
     _check_runs(runs)
     check_folder(out)
@@ -146,7 +146,7 @@ def _commission(
 ) -> Commissioned:
     """Learn from a run that is known to be good."""
     from sensorgraph.cli.progress import progress
-    from sensorgraph.diagnose.commissioning import commission_all
+    from sensorgraph.diagnosis.commissioning import commission_all
 
     good = [_read(path, topic) for path in runs]
     with progress("commissioning"):
@@ -158,7 +158,7 @@ def _save(
 ) -> None:
     """Write report and next run; all of it, or nothing if it is interrupted."""
     from sensorgraph.cli.progress import progress
-    from sensorgraph.diagnose.report import clear, save
+    from sensorgraph.diagnosis.report.files import clear, save
     from sensorgraph.files import together
 
     with progress("reporting", "files") as tick, together(out) as part:
@@ -170,7 +170,7 @@ def _save(
 
 def _lines(finding: Finding, out: Path) -> list[str]:
     """Return what is said on the console."""
-    from sensorgraph.diagnose.words import intake_sentences, said
+    from sensorgraph.diagnosis.report.phrases import intake_sentences, said
 
     what = said(finding)
     shown = "" if finding.explained is None else ", review.rrd"

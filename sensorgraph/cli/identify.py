@@ -11,8 +11,8 @@ import typer
 
 if TYPE_CHECKING:
     from robotmodic_ident.score import Outside, Score
-    from sensorgraph.identify import Identified
-    from sensorgraph.signals import Data
+    from sensorgraph.identification.identify import Identified
+    from sensorgraph.identification.signals import Data
 
 MOST_NOISE_LAGS = 100
 MOST_NOTES = 4
@@ -67,9 +67,9 @@ def identify(
     """
     from sensorgraph.cli.inputs import check_output, write_json
     from sensorgraph.errors import GapError
-    from sensorgraph.figures_identify import identified_picture
-    from sensorgraph.identify import Question
-    from sensorgraph.identify import identify as identify_model
+    from sensorgraph.identification.identify import Question
+    from sensorgraph.identification.identify import identify as identify_model
+    from sensorgraph.show.figures_identify import identified_picture
 
     check_output(out, file)
     if out.suffix != ".json":
@@ -104,7 +104,7 @@ def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> 
     from logs import parse_topics, read
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import GapError
-    from sensorgraph.signals import is_table, of_run, of_table
+    from sensorgraph.identification.signals import is_table, of_run, of_table
 
     if not file.exists():
         raise GapError(f"{file} does not exist; give a CSV or a run")

@@ -44,7 +44,7 @@ def check_folder(folder: Path) -> None:
 
 def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) -> None:
     """Check that a robot file describes the sensor that recorded."""
-    from sensorgraph.build import is_same_sensor
+    from sensorgraph.building.build import is_same_sensor
     from sensorgraph.world.robot_file import read
 
     described = read(path).sensor
@@ -163,7 +163,7 @@ def robot_for(run: Run, path: Path | None) -> RobotFile:
     """Read robot.yaml; where none is named, the shipped robot with the sensor that the run itself describes."""
     from dataclasses import replace
 
-    from sensorgraph.build import is_same_sensor
+    from sensorgraph.building.build import is_same_sensor
 
     robot = named_robot(path)
     if path is None and not is_same_sensor(run.sensor.bearings, robot.sensor.bearings):

@@ -89,14 +89,14 @@ def plan(
 
     from planners import plan as make_plan
     from planners.errors import PlanError
-    from planners.no_go import without, zones
+    from planners.maps.no_go import without, zones
     from sensorgraph.cli.inputs import named_arena, named_robot, parse_pose
     from sensorgraph.cli.progress import progress
     from sensorgraph.graph import Sensorgraph
-    from sensorgraph.plan_folder import drop_runs, save
-    from sensorgraph.priority import doubt
-    from sensorgraph.resume import doubts, driven_poses
-    from sensorgraph.views import views_within
+    from sensorgraph.planning.plan_folder import drop_runs, save
+    from sensorgraph.planning.priority import doubt
+    from sensorgraph.planning.resume import doubts, driven_poses
+    from sensorgraph.planning.views import views_within
 
     if not (log := logging.getLogger("planners")).hasHandlers():
         log.addHandler(logging.NullHandler())  # its warnings are said below

@@ -61,8 +61,8 @@ def record(
     from sensorgraph.cli.progress import progress
     from sensorgraph.effects.effects_file import read as read_effects
     from sensorgraph.errors import GapError
-    from sensorgraph.record import Commands
-    from sensorgraph.record import record as record_run
+    from sensorgraph.recording.record import Commands
+    from sensorgraph.recording.record import record as record_run
     from sensorgraph.world.clearance import WallDistance
 
     check_output(out, plan, *([effects] if effects is not None else []))
@@ -119,14 +119,14 @@ def _record_closed_loop(
     seed: int,
 ) -> None:
     """Drive in an arena or an identified world, once for each controller, and say how the drives compare."""
-    from sensorgraph.behaviour import behaviour, table
     from sensorgraph.cli.inputs import check_output, named_arena, named_robot
     from sensorgraph.cli.progress import progress
-    from sensorgraph.controllers import CONTROLLERS, controller_label
     from sensorgraph.errors import GapError
-    from sensorgraph.figures import tracks_picture
     from sensorgraph.graph import Sensorgraph
-    from sensorgraph.identified_world import PLAN, ArenaWorld, IdentifiedWorld, record_in
+    from sensorgraph.identification.behaviour import behaviour, table
+    from sensorgraph.recording.controllers import CONTROLLERS, controller_label
+    from sensorgraph.recording.identified_world import PLAN, ArenaWorld, IdentifiedWorld, record_in
+    from sensorgraph.show.figures import tracks_picture
     from sensorgraph.world.clearance import WallDistance
     from sensorgraph.world.identified_arena import arena_of
 

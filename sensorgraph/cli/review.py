@@ -34,12 +34,12 @@ def review(
 
     from logs import parse_topics, read
     from planners.trajectory import read_csv
-    from sensorgraph import view
     from sensorgraph.cli.inputs import check_output, kept_arena, named_arena
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import GapError
     from sensorgraph.graph import Sensorgraph
-    from sensorgraph.review import review as collect
+    from sensorgraph.show import rerun_view as view
+    from sensorgraph.show.review import review as collect
 
     check_output(out, run, *(path for path in (graph,) if path is not None))
     if out.suffix != ".rrd":

@@ -1,0 +1,133 @@
+"""OMPL for cars: ways in the state space of Reeds and Shepp or of Dubins, from a pose to the nearest of some others.
+
+The shortest curve comes first; where it is blocked, RRTConnect searches and the path is cut short. (Never a roadmap:
+OMPL's are undirected, and a Dubins car's ways are not.) OMPL does not say of what arcs its curves are made, so they
+are read off poses along them, and what is driven is a chain of those arcs, proven clear by distances of its own.
+OMPL works in a process of its own (`ompl_car_ways`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from planners.arena import Bools, Floats
+from planners.cars.reeds_shepp import MOST_ARCS, Pose, along, arcs_for, quickest
+from planners.cars.search import geared
+from planners.clearance import Barriers
+from planners.curve import Curve
+from planners.joins.ompl_car_paths import Arcs
+from planners.joins.ompl_process import SLACK, ask
+from planners.joins.paths import Joins, field_of
+from planners.reach import Reach
+from planners.robot import SHORTEST_ARC, Robot
+
+PROOF_STEP = 0.004
+"""[m] between the poses at which clearance is measured; it is less by up to half as much in between."""
+CUSP = 0.3
+"""[m] that a change of gear is worth."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CarWay:
+    """A drive from a pose to one of the goals."""
+
+    curve: Curve | None
+    """None where the car is there already."""
+    goal: int
+    """Which of the goals it comes to."""
+
+
+def connect_cars(
+    starts: Floats,
+    goals: list[Floats],
+    *,
+    reach: Reach,
+    barriers: Barriers,
+    robot: Robot,
+    seed: int,
+) -> tuple[list[CarWay | None], Joins]:
+    """Find a drive from each start (n, 3) to one of its goals, each (m, 3) [m, m, rad].
+
+    Returns
+    -------
+    ways : None where none was found
+    """
+    within = [np.flatnonzero(_floods_to(own, reach)) for own in goals]
+    answer = ask(
+        "planners.joins.ompl_car_paths",
+        seed=seed,
+        starts=starts,
+        goals=np.concatenate([own[kept] for own, kept in zip(goals, within, strict=True)]),
+        counts=[len(kept) for kept in within],
+        radius=robot.limits.turning_radius,
+        backward=robot.drive == "reeds_shepp",
+        **field_of(reach),
+    )
+    found_arcs = np.split(answer["arcs"], np.cumsum(answer["lengths"])[:-1])
+    ways: list[CarWay | None] = []
+    joins = Joins()
+    for k, (start, own) in enumerate(zip(starts, found_arcs, strict=True)):
+        found, straight = int(answer["goal"][k]), bool(answer["direct"][k])
+        goal = int(within[k][found]) if found >= 0 else -1
+        tried = _untwitched(start, own, robot) if goal >= 0 else iter(())
+        made = (_proven(start, arcs, goal, barriers, reach.clearance, robot) for arcs in tried)
+        way = next((one for one in made if one is not None), None)
+        ways.append(way)
+        joins += Joins(
+            direct=int(way is not None and straight),
+            planned=int(way is not None and not straight),
+            failed=int(way is None),
+            planned_m=float(own[:, 2].sum()) if way is not None and not straight else 0.0,
+        )
+    return ways, joins
+
+
+def _untwitched(start: Floats, arcs: Arcs, robot: Robot) -> Iterator[Arcs]:
+    """Yield the way with its twitches of the wheel, and ever more arcs round them, replaced by a word without; then itself.
+
+    Twitches are arcs so short that the wheel turns there and back within a sample.
+    """
+    short = np.flatnonzero(arcs[:, 2] < SHORTEST_ARC)
+    n, radius = len(arcs), robot.limits.turning_radius
+    poses: list[Pose] = [(float(start[0]), float(start[1]), float(start[2]))]
+    for gear, bend, length in arcs.tolist():
+        poses.append(along(poses[-1], length, int(bend), int(gear), radius))
+    gears = [0, *arcs[:, 0].astype(int).tolist(), 0]
+    room, word = arcs_for(MOST_ARCS), np.empty(MOST_ARCS)
+    for wide in range(1, n + 1) if len(short) else ():
+        i, k = max(int(short[0]) - wide, 0), min(int(short[-1]) + wide + 1, n)
+        ends = poses[i], poses[k], radius, gears[i], gears[k + 1]
+        m = quickest(*ends, CUSP, robot.drive == "reeds_shepp", SHORTEST_ARC, 0, word, room)
+        if m >= 0:
+            yield np.concatenate(
+                [arcs[:i], np.column_stack([room.gear, room.bend, room.length])[:m], arcs[k:]]
+            )
+        if i == 0 and k == n:
+            break
+    yield arcs
+
+
+def _floods_to(goals: Floats, reach: Reach) -> Bools:
+    """Tell which goals (m, 3) lie beside a node that the flood of the disc reaches; no query can get to others."""
+    near = ndimage.binary_dilation(reach.mask, np.ones((3, 3), dtype=np.bool_))
+    at = np.floor((goals[:, :2] - reach.origin) / reach.step).astype(np.int64)
+    inside = ((at >= 0) & (at < near.shape)).all(axis=1)
+    at = at.clip(0, np.array(near.shape) - 1)
+    return np.asarray(inside & near[at[:, 0], at[:, 1]])
+
+
+def _proven(
+    start: Floats, arcs: Arcs, goal: int, barriers: Barriers, clearance: float, robot: Robot
+) -> CarWay | None:
+    """Return the drive along some arcs; None unless it keeps the clearance, or all but SLACK of it, all along."""
+    if not len(arcs):
+        return CarWay(curve=None, goal=goal)
+    curve = geared(start, arcs[:, 2], arcs[:, 1], arcs[:, 0], robot.limits)
+    n = int(np.ceil(curve.duration * robot.limits.v / PROOF_STEP)) + 1
+    places = curve.sample(np.linspace(0.0, curve.duration, n))[0][:, :2]
+    clear = barriers.distances(places).min() >= clearance - SLACK
+    return CarWay(curve=curve, goal=goal) if clear else None

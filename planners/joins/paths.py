@@ -1,0 +1,175 @@
+"""OMPL: collision-free moves where the straight one is blocked, asked for in a process of its own (`ompl_ways`)."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csgraph
+
+from planners.arena import Floats
+from planners.clearance import Barriers
+from planners.joins.ompl_process import SLACK, ask
+from planners.reach import Reach
+from planners.rooms import cell_graph
+
+MOST_GOALS = 400
+"""Of one query, the nearest ones."""
+LEG = 4.0
+"""[m] of the parts of a way that OMPL does not find as a whole."""
+BATCH = 48
+"""Queries for one process; batches run side by side, and do not depend on how many do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joins:
+    """How the moves between primitives came about."""
+
+    direct: int = 0
+    """Straight moves that are clear."""
+    planned: int = 0
+    """Moves that OMPL planned."""
+    failed: int = 0
+    """Moves for which OMPL found no path."""
+    flooded: int = 0
+    """Moves of a Dubins car that its own flood found then."""
+    planned_m: float = 0.0
+    """[m] of all planned moves."""
+
+    def __add__(self, other: Joins) -> Joins:
+        return Joins(
+            direct=self.direct + other.direct,
+            planned=self.planned + other.planned,
+            failed=self.failed + other.failed,
+            flooded=self.flooded + other.flooded,
+            planned_m=self.planned_m + other.planned_m,
+        )
+
+
+def connect(
+    starts: Floats, ends: Floats, *, reach: Reach, barriers: Barriers, seed: int
+) -> tuple[list[Floats | None], Joins]:
+    """Find a path for each move (n, 2) -> (n, 2) [m]: straight if clear, else by OMPL.
+
+    Returns
+    -------
+    paths : (k, 2) [m] with both ends, k = 2 for a straight one; None where no path was found
+    """
+    direct = barriers.are_clear(starts, ends, reach.clearance)
+    paths: list[Floats | None] = [np.stack(ends_) for ends_ in zip(starts, ends, strict=True)]
+    blocked = np.flatnonzero(~direct)
+    if len(blocked):
+        found = _in_processes(starts[blocked], ends[blocked], reach, seed)
+        for k, way in zip(blocked.tolist(), found, strict=True):
+            paths[k] = _certified(way, barriers, reach.clearance)
+            if paths[k] is None:
+                paths[k] = _certified(way, barriers, reach.clearance - SLACK)
+            if paths[k] is None:
+                paths[k] = _by_legs(starts[k], ends[k], reach, barriers, seed)
+    planned = [path for k in blocked.tolist() if (path := paths[k]) is not None]
+    return paths, Joins(
+        direct=int(direct.sum()),
+        planned=len(planned),
+        failed=len(blocked) - len(planned),
+        planned_m=float(sum(np.hypot(*np.diff(path, axis=0).T).sum() for path in planned)),
+    )
+
+
+def connect_nearest(
+    start: Floats, goals: Floats, *, reach: Reach, barriers: Barriers, seed: int
+) -> tuple[Floats | None, Joins]:
+    """Find a path from a place (2,) to one of the goals (m, 2) [m]: straight to the nearest if clear, else by OMPL.
+
+    One query holds them all (`ob.GoalStates`).
+
+    Returns
+    -------
+    path : (k, 2) [m] with both ends; None where none was found
+    """
+    nearest = np.argsort(np.hypot(*(goals - start).T), kind="stable")
+    clear = barriers.are_clear(np.repeat(start[None], len(goals), axis=0), goals[nearest], reach.clearance)
+    if clear.any():
+        return np.stack([start, goals[nearest[clear.argmax()]]]), Joins(direct=1)
+    (way,) = _in_a_process(start[None], [goals[nearest[:MOST_GOALS]]], reach, seed)
+    path = _certified(way, barriers, reach.clearance)
+    if path is None:
+        path = _certified(way, barriers, reach.clearance - SLACK)
+    if path is None:
+        path = _by_legs(start, goals[nearest[0]], reach, barriers, seed)
+    if path is None:
+        return None, Joins(failed=1)
+    return path, Joins(planned=1, planned_m=float(np.hypot(*np.diff(path, axis=0).T).sum()))
+
+
+def _by_legs(start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int) -> Floats | None:
+    """Find a path (k, 2) [m] that OMPL did not find as a whole, over places on the shortest way from cell to cell."""
+    at = [np.floor((place - reach.origin) / reach.cell).astype(np.int64) for place in (start, end)]
+    first, last = (int(np.ravel_multi_index(tuple(cell), reach.shape)) for cell in at)
+    far, before = csgraph.dijkstra(
+        cell_graph(reach), directed=False, indices=np.array([first]), return_predecessors=True
+    )
+    if not LEG / reach.cell < far[0, last] < np.inf:
+        return None
+    route = [last]
+    while route[-1] != first:
+        route.append(int(before[0, route[-1]]))
+    cells = np.unravel_index(route[::-1][:: max(round(LEG / reach.cell), 1)][1:], reach.shape)
+    stops = np.concatenate([start[None], reach.deepest(np.column_stack(cells)), end[None]])
+    legs, _ = connect(stops[:-1], stops[1:], reach=reach, barriers=barriers, seed=seed)
+    found = [leg for leg in legs if leg is not None]
+    return np.concatenate([start[None], *(leg[1:] for leg in found)]) if len(found) == len(legs) else None
+
+
+def _certified(path: Floats, barriers: Barriers, clearance: float) -> Floats | None:
+    """Leave out corners that are not needed; None unless the exact clearance holds all along."""
+    if len(path) < 2:
+        return None
+    kept = [0]
+    while kept[-1] < len(path) - 1:
+        later = np.arange(len(path) - 1, kept[-1], -1)
+        here = np.repeat(path[kept[-1]][None], len(later), axis=0)
+        clear = barriers.are_clear(here, path[later], clearance)
+        if not clear.any():
+            return None
+        kept.append(int(later[clear.argmax()]))
+    return path[kept]
+
+
+def _in_processes(starts: Floats, ends: Floats, reach: Reach, seed: int) -> list[Floats]:
+    """Solve queries (n, 2) -> (n, 2) [m], in as many processes as there are processors."""
+    goals = list(ends[:, None])
+    batches = [slice(k, k + BATCH) for k in range(0, len(starts), BATCH)]
+    seeds = [int(np.random.SeedSequence([seed, k]).generate_state(1)[0]) for k in range(len(batches))]
+    if len(batches) == 1:
+        return _in_a_process(starts, goals, reach, seeds[0])
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        answers = threads.map(
+            lambda batch, own: _in_a_process(starts[batch], goals[batch], reach, own), batches, seeds
+        )
+        return [path for answer in answers for path in answer]
+
+
+def _in_a_process(starts: Floats, goals: list[Floats], reach: Reach, seed: int) -> list[Floats]:
+    """Solve queries (n, 2) [m], each to one of some goals (m, 2), in a fresh process; empty: no path was found."""
+    data = ask(
+        "planners.joins.ompl_paths",
+        seed=seed,
+        starts=starts,
+        goals=np.concatenate(goals),
+        counts=[len(own) for own in goals],
+        **field_of(reach),
+    )
+    return list(np.split(data["points"], np.cumsum(data["lengths"])[:-1]))
+
+
+def field_of(reach: Reach) -> dict[str, Any]:
+    """Return what a process must know of the floor."""
+    return {
+        "distance": reach.distance,
+        "origin": reach.origin,
+        "step": reach.step,
+        "clearance": reach.clearance,
+    }

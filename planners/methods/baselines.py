@@ -1,0 +1,138 @@
+"""Baselines: how robots explored before there was a plan (Nehmzow's and Billings' trajectories)."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+
+from planners.arena import Floats, wrap
+from planners.curve import Pen
+from planners.errors import PlanError
+from planners.joins.paths import Joins, connect
+from planners.methods.stop_and_spin import Driven, Task
+
+LEAST_WAY = 0.05
+"""[m] a bounce must open at least."""
+CLOSE = 1e-3
+"""[m] how exactly the way to a wall is found."""
+FOLLOW = 0.15
+"""[m] beyond the clearance at which walls are followed."""
+
+
+def random_bounce(task: Task) -> Driven:
+    """Drive straight until a wall is near, turn to a random open heading, and so on for `task.duration`."""
+    _only_in_place(task, "random_bounce")
+    rng = np.random.default_rng(task.seed)
+    pen = Pen(_start(task, rng), task.robot.limits)
+    bounces = 0
+    while pen.clock < _duration(task):
+        way = _free_way(task, pen.pose)
+        if way > CLOSE:
+            pen.move(way, "move")
+        bounces += 1
+        heading = _open_heading(task, pen.pose, rng)
+        pen.turn(float(wrap(heading - pen.pose[2])), "turn")
+        if task.progress:
+            task.progress(int(min(pen.clock, _duration(task))), int(_duration(task)))
+    return Driven(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=Joins(direct=bounces))
+
+
+def _open_heading(task: Task, pose: Floats, rng: np.random.Generator) -> float:
+    """Draw headings until one leads away from the wall."""
+    for _ in range(200):
+        heading = float(rng.uniform(-np.pi, np.pi))
+        if _free_way(task, np.array([pose[0], pose[1], heading]), LEAST_WAY) >= LEAST_WAY - CLOSE:
+            return heading
+    return float(pose[2] + np.pi)  # the way it came is open
+
+
+def _free_way(task: Task, pose: Floats, most: float | None = None) -> float:
+    """Return how far [m] the robot can drive ahead, at most `most`: exact to `CLOSE`, by narrowing down."""
+    ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
+    x0, y0, x1, y1 = task.arena.bounds
+    low, high = 0.0, float(np.hypot(x1 - x0, y1 - y0)) if most is None else most
+    while high - low > CLOSE:
+        ways = np.linspace(low, high, 24)[1:]
+        here = np.repeat(pose[None, :2], len(ways), axis=0)
+        clear = task.barriers.are_clear(here, here + ways[:, None] * ahead, task.reach.clearance)
+        first = len(ways) if clear.all() else int(clear.argmin())
+        if first == len(ways):
+            return high
+        low, high = (float(ways[first - 1]) if first else low), float(ways[first])
+    return low
+
+
+def wall_following(task: Task) -> Driven:
+    """Follow the longest wall within reach at an even distance, lap after lap for `task.duration`."""
+    _only_in_place(task, "wall_following")
+    rng = np.random.default_rng(task.seed)
+    start = _start(task, rng)
+    ring = _ring(task)
+    first = int(np.hypot(*(ring - start[:2]).T).argmin())
+    ring = np.roll(ring, -first, axis=0)
+    ring = np.concatenate([ring, ring[:1]])
+    laps, joins = connect(ring[:-1], ring[1:], reach=task.reach, barriers=task.barriers, seed=task.seed)
+    path = np.concatenate([ring[:1], *(leg[1:] for leg in laps if leg is not None)])
+    lead, first_join = connect(
+        start[None, :2], ring[:1], reach=task.reach, barriers=task.barriers, seed=task.seed
+    )
+    if lead[0] is None or joins.failed:
+        raise PlanError(
+            f"OMPL found no way along the wall from ({start[0]:.2f}, {start[1]:.2f}); choose another start"
+        )
+    pen = Pen(start, task.robot.limits)
+    corners = [*lead[0][1:], *path[1:]]
+    lap = 0
+    while pen.clock < _duration(task):
+        corner = corners[lap] if lap < len(corners) else path[1 + (lap - len(corners)) % (len(path) - 1)]
+        lap += 1
+        way = corner - pen.pose[:2]
+        pen.turn(float(wrap(np.arctan2(way[1], way[0]) - pen.pose[2])), "turn")
+        pen.move(float(np.hypot(*way)), "lane")
+        if task.progress:
+            task.progress(int(min(pen.clock, _duration(task))), int(_duration(task)))
+    return Driven(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=joins + first_join)
+
+
+def _ring(task: Task) -> Floats:
+    """Return (n, 2) [m] the longest line at an even distance from walls, counter-clockwise."""
+    for beyond in (FOLLOW, FOLLOW / 2, 0.01):
+        inner = task.arena.free.buffer(-(task.reach.clearance + beyond), join_style="mitre", mitre_limit=2.0)
+        parts = [part for part in getattr(inner, "geoms", [inner]) if not part.is_empty]
+        reached = [part for part in parts if _is_reached(task, np.array(part.exterior.coords[0]))]
+        if reached:
+            rings = [ring for part in reached for ring in (part.exterior, *part.interiors)]
+            ring = max(rings, key=lambda line: float(line.length))
+            points = np.asarray(ring.simplify(0.01).coords)[:-1, :2]
+            return points if shapely.LinearRing(points).is_ccw else points[::-1]
+    raise PlanError("no wall can be followed within reach of the start; choose another start")
+
+
+def _is_reached(task: Task, point: Floats) -> bool:
+    i, j = np.floor((point - task.reach.origin) / task.reach.step).astype(int).tolist()
+    return bool(task.reach.mask[max(i - 2, 0) : i + 3, max(j - 2, 0) : j + 3].any())
+
+
+def _start(task: Task, rng: np.random.Generator) -> Floats:
+    """Return the start asked for, or a random reachable pose."""
+    if task.start is not None:
+        return task.start
+    i, j = np.nonzero(task.reach.mask & (task.reach.distance > task.reach.clearance + LEAST_WAY))
+    if not len(i):
+        i, j = np.nonzero(task.reach.mask)
+    pick = int(rng.integers(len(i)))
+    return np.array(
+        [*task.reach.nodes((i[pick : pick + 1], j[pick : pick + 1]))[0], rng.uniform(-np.pi, np.pi)]
+    )
+
+
+def _duration(task: Task) -> float:
+    assert task.duration is not None
+    return task.duration
+
+
+def _only_in_place(task: Task, name: str) -> None:
+    if task.robot.drive != "diff":
+        raise PlanError(
+            f"planner {name} turns on the spot, which drive {task.robot.drive!r} cannot; use drive: diff"
+        )

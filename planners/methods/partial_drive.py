@@ -1,0 +1,87 @@
+"""What a car has driven so far, and what the log of it meets: it grows curve by curve, and can go on from earlier."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from planners.arena import Bools, Floats
+from planners.cars.search import redriven
+from planners.coverage import Coverage
+from planners.curve import Curve, joined
+from planners.robot import Limits
+from planners.search.log_phases import PHASES, met
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trip:
+    """Curves of a car, one after the other."""
+
+    grid: Coverage
+    """The bins that are looked at; its counts are not."""
+    rate: float
+    """[Hz] of the log."""
+    limits: Limits
+    here: Floats
+    """(3,) [m, m, rad] where the car is."""
+    curves: tuple[Curve, ...] = ()
+    clock: float = 0.0
+    """[s] when the last curve begins."""
+    earlier: Bools | None = None
+    """(PHASES, nx, ny, n_phi) what a log of each phase meets before that; None: nothing."""
+
+    @cached_property
+    def seen(self) -> Bools:
+        """(PHASES, nx, ny, n_phi) what a log of each phase meets."""
+        if not self.curves:
+            return np.zeros((PHASES, *self.grid.reachable.shape), dtype=np.bool_)
+        last = met(self.curves[-1], self.grid, self.rate, self.clock)
+        return last if self.earlier is None else last | self.earlier
+
+    @property
+    def met(self) -> Bools:
+        """(nx, ny, n_phi) bins that the log meets, whatever its phase."""
+        return np.asarray(self.seen.all(axis=0))
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return self.clock + self.curves[-1].duration if self.curves else 0.0
+
+    @property
+    def curve(self) -> Curve:
+        """All curves in one; there must be some."""
+        return joined(list(self.curves))
+
+    def then(self, curve: Curve) -> Trip:
+        """Return the trip that goes on along a curve, which starts here."""
+        return replace(
+            self,
+            here=_end(curve),
+            curves=(*self.curves, curve),
+            clock=self.duration,
+            earlier=self.seen if self.curves else None,
+        )
+
+    def instead(self, curve: Curve) -> Trip:
+        """Return the trip that drives a curve in place of all curves."""
+        return replace(self, curves=(), clock=0.0, earlier=None).then(curve)
+
+    def before(self, back: float) -> Trip | None:
+        """Return the trip without its last `back` [s]; None where that is all of the last curve, or more."""
+        if back == 0.0:
+            return self
+        if not self.curves:
+            return None
+        *first, curve = self.curves
+        last = int(np.searchsorted(curve.starts, curve.duration - back, side="right")) - 1
+        if last <= 0:
+            return None
+        shorter = redriven(curve, 0, last, self.limits)
+        return replace(self, here=_end(shorter), curves=(*first, shorter))
+
+
+def _end(curve: Curve) -> Floats:
+    return np.asarray(curve.sample(np.array([curve.duration]))[0][0])

@@ -1,0 +1,109 @@
+"""What covers a cell: a spin on the spot that passes all headings still missing, on the way to the next move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planners.arena import Bools, Floats, wrap
+from planners.curve import Pen, bend
+
+GUARD = 0.1
+"""Of a heading bin's width: how far into its last bin a spin goes at least."""
+CREST = 0.02
+"""Of a heading bin's width: an arrival this close to the bin's border does not cover it."""
+ZIGZAG = 0.22
+"""Of a heading bin's width: moves of a lane lean this far left and right in turn, and spins save twice that."""
+REVERSE = 0.8
+"""[m] longest move that may be driven backward to save turning."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aim:
+    """How to leave a place: turn by `angle`, then drive `distance` (backward if negative)."""
+
+    angle: float
+    """[rad]"""
+    distance: float
+    """[m]"""
+
+
+def least_sweep(phi: float, need: Bools, direction: int) -> float:
+    """Return how far [rad, 0 or more] to turn from heading phi to have been in every heading bin of `need`.
+
+    Parameters
+    ----------
+    need : (n_phi,) bins still missing, phi's own included, which standing there covers
+    direction : 1 counter-clockwise, -1 clockwise
+    """
+    width = 2 * np.pi / len(need)
+    bins = np.flatnonzero(need)
+    inside = wrap(np.subtract(phi, bins * width, dtype=np.float64)) / width  # -0.5 .. 0.5 within the bin
+    border = (bins - direction * (0.5 - GUARD)) * width
+    ahead = direction * (border - phi) % (2 * np.pi)
+    ahead[abs(inside) <= 0.5 - CREST] = 0.0
+    return float(ahead.max(initial=0.0))
+
+
+def aim(pen: Pen, target: Floats | None, need: Bools | None, overlap: tuple[float, float]) -> Aim:
+    """Choose the shortest turn that passes the headings in `need` and ends along the way to `target`, or from it.
+
+    Parameters
+    ----------
+    target : (2,) [m] next place; None at the end of the plan
+    need : (n_phi,) headings to pass here; None: just turn
+    overlap : [s] of the turn with the move before it and with the move after it
+    """
+    best: tuple[float, Aim] | None = None
+    phi = float(pen.pose[2])
+    for direction in (-pen.last_turn, pen.last_turn):
+        sweep = 0.0 if need is None else least_sweep(phi, need, direction)
+        if target is None:
+            width = 0.0 if need is None or sweep == 0.0 else 2 * np.pi / len(need)
+            choices = [Aim(angle=direction * (sweep + (0.5 - GUARD) * width), distance=0.0)]
+        else:
+            reach = float(np.hypot(*(target - pen.pose[:2])))
+            gears = (1, -1) if reach <= REVERSE and need is not None else (1,)
+            choices = [_towards(pen, target, direction, gear, sweep, overlap) for gear in gears]
+        for choice in choices:
+            cost = abs(choice.angle)
+            if best is None or cost < best[0] - 1e-6:
+                best = (cost, choice)
+    assert best is not None
+    return best[1]
+
+
+def _towards(
+    pen: Pen, target: Floats, direction: int, gear: int, sweep: float, overlap: tuple[float, float]
+) -> Aim:
+    """Turn at least `sweep` in this direction until the target lies ahead (gear 1) or behind (-1)."""
+    phi = float(pen.pose[2])
+    heading, distance, angle = phi, 0.0, 0.0
+    bend = np.zeros(2)
+    for _ in range(3):  # the blends' few mm depend on the angle, and the angle on them
+        cos, sin = np.cos(heading), np.sin(heading)
+        here = pen.rest(angle, overlap[0]) if angle else pen.pose[:2]
+        way = target - here - np.array([cos * bend[0] - sin * bend[1], sin * bend[0] + cos * bend[1]])
+        distance = float(np.hypot(*way))
+        heading = float(np.arctan2(way[1], way[0])) + (np.pi if gear < 0 else 0.0)
+        turn = direction * (heading - phi) % (2 * np.pi)
+        if 2 * np.pi - turn < 1e-7:
+            turn = 0.0
+        while turn < sweep - 1e-9:
+            turn += 2 * np.pi
+        angle = direction * turn
+        bend = leave(pen, angle, gear * distance, overlap[1])
+    return Aim(angle=angle, distance=gear * distance)
+
+
+def leave(pen: Pen, angle: float, distance: float, overlap: float) -> Floats:
+    """Return (2,) [m], in the frame of the move, how far it ends off if it starts before a turn has ended."""
+    limits = pen.limits
+    turn_ramp = min(pen.spin / limits.alpha, float(np.sqrt(abs(angle) / limits.alpha)))
+    move_ramp = min(limits.v / limits.a, float(np.sqrt(abs(distance) / limits.a)))
+    back = min(overlap, turn_ramp, move_ramp)
+    if back <= 0 or abs(angle) < 1e-9:
+        return np.zeros(2)
+    a, alpha = float(np.copysign(limits.a, distance)), float(np.copysign(limits.alpha, angle))
+    return np.array(bend(a, -alpha, back))

@@ -1,0 +1,248 @@
+"""What the search leaves to a car: OMPL drives to the nearest of all missing bins, all it crosses counts, and so on.
+
+One query holds a pose in every missing bin as its goals (`ob.GoalStates`); the shortest move comes first where it is
+clear. Where enough is missing at the end of a way, the search takes over again from there: so a car comes over floors
+that the search's own flood gives up on, to the first room of a resumed plan, and to the bins that its lattice cannot
+meet. Where OMPL finds no way, a car that only goes forward floods the floor for one. A bin is given up when both
+were in vain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import count
+
+import numpy as np
+
+from planners.arena import Bools, Floats, wrap
+from planners.cars.detours import with_detours
+from planners.cars.reachability import Ways
+from planners.cars.search import drive_on, geared
+from planners.curve import Curve
+from planners.joins.car_paths import CarWay, connect_cars
+from planners.joins.paths import Joins
+from planners.methods.partial_drive import Trip
+from planners.methods.stop_and_spin import Task
+from planners.order import Ints
+from planners.search.motion_primitives import GEARS, driving
+from planners.search.search import Visit
+
+IDLE = 12
+"""Queries in a row after which no fewer bins are missing, at most: a way on from before the end may cut others off."""
+MOST_GOALS = 400
+"""Of one query, the nearest ones."""
+BACK = (4.0, 16.0, 64.0, 256.0)
+"""[s] before the end of a drive from where a way on is looked for."""
+AGAIN = 12
+"""Missing bins from which on the search takes over."""
+SEARCHES = 3
+"""Times that one bin is searched for, at most."""
+NEAR = 3.0
+"""[m] within which they are."""
+FEW = 9
+POSES = np.array(
+    [(x, y, turn) for turn in (0.0, -0.3, 0.3) for x in (0.0, -0.3, 0.3) for y in (0.0, -0.3, 0.3)]
+)
+"""Goals within a bin, in parts of it; the first FEW where there are many bins."""
+TURNED = np.array([0.0, -0.3, 0.3])
+"""Goals at the place of a bin that is farthest from walls, in parts of its heading: slits hold no other."""
+SearchOn = Callable[[Bools, Floats, int], Visit | None]
+"""(bins wanted, pose (3,) to begin at, seed) -> drive; None where it gets no bin."""
+
+
+@dataclass(eq=False)
+class CarRepair:
+    """Completes the drive of a car."""
+
+    task: Task
+    todo: Bools
+    """(nx, ny, n_phi)"""
+    start: Floats
+    """(3,) where the car is."""
+    search: SearchOn
+    joins: Joins = field(default_factory=Joins)
+
+    def __post_init__(self) -> None:
+        task, robot = self.task, self.task.robot
+        self.trip = Trip(grid=task.coverage, rate=task.rate, limits=robot.limits, here=self.start)
+        self.lost: Bools = np.zeros_like(self.todo)
+        """(nx, ny, n_phi) bins that no way was found to."""
+        self.tried: Ints = np.zeros(self.todo.shape, dtype=np.int64)
+        """(nx, ny, n_phi) how often each bin was searched for."""
+        self._in_vain: Bools = np.zeros_like(self.todo)
+        """(nx, ny, n_phi) bins of queries that OMPL found no way for."""
+        self._ways = Ways(task) if len(GEARS[robot.drive]) == 1 else None
+        """Of a car that only goes forward: another comes back from anywhere."""
+        self.aside = driving(robot.limits, task.coverage.headings, task.rate, GEARS[robot.drive]).first
+        """[rad] from the middle of a heading bin to the headings that the search likes."""
+
+    def take(self, curve: Curve) -> None:
+        """Drive on along a curve that starts here."""
+        self.trip = self.trip.then(curve)
+
+    def redrive(self, curve: Curve) -> None:
+        """Drive a curve in place of all that was driven."""
+        self.trip = self.trip.instead(curve)
+
+    def missing(self) -> Bools:
+        """Return (nx, ny, n_phi) what the log of some phase misses, but for what is lost."""
+        return np.asarray(self.todo & ~self.trip.met & ~self.lost)
+
+    def comes_to(self, pose: Floats, before: tuple[float, ...] = (0.0, *BACK)) -> bool:
+        """Drive to a pose (3,) from so much [s] `before` the last drive ended, or more; False where no way is found.
+
+        A drive may end where OMPL finds no way out in its time: what is cut off is missing again.
+        """
+        here = self.trip.here
+        if np.allclose(here[:2], pose[:2]) and abs(wrap(here[2] - pose[2])) < 1e-9:
+            return True
+        for back in before:
+            trip = self.trip.before(back)
+            if trip is None:
+                break
+            way = self._way(trip.here, pose[None], 0)
+            if way is not None and way.curve is not None:
+                self.trip = trip.then(way.curve)
+                return True
+        return False
+
+    def floods_to(self, wanted: Bools) -> bool:
+        """Drive to one of the bins `wanted` by a flood of the whole floor; False where that finds no way.
+
+        Where the lattice of the flood holds no way on from here, one may lead on from somewhat earlier.
+        """
+        if self._ways is None:
+            return False
+        missing = self.missing()
+        for back, anew in ((0.0, False), *((back, False) for back in BACK[:-1]), (0.0, True)):
+            trip = self.trip.before(back)
+            curve = None if trip is None else self._ways.to_one_of(wanted, trip.here, anew=anew)
+            if trip is None or curve is None:
+                continue
+            longer = trip.then(curve)
+            if (missing & longer.met).any():  # else too short a stay for some phase of the log
+                self.trip = longer
+                self.joins += Joins(flooded=1)
+                return True
+        return False
+
+    def enters(self, room: Bools, begin: Floats, curve: Curve, seed: int) -> None:
+        """Drive through a room, bins (nx, ny, n_phi), by the curve that begins at a pose (3,), or from where a way leads."""
+        if self.comes_to(begin, (0.0,)):
+            self.take(curve)
+        elif self.floods_to(room & self.missing()):
+            visit = self.search(room & self.missing(), self.trip.here, seed)
+            if visit is not None:
+                self.take(visit.curve)
+        elif self.comes_to(begin, BACK):
+            self.take(curve)
+
+    def passes_by(self, speed: float) -> None:
+        """Insert detours at some speed [m/s] into what was driven, to bins beside it that are missing, or lost."""
+        lost, self.lost = self.lost, np.zeros_like(self.lost)
+        missing = self.missing()
+        bins, goals = goals_in(missing, self.trip.here, self.aside, self.task)
+        if self.trip.curves and len(bins):
+            curve, limits = self.trip.curve, self.task.robot.limits
+            drive, ground = drive_on(curve, self.todo, self.task, speed)
+            own = np.ravel_multi_index(tuple(bins.T), missing.shape)
+            longer = with_detours(drive, goals, own, ground)
+            if len(longer.length) > len(drive.length):
+                self.redrive(geared(curve.poses[0], longer.length, longer.bend, longer.gear, limits, speed))
+        self.lost = lost & self.missing()
+
+    def run(self) -> None:
+        """Drive to missing bins until none is left, or all that is left is lost."""
+        fewest, idle = self.todo.size, 0
+        for round_ in count():
+            missing = self.missing()
+            n = int(missing.sum())
+            fewest, idle = min(n, fewest), 0 if n < fewest else idle + 1
+            if n == 0:
+                return
+            if idle > IDLE:
+                self.lost |= missing
+                return
+            near = missing & (self.tried < SEARCHES) & self._around()[:, :, None]
+            if self.trip.curves and near.sum() >= AGAIN and self._searched(near, round_):
+                continue
+            self._drive_to_one_of(missing, round_)
+
+    def _drive_to_one_of(self, missing: Bools, round_: int) -> None:
+        """Drive to one of some bins by OMPL, or by a flood where OMPL finds no way; lose what both come to in vain."""
+        bins, goals = goals_in(missing & ~self._in_vain, self.trip.here, self.aside, self.task)
+        if self._ways is not None and len(bins):  # it may be trapped in a corner
+            leads_back = self._ways.leads_back(goals, self.trip.here)
+            bins, goals = bins[leads_back], goals[leads_back]
+        way = self._way(self.trip.here, goals, round_) if len(bins) else None
+        if way is None:
+            self._in_vain[tuple(bins.T)] = True
+            if not self.floods_to(missing):
+                self.lost[tuple(bins.T)] = True
+                if not len(bins):  # no free place within any: slits between the raster's nodes
+                    self.lost |= missing
+            return
+        goal = tuple(bins[way.goal])
+        if way.curve is not None:
+            self.take(way.curve)
+        self.lost[goal] = self.missing()[goal]  # driven to, but not long enough within it
+
+    def _around(self) -> Bools:
+        """Return the cells (nx, ny) near here: a search does not get to others."""
+        rows, columns = np.indices(self.todo.shape[:2])
+        i, k = _cell(self.trip.here, self.task)
+        return np.asarray(np.hypot(rows - i, columns - k) * self.task.reach.cell <= NEAR)
+
+    def _searched(self, wanted: Bools, round_: int) -> bool:
+        """Let the search go on from here; say whether it got something."""
+        visit = self.search(wanted, self.trip.here, self.task.seed + round_)
+        self.tried += wanted
+        if visit is None or visit.left >= wanted.sum():
+            return False
+        self.take(visit.curve)
+        return True
+
+    def _way(self, start: Floats, goals: Floats, round_: int) -> CarWay | None:
+        task = self.task
+        ways, joins = connect_cars(
+            start[None],
+            [goals],
+            reach=task.reach,
+            barriers=task.barriers,
+            robot=task.robot,
+            seed=task.seed + round_,
+        )
+        self.joins += joins
+        return ways[0]
+
+
+def goals_in(missing: Bools, here: Floats, aside: float, task: Task) -> tuple[Ints, Floats]:
+    """Return poses (n, 3) in the bins that are missing, the nearest first, and the bin (n, 3) of each.
+
+    Parameters
+    ----------
+    aside : [rad] from the middle of a heading bin to the headings that the search likes
+    """
+    reach, grid = task.reach, task.coverage
+    bins = np.argwhere(missing)
+    bins = bins[np.argsort(np.hypot(*(bins[:, :2] - _cell(here, task)).T), kind="stable")[:MOST_GOALS]]
+    shares = POSES if len(bins) * len(POSES) <= MOST_GOALS else POSES[:FEW]  # (p, 3)
+    own = np.repeat(bins, len(shares), axis=0)
+    x, y, turn = np.tile(shares, (len(bins), 1)).T
+    deepest, turns = np.repeat(bins, len(TURNED), axis=0), np.tile(TURNED, len(bins))
+    places = np.concatenate(
+        [
+            reach.origin + (own[:, :2] + 0.5 + np.column_stack([x, y])) * reach.cell,
+            reach.deepest(deepest[:, :2]),
+        ]
+    )
+    bins, turn = np.concatenate([own, deepest]), np.append(turn, turns)
+    heading = (bins[:, 2] + turn) * (2 * np.pi / grid.headings) + aside
+    node = np.floor((places - reach.origin) / reach.step).astype(np.int64)
+    free = reach.mask[node[:, 0], node[:, 1]]
+    return bins[free], np.column_stack([places, wrap(heading)])[free]
+
+
+def _cell(pose: Floats, task: Task) -> Floats:
+    return np.asarray((pose[:2] - task.reach.origin) / task.reach.cell - 0.5)

@@ -1,0 +1,88 @@
+"""What the search leaves to a robot that turns in place: OMPL drives to the nearest cell that misses headings.
+
+The straight way comes first where it is clear. The robot passes all headings that are missing where it arrives, and
+what it crosses on the way counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from planners.arena import Bools, Floats, wrap
+from planners.curve import Curve, Pen
+from planners.joins.paths import Joins, connect_nearest
+from planners.methods.primitives import aim
+from planners.methods.stop_and_spin import DWELL, Task, places
+from planners.search.log_phases import missed
+
+TURNS = 2
+"""Times that a robot stops in a cell for what is missing there, at most."""
+TIGHT = 1e-9
+"""[m] moves shorter than this are none."""
+
+
+@dataclass(eq=False)
+class SpinRepair:
+    """Completes the drive of a robot that turns in place: to the nearest cell that misses headings, and a turn there."""
+
+    task: Task
+    missing: Bools
+    """(nx, ny, n_phi)"""
+    here: Floats
+    """(3,) where the robot stands."""
+    curves: list[Curve] = field(default_factory=list)
+    stops: list[tuple[float, float, float, float]] = field(default_factory=list)
+    joins: Joins = field(default_factory=Joins)
+
+    def __post_init__(self) -> None:
+        self.missing = self.missing.copy()
+        self.lost: Bools = np.zeros_like(self.missing)
+        """(nx, ny, n_phi) bins that no way was found to."""
+
+    def run(self) -> None:
+        """Drive to missing bins until none is left, or all that is left is lost."""
+        cells = places(self.task.reach, self.task.barriers, self.missing)
+        visits = np.zeros(len(cells.index), dtype=np.int64)
+        for round_ in range(TURNS * len(visits)):
+            wanted = np.flatnonzero(self.missing[tuple(cells.index.T)].any(axis=1) & (visits < TURNS))
+            if not len(wanted):
+                break
+            path, joins = connect_nearest(
+                self.here[:2],
+                cells.places[wanted],
+                reach=self.task.reach,
+                barriers=self.task.barriers,
+                seed=self.task.seed + round_,
+            )
+            self.joins += joins
+            if path is None:
+                self.lost = self.missing.copy()
+                break
+            at = wanted[np.hypot(*(cells.places[wanted] - path[-1]).T).argmin()]
+            visits[at] += 1
+            self._visit(path, self.missing[tuple(cells.index[at])])
+
+    def _visit(self, path: Floats, need: Bools) -> None:
+        """Drive along a path (k, 2) [m] and turn through the headings `need` (n_phi,) at its end."""
+        task = self.task
+        width = 2 * np.pi / task.coverage.headings
+        pen = Pen(self.here, task.robot.limits, spin=width * task.rate / DWELL)
+        lead(pen, path)
+        pen.turn(aim(pen, None, need, (0.0, 0.0)).angle, "spin")
+        pen.wait(1.0 / task.rate)
+        self.curves.append(pen.curve())
+        self.stops += pen.stops
+        self.here = pen.pose
+        self.missing &= missed(self.curves[-1], self.missing, task.coverage, task.rate)
+
+
+def lead(pen: Pen, path: Floats) -> None:
+    """Drive along a path (k, 2) [m] from where the pen is."""
+    for corner in path[1:]:
+        way = corner - pen.pose[:2]
+        length = float(np.hypot(*way))
+        if length > TIGHT:
+            pen.turn(float(wrap(np.float64(np.arctan2(way[1], way[0]) - pen.pose[2]))), "turn")
+            pen.move(length, "move" if len(path) == 2 else "join")

@@ -1,0 +1,297 @@
+"""The planner that stops and spins: boustrophedon lanes, a spin in every cell, OMPL where blocked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from planners import order
+from planners.arena import Arena, Bools, Floats
+from planners.clearance import Barriers
+from planners.coverage import Coverage
+from planners.curve import Curve, Pen
+from planners.errors import PlanError
+from planners.joins.paths import Joins, connect
+from planners.methods.primitives import ZIGZAG, aim
+from planners.order import Cells, Ints
+from planners.priority import levels
+from planners.reach import LEAST_SHARE, Cycle, Reach
+from planners.robot import Robot
+from planners.search.log_phases import missed
+
+Progress = Callable[[int, int], None]
+OVERLAP = 0.5
+"""[s] that turns and moves overlap where there is room."""
+ROOM = 0.012
+"""[m] beyond the clearance that a blend of move and turn needs."""
+HEDGE = 0.75
+"""Of the least share: cells this near to counting are visited too, since another raster may count them."""
+ROUNDS = 4
+"""Times that bins which a log may miss are visited again."""
+DWELL = 1.25
+"""Log periods that a spin stays in a heading bin, at least."""
+BACK = (1, 4, 16, 64)
+"""Stops to go back where the robot is stuck."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """What a planner is asked for."""
+
+    arena: Arena
+    robot: Robot
+    barriers: Barriers
+    reach: Reach
+    coverage: Coverage
+    """Reachable bins, with the poses of earlier runs."""
+    start: Floats | None
+    """(3,) [m, m, rad]"""
+    seed: int
+    rate: float
+    """[Hz] of the log."""
+    priority: Floats | None
+    """(nx, ny, n_phi) higher comes earlier."""
+    duration: float | None
+    """[s] for planners that never finish."""
+    progress: Progress | None
+    targets: Floats | None = None
+    """(n, 3) [m, m, rad] poses to visit, for the planner of views."""
+    cycle: Cycle | None = None
+    """Of a car that only goes forward, what it can get to from the start and come back from, if that is known."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Driven:
+    """What a planner answers."""
+
+    curve: Curve
+    stops: Floats
+    """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the turn made there."""
+    joins: Joins
+    interrupted: bool = False
+    """Ctrl-C ended the planning: a drive through what was planned by then."""
+    lost: Bools | None = None
+    """(nx, ny, n_phi) bins that OMPL found no way to; None: none."""
+
+
+def plan_stop_and_spin(task: Task) -> Driven:
+    """Visit every cell that still lacks a heading, in an order that saves time."""
+    if task.robot.drive != "diff":
+        raise PlanError(
+            f"planner stop_and_spin turns on the spot, which drive {task.robot.drive!r} cannot; use the planner coverage"
+        )
+    return Stops(task, wanted(task)).run()
+
+
+def wanted(task: Task) -> Bools:
+    """Return (nx, ny, n_phi) bins to visit: those still missing, and those of cells that all but count."""
+    todo = task.coverage.reachable & (task.coverage.counts == 0)
+    near = (task.reach.areas() >= HEDGE * LEAST_SHARE) & ~task.reach.cells()
+    todo |= (near & task.reach.blocks(task.reach.mask).any(axis=-1))[:, :, None] & (task.coverage.counts == 0)
+    if not todo.any():
+        raise PlanError("every reachable bin is covered already; nothing is left to plan")
+    return np.asarray(todo)
+
+
+class Stops:
+    """Draws stops in every cell of `todo`, each left towards the next."""
+
+    def __init__(self, task: Task, todo: Bools) -> None:
+        self.task, self.todo = task, todo
+        self.limit = task.reach.clearance
+        width = 2 * np.pi / task.coverage.headings
+        self.spin = width * task.rate / DWELL
+        self.joins = Joins()
+        self.pen: Pen | None = None
+
+    def run(self) -> Driven:
+        """Visit all, then again what a log of some phase would miss."""
+        self._visit(self.todo)
+        missing = self._missed()
+        for _ in range(ROUNDS):
+            if not missing.any():
+                break
+            self._visit(missing)
+            missing, before = self._missed(), missing
+            if np.array_equal(missing, before):
+                break
+        assert self.pen is not None
+        self.pen.wait(1.0 / self.task.rate)
+        return Driven(curve=self.pen.curve(), stops=np.array(self.pen.stops).reshape(-1, 4), joins=self.joins)
+
+    def _missed(self) -> Bools:
+        """Return (nx, ny, n_phi) bins that the log of at least one phase does not meet."""
+        assert self.pen is not None
+        grid = self.task.coverage
+        return missed(self.pen.curve(), self.todo, grid, self.task.rate) & grid.reachable
+
+    def _visit(self, todo: Bools) -> None:
+        """Draw a way through all cells with a bin in `todo`."""
+        cells = places(self.task.reach, self.task.barriers, todo)
+        sequence = self._sequence(cells, todo)
+        stops = zigzag(cells, sequence, self.task, self.limit)
+        here = self._here()
+        ends = stops if here is None else np.concatenate([here[None, :2], stops])
+        paths, joins = connect(
+            ends[:-1], ends[1:], reach=self.task.reach, barriers=self.task.barriers, seed=self.task.seed
+        )
+        needs: list[Bools | None] = [todo[tuple(cells.index[k])] for k in sequence.tolist()]
+        if here is not None:
+            needs = [None, *needs]
+        self._draw(ends, needs, paths, joins)
+
+    def _here(self) -> Floats | None:
+        return self.task.start if self.pen is None else self.pen.pose
+
+    def _sequence(self, cells: Cells, todo: Bools) -> Ints:
+        """Order the cells: bands of priority in turn, each by the better of lanes along x and along y."""
+        band = levels(self.task.priority, todo, self.task.reach.cell)[tuple(cells.index.T)]
+        here = self._here()
+        found: list[Ints] = []
+        for level in np.unique(band).tolist():
+            members = np.flatnonzero(band == level)
+            last = here[:2] if here is not None and not found else None
+            last = cells.places[found[-1][-1]] if found else last
+            found.append(members[_lanes(_subset(cells, members), last, self.task)])
+        return np.concatenate(found)
+
+    def _draw(
+        self, ends: Floats, needs: list[Bools | None], paths: list[Floats | None], joins: Joins
+    ) -> None:
+        """Draw the stops one by one, each left in the direction of the next that can be reached."""
+        route: list[tuple[Floats, Bools | None, str]] = [(ends[0], needs[0], "move")]
+        stuck = 0
+        for k, path in enumerate(paths):
+            if path is not None and not np.array_equal(path[0], route[-1][0]):
+                path = None  # the stop before could not be reached
+            if path is None:
+                path = self._around([point for point, _, _ in route], ends[k + 1], stuck)
+            stuck = stuck + 1 if path is None else 0
+            if path is None:
+                continue
+            label = "move" if len(path) == 2 else "join"
+            route += [(corner, None, label) for corner in path[1:-1]]
+            route.append((path[-1], needs[k + 1], label))
+        self.joins += joins
+        points = np.array([point for point, _, _ in route])
+        roomy = self.task.barriers.are_clear(points[:-1], points[1:], self.limit + ROOM)
+        roomy = np.concatenate([[False], roomy, [False]])
+        blend = np.where(roomy[:-1] & roomy[1:], OVERLAP, 0.0)  # (n stops,)
+        pen = self.pen or Pen(self._first_pose(points), self.task.robot.limits, spin=self.spin)
+        self.pen = pen
+        for k, (_, need, _) in enumerate(route):
+            target = points[k + 1] if k + 1 < len(points) else None
+            way = aim(pen, target, need, (float(blend[k]), float(blend[k])))
+            pen.turn(way.angle, "turn" if need is None else "spin", overlap=float(blend[k]))
+            if target is not None:
+                pen.move(way.distance, route[k + 1][2], overlap=float(blend[k]))
+            if self.task.progress and (k % 50 == 49 or k == len(route) - 1):
+                self.task.progress(k + 1, len(route))
+
+    def _around(self, route: list[Floats], target: Floats, stuck: int) -> Floats | None:
+        """Find another way to a stop; when nothing was reached for a while, by going back on the route first."""
+        back = [0] if not stuck else [b for b in BACK if b < len(route)]
+        froms = np.array([route[-1 - b] for b in back])
+        paths, joins = connect(
+            froms,
+            np.repeat(target[None], len(froms), axis=0),
+            reach=self.task.reach,
+            barriers=self.task.barriers,
+            seed=self.task.seed,
+        )
+        for b, path in zip(back, paths, strict=True):
+            if path is not None:
+                self.joins += Joins(direct=joins.direct, planned=joins.planned, planned_m=joins.planned_m)
+                return np.concatenate([np.array(route[len(route) - b :][::-1]).reshape(-1, 2), path])
+        return None
+
+    def _first_pose(self, points: Floats) -> Floats:
+        if self.task.start is not None:
+            return self.task.start
+        way = points[1] - points[0] if len(points) > 1 else np.array([1.0, 0.0])
+        return np.array([*points[0], np.arctan2(way[1], way[0])])
+
+
+def places(reach: Reach, barriers: Barriers, todo: Bools) -> Cells:
+    """Choose where to stand in each cell: its centre if that is free, else deepest within its reachable part."""
+    index = np.argwhere(todo.any(axis=2))
+    centres = reach.origin + (index + 0.5) * reach.cell
+    nodes = np.arange(reach.per_cell**2)
+    inner = (np.stack([nodes // reach.per_cell, nodes % reach.per_cell], axis=1) + 0.5) * reach.step
+    from_border = np.minimum(inner, reach.cell - inner).min(axis=1)  # (per_cell²,)
+    at = tuple(index.T)
+    free = np.where(reach.blocks(reach.mask)[at], reach.blocks(reach.distance)[at] - reach.clearance, -1.0)
+    depth = np.minimum(free + reach.step, from_border) - 1e-3 * abs(inner - reach.cell / 2).sum(axis=1)
+    best = np.where(free >= 0, depth, -np.inf).argmax(axis=1)
+    chosen = reach.origin + index * reach.cell + inner[best]
+    central = np.where(free > 0, 1.0, 0.0).mean(axis=1) > 0.5
+    central &= barriers.distances(centres) >= reach.clearance + ROOM
+    chosen[central] = centres[central]
+    pairs = order.neighbours(index)
+    clear = barriers.are_clear(chosen[pairs[:, 0]], chosen[pairs[:, 1]], reach.clearance)
+    return Cells(index=index, places=chosen, pairs=pairs[clear])
+
+
+def _subset(cells: Cells, members: Ints) -> Cells:
+    number = np.full(len(cells.index), -1, dtype=np.int64)
+    number[members] = np.arange(len(members))
+    pairs = number[cells.pairs]
+    return Cells(
+        index=cells.index[members], places=cells.places[members], pairs=pairs[(pairs >= 0).all(axis=1)]
+    )
+
+
+def _lanes(cells: Cells, here: Floats | None, task: Task) -> Ints:
+    """Order cells by runs along x or along y, whichever costs less."""
+    limits = task.robot.limits
+    best: tuple[float, Ints] | None = None
+    for axis in (0, 1):
+        runs = order.runs(cells, axis)
+        ends = np.array([(run[0], run[-1]) for run in runs]).reshape(-1)
+        cost = order.ways(cells, ends, limits.v, limits.v / limits.a)
+        first = None
+        if here is not None:
+            far = np.hypot(*(cells.places[ends] - here).T) / limits.v
+            n = len(cost)
+            cost = np.pad(cost, ((0, 2), (0, 2)))
+            cost[n:, :n] = far
+            cost[:n, n:] = far[:, None]
+            first = n
+        tour = order.tour(cost, first, np.random.default_rng(task.seed))
+        chosen = [(k, flipped) for k, flipped in tour if k < len(runs)]
+        sequence = np.concatenate([runs[k][::-1] if flipped else runs[k] for k, flipped in chosen])
+        total = float(np.hypot(*np.diff(cells.places[sequence], axis=0).T).sum()) / limits.v
+        total += len(runs) * limits.v / limits.a
+        if best is None or total < best[0] - 1e-9:
+            best = (total, sequence)
+    assert best is not None
+    return best[1]
+
+
+def zigzag(cells: Cells, sequence: Ints, task: Task, clearance: float) -> Floats:
+    """Return the stops (n, 2) [m], those along a lane shifted a little left and right of it in turn.
+
+    The moves then lean left and right in turn, and a spin from one lean to the other passes all headings in less
+    than a full turn.
+    """
+    lean = ZIGZAG * 2 * np.pi / task.coverage.headings
+    index, stops = cells.index[sequence], cells.places[sequence].copy()
+    shift = 0.5 * task.reach.cell * np.tan(lean)
+    step = np.diff(index, axis=0)
+    straight = np.zeros(len(stops), dtype=np.bool_)
+    straight[1:-1] = (step[1:] == step[:-1]).all(axis=1) & (abs(step[1:]).sum(axis=1) == 1)
+    for axis in (0, 1):  # lanes along x shift in y
+        lane = straight & (np.concatenate([step[:, axis], [0]]) != 0)
+        moved = stops.copy()
+        moved[lane, 1 - axis] += np.where(index[lane, axis] % 2, shift, -shift)
+        stops = moved
+    middle = cells.places[sequence]
+    for _ in range(3):
+        roomy = task.barriers.are_clear(stops[:-1], stops[1:], clearance + ROOM)
+        bad = np.zeros(len(stops), dtype=np.bool_)
+        bad[:-1] |= ~roomy
+        bad[1:] |= ~roomy
+        stops[bad] = middle[bad]
+    return stops

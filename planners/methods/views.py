@@ -1,0 +1,90 @@
+"""The planner of given poses: visit each, stand still there for a scan, in an order that saves time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planners import order
+from planners.arena import Floats, wrap
+from planners.curve import Pen
+from planners.errors import PlanError
+from planners.joins.paths import Joins, connect
+from planners.methods.stop_and_spin import DWELL, Driven, Task, places
+from planners.order import Ints
+
+
+def plan_views(task: Task) -> Driven:
+    """Drive through the poses of `task.targets`; straight where that is clear, else by OMPL."""
+    if task.robot.drive != "diff":
+        raise PlanError(
+            f"planner views turns on the spot, which drive {task.robot.drive!r} cannot; use drive: diff"
+        )
+    if task.targets is None or len(task.targets) == 0:
+        raise PlanError("planner views needs poses to visit; give at least one")
+    _check(task, task.targets)
+    targets = task.targets[_order(task, task.targets)]
+    start = targets[0] if task.start is None else task.start
+    pen = Pen(start, task.robot.limits)
+    ends = np.concatenate([start[None, :2], targets[:, :2]])
+    paths, joins = connect(ends[:-1], ends[1:], reach=task.reach, barriers=task.barriers, seed=task.seed)
+    for k, (target, path) in enumerate(zip(targets, paths, strict=True)):
+        if path is not None and not np.allclose(path[0], pen.pose[:2], atol=1e-9):
+            path, joins = _again(task, pen.pose[:2], target, joins)  # the view before could not be reached
+        if path is not None:
+            _go(pen, path)
+            _face(pen, float(target[2]))
+            pen.wait(DWELL / task.rate, "view")
+        if task.progress:
+            task.progress(k + 1, len(targets))
+    return Driven(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=joins)
+
+
+def _check(task: Task, targets: Floats) -> None:
+    """Refuse a pose where the robot cannot stand."""
+    if targets.ndim != 2 or targets.shape[1] != 3 or not np.isfinite(targets).all():
+        raise PlanError(f"poses to visit have shape {targets.shape}, expected (n, 3) of finite x, y, phi")
+    tight = task.barriers.distances(targets[:, :2]) < task.reach.clearance - 1e-9
+    tight |= ~task.arena.contains(targets[:, :2])
+    if tight.any():
+        x, y, _ = targets[int(tight.argmax())]
+        raise PlanError(
+            f"the robot cannot stand at ({x:.2f}, {y:.2f}): it is outside, or less than {task.reach.clearance:.2f} m "
+            "from a wall; choose another pose"
+        )
+
+
+def _order(task: Task, targets: Floats) -> Ints:
+    """Order the poses (n, 3) by the ways between the cells they lie in."""
+    if len(targets) == 1:
+        return np.zeros(1, dtype=np.int64)
+    limits = task.robot.limits
+    cells = places(task.reach, task.barriers, task.reach.cells()[:, :, None])
+    points = targets[:, :2] if task.start is None else np.concatenate([targets[:, :2], task.start[None, :2]])
+    near = np.array([((cells.places - point) ** 2).sum(axis=1).argmin() for point in points])
+    cost = order.ways(cells, np.repeat(near, 2), limits.v, limits.v / limits.a)
+    first = None if task.start is None else 2 * len(targets)
+    tour = order.tour(cost, first, np.random.default_rng(task.seed))
+    return np.array([k for k, _ in tour if k < len(targets)], dtype=np.int64)
+
+
+def _again(task: Task, here: Floats, target: Floats, joins: Joins) -> tuple[Floats | None, Joins]:
+    """Find a way from where the robot is after all."""
+    paths, more = connect(
+        here[None], target[None, :2], reach=task.reach, barriers=task.barriers, seed=task.seed
+    )
+    return paths[0], joins + more
+
+
+def _go(pen: Pen, path: Floats) -> None:
+    """Turn and drive from corner to corner of a path (k, 2), whose first is where the robot is."""
+    for corner in path[1:]:
+        way = corner - pen.pose[:2]
+        length = float(np.hypot(*way))
+        if length > 1e-6:
+            _face(pen, float(np.arctan2(way[1], way[0])))
+            pen.move(length, "move" if len(path) == 2 else "join")
+
+
+def _face(pen: Pen, heading: float) -> None:
+    """Turn to a heading [rad], the short way round."""
+    pen.turn(float(wrap(np.float64(heading - pen.pose[2]))), "turn")

@@ -1,0 +1,212 @@
+"""Tables of primitives: everything the search may do from a heading step and a mode, in closed form.
+
+A robot that turns in place never stops turning: a primitive is one part of a heading bin at an even turn rate,
+its modes are levels of speed. A car's primitive is an arc or a straight piece at an even speed, its modes are
+gears.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.arena import Bools, Floats
+from planners.curve import displace
+from planners.order import Ints
+from planners.robot import Limits
+
+SAMPLES = 8
+"""Poses looked at within a primitive."""
+DWELL = 1.25
+"""Log periods that the robot stays in a heading bin, at least."""
+LONGEST = 0.5
+"""[s] of a primitive of a robot that turns in place."""
+MOST_LEVELS = 6
+"""Levels of speed each way."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Table:
+    """Primitives by heading step, mode and branch."""
+
+    first: float
+    """[rad] heading of step 0."""
+    step: float
+    """[rad] from one heading step to the next."""
+    ways: Floats
+    """(n_headings, n_modes, n_branches, SAMPLES + 1, 2) [m] of the samples and of the end, in map axes."""
+    bins: NDArray[np.int16]
+    """(n_headings, n_modes, n_branches, SAMPLES) heading bin of each sample."""
+    core: Bools
+    """As `bins`: the sample lies in the middle half of its bin."""
+    turn: Ints
+    """(n_modes, n_branches) heading steps turned."""
+    then: Ints
+    """(n_modes, n_branches) mode afterwards; -1: no such branch."""
+    cost: Ints
+    """(n_modes, n_branches) units of time."""
+    unit: float
+    """[s]"""
+    period: Floats
+    """(n_modes, n_branches) [s] between samples."""
+    speeds: Floats
+    """(n_modes,) [m/s] at the start of a primitive (cars: sign of the gear)."""
+    patient: Bools
+    """(n_modes, n_branches) branches that only floods use."""
+    stops: Bools
+    """(n_modes, n_branches) branches before which the robot stops."""
+    rests: NDArray[np.int16]
+    """(n_headings,) heading bin of each heading step."""
+    safe_depth: int
+    """What makes an end safe: so many primitives can follow; negative: the robot can stop within so many."""
+    omega: float
+    """[rad/s] of the spin, signed; 0 for cars."""
+
+    @property
+    def n_headings(self) -> int:
+        """Count of heading steps."""
+        return len(self.ways)
+
+
+def spinning(limits: Limits, headings: int, rate: float, sense: int = 1) -> Table:
+    """Return the primitives of a robot that turns in place at an even rate, `sense` 1 counter-clockwise or -1.
+
+    Parameters
+    ----------
+    headings : count of heading bins
+    rate : [Hz] of the log, which must see every bin however its clock stands
+    """
+    width = 2 * np.pi / headings
+    omega = min(limits.omega, width * rate / DWELL)
+    parts = max(math.ceil(width / omega / LONGEST - 1e-9), 1)
+    step, tau = width / parts, width / parts / omega
+    levels = int(np.clip(round(limits.v / (limits.a * tau)), 1, MOST_LEVELS))
+    rise = min(limits.a * tau, limits.v / levels)  # [m/s] from one level to the next
+    level = np.array(sorted(range(-levels, levels + 1), key=abs))  # mode 0 stands still
+    then, speeds = _steps_of_level(level), rise * level
+    n_headings = headings * parts
+    stamps = np.concatenate([(np.arange(SAMPLES) + 0.5) / SAMPLES, [1.0]]) * tau
+    heading = sense * (np.arange(n_headings) * step - width / 2)
+    change = rise * (level[np.maximum(then, 0)] - level[:, None]) / tau  # (n_modes, 3) [m/s²]
+    shape = (n_headings, *then.shape, SAMPLES + 1)
+    full = [
+        np.broadcast_to(part, shape)
+        for part in (
+            heading[:, None, None, None],
+            speeds[None, :, None, None],
+            change[None, :, :, None],
+            np.float64(sense * omega),
+            np.float64(0.0),
+            stamps,
+        )
+    ]
+    ways = np.stack(displace(*full), axis=-1)
+    which = sense * (np.arange(n_headings) // parts) % headings
+    bins = np.broadcast_to(which[:, None, None, None], (*shape[:3], SAMPLES)).astype(np.int16)
+    within = (np.arange(n_headings)[:, None] % parts * step + stamps[:-1] * omega) / width - 0.5  # of the bin
+    core = np.broadcast_to((abs(within) <= 0.25)[:, None, None, :], bins.shape)
+    return Table(
+        first=-sense * width / 2,
+        step=sense * step,
+        ways=ways,
+        bins=bins,
+        core=np.ascontiguousarray(core),
+        turn=np.ones(then.shape, dtype=np.int64),
+        then=then,
+        cost=np.ones(then.shape, dtype=np.int64),
+        unit=tau,
+        period=np.full(then.shape, tau / SAMPLES),
+        speeds=speeds,
+        patient=np.zeros(then.shape, dtype=np.bool_),
+        stops=np.zeros(then.shape, dtype=np.bool_),
+        rests=which.astype(np.int16),
+        safe_depth=-(levels + 2),
+        omega=sense * omega,
+    )
+
+
+def _steps_of_level(level: Ints) -> Ints:
+    """Return (n_modes, 3) the modes one level away at most, slower ones first; -1 where there is none."""
+    then = np.full((len(level), 3), -1, dtype=np.int64)
+    for m, own in enumerate(level.tolist()):
+        near = [k for k, other in enumerate(level.tolist()) if abs(other - own) <= 1]
+        then[m, : len(near)] = near
+    return then
+
+
+ARC = 0.2
+"""[m] longest primitive of a car."""
+GEARS = {"reeds_shepp": (1, -1), "dubins": (1,)}
+"""Gears."""
+
+
+def driving(
+    limits: Limits, headings: int, rate: float, gears: tuple[int, ...], phi: float | None = None
+) -> Table:
+    """Return the primitives of a car: arcs of the least radius and straight pieces, in each of its gears.
+
+    A car that can go back and forth also has halves, to shuffle along walls, and quarters for floods. Modes are
+    gears; a change of gear costs the time of stopping and starting. Headings lie between the borders of bins, and
+    along no axis, unless `phi` [rad] must be one of them: a car that drives along the border of a bin logs this bin or
+    the next, as rounding has it.
+    """
+    width, radius = 2 * np.pi / headings, limits.turning_radius
+    parts = max(math.ceil(width * radius / ARC - 1e-9), 1)
+    v = min(limits.v, limits.omega * radius, width * radius * rate / DWELL)
+    shares = (4, 2, 1) if len(gears) > 1 else (1,)
+    unit_turn = width / parts / shares[0]
+    unit = unit_turn * radius / v
+    pause = max(round(0.75 * v / limits.a / unit), 1)
+    branches = [(g, c, n) for g in range(len(gears)) for n in shares for c in (0, 1, -1)]
+    modes, n_headings = len(gears), headings * parts * shares[0]
+    first = 0.5 * unit_turn if len(shares) > 1 else width / parts / 8
+    if phi is not None:
+        first = phi % unit_turn
+    heading = first + np.arange(n_headings) * unit_turn
+    gear, curve, length = np.array(branches).T
+    stamps = np.concatenate([(np.arange(SAMPLES) + 0.5) / SAMPLES, [1.0]])
+    dt = length[:, None] * unit * stamps  # (n_branches, SAMPLES + 1)
+    speed = v * np.array(gears)[gear]
+    shape = (n_headings, len(branches), SAMPLES + 1)
+    zero = np.zeros(shape)
+    ways = np.stack(
+        displace(
+            zero + heading[:, None, None],
+            zero + speed[:, None],
+            zero,
+            zero + (curve * v / radius)[:, None],
+            zero,
+            zero + dt,
+        ),
+        axis=-1,
+    )
+    turned = heading[:, None, None] + (curve * v / radius)[:, None] * dt
+    place = turned[:, :, :-1] / width
+    bins = np.floor(place + 0.5).astype(np.int64) % headings
+    core = abs(place - np.round(place)) <= 0.25
+
+    def every_mode(array: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.repeat(array[:, None], modes, axis=1))
+
+    changes = gear[None, :] != np.arange(modes)[:, None]
+    return Table(
+        first=first,
+        step=unit_turn,
+        ways=every_mode(ways),
+        bins=every_mode(bins.astype(np.int16)),
+        core=every_mode(core),
+        turn=np.tile(curve * length, (modes, 1)),
+        then=np.tile(gear, (modes, 1)),
+        cost=length[None, :] + pause * changes,
+        unit=unit,
+        period=np.tile(length * unit / SAMPLES, (modes, 1)),
+        speeds=v * np.array(gears, dtype=np.float64),
+        patient=np.tile((length == 1) & (len(shares) > 1), (modes, 1)),
+        stops=changes,
+        rests=(np.floor(heading / width + 0.5).astype(np.int64) % headings).astype(np.int16),
+        safe_depth=1 if len(gears) > 1 else 25,
+        omega=0.0,
+    )

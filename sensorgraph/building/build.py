@@ -1,0 +1,192 @@
+"""Build a sensorgraph from runs: pair scans with poses, hold some out, fit a model of MODELS."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from logs.run import Run, pair
+from logs.stream import Log, Whole
+from planners.arena import Arena
+from sensorgraph import __version__
+from sensorgraph.building.feed import Feed, begin_digest, ranges_bytes, together
+from sensorgraph.building.split import held_out
+from sensorgraph.errors import GapError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models import MODELS
+from sensorgraph.models.base import Bools, Floats, Model, Progress
+from sensorgraph.models.faces import Faces
+from sensorgraph.models.reduction import Spread
+
+MIN_SCANS = 10
+
+
+def build(
+    runs: Sequence[Run | Log],
+    *,
+    arena: Arena | None = None,
+    model: str = "faces",
+    split: str | None = None,
+    names: Sequence[str] | None = None,
+    spread: Spread = map,
+    update: Sensorgraph | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Sensorgraph:
+    """Fit a model to every scan that has a pose and is not held out.
+
+    Parameters
+    ----------
+    runs : recordings of one sensor, with poses of one frame; a `Log` is read piece by piece
+    arena : its bounds give the scale of x and y, so that graphs of several runs share it
+    model : a name in MODELS
+    names : what to call each run in messages and in the graph; None: the file it says it came from
+    split : `every10` or `block` hold scans out of each run; the graph remembers it
+    spread : where blocks of scans are reduced; `map`: here. See `sensorgraph.building.cluster`
+    update : a graph of faces to which the runs are added; its own runs are not needed
+    options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
+    """
+    if model not in MODELS:
+        raise GapError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
+    names = [_name(run, i) for i, run in enumerate(runs)] if names is None else names
+    sources = [Whole(head=run) if isinstance(run, Run) else run for run in runs]
+    _check_alike([source.head for source in sources], names)
+    feed = Feed(sources, names, split=split, bounds=None if arena is None else arena.bounds)
+    if update is not None:
+        return _updated(update, feed, spread, progress, options)
+    fitted = _fit(feed, MODELS[model], spread, progress, options)
+    origin = {
+        "software": __version__,
+        "inputs": feed.entries,
+        "split": split,
+        "options": {name: options[name] for name in sorted(options)},
+        "arena_bounds": None if arena is None else list(arena.bounds),
+    }
+    return Sensorgraph(model=fitted, sensor=feed.sensor, pose_frame=feed.pose_frame, origin=origin)
+
+
+def _fit(
+    feed: Feed, model: type[Model], spread: Spread, progress: Progress | None, options: dict[str, Any]
+) -> Model:
+    """Fit a model to blocks, if it can take them one after the other, else to all scans together."""
+    if issubclass(model, Faces) and not options.keys() - {"calibrate", "cells"}:
+        mount = np.zeros(3) if feed.pose_frame == "laser" else feed.sensor.mount
+        own = dict(options)
+        wanted = own.pop("cells", None)
+        try:
+            fitted = model.fit_blocks(
+                feed,
+                feed.sensor,
+                mount,
+                n_scans=feed.n_scans,
+                spread=spread,
+                can_mount=feed.pose_frame != "laser",
+                progress=progress,
+                **own,
+            )
+        finally:
+            _check_enough(feed)
+        if not (fitted.is_cluttered if wanted is None else wanted):
+            return fitted
+        scans = together(Feed(feed.logs, feed.names, split=feed.split, bounds=feed.bounds))
+        assert scans is not None
+        return fitted.with_cells(scans, progress=progress)
+    scans = together(feed)
+    _check_enough(feed)
+    assert scans is not None
+    return model.fit(scans, progress=progress, **options)
+
+
+def _updated(
+    graph: Sensorgraph, feed: Feed, spread: Spread, progress: Progress | None, options: dict[str, Any]
+) -> Sensorgraph:
+    """Add the runs of a feed to a graph."""
+    model = graph.model
+    if not isinstance(model, Faces) or options:
+        asked = f", and option {', '.join(sorted(options))} is of a new fit" if options else ""
+        raise GapError(f"--update adds runs to a graph of faces; this one is of {model.name}{asked}")
+    if not is_same_sensor(graph.sensor.bearings, feed.sensor.bearings):
+        raise GapError(
+            f"{feed.names[0]} has {feed.sensor.n_rays} rays at other bearings than the {graph.sensor.n_rays} of "
+            "the graph; build one graph for each sensor"
+        )
+    if feed.pose_frame != graph.pose_frame:
+        raise GapError(f"{feed.names[0]} has poses of {feed.pose_frame}, the graph of {graph.pose_frame}")
+    if feed.split != graph.origin["split"]:
+        raise GapError(f"the graph was built with split {graph.origin['split']}; update it with the same")
+    fitted = model.updated(feed, n_scans=feed.n_scans, spread=spread, progress=progress)
+    _check_enough(feed)
+    known = {entry["sha256"] for entry in graph.origin["inputs"]}
+    for entry in feed.entries:
+        if entry["sha256"] in known:
+            raise GapError(f"{entry['name']} is part of the graph already; give runs that it has not seen")
+    origin = {**graph.origin, "inputs": [*graph.origin["inputs"], *feed.entries]}
+    return Sensorgraph(model=fitted, sensor=graph.sensor, pose_frame=graph.pose_frame, origin=origin)
+
+
+def _check_enough(feed: Feed) -> None:
+    """Refuse to build from next to nothing, once all was read."""
+    n_trained = sum(entry["trained"] for entry in feed.entries)
+    if len(feed.entries) == len(feed.logs) and n_trained < MIN_SCANS:
+        raise GapError(_too_few(n_trained, feed.entries))
+
+
+def digest(run: Run) -> str:
+    """Return the sha256 of what a run measured: bearings and ranges, not its file's layout nor its poses."""
+    total = begin_digest(run.sensor)
+    total.update(ranges_bytes(run.ranges))
+    return total.hexdigest()
+
+
+def is_same_sensor(a: Floats, b: Floats) -> bool:
+    """Tell whether two sensors have the same bearings (n_rays,) to a thousandth of a radian."""
+    return len(a) == len(b) and bool(np.allclose(a, b, rtol=0, atol=1e-3))
+
+
+def training_scans(graph: Sensorgraph, run: Run) -> Bools | None:
+    """Tell which scans (n_scans,) of a run the graph was fitted to; None if it has not seen this run."""
+    mine = digest(run)
+    for entry in graph.origin["inputs"]:
+        if entry["sha256"] == mine:
+            return pair(run).paired & ~held_out(run, graph.origin["split"])
+    return None
+
+
+def _check_alike(runs: Sequence[Run], names: Sequence[str]) -> None:
+    if not runs:
+        raise GapError("no run to build from; give at least one recording")
+    first = runs[0]
+    for name, run in zip(names[1:], runs[1:], strict=True):
+        if not is_same_sensor(run.sensor.bearings, first.sensor.bearings):
+            raise GapError(
+                f"{name} has {run.sensor.n_rays} rays at other bearings than the {first.sensor.n_rays} of "
+                f"{names[0]}; build one graph for each sensor"
+            )
+        if run.pose_frame != first.pose_frame:
+            raise GapError(
+                f"{name} has poses of {run.pose_frame}, {names[0]} of {first.pose_frame}; "
+                "build from runs whose poses are of one frame"
+            )
+
+
+def _name(run: Run | Log, i: int) -> str:
+    """Return the file's name without its folder, so that a graph does not depend on where the log lay."""
+    run = run if isinstance(run, Run) else run.head
+    return PurePath(run.meta["source"]).name if "source" in run.meta else f"run {i}"
+
+
+def _too_few(n: int, inputs: Sequence[dict[str, Any]]) -> str:
+    reasons = "; ".join(
+        f"{entry['name']}: {entry['paired']} of {entry['n_scans']} scans have a pose"
+        + (f", {entry['empty']} of them no valid range" if entry["empty"] else "")
+        + (f", {entry['held_out']} held out" if entry["held_out"] else "")
+        + "".join(f", {count} {why}" for why, count in entry["dropped"].items())
+        for entry in inputs
+    )
+    return (
+        f"{n} scans to fit, expected {MIN_SCANS} or more ({reasons}); "
+        "record poses with the scans, or name their topic with --topic pose=NAME"
+    )

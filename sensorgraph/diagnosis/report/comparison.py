@@ -1,0 +1,283 @@
+"""Compared: measured against simulated, before and after the amendment, as plain arrays for pictures and views.
+
+Both are the bare simulator at the reference poses, as `record --effects` would simulate it: no nuisance is fitted
+here, so that pictures show what a user of the simulator would see. The gap in numbers is that of `prove`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.run import RangeSensor
+from planners.arena import Arena, Bools, Floats
+from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.result import Fit, Gap
+from sensorgraph.diagnosis.scan.fit import Fitted, cast
+from sensorgraph.diagnosis.scan.held_out_gap import held_out
+from sensorgraph.effects import Amendment
+
+Ints = NDArray[np.intp]
+
+EDGE = 0.002  # chance of the other side of an edge in depth, above which a ray is not compared
+ENLARGED = (1, 2, 3, 5, 10, 20, 30, 50)  # times that residuals are drawn
+CLIP = 10.0  # sigmas at which a residual is cut for means
+LEAST = 40  # rays in a bin
+BLOCK = 1.0  # [s] of scans that share their errors
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Side:
+    """One model against what was measured; arrays (n_scans, n_rays)."""
+
+    simulated: Floats
+    """[m] expected reading, +inf where no return is the likelier outcome."""
+    aimed: Floats
+    """[m] where the ray would end if it returned; inf where nothing is hit."""
+    residual: Floats
+    """[m] measured - simulated; nan where there is nothing to compare."""
+    strange: Bools
+    """Not as expected: missing, or returned where nothing should, or far off."""
+    missing: Bools
+    """No return where one is expected."""
+    clear: Bools
+    """Far from edges in depth."""
+    sigma: Floats
+    """[m] noise that this model expects."""
+    walls: Floats
+    """(n_walls, 2, 2) [m] of this model."""
+
+    @classmethod
+    def of(cls, fitted: Fitted, effects: Sequence[Amendment]) -> Side:
+        """Simulate with some effects, and compare; strays are those of a fit."""
+        evidence = fitted.solver.evidence
+        at = cast(evidence, effects)
+        mu, what, z = at.what.reading, at.what, evidence.ranges
+        range_max = evidence.sensor.range_max
+        returned, lost = np.isfinite(z), np.isinf(z)
+        aimed = np.isfinite(mu)
+        likely = aimed & (what.p_return > 0.5)
+        clear = what.p_alternative < EDGE
+        missing = lost & likely & (mu < range_max - 3 * what.sigma) & (mu > evidence.sensor.range_min) & clear
+        compared = returned & likely
+        residual = np.full(z.shape, np.nan)
+        residual[compared] = z[compared] - mu[compared]
+        return cls(
+            simulated=np.where(likely & (mu < range_max), mu, np.inf),
+            aimed=np.where(aimed, mu, np.inf),
+            residual=residual,
+            strange=missing | (returned & ~likely) | (returned & (fitted.solution.judged.stray > 0.5)),
+            missing=missing,
+            clear=clear,
+            sigma=np.maximum(what.sigma, 1e-6),
+            walls=at.scene.walls,
+        )
+
+    def rms(self, sigma: float) -> Floats:
+        """Return the RMS [m] of each scan (n_scans,), residuals cut at CLIP sigmas."""
+        return _rms(self.clipped(sigma))
+
+    def clipped(self, sigma: float) -> Floats:
+        """Return residuals away from edges in depth, cut at CLIP sigmas; nan elsewhere."""
+        cut = np.where(self.clear, np.clip(self.residual, -CLIP * sigma, CLIP * sigma), np.nan)
+        return np.asarray(cut)
+
+
+def _rms(values: Floats) -> Floats:
+    seen = np.isfinite(values)
+    total = np.where(seen, values, 0.0) ** 2
+    return np.asarray(np.sqrt(total.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Compared:
+    """Scans with both models."""
+
+    arena: Arena
+    sensor: RangeSensor
+    stamps: Floats
+    """(n_scans,) [s] since the start of the run."""
+    poses: Floats
+    """(n_scans, 3)"""
+    lasers: Floats
+    """(n_scans, 3) laser in map."""
+    omega: Floats
+    speed: Floats
+    """(n_scans,)"""
+    measured: Floats
+    """(n_scans, n_rays) [m]"""
+    incidence: Floats
+    before: Side
+    after: Side
+    is_amended: bool
+    """The two differ: an effect of the scan channel is named."""
+
+    @cached_property
+    def sigma(self) -> float:
+        """[m] nominal noise, or 1 cm where none is told."""
+        return self.sensor.sigma or 0.01
+
+    @cached_property
+    def typical(self) -> float:
+        """[m] size of a residual before, that nine of ten do not exceed."""
+        clipped = np.abs(self.before.clipped(self.sigma))
+        return float(np.nanquantile(clipped, 0.9)) if np.isfinite(clipped).any() else self.sigma
+
+    @cached_property
+    def enlarged(self) -> int:
+        """How many times as large residuals are drawn, so that they can be seen in the arena."""
+        room = 0.022 * self.diagonal
+        return max((k for k in ENLARGED if k * max(self.typical, self.sigma) <= room), default=1)
+
+    @property
+    def diagonal(self) -> float:
+        """[m] of the arena."""
+        x0, y0, x1, y1 = self.arena.bounds
+        return float(np.hypot(x1 - x0, y1 - y0))
+
+    @cached_property
+    def frame(self) -> tuple[float, float, float, float]:
+        """x0, y0, x1, y1 [m] of what is drawn: the arena with a margin, wider where rays end behind its walls."""
+        x0, y0, x1, y1 = self.arena.bounds
+        side = max(x1 - x0, y1 - y0)
+        low, high = np.array([x0, y0]) - 0.05 * side, np.array([x1, y1]) + 0.05 * side
+        flat = np.flatnonzero(np.isfinite(self.measured))[::37]
+        if len(flat) > 50:
+            ends = self.ends(flat, self.measured.ravel()[flat])
+            low = np.clip(np.quantile(ends, 0.004, axis=0) - 0.03 * side, low - 0.4 * side, low)
+            high = np.clip(np.quantile(ends, 0.996, axis=0) + 0.03 * side, high, high + 0.4 * side)
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+    def set_off(self, side: Side) -> Floats:
+        """Return ranges (n_scans, n_rays) [m] with residuals enlarged; large ones stay as measured."""
+        large = self.enlarged * side.residual
+        with np.errstate(invalid="ignore"):
+            return np.asarray(
+                side.simulated + np.where(np.abs(large) < 0.06 * self.diagonal, large, side.residual)
+            )
+
+    def ends(self, flat: Ints, ranges: Floats) -> Floats:
+        """Return where rays (by flat index) of these ranges (k,) end, (k, 2) [m, map]."""
+        scan, ray = np.unravel_index(flat, self.measured.shape)
+        lasers = self.lasers[scan]
+        angle = lasers[:, 2] + self.sensor.bearings[ray]
+        way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return np.asarray(lasers[:, :2] + ranges[:, None] * way)
+
+    def variables(self) -> dict[str, tuple[Floats, Floats]]:
+        """Return what residuals are sorted by: label -> (values (n_scans, n_rays), edges)."""
+        shape = self.measured.shape
+        bearings = np.degrees(self.sensor.bearings)
+        aimed = np.where(np.isfinite(self.before.aimed), self.before.aimed, np.nan)
+        far = float(np.nanquantile(aimed, 0.995)) if np.isfinite(aimed).any() else 1.0
+        fast = max(float(np.quantile(np.abs(self.omega), 0.99)), 0.05)
+        speed = np.quantile(self.speed, [0.005, 0.995])
+
+        def wide(values: Floats) -> Floats:
+            return np.broadcast_to(values, shape)
+
+        return {
+            "bearing [°]": (wide(bearings), np.linspace(bearings.min() - 1e-6, bearings.max() + 1e-6, 25)),
+            "range [m]": (aimed, np.linspace(0.0, far, 15)),
+            "incidence [°]": (np.degrees(self.incidence), np.linspace(0, 90, 13)),
+            "time [s]": (wide(self.stamps[:, None]), np.linspace(0, self.stamps[-1] + 1e-6, 19)),
+            "turn rate [°/s]": (
+                wide(np.degrees(self.omega)[:, None]),
+                np.degrees(np.linspace(-fast, fast, 12)),
+            ),
+            "speed [m/s]": (wide(self.speed[:, None]), np.linspace(speed[0] - 1e-6, speed[1] + 1e-3, 11)),
+        }
+
+    def profile(self, values: Floats, index: Ints, count: int) -> tuple[Floats, Floats]:
+        """Return mean and standard error (clustered by blocks of time) of values in each bin."""
+        blocks = (self.stamps / BLOCK).astype(np.intp)
+        n_blocks = int(blocks.max(initial=0)) + 1
+        ok = (index >= 0) & np.isfinite(values)
+        group = np.where(ok, blocks[:, None] * count + index, n_blocks * count).ravel()
+        size = n_blocks * count + 1
+        n = np.bincount(group, minlength=size)[:-1].reshape(n_blocks, count)
+        s = np.bincount(group, np.where(ok, values, 0.0).ravel(), size)[:-1].reshape(n_blocks, count)
+        rays = n.sum(axis=0)
+        mean = np.where(rays >= LEAST, s.sum(axis=0) / np.maximum(rays, 1), np.nan)
+        scatter = np.sqrt(((s - np.nan_to_num(mean) * n) ** 2).sum(axis=0))
+        return mean, scatter / np.maximum(rays, 1)
+
+
+def bare_gap(finding: Finding) -> Gap | None:
+    """Return the gap of the bare simulator on the held-out scans, beside the nominal noise; None: no scan effect.
+
+    `prove.gap` lets poses and map shift within their tolerances before and after, which hides a part of what an
+    effect does. Here nothing shifts; residuals beyond CLIP sigmas are cut. It has no likelihood: nats are nan.
+    """
+    named = _named(finding)
+    if not named:
+        return None
+    held = held_out(finding.evidence)
+    evidence = finding.evidence.part(held)
+    sigma = evidence.sensor.sigma or 0.01
+    z = evidence.ranges
+    squares: list[float] = []
+    count = 0
+    for effects in ((), named):
+        what = cast(evidence, effects).what
+        with np.errstate(invalid="ignore"):
+            off = np.abs(z - what.reading)
+        there = np.isfinite(off) & (what.p_return > 0.5) & (what.p_alternative < EDGE)
+        count = int(there.sum())
+        squares.append(float(np.mean(np.minimum(off[there], CLIP * sigma) ** 2)) if count else 0.0)
+    before, after = (
+        Fit(rmse_m=s**0.5, normalised=s**0.5 / sigma, nats_per_ray=float("nan")) for s in squares
+    )
+    floor = Fit(rmse_m=sigma, normalised=1.0, nats_per_ray=float("nan"))
+    return Gap(before=before, after=after, noise_floor=floor, n_rays=count)
+
+
+def _named(finding: Finding) -> tuple[Amendment, ...]:
+    return tuple(a for a in finding.effects if a.effect.channel == "scan")
+
+
+def sections(arena: Arena, a: Amendment) -> list[Floats]:
+    """Return the walls, or the part of one, that an effect sits on; each (2, 2) [m]."""
+    pairs = zip(arena.names, arena.walls, strict=True)
+    chosen = [wall for name, wall in pairs if a.place and a.place in (name, name.rsplit("/", 1)[0])]
+    if len(chosen) == 1 and {"a", "b"} <= set(a.parameters):
+        first, last = chosen[0]
+        way = (last - first) / max(float(np.hypot(*(last - first))), 1e-9)
+        return [np.stack([first + a["a"] * way, first + a["b"] * way])]
+    return chosen
+
+
+def compare(finding: Finding) -> Compared | None:
+    """Collect what pictures need; None where nothing was fitted."""
+    if finding.explained is None:
+        return None
+    null, final = finding.explained.null, finding.explained.final
+    evidence = null.solver.evidence
+    beams = null.cast.beams
+    lasers = np.column_stack(
+        [
+            np.broadcast_to(beams.ox, evidence.ranges.shape)[:, 0],
+            np.broadcast_to(beams.oy, evidence.ranges.shape)[:, 0],
+            evidence.poses[:, 2] + (0.0 if evidence.laser_frame else evidence.sensor.mount[2]),
+        ]
+    )
+    named = _named(finding)
+    before = Side.of(null, ())
+    return Compared(
+        arena=evidence.arena,
+        sensor=evidence.sensor,
+        stamps=evidence.stamps - evidence.begin,
+        poses=evidence.poses,
+        lasers=lasers,
+        omega=evidence.twists[:, 2],
+        speed=evidence.speed,
+        measured=evidence.ranges,
+        incidence=beams.incidence,
+        before=before,
+        after=Side.of(final, named) if named else before,
+        is_amended=bool(named),
+    )

@@ -1,0 +1,390 @@
+"""report.html: one page that stands alone, readable by somebody who has never seen it."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Iterable, Mapping
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.report.phrases import (
+    deviation,
+    main_ledger,
+    minus,
+    parameters,
+    percent,
+    place_words,
+    said,
+    title_of,
+    tolerance,
+    undecided,
+)
+from sensorgraph.diagnosis.result import Ledger
+from sensorgraph.effects import Amendment
+
+STYLE = """
+:root { --ink: #23262f; --soft: #6d7282; --line: #e3e6ec; --alarm: #d1345b; --calm: #2a788e; --pale: #f6f7f9; }
+* { box-sizing: border-box; }
+body { margin: 0; color: var(--ink); background: #fff; font: 16px/1.55 system-ui, -apple-system, "Segoe UI", Roboto,
+  "Helvetica Neue", Arial, sans-serif; }
+main { max-width: 60rem; margin: 0 auto; padding: 3.5rem 1.5rem 5rem; }
+header { border-left: 5px solid var(--calm); padding-left: 1.4rem; margin-bottom: 3rem; }
+header.found, header.unknown, header.undecided, header.misplaced { border-color: var(--alarm); }
+header.skipped { border-color: var(--line); }
+.eyebrow { color: var(--soft); font-size: .85rem; letter-spacing: .02em; margin: 0 0 .5rem; }
+h1 { font-size: 1.75rem; line-height: 1.28; font-weight: 650; margin: 0 0 .8rem; letter-spacing: -.01em; }
+header p.lead { margin: .35rem 0; max-width: 46rem; }
+h2 { font-size: 1.15rem; font-weight: 650; margin: 3.2rem 0 .6rem; }
+p { margin: .5rem 0; max-width: 46rem; }
+.note, .soft, figcaption { color: var(--soft); font-size: .9rem; }
+figure { margin: 1.2rem 0 0; }
+figure img { display: block; max-width: 100%; height: auto; }
+figcaption { margin-top: .5rem; max-width: 46rem; }
+table { border-collapse: collapse; width: 100%; font-size: .92rem; margin-top: .8rem; }
+th { text-align: left; font-weight: 600; color: var(--soft); font-size: .82rem; }
+th, td { padding: .45rem .9rem .45rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.effect { border: 1px solid var(--line); border-radius: 8px; padding: 1.1rem 1.3rem; margin: 1rem 0; }
+.effect h3 { margin: 0; font-size: 1.05rem; }
+.effect h3 code { color: var(--soft); font-weight: 400; font-size: .85rem; margin-left: .5rem; }
+.equation { font: 1.02rem/1.6 ui-serif, Georgia, "Times New Roman", serif; background: var(--pale); border-radius: 6px;
+  padding: .6rem .9rem; margin: .7rem 0; max-width: none; }
+.equation b { font-weight: 600; color: var(--calm); white-space: nowrap; }
+.facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(8.5rem, 1fr)); gap: .4rem 1.5rem; margin: .8rem 0; }
+.facts div span { display: block; color: var(--soft); font-size: .8rem; }
+table.pairs td:first-child { width: 34%; color: var(--soft); }
+sub { font-size: .72em; }
+code { font: .88em ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; }
+ul { padding-left: 1.1rem; margin: .5rem 0; } li { margin: .2rem 0; }
+details summary { cursor: pointer; color: var(--soft); font-size: .92rem; margin-top: .6rem; }
+footer { margin-top: 4rem; padding-top: 1rem; border-top: 1px solid var(--line); color: var(--soft); font-size: .85rem; }
+@media print { main { padding: 0; max-width: none; } body { font-size: 11pt; } figure, .effect, tr { break-inside: avoid; }
+  h2 { break-after: avoid; } }
+"""
+CHANNELS = {
+    "scan": "scan against map and pose",
+    "odometry": "odometry against pose",
+    "drive": "odometry against command",
+}
+FILES = {
+    "report.json": "all numbers, SI units",
+    "effects.yaml": "the amendment: record, evaluate and diagnose take it with --effects",
+    "review.rrd": "measured, nominal and amended scans on one timeline: rerun review.rrd",
+}
+
+
+def page(
+    finding: Finding,
+    pictures: Mapping[str, Path],
+    *,
+    title: str,
+    settings: Mapping[str, Any],
+    next_run: Mapping[str, Any] | None = None,
+) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    pictures : name -> PNG file, put into the page
+    title : what to call the run
+    settings : configuration, listed at the end
+    """
+    what = said(finding)
+    body = [
+        _where(finding, pictures),
+        _gap(finding, pictures),
+        _effects(finding),
+        _ranking(finding, pictures),
+    ]
+    parts = [
+        f'<header class="{what.kind}"><p class="eyebrow">sensorgraph diagnose: {escape(title)}</p>',
+        f"<h1>{_glued(what.headline)}</h1>",
+        *(f'<p class="lead">{_glued(text)}</p>' for text in what.details),
+        "</header>",
+        *(body if main_ledger(finding) == "scan" else [*body[1:], body[0]]),
+        _deviations(finding, pictures),
+        _tolerated(finding),
+        _channels(finding),
+        _not_observable(finding),
+        _next_run(next_run, pictures),
+        _facts(finding, settings),
+    ]
+    text = "\n".join(part for part in parts if part)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(what.headline)}</title><style>{STYLE}</style></head>\n<body><main>\n{text}\n</main></body></html>\n"
+    )
+
+
+def _picture(path: Path | None, alt: str, caption: str) -> str:
+    if path is None:
+        return ""
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    width = int.from_bytes(path.read_bytes()[16:20], "big")  # PNG: the header chunk begins with the width
+    return (
+        f'<figure><img alt="{escape(alt)}" width="{round(width * 0.62)}" src="data:image/png;base64,{data}">'
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
+    )
+
+
+def _where(finding: Finding, pictures: Mapping[str, Path]) -> str:
+    if "arena" not in pictures:
+        return ""
+    amended = any(a.effect.channel == "scan" for a in finding.effects)
+    caption = (
+        "The arena from above. Each dot is the end of a measured ray, set off from where the simulator says it should end: "
+        "red where it is measured too long, blue too short. Grey line: the robot's way."
+    )
+    if amended:
+        caption += " A model that is right leaves an even, narrow band of noise along every wall."
+    title = "Where they differ" if main_ledger(finding) == "scan" else "The scans in the arena"
+    return f"<h2>{title}</h2>{_picture(pictures['arena'], 'Residuals in the arena', caption)}"
+
+
+def _gap(finding: Finding, pictures: Mapping[str, Path]) -> str:
+    if "gap" not in pictures:
+        return ""
+    gap = finding.ledgers["scan"].gap if "scan" in finding.ledgers else None
+    rays = f" ({gap.n_rays:,} rays)" if gap is not None else ""
+    caption = (
+        f"Measured on readings that no fit and no choice has seen{rays}; map and poses may shift within their "
+        "tolerances, before as after. Noise floor: what a perfect model would leave, from readings drawn from the amended model itself. Nats: how much less likely the readings are; smaller is better. "
+        "Bare simulator: nothing shifts, and the floor is the sensor's nominal noise."
+    )
+    return (
+        f"<h2>How large the gap is</h2>{_picture(pictures['gap'], 'Gap before, after, noise floor', caption)}"
+    )
+
+
+def _effects(finding: Finding) -> str:
+    if not finding.effects:
+        return ""
+    return "<h2>What was found</h2>" + "".join(_effect(a) for a in finding.effects)
+
+
+def _effect(a: Amendment) -> str:
+    numbers = ", ".join(f"<b>{_lowered(text)}</b>" for text in parameters(a))
+    equation = _lowered(a.effect.equation)
+    joined = "<br>".join(filter(None, [equation, numbers]))
+    facts = {
+        "probability": percent(a.probability),
+        "evidence": "–" if a.evidence is None else f"{a.evidence:,.0f} nats",
+        "size": f"{a.ratio:.1f} × the tolerance" if a.ratio != float("inf") else "",
+        "place": place_words(a),
+        "channel": CHANNELS[a.effect.channel],
+    }
+    cells = "".join(f"<div><span>{k}</span>{escape(v)}</div>" for k, v in facts.items() if v)
+    return (
+        f'<section class="effect"><h3>{escape(a.effect.title)}<code>{escape(a.name)}</code></h3>'
+        f"<p>{escape(a.effect.physics)}</p>"
+        + (f'<p class="equation">{joined}</p>' if joined else "")
+        + f'<div class="facts">{cells}</div>'
+        f'<p class="note">Its residual varies with {escape(a.effect.varies)}. Source: {escape(a.effect.source)}.</p></section>'
+    )
+
+
+def _glued(text: str) -> str:
+    """Keep numbers with their units and errors on one line."""
+    glued = re.sub(
+        r"(?<=\d) (?=(%|cm|mm|ms|m|s|nats)\b|%)|(?<=[\d°]) (?=±)|(?<=[±<>=]) (?=[\d+−])", "\u00a0", text
+    )
+    return escape(glued)
+
+
+def _lowered(text: str) -> str:
+    """Set `α_max` with an index."""
+    return re.sub(r"_([a-z]+)", r"<sub>\1</sub>", escape(text))
+
+
+def _ranking(finding: Finding, pictures: Mapping[str, Path]) -> str:
+    rivals = [rival for ledger in finding.ledgers.values() for rival in ledger.rivals]
+    if "ranking" not in pictures and not rivals:
+        return ""
+    rows = []
+    evidence = {a.name: a.evidence or 0.0 for a in finding.effects}
+    for rival in rivals:
+        behind = evidence.get(rival.instead_of, 0.0) - rival.evidence_nats
+        rows.append(
+            f"<tr><td>{escape(title_of(rival.instead_of))}</td><td>{escape(title_of(rival.name))}</td>"
+            f'<td class="n">{minus(f"{behind:,.0f}")} nats</td><td>{escape(rival.separates)}</td></tr>'
+        )
+    table = (
+        "<table><tr><th>found</th><th>runner-up</th><th class='n'>behind by</th><th>what tells them apart</th></tr>"
+        + "".join(rows)
+        + "</table>"
+        if rows
+        else ""
+    )
+    caption = (
+        "Evidence of what was tried, one round after another. Every nat makes a name e = 2.7 times likelier than the model "
+        "without it; the baseline already has the freedom of a careful set-up (map, mount, poses, clock, noise)."
+    )
+    close = undecided(finding)
+    lead = "<p>The best two are too close to call.</p>" if close else ""
+    return f"<h2>How the names rank</h2>{lead}{_picture(pictures.get('ranking'), 'Ranking of the candidates', caption)}{table}"
+
+
+def _deviations(finding: Finding, pictures: Mapping[str, Path]) -> str:
+    scan = finding.ledgers.get("scan")
+    found = [] if scan is None else list(scan.where)
+    if not found and "residuals" not in pictures:
+        return ""
+    rows = "".join(f"<li>{escape(deviation(w))}</li>" for w in found[:6])
+    rest = "".join(f"<li>{escape(deviation(w))}</li>" for w in found[6:])
+    more = f"<details><summary>{len(found) - 6} more</summary><ul>{rest}</ul></details>" if rest else ""
+    text = (
+        f"<p>By more than chance, and more than a careful set-up may be off in map, mount, poses and clock:</p><ul>{rows}</ul>{more}"
+        if found
+        else "<p>No part of the data stands out, once map, mount, poses and clock may be off as in a careful set-up.</p>"
+    )
+    caption = (
+        "The bare simulator against what a difference may depend on; bands are two standard errors. Upper row: the mean of measured − simulated. "
+        "Lower row: scatter, or the share of rays that missed, returned unexpectedly, or strayed."
+    )
+    return f"<h2>What differs, before any name</h2><p>After the small corrections that every set-up is allowed (map, mount, clocks and poses within tolerance):</p>{text}{_picture(pictures.get('residuals'), 'Residuals by bearing, range, incidence, time, turn rate, speed', caption)}"
+
+
+def _tolerated(finding: Finding) -> str:
+    small = [a for ledger in finding.ledgers.values() for a in ledger.within_tolerance]
+    if not small:
+        return ""
+    rows = "".join(
+        f"<tr><td>{escape(', '.join(filter(None, [a.effect.title, place_words(a)])))}</td><td>{escape(', '.join(parameters(a)))}</td>"
+        f'<td class="n">{"–" if a.evidence is None else f"{a.evidence:,.0f} nats"}</td></tr>'
+        for a in small
+    )
+    head = "<tr><th>effect</th><th>size</th><th class='n'>evidence</th></tr>"
+    return (
+        "<h2>Within tolerance</h2><p>There, but no larger than a careful set-up holds; not called effects.</p>"
+        f"<table>{head}{rows}</table>"
+    )
+
+
+def _channels(finding: Finding) -> str:
+    rows = "".join(
+        f"<tr><td>{escape(CHANNELS.get(name, name))}</td><td>{escape(_channel(ledger))}</td></tr>"
+        for name, ledger in finding.ledgers.items()
+    )
+    notes = "".join(
+        f"<li>{escape(deviation(w) if name == 'scan' else _plain(w))}</li>"
+        for name, ledger in finding.ledgers.items()
+        if name != "scan"
+        for w in ledger.where[:4]
+    )
+    listed = f"<p>Odometry and drive deviate, before any name:</p><ul>{notes}</ul>" if notes else ""
+    return f"<h2>Channels</h2><table class='pairs'>{rows}</table>{listed}"
+
+
+def _plain(where: Any) -> str:
+    label = f"{where.partition} {where.label}".strip()
+    return f"{where.family} at {label}: {abs(where.z):.1f} standard errors"
+
+
+def _channel(ledger: Ledger) -> str:
+    if ledger.skipped:
+        return f"not looked at: {ledger.skipped}"
+    out = []
+    if ledger.effects:
+        out.append("found: " + ", ".join(a.effect.title for a in ledger.effects))
+    if ledger.unknown is not None:
+        out.append(ledger.unknown.statement)
+    gap = ledger.gap
+    if gap is not None and gap.noise_floor.normalised > 0:
+        floor = gap.noise_floor.normalised
+        before, after = f"{gap.before.normalised / floor:.2f}", f"{gap.after.normalised / floor:.2f}"
+        size = f"from {before} to {after}" if ledger.effects else after
+        out = out or ["nothing material"]
+        out.append(f"gap {size} times the noise floor")
+    return "; ".join(out) if out else "nothing material"
+
+
+def _not_observable(finding: Finding) -> str:
+    rows = "".join(
+        f"<tr><td>{escape(title_of(name))}</td><td>{escape(why)}</td></tr>"
+        for ledger in finding.ledgers.values()
+        for name, why in ledger.not_observable.items()
+    )
+    skipped = "".join(
+        f"<tr><td>everything of the {escape(name)} channel</td><td>{escape(ledger.skipped)}</td></tr>"
+        for name, ledger in finding.ledgers.items()
+        if ledger.skipped
+    )
+    if not rows and not skipped:
+        return ""
+    head = "<tr><th>effect</th><th>why</th></tr>"
+    return f"<h2>What this run could not show</h2><table class='pairs'>{head}{rows}{skipped}</table>"
+
+
+def _next_run(plan: Mapping[str, Any] | None, pictures: Mapping[str, Path]) -> str:
+    if not plan:
+        return ""
+    why = str(plan.get("why") or "")
+    questions = [str(q) for q in plan.get("questions") or []]
+    nats, median = plan.get("expected_nats"), plan.get("median_random_run_nats")
+    facts = {
+        "expected evidence": "" if nats is None else f"{nats:,.0f} nats",
+        "a median random run": "" if median is None else f"{median:,.0f} nats",
+        "duration": f"{plan['duration_s']:.0f} s" if plan.get("duration_s") else "",
+        "way": f"{plan['path_m']:.1f} m" if plan.get("path_m") else "",
+    }
+    cells = "".join(f"<div><span>{k}</span>{escape(v)}</div>" for k, v in facts.items() if v)
+    asked = "".join(f"<li>{escape(q)}</li>" for q in questions)
+    points = plan.get("steps") or plan.get("waypoints") or []
+    rows = "".join(
+        "<tr>" + "".join(f"<td>{_value(v)}</td>" for v in _row(point)) + "</tr>" for point in points
+    )
+    listed = f"<details><summary>{len(points)} steps</summary><table>{rows}</table></details>" if rows else ""
+    return (
+        "<h2>The next run</h2>"
+        + (f"<p>{escape(why)}</p>" if why else "")
+        + (f"<ul>{asked}</ul>" if asked else "")
+        + (f"<div class='facts'>{cells}</div>" if cells else "")
+        + _picture(pictures.get("next_run"), "The way of the next run", "")
+        + listed
+    )
+
+
+def _row(point: Any) -> Iterable[Any]:
+    if isinstance(point, Mapping):
+        return [f"{k} {_value(v)}" if k != "kind" else v for k, v in point.items()]
+    return list(point)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(_value(v) for v in value)
+    return minus(escape(f"{value:.3g}" if isinstance(value, float) else str(value)))
+
+
+def _facts(finding: Finding, settings: Mapping[str, Any]) -> str:
+    rows = [*_flat(finding.intake), *_flat(settings)]
+    body = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in rows)
+    files = "".join(f"<li><code>{name}</code> {escape(what)}</li>" for name, what in FILES.items())
+    return f"<h2>What came in, and the settings</h2><table class='pairs'>{body}</table><footer><p>Beside this page:</p><ul>{files}</ul></footer>"
+
+
+def _flat(data: Mapping[str, Any], lead: str = "") -> list[tuple[str, str]]:
+    """Return nested plain data as lines; what is empty or zero in a nest is left out."""
+    out: list[tuple[str, str]] = []
+    for key, value in data.items():
+        label = f"{lead}{key}".replace("_", " ")
+        if isinstance(value, Mapping):
+            out += _flat({k: v for k, v in value.items() if v}, f"{label}: ")
+        elif isinstance(value, float) and lead.startswith("tolerances"):
+            out.append((label, tolerance(key, value)))
+        elif isinstance(value, float):
+            out.append((label, f"{value:.4g}"))
+        elif isinstance(value, list | tuple):
+            out.append((label, ", ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in value)))
+        else:
+            out.append(
+                (
+                    label,
+                    f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value),
+                )
+            )
+    return out

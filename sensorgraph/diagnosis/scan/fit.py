@@ -1,0 +1,418 @@
+"""Fit a set of effects to the evidence: cast, differentiate, solve, cast again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from planners.arena import Bools, Floats
+from sensorgraph.diagnosis.scan.gauss_newton import (
+    MOST_CORNERS,
+    Solution,
+    Solver,
+    State,
+    fitted_noise,
+    iterate,
+)
+from sensorgraph.diagnosis.scan.likelihood import Edges, Predicted, find_edges, judge, predicted
+from sensorgraph.diagnosis.scan.nuisance import DENSE, OWN, Columns, Corners, Freedom, columns
+from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.effects import Amendment
+from sensorgraph.world.scene import Beams, Scene
+
+SMOOTH: dict[str, dict[str, float]] = {  # effect -> parameter -> step of the difference quotient
+    "range_bias": {"b": 1e-3},
+    "range_scale": {"s": 1e-3},
+    "sector_bias": {"b": 1e-3},
+    "mount_yaw": {"delta": 1e-4},
+    "mount_xy": {"dx": 1e-4, "dy": 1e-4},
+    "latency": {"tau": 1e-4},
+    "scan_skew": {"T": 1e-4},
+    "moved_wall": {"d": 1e-4},
+    "moved_obstacle": {"dx": 1e-4, "dy": 1e-4},
+    "map_scale": {"s": 1e-5, "dx": 1e-4, "dy": 1e-4},
+    "range_drift": {"b1": 1e-3},
+    "unmapped_obstacle": {"x": 1e-4, "y": 1e-4, "r": 1e-4},
+    "tilt": {"beta": 1e-5, "theta0": 1e-5},
+    "self_occlusion": {"r0": 1e-4},
+    "glass": {"depth": 1e-4},
+}
+ROUGH: dict[str, dict[str, float]] = {  # effect -> parameter -> first step of the search
+    "range_noise": {"k": 0.002},
+    "mixed_pixels": {"gamma": 0.003},
+    "glass": {"a": 0.01, "b": 0.01, "alpha_ret": 0.01},
+    "mirror": {"a": 0.01, "b": 0.01},
+    "black_surface": {"a": 0.01, "b": 0.01, "r0": 0.05},
+    "incidence_dropout": {"alpha_max": 0.01},
+    "max_range": {"R": 0.02},
+    "min_range": {"r_min": 0.01},
+    "people": {"p": 0.005},
+    "range_drift": {"tau": 3.0},
+    "sonar_cone": {"gamma": 0.02, "alpha_max": 0.05},
+    "tilt": {"beta": 0.003, "theta0": 0.05},
+    "random_outliers": {"p": 0.002},
+}
+
+
+def smooth_parameters(amendment: Amendment) -> dict[str, float]:
+    """Return the parameters that are fitted by Gauss-Newton, with the steps of their difference quotients."""
+    if amendment.name == "glass" and amendment["depth"] <= 0:
+        return {}
+    return SMOOTH.get(amendment.name, {})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cast:
+    """The simulator run with some effects, and all that a fit needs of it."""
+
+    scene: Scene
+    beams: Beams
+    cols: Columns
+    what: Predicted
+    edges: Edges | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fitted:
+    """A set of effects with nuisances, fitted."""
+
+    model: tuple[Amendment, ...]
+    solution: Solution
+    cast: Cast
+    solver: Solver
+
+    @property
+    def j(self) -> float:
+        """[nats] penalised log-likelihood."""
+        return self.solution.j
+
+    @property
+    def state(self) -> State:
+        """Nuisances."""
+        return self.solution.state
+
+    def names(self) -> tuple[str, ...]:
+        """Return the effects' names."""
+        return tuple(a.name for a in self.model)
+
+
+def cast(evidence: Evidence, model: Sequence[Amendment]) -> Cast:
+    """Run the simulator on the poses of the evidence."""
+    scene = evidence.scene()
+    beams = scene.run((*evidence.known, *model))
+    cols = columns(evidence, beams, scene.walls, scene.mount, _bent(evidence, model, beams))
+    edges = None if any(a.name == "sonar_cone" for a in model) else _edges(evidence, scene)
+    what = predicted(beams, cols.steep, edges, scene.outliers, scene.shorts, scene.lattice)
+    return Cast(scene=scene, beams=beams, cols=cols, what=what, edges=edges)
+
+
+FINE = 0.02  # relative step at which the search for a share or a width ends
+MOST_PEAKED = 9  # casts of it
+NOISE_ROUNDS = 3  # of the noise, where it is estimated again at a step of a rough parameter
+STIFF = {"beta": 5e3, "theta0": 5e3, "delta": 300.0, "tau": 300.0, "T": 300.0, "s": 300.0}
+"""By parameter: a larger quotient is a jump to another surface."""
+STIFF_ELSE = 25.0
+NUDGE = (5e-4, 5e-4, 3e-4)  # [m, m, rad] of the difference quotients by the pose
+RIGID = 60.0  # [1, 1, m/rad] a larger quotient is a jump to another surface
+
+
+def _bent(
+    evidence: Evidence, model: Sequence[Amendment], beams: Beams
+) -> tuple[Bools, Floats, Floats] | None:
+    """Differentiate rays that a surface, an edge or a tilt has bent by the pose, by casting again.
+
+    Returns which rays (n_scans, n_rays) have columns, the columns (n_scans, 3, n_rays), and |d reading / d phi|
+    (n_scans, n_rays) [m/rad] of all bent rays, also of those where it is a jump.
+    """
+    if beams.straight is None:
+        return None
+    which = ~beams.straight & np.isfinite(beams.reading)
+    rows = np.flatnonzero(which.any(axis=1))
+    if len(rows) == 0:
+        return None
+    few = evidence.part(rows)
+    quotients = np.zeros((evidence.n_scans, 3, evidence.n_rays))
+    smooth = which.copy()
+    steepness = np.zeros(which.shape)
+    for axis, step in enumerate(NUDGE):
+        scene = few.scene()
+        scene.memo = None
+        scene.motion = _nudged(few, axis, step)
+        moved = scene.run((*evidence.known, *model)).reading
+        with np.errstate(invalid="ignore"):
+            q = (moved - beams.reading[rows]) / step
+        ok = np.isfinite(q) & (np.abs(q) < RIGID)
+        if axis == 2:
+            steepness[rows] = np.where(np.isfinite(q), np.abs(q), RIGID)
+        smooth[rows] &= ok
+        quotients[rows, axis] = np.where(ok, q, 0.0)
+    return smooth, np.where(smooth[:, None, :], quotients, 0.0), np.where(which, steepness, 0.0)
+
+
+def _nudged(evidence: Evidence, axis: int, step: float) -> Callable[[Floats], Floats]:
+    offset = np.zeros(3)
+    offset[axis] = step
+    return lambda times: evidence.motion(times) + offset
+
+
+def _edges(evidence: Evidence, scene: Scene) -> Edges | None:
+    """Find the edges of the bare cast; kept as long as geometry and timing stay."""
+    parts = (scene.walls, scene.mount, scene.delay, scene.discs)
+    key = b"edges|" + b"|".join(part.tobytes() for part in parts)
+    if key not in evidence.memo:
+        bare = bare_cast(scene)
+        evidence.memo[key] = find_edges(evidence, bare, scene.walls)
+    kept = evidence.memo[key]
+    assert kept is None or isinstance(kept, Edges)
+    return kept
+
+
+def bare_cast(scene: Scene) -> Beams:
+    """Cast without what surfaces do to rays."""
+    kept, scene.surfaces = scene.surfaces, []
+    try:
+        return scene.shoot()
+    finally:
+        scene.surfaces = kept
+
+
+def start_state(evidence: Evidence, freedom: Freedom) -> State:
+    """Return nuisances at zero."""
+    corners = corners_of(evidence)
+    state = State(g=np.zeros(len(DENSE) + 2 * corners.count), delta=np.zeros((evidence.n_scans, 3)))
+    state.pose_scale = freedom.pose
+    noise = state.noise
+    noise.core = float(np.clip(noise.core, *freedom.core))
+    noise.tail = float(np.clip(noise.tail, *freedom.tail))
+    noise.loss = float(np.clip(noise.loss, *freedom.loss))
+    noise.stray = float(np.clip(noise.stray, *freedom.stray))
+    return state
+
+
+def corners_of(evidence: Evidence) -> Corners:
+    """Return the corners of the map that may shift; none where there are too many."""
+    corners = Corners.of(evidence.arena.walls)
+    if corners.count > MOST_CORNERS:
+        return Corners(ends=corners.ends * 0, count=0)
+    return corners
+
+
+def locked(evidence: Evidence, model: Sequence[Amendment], corners: Corners) -> Bools:
+    """Return which nuisances are held at 0: the copies of effects in the model, and the mount of a bare laser."""
+    out = np.zeros(len(DENSE) + 2 * corners.count, dtype=np.bool_)
+    names = [name for a in model for name in OWN.get(a.name, ())]
+    if evidence.laser_frame:
+        names += ["mount_x", "mount_y", "mount_yaw"]
+    for name in names:
+        out[DENSE.index(name)] = True
+    return out
+
+
+def solver_for(evidence: Evidence, model: Sequence[Amendment], at: Cast | None = None) -> tuple[Solver, Cast]:
+    """Cast, and differentiate by the effects' smooth parameters."""
+    at = cast(evidence, model) if at is None else at
+    corners = corners_of(evidence)
+    quotients = []
+    for index, amendment in enumerate(model):
+        for name, step in smooth_parameters(amendment).items():
+            moved = [*model]
+            moved[index] = amendment.moved_to({name: amendment.parameters.get(name, 0.0) + step})
+            scene = evidence.scene()
+            beams = scene.run((*evidence.known, *moved))
+            with np.errstate(invalid="ignore"):
+                slope = (beams.reading - at.beams.reading) / step
+            same = (
+                (beams.wall == at.beams.wall)
+                & at.cols.valid
+                & np.isfinite(slope)
+                & (np.abs(slope) < STIFF.get(name, STIFF_ELSE))
+            )
+            quotients.append(np.where(same, slope, 0.0))
+    shape = at.what.reading.shape
+    effects = np.stack(quotients, axis=1) if quotients else np.zeros((shape[0], 0, shape[1]))
+    held = locked(evidence, model, corners)
+    walls = at.scene.walls
+    return Solver(evidence, at.what, at.cols, walls, effects, corners, held), at
+
+
+def with_increments(model: Sequence[Amendment], p: Floats) -> tuple[Amendment, ...]:
+    """Add increments to the smooth parameters."""
+    out, k = [], 0
+    for amendment in model:
+        names = list(smooth_parameters(amendment))
+        values = {}
+        for name in names:
+            spec = next(q for q in amendment.effect.parameters if q.name == name)
+            values[name] = float(np.clip(amendment.parameters.get(name, 0.0) + p[k], spec.low, spec.high))
+            k += 1
+        out.append(amendment.moved_to(values) if values else amendment)
+    return tuple(out)
+
+
+def fit(
+    evidence: Evidence,
+    model: Sequence[Amendment],
+    state: State,
+    freedom: Freedom,
+    *,
+    outer: int = 4,
+    inner: int = 4,
+    **held: bool,
+) -> Fitted:
+    """Fit the smooth parameters, nuisances and noise; cast again until nothing is gained."""
+    best: Fitted | None = None
+    model = tuple(model)
+    freedom, state = strays_taken(model, freedom), state.copy()
+    state.noise.stray = float(np.clip(state.noise.stray, *freedom.stray))
+    corners = corners_of(evidence)
+    state.g[locked(evidence, model, corners)] = 0.0
+    for _ in range(outer):
+        solver, at = solver_for(evidence, model)
+        zero = np.zeros(solver.n_effects)
+        solution = iterate(solver, state, zero, freedom, rounds=inner, **held)
+        got = Fitted(model=model, solution=solution, cast=at, solver=solver)
+        better = best is None or got.j > best.j + 0.3
+        if best is None or got.j > best.j:
+            best = got
+        if solver.n_effects == 0 or not better:
+            break
+        model, state = with_increments(model, solution.p), solution.state
+        if _settled(solution):
+            break
+    assert best is not None
+    final = with_increments(best.model, best.solution.p)
+    return Fitted(model=final, solution=best.solution, cast=best.cast, solver=best.solver)
+
+
+def _settled(solution: Solution) -> bool:
+    """Tell whether the last step was far below the standard errors."""
+    sd = np.sqrt(np.maximum(np.diag(solution.covariance), 1e-18))
+    return bool((np.abs(solution.p) < 0.2 * sd).all())
+
+
+def log_p_at(
+    evidence: Evidence, model: Sequence[Amendment], state: State, freedom: Freedom | None = None
+) -> Floats:
+    """Return the log-likelihood of every reading (n_scans, n_rays) [nats] at given nuisances; one cast, no solve.
+
+    Parameters
+    ----------
+    freedom : the noise is estimated again within it; None: it stays
+    """
+    at = cast(evidence, model)
+    corners = corners_of(evidence)
+    shape = at.what.reading.shape
+    solver = Solver(
+        evidence, at.what, at.cols, at.scene.walls, np.zeros((shape[0], 0, shape[1])), corners,
+        np.zeros(len(state.g), dtype=np.bool_),
+    )  # fmt: skip
+    shift, noise = solver.shift(state, np.zeros(0)), state.noise
+    judged = judge(evidence, at.what, shift, noise)
+    if freedom is not None:
+        freedom = strays_taken(model, freedom)
+        for _ in range(NOISE_ROUNDS):
+            noise = fitted_noise(solver, judged, noise, freedom)
+            judged = judge(evidence, at.what, shift, noise)
+    return judged.log_p
+
+
+def log_likelihood(
+    evidence: Evidence, model: Sequence[Amendment], state: State, freedom: Freedom | None = None
+) -> float:
+    """Return the log-likelihood of a model [nats]; see `log_p_at`."""
+    return float(log_p_at(evidence, model, state, freedom).sum())
+
+
+def strays_taken(model: Sequence[Amendment], freedom: Freedom) -> Freedom:
+    """Leave no strays to the noise where random_outliers is in the model: its share is all of them."""
+    if not any(a.name == "random_outliers" for a in model):
+        return freedom
+    low = freedom.stray[0]
+    return replace(freedom, stray=(low, low))
+
+
+def polish(
+    evidence: Evidence,
+    model: tuple[Amendment, ...],
+    index: int,
+    fitted: Fitted,
+    freedom: Freedom,
+    *,
+    rounds: int,
+    first: float,
+) -> tuple[Amendment, ...]:
+    """Improve the rough parameters of one effect at frozen nuisances.
+
+    What widens or mixes the readings has one parameter and shares its freedom with the noise, which is estimated again
+    at every value; the others are improved one after another by a pattern search.
+
+    Parameters
+    ----------
+    rounds : over all parameters
+    first : scale of the first steps
+    """
+    amendment = model[index]
+    steps = {k: first * v for k, v in ROUGH.get(amendment.name, {}).items() if k in amendment.parameters}
+    if not steps:
+        return model
+    if amendment.effect.absorber:
+        return _peaked(evidence, model, index, fitted.state, freedom, factor=1 + 2 * first)
+    bounds = {q.name: (q.low, q.high) for q in amendment.effect.parameters}
+    current = [*model]
+    best = log_likelihood(evidence, current, fitted.state)
+    for _ in range(rounds):
+        moved = False
+        for name in steps:
+            for sign in (1.0, -1.0):
+                value = float(np.clip(current[index][name] + sign * steps[name], *bounds[name]))
+                trial = [*current]
+                trial[index] = current[index].moved_to({name: value})
+                got = log_likelihood(evidence, trial, fitted.state)
+                if got > best + 1e-6:
+                    best, current, moved = got, trial, True
+                    steps[name] *= 1.5
+                    break
+            else:
+                steps[name] *= 0.4
+        if not moved and all(s < 0.2 * ROUGH[amendment.name][k] for k, s in steps.items()):
+            break
+    return tuple(current)
+
+
+def _peaked(
+    evidence: Evidence,
+    model: tuple[Amendment, ...],
+    index: int,
+    state: State,
+    freedom: Freedom,
+    *,
+    factor: float,
+) -> tuple[Amendment, ...]:
+    """Move the one rough parameter of an effect to its most likely value, at most `factor` times up or down."""
+    (name,) = ROUGH[model[index].name]
+    start = model[index][name]
+
+    def at(u: float) -> tuple[Amendment, ...]:
+        return (*model[:index], model[index].moved_to({name: start * float(np.exp(u))}), *model[index + 1 :])
+
+    reach = float(np.log(factor))
+    found = minimize_scalar(
+        lambda u: -log_likelihood(evidence, at(u), state, freedom),
+        bounds=(-reach, reach),
+        method="bounded",
+        options={"xatol": FINE, "maxiter": MOST_PEAKED},
+    )
+    return at(float(found.x))
+
+
+def thin(evidence: Evidence, every: int) -> Evidence:
+    """Return every n-th scan."""
+    return evidence.part(np.arange(0, evidence.n_scans, every))
+
+
+def thin_state(state: State, every: int) -> State:
+    """Return the state for every n-th scan."""
+    return replace(state, g=state.g.copy(), delta=state.delta[::every].copy(), noise=replace(state.noise))

@@ -1,0 +1,364 @@
+"""Joint fit of effects and nuisances: Gauss-Newton on the mixture, the pose error of every scan eliminated.
+
+The unknowns are the effects' smooth parameters p, the nuisances g (sensorgraph.diagnosis.scan.nuisance) and a pose error
+delta_s per scan. Given the responsibilities of the mixture all enter linearly; the 3 x 3 blocks of the scans are
+eliminated by the Schur complement (Triggs, McLauchlan, Hartley and Fitzgibbon 2000, bundle adjustment, section 6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from planners.arena import Bools, Floats
+from sensorgraph.diagnosis.scan.likelihood import Judged, Predicted, judge
+from sensorgraph.diagnosis.scan.nuisance import (
+    BOX,
+    DENSE,
+    TAIL,
+    Columns,
+    Corners,
+    Freedom,
+    Noise,
+    pose_prior,
+    widths,
+)
+from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.wall_sums import wall_sums
+
+MOST_CORNERS = 400  # a map with more is taken as it is
+CLIP = 3.5  # Mahalanobis length that the pose error of a scan may have
+
+
+@dataclass(eq=False)
+class State:
+    """Where nuisances stand."""
+
+    g: Floats
+    """(8 + 2 n_corners,) DENSE, then x and y of each corner."""
+    delta: Floats
+    """(n_scans, 3) [m, m, rad] pose errors."""
+    noise: Noise = field(default_factory=Noise)
+    pose_scale: float = 1.0
+    """By how much the tolerances of the reference are too tight."""
+    map_scale: float = 1.0
+    """By how much the tolerance of the map is too tight."""
+
+    def copy(self) -> State:
+        """Return a copy that may be changed."""
+        return replace(self, g=self.g.copy(), delta=self.delta.copy(), noise=replace(self.noise))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class System:
+    """The normal equations with the poses eliminated: unknowns are DENSE, corners, effects."""
+
+    matrix: Floats
+    """(k, k)"""
+    right: Floats
+    """(k,)"""
+    poses: Floats
+    """(n_scans, 3, 3) H_s"""
+    gain: Floats
+    """(n_scans, 3, k) H_s^-1 C_s"""
+    start: Floats
+    """(n_scans, 3) H_s^-1 b_s"""
+    logdet: float
+    """Sum over scans of log |I + P_s B'WB|."""
+
+
+def normal(corners: Corners, walls: Floats, free: bool) -> Floats | None:
+    """Return the matrix (2 n_walls, 2 n_corners) from corner shifts to shifts of wall ends along the walls' normals."""
+    if not free:
+        return None
+    n_walls = len(walls)
+    d = walls[:, 1] - walls[:, 0]
+    d = d / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)[:, None]
+    n = np.stack([d[:, 1], -d[:, 0]], axis=1)  # (n_walls, 2)
+    matrix = np.zeros((2, n_walls, corners.count, 2))
+    k = np.arange(n_walls)
+    for end in (0, 1):
+        matrix[end, k, corners.ends[:, end]] = n
+    return matrix.reshape(2 * n_walls, 2 * corners.count)
+
+
+class Solver:
+    """The linear part at one cast: what the readings do to first order."""
+
+    def __init__(
+        self,
+        evidence: Evidence,
+        what: Predicted,
+        cols: Columns,
+        walls: Floats,
+        effects: Floats,
+        corners: Corners,
+        locked: Bools,
+    ) -> None:
+        self.evidence, self.what, self.cols, self.corners = evidence, what, cols, corners
+        self.effects = effects  # (n_scans, k, n_rays)
+        self.n_effects = effects.shape[1]
+        self.map = normal(corners, walls, corners.count > 0)
+        n_scans, n_rays = what.reading.shape
+        self.shape = (n_scans, n_rays)
+        self.n_walls = max(len(walls), 1)
+        d = walls[:, 1] - walls[:, 0]
+        d = d / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)[:, None]
+        if self.map is not None:
+            facing = np.sign(cols.nx * d[:, 1][cols.wall] - cols.ny * d[:, 0][cols.wall])
+            self.ends = cols.ends * facing
+        self.tau = np.concatenate(
+            [widths(evidence.tolerances), np.full(2 * corners.count, evidence.tolerances.map)]
+        )
+        self.locked = locked  # (8 + 2 n_corners,)
+        self.stack = np.concatenate([cols.dense, effects], axis=1)  # (n_scans, 8 + k, n_rays)
+        with np.errstate(invalid="ignore"):
+            self.y = np.where(cols.valid & evidence.returned, evidence.ranges - what.reading, 0.0)
+        self.y[~np.isfinite(self.y)] = 0.0
+
+    def shift(self, state: State, p: Floats) -> Floats:
+        """Return what nuisances, poses and effect increments add to the readings, (n_scans, n_rays)."""
+        out = np.matmul(state.delta[:, None, :], self.cols.pose)[:, 0]
+        out += np.matmul(np.concatenate([state.g[: len(DENSE)], p]), self.stack)
+        if self.map is not None:
+            ends = (self.map @ state.g[len(DENSE) :]).reshape(2, self.n_walls)
+            out += self.ends[0] * ends[0][self.cols.wall] + self.ends[1] * ends[1][self.cols.wall]
+        return np.asarray(out)
+
+    def assemble(self, weight: Floats, pose_scale: float) -> System:
+        """Build the normal equations for weights (n_scans, n_rays) [1/m²]."""
+        n_scans, _ = self.shape
+        prior = pose_prior(self.evidence, pose_scale)
+        inverse = np.linalg.inv(prior)
+        w = np.where(self.cols.valid, weight, 0.0)
+        wb = self.cols.pose * w[:, None, :]
+        block = np.matmul(wb, self.cols.pose.transpose(0, 2, 1))
+        h = block + inverse
+        ws = self.stack * w[:, None, :]
+        turned = self.stack.transpose(0, 2, 1)
+        c = np.matmul(wb, turned)  # (n_scans, 3, 8 + k)
+        b = np.matmul(wb, self.y[:, :, None])[..., 0]  # (n_scans, 3)
+        g = np.matmul(ws, turned).sum(axis=0)
+        r = np.einsum("nkm,nm->k", ws, self.y)
+        if self.map is not None:
+            c, g, r = self._with_corners(w, c, g, r)
+        hc = np.linalg.solve(h, np.concatenate([c, b[..., None]], axis=2))
+        gain, start = hc[..., :-1], hc[..., -1]
+        flat = c.reshape(3 * n_scans, -1)
+        matrix = g - flat.T @ gain.reshape(3 * n_scans, -1)
+        right = r - flat.T @ start.reshape(-1)
+        _, logdet = np.linalg.slogdet(np.eye(3) + np.matmul(prior, block))
+        return System(
+            matrix=(matrix + matrix.T) / 2,
+            right=right,
+            poses=h,
+            gain=gain,
+            start=start,
+            logdet=float(logdet.sum()),
+        )
+
+    def _with_corners(self, w: Floats, c: Floats, g: Floats, r: Floats) -> tuple[Floats, Floats, Floats]:
+        """Insert the corners between DENSE and the effects."""
+        assert self.map is not None
+        n_scans, _ = self.shape
+        k, n_walls = len(DENSE), self.n_walls
+        cl, gl, rl, square = wall_sums(
+            w, self.cols.pose, self.stack, self.ends, self.cols.wall, self.y, n_walls
+        )
+        m = self.map.reshape(2, n_walls, -1)
+        cv = cl.reshape(n_scans * 3, -1) @ self.map
+        gv = gl.reshape(len(gl), -1) @ self.map
+        vv = np.einsum("akv,abk,bkw->vw", m, square, m, optimize=True)
+        rv = rl.reshape(-1) @ self.map
+        cv = cv.reshape(n_scans, 3, -1)
+        c = np.concatenate([c[..., :k], cv, c[..., k:]], axis=2)
+        top = np.concatenate([g[:k, :k], gv[:k], g[:k, k:]], axis=1)
+        middle = np.concatenate([gv[:k].T, vv, gv[k:].T], axis=1)
+        low = np.concatenate([g[k:, :k], gv[k:], g[k:, k:]], axis=1)
+        return c, np.concatenate([top, middle, low]), np.concatenate([r[:k], rv, r[k:]])
+
+    @property
+    def n_g(self) -> int:
+        """Count of nuisances."""
+        return len(self.tau)
+
+    def maximise(self, system: System, state: State) -> tuple[Floats, Floats]:
+        """Solve for (g, p) under prior and boxes."""
+        tau = self.scaled(state)
+        g, p = boxed(system.matrix, system.right, tau, BOX * tau, self.locked)
+        return g, p
+
+    def scaled(self, state: State) -> Floats:
+        """Return the prior widths, widened where tolerances are too tight."""
+        tau = self.tau.copy()
+        tau[len(DENSE) :] *= state.map_scale
+        tau[: len(DENSE)] *= max(1.0, np.sqrt(state.map_scale * state.pose_scale))
+        return tau
+
+    def poses_at(self, system: System, x: Floats) -> Floats:
+        """Return the pose errors (n_scans, 3) for (g, p), none longer than CLIP."""
+        return np.asarray(system.start - system.gain @ x)
+
+    def objective(self, system: System, state: State, judged: Judged, delta_prior: Floats) -> float:
+        """Return J: log-likelihood, priors and the volume of what was integrated out [nats]."""
+        tau = self.scaled(state)
+        free = ~self.locked
+        n = self.n_g
+        penalty = 0.5 * float(np.sum((state.g[free] / tau[free]) ** 2))
+        s = system.matrix[:n, :n][np.ix_(free, free)] * tau[free] * tau[free][:, None]
+        _, volume = np.linalg.slogdet(np.eye(int(free.sum())) + s)
+        return (
+            float(judged.log_p.sum())
+            - 0.5 * float(delta_prior.sum())
+            - 0.5 * system.logdet
+            - penalty
+            - 0.5 * float(volume)
+        )
+
+
+def boxed(matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools) -> tuple[Floats, Floats]:
+    """Maximise right'x - x'Mx/2 - |g/tau|²/2 with |g| <= box; the first len(tau) unknowns are g, the rest is free."""
+    n, k = len(tau), len(right)
+    a = matrix.copy()
+    a[np.arange(n), np.arange(n)] += 1 / tau**2
+    a[np.arange(n, k), np.arange(n, k)] += 1e-9 + 1e-9 * np.diag(a)[n:]
+    x = np.zeros(k)
+    fixed = np.concatenate([locked, np.zeros(k - n, dtype=np.bool_)])
+    for _ in range(8):
+        free = ~fixed
+        x[free] = np.linalg.solve(a[np.ix_(free, free)], right[free] - a[np.ix_(free, fixed)] @ x[fixed])
+        beyond = np.abs(x[:n]) > box * (1 + 1e-9)
+        beyond &= ~fixed[:n]
+        if not beyond.any():
+            break
+        x[:n][beyond] = np.sign(x[:n][beyond]) * box[beyond]
+        fixed[:n] |= beyond
+    return x[:n], x[n:]
+
+
+@dataclass(eq=False)
+class Solution:
+    """A fit at one cast."""
+
+    state: State
+    p: Floats
+    """(k,) increments of the effects' smooth parameters."""
+    j: float
+    """[nats] penalised log-likelihood."""
+    judged: Judged
+    system: System
+    covariance: Floats
+    """(k, k) of p, nuisances integrated out."""
+
+
+def iterate(
+    solver: Solver,
+    state: State,
+    p: Floats,
+    freedom: Freedom,
+    *,
+    rounds: int,
+    poses_free: bool = True,
+    nuisance_free: bool = True,
+    noise_free: bool = True,
+    scales_free: bool = True,
+) -> Solution:
+    """Alternate responsibilities and the linear solve; return the best J seen."""
+    state, p = state.copy(), p.copy()
+    best: Solution | None = None
+    n = solver.n_g
+    for turn in range(rounds + 1):
+        judged = judge(solver.evidence, solver.what, solver.shift(state, p), state.noise)
+        system = solver.assemble(judged.weight, state.pose_scale)
+        inverse = np.linalg.inv(pose_prior(solver.evidence, state.pose_scale))
+        length = np.einsum("ni,nij,nj->n", state.delta, inverse, state.delta)
+        j = solver.objective(system, state, judged, length)
+        if best is None or j > best.j:
+            covariance = _covariance(system, solver, state)
+            gained = np.inf if best is None else j - best.j
+            best = Solution(
+                state=state.copy(), p=p.copy(), j=j, judged=judged, system=system, covariance=covariance
+            )
+            if gained < 0.05 and turn > 1:
+                break
+        elif turn > 2:
+            break
+        if turn == rounds:
+            break
+        g = state.g
+        if nuisance_free:
+            g, p = solver.maximise(system, state)
+        else:
+            inner = system.matrix[n:, n:] + 1e-9 * np.diag(1 + np.diag(system.matrix)[n:])
+            if len(p):
+                p = np.asarray(
+                    np.linalg.solve(inner, system.right[n:] - system.matrix[n:, :n] @ g), dtype=np.float64
+                )
+        state.g = g
+        if poses_free:
+            delta = solver.poses_at(system, np.concatenate([g, p]))
+            length = np.sqrt(np.einsum("ni,nij,nj->n", delta, inverse, delta))
+            state.delta = delta * np.minimum(1.0, CLIP / np.maximum(length, 1e-9))[:, None]
+        if noise_free:
+            state.noise = fitted_noise(solver, judged, state.noise, freedom)
+        if scales_free:
+            state.pose_scale, state.map_scale = _scales(solver, system, state, freedom)
+    assert best is not None
+    return best
+
+
+def fitted_noise(solver: Solver, judged: Judged, noise: Noise, freedom: Freedom) -> Noise:
+    """Update scale, tail, loss and stray share from the responsibilities (EM, closed form)."""
+    both = judged.core + judged.tail
+    count = max(float(both.sum()), 1.0)
+    e2 = (judged.residual / solver.what.sigma) ** 2
+    variance = float((judged.core * e2 + judged.tail * e2 / TAIL**2).sum()) / count
+    returnable = max(float((solver.what.p_return * np.isfinite(solver.what.reading)).sum()), 1.0)
+    n = max(float(solver.evidence.returned.sum()), 1.0)
+    return Noise(
+        core=float(np.clip(np.sqrt(variance), *freedom.core)),
+        tail=float(np.clip(judged.tail.sum() / count, *freedom.tail)),
+        loss=float(np.clip(judged.lost.sum() / returnable, *freedom.loss)),
+        stray=float(np.clip(judged.stray.sum() / n, *freedom.stray)),
+    )
+
+
+def _scales(solver: Solver, system: System, state: State, freedom: Freedom) -> tuple[float, float]:
+    """Estimate by how much the tolerances of reference and map are too tight; medians, so that an effect does not count."""
+    prior = pose_prior(solver.evidence, state.pose_scale)
+    spread = prior - np.linalg.inv(system.poses)  # covariance of the estimate under the prior
+    spread = spread + 1e-3 * prior
+    q = np.einsum("ni,nij,nj->n", state.delta, np.linalg.inv(spread), state.delta)
+    pose = state.pose_scale * float(np.sqrt(np.median(q) / 2.366))
+    n = solver.n_g
+    corners = np.arange(len(DENSE), n)
+    scale = state.map_scale
+    if len(corners) >= 6:
+        tau = solver.scaled(state)
+        a = system.matrix[:n, :n].copy()
+        a[np.arange(n), np.arange(n)] += 1 / tau**2
+        left = (
+            np.diag(np.linalg.inv(a))[corners] / tau[corners] ** 2
+        )  # share of the prior's variance that is left
+        seen = left < 0.6
+        if seen.sum() >= 6:
+            ratio = (state.g[corners] / tau[corners])[seen] ** 2 / (1 - left[seen])
+            scale = state.map_scale * float(np.sqrt(np.median(ratio) / 0.455))
+    low, most = freedom.pose, freedom.most
+    return float(np.clip(pose, low, max(most, low))), float(np.clip(scale, 1.0, most))
+
+
+def _covariance(system: System, solver: Solver, state: State) -> Floats:
+    """Return the covariance of p with the nuisances integrated out."""
+    n = solver.n_g
+    k = len(system.right) - n
+    if k == 0:
+        return np.zeros((0, 0))
+    tau = solver.scaled(state)
+    a = system.matrix.copy()
+    a[np.arange(n), np.arange(n)] += 1 / tau**2
+    a[np.arange(n, n + k), np.arange(n, n + k)] += 1e-9 + 1e-9 * np.diag(a)[n:]
+    free = np.concatenate([~solver.locked, np.ones(k, dtype=np.bool_)])
+    inverse = np.linalg.inv(a[np.ix_(free, free)])
+    return np.asarray(inverse[-k:, -k:])

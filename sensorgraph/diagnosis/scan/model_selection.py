@@ -1,0 +1,359 @@
+"""Decide which effects the evidence asks for: one after another, refitted together, superfluous ones taken back."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from planners.arena import Bools
+from sensorgraph.diagnosis.scan.fit import (
+    ROUGH,
+    Fitted,
+    bare_cast,
+    fit,
+    polish,
+    start_state,
+    thin,
+    thin_state,
+)
+from sensorgraph.diagnosis.scan.nuisance import Freedom
+from sensorgraph.diagnosis.scan.propose import rough_candidates
+from sensorgraph.diagnosis.scan.residuals import View
+from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
+from sensorgraph.diagnosis.scan.standard_errors import standard_errors
+from sensorgraph.effects import Amendment
+from sensorgraph.effects.places import named_walls
+
+logger = logging.getLogger(__name__)
+
+THRESHOLD = 12.0  # [nats] of evidence, beyond the price of the parameters
+PRICE = 4.0  # [nats] per parameter
+CRUDE: tuple[tuple[tuple[str, ...], tuple[str, ...], float], ...] = (
+    (("sonar_cone",), (), 0.06),
+    (("mixed_pixels",), (), 0.03),
+    (("mixed_pixels",), ("people", "random_outliers", "range_noise", "glass", "black_surface"), 0.15),
+    (
+        ("glass", "mirror", "black_surface", "incidence_dropout", "max_range", "tilt", "self_occlusion"),
+        ("glass", "mirror", "black_surface", "incidence_dropout", "people", "random_outliers"),
+        0.03,
+    ),
+)
+"""(Effects in the model, further candidates (none: all), share of the gain): less proves only that the model of the
+former is coarse at its rim."""
+PARTS = ("glass", "mirror", "black_surface")
+END = 2.0  # standard deviations of where a ray meets its wall
+MOST = 5  # effects in one model
+FEW = (
+    3  # effects where the arena fits the run only in part: whatever is missing, many names would not mend it
+)
+MANY = 10  # candidates fitted on a part of the scans
+FINALISTS = 3
+LOOK = 3.5  # [nats] of expected gain that make a smooth effect worth a fit; boxes hide a part of it
+SOME = 130  # scans on which all candidates are fitted
+SEARCHED = 5  # candidates whose rough parameters are searched
+NEAR = 0.5  # of the best gain; farther candidates are not fitted to all scans
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Step:
+    """One round of the search: what was tried, with its gain in nats."""
+
+    tried: tuple[tuple[Amendment, float], ...]
+    chosen: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Explained:
+    """The accepted model with its fit, and the way to it."""
+
+    null: Fitted
+    final: Fitted
+    """Its effects carry their standard errors."""
+    gains: dict[int, float]
+    """Index in the final model -> evidence [nats] that is lost without it."""
+    steps: tuple[Step, ...] = field(default_factory=tuple)
+    rivals: dict[int, tuple[Amendment, float]] = field(default_factory=dict)
+    """Index in the final model -> the second best explanation and how many nats it falls short."""
+
+
+def price(amendment: Amendment, evidence: Evidence) -> float:
+    """Return what an effect must pay for its parameters and for the choice of its place [nats]."""
+    places = {"wall": evidence.arena.n_walls, "obstacle": 6}.get(amendment.effect.place or "", 1)
+    unused = {("glass", "depth"), ("range_drift", "tau")}  # 0 says: no such plane, no such time
+    n = sum(1 for k, v in amendment.parameters.items() if v != 0.0 or (amendment.name, k) not in unused)
+    paid = PRICE * max(n, 1) + float(np.log(max(places, 1)))
+    return paid + evidence.floors.get(amendment.name, 0.0)
+
+
+def explain(
+    evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOLD, most: int = MOST
+) -> Explained:
+    """Search for the effects that the evidence asks for, at most so many."""
+    null = fit(evidence, (), start_state(evidence, freedom), freedom, outer=1, inner=7)
+    current, steps, n_small = null, [], 0
+    rivals: dict[str, tuple[Amendment, float]] = {}
+    struck: set[tuple[str, str]] = set()
+    while len(current.model) < most:
+        tried, also = _try(evidence, current, freedom, struck, current.j - null.j)
+        tried = [t for t in tried if t[1] > -50]
+        if not tried:
+            break
+        order = _ranked(without_ends(evidence, tried))
+        best, gain = order[0]
+        if gain >= threshold:
+            again = fit(evidence, current.model, best.state, freedom, outer=1, inner=4)
+            if again.j > current.j:
+                current = again
+            gain = best.j - current.j - price(best.model[-1], evidence)
+        steps.append(
+            Step(
+                tried=_best_of_each([*((f.model[-1], g) for f, g in order), *also]),
+                chosen=best.model[-1].name
+                if gain >= max(threshold, _least(current.model, best.model[-1], current.j - null.j))
+                else "",
+            )
+        )
+        if gain < max(threshold, _least(current.model, best.model[-1], current.j - null.j)):
+            break
+        mine = best.model[-1]
+        others = [*((f.model[-1], g) for f, g in order[1:]), *also]
+        others = [(a, g) for a, g in others if (a.name, a.place) != (mine.name, mine.place)]
+        if others:
+            rival, nats = max(others, key=lambda t: t[1])
+            rivals[_key(best.model[-1])] = (rival, order[0][1] - nats)
+        before, small = current, best.model[-1].ratio < current.state.map_scale
+        current = _pruned(evidence, best, freedom, threshold, struck)
+        if {_key(a) for a in current.model} == {_key(a) for a in before.model}:
+            break
+        n_small += small
+        if n_small == 2:  # what is left is smaller still
+            break
+    gains = {}
+    for index in range(len(current.model)):
+        rest = fit(evidence, _without(current.model, index), current.state, freedom, outer=2, inner=4)
+        gains[index] = current.j - rest.j - price(current.model[index], evidence)
+    kept = {i: rivals[_key(a)] for i, a in enumerate(current.model) if _key(a) in rivals}
+    errors = standard_errors(current, freedom)
+    model = tuple(replace(a, stderr=e) for a, e in zip(current.model, errors, strict=True))
+    final = replace(current, model=model)
+    return Explained(null=null, final=final, gains=gains, steps=tuple(steps), rivals=kept)
+
+
+def _best_of_each(tried: Sequence[tuple[Amendment, float]]) -> tuple[tuple[Amendment, float], ...]:
+    """Keep the best start of each effect and place, best first."""
+    out: dict[str, tuple[Amendment, float]] = {}
+    for a, gain in sorted(tried, key=lambda t: -t[1]):
+        out.setdefault(_key(a), (a, gain))
+    return tuple(out.values())
+
+
+def _key(a: Amendment) -> str:
+    return f"{a.name}@{a.place}"
+
+
+def _least(model: Sequence[Amendment], candidate: Amendment, gained: float) -> float:
+    """Return the gain [nats] below which a candidate only mends the rim of what the model has."""
+    names = {a.name for a in model}
+    shares = [
+        share
+        for inside, further, share in CRUDE
+        if names & set(inside) and (not further or candidate.name in further)
+    ]
+    return max(shares, default=0.0) * gained
+
+
+def _without(model: Sequence[Amendment], index: int) -> tuple[Amendment, ...]:
+    return (*model[:index], *model[index + 1 :])
+
+
+def _try(
+    evidence: Evidence, current: Fitted, freedom: Freedom, struck: set[tuple[str, str]], gained: float
+) -> tuple[list[tuple[Fitted, float]], list[tuple[Amendment, float]]]:
+    """Fit the most promising candidates; return (fit, gain [nats]), and (effect, gain) of those far behind.
+
+    All are fitted on a part of the scans, the best of them with their rough parameters searched; only those that
+    come near the best of these are fitted to all scans.
+    """
+    noise = current.state.noise
+    stretched = max(current.state.pose_scale, current.state.map_scale) > 1.3
+    strained = freedom.most > 1.0 and (stretched or noise.core > 1.1 or noise.tail > 0.1)
+    short = shortlist(evidence, current, struck, gained)
+    if strained:  # tolerances that stretch may hide an effect: look again with the ones told
+        told = replace(freedom, most=1.0)
+        tight = fit(evidence, current.model, start_state(evidence, told), told, outer=1, inner=4)
+        more = shortlist(evidence, tight, struck, gained)
+        short += [c for c in more if not any(_same(c.amendment, o.amendment) for o in short)][: MANY // 2]
+    if not short:
+        return [], []
+    every = max(1, evidence.n_scans // SOME)
+    few = thin(evidence, every)
+    base = fit(few, current.model, thin_state(current.state, every), freedom, outer=1, inner=2)
+    fresh = start_state(few, freedom) if strained else base.state
+    quick: list[tuple[float, Fitted]] = []
+    for candidate in short:
+        got = fit(
+            few, (*current.model, candidate.amendment), fresh, freedom, outer=3, inner=3 if strained else 2
+        )
+        quick.append(((got.j - base.j) * every - price(candidate.amendment, evidence), got))
+    quick.sort(key=lambda pair: -pair[0])
+    for k, (gain, got) in enumerate(quick[:SEARCHED]):
+        if gain > 0.2 * quick[0][0] - 20 and is_rough(got.model[-1]):
+            better = searched(
+                few, got, freedom, rounds=4, first=1.0, turns=3 if got.model[-1].effect.absorber else 1
+            )
+            quick[k] = (gain + (better.j - got.j) * every, better)
+    quick.sort(key=lambda pair: -pair[0])
+    logger.debug("quick %s", [(f.model[-1].name, f.model[-1].place, round(g)) for g, f in quick])
+    finalists = quick[:FINALISTS]
+    plain = [q for q in quick if not q[1].model[-1].effect.absorber]
+    if finalists[0][1].model[-1].effect.absorber and plain and plain[0] not in finalists:
+        finalists.append(plain[0])
+    out, also = [], []
+    for gain, got in finalists:
+        if gain < NEAR * finalists[0][0] - 20:
+            also.append((got.model[-1], gain))
+            continue
+        begin = start_state(evidence, freedom) if strained else current.state
+        full = fit(evidence, got.model, begin, freedom, outer=3, inner=5 if strained else 3)
+        if is_rough(full.model[-1]):
+            full = searched(evidence, full, freedom, rounds=2, first=0.25, turns=1)
+        out.append((full, full.j - current.j - price(full.model[-1], evidence)))
+    return out, also
+
+
+def is_rough(amendment: Amendment) -> bool:
+    """Tell whether an effect has parameters that are searched, not solved for."""
+    return any(k in amendment.parameters for k in ROUGH.get(amendment.name, ()))
+
+
+def searched(
+    evidence: Evidence, got: Fitted, freedom: Freedom, *, rounds: int, first: float, turns: int
+) -> Fitted:
+    """Search the rough parameters of the last effect, then fit again."""
+    for _ in range(turns):
+        polished = polish(evidence, got.model, len(got.model) - 1, got, freedom, rounds=rounds, first=first)
+        better = fit(evidence, polished, got.state, freedom, outer=1, inner=2)
+        gained = better.j - got.j
+        if gained > 0:
+            got = better
+        if gained < 2:
+            break
+    return got
+
+
+def shortlist(
+    evidence: Evidence, current: Fitted, struck: set[tuple[str, str]], gained: float
+) -> list[Candidate]:
+    """Return the candidates worth fitting, best first."""
+    sharp = [c for c in smooth_candidates(evidence, current) if c.gain > LOOK]
+    broad = [c for c in smooth_candidates(evidence, current, broad=True) if c.gain > 2 * LOOK]
+    rough = rough_candidates(View(evidence, current))
+    present = {_key(a) for a in current.model}
+    out: list[Candidate] = []
+    seen: dict[str, int] = {}
+    for group, most in ((sharp, 5), (rough, 8), (broad, 4)):
+        taken = 0
+        for c in group:
+            key = _key(c.amendment)
+            single = c.amendment.effect.place is None
+            if key in present and (single or c.amendment.effect.place in ("wall", "obstacle")):
+                continue
+            if (c.amendment.name, c.amendment.place) in struck:
+                continue
+            if evidence.floors.get(c.amendment.name) == np.inf:
+                continue
+            if c.gain < _least(current.model, c.amendment, gained):
+                continue
+            if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
+                continue
+            if c.amendment.name == "range_drift":  # it may also be a warm-up
+                warm = c.amendment.moved_to({"tau": 0.2 * evidence.span})
+                out.append(Candidate(amendment=warm, gain=c.gain))
+            out.append(c)
+            seen[c.amendment.name] = seen.get(c.amendment.name, 0) + 1
+            taken += 1
+            if taken == most:
+                break
+    logger.debug("short %s", [(c.amendment.name, c.amendment.place, round(c.gain)) for c in out])
+    return out[:MANY]
+
+
+def _same(a: Amendment, b: Amendment) -> bool:
+    """Tell whether two starts are so near that one fit does for both."""
+    if a.name != b.name or a.place != b.place:
+        return False
+    sizes = a.effect.sizes
+    if not sizes:
+        return a.name not in ("unmapped_obstacle",)
+    apart = sum(((a[k] - b[k]) / m) ** 2 for k, m in sizes.items()) ** 0.5
+    return bool(apart < 3.0) and a.effect.place not in ("spot", "sector")
+
+
+def _ranked(tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
+    """Order by gain; an absorber yields to a material deterministic effect with more than half its gain."""
+    order = sorted(tried, key=lambda pair: -pair[1])
+    best, gain = order[0]
+    if best.model[-1].effect.absorber:
+        for pair in order[1:]:
+            last = pair[0].model[-1]
+            if not last.effect.absorber and last.ratio >= 1 and pair[1] > 0.5 * gain and pair[1] > THRESHOLD:
+                order.remove(pair)
+                return [pair, *order]
+    elif best.model[-1].ratio < 1:
+        for pair in order[1:]:
+            last = pair[0].model[-1]
+            if not last.effect.absorber and last.ratio >= 1 and pair[1] > max(gain - 6, THRESHOLD):
+                order.remove(pair)
+                return [pair, *order]
+    return order
+
+
+def without_ends(evidence: Evidence, tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
+    """Compare panes, mirrors and black parts of one wall by the rays that clearly meet them or clearly do not.
+
+    Rays next to an end may be on either side of it, which a law of certain loss pays dearer than one of likely loss.
+    """
+    order = sorted(tried, key=lambda pair: -pair[1])
+    best, gain = order[0]
+    if best.model[-1].name not in PARTS:
+        return tried
+    out = [order[0]]
+    for got, nats in order[1:]:
+        a = got.model[-1]
+        if a.name in PARTS and a.place == best.model[-1].place:
+            clear = ~(_near_ends(evidence, best) | _near_ends(evidence, got))
+            nats = gain - float((best.solution.judged.log_p - got.solution.judged.log_p)[clear].sum())
+        out.append((got, nats))
+    return out
+
+
+def _near_ends(evidence: Evidence, fitted: Fitted) -> Bools:
+    """Tell which rays (n_scans, n_rays) meet the wall of the last effect within END blurs of one of its ends."""
+    a, t, scene = fitted.model[-1], evidence.tolerances, fitted.cast.scene
+    bare = bare_cast(scene)
+    on = np.isin(bare.wall, named_walls(evidence.arena, a.place))
+    blur = (t.pose_xy + t.pose_yaw * bare.ranges) / np.maximum(bare.cosine, 0.1) + t.map
+    with np.errstate(invalid="ignore"):
+        along = bare.along(scene.walls)
+        near = np.minimum(np.abs(along - a["a"]), np.abs(along - a["b"])) < END * blur
+    return np.asarray(on & near)
+
+
+def _pruned(
+    evidence: Evidence, best: Fitted, freedom: Freedom, threshold: float, struck: set[tuple[str, str]]
+) -> Fitted:
+    """Take back earlier effects that the model can do without."""
+    index = 0
+    while len(best.model) > 1 and index < len(best.model) - 1:
+        rest = fit(evidence, _without(best.model, index), best.state, freedom, outer=2, inner=4)
+        if best.j - rest.j - price(best.model[index], evidence) < threshold:
+            struck.add((best.model[index].name, best.model[index].place))
+            best = rest
+            index = 0
+        else:
+            index += 1
+    return best

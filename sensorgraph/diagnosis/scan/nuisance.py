@@ -1,0 +1,204 @@
+"""What every careful set-up has and nobody calls an effect: small errors of map, mount, clock, pose and noise.
+
+Every tolerance is a Gaussian parameter in a box: prior N(0, tau²), |g| <= BOX tau. The box keeps a large effect
+visible, which a bare prior would let the data overrule. `Layout` says which number stands where in g.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.arena import Bools, Floats
+from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.world.robot_file import Tolerances
+from sensorgraph.world.scene import Beams
+
+Ints = NDArray[np.intp]
+
+BOX = 2.5
+DENSE = ("mount_x", "mount_y", "mount_yaw", "bias", "scale", "drift", "latency", "skew")
+OWN = {  # effect -> its tolerance-sized copy among the nuisances, locked at 0 when the effect is in the model
+    "mount_xy": ("mount_x", "mount_y"),
+    "mount_yaw": ("mount_yaw",),
+    "range_bias": ("bias",),
+    "range_scale": ("scale",),
+    "range_drift": ("drift",),
+    "latency": ("latency",),
+    "scan_skew": ("skew",),
+}
+STEEP = 0.12  # cosine of the incidence below which a ray tells little: 83 degrees
+TAIL = 3.0  # the tail's width over the core's
+
+
+def widths(tolerances: Tolerances) -> Floats:
+    """Return the prior standard deviations of DENSE, (8,) [m, m, rad, m, 1, m, s, s]."""
+    return np.array(
+        [
+            tolerances.mount_xy,
+            tolerances.mount_xy,
+            tolerances.mount_yaw,
+            0.0012,
+            0.0005,
+            0.0015,
+            0.43 * tolerances.stamp,
+            0.7 * tolerances.stamp,
+        ]
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Corners:
+    """Which corners of the map each wall ends at."""
+
+    ends: Ints
+    """(n_walls, 2) index of a corner."""
+    count: int
+
+    @classmethod
+    def of(cls, walls: Floats) -> Corners:
+        """Merge wall ends that coincide."""
+        points = np.round(walls.reshape(-1, 2), 6)
+        _, index = np.unique(points, axis=0, return_inverse=True)
+        index = index.reshape(-1, 2)
+        return cls(ends=index, count=int(index.max()) + 1 if len(index) else 0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Columns:
+    """How the readings of one cast change with poses, nuisances and effects (first order)."""
+
+    pose: Floats
+    """(n_scans, 3, n_rays) by x, y, phi of the scan's pose."""
+    dense: Floats
+    """(n_scans, 8, n_rays) by DENSE."""
+    ends: Floats
+    """(2, n_scans, n_rays) by a shift of the first and second end of the wall along the ray's normal."""
+    wall: Ints
+    """(n_scans, n_rays) wall index, 0 where there is none (then `ends` is 0)."""
+    nx: Floats
+    ny: Floats
+    valid: Bools
+    """(n_scans, n_rays) the columns hold; elsewhere they are 0."""
+    steep: Floats
+    """(n_scans, n_rays) [m] further standard deviation of rays that meet their wall slanting."""
+
+
+def columns(
+    evidence: Evidence,
+    beams: Beams,
+    walls: Floats,
+    mount: Floats,
+    bent: tuple[Bools, Floats, Floats] | None = None,
+) -> Columns:
+    """Differentiate the readings of one cast.
+
+    Parameters
+    ----------
+    bent : which rays (n_scans, n_rays) do not follow from their straight path, their columns by the pose
+    (n_scans, 3, n_rays), by difference quotients, and how steeply (n_scans, n_rays) [m/rad] they change with phi
+    """
+    cosine = beams.cosine
+    hit = np.isfinite(beams.ranges) & np.isfinite(beams.reading)
+    straight = hit if beams.straight is None else hit & beams.straight
+    valid = straight & (cosine > STEEP)
+    slope = np.where(valid, beams.slope, 0.0)
+    safe = np.where(valid, cosine, 1.0)
+    r = np.where(valid, beams.ranges, 0.0)
+    inverse = slope / safe
+    dx, dy = beams.nx * inverse, beams.ny * inverse
+    turn = r * (beams.ny * beams.ux - beams.nx * beams.uy) * inverse
+    phi = evidence.poses[:, 2]
+    c, s = np.cos(phi)[:, None], np.sin(phi)[:, None]
+    lx, ly = c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]
+    pose = np.stack([dx, dy, turn + lx * dy - ly * dx], axis=1)
+    on = valid & (beams.wall >= 0)
+    slack = np.zeros(cosine.shape)
+    if bent is not None:
+        which, quotients, steepness = bent
+        pose = np.where(which[:, None, :], quotients, pose)
+        dx, dy = pose[:, 0], pose[:, 1]
+        turn = np.where(which, pose[:, 2] - lx * dy + ly * dx, turn)
+        r = np.where(which, beams.reading, r)
+        slope = np.where(which, np.where(np.abs(dx) + np.abs(dy) > 0, 1.0, 0.0), slope)
+        t = evidence.tolerances
+        near = np.maximum(np.where(np.isfinite(beams.ranges), beams.ranges, 1.0), 0.1)
+        blur = t.map / near + 0.5 * t.mount_yaw
+        blur = np.where(which, blur, np.hypot(blur, t.pose_yaw + t.pose_xy / near))
+        slack = steepness * blur
+        valid = valid | which
+    n_rays = beams.ranges.shape[1]
+    carried = np.einsum("nkm,nk->nm", pose, evidence.twists)
+    late = (evidence.stamps - evidence.begin) / evidence.span
+    dense = np.empty((len(phi), len(DENSE), n_rays))
+    dense[:, 0] = c * dx + s * dy
+    dense[:, 1] = c * dy - s * dx
+    dense[:, 2] = turn
+    dense[:, 3] = valid
+    dense[:, 4] = r * slope
+    dense[:, 5] = valid * late[:, None]
+    dense[:, 6] = -carried
+    dense[:, 7] = carried * (np.arange(n_rays) / n_rays)
+    wall = np.where(on, beams.wall, 0)
+    share = _share(beams, walls, wall)
+    ends = np.stack([-(1 - share) * inverse * on, -share * inverse * on])
+    blunt = straight & ~valid
+    steep = np.where(
+        blunt,
+        np.minimum(0.004 / np.maximum(cosine, 1e-3) + 0.003 * beams.ranges / np.maximum(cosine, 1e-3), 1.0),
+        0.0,
+    )
+    steep = np.where(slack > 0, np.minimum(slack, 0.5), steep)
+    return Columns(
+        pose=pose, dense=dense, ends=ends, wall=wall, nx=beams.nx, ny=beams.ny, valid=valid, steep=steep
+    )
+
+
+def _share(beams: Beams, walls: Floats, wall: Ints) -> Floats:
+    """Return how far along its wall each ray hits, 0 at the first end, 1 at the second."""
+    if len(walls) == 0:
+        return np.zeros(wall.shape)
+    a, d = walls[:, 0], walls[:, 1] - walls[:, 0]
+    size = np.maximum((d**2).sum(axis=1), 1e-12)
+    ax, ay, fx, fy = a[:, 0][wall], a[:, 1][wall], (d[:, 0] / size)[wall], (d[:, 1] / size)[wall]
+    r = np.where(np.isfinite(beams.ranges), beams.ranges, 0.0)
+    share = (beams.ox + r * beams.ux - ax) * fx + (beams.oy + r * beams.uy - ay) * fy
+    return np.asarray(np.clip(share, 0.0, 1.0))
+
+
+@dataclass(eq=False)
+class Noise:
+    """The noise of a reading, as free as a careful set-up leaves it."""
+
+    core: float = 1.0
+    """Scale of the nominal sigma, CORE[0] … CORE[1]."""
+    tail: float = 0.03
+    """Share of returns TAIL times wider."""
+    loss: float = 1e-3
+    """Chance that a ray which should return does not."""
+    stray: float = 1e-3
+    """Share of readings from anywhere."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Freedom:
+    """How far the noise may go; a commissioning run narrows it."""
+
+    core: tuple[float, float] = (0.75, 1.15)
+    tail: tuple[float, float] = (0.005, 0.2)
+    loss: tuple[float, float] = (1e-4, 0.002)
+    stray: tuple[float, float] = (1e-4, 0.002)
+    pose: float = 1.0
+    """Least scale of the pose tolerances."""
+    most: float = 3.5
+    """Largest scale of the tolerances, where the data say that they are too tight."""
+
+
+def pose_prior(evidence: Evidence, scale: float) -> Floats:
+    """Return P_s, (n_scans, 3, 3): the reference's own error, and a stamp error along the velocity."""
+    t = evidence.tolerances
+    own = np.diag([max(t.pose_xy, 1e-5) ** 2, max(t.pose_xy, 1e-5) ** 2, max(t.pose_yaw, 1e-6) ** 2])
+    u = evidence.twists
+    return scale**2 * (own + t.stamp**2 * u[:, :, None] * u[:, None, :])

@@ -1,0 +1,102 @@
+"""View: a fit's readings and residuals, as the proposers look at them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.arena import Bools, Floats
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.likelihood import FLOOR
+from sensorgraph.diagnosis.scan.nuisance import TAIL
+from sensorgraph.diagnosis.scan.scan_data import Evidence
+
+Ints = NDArray[np.intp]
+ROOT = np.sqrt(2 * np.pi)
+LEAST_GAIN = 6.0
+"""[nats] that a candidate must promise to be proposed."""
+FEW = 8
+"""Rays; fewer are no ground for a proposal."""
+
+
+@dataclass(eq=False)
+class View:
+    """What a fit expects, and what was measured instead; arrays (n_scans, n_rays)."""
+
+    evidence: Evidence
+    fitted: Fitted
+
+    def __post_init__(self) -> None:
+        solution, what = self.fitted.solution, self.fitted.cast.what
+        self.z = self.evidence.ranges
+        self.returned = self.evidence.returned
+        self.lost = self.z == np.inf
+        self.near = self.z == -np.inf
+        self.log_p = solution.judged.log_p
+        self.mu = what.reading + self.fitted.solver.shift(solution.state, solution.p)
+        self.aimed = np.isfinite(self.mu)
+        self.beams = self.fitted.cast.beams
+        self.noise = solution.state.noise
+        self.sigma = self.noise.core * what.sigma
+        self.strange = self.returned & (solution.judged.stray > 0.5)
+        self.range_max = self.evidence.sensor.range_max
+        with np.errstate(invalid="ignore"):
+            self.short = self.strange & (
+                self.z < np.where(self.aimed, self.mu, self.range_max) - 4 * self.sigma
+            )
+            self.long = self.strange & (self.z > self.mu + 4 * self.sigma)
+
+    @cached_property
+    def dead(self) -> Floats:
+        """[nats] gained by the claim that a ray cannot return."""
+        floor = np.log((self.noise.stray + FLOOR) / self.range_max)
+        return np.asarray(np.where(self.returned, floor, np.where(self.lost, 0.0, -12.0)) - self.log_p)
+
+    @cached_property
+    def along(self) -> Floats:
+        """[m] from the first end of the wall that is hit."""
+        return self.beams.along(self.fitted.cast.scene.walls)
+
+    @cached_property
+    def incidence(self) -> Floats:
+        """[rad] nan where nothing is hit."""
+        return self.beams.incidence
+
+    def ends(self, some: Bools) -> Floats:
+        """Return where the measured rays end, (n, 2) [m, map]."""
+        ox = np.broadcast_to(self.beams.ox, self.z.shape)[some]
+        oy = np.broadcast_to(self.beams.oy, self.z.shape)[some]
+        return np.stack(
+            [ox + self.z[some] * self.beams.ux[some], oy + self.z[some] * self.beams.uy[some]], axis=1
+        )
+
+    def likely(self, mu: Floats, some: Bools | None = None, p_return: Floats | float = 1.0) -> Floats:
+        """Return log-likelihoods [nats] under other expected readings; arrays (n_scans, n_rays) or (n,) of `some`."""
+        z, sigma = (self.z, self.sigma) if some is None else (self.z[some], self.sigma[some])
+        returned = np.isfinite(z)
+        aimed = np.isfinite(mu) & (mu < self.range_max)
+        off = np.where(returned & aimed, z - np.where(aimed, mu, 0.0), np.inf)
+        q = (off / sigma) ** 2
+        tail = self.noise.tail
+        density = ((1 - tail) * np.exp(-0.5 * q) + tail / TAIL * np.exp(-0.5 * q / TAIL**2)) / (ROOT * sigma)
+        back = np.asarray(p_return) * (1 - self.noise.loss) * aimed
+        hit = back * density + (self.noise.stray + FLOOR) / self.range_max
+        out = np.where(returned, hit, np.where(z > 0, 1 - back + FLOOR, FLOOR))
+        return np.asarray(np.log(np.where(np.isnan(z), 1.0, out)))
+
+
+def best_run(values: Floats) -> tuple[Ints, Ints, Floats]:
+    """Return, per row of values (n, m), first and last index of the run with the largest sum, and that sum."""
+    n, m = values.shape
+    total = np.concatenate([np.zeros((n, 1)), np.cumsum(values, axis=1)], axis=1)
+    lowest = np.minimum.accumulate(total[:, :-1], axis=1)
+    gain = total[:, 1:] - lowest
+    last = gain.argmax(axis=1)
+    row = np.arange(n)
+    best = gain[row, last]
+    before = np.where(np.arange(m)[None] <= last[:, None], total[:, :-1], np.inf)
+    first = before.argmin(axis=1)
+    return first, last, best

@@ -1,0 +1,134 @@
+"""A plan's folder; a folder in it per run of a battery.
+
+What a robot drives by (trajectory.csv, cmd_vel.csv, waypoints.yaml, plan.mcap), what is known of it (plan.json,
+holes.csv), and what it looks like (plan.png, headings.png, reach.png).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from logs.plan_file import write_plan
+from logs.run import OccupancyMap
+from planners import Plan
+from planners.arena import Arena, Floats
+from planners.coverage import Coverage
+from planners.curve import Curve
+from planners.export import commands_csv, stops_yaml
+from planners.holes import holes_csv
+from planners.maps import geojson
+from sensorgraph.files import whole
+from sensorgraph.show.figures_headings import headings_picture
+from sensorgraph.show.figures_plan import plan_picture, reach_picture
+from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.simulate import EPOCH_NS, occupancy
+
+RUN_FILES = ("trajectory.csv", "cmd_vel.csv", "waypoints.yaml", "plan.mcap", "plan.json")
+
+
+def save(plan: Plan, folder: Path, arena: Arena, robot: RobotFile) -> None:
+    """Write a plan into a folder, with the arena and the robot that made it; each file is whole or not there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = {"arena.geojson": geojson.dumps(arena), "robot.yaml": robot.text}
+    attached = {name: text.encode() for name, text in kept.items()}
+    grid = coverage_map(plan.coverage)
+    _save_drive(folder, plan.curve, plan.stops, grid, occupancy(arena), attached)
+    plan_picture(plan, arena, folder / "plan.png")
+    reach_picture(plan, arena, folder / "reach.png")
+    headings_picture(plan, arena, folder / "headings.png")
+    left_out = holes_csv(plan.coverage, plan.reach, plan.lost)
+    _write(folder, kept | {"holes.csv": left_out, "plan.json": _json(plan.report)})
+    logged = np.zeros((0, 3))
+    for number, run in enumerate(plan.sessions):
+        own = folder / f"run_{number + 1}"
+        own.mkdir()
+        logged = np.concatenate([logged, run.driven.curve.log(plan.report["rate"])])
+        so_far = coverage_map(counted(plan.coverage, logged))
+        _save_drive(own, run.driven.curve, run.driven.stops, so_far, occupancy(arena), attached)
+        _write(own, {"plan.json": _json(_report_of_run(plan, number))})
+
+
+def drop_runs(folder: Path) -> None:
+    """Remove the runs of an older plan from a folder that a newer one is about to fill."""
+    for run in folder.glob("run_[0-9]*"):
+        for name in RUN_FILES:
+            (run / name).unlink(missing_ok=True)
+        if run.is_dir() and not any(run.iterdir()):
+            run.rmdir()
+
+
+def _save_drive(
+    folder: Path,
+    curve: Curve,
+    stops: Floats,
+    grid: OccupancyMap,
+    world: OccupancyMap,
+    attached: dict[str, bytes],
+) -> None:
+    """Write what a robot drives by: the trajectory, commands, waypoints, and the path and grids for viewers."""
+    trajectory = curve.trajectory()
+    trajectory.write_csv(folder / "trajectory.csv")
+    write_plan(
+        folder / "plan.mcap",
+        trajectory.stamps,
+        trajectory.poses,
+        epoch_ns=EPOCH_NS,
+        coverage=grid,
+        occupancy=world,
+        attachments=attached,
+    )
+    _write(
+        folder,
+        {
+            "waypoints.yaml": stops_yaml(curve, stops, trajectory.poses[-1]),
+            "cmd_vel.csv": commands_csv(curve),
+        },
+    )
+
+
+def _write(folder: Path, texts: dict[str, str]) -> None:
+    for name, text in texts.items():
+        with whole(folder / name) as part:
+            part.write_text(text, encoding="utf-8")
+
+
+def _json(report: dict[str, Any]) -> str:
+    return json.dumps(report, indent=1) + "\n"
+
+
+def _report_of_run(plan: Plan, number: int) -> dict[str, Any]:
+    """Return plan.json of one run: what is measured of it, and what it shares with the whole."""
+    shared = ("grid", "seed", "planner", "robot", "rate", "clearance", "reachable_cells", "dock", "warnings")
+    run = plan.report["sessions"][number]
+    covered = round(run["coverage"] * plan.report["reachable_cells"])
+    return {key: plan.report[key] for key in shared} | {
+        "start": plan.report["dock"],
+        "run": number + 1,
+        "of": len(plan.sessions),
+        "covered_cells": covered,
+        **run,
+    }
+
+
+def coverage_map(coverage: Coverage) -> OccupancyMap:
+    """Return the share of the reachable headings visited in each cell, 0 to 100; -1 where none is reachable."""
+    reachable = coverage.reachable.sum(axis=2)
+    share = 100 * coverage.covered.sum(axis=2) / np.maximum(reachable, 1)
+    data = np.where(reachable > 0, np.floor(share), -1).astype(np.int8).T
+    return OccupancyMap(data=data, resolution=coverage.cell, origin=np.array([*coverage.origin, 0.0]))
+
+
+def counted(coverage: Coverage, poses: Floats) -> Coverage:
+    """Count logged poses (n, 3) alone, on the grid of a plan."""
+    fresh = Coverage.empty(
+        origin=coverage.origin,
+        cell=coverage.cell,
+        cells=np.asarray(coverage.reachable.any(axis=2)),
+        headings=coverage.headings,
+    )
+    fresh.add(poses)
+    return fresh

@@ -1,0 +1,33 @@
+"""Where to drive next: how little a sensorgraph knows of each (x, y, phi) bin."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planners.arena import Floats
+from planners.coverage import Coverage
+from sensorgraph.evaluation import poses_for
+from sensorgraph.graph import Sensorgraph
+
+BLOCK = 4096  # poses predicted at a time
+UNKNOWN = 1.0
+"""Of a ray that the graph does not answer; an answered ray counts its chance of being off, which is less."""
+
+
+def doubt(graph: Sensorgraph, grid: Coverage) -> Floats:
+    """Return the mean doubt (nx, ny, n_phi) over all rays at the middle of each reachable bin, 0 to 1; 0 elsewhere.
+
+    An unanswered ray counts 1, an answered one half its said chance of being more than 5 cm off: where nobody
+    has looked comes before where the equations are poor.
+    """
+    bins = np.argwhere(grid.reachable)
+    middle = grid.origin + grid.cell * (bins[:, :2] + 0.5)
+    poses = np.column_stack([middle, bins[:, 2] * (2 * np.pi / grid.headings)])
+    poses = poses_for(graph, "base_link", graph.sensor.mount, poses)
+    out = np.zeros(grid.counts.shape)
+    score = np.empty(len(bins))
+    for start in range(0, len(bins), BLOCK):
+        said = graph.predict(poses[start : start + BLOCK])
+        score[start : start + BLOCK] = np.where(said.answered, 0.5 * said.p_off, UNKNOWN).mean(axis=1)
+    out[tuple(bins.T)] = score
+    return out

@@ -1,0 +1,231 @@
+"""Controllers that steer by what the sensor perceives, scan by scan; registry CONTROLLERS.
+
+A controller can also be a polynomial that `sensorgraph identify` has found, the `MODEL.json` of a command; or two,
+`TURN.json,SPEED.json`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planners.arena import Bools, Floats
+from robotmodic_ident import Narmax
+from robotmodic_ident.errors import IdentError
+from sensorgraph.errors import GapError
+from sensorgraph.identification.signals import RAY, perceived, rays_of
+from sensorgraph.world.robot_file import RobotFile
+
+Controller = Callable[[Floats], tuple[float, float]]
+"""Readings (n_rays,) [m] -> (v, omega) [m/s, rad/s]."""
+NEAR = 0.35
+"""[m] beyond the footprint at which a robot turns away from what is ahead."""
+BESIDE = 0.30
+"""[m] beyond the footprint at which a wall is followed."""
+AWAY = 0.50
+"""[m] beyond the distance of a followed wall from which on there is none beside the robot."""
+SEARCHED = 1.5 * np.pi
+"""[rad] that it turns to the right for a wall that it has lost, at most: round the end of one, but not in circles."""
+AHEAD = np.radians(30.0)  # half width of what counts as ahead
+CRUISE = 0.75  # of the largest speed
+
+
+class _Reactive:
+    """What both controllers share: the way ahead, as the nearest reading in a sector."""
+
+    def __init__(self, robot: RobotFile, seed: int) -> None:
+        self.limits, self.radius = robot.robot.limits, robot.robot.footprint_radius
+        self.bearings = robot.sensor.bearings + robot.sensor.mount[2]
+        self.reach = float(np.hypot(*robot.sensor.mount[:2]))
+        self.ahead = np.abs(self.bearings) < AHEAD
+        self.rng = np.random.default_rng([seed, 4])
+
+    def nearest(self, readings: Floats, sector: Bools) -> float:
+        """Return the nearest reading [m] of a sector, its second lowest: one stray ray steers nothing."""
+        values = readings[sector & ~np.isnan(readings)]
+        return float(np.partition(values, 1)[1]) if len(values) > 1 else np.inf
+
+    def open_way(self, readings: Floats) -> float:
+        """Return how far [m] the footprint can move ahead."""
+        return self.nearest(readings, self.ahead) - self.radius + self.reach
+
+
+class WallFollowing(_Reactive):
+    """Keep the wall on the right at an even distance; turn left before what is ahead; where there is no wall, drive on."""
+
+    def __init__(self, robot: RobotFile, seed: int) -> None:
+        super().__init__(robot, seed)
+        self.period = 1.0 / robot.sensor.rate
+        self.searched = np.inf  # [rad] turned to the right without a wall beside
+        self.right = (self.bearings < -np.radians(20.0)) & (self.bearings > -np.radians(100.0))
+
+    def __call__(self, readings: Floats) -> tuple[float, float]:
+        """Steer by the distance to the right and the way ahead."""
+        way = self.open_way(readings)
+        if way < NEAR:
+            self.searched = 0.0
+            return 0.0, 0.6 * self.limits.omega
+        off = self.nearest(readings, self.right) - self.radius - BESIDE
+        slow = min((way - NEAR) / 0.5 + 0.2, 1.0)
+        turn = float(np.clip(-1.6 * off, -0.5, 0.5)) * self.limits.omega
+        self.searched = self.searched - turn * self.period if off > AWAY else 0.0
+        return CRUISE * self.limits.v * slow, turn if self.searched < SEARCHED else 0.0
+
+
+class RandomBounce(_Reactive):
+    """Drive straight; before an obstacle turn by a random angle, on until the way is open."""
+
+    def __init__(self, robot: RobotFile, seed: int) -> None:
+        super().__init__(robot, seed)
+        self.period = 1.0 / robot.sensor.rate
+        self.left = 0.0  # [rad] still to turn
+        self.side = 1.0
+
+    def __call__(self, readings: Floats) -> tuple[float, float]:
+        """Steer by the way ahead."""
+        way = self.open_way(readings)
+        if self.left <= 0 and way < NEAR:
+            self.left = float(self.rng.uniform(np.pi / 3, np.pi))
+            self.side = 1.0 if self.rng.random() < 0.5 else -1.0
+        if self.left > 0:
+            rate = 0.6 * self.limits.omega
+            self.left -= rate * self.period
+            if self.left <= 0 and way < NEAR:
+                self.left = rate * self.period
+            return 0.0, self.side * rate
+        return CRUISE * self.limits.v, 0.0
+
+
+CONTROLLERS: dict[str, Callable[[RobotFile, int], Controller]] = {
+    "wall_following": WallFollowing,
+    "random_bounce": RandomBounce,
+}
+"""Name -> (robot, seed) -> controller."""
+
+TURNS, SPEEDS = ("cmd_omega", "omega"), ("cmd_v", "v")
+UNEVEN = 0.05
+"""Share by which the model's period may differ from a multiple of the sensor's."""
+
+
+class PolynomialController:
+    """A turn rate or a speed by an identified polynomial of what is perceived; the other command is held.
+
+    Past outputs are the controller's own commands. A ray without return leaves the last command in force.
+    """
+
+    def __init__(self, model: Narmax, facts: Mapping[str, Any], robot: RobotFile, *, name: str) -> None:
+        self.model, self.name = model.in_user_units(), name
+        self.names: dict[str, str] = {
+            v: facts.get("signals", {}).get(v, v) for v in self.model.terms.variables
+        }
+        self.is_turn = model.output in TURNS
+        if not self.is_turn and model.output not in SPEEDS:
+            raise GapError(
+                f"{name} predicts {model.output}; a controller needs one of {', '.join(TURNS + SPEEDS)}"
+            )
+        held = facts.get("held", {})
+        self.held = float(held.get("cmd_v" if self.is_turn else "cmd_omega", 0.0))
+        self.rays = {
+            v: rays_of(robot.sensor, s)
+            for v, s in self.names.items()
+            if v != model.output and RAY.fullmatch(s)
+        }
+        if strange := [s for v, s in self.names.items() if v not in self.rays and v != model.output]:
+            raise GapError(
+                f"{name} reads {', '.join(strange)}, which the robot does not perceive; identify a command from "
+                "rays such as L45-90"
+            )
+        self.every = _every(facts.get("period_s"), robot.sensor.rate, name)
+        self.depth = self.model.terms.max_lag + 1
+        self.past: dict[str, list[float]] = {}
+        self.count, self.command = 0, 0.0
+
+    @classmethod
+    def load(cls, path: Path, robot: RobotFile) -> PolynomialController:
+        """Read what `sensorgraph identify` wrote."""
+        model = Narmax.load(path)
+        try:
+            return cls(model, json.loads(path.read_text()), robot, name=path.name)
+        except (AttributeError, TypeError, ValueError) as exc:
+            if isinstance(exc, GapError | IdentError):
+                raise
+            raise GapError(f"{path}: not a controller ({exc}); write one with `identify`") from exc
+
+    def __call__(self, readings: Floats) -> tuple[float, float]:
+        """Steer by the rays that the polynomial reads, at the period that it was identified with."""
+        due = self.count % self.every == 0
+        self.count += 1
+        if due:
+            now = {v: float(perceived(readings[None], rays)[0]) for v, rays in self.rays.items()}
+            if all(np.isfinite(value) for value in now.values()):
+                self._step(now)
+        return (self.held, self.command) if self.is_turn else (self.command, self.held)
+
+    def _step(self, now: Mapping[str, float]) -> None:
+        for v, value in now.items():
+            kept = self.past.setdefault(v, [value] * self.depth)  # before the start all was as it is
+            kept.insert(0, value)
+            kept.pop()
+        own = self.past.setdefault(self.model.output, [0.0] * self.depth)
+        columns = {
+            f.signal: np.array(
+                [
+                    own[f.lag - 1]
+                    if f.variable == self.model.output and f.lag
+                    else self.past[f.variable][f.lag or 0]
+                ]
+            )
+            for term in self.model.terms
+            for f in term
+        }
+        value = float((self.model.terms.matrix(columns, n=1) @ self.model.theta)[0])
+        if np.isfinite(value):
+            self.command = value
+        own.insert(0, self.command)
+        own.pop()
+
+
+def _every(period: float | None, rate: float, name: str) -> int:
+    """Return how many scans make one step of a model."""
+    if period is None:
+        return 1
+    steps = float(period) * rate
+    whole = max(1, round(steps))
+    if abs(steps - whole) > UNEVEN * whole:
+        raise GapError(
+            f"{name} was identified every {period:g} s, the sensor scans every {1 / rate:g} s; the period must "
+            "be a multiple of it"
+        )
+    return whole
+
+
+def controller_named(name: str, robot: RobotFile, seed: int) -> Controller:
+    """Return a controller of the registry, or the polynomial in a `MODEL.json`."""
+    if name in CONTROLLERS:
+        return CONTROLLERS[name](robot, seed)
+    if not name.endswith(".json"):
+        raise GapError(
+            f"controller is {name!r}, expected {', '.join(CONTROLLERS)} or a MODEL.json of `identify`"
+        )
+    files = [Path(part) for part in name.split(",")]
+    for file in files:
+        if not file.is_file():
+            raise GapError(f"{file} does not exist; `sensorgraph identify` writes such a model")
+    models = [PolynomialController.load(file, robot) for file in files]
+    if len(models) == 1:
+        return models[0]
+    turns, speeds = [m for m in models if m.is_turn], [m for m in models if not m.is_turn]
+    if len(turns) != 1 or len(speeds) != 1:
+        raise GapError(
+            f"{name} holds {len(turns)} models of the turn rate and {len(speeds)} of the speed; give one each"
+        )
+    return lambda readings: (speeds[0](readings)[0], turns[0](readings)[1])
+
+
+def controller_label(name: str) -> str:
+    """Return a short name that can stand in a file name: `turn+speed` for `a/turn.json,a/speed.json`."""
+    return "+".join(Path(part).stem for part in name.split(",")) if name.endswith(".json") else name

@@ -1,0 +1,170 @@
+"""The identified world: a sensorgraph in place of the arena, to drive the embedded robot in what was perceived.
+
+Noise belongs to the seed, the scan's number and the ray, not to who drives: two controllers meet the same noise
+(the fair comparison of model and robot, and of controllers, in Nehmzow, Scientific Methods in Mobile Robotics, 2006).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+import logs
+from logs.run import RangeSensor, Run
+from planners.arena import Arena, Floats
+from planners.maps import geojson
+from planners.trajectory import Trajectory
+from sensorgraph.building.build import is_same_sensor
+from sensorgraph.errors import GapError
+from sensorgraph.evaluation import poses_for
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.faces import Faces
+from sensorgraph.recording.controllers import controller_named
+from sensorgraph.recording.record import Progress, silent
+from sensorgraph.world.clearance import WallDistance
+from sensorgraph.world.drive import follow, react
+from sensorgraph.world.raycast import cast
+from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.scene import limited
+from sensorgraph.world.simulate import occupancy, simulate
+
+PLAN = "plan"
+"""The controller that follows the plan, as `record` does without a graph."""
+NOISE_BLOCK = 256  # scans whose noise is drawn at once
+
+
+class World(Protocol):
+    """Where a robot can be driven closed loop."""
+
+    seed: int
+    sensor: RangeSensor
+
+    def scans(self, first: int, poses: Floats) -> Floats:
+        """Draw scans `first`, `first` + 1, ... at base_link poses (n, 3); returns readings (n, n_rays) [m]."""
+        ...
+
+    def scan(self, number: int, pose: Floats) -> Floats:
+        """Draw one scan (n_rays,) [m] at a pose (3,)."""
+        ...
+
+
+class Noise:
+    """A uniform and a normal number for each ray of each scan: the same, whoever asks."""
+
+    def __init__(self, seed: int, n_rays: int) -> None:
+        self.seed, self.n_rays = seed, n_rays
+        self._kept: tuple[int, Floats, Floats] | None = None
+
+    def of(self, number: int) -> tuple[Floats, Floats]:
+        """Return uniform and normal numbers (n_rays,) of one scan."""
+        block, row = divmod(number, NOISE_BLOCK)
+        if self._kept is None or self._kept[0] != block:
+            rng = np.random.default_rng([self.seed, 1, block])
+            shape = (NOISE_BLOCK, self.n_rays)
+            self._kept = block, rng.random(shape), rng.normal(size=shape)
+        return self._kept[1][row], self._kept[2][row]
+
+
+class ArenaWorld:
+    """Readings cast in an arena, with the sensor's noise and nothing else."""
+
+    def __init__(self, arena: Arena, robot: RobotFile, seed: int) -> None:
+        self.arena, self.sensor, self.seed = arena, robot.sensor, seed
+        self._noise = Noise(seed, robot.sensor.n_rays)
+
+    def scans(self, first: int, poses: Floats) -> Floats:
+        """Draw scans `first`, `first` + 1, ... at base_link poses (n, 3); returns readings (n, n_rays) [m]."""
+        normal = np.array([self._noise.of(first + i)[1] for i in range(len(poses))])
+        ranges = cast(self.arena, poses, self.sensor).ranges
+        noisy = ranges + self.sensor.sigma * normal
+        return limited(np.where(np.isfinite(ranges), noisy, ranges), self.sensor)
+
+    def scan(self, number: int, pose: Floats) -> Floats:
+        """Draw one scan (n_rays,) [m] at a pose (3,)."""
+        return np.asarray(self.scans(number, pose[None])[0])
+
+
+class IdentifiedWorld:
+    """Readings drawn from a graph; `unanswered` of `n_rays` were drawn where the graph has no answer."""
+
+    def __init__(self, graph: Sensorgraph, robot: RobotFile, seed: int) -> None:
+        if not is_same_sensor(graph.sensor.bearings, robot.sensor.bearings):
+            raise GapError(
+                f"the graph has {graph.sensor.n_rays} rays, the robot {robot.sensor.n_rays} or other bearings; "
+                "give the robot.yaml of the sensor that the graph was built from"
+            )
+        self.graph, self.seed = graph, seed
+        self.sensor = replace(robot.sensor, range_max=min(robot.sensor.range_max, graph.sensor.range_max))
+        self.n_rays = self.unanswered = 0
+        self._noise = Noise(seed, robot.sensor.n_rays)
+
+    def scans(self, first: int, poses: Floats) -> Floats:
+        """Draw scans `first`, `first` + 1, ... at base_link poses (n, 3); returns readings (n, n_rays) [m]."""
+        there = poses_for(self.graph, "base_link", self.sensor.mount, poses)
+        answered = self.graph.predict(there).answered
+        self.n_rays += answered.size
+        self.unanswered += int((~answered).sum())
+        return self._drawn(first, there)
+
+    def scan(self, number: int, pose: Floats) -> Floats:
+        """Draw one scan (n_rays,) [m] at a pose (3,)."""
+        there = poses_for(self.graph, "base_link", self.sensor.mount, pose[None])
+        return np.asarray(self._drawn(number, there)[0])
+
+    def _drawn(self, first: int, poses: Floats) -> Floats:
+        noise = [self._noise.of(first + i) for i in range(len(poses))]
+        uniform, normal = (np.array(part) for part in zip(*noise, strict=True))
+        model = self.graph.model
+        if isinstance(model, Faces):
+            readings = model.draw(poses, uniform, normal)
+        else:
+            said = self.graph.predict(poses)
+            readings = np.where(uniform < said.p_no_return, np.inf, said.mode + said.sigma * normal)
+        return limited(readings, self.sensor)
+
+
+def record_in(
+    path: Path,
+    world: World,
+    arena: Arena,
+    robot: RobotFile,
+    way: Trajectory,
+    controller: str,
+    *,
+    name: str = "",
+    progress: Progress = silent,
+) -> Run:
+    """Drive in an identified world for as long as the plan takes, and write what is perceived.
+
+    Parameters
+    ----------
+    arena : what stops the robot's body, and what the run keeps as its map
+    controller : `plan` follows the trajectory; others of CONTROLLERS, or a MODEL.json of `identify`, steer by the
+        drawn scans, from its start
+    name : of the graph, for the run's meta; empty in an arena
+    """
+    robot = replace(robot, sensor=world.sensor)
+    clearance = WallDistance(arena)
+    with progress("driving", "commands") as tick:
+        if controller == PLAN:
+            rng = np.random.default_rng([world.seed, 2])
+            driven = follow(way, robot, clearance=clearance, rng=rng, progress=tick)
+        else:
+            steer = controller_named(controller, robot, world.seed)
+            driven = react(
+                steer, world.scan, way.poses[0], way.duration, robot, clearance=clearance, progress=tick
+            )
+    meta = {"simulated": "true", "seed": str(world.seed), "contacts": str(driven.contacts)}
+    with progress("scanning", "scans") as tick:
+        run = simulate(
+            driven, arena, robot, rng=np.random.default_rng([world.seed, 3]), perceive=world.scans,
+            meta={**meta, **({"graph": name} if name else {}), "controller": controller},
+            attachments={"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": robot.text.encode()},
+            progress=tick,
+        )  # fmt: skip
+    with progress("writing", "messages") as tick:
+        logs.write(run, path, occupancy=occupancy(arena), progress=tick)
+    return run

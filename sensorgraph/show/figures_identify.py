@@ -1,0 +1,154 @@
+"""Pictures of identified models: the series against what was predicted, the residual tests, the surface."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planners.arena import Floats
+from robotmodic_ident import Narmax
+from robotmodic_ident.analysis import sobol, surface
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.records import lagged
+from sensorgraph.identification.identify import Identified
+from sensorgraph.show.figures import ALARM, INK, SOFT, SOLID, new_figure, quiet, save_figure
+
+SEA, AMBER = "#2a788e", "#c9892b"
+MOST_SAMPLES = 400
+"""Of the series that is drawn."""
+MOST_LAGS = 25
+
+
+def identified_picture(found: Identified, path: Path) -> None:
+    """Draw a model: the held-out series, its residual's autocorrelation, the tests, and its surface."""
+    figure = new_figure(10.5, 6.2)
+    top, bottom = figure.subfigures(2, 1, height_ratios=[1.15, 1.0])
+    series(top.subplots(), found)
+    left, middle, right = bottom.subplots(1, 3)
+    _scatter(left, found)
+    _correlation(middle, found)
+    _surface(figure, right, found)
+    equation = found.model.equation(digits=3)
+    figure.suptitle(
+        equation if len(equation) < 130 else f"{equation[:127]}…", x=0.012, ha="left", fontsize=9.5, color=INK
+    )
+    save_figure(figure, path)
+
+
+def series(axes: Any, found: Identified, *, most: int = MOST_SAMPLES, unit: str = "") -> None:
+    """Draw the longest record held out: measured, one step ahead and, where it differs, free run."""
+    i = int(np.argmax([len(m) for m in found.measured]))
+    shown = slice(0, most)
+    when = np.arange(len(found.measured[i]), dtype=np.float64) * (found.data.period or 1.0)
+    axes.plot(when[shown], found.measured[i][shown], color=INK, lw=1.4, label="measured")
+    one = found.scores["one_step"]
+    is_dynamic = found.free_run is not found.one_step
+    label = "one step ahead" if is_dynamic else "predicted"
+    axes.plot(
+        when[shown],
+        found.one_step[i][shown],
+        color=SEA,
+        lw=1.2,
+        label=_label(label, one.r, one.r_low, one.r_high),
+    )
+    if is_dynamic:
+        free = found.scores["free_run"]
+        axes.plot(
+            when[shown], found.free_run[i][shown], color=ALARM, lw=1.0, ls=(0, (4, 2)),
+            label=_label("free run", free.r, free.r_low, free.r_high),
+        )  # fmt: skip
+    axes.set_xlabel("time [s]" if found.data.period else "sample", color=INK, fontsize=9)
+    axes.set_ylabel(f"{found.question.output}{f' [{unit}]' if unit else ''}", color=INK)
+    axes.grid(color=SOLID, lw=0.6)
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False, fontsize=8, labelcolor=INK)
+    axes.margins(x=0.01)
+    quiet(axes)
+
+
+def _label(text: str, r: float, low: float, high: float) -> str:
+    return f"{text}: r = {r:.3f} ({low:.3f} to {high:.3f})" if np.isfinite(r) else text
+
+
+def _scatter(axes: Any, found: Identified) -> None:
+    x, y = (np.concatenate(part) for part in (found.measured, found.free_run))
+    ok = np.isfinite(x) & np.isfinite(y)
+    step = max(1, int(ok.sum()) // 2000)
+    x, y = x[ok][::step], y[ok][::step]
+    if len(x):
+        ends = [float(min(x.min(), y.min())), float(max(x.max(), y.max()))]
+        axes.plot(ends, ends, color=SOFT, lw=0.8)
+    axes.plot(x, y, ".", ms=3, color=SEA, alpha=0.4, mew=0)
+    axes.set_xlabel(f"measured {found.question.output}", color=INK, fontsize=9)
+    axes.set_ylabel(
+        "free run" if found.free_run is not found.one_step else "predicted", color=INK, fontsize=9
+    )
+    quiet(axes)
+
+
+def _correlation(axes: Any, found: Identified) -> None:
+    """Draw the autocorrelation of the one-step residual, and the p-values of the tests."""
+    total, n = np.zeros(MOST_LAGS + 1), 0
+    for m, p in zip(found.measured, found.one_step, strict=True):
+        e = (m - p)[np.isfinite(m) & np.isfinite(p)]
+        e = e - e.mean() if len(e) else e
+        n += len(e)
+        for lag in range(min(MOST_LAGS + 1, len(e))):
+            total[lag] += float(e[lag:] @ e[: len(e) - lag])
+    rho = total / total[0] if total[0] > 0 else total
+    bound = 1.96 / np.sqrt(max(n, 1))
+    axes.axhspan(-bound, bound, color=SOLID, zorder=0, linewidth=0)
+    axes.vlines(np.arange(1, MOST_LAGS + 1), 0, rho[1:], color=SEA, lw=2)
+    axes.axhline(0, color=SOFT, lw=0.8)
+    axes.set(ylim=(-1.05, 1.05))
+    axes.set_xlabel("lag [samples]", color=INK, fontsize=9)
+    axes.set_ylabel("correlation of the residual", color=INK, fontsize=9)
+    lines = [f"{t['test']}: p {_p(t['p_value'])}" for t in found.validation[:8]]
+    axes.text(
+        0.98, 0.98, "\n".join(lines), transform=axes.transAxes, ha="right", va="top", fontsize=7, color=INK
+    )
+    quiet(axes)
+
+
+def _p(value: float | None) -> str:
+    return "–" if value is None else ("< 0.001" if value < 0.001 else f"= {value:.3f}")
+
+
+def _surface(figure: Any, axes: Any, found: Identified) -> None:
+    """Draw the output over the two signals that move it most, the others at their medians."""
+    try:
+        columns = lagged(found.test, found.model.terms, [found.model.output]).columns
+        surface_map(figure, axes, found.model, columns)
+    except (IdentError, ValueError):  # fewer than two signals, or a basis that has no closed form
+        axes.set_axis_off()
+
+
+def surface_map(figure: Any, axes: Any, model: Narmax, columns: dict[str, Floats]) -> None:
+    """Draw a model over two of its signals, and the data that it was asked about.
+
+    The colours span what it says where there are data; grey is what lies beyond, perhaps a hundred times as large.
+    """
+    from matplotlib import colormaps
+    from matplotlib.ticker import MaxNLocator
+
+    shares = sobol(model, columns).total
+    a, b = sorted(shares, key=lambda s: -shares[s])[:2]
+    grid = [np.linspace(float(columns[s].min()), float(columns[s].max()), 60) for s in (a, b)]
+    at = {s: float(np.median(values)) for s, values in columns.items() if s not in (a, b)}
+    z = surface(model, (a, grid[0]), (b, grid[1]), at)
+    seen = model.terms.matrix(columns, model.scale) @ model.theta
+    low, high = np.quantile(seen, [0.01, 0.99]).tolist()
+    room = 0.1 * (high - low) or 1.0
+    levels = MaxNLocator(14).tick_values(low - room, high + room)
+    colours = colormaps["viridis"].with_extremes(under=SOLID, over=SOLID)
+    mesh = axes.contourf(grid[0], grid[1], z, levels=levels, cmap=colours, extend="both")
+    step = max(1, len(columns[a]) // 600)
+    axes.plot(columns[a][::step], columns[b][::step], ".", ms=2, color="white", alpha=0.7, mew=0)
+    axes.set_xlabel(a, color=INK, fontsize=9)
+    axes.set_ylabel(b, color=INK, fontsize=9)
+    bar = figure.colorbar(mesh, ax=axes)
+    bar.set_label(model.output, color=INK, fontsize=8)
+    bar.ax.tick_params(labelsize=8, colors=INK)
+    bar.outline.set_visible(False)
+    quiet(axes)
