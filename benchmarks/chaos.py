@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from planners.arena import Floats
+from planners.types import Floats
 from robotmodic_ident import IdentError, Narmax, fit, polynomial
 from robotmodic_ident.analysis import lyapunov, lyapunov_along, lyapunov_of_series, states_of, without_noise
 

@@ -20,9 +20,10 @@ import numpy as np
 
 from benchmarks.offices import office
 from planners import PlanError, plan
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from planners.maps import geojson
 from planners.robot import Drive, Limits, Robot
+from planners.types import Floats
 from sensorgraph.cli.inputs import named_arena
 from sensorgraph.show import figures
 

@@ -12,9 +12,10 @@ import argparse
 import numpy as np
 
 from planners import plan
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from planners.planning import Plan
 from planners.robot import Drive, Limits, Robot
+from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.cli.inputs import named_arena
 from sensorgraph.graph import Sensorgraph

@@ -8,7 +8,8 @@ import numpy as np
 
 from logs.run import Run
 from planners import plan
-from planners.arena import Arena, Floats
+from planners.arena import Arena
+from planners.types import Floats
 from sensorgraph.recording.controllers import Controller, controller_named
 from sensorgraph.recording.identified_world import ArenaWorld
 from sensorgraph.world.clearance import WallDistance

@@ -21,8 +21,9 @@ import numpy as np
 
 from logs.run import Run, pair
 from planners import plan
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from planners.trajectory import Trajectory
+from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.cli.inputs import named_arena
 from sensorgraph.demo import check_run

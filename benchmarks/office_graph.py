@@ -24,8 +24,9 @@ from scipy.stats import t as student
 
 from benchmarks.offices import office
 from logs.run import RangeSensor, Run
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from planners.maps import geojson
+from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces import Faces

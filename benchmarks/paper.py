@@ -20,7 +20,8 @@ import numpy as np
 
 from benchmarks.drives import closed_loop, covered, robot_of_the_paper
 from logs.run import Run, pair
-from planners.arena import Arena, Floats
+from planners.arena import Arena
+from planners.types import Floats
 from robotmodic_ident.score import Score
 from sensorgraph.building.build import build
 from sensorgraph.cli.inputs import named_arena

@@ -18,8 +18,9 @@ from unittest import mock
 import numpy as np
 
 from planners import Plan, plan
-from planners.arena import Arena, Bools, Floats, wrap
+from planners.arena import Arena, wrap
 from planners.search.search import search
+from planners.types import Bools, Floats
 from sensorgraph.cli.inputs import named_arena, named_robot
 from sensorgraph.planning.plan_folder import counted
 from sensorgraph.world.clearance import WallDistance

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planners.arena import Floats
+from planners.types import Floats
 from robotmodic_ident import Narmax, Record, Terms, fit, lags, polynomial
 from sensorgraph.identification.identify import score
 

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 from logs import carmen, mcap_file, rosbag, table, wean
 from logs.errors import LogError
-from logs.mcap_file import Progress
 from logs.recorder import Recorder
 from logs.recording import check_roles
 from logs.run import OccupancyMap, Pairing, RangeSensor, Run, pair
+from logs.types import Progress
 
 __all__ = [
     "FORMATS",

@@ -7,7 +7,7 @@ told from the numbers, and said in the run's meta.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from logs.errors import LogError
 from logs.no_return import find_code, mask
-from logs.run import Floats, PoseFrame, RangeSensor, Run
+from logs.run import PoseFrame, RangeSensor, Run
 from logs.text import read_lines
 from logs.transforms import compose, invert, twists_of, wrap
-
-Progress = Callable[[int, int], None]
+from logs.types import Floats, Progress
 
 SCANS = ("FLASER", "ROBOTLASER1", "RAWLASER1", "RLASER", "ROBOTLASER2", "RAWLASER2")
 """Kinds of scan lines; the first kind that a log holds is read unless `--topic scan=RLASER` says otherwise."""

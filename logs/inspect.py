@@ -13,9 +13,8 @@ from logs import FORMATS, cdr, format_of, mcap_file, rosbag
 from logs.errors import LogError
 from logs.recording import ENCODINGS, KNOWN, TF, Recording, Topic, check_roles, choices, transform_tree
 from logs.ros_run import to_run
-from logs.run import Floats, Run, pair
-
-Progress = Callable[[int, int], None]
+from logs.run import Run, pair
+from logs.types import Floats, Progress
 
 LOADERS: dict[str, Callable[[Path, Progress | None], Recording]] = {
     "mcap": mcap_file.load,

@@ -9,8 +9,8 @@ import numpy as np
 from logs import cdr
 from logs.errors import LogError
 from logs.recording import Topic, settle
-from logs.run import Floats
 from logs.transforms import Stamps, wrap
+from logs.types import Floats
 
 
 @dataclass

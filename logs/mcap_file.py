@@ -43,10 +43,10 @@ from logs.ros_messages import (
 from logs.ros_run import to_run
 from logs.run import OccupancyMap, RangeSensor, Run, pair
 from logs.transforms import Stamps, compose, interpolate, invert
+from logs.types import Progress
 
 logger = logging.getLogger(__name__)
 
-Progress = Callable[[int, int], None]
 
 CHUNK_SIZE = (
     64 * 1024

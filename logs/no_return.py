@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.run import Floats
+from logs.types import Floats
 
 SICK = (81.83, 81.87, 81.91, 32.767, 8.191, 8.183, 327.67)
 """[m] codes of SICK scanners (8183 and up in cm or mm) and of a full 15 or 16 bit word; one alone is believed."""

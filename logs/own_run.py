@@ -14,8 +14,9 @@ import numpy as np
 from logs import cdr
 from logs.errors import LogError
 from logs.recording import ODOMETRY, POSE, SCAN, TWIST_STAMPED, Recording, Track, settle, track
-from logs.run import Floats, RangeSensor, Run
+from logs.run import RangeSensor, Run
 from logs.transforms import to_planar
+from logs.types import Floats
 
 RECORD = "sensorgraph"
 VERSION = "1"

@@ -10,7 +10,8 @@ import numpy as np
 
 from logs.mcap_file import RosFile
 from logs.ros_messages import map_message
-from logs.run import Floats, OccupancyMap
+from logs.run import OccupancyMap
+from logs.types import Floats
 
 PATH, GRID = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
 MOST_POSES = 5000

@@ -22,8 +22,9 @@ from logs.ros_messages import (
     to_ns,
     transform_messages,
 )
-from logs.run import Floats, OccupancyMap, PoseFrame, RangeSensor
+from logs.run import OccupancyMap, PoseFrame, RangeSensor
 from logs.transforms import Stamps, compose, invert
+from logs.types import Floats
 
 logger = logging.getLogger(__name__)
 

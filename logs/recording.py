@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from logs import cdr
 from logs.errors import LogError
-from logs.run import Floats
 from logs.transforms import Stamps, TransformTree
+from logs.types import Floats
 
 SCAN, TF = "sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"
 

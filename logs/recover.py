@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from mmap import mmap
 from pathlib import Path
@@ -13,8 +12,7 @@ from logs.mcap_file import CHUNK_SIZE, open_bytes
 from logs.mcap_records import MAGIC, Channel, Contents, Loss
 from logs.mcap_walk import Walk
 from logs.own_run import RECORD, is_intact
-
-Progress = Callable[[int, int], None]
+from logs.types import Progress
 
 OTHERS = (
     (

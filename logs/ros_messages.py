@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from logs import cdr
 from logs.errors import LogError
 from logs.recording import ODOMETRY, POSE, SCAN, TF, TWIST_STAMPED
-from logs.run import Floats, OccupancyMap, RangeSensor
+from logs.run import OccupancyMap, RangeSensor
 from logs.transforms import Stamps, to_translation_quaternion
+from logs.types import Floats
 
 GRID = "nav_msgs/msg/OccupancyGrid"
 

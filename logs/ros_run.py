@@ -23,8 +23,9 @@ from logs.recording import (
     track,
     transform_tree,
 )
-from logs.run import Floats, PoseFrame, RangeSensor, Run
+from logs.run import PoseFrame, RangeSensor, Run
 from logs.transforms import TransformTree, to_planar
+from logs.types import Floats
 
 MAPS, BASES = ("map", "world"), ("base_link", "base_footprint", "base")
 UPRIGHT = 0.98  # cosine of the tilt (11°) up to which a laser counts as level

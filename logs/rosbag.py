@@ -10,10 +10,10 @@ from typing import Any
 
 from logs import mcap_file
 from logs.errors import LogError
-from logs.mcap_file import Progress
 from logs.recording import ENCODINGS, KNOWN, Recording, Topic, full_type
 from logs.ros_run import to_run
 from logs.run import Run
+from logs.types import Progress
 
 SQLITE, ROS1 = b"SQLite format 3\x00", b"#ROSBAG V"
 

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from logs.types import Bools, Floats
+
 PoseFrame = Literal["base_link", "laser"]
 
 

@@ -21,8 +21,7 @@ from logs.mcap_records import Contents, Loss
 from logs.mcap_walk import Walk
 from logs.recording import ENCODINGS, KNOWN, SCAN, Recording, Topic, check_roles, choose
 from logs.run import Run
-
-Progress = Callable[[int, int], None]
+from logs.types import Progress
 
 PIECE = 4096
 """Scans of a piece."""

@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import LogError
-from logs.mcap_file import Progress
 from logs.no_return import find_code
 from logs.own_run import SCALARS, facts, parse_bearings
-from logs.run import Floats, RangeSensor, Run, pair
+from logs.run import RangeSensor, Run, pair
 from logs.text import read_lines
 from logs.transforms import interpolate, twists_of, wrap
+from logs.types import Floats, Progress
 
 POSE, ODOM, TWIST, COMMAND = (
     ("x", "y", "phi"),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.run import Floats
+from logs.types import Floats
 
 Stamps = NDArray[np.int64]
 

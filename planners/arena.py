@@ -6,13 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
 from planners.errors import PlanError
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from planners.types import Bools, Floats
 
 
 def wrap(angle: Floats | float) -> Floats:

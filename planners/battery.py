@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csgraph
 
-from planners.arena import Floats
 from planners.curve import joined
 from planners.errors import PlanError
 from planners.methods.stop_and_spin import Driven, Task
 from planners.rooms import cell_graph
 from planners.session import Ways, cut_at, cuts, ends, latest, minutes, section, together
+from planners.types import Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,9 +12,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planners.arena import Arena, Floats, wrap
+from planners.arena import Arena, wrap
 from planners.robot import Robot
 from planners.trajectory import Trajectory
+from planners.types import Floats
 
 SLACK = 0.01
 """Of a limit: excess below this is taken for rounding of the file."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
+from planners.types import Bools, Floats
 
 LONGEST = 4.0
 """[m] longer walls are cut for the search tree, whose boxes would else overlap everywhere."""

@@ -13,9 +13,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.arena import Floats, wrap
+from planners.arena import wrap
 from planners.robot import Limits
 from planners.trajectory import Trajectory
+from planners.types import Floats
 
 RATE = 50.0
 """[Hz] of exported samples."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from planners.arena import Floats, wrap
+from planners.arena import wrap
 from planners.curve import Curve
 from planners.planning import Plan
+from planners.types import Floats
 
 COMMAND_RATE = 20.0
 """[Hz] of cmd_vel.csv."""

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from planners.arena import Bools
-from planners.coverage import Coverage, Ints
+from planners.coverage import Coverage
 from planners.reach import Reach
+from planners.types import Bools, Ints
 
 WHY: Mapping[str, str] = {
     "no_way_found": "no way found there",

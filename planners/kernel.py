@@ -1,11 +1,12 @@
-"""`kernel`: the one place of this package that asks numba to compile.
+"""`kernel`: the place where this package and `sensorgraph` ask numba to compile.
 
 Compiled code is kept on disk. Numba looks only at the file of a kernel to tell whether that is stale, not at the
-files of the kernels it calls; here all files of this folder count.
+files of the kernels it calls; here all files of a package that hold kernels count.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
@@ -41,20 +42,27 @@ def _inner(function: Function, **options: str) -> Function:
         return _stored(partial(numba.njit, **options), function)
 
 
+def inlined(function: Function) -> Function:
+    """Return a kernel for use within another one, which takes its body in: no call with twenty arrays for each ray."""
+    plain = getattr(function, "py_func", function)
+    return cast(Function, numba.njit(inline="always", error_model="numpy")(plain))
+
+
 def _stored(compiler: Callable[..., Any], function: Function) -> Function:
     compiled = compiler(cache=True, error_model="numpy", nogil=True)(function)
     store = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if store is not None and hasattr(store, "_source_stamp"):
-        store._source_stamp = (store._source_stamp, _stamp())
+        store._source_stamp = (store._source_stamp, _stamp(function.__module__.partition(".")[0]))
     else:  # another numba: rather compile anew than run what is stale
         compiled = compiler(error_model="numpy", nogil=True)(function)
     return cast(Function, compiled)
 
 
 @cache
-def _stamp() -> tuple[tuple[str, int, int], ...]:
-    """Name, time of change and size of every source of this package that holds kernels."""
-    here = Path(__file__).parent
-    files = [file for file in sorted(here.rglob("*.py")) if b"planners.kernel" in file.read_bytes()]
-    stats = [(file.relative_to(here).as_posix(), file.stat()) for file in (Path(__file__), *files)]
-    return tuple((name, stat.st_mtime_ns, stat.st_size) for name, stat in stats)
+def _stamp(package: str) -> tuple[tuple[str, int, int], ...]:
+    """Name, time of change and size of every source of a package that holds kernels, and of this file."""
+    root = Path(sys.modules[package].__file__ or "").parent
+    files = [file for file in sorted(root.rglob("*.py")) if b"planners.kernel" in file.read_bytes()]
+    names = [file.relative_to(root).as_posix() for file in files]
+    stats = [file.stat() for file in (*files, Path(__file__))]
+    return tuple((n, s.st_mtime_ns, s.st_size) for n, s in zip((*names, "kernel"), stats, strict=True))

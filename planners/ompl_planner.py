@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.arena import Arena, Floats, wrap
+from planners.arena import Arena, wrap
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.joins.ompl_process import CHECK_STEP, INSTALL, Field
@@ -28,6 +28,7 @@ from planners.planning import Plan, plan
 from planners.reach import reach
 from planners.robot import Robot
 from planners.session import check_pose
+from planners.types import Floats
 
 try:
     from ompl import base, geometric  # type: ignore[import-untyped]

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from planners.arena import Floats
+from planners.types import Floats, Ints
 
-Ints = NDArray[np.int64]
 KICKS = 60
 """Perturbations of the finished order, each kept if it helps."""
 MOST_MOVES = 4000

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from planners import holes
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
 from planners.battery import Session, chain, check_battery, sessions
 from planners.cars.reachability import best_start, cycle
 from planners.clearance import Barriers
@@ -22,13 +22,14 @@ from planners.interrupt import undisturbed
 from planners.joins.paths import Joins
 from planners.methods import baselines
 from planners.methods.coverage import plan_search
-from planners.methods.stop_and_spin import Driven, Progress, Task, plan_stop_and_spin
+from planners.methods.stop_and_spin import Driven, Task, plan_stop_and_spin
 from planners.methods.views import plan_views
 from planners.reach import LEAST_SHARE, Cycle, Reach, reach
 from planners.report import counted, measured, reference_time
 from planners.robot import Robot
 from planners.session import check_pose, ends, within
 from planners.trajectory import Trajectory
+from planners.types import Bools, Floats, Progress
 
 PLANNERS: dict[str, Callable[[Task], Driven]] = {
     "coverage": plan_search,

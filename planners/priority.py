@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from planners.arena import Bools, Floats
-from planners.order import Ints
+from planners.types import Bools, Floats, Ints
 
 BANDS = 4
 """Levels of priority, one after the other."""

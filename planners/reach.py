@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
+from planners.types import Bools, Floats
 
 STEP = 0.02
 """[m] of the raster, or a little less so that a cell is a whole number of steps."""

@@ -6,9 +6,8 @@ import numpy as np
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
-from planners.arena import Bools, Floats
-from planners.order import Ints
 from planners.reach import Reach
+from planners.types import Bools, Floats, Ints
 
 WIDE = 0.25
 """[m] beyond the clearance: places narrower than this part two rooms."""

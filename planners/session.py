@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planners.arena import Arena, Floats, wrap
+from planners.arena import Arena, wrap
 from planners.cars.search import redriven
 from planners.clearance import Barriers
 from planners.curve import Curve, Pen, joined
@@ -22,9 +22,9 @@ from planners.joins.paths import Joins, connect
 from planners.methods.coverage import face
 from planners.methods.repair_spins import lead
 from planners.methods.stop_and_spin import Driven, Task
-from planners.order import Ints
 from planners.reach import Reach
 from planners.robot import Robot
+from planners.types import Floats, Ints
 
 STILL = 1e-9
 """[m/s, rad/s] slower is standing."""

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.arena import Floats, wrap
+from planners.arena import wrap
 from planners.errors import PlanError
+from planners.types import Floats
 
 COLUMNS = ("t", "x", "y", "phi", "v", "omega", "primitive")
 ROW = "%.6f," * 6 + "%s\n"

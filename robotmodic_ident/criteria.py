@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-Floats = NDArray[np.float64]
+from robotmodic_ident.types import Floats
 
 Criterion = Literal["aic", "bic", "ebic", "cv", "n_terms", "err_tol"]
 INFORMATION = ("aic", "bic", "ebic")

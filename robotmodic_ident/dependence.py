@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from robotmodic_ident.moments import Moments
-from robotmodic_ident.terms import Factor, Floats
+from robotmodic_ident.terms import Factor
+from robotmodic_ident.types import Floats
 
 EXACT = 1e-13
 """Remaining share of a squared norm that is rounding of sums of products."""

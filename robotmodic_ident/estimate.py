@@ -15,7 +15,7 @@ import numpy as np
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.records import Record
 from robotmodic_ident.recursion import Recursion, Stretch
-from robotmodic_ident.terms import Floats
+from robotmodic_ident.types import Floats
 
 Covariance = Literal["classical", "sandwich", "hac"]
 MAX_STEPS = 200

@@ -8,13 +8,9 @@ which slow inputs provoke, are repaired without looking at the data again.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robotmodic_ident.kernel import kernel
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+from robotmodic_ident.types import Bools, Floats, Ints
 
 DEPENDENT = 1e-12
 """Remaining share of a candidate's squared norm below which it depends on the chosen terms."""
@@ -42,7 +38,7 @@ def sweep(a: Floats, k: int) -> None:
 
 
 @kernel
-def best_addition(a: Floats, inside: Flags, usable: Flags) -> int:
+def best_addition(a: Floats, inside: Bools, usable: Bools) -> int:
     """Return the term that explains most of what is left; -1: all depend on those inside."""
     m = len(a) - 1
     best, choice = -1.0, -1
@@ -55,7 +51,7 @@ def best_addition(a: Floats, inside: Flags, usable: Flags) -> int:
 
 
 @kernel
-def best_removal(a: Floats, inside: Flags, locked: Flags) -> int:
+def best_removal(a: Floats, inside: Bools, locked: Bools) -> int:
     """Return the term inside whose loss costs least; -1: all are locked."""
     m = len(a) - 1
     least, choice = np.inf, -1
@@ -68,7 +64,7 @@ def best_removal(a: Floats, inside: Flags, locked: Flags) -> int:
 
 
 @kernel
-def exchange(a: Floats, inside: Flags, locked: Flags, usable: Flags) -> bool:
+def exchange(a: Floats, inside: Bools, locked: Bools, usable: Bools) -> bool:
     """Make the best exchange of one term for another; False: none lowers the residual sum."""
     m = len(a) - 1
     least = -GAIN * max(a[m, m], 1e-15)
@@ -97,7 +93,7 @@ def exchange(a: Floats, inside: Flags, locked: Flags, usable: Flags) -> bool:
 
 
 @kernel
-def settle(a: Floats, inside: Flags, locked: Flags, usable: Flags, most: int) -> None:
+def settle(a: Floats, inside: Bools, locked: Bools, usable: Bools, most: int) -> None:
     """Exchange terms until no exchange helps, `most` times at most."""
     for _ in range(most):
         if not exchange(a, inside, locked, usable):
@@ -105,7 +101,7 @@ def settle(a: Floats, inside: Flags, locked: Flags, usable: Flags, most: int) ->
 
 
 @kernel
-def refresh(a: Floats, original: Floats, inside: Flags) -> None:
+def refresh(a: Floats, original: Floats, inside: Bools) -> None:
     """Sweep anew from the original: rounding does not pile up."""
     a[:] = original
     for j in range(len(inside)):
@@ -114,7 +110,7 @@ def refresh(a: Floats, original: Floats, inside: Flags) -> None:
 
 
 @kernel
-def remember(a: Floats, inside: Flags, size: int, rss: Floats, sets: Flags) -> bool:
+def remember(a: Floats, inside: Bools, size: int, rss: Floats, sets: Bools) -> bool:
     """Keep the set if it is the best of its size so far."""
     value = max(a[len(a) - 1, len(a) - 1], 0.0)
     if value < rss[size] * (1.0 - GAIN) - 1e-16:
@@ -126,7 +122,7 @@ def remember(a: Floats, inside: Flags, size: int, rss: Floats, sets: Flags) -> b
 
 @kernel
 def climb(
-    a: Floats, inside: Flags, locked: Flags, usable: Flags, swap: bool, rss: Floats, sets: Flags
+    a: Floats, inside: Bools, locked: Bools, usable: Bools, swap: bool, rss: Floats, sets: Bools
 ) -> bool:
     """Add terms one by one up to the largest size, with exchanges after each; tell whether any size got better."""
     better = False
@@ -146,7 +142,7 @@ def climb(
 
 @kernel
 def descend(
-    a: Floats, inside: Flags, locked: Flags, usable: Flags, swap: bool, rss: Floats, sets: Flags
+    a: Floats, inside: Bools, locked: Bools, usable: Bools, swap: bool, rss: Floats, sets: Bools
 ) -> bool:
     """Take terms out one by one, with exchanges after each; tell whether any size got better."""
     better = False
@@ -165,7 +161,7 @@ def descend(
 
 
 @kernel
-def thin(a: Floats, original: Floats, locked: Flags, usable: Flags, rss: Floats, sets: Flags) -> bool:
+def thin(a: Floats, original: Floats, locked: Bools, usable: Bools, rss: Floats, sets: Bools) -> bool:
     """Take one term out of the best set of every size, largest first; tell whether any size got better."""
     better = False
     inside = locked.copy()
@@ -185,8 +181,8 @@ def thin(a: Floats, original: Floats, locked: Flags, usable: Flags, rss: Floats,
 
 @kernel
 def search_one(
-    original: Floats, locked: Flags, usable: Flags, cost: Floats, count: float, swap: bool, restart: bool
-) -> tuple[Floats, Flags]:
+    original: Floats, locked: Bools, usable: Bools, cost: Floats, count: float, swap: bool, restart: bool
+) -> tuple[Floats, Bools]:
     """Search the best set of every size for one output.
 
     Parameters
@@ -256,13 +252,13 @@ def search(
     cross: Floats,
     power: Floats,
     own: Ints,
-    locked: Flags,
-    usable: Flags,
+    locked: Bools,
+    usable: Bools,
     cost: Floats,
     count: Floats,
     swap: bool,
     restart: bool,
-) -> tuple[Floats, Flags]:
+) -> tuple[Floats, Bools]:
     """Search the best sets of every size for many outputs.
 
     Parameters

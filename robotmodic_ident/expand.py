@@ -10,7 +10,8 @@ from math import comb
 import numpy as np
 
 from robotmodic_ident.scale import Scale
-from robotmodic_ident.terms import Factor, Floats, Term, Terms, canonical_key
+from robotmodic_ident.terms import Factor, Term, Terms, canonical_key
+from robotmodic_ident.types import Floats
 
 Polynomial = dict[Term, Fraction]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robotmodic_ident.kernel import kernel
-from robotmodic_ident.terms import Floats
+from robotmodic_ident.types import Floats
 
 TIE = 1e-9
 """Relative difference of gains below which the canonical order of the terms decides."""

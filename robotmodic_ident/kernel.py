@@ -12,10 +12,9 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from robotmodic_ident.types import Floats, Ints
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 POWER, COS, SIN, LEGENDRE, CHEBYSHEV, SPLINE, WAVELET = range(7)

@@ -19,7 +19,8 @@ from robotmodic_ident.records import Record, as_records
 from robotmodic_ident.recursion import Recursion, Stretch
 from robotmodic_ident.scale import UNSCALED, Scale
 from robotmodic_ident.select import Selection
-from robotmodic_ident.terms import CONSTANT, Floats, Terms
+from robotmodic_ident.terms import CONSTANT, Terms
+from robotmodic_ident.types import Floats
 
 NO_TERMS = Terms(())
 

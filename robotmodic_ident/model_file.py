@@ -10,7 +10,8 @@ import numpy as np
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.scale import Scale
-from robotmodic_ident.terms import Floats, Terms
+from robotmodic_ident.terms import Terms
+from robotmodic_ident.types import Floats
 
 if TYPE_CHECKING:
     from robotmodic_ident.model import Narmax

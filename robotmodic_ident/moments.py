@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.scale import Scale
-from robotmodic_ident.terms import Floats, Terms
+from robotmodic_ident.terms import Terms
+from robotmodic_ident.types import Floats
 
 BLOCK = 4096
 """Rows taken at a time: Φ of a block stays in the cache and memory stays bounded."""

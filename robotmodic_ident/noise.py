@@ -14,7 +14,8 @@ from robotmodic_ident.estimate import Descent
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.records import Record, lagged
 from robotmodic_ident.recursion import NOISE_NAME
-from robotmodic_ident.terms import Floats, Terms
+from robotmodic_ident.terms import Terms
+from robotmodic_ident.types import Floats
 from robotmodic_ident.validate import validate
 
 ROUNDS = 8

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robotmodic_ident.scale import UNSCALED, Scale
-from robotmodic_ident.terms import CONSTANT, Factor, Floats, Terms
+from robotmodic_ident.terms import CONSTANT, Factor, Terms
+from robotmodic_ident.types import Floats
 
 if TYPE_CHECKING:
     from robotmodic_ident.model import Narmax

@@ -17,7 +17,8 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimate import Descent, Estimate
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.records import Record, lagged
-from robotmodic_ident.terms import CONSTANT, Floats, Terms
+from robotmodic_ident.terms import CONSTANT, Terms
+from robotmodic_ident.types import Floats
 
 REWEIGHTED = 20
 STEPS = 30

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robotmodic_ident.errors import IdentError
-from robotmodic_ident.terms import Floats, Terms, signal_name
+from robotmodic_ident.terms import Terms, signal_name
+from robotmodic_ident.types import Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

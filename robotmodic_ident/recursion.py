@@ -11,7 +11,8 @@ from robotmodic_ident import kernel
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.records import Record
 from robotmodic_ident.scale import Scale
-from robotmodic_ident.terms import Factor, Floats, Term, Terms
+from robotmodic_ident.terms import Factor, Term, Terms
+from robotmodic_ident.types import Floats
 
 NOISE_NAME = "e"
 """The variable of noise terms: what the model left unexplained at past samples."""

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robotmodic_ident.errors import IdentError
-
-Floats = NDArray[np.float64]
+from robotmodic_ident.types import Floats
 
 
 @dataclass(frozen=True)

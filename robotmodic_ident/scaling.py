@@ -6,7 +6,8 @@ import numpy as np
 
 from robotmodic_ident.records import Lagged
 from robotmodic_ident.scale import Scale
-from robotmodic_ident.terms import Floats, Terms
+from robotmodic_ident.terms import Terms
+from robotmodic_ident.types import Floats
 
 FAR = 1e5
 """A variable is centred when its middle lies FAR^(1/degree) half-spans from 0: beyond, its powers look alike."""

@@ -13,7 +13,7 @@ from scipy import stats
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.records import Record, Records, as_records
-from robotmodic_ident.terms import Floats
+from robotmodic_ident.types import Floats
 
 Horizon = int | Literal["free"]
 WINDOW = 5.0

@@ -15,7 +15,8 @@ from robotmodic_ident.forward import DEPENDENT, TIE, Path, forward, invert_upper
 from robotmodic_ident.moments import Moments
 from robotmodic_ident.scale import UNSCALED, Scale
 from robotmodic_ident.sizes import Search, Task, cross_validated
-from robotmodic_ident.terms import Floats, Terms
+from robotmodic_ident.terms import Terms
+from robotmodic_ident.types import Floats
 
 __all__ = ["DEPENDENT", "TIE", "Path", "Selection", "forward", "invert_upper", "select"]
 

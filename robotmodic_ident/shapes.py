@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial import chebyshev, legendre
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from robotmodic_ident.errors import IdentError
-
-Floats = NDArray[np.float64]
+from robotmodic_ident.types import Floats
 
 SHAPES = {"P": "Legendre polynomial", "T": "Chebyshev polynomial", "B": "B-spline", "W": "wavelet"}
 

@@ -14,7 +14,8 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.exchange import search as search_sets
 from robotmodic_ident.forward import Path, forward
 from robotmodic_ident.moments import Moments
-from robotmodic_ident.terms import Floats, Terms
+from robotmodic_ident.terms import Terms
+from robotmodic_ident.types import Floats
 
 Search = Literal["forward", "restart", "exchange"]
 BEYOND = 8

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.scale import UNSCALED, Scale
 from robotmodic_ident.shapes import SHAPES, check_shape, evaluate, shape_name
-
-Floats = NDArray[np.float64]
+from robotmodic_ident.types import Floats
 
 CONSTANT = "1"
 _SIGNAL = r"(?P<variable>[A-Za-z_]\w*)(?:\(\s*k\s*(?:-\s*(?P<lag>\d+)\s*)?(?P<lagged>\)))?"

@@ -20,7 +20,7 @@ from robotmodic_ident.estimate import Descent
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.records import Record, Records, as_records
 from robotmodic_ident.recursion import Stretch
-from robotmodic_ident.terms import Floats
+from robotmodic_ident.types import Floats
 
 Z_95 = 1.959964
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,7 @@ import numpy as np
 import logs
 from logs.run import Run
 from planners import plan as make_plan
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from planners.coverage import Coverage
 from planners.maps import geojson
 from sensorgraph.building.build import build
@@ -24,13 +22,13 @@ from sensorgraph.recording.record import record
 from sensorgraph.show import figures
 from sensorgraph.show import rerun_view as view
 from sensorgraph.show.review import review
+from sensorgraph.types import Floats, ProgressBars
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot_file import RobotFile
 from sensorgraph.world.scene import limited
 from sensorgraph.world.simulate import EPOCH_NS, occupancy
 
-Progress = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
 N_CHECK = 1000
 BASELINE = "polynomial"
 """What the faces are shown beside: the form of 2004."""
@@ -54,7 +52,7 @@ class Trip:
     """On poses spread evenly over the arena that no run has seen."""
 
 
-def demo(folder: Path, arena: Arena, robot: RobotFile, *, seed: int, progress: Progress) -> list[Trip]:
+def demo(folder: Path, arena: Arena, robot: RobotFile, *, seed: int, progress: ProgressBars) -> list[Trip]:
     """Run the loop; leave plan, runs, graphs, review and `demo.json` in `folder`."""
     check = check_run(arena, robot, np.random.default_rng([seed, 99]))
     logs.write(check, folder / "check.mcap", occupancy=occupancy(arena))
@@ -117,7 +115,7 @@ def _trip(
     check: Run,
     *,
     seed: int,
-    progress: Progress,
+    progress: ProgressBars,
 ) -> Trip:
     """Plan, record, build and evaluate one way of driving; a baseline drives as long as the coverage plan."""
     with progress(f"plan {planner}", "cells") as tick:

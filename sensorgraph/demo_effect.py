@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from planners import plan as make_plan
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.diagnosis.report.files import effect_dict, save
 from sensorgraph.diagnosis.report.files import to_dict as report_dict
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.recording.record import Progress, record
+from sensorgraph.recording.record import record
+from sensorgraph.types import Floats, ProgressBars
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.robot_file import RobotFile
 
@@ -47,7 +48,9 @@ def to_dict(hidden: Hidden) -> dict[str, Any]:
     }
 
 
-def hide_and_find(folder: Path, arena: Arena, robot: RobotFile, *, seed: int, progress: Progress) -> Hidden:
+def hide_and_find(
+    folder: Path, arena: Arena, robot: RobotFile, *, seed: int, progress: ProgressBars
+) -> Hidden:
     """Drive twice with an effect that the map and robot.yaml lack; diagnose one run, prove it on the other."""
     planted = chosen(arena, robot, np.random.default_rng([seed, 7]))
     folder.mkdir(parents=True, exist_ok=True)

@@ -15,7 +15,8 @@ from sensorgraph.building.build import is_same_sensor, training_scans
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.base import OFF, Bools, Floats, Point, Prediction, Progress
+from sensorgraph.models.base import OFF, Point, Prediction
+from sensorgraph.types import Bools, Floats, Progress
 
 NEAREST = 0.1
 """[m] a shorter return does not count: the robot's own body, or a broken reading."""

@@ -17,7 +17,8 @@ from logs.run import PoseFrame, RangeSensor
 from sensorgraph.errors import GapError
 from sensorgraph.files import whole
 from sensorgraph.models import MODELS
-from sensorgraph.models.base import POINTS, Floats, Model, Point, Prediction
+from sensorgraph.models.base import POINTS, Model, Point, Prediction
+from sensorgraph.types import Floats
 
 FORMAT = "sensorgraph"
 VERSION = 1

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from logs.run import RangeSensor, Run
-from planners.arena import Floats, wrap
+from planners.arena import wrap
+from planners.types import Floats
 from sensorgraph.world import robot_file
 
 STEP = 0.005

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from logs.run import RangeSensor
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from planners.maps import geojson
+from planners.types import Floats
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.scene import Scene
 

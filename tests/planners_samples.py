@@ -7,13 +7,14 @@ from importlib.resources import files
 import numpy as np
 import shapely
 
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.maps import geojson
 from planners.methods.stop_and_spin import Task
 from planners.reach import reach
 from planners.robot import Drive, Limits, Robot
+from planners.types import Bools, Floats
 
 
 def shipped(name: str) -> Arena:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planners.arena import Floats
+from planners.types import Floats
 from sensorgraph.recording.controllers import BESIDE, Controller, WallFollowing
 from sensorgraph.world.robot_file import RobotFile, default
 

@@ -12,7 +12,8 @@ import pytest
 from conftest import polygon_arena
 
 from logs.run import RangeSensor, Run
-from planners.arena import Arena, Floats
+from planners.arena import Arena
+from planners.types import Floats
 from sensorgraph.diagnosis.commissioning import Commissioned, commission, commission_all
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.diagnosis.scan.scan_data import gather

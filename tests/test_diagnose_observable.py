@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planners.arena import Floats
+from planners.types import Floats
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.nuisance import Freedom
 from sensorgraph.diagnosis.scan.observability import alike, not_observable

@@ -9,7 +9,8 @@ import pytest
 from conftest import polygon_arena
 
 from logs.run import Run
-from planners.arena import Arena, Floats, wrap
+from planners.arena import Arena, wrap
+from planners.types import Floats
 from sensorgraph.diagnosis.diagnose import diagnose, is_material
 from sensorgraph.diagnosis.scan.fit import SMOOTH, Fitted, cast, fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.gauss_newton import boxed

@@ -9,7 +9,8 @@ import pytest
 from conftest import polygon_arena
 
 from logs.run import RangeSensor, Run
-from planners.arena import Arena, Floats
+from planners.arena import Arena
+from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.graph import Sensorgraph

@@ -24,7 +24,7 @@ from effects_samples import (
 )  # fmt: skip
 
 from logs.run import RangeSensor
-from planners.arena import Bools, Floats
+from planners.types import Bools, Floats
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.mixed_pixels import N_SPREAD
 from sensorgraph.world.raycast import cast

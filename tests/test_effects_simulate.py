@@ -9,8 +9,9 @@ import pytest
 from effects_samples import SENSOR, TURN, arena, motion, strong
 
 from logs.run import RangeSensor
-from planners.arena import Floats, wrap
+from planners.arena import wrap
 from planners.trajectory import Trajectory
+from planners.types import Floats
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.walkers import APART, RADIUS
 from sensorgraph.world import simulate as simulation

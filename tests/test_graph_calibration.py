@@ -21,7 +21,7 @@ from sensorgraph.models.adjustment import (
     select,
     standard_errors,
 )
-from sensorgraph.models.base import Floats, Scans
+from sensorgraph.models.base import Scans
 from sensorgraph.models.calibration import Calibration
 from sensorgraph.models.face_march import FaceSet
 from sensorgraph.models.faces import Faces
@@ -31,6 +31,7 @@ from sensorgraph.models.ray_terms import N_SHARED, POWERS, RayTerms, incidence_b
 from sensorgraph.models.reduction import blocks_of
 from sensorgraph.models.selection import Lines
 from sensorgraph.models.visibility import Noise, Rays, faces_of
+from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast
 
 SIZE = 4.0  # [m] of the room

@@ -13,11 +13,12 @@ from planners.arena import Arena
 from planners.maps import geojson
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.base import Floats, Scans
+from sensorgraph.models.base import Scans
 from sensorgraph.models.face_march import ROOM, FaceSet, gather, index
 from sensorgraph.models.faces import Faces
 from sensorgraph.models.surfaces import Surfaces
 from sensorgraph.planning.views import choose_views
+from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.raycast import cast
 

@@ -35,7 +35,7 @@ OWNERS = {
     "yaml": {"sensorgraph/", "planners/", "logs/"},
     "PIL": {"planners/maps/"},
     "distributed": {"sensorgraph/building/cluster.py"},
-    "numba": {"sensorgraph/models/kernel.py", "robotmodic_ident/kernel.py", "planners/kernel.py"},
+    "numba": {"robotmodic_ident/kernel.py", "planners/kernel.py"},
     "numpy": set(PACKAGES),
     "scipy": set(PACKAGES),
 }

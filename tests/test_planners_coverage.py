@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from planners.arena import Floats
 from planners.coverage import Coverage
+from planners.types import Floats
 
 
 def grid(nx: int = 4, ny: int = 3, headings: int = 8, cell: float = 0.3) -> Coverage:

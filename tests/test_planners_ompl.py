@@ -12,7 +12,7 @@ import pytest
 from planners_samples import door_arena
 
 import planners.joins.ompl_car_paths as car_ways
-from planners.arena import Floats, wrap
+from planners.arena import wrap
 from planners.cars.arc_path import drive_of, ground_of
 from planners.cars.search import arcs_of
 from planners.check import check
@@ -21,6 +21,7 @@ from planners.curve import Curve
 from planners.joins.car_paths import connect_cars
 from planners.reach import reach
 from planners.robot import SHORTEST_ARC, Drive, Limits, Robot
+from planners.types import Floats
 
 CLEARANCE = 0.22
 STARTS = np.array([[1.0, 1.0, 0.0], [1.0, 0.7, 0.0], [1.0, 2.0, 1.0]])

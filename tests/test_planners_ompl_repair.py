@@ -9,7 +9,6 @@ from planners_samples import door_arena, some, task_of
 import planners.joins.paths as connections
 import planners.methods.repair_cars as repairs
 from planners import plan
-from planners.arena import Bools, Floats
 from planners.cars.search import search_floor
 from planners.check import check
 from planners.curve import joined
@@ -21,6 +20,7 @@ from planners.reach import Reach
 from planners.robot import Drive, Limits, Robot
 from planners.search.log_phases import missed
 from planners.search.search import Settings, Visit
+from planners.types import Bools, Floats
 
 START = np.array([0.8, 0.8, 0.3])
 

@@ -10,11 +10,11 @@ from hypothesis.extra.numpy import arrays
 from planners_samples import door_arena
 
 from planners import plan
-from planners.arena import Floats
 from planners.coverage import Coverage
 from planners.planning import Plan
 from planners.priority import AROUND, BANDS, WORTH, levels, mean, urgency, worth
 from planners.robot import Drive, Limits, Robot
+from planners.types import Floats
 
 SHAPE = (9, 7, 3)
 PRIORITIES = arrays(np.float64, SHAPE, elements=st.floats(0.0, 1.0))

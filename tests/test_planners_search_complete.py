@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 from planners_samples import door_arena
 
-from planners.arena import Bools
 from planners.clearance import Barriers
 from planners.reach import Reach, reach
 from planners.robot import Limits
 from planners.search.motion_primitives import spinning
 from planners.search.search import DONE, STOPPED, Search, Settings, scene
+from planners.types import Bools
 
 FLOOR = door_arena(9)  # one room, 16 x 12 cells
 SHUT, OPEN = (5, 6), (13, 6)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from planners_samples import door_arena, some, task_of
 
-from planners.arena import Bools
 from planners.cars.search import geared
 from planners.check import check
 from planners.curve import Curve
@@ -14,6 +13,7 @@ from planners.methods.repair_cars import CarRepair
 from planners.methods.stop_and_spin import Task
 from planners.robot import Drive
 from planners.search.log_phases import met, missed
+from planners.types import Bools
 
 START = np.array([0.5, 1.375, 0.0])
 SPEED = 0.3

@@ -10,7 +10,7 @@ import shapely
 from planners_samples import outlined
 
 from planners import plan
-from planners.arena import Arena, Floats, wrap
+from planners.arena import Arena, wrap
 from planners.cars.search import Entry, begin, entry, geared
 from planners.clearance import Barriers
 from planners.coverage import Coverage
@@ -18,6 +18,7 @@ from planners.reach import reach
 from planners.robot import Drive, Limits, Robot
 from planners.search.motion_primitives import GEARS, driving
 from planners.search.search import Scene, scene
+from planners.types import Floats
 
 LIMITS = Limits(turning_radius=0.4)
 ROOM = outlined(shapely.box(0, 0, 3, 2.5))

@@ -10,7 +10,6 @@ from planners_samples import door_arena, some, task_of
 
 import planners.cars.reachability as floors
 import planners.methods.repair_cars as repairs
-from planners.arena import Bools, Floats
 from planners.cars.reachability import Ways, cycle
 from planners.cars.search import search_floor
 from planners.check import check
@@ -18,6 +17,7 @@ from planners.joins.paths import Joins
 from planners.methods.repair_cars import CarRepair
 from planners.search.log_phases import missed
 from planners.search.search import Settings, Visit
+from planners.types import Bools, Floats
 
 START = np.array([0.8, 0.8, 0.3])
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from planners_samples import door_arena
 
-from planners.arena import Bools, Floats
 from planners.cars.search import state_at
 from planners.clearance import Barriers
 from planners.reach import reach
@@ -15,6 +14,7 @@ from planners.search.beam import look, units_away
 from planners.search.heuristic import FARTHEST
 from planners.search.motion_primitives import GEARS, driving
 from planners.search.search import Search, Settings, scene
+from planners.types import Bools, Floats
 
 LIMITS = Limits(turning_radius=0.4)
 

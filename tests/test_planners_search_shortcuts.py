@@ -9,7 +9,7 @@ import pytest
 import shapely
 from planners_samples import outlined
 
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
 from planners.cars.search import geared, shortened
 from planners.check import check
 from planners.clearance import Barriers
@@ -19,6 +19,7 @@ from planners.methods.coverage import Task
 from planners.reach import Reach, reach
 from planners.robot import Limits, Robot
 from planners.search.log_phases import missed
+from planners.types import Bools, Floats
 
 LIMITS = Limits(turning_radius=0.4)
 RATE = 10.0

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from ompl import base as ob
 
-from planners.arena import Floats, wrap
+from planners.arena import wrap
 from planners.cars.reeds_shepp import MOST_ARCS, Arcs, along, arcs_for, part_of, quickest
+from planners.types import Floats
 
 RADIUS = 0.4
 POSES = np.random.default_rng(11).uniform(-1.5, 1.5, (400, 2, 3)) * [1.0, 1.0, 2.0]

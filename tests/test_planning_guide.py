@@ -14,9 +14,10 @@ import pytest
 import shapely
 from planners_samples import outlined
 
-from planners.arena import Floats, wrap
+from planners.arena import wrap
 from planners.maps import geojson
 from planners.trajectory import read_csv
+from planners.types import Floats
 from sensorgraph.cli import run as cli
 
 TEXT = (Path(__file__).parent.parent / "docs" / "planning.md").read_text()

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from logs.run import RangeSensor
-from planners.arena import Arena, Floats, wrap
+from planners.arena import Arena, wrap
 from planners.trajectory import Trajectory
+from planners.types import Floats
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import STEP, Driven, follow, odometry, replay
 from sensorgraph.world.robot_file import Actuators, PoseReference, RobotFile, Wheels, default

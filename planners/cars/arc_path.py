@@ -9,13 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from planners.cars.reeds_shepp import Arcs, Pose, along
 from planners.kernel import inner_kernel, kernel
-from planners.order import Ints
 from planners.reach import Reach
 from planners.robot import Limits
 from planners.search.kernel_world import between
+from planners.types import Bools, Floats, Ints
 
 SAMPLE = 0.005
 """[m] between the poses of which the bin is looked at."""

@@ -12,7 +12,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from planners.arena import Floats
 from planners.cars.arc_path import (
     MOST_WON,
     Drive,
@@ -30,8 +29,8 @@ from planners.cars.arc_path import (
 )
 from planners.cars.reeds_shepp import MOST_ARCS, Arcs, Pose, arcs_for, chain, part_of, quickest
 from planners.kernel import inner_kernel
-from planners.order import Ints
 from planners.robot import SHORTEST_ARC
+from planners.types import Floats, Ints
 
 NEAR = 1.0
 """[m] from the drive to a goal."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planners.arena import Bools, Floats, wrap
+from planners.arena import wrap
 from planners.cars.search import Entry, begin, car_curve
 from planners.curve import Curve
 from planners.methods.stop_and_spin import Task
@@ -20,6 +20,7 @@ from planners.search.kernel_world import Branches
 from planners.search.motion_primitives import driving
 from planners.search.search import Found, Scene, Search, scene
 from planners.search.wavefront import spread
+from planners.types import Bools, Floats
 
 FINE = 0.02
 """[m] between the cells of the lattice."""

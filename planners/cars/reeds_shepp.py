@@ -16,9 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.arena import Floats
 from planners.kernel import inner_kernel, kernel
-from planners.order import Ints
+from planners.types import Floats, Ints
 
 MOST_ARCS = 5
 """Arcs of the longest word."""

@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 from scipy import ndimage
 
-from planners.arena import Bools, Floats
 from planners.cars.arc_path import Drive, Ground, drive_of, ground_of
 from planners.cars.reeds_shepp import NONE, Arcs, part_of
 from planners.cars.shortcuts import shorter
@@ -22,6 +21,7 @@ from planners.search.kernel_world import CREDITS, is_safe
 from planners.search.log_phases import missed
 from planners.search.motion_primitives import GEARS, Table, driving
 from planners.search.search import Found, Scene, Search, Settings, Visit, chained, scene
+from planners.types import Bools, Floats
 
 MOST_STEPS = 3
 """Headings of the table that a car may pass before it takes one."""

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from planners.cars.arc_path import (
     MOST_WON,
     Drive,
@@ -38,8 +37,8 @@ from planners.cars.arc_path import (
 )
 from planners.cars.reeds_shepp import MOST_ARCS, Arcs, Pose, along, arcs_for, chain, part_of, quickest
 from planners.kernel import inner_kernel, kernel
-from planners.order import Ints
 from planners.robot import SHORTEST_ARC
+from planners.types import Bools, Floats, Ints
 
 LONGEST = 60.0
 """[s] of a part."""

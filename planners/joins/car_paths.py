@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from planners.arena import Bools, Floats
 from planners.cars.reeds_shepp import MOST_ARCS, Pose, along, arcs_for, quickest
 from planners.cars.search import geared
 from planners.clearance import Barriers
@@ -24,6 +23,7 @@ from planners.joins.ompl_process import SLACK, ask
 from planners.joins.paths import Joins, field_of
 from planners.reach import Reach
 from planners.robot import SHORTEST_ARC, Robot
+from planners.types import Bools, Floats
 
 PROOF_STEP = 0.004
 """[m] between the poses at which clearance is measured; it is less by up to half as much in between."""

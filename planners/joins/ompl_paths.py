@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from planners.joins.ompl_process import CHECK_STEP, SLACK, Countdown, Field, Floats, serve
+from planners.joins.ompl_process import CHECK_STEP, SLACK, Countdown, Field, serve
+from planners.types import Floats
 
 ATTEMPTS = 2
 """Solutions for each query, of which the best is kept."""

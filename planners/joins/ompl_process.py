@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planners.errors import PlanError
+from planners.types import Floats
 
 INSTALL = "OMPL is not installed; pip install 'ompl>=2.0.1,<2.1' (Linux or macOS 15+; on Windows use WSL)"
 MISSING = 3
@@ -36,8 +36,6 @@ SLACK = 0.002
 
 HEAD = struct.Struct("<qq")
 """Length of what follows, and an exit code."""
-
-Floats = NDArray[np.float64]
 
 
 class _Server:

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csgraph
 
-from planners.arena import Floats
 from planners.clearance import Barriers
 from planners.joins.ompl_process import SLACK, ask
 from planners.reach import Reach
 from planners.rooms import cell_graph
+from planners.types import Floats
 
 MOST_GOALS = 400
 """Of one query, the nearest ones."""

@@ -22,8 +22,9 @@ import shapely
 from shapely.geometry import MultiPolygon, Polygon, mapping
 from shapely.validation import explain_validity
 
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from planners.errors import PlanError
+from planners.types import Floats
 
 KINDS = ("arena", "obstacle", "wall")
 PROPERTIES = ("name", "kind", "surfaces", "walls", "names")

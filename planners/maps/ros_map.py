@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from shapely.geometry import MultiPolygon, Polygon
 
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
 from planners.errors import PlanError
+from planners.types import Bools, Floats
 
 REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 MODES = ("trinary", "scale", "raw")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from planners.arena import Floats, wrap
+from planners.arena import wrap
 from planners.curve import Pen
 from planners.errors import PlanError
 from planners.joins.paths import Joins, connect
 from planners.methods.stop_and_spin import Driven, Task
+from planners.types import Floats
 
 LEAST_WAY = 0.05
 """[m] a bounce must open at least."""

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 from scipy.sparse import csgraph
 
-from planners.arena import Bools, Floats, wrap
+from planners.arena import wrap
 from planners.cars.search import cusps, geared, room_order, search_floor, shortened
 from planners.curve import Curve, Pen, joined
 from planners.errors import PlanError
@@ -26,12 +26,12 @@ from planners.joins.paths import connect
 from planners.methods.repair_cars import CarRepair
 from planners.methods.repair_spins import SpinRepair, lead
 from planners.methods.stop_and_spin import Driven, Task, wanted
-from planners.order import Ints
 from planners.priority import levels
 from planners.rooms import cell_graph, rooms, sequence
 from planners.search.log_phases import missed
 from planners.search.motion_primitives import GEARS, Table, driving, spinning
 from planners.search.search import Scene, Search, Settings, Visit, scene, spin_curve
+from planners.types import Bools, Floats, Ints
 
 logger = logging.getLogger(__name__)
 

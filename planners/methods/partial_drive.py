@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from planners.cars.search import redriven
 from planners.coverage import Coverage
 from planners.curve import Curve, joined
 from planners.robot import Limits
 from planners.search.log_phases import PHASES, met
+from planners.types import Bools, Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

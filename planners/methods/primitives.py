@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planners.arena import Bools, Floats, wrap
+from planners.arena import wrap
 from planners.curve import Pen, bend
+from planners.types import Bools, Floats
 
 GUARD = 0.1
 """Of a heading bin's width: how far into its last bin a spin goes at least."""

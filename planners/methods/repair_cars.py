@@ -15,7 +15,7 @@ from itertools import count
 
 import numpy as np
 
-from planners.arena import Bools, Floats, wrap
+from planners.arena import wrap
 from planners.cars.detours import with_detours
 from planners.cars.reachability import Ways
 from planners.cars.search import drive_on, geared
@@ -24,9 +24,9 @@ from planners.joins.car_paths import CarWay, connect_cars
 from planners.joins.paths import Joins
 from planners.methods.partial_drive import Trip
 from planners.methods.stop_and_spin import Task
-from planners.order import Ints
 from planners.search.motion_primitives import GEARS, driving
 from planners.search.search import Visit
+from planners.types import Bools, Floats, Ints
 
 IDLE = 12
 """Queries in a row after which no fewer bins are missing, at most: a way on from before the end may cut others off."""

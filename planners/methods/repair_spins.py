@@ -10,12 +10,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from planners.arena import Bools, Floats, wrap
+from planners.arena import wrap
 from planners.curve import Curve, Pen
 from planners.joins.paths import Joins, connect_nearest
 from planners.methods.primitives import aim
 from planners.methods.stop_and_spin import DWELL, Task, places
 from planners.search.log_phases import missed
+from planners.types import Bools, Floats
 
 TURNS = 2
 """Times that a robot stops in a cell for what is missing there, at most."""

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from planners import order
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.curve import Curve, Pen
 from planners.errors import PlanError
 from planners.joins.paths import Joins, connect
 from planners.methods.primitives import ZIGZAG, aim
-from planners.order import Cells, Ints
+from planners.order import Cells
 from planners.priority import levels
 from planners.reach import LEAST_SHARE, Cycle, Reach
 from planners.robot import Robot
 from planners.search.log_phases import missed
+from planners.types import Bools, Floats, Ints, Progress
 
-Progress = Callable[[int, int], None]
 OVERLAP = 0.5
 """[s] that turns and moves overlap where there is room."""
 ROOM = 0.012

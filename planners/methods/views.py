@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from planners import order
-from planners.arena import Floats, wrap
+from planners.arena import wrap
 from planners.curve import Pen
 from planners.errors import PlanError
 from planners.joins.paths import Joins, connect
 from planners.methods.stop_and_spin import DWELL, Driven, Task, places
-from planners.order import Ints
+from planners.types import Floats, Ints
 
 
 def plan_views(task: Task) -> Driven:

@@ -6,9 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planners.arena import Floats
 from planners.kernel import inner_kernel, kernel
-from planners.order import Ints
 from planners.search.heuristic import FARTHEST, Lattice, Units, wave
 from planners.search.kernel_world import (
     CREDITS,
@@ -23,6 +21,7 @@ from planners.search.kernel_world import (
     lattice_key,
     trace,
 )
+from planners.types import Floats, Ints
 
 OVERTIME = 0.25
 """Value of a unit of time that one drive ends before another."""

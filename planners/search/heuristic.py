@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.arena import Bools, Floats
 from planners.kernel import inner_kernel
-from planners.order import Ints
 from planners.search.motion_primitives import Table
+from planners.types import Bools, Floats, Ints
 
 POINTS = 4
 """Lattice points along a cell's side."""

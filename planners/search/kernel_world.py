@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.arena import Bools, Floats
 from planners.kernel import inlined_kernel, inner_kernel, kernel
-from planners.order import Ints
+from planners.types import Bools, Floats, Ints
 
 CREDITS = 3
 """Most bins that one primitive may be credited with."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from planners.coverage import Coverage
 from planners.curve import NODES, WEIGHTS, Curve
 from planners.kernel import inner_kernel
+from planners.types import Bools, Floats
 
 PHASES = 10
 """Phases of the log's clock for which every bin must be met."""

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.arena import Bools, Floats
 from planners.curve import displace
-from planners.order import Ints
 from planners.robot import Limits
+from planners.types import Bools, Floats, Ints
 
 SAMPLES = 8
 """Poses looked at within a primitive."""

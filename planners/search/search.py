@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.arena import Bools, Floats
 from planners.curve import Curve, displace
-from planners.order import Ints
 from planners.reach import Reach
 from planners.rooms import SIDES, links
 from planners.search.beam import LONGEST_FLOOD, Hunt, Outlook, advance, desk, potential
 from planners.search.heuristic import lattice
 from planners.search.kernel_world import CREDITS, Moves, World, drive, escape
 from planners.search.motion_primitives import Table
+from planners.types import Bools, Floats, Ints
 
 INNER = 0.12
 """A cell with at least this share of its inner half in reach is visited there; others anywhere."""

@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from planners.kernel import inner_kernel, kernel
-from planners.order import Ints
 from planners.search.kernel_world import CREDITS, Branches, Moves, World, attempt, end_of, is_safe, trace
+from planners.types import Bools, Floats, Ints
 
 
 class Queue(NamedTuple):

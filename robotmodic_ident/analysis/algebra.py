@@ -12,7 +12,8 @@ import numpy as np
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
-from robotmodic_ident.terms import Factor, Floats, Term, Terms, canonical_key, term_name
+from robotmodic_ident.terms import Factor, Term, Terms, canonical_key, term_name
+from robotmodic_ident.types import Floats
 
 Sum = dict[Term, float]
 KNOWN = ("", "cos", "sin")

@@ -21,7 +21,8 @@ from robotmodic_ident.analysis.algebra import (
 )
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
-from robotmodic_ident.terms import Factor, Floats, Term
+from robotmodic_ident.terms import Factor, Term
+from robotmodic_ident.types import Floats
 
 
 def partial_model(model: Narmax, signal: str) -> Narmax:

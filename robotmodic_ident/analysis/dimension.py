@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from robotmodic_ident.analysis.embedding import embed, surrogate
 from robotmodic_ident.errors import IdentError
-from robotmodic_ident.terms import Floats
+from robotmodic_ident.types import Floats
 
 N_RADII = 24
 LOW, HIGH = 1e-4, 0.1

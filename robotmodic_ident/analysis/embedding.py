@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from robotmodic_ident.errors import IdentError
-from robotmodic_ident.terms import Floats
+from robotmodic_ident.types import Floats
 
 CANDIDATES = 64
 """Neighbours looked through for one that is far enough in time."""

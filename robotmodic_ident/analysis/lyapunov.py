@@ -17,7 +17,7 @@ from robotmodic_ident.analysis.embedding import embed, neighbours
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.records import Record, lagged
-from robotmodic_ident.terms import Floats
+from robotmodic_ident.types import Floats
 
 STRETCHES = 10
 """Of an orbit, between which an exponent's spread is taken."""

@@ -18,7 +18,8 @@ from robotmodic_ident.analysis.algebra import deterministic, evaluate, partial
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.records import Record, as_records
-from robotmodic_ident.terms import Floats, Terms
+from robotmodic_ident.terms import Terms
+from robotmodic_ident.types import Floats
 
 TIGHTER = (1.0, 0.3, 0.1, 0.03, 0.01)
 """tau over sigma, from a first guess to nearly exact dynamics."""

@@ -18,7 +18,8 @@ import numpy as np
 from robotmodic_ident.analysis.algebra import Sum, split, sum_of
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
-from robotmodic_ident.terms import Floats, Term
+from robotmodic_ident.terms import Term
+from robotmodic_ident.types import Floats
 
 NODES = 64
 """Of the Gauss rule: exact for polynomials up to degree 127, so for powers up to 63."""

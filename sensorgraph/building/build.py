@@ -17,9 +17,10 @@ from sensorgraph.building.split import held_out
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models import MODELS
-from sensorgraph.models.base import Bools, Floats, Model, Progress
+from sensorgraph.models.base import Model
 from sensorgraph.models.faces import Faces
 from sensorgraph.models.reduction import Spread
+from sensorgraph.types import Bools, Floats, Progress
 
 MIN_SCANS = 10
 

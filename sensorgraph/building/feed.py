@@ -14,8 +14,9 @@ from logs.run import PoseFrame, RangeSensor, Run, pair
 from logs.stream import Log
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import GapError
-from sensorgraph.models.base import Bools, Floats, Scans
+from sensorgraph.models.base import Scans
 from sensorgraph.models.reduction import BLOCK, Block
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.orientation import orientation
 
 logger = logging.getLogger(__name__)

@@ -8,7 +8,7 @@ import numpy as np
 
 from logs.run import Run
 from sensorgraph.errors import GapError
-from sensorgraph.models.base import Bools
+from sensorgraph.types import Bools
 
 Split = Literal["every10", "block"]
 SPLITS: tuple[str, ...] = get_args(Split)

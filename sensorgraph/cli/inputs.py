@@ -13,7 +13,7 @@ from sensorgraph.files import whole
 if TYPE_CHECKING:
     from logs.run import RangeSensor, Run
     from planners.arena import Arena
-    from sensorgraph.models.base import Floats
+    from sensorgraph.types import Floats
     from sensorgraph.world.robot_file import RobotFile
 
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-Tick = Callable[[int, int], None]
+if TYPE_CHECKING:
+    from sensorgraph.types import Progress
 
 PLAIN_EVERY = 5.0  # [s] between plain lines
 
 
 @contextmanager
-def progress(label: str, unit: str = "") -> Iterator[Tick]:
+def progress(label: str, unit: str = "") -> Iterator[Progress]:
     """Yield `tick(done, total)`, which draws how far the work is; nothing is drawn for work under 0.5 s.
 
     The clock of the rate starts with the first tick: what is prepared before it says nothing of the time left.
@@ -26,9 +28,10 @@ def progress(label: str, unit: str = "") -> Iterator[Tick]:
 
 
 @contextmanager
-def _bar(label: str, unit: str) -> Iterator[Tick]:
+def _bar(label: str, unit: str) -> Iterator[Progress]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
 
     columns = (
         TextColumn("{task.description:<12}"),
@@ -37,7 +40,7 @@ def _bar(label: str, unit: str) -> Iterator[Tick]:
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(label, total=None, rate="")
         start: float | None = None
 
@@ -50,7 +53,7 @@ def _bar(label: str, unit: str) -> Iterator[Tick]:
         yield tick
 
 
-def _plain(label: str, unit: str) -> Tick:
+def _plain(label: str, unit: str) -> Progress:
     start: float | None = None
     said = 0.0
 

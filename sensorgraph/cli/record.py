@@ -9,8 +9,9 @@ import typer
 
 if TYPE_CHECKING:
     from logs.run import Run
-    from planners.arena import Arena, Floats
+    from planners.arena import Arena
     from planners.trajectory import Trajectory
+    from sensorgraph.types import Floats
 
 
 def record(

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from logs.run import Run
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
 from sensorgraph.diagnosis.scan.goodness_of_fit import Verdict, check
@@ -30,6 +30,7 @@ from sensorgraph.diagnosis.scan.residuals import View
 from sensorgraph.diagnosis.scan.scan_data import LEAST_SCANS, Evidence, gather
 from sensorgraph.diagnosis.scan.site_variation import FEW, SURE, Sighting, Usual, alone, usual_sizes
 from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot_file import RobotFile, Tolerances
 
 logger = logging.getLogger(__name__)

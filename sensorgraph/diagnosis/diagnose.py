@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -35,12 +35,12 @@ from sensorgraph.diagnosis.scan.standard_errors import material_probability
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.errors import GapError
+from sensorgraph.types import Progress
 from sensorgraph.world.orientation import orientation
 from sensorgraph.world.robot_file import RobotFile
 
 logger = logging.getLogger(__name__)
 
-Progress = Callable[[int, int], None]
 PARTS = 7
 LEAST_SIGMA = 2e-4  # [m, rad, m/s, rad/s] no reference and no wheel is better
 PARTLY_ALIKE = 0.65  # share of readings as long as the arena makes them; with fewer, names mean little

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from planners.arena import Floats
+from sensorgraph.types import Floats
 
 Channel = Literal["scan", "odometry", "drive"]
 Place = Literal["wall", "obstacle", "spot", "sector"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.scene import FAR, Scene, each
 

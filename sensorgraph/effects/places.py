@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
 from sensorgraph.effects.effect import Amendment
 from sensorgraph.errors import GapError
+from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.scene import Beams, Scene, each
 
-Ints = NDArray[np.intp]
 OFF = 1e-6  # [m] a reflected ray starts this far from the mirror
 
 

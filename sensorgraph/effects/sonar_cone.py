@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from planners.arena import Floats
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
-from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Ints, Scene
+from sensorgraph.types import Floats, Ints
+from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene
 
 RAY = np.radians(1.05)  # [rad] between the rays that fill the cone, at most
 

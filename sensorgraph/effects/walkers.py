@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planners.arena import Bools, Floats
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.scene import FAR, Scene
 

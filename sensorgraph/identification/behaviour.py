@@ -14,10 +14,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from logs.run import Run, pair
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from robotmodic_ident.analysis import correlation_dimension
 from robotmodic_ident.errors import IdentError
 from sensorgraph.errors import GapError
+from sensorgraph.types import Floats
 
 CELL = 0.25  # [m] of the coverage
 STEP = 0.5  # [s] between samples of the embedded track

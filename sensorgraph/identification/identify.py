@@ -9,7 +9,6 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from planners.arena import Floats
 from robotmodic_ident import Narmax, Record, Terms, fit, lags, polynomial
 from robotmodic_ident.criteria import Criterion
 from robotmodic_ident.errors import IdentError
@@ -18,6 +17,7 @@ from robotmodic_ident.score import score as score_series
 from robotmodic_ident.validate import validate
 from sensorgraph.errors import GapError
 from sensorgraph.identification.signals import Data, variable
+from sensorgraph.types import Floats
 
 Split = Literal["half", "block", "none"]
 SPLITS: tuple[str, ...] = get_args(Split)

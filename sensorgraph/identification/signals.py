@@ -19,10 +19,10 @@ from logs import table
 from logs.errors import LogError
 from logs.run import RangeSensor, Run, pair
 from logs.text import first_bytes, read_lines
-from planners.arena import Floats, wrap
+from planners.arena import wrap
 from robotmodic_ident import Record
 from sensorgraph.errors import GapError
-from sensorgraph.models.base import Ints
+from sensorgraph.types import Floats, Ints
 
 POSE = ("x", "y", "phi", "cos_phi", "sin_phi")
 ODOMETRY = ("v", "omega")

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from sensorgraph.models.base import Bools, Floats, Ints
+from planners.kernel import kernel
 from sensorgraph.models.face_march import ROOM, FaceSet, gather, index
-from sensorgraph.models.kernel import kernel
 from sensorgraph.models.ray_terms import N_SHARED, RayTerms, incidence_bias, shared_terms
 from sensorgraph.models.visibility import Noise, variance
+from sensorgraph.types import Bools, Floats, Ints
 
 MOUNT = slice(0, 3)
 COMMON = slice(3, 5)  # constant and slope of all rays together

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Protocol, Self, get_args
 
@@ -10,13 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import PoseFrame, RangeSensor
+from sensorgraph.types import Bools, Floats, Ints, Progress
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.intp]
 Point = Literal["mode", "median", "mean"]
 POINTS: tuple[str, ...] = get_args(Point)
-Progress = Callable[[int, int], None]
 OFF = 0.05
 """[m] farther from the measured range than this, a prediction shows another surface: it is wrong."""
 

@@ -35,7 +35,6 @@ from sensorgraph.models.adjustment import (
     select,
     standard_errors,
 )
-from sensorgraph.models.base import Floats
 from sensorgraph.models.crossed import Crossed
 from sensorgraph.models.face_fit import FittedFaces, draft_faces, fit_faces
 from sensorgraph.models.face_march import FaceSet
@@ -44,6 +43,7 @@ from sensorgraph.models.poses_refined import Refined, refine, shifted
 from sensorgraph.models.ray_terms import RayTerms
 from sensorgraph.models.reduction import Sample
 from sensorgraph.models.visibility import Noise, Rays
+from sensorgraph.types import Floats
 
 logger = logging.getLogger(__name__)
 

@@ -7,11 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sensorgraph.models.base import OFF, POINTS, Bools, Floats
+from planners.kernel import kernel
+from sensorgraph.models.base import OFF, POINTS
 from sensorgraph.models.cell_evidence import NEAREST
 from sensorgraph.models.cell_march import Table, candidates
-from sensorgraph.models.kernel import kernel
 from sensorgraph.models.mixture import MEAN, MEDIAN, MODE, P_OFF
+from sensorgraph.types import Bools, Floats
 
 SIGMAS = np.geomspace(0.005, 0.08, 17)
 """[m] spreads tried."""

@@ -12,9 +12,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sensorgraph.models.base import Floats
+from planners.kernel import kernel
 from sensorgraph.models.cell_grid import N_SECTORS, Index, Whole, Window, sector, steps_within, walk
-from sensorgraph.models.kernel import kernel
+from sensorgraph.types import Floats
 
 Counts = NDArray[np.float32]
 T = TypeVar("T", bound=np.generic)

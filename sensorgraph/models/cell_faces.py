@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sensorgraph.models.base import Floats
+from planners.kernel import kernel
 from sensorgraph.models.cell_evidence import N_MOMENTS, Evidence
 from sensorgraph.models.cell_grid import N_SECTORS, Index, Whole
-from sensorgraph.models.kernel import kernel
+from sensorgraph.types import Floats
 
 Bytes = NDArray[np.uint8]
 Offsets = NDArray[np.int8]

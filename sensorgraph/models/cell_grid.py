@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sensorgraph.models.base import Floats
-from sensorgraph.models.kernel import kernel
+from planners.kernel import kernel
+from sensorgraph.types import Floats
 
 Index = NDArray[np.int32]
 Whole = NDArray[np.int64]

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from sensorgraph.models.base import Bools, Floats
+from planners.kernel import kernel
 from sensorgraph.models.cell_evidence import NEAREST, Evidence
 from sensorgraph.models.cell_grid import Whole, sector, walk
 from sensorgraph.models.cell_march import RATES, Table, face_range
 from sensorgraph.models.cell_visibility import Small, expand, features
-from sensorgraph.models.kernel import kernel
+from sensorgraph.types import Bools, Floats
 
 N_STRETCHES, EVERY = 50, 5
 SPREAD = 0.03

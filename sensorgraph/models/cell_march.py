@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sensorgraph.models.base import OFF, Floats
+from planners.kernel import kernel
+from sensorgraph.models.base import OFF
 from sensorgraph.models.cell_evidence import NEAREST, Evidence
 from sensorgraph.models.cell_faces import ACROSS, COS, OFFSET_STEP, SIN, Bytes, Offsets, faces
 from sensorgraph.models.cell_grid import N_SECTORS, Index, Whole, sector, steps_within, walk, walk_plain
 from sensorgraph.models.cell_visibility import logits
-from sensorgraph.models.kernel import kernel
 from sensorgraph.models.mixture import summarise
+from sensorgraph.types import Floats
 
 STEEPEST = 0.17
 """A line seen at a flatter angle than this sine says nothing of the range."""

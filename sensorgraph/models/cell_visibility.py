@@ -11,10 +11,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sensorgraph.models.base import Floats
+from planners.kernel import kernel
 from sensorgraph.models.cell_evidence import Counts, Evidence
 from sensorgraph.models.cell_grid import N_SECTORS, Index, Whole
-from sensorgraph.models.kernel import kernel
+from sensorgraph.types import Floats
 
 Small = NDArray[np.float32]
 

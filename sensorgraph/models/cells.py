@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 
 from logs.run import RangeSensor
 from sensorgraph.errors import GapError
-from sensorgraph.models.base import POINTS, Bools, Floats, Ints, Point, Prediction, Progress, Scans
+from sensorgraph.models.base import POINTS, Point, Prediction, Scans
 from sensorgraph.models.cell_calibration import KNOTS, best_sigma, seen_for_said
 from sensorgraph.models.cell_evidence import CELL, NEAREST, REACH, Evidence
 from sensorgraph.models.cell_learning import newton, samples, set_aside
 from sensorgraph.models.cell_march import Table, list_candidates, march, prepare
 from sensorgraph.models.cell_visibility import TERMS
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
+from sensorgraph.types import Bools, Floats, Ints, Progress
 
 MOVED, TURNED = 0.4, np.radians(20.0)
 """[m], [rad] a scan counts where the robot has moved or turned so far since the last one: counts are independent looks."""

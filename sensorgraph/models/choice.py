@@ -11,7 +11,8 @@ import numpy as np
 from robotmodic_ident import Moments, Scale, Terms
 from robotmodic_ident.select import forward, invert_upper
 from sensorgraph.errors import GapError
-from sensorgraph.models.base import Floats, Ints, Progress, Scans
+from sensorgraph.models.base import Scans
+from sensorgraph.types import Floats, Ints, Progress
 
 Auto = int | Literal["auto"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.models.base import Floats, Ints
 from sensorgraph.models.edges import Looks
 from sensorgraph.models.face_march import FaceSet
+from sensorgraph.types import Floats, Ints
 
 CORNER = 0.03  # [m] within which two ends may be one corner
 MOST_BLUR = 0.03  # [m]

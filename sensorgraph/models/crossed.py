@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
-from sensorgraph.models.base import Bools, Floats
-from sensorgraph.models.kernel import kernel
+from planners.kernel import kernel
+from sensorgraph.types import Bools, Floats
 
 CELL = 0.10  # [m]
 LARGEST = 1 << 26  # cells of a grid; a larger one is made coarser

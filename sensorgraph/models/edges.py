@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sensorgraph.models.base import Bools, Floats, Ints
+from planners.kernel import kernel
 from sensorgraph.models.face_march import FAINT, ROOM, FaceSet, index
-from sensorgraph.models.kernel import kernel
 from sensorgraph.models.visibility import Noise, Rays, gather_within, share_within
+from sensorgraph.types import Bools, Floats, Ints
 
 CHANGE = 4.0  # [nats] that an edge must be worth, beside half the log of the looks at its face
 LOOK_BACK = 600  # runs of equal outcome that one stretch may hold

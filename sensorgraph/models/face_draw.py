@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from planners.kernel import kernel
 from sensorgraph.models.face_march import ROOM, gather
-from sensorgraph.models.kernel import kernel
 from sensorgraph.models.ray_terms import incidence_bias
 
 

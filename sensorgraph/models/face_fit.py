@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.models.base import Floats, Progress
 from sensorgraph.models.corners import join_corners, with_errors
 from sensorgraph.models.edges import is_seen, looks_at, sharpen, subset
 from sensorgraph.models.face_march import FaceSet
@@ -16,6 +15,7 @@ from sensorgraph.models.selection import Lines, select_lines
 from sensorgraph.models.splits import split_bent
 from sensorgraph.models.surfaces import Surfaces
 from sensorgraph.models.visibility import Expectation, Noise, Rays, expect, faces_of, improve
+from sensorgraph.types import Floats, Progress
 
 logger = logging.getLogger(__name__)
 

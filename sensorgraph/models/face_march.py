@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sensorgraph.models.base import Floats, Ints
-from sensorgraph.models.kernel import kernel
+from planners.kernel import kernel
+from sensorgraph.types import Floats, Ints
 
 BUCKET = 0.8  # [m] uncritical: 0.3 to 1.2 are alike
 MARGIN = 0.02  # [m] beyond its ends a face is still offered, so that a blurred end can be seen

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensorgraph.models.base import Floats, Ints
 from sensorgraph.models.edges import Looks, sorted_looks
 from sensorgraph.models.face_march import FaceSet
 from sensorgraph.models.surfaces import Surfaces
 from sensorgraph.models.visibility import Expectation, Rays
+from sensorgraph.types import Floats, Ints
 
 BESIDE = 12
 """Looks kept on each side of an edge."""

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensorgraph.models.base import Floats, Ints
 from sensorgraph.models.corners import join_corners, with_errors
 from sensorgraph.models.crossed import Crossed
 from sensorgraph.models.edges import Looks, is_seen, looks_at, sharpen, subset
@@ -16,6 +15,7 @@ from sensorgraph.models.face_memory import Memory, merged, rebased, unsorted
 from sensorgraph.models.selection import Lines, select_lines
 from sensorgraph.models.surfaces import Surfaces
 from sensorgraph.models.visibility import Expectation, Noise, Rays, expect, faces_of, moved, spread_of
+from sensorgraph.types import Floats, Ints
 
 NEAR = 0.03
 """[m] a hit this near to a face is explained by it, once it is there."""

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor
+from planners.kernel import kernel
 from sensorgraph.errors import GapError
-from sensorgraph.models.base import OFF, Floats, Ints, Point, Prediction, Progress, Scans
+from sensorgraph.models.base import OFF, Point, Prediction, Scans
 from sensorgraph.models.calibration import Calibration, corrected, crossed_by, identify
 from sensorgraph.models.cells import Cells
 from sensorgraph.models.crossed import Crossed, is_crossed
@@ -27,11 +28,11 @@ from sensorgraph.models.face_fit import STEPS, Steps, fit_faces
 from sensorgraph.models.face_march import FAINT, MOST, ROOM, FaceSet, gather, index
 from sensorgraph.models.face_memory import Memory
 from sensorgraph.models.face_update import update_faces
-from sensorgraph.models.kernel import kernel
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, summarise, to_prediction, which_of
 from sensorgraph.models.ray_terms import incidence_bias
 from sensorgraph.models.reduction import BLOCK, Block, Spread, blocks_of, reduce_blocks
 from sensorgraph.models.visibility import Noise, variance
+from sensorgraph.types import Floats, Ints, Progress
 
 SURE = 0.05
 """Chance of being off above which a ray is not answered."""

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from sensorgraph.models.base import OFF, POINTS, Bools, Floats, Point, Prediction
-from sensorgraph.models.kernel import kernel
+from planners.kernel import kernel
+from sensorgraph.models.base import OFF, POINTS, Point, Prediction
+from sensorgraph.types import Bools, Floats
 
 WINDOW = 6.0
 """Width of the mode's window, in standard deviations of a candidate: all of one surface, little of the next."""

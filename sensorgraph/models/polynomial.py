@@ -18,9 +18,10 @@ from robotmodic_ident import Moments, Scale, Selection, Terms, fourier, polynomi
 from robotmodic_ident.expand import expand
 from robotmodic_ident.printing import sum_text
 from sensorgraph.errors import GapError
-from sensorgraph.models.base import OFF, Floats, Ints, Point, Prediction, Progress, Scans
+from sensorgraph.models.base import OFF, Point, Prediction, Scans
 from sensorgraph.models.choice import Auto, Choice, choose
 from sensorgraph.models.support import Support
+from sensorgraph.types import Floats, Ints, Progress
 
 BLOCK = 4096
 """Poses taken at a time."""

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from planners.kernel import kernel
 from sensorgraph.models.adjustment import Matches, Readings
-from sensorgraph.models.base import Floats
 from sensorgraph.models.face_march import FaceSet
-from sensorgraph.models.kernel import kernel
+from sensorgraph.types import Floats
 
 START = (0.005, 0.005)  # [m, rad] noise of the poses to begin with
 ROUNDS = 30

@@ -11,8 +11,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from sensorgraph.models.base import Floats
-from sensorgraph.models.kernel import kernel
+from planners.kernel import kernel
+from sensorgraph.types import Floats
 
 POWERS = ((1, 0), (2, 0), (3, 0), (1, 1), (2, 1), (1, 2), (2, 2))
 """Of v and q in the terms of S."""

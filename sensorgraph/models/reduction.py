@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor
-from sensorgraph.models.base import Floats, Scans
+from planners.kernel import kernel
+from sensorgraph.models.base import Scans
 from sensorgraph.models.crossed import Crossed
-from sensorgraph.models.kernel import kernel
 from sensorgraph.models.surfaces import Surfaces
 from sensorgraph.models.visibility import Rays
+from sensorgraph.types import Floats
 
 BLOCK = 8192
 """Scans of a block."""

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from sensorgraph.models.base import Floats, Ints
-from sensorgraph.models.kernel import kernel
+from planners.kernel import kernel
 from sensorgraph.models.surfaces import CELL, Surfaces
+from sensorgraph.types import Floats, Ints
 
 N_ANGLES = 240  # normals over the full turn: faces have one side
 SPREAD = 3  # angle bins beside its own that a cell votes for

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from sensorgraph.models.base import Floats
+from planners.kernel import kernel
 from sensorgraph.models.face_march import ROOM, FaceSet, index
-from sensorgraph.models.kernel import kernel
 from sensorgraph.models.selection import Lines
 from sensorgraph.models.visibility import (
     STEEP,
@@ -19,6 +18,7 @@ from sensorgraph.models.visibility import (
     share_within,
     variance,
 )
+from sensorgraph.types import Floats
 
 SPLIT = 9.0  # [nats] that two lines must be worth over one, beside the log of the hits
 FEWEST = 4  # hits of a line

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensorgraph.models.base import Bools, Floats
+from sensorgraph.types import Bools, Floats
 
 Cells = NDArray[np.int64]
 

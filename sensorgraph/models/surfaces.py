@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensorgraph.models.base import Floats
-from sensorgraph.models.kernel import kernel
+from planners.kernel import kernel
+from sensorgraph.types import Floats
 
 CELL = 0.02
 """[m] side of a cell."""

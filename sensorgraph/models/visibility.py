@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
-from sensorgraph.models.base import Floats, Ints
+from planners.kernel import inlined, kernel
 from sensorgraph.models.face_march import MARGIN, ROOM, Buckets, FaceSet, gather, index
-from sensorgraph.models.kernel import inlined, kernel
 from sensorgraph.models.selection import Lines
+from sensorgraph.types import Floats, Ints
 
 BIN = 0.01  # [m] first guess of the edges: bins along the face
 STEEP = 0.08  # |n·u| below which a hit does not move its face: its range is all leverage

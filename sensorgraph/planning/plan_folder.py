@@ -15,7 +15,7 @@ import numpy as np
 from logs.plan_file import write_plan
 from logs.run import OccupancyMap
 from planners import Plan
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from planners.coverage import Coverage
 from planners.curve import Curve
 from planners.export import commands_csv, stops_yaml
@@ -24,6 +24,7 @@ from planners.maps import geojson
 from sensorgraph.files import whole
 from sensorgraph.show.figures_headings import headings_picture
 from sensorgraph.show.figures_plan import plan_picture, reach_picture
+from sensorgraph.types import Floats
 from sensorgraph.world.robot_file import RobotFile
 from sensorgraph.world.simulate import EPOCH_NS, occupancy
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from planners.arena import Floats
 from planners.coverage import Coverage
 from sensorgraph.evaluation import poses_for
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.types import Floats
 
 BLOCK = 4096  # poses predicted at a time
 UNKNOWN = 1.0

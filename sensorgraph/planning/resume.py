@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 
 import logs
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.maps import geojson
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import arena_of
 
 STEP, NEAR = 0.05, 0.10

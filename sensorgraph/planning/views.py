@@ -15,11 +15,12 @@ import numpy as np
 from logs.run import RangeSensor
 from planners.arena import Arena
 from planners.errors import PlanError
+from planners.kernel import kernel
 from planners.reach import Reach
 from sensorgraph.evaluation import poses_for
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.base import Floats, Ints, Prediction, Progress
-from sensorgraph.models.kernel import kernel
+from sensorgraph.models.base import Prediction
+from sensorgraph.types import Floats, Ints, Progress
 from sensorgraph.world.raycast import cast as cast_arena
 from sensorgraph.world.raycast import laser_poses
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from robotmodic_ident import Narmax
 from robotmodic_ident.errors import IdentError
 from sensorgraph.errors import GapError
 from sensorgraph.identification.signals import RAY, perceived, rays_of
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot_file import RobotFile
 
 Controller = Callable[[Floats], tuple[float, float]]

@@ -14,7 +14,7 @@ import numpy as np
 
 import logs
 from logs.run import RangeSensor, Run
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from planners.maps import geojson
 from planners.trajectory import Trajectory
 from sensorgraph.building.build import is_same_sensor
@@ -23,7 +23,8 @@ from sensorgraph.evaluation import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces import Faces
 from sensorgraph.recording.controllers import controller_named
-from sensorgraph.recording.record import Progress, silent
+from sensorgraph.recording.record import silent
+from sensorgraph.types import Floats, ProgressBars
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow, react
 from sensorgraph.world.raycast import cast
@@ -135,7 +136,7 @@ def record_in(
     controller: str,
     *,
     name: str = "",
-    progress: Progress = silent,
+    progress: ProgressBars = silent,
 ) -> Run:
     """Drive in an identified world for as long as the plan takes, and write what is perceived.
 

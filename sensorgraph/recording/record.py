@@ -11,18 +11,17 @@ import numpy as np
 
 import logs
 from logs.run import Run
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from planners.maps import geojson
 from planners.trajectory import Trajectory
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effects_file import check_places, dumps
+from sensorgraph.types import Floats, ProgressBars
 from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import Driven, follow, replay
 from sensorgraph.world.machine import Machine
 from sensorgraph.world.robot_file import RobotFile
 from sensorgraph.world.simulate import occupancy, simulate
-
-Progress = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +50,7 @@ def record(
     effects: Sequence[Amendment] = (),
     seed: int = 0,
     attachments: Mapping[str, bytes] | None = None,
-    progress: Progress = silent,
+    progress: ProgressBars = silent,
 ) -> Run:
     """Drive along a trajectory, or by commands, and write what the robot perceives; same seed, same bytes.
 

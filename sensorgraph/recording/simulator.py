@@ -14,7 +14,8 @@ from sensorgraph.building.build import is_same_sensor
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import GapError
 from sensorgraph.evaluation import Evaluation, Job, Metrics
-from sensorgraph.models.base import OFF, Ints, Point, Prediction
+from sensorgraph.models.base import OFF, Point, Prediction
+from sensorgraph.types import Ints
 from sensorgraph.world.scene import Scene, Transform, fade
 from sensorgraph.world.simulate import BLOCK
 

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from sensorgraph.files import whole
+from sensorgraph.types import Floats
 
 INK, SOFT, FLOOR, SOLID, ALARM = "#23262f", "#8b90a0", "#ffffff", "#d9dce4", "#d1345b"
 MOST_POINTS = 60_000

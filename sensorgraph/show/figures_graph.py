@@ -11,16 +11,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from logs.run import Run, pair
-from planners.arena import Floats
 from sensorgraph.errors import GapError
 from sensorgraph.evaluation import evaluate, poses_for
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.base import Ints
 from sensorgraph.models.cell_march import RATES
 from sensorgraph.models.cells import Cells
 from sensorgraph.models.face_march import FAINT
 from sensorgraph.models.faces import Faces
 from sensorgraph.show.figures import ALARM, FLOOR, INK, SOFT, SOLID, new_figure, quiet, save_figure
+from sensorgraph.types import Floats, Ints
 from sensorgraph.world.raycast import laser_poses
 
 BIN = 0.10  # [m] of a face, or side of a cell, over which residuals are averaged

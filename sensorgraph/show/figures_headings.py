@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from sensorgraph.show.figures import ALARM, FLOOR, INK, fill_solid, new_figure, save_figure
 from sensorgraph.show.figures_plan import REASONS, TEAL, head, key
+from sensorgraph.types import Floats
 
 if TYPE_CHECKING:
     from planners import Plan

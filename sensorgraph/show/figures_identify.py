@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from planners.arena import Floats
 from robotmodic_ident import Narmax
 from robotmodic_ident.analysis import sobol, surface
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.records import lagged
 from sensorgraph.identification.identify import Identified
 from sensorgraph.show.figures import ALARM, INK, SOFT, SOLID, new_figure, quiet, save_figure
+from sensorgraph.types import Floats
 
 SEA, AMBER = "#2a788e", "#c9892b"
 MOST_SAMPLES = 400

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from planners.arena import Floats
+from sensorgraph.types import Floats
 
 if TYPE_CHECKING:
     from sensorgraph.show.review_cells import Cells, Tally

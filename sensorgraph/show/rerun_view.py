@@ -16,11 +16,11 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from planners.arena import Floats
 from sensorgraph.errors import GapError
 from sensorgraph.files import whole
 from sensorgraph.show import rerun_maps as view_maps
 from sensorgraph.show.rerun_maps import VERDICT
+from sensorgraph.types import Floats
 
 if TYPE_CHECKING:  # whoever has a review has imported it; a diagnosis needs neither models nor numba
     from sensorgraph.show.review import Review

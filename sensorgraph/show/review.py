@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import Pairing, Run, pair
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from sensorgraph.building.build import training_scans
 from sensorgraph.errors import GapError
 from sensorgraph.evaluation import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import OFF
 from sensorgraph.show.review_cells import HEADINGS, MUCH_UNANSWERED, OPEN, Cells, cells_of
+from sensorgraph.types import Floats
 from sensorgraph.world.raycast import laser_poses
 
 MOST_SCANS = 5000

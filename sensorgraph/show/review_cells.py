@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
 from planners.coverage import Coverage
 from sensorgraph.evaluation import Evaluation
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.base import OFF, Ints
+from sensorgraph.models.base import OFF
 from sensorgraph.models.crossed import Crossed
 from sensorgraph.planning.priority import doubt
+from sensorgraph.types import Bools, Floats, Ints
 
 CELL = 0.25  # [m] unless that would be too many
 MOST_CELLS = 40_000

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planners.arena import Floats, wrap
+from planners.arena import wrap
 from planners.trajectory import Trajectory
+from sensorgraph.types import Floats
 from sensorgraph.world.machine import Machine
 from sensorgraph.world.robot_file import RobotFile
 

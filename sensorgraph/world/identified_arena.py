@@ -15,9 +15,9 @@ from shapely.geometry import MultiPolygon, Polygon
 from planners.arena import Arena
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.base import Floats, Ints
 from sensorgraph.models.crossed import Crossed
 from sensorgraph.models.faces import Faces
+from sensorgraph.types import Floats, Ints
 
 LEAST = 0.5
 """Visibility above which a stretch is a wall."""

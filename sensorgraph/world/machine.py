@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from planners.arena import Floats
+from sensorgraph.types import Floats
 from sensorgraph.world.robot_file import RobotFile
 from sensorgraph.world.scene import Transform
 

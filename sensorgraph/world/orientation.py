@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from logs.run import RangeSensor, Run, pair
-from planners.arena import Arena, Floats
+from planners.arena import Arena
+from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast, laser_poses
 
 LEAST_SCANS, MOST_SCANS = 10, 300

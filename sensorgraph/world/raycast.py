@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from logs.run import RangeSensor
-from planners.arena import Arena, Bools, Floats, wrap
+from planners.arena import Arena, wrap
+from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.rays import nearest
-
-Ints = NDArray[np.intp]
 
 BATCH = 48  # poses at a time: the working set stays in the cache
 FEW_WALLS = 160  # up to here every pose meets every wall

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planners.arena import Floats
 from planners.kernel import kernel
-
-Ints = NDArray[np.intp]
+from sensorgraph.types import Floats, Ints
 
 
 @kernel

@@ -14,15 +14,14 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from logs.run import RangeSensor
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
+from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.raycast import cast_laser, directions, laser_poses
 from sensorgraph.world.rays import nearest
 
-Ints = NDArray[np.intp]
 STAGES = ("geometry", "time", "mount", "surface", "optics", "range", "detection", "noise")
 FAR = 1e4  # [m] nothing is farther; the sensor's own limits come later, as part of the reading
 MOST_KEPT = 12  # casts in the memory of a scene

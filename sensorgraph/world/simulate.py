@@ -11,7 +11,8 @@ import numpy as np
 import shapely
 
 from logs.run import OccupancyMap, RangeSensor, Run
-from planners.arena import Arena, Floats, wrap
+from planners.arena import Arena, wrap
+from sensorgraph.types import Floats, Progress
 from sensorgraph.world.drive import Driven, odometry
 from sensorgraph.world.machine import Machine
 from sensorgraph.world.robot_file import RobotFile
@@ -20,8 +21,6 @@ from sensorgraph.world.scene import Scene, Transform, draw
 EPOCH_NS = 1_704_067_200_000_000_000
 """[ns] 2024-01-01T00:00:00Z, when every simulated run starts: the same seed gives the same bytes."""
 BLOCK = 1000  # scans cast between two ticks of the progress
-
-Progress = Callable[[int, int], None]
 
 
 def scan_stamps(driven: Driven, sensor: RangeSensor) -> Floats:

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 from logs.run import Run
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.motion.noise import Noise
 from sensorgraph.diagnosis.motion.unmodelled_structure import Family, Judge, kind_of
 from sensorgraph.diagnosis.motion.wheels import clock_offset
@@ -33,6 +32,7 @@ from sensorgraph.diagnosis.motion.whitened_regression import (
 )
 from sensorgraph.diagnosis.result import Fit, Gap, Ledger, Rival, Unknown, Where
 from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot_file import RobotFile
 
 STEP = 0.01

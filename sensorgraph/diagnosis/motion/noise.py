@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.optimize import minimize
 
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.motion.whitened_regression import whiten
+from sensorgraph.types import Bools, Floats
 
 ORDER = 24
 """Of the whitening filter."""

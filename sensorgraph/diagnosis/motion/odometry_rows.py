@@ -12,8 +12,9 @@ import numpy as np
 from scipy import sparse
 
 from logs.run import Run
-from planners.arena import Bools, Floats, wrap
+from planners.arena import wrap
 from sensorgraph.diagnosis.motion.whitened_regression import Increments, increments, own_reference
+from sensorgraph.types import Bools, Floats
 
 GROUP = 0.1
 """[s] over which reference poses are averaged."""

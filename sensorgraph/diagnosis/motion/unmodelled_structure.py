@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.motion.noise import HUBER, Limits, Noise, fit_noise
 from sensorgraph.diagnosis.motion.odometry_rows import Rows
 from sensorgraph.diagnosis.motion.whitened_regression import Increments, huber
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot_file import RobotFile
 
 ROOM = 1.5

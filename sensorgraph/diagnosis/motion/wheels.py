@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from logs.run import Run
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.motion.odometry_rows import Rows, aligned, lay_out, signals_of, stack
 from sensorgraph.diagnosis.motion.unmodelled_structure import (
     Family,
@@ -39,6 +38,7 @@ from sensorgraph.diagnosis.motion.whitened_regression import (
 )
 from sensorgraph.diagnosis.result import Fit, Gap, Ledger, Rival, Unknown, Where
 from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot_file import RobotFile
 
 ORDER = 24

@@ -13,7 +13,8 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 
 from logs.run import Run
-from planners.arena import Bools, Floats, wrap
+from planners.arena import wrap
+from sensorgraph.types import Bools, Floats
 
 PENALTY = 4.0
 """[nats] per parameter of an effect."""

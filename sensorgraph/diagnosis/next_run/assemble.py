@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
-from planners.arena import Floats, wrap
+from planners.arena import wrap
 from planners.curve import Curve, Pen
 from planners.errors import PlanError
 from planners.joins.paths import connect
 from sensorgraph.diagnosis.next_run.candidate_motions import SWEEP, Ground, Step
+from sensorgraph.types import Floats
 
 ROUNDS = 2  # times that a plan goes round, so that what changes with time shows
 KEPT = (1, 2, 4, 7)  # motions in a plan

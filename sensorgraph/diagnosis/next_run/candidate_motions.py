@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planners.arena import Arena, Bools, Floats, wrap
+from planners.arena import Arena, wrap
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.planning import MARGIN
 from planners.reach import Reach, reach
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot_file import RobotFile
 
 PLACES = 14  # that motions start from

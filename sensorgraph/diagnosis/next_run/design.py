@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from planners.check import check
 from planners.curve import Curve
 from planners.errors import PlanError
@@ -28,6 +28,7 @@ from sensorgraph.diagnosis.next_run.candidate_motions import SWEEP, Ground, Step
 from sensorgraph.diagnosis.next_run.forecast import Forecast, Motion, Question, divide
 from sensorgraph.diagnosis.next_run.questions import OPEN
 from sensorgraph.files import whole
+from sensorgraph.types import Floats
 from sensorgraph.world.robot_file import RobotFile
 
 MOMENTS = 6  # looked at in a motion

@@ -12,19 +12,18 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
 from sensorgraph.diagnosis.scan.fit import cast, solver_for
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
 from sensorgraph.diagnosis.scan.likelihood import Predicted
 from sensorgraph.diagnosis.scan.nuisance import BOX
 from sensorgraph.diagnosis.scan.scan_data import Evidence
 from sensorgraph.effects import Amendment
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot_file import RobotFile
 
-Ints = NDArray[np.intp]
 Model = tuple[Amendment, ...]
 
 MOST_RAYS = 46  # of a scan, that are looked at; the others count as much

@@ -11,17 +11,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from logs.run import RangeSensor
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import Finding
 from sensorgraph.diagnosis.result import Fit, Gap
 from sensorgraph.diagnosis.scan.fit import Fitted, cast
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.effects import Amendment
-
-Ints = NDArray[np.intp]
+from sensorgraph.types import Bools, Floats, Ints
 
 EDGE = 0.002  # chance of the other side of an edge in depth, above which a ray is not compared
 ENLARGED = (1, 2, 3, 5, 10, 20, 30, 50)  # times that residuals are drawn

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.arena import Arena, Floats
+from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import Finding
 from sensorgraph.diagnosis.report.comparison import Compared, Side, bare_gap, sections
 from sensorgraph.diagnosis.report.phrases import place_words
@@ -16,6 +16,7 @@ from sensorgraph.diagnosis.result import Gap, Ledger, Unknown
 from sensorgraph.diagnosis.scan.model_selection import THRESHOLD
 from sensorgraph.effects import Amendment
 from sensorgraph.show.figures import ALARM, INK, SOFT, SOLID, draw_floor, new_figure, quiet, save_figure
+from sensorgraph.types import Floats
 
 BEFORE, AFTER, PALE = ALARM, "#2a788e", "#eceef2"
 MOST_POINTS = 6000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,8 @@ from sensorgraph.diagnosis.report.phrases import (
 from sensorgraph.diagnosis.result import Gap, Ledger, Where
 from sensorgraph.effects import Amendment, effects_file
 from sensorgraph.files import whole
+from sensorgraph.types import Progress
 
-Tick = Callable[[int, int], None]
 PICTURES = ("arena", "residuals", "gap", "ranking", "next_run")
 NEXT_RUN = ("trajectory.csv", "arena.geojson", "robot.yaml", "plan.json")
 PARTS = 5  # report.json, effects.yaml, pictures, report.html, review.rrd
@@ -36,7 +36,7 @@ def save(
     *,
     name: str = "run",
     settings: Mapping[str, Any] | None = None,
-    progress: Tick | None = None,
+    progress: Progress | None = None,
 ) -> list[Path]:
     """Write everything that a diagnosis has to say; return the files. Each is whole or not there.
 

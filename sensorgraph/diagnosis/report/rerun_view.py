@@ -9,9 +9,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from planners.arena import Floats
 from sensorgraph.diagnosis.report.comparison import CLIP, Compared, Side
 from sensorgraph.show.rerun_view import DIM, ORANGE, WALL, WHITE, recorded
+from sensorgraph.types import Floats
 
 MOST_SCANS = 400
 MARK, BLUE, TEAL = (255, 90, 120), (110, 160, 255), (70, 220, 190)

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from planners.arena import Floats
 from planners.kernel import kernel
+from sensorgraph.types import Floats
 
 ROOT2, ROOT_TAU = math.sqrt(2.0), math.sqrt(2 * math.pi)
 LOG_P, WEIGHT, RESIDUAL, CORE, TAIL, LOST, STRAY = range(7)

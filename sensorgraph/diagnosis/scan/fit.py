@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.scan.gauss_newton import (
     MOST_CORNERS,
     Solution,
@@ -21,6 +20,7 @@ from sensorgraph.diagnosis.scan.likelihood import Edges, Predicted, find_edges, 
 from sensorgraph.diagnosis.scan.nuisance import DENSE, OWN, Columns, Corners, Freedom, columns
 from sensorgraph.diagnosis.scan.scan_data import Evidence
 from sensorgraph.effects import Amendment
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.scene import Beams, Scene
 
 SMOOTH: dict[str, dict[str, float]] = {  # effect -> parameter -> step of the difference quotient

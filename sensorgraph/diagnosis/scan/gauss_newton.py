@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.scan.likelihood import Judged, Predicted, judge
 from sensorgraph.diagnosis.scan.nuisance import (
     BOX,
@@ -26,6 +25,7 @@ from sensorgraph.diagnosis.scan.nuisance import (
 )
 from sensorgraph.diagnosis.scan.scan_data import Evidence
 from sensorgraph.diagnosis.scan.wall_sums import wall_sums
+from sensorgraph.types import Bools, Floats
 
 MOST_CORNERS = 400  # a map with more is taken as it is
 CLIP = 3.5  # Mahalanobis length that the pose error of a scan may have

@@ -12,18 +12,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planners.arena import Bools, Floats
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.result import Where
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, fit, log_p_at
 from sensorgraph.diagnosis.scan.nuisance import Freedom
 from sensorgraph.diagnosis.scan.residuals import View, best_run
 from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.robot_file import Tolerances
-
-Ints = NDArray[np.intp]
 
 BLOCK = 1.0  # [s] of scans that share their errors
 CELL = 0.5  # [m] of places

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.result import Fit, Gap
 from sensorgraph.diagnosis.scan.fit import Fitted, cast, corners_of, locked
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
@@ -15,6 +14,7 @@ from sensorgraph.diagnosis.scan.likelihood import Judged, judge, sample
 from sensorgraph.diagnosis.scan.nuisance import Noise, pose_prior
 from sensorgraph.diagnosis.scan.scan_data import Evidence
 from sensorgraph.effects import Amendment
+from sensorgraph.types import Bools, Floats
 
 BLOCK = 1.0  # [s] of scans that are held out together
 NEXT_TO_EDGE = 0.002  # chance of reading the other side of an edge; such rays count in the nats only

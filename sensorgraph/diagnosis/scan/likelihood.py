@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from planners.arena import Floats
 from sensorgraph.diagnosis.scan.beam_mixture import CORE, LOG_P, LOST, RESIDUAL, STRAY, WEIGHT, mixture
 from sensorgraph.diagnosis.scan.beam_mixture import TAIL as OUTER
 from sensorgraph.diagnosis.scan.nuisance import TAIL, Noise
 from sensorgraph.diagnosis.scan.scan_data import Evidence
-from sensorgraph.world.scene import Beams, Ints, limited
+from sensorgraph.types import Floats, Ints
+from sensorgraph.world.scene import Beams, limited
 
 ROOT = np.sqrt(2 * np.pi)
 FLOOR = 1e-5  # chance of a reading that nothing explains

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from planners.arena import Floats
 from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser, laser_poses
 
 CELL = 0.1  # [m] of the raster

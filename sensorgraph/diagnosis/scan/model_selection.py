@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from planners.arena import Bools
 from sensorgraph.diagnosis.scan.fit import (
     ROUGH,
     Fitted,
@@ -27,6 +26,7 @@ from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
+from sensorgraph.types import Bools
 
 logger = logging.getLogger(__name__)
 

@@ -9,14 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.robot_file import Tolerances
 from sensorgraph.world.scene import Beams
-
-Ints = NDArray[np.intp]
 
 BOX = 2.5
 DENSE = ("mount_x", "mount_y", "mount_yaw", "bias", "scale", "drift", "latency", "skew")

@@ -14,7 +14,6 @@ from functools import cached_property
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
 from sensorgraph.diagnosis.scan.model_selection import THRESHOLD, price
@@ -23,6 +22,7 @@ from sensorgraph.diagnosis.scan.scan_data import Evidence
 from sensorgraph.diagnosis.scan.score_test import START, hypotheses, obstacles
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.places import in_sector, named_walls
+from sensorgraph.types import Bools, Floats
 
 TIMES = 3.0  # materialities: an effect of this size should show
 ALIKE = 0.98  # correlation of projected columns above which effects are one and the same to a run

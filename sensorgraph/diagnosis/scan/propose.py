@@ -10,7 +10,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planners.arena import Floats
 from sensorgraph.diagnosis.scan.fit import log_likelihood, start_state, thin, thin_state
 from sensorgraph.diagnosis.scan.gauss_newton import MOST_CORNERS
 from sensorgraph.diagnosis.scan.likelihood import FINEST
@@ -20,6 +19,7 @@ from sensorgraph.diagnosis.scan.propose_surfaces import black, glass, mirror
 from sensorgraph.diagnosis.scan.residuals import FEW, LEAST_GAIN, View
 from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.effects import EFFECTS
+from sensorgraph.types import Floats
 
 
 def rough_candidates(view: View) -> list[Candidate]:

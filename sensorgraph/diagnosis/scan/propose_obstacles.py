@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.scan.residuals import FEW, LEAST_GAIN, View
 from sensorgraph.diagnosis.scan.score_test import Candidate, obstacles
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.places import named_walls
+from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.rays import nearest
-from sensorgraph.world.scene import Ints, each
+from sensorgraph.world.scene import each
 
 NUDGE = 0.12
 """[m] from an outline within which a reading may tell of a small move; ..."""

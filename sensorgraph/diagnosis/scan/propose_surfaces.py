@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.scan.residuals import FEW, LEAST_GAIN, View, best_run
 from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.places import reflected
-from sensorgraph.world.scene import Ints, each
+from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.world.scene import each
 
 BIN = 0.1  # [m] along a wall
 

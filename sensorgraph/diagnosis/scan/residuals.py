@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.likelihood import FLOOR
 from sensorgraph.diagnosis.scan.nuisance import TAIL
 from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.types import Bools, Floats, Ints
 
-Ints = NDArray[np.intp]
 ROOT = np.sqrt(2 * np.pi)
 LEAST_GAIN = 6.0
 """[nats] that a candidate must promise to be proposed."""

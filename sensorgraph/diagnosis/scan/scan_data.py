@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor, Run, pair
-from planners.arena import Arena, Bools, Floats
+from planners.arena import Arena
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import GapError
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot_file import RobotFile, Tolerances
 from sensorgraph.world.scene import Scene
 

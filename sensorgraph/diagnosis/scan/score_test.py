@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.scan.fit import Fitted, corners_of
 from sensorgraph.diagnosis.scan.gauss_newton import boxed
 from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, OWN
 from sensorgraph.diagnosis.scan.scan_data import Evidence
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.places import named_walls, outward
+from sensorgraph.types import Bools, Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtri, stdtrit
 
-from planners.arena import Bools, Floats
 from sensorgraph.diagnosis.scan.fit import Fitted, smooth_parameters
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
-from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, OWN, Ints
+from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, OWN
 from sensorgraph.diagnosis.scan.score_test import START
 from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.types import Bools, Floats, Ints
 
 PARTS = 8  # of a run, in time
 SURE = 0.999  # of the t and F quantiles

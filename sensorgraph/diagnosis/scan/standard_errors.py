@@ -14,7 +14,6 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy.special import ndtr
 
-from planners.arena import Floats
 from sensorgraph.diagnosis.scan.fit import ROUGH, Fitted, fit, log_p_at, smooth_parameters
 from sensorgraph.diagnosis.scan.likelihood import FINEST
 from sensorgraph.diagnosis.scan.nuisance import DENSE, Freedom, widths
@@ -22,6 +21,7 @@ from sensorgraph.diagnosis.scan.scan_data import Evidence
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.sonar_cone import RAY
+from sensorgraph.types import Floats
 
 BLOCK = 1.0  # [s] of scans that share their errors
 HALF = 0.5  # [nats] by which the log-likelihood falls over one standard error

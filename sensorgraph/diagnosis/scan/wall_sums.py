@@ -6,12 +6,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planners.arena import Floats
 from planners.kernel import kernel
+from sensorgraph.types import Floats, Ints
 
-Ints = NDArray[np.intp]
 Sums = tuple[Floats, Floats, Floats, Floats]
 
 

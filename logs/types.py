@@ -1,0 +1,14 @@
+"""The array types that the whole package shares, and how long work tells its progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+Progress = Callable[[int, int], None]
+"""Called with (done, total) while work goes on."""
