@@ -42,7 +42,7 @@ class _Server:
     """A process that has imported OMPL, and forks for each question."""
 
     def __init__(self, module: str) -> None:
-        package = Path(__file__).parent.parent
+        root = Path(__file__).parents[2]  # where `planners` lies
         others = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-m", module],
@@ -51,7 +51,7 @@ class _Server:
             stderr=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C is for the one who asks
             env=os.environ
-            | {"PYTHONPATH": os.pathsep.join([str(package), *others]), "OPENBLAS_NUM_THREADS": "1"},
+            | {"PYTHONPATH": os.pathsep.join([str(root), *others]), "OPENBLAS_NUM_THREADS": "1"},
         )
 
     def ask(self, question: bytes) -> tuple[int, bytes]:
