@@ -22,7 +22,7 @@ from logs.stream import open_log
 from planners.maps import geojson
 from sensorgraph.building.build import build
 from sensorgraph.demo import check_run
-from sensorgraph.world.robot_file import default
+from sensorgraph.world.robot import default
 
 
 def recording(n: int) -> Run:

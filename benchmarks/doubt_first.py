@@ -20,10 +20,10 @@ from sensorgraph.building.build import build
 from sensorgraph.cli.inputs import named_arena
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.planning.priority import doubt
-from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow
-from sensorgraph.world.robot_file import default
+from sensorgraph.world.robot import default
 from sensorgraph.world.simulate import simulate
+from sensorgraph.world.wall_distance import WallDistance
 
 SHARES = (0.1, 0.25, 0.5, 0.75, 1.0)
 """Of the reference time."""

@@ -12,10 +12,10 @@ from planners.arena import Arena
 from planners.types import Floats
 from sensorgraph.recording.controllers import Controller, controller_named
 from sensorgraph.recording.identified_world import ArenaWorld
-from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow, react
-from sensorgraph.world.robot_file import RobotFile, default
+from sensorgraph.world.robot import RobotFile, default
 from sensorgraph.world.simulate import simulate
+from sensorgraph.world.wall_distance import WallDistance
 
 PERIOD = 0.25  # [s] of the paper's log
 

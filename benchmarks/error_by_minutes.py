@@ -27,15 +27,15 @@ from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.cli.inputs import named_arena
 from sensorgraph.demo import check_run
-from sensorgraph.evaluation import Evaluation, evaluate
+from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.planning.priority import doubt
 from sensorgraph.planning.views import views_within
 from sensorgraph.show.figures import INK, SOLID, new_figure, quiet, save_figure
-from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow
-from sensorgraph.world.robot_file import RobotFile, default
+from sensorgraph.world.robot import RobotFile, default
 from sensorgraph.world.simulate import simulate
+from sensorgraph.world.wall_distance import WallDistance
 
 MINUTES = (2, 5, 10, 20, 40)
 FIRST = 5.0

@@ -29,10 +29,10 @@ from sensorgraph.diagnosis.scan.fit import ROUGH, Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.nuisance import Freedom
 from sensorgraph.diagnosis.scan.scan_data import Evidence, gather
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow
-from sensorgraph.world.robot_file import RobotFile, default
+from sensorgraph.world.robot import RobotFile, default
 from sensorgraph.world.simulate import simulate
+from sensorgraph.world.wall_distance import WallDistance
 
 N_RAYS = 91
 

@@ -22,7 +22,7 @@ from benchmarks.tsdf import Tsdf
 from logs import Run, pair, read
 from sensorgraph.building.build import build
 from sensorgraph.building.split import held_out
-from sensorgraph.evaluation import Evaluation, evaluate
+from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Point, Prediction
 

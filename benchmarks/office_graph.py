@@ -29,11 +29,11 @@ from planners.maps import geojson
 from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.faces import Faces
+from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.mixture import summarise_plain
 from sensorgraph.planning.views import choose_views
-from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.raycast import cast
+from sensorgraph.world.wall_distance import WallDistance
 
 SENSOR = RangeSensor(
     bearings=np.linspace(-np.pi / 2, np.pi / 2, 181), range_min=0.02, range_max=30.0, sigma=0.01

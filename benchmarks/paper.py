@@ -25,7 +25,7 @@ from planners.types import Floats
 from robotmodic_ident.score import Score
 from sensorgraph.building.build import build
 from sensorgraph.cli.inputs import named_arena
-from sensorgraph.evaluation import poses_for
+from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification.identify import Identified, Question, identify, score
 from sensorgraph.identification.signals import of_run, perceived, rays_of

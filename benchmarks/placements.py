@@ -24,7 +24,7 @@ from benchmarks.occupancy_grid import CAP, Grid, Tuned, tuned
 from logs import Run, pair, read
 from sensorgraph.building.build import build
 from sensorgraph.building.split import N_STRETCHES, held_out
-from sensorgraph.evaluation import Evaluation, evaluate
+from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 
 Floats = NDArray[np.float64]

@@ -32,7 +32,7 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.commissioning import Commissioned, commission, merged
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.world.raycast import cast_laser
-from sensorgraph.world.robot_file import RobotFile, default
+from sensorgraph.world.robot import RobotFile, default
 
 Floats = NDArray[np.float64]
 LOG = Path(__file__).parents[2] / "shared" / "data" / "ple-freiburg-079" / "freiburg-079-corrected.log.gz"

@@ -20,9 +20,9 @@ import shapely
 
 from logs.run import RangeSensor
 from planners.arena import Arena
+from sensorgraph.world.ray_intersection import plain_nearest
 from sensorgraph.world.raycast import cast
-from sensorgraph.world.rays import plain_nearest
-from sensorgraph.world.robot_file import bearings
+from sensorgraph.world.robot import bearings
 
 N_RAYS = 360
 

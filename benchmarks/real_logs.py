@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from logs import Run, pair, read
 from sensorgraph.building.build import build
 from sensorgraph.building.split import held_out
-from sensorgraph.evaluation import Evaluation, evaluate
+from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models import cells
-from sensorgraph.models.cell_evidence import Evidence
-from sensorgraph.models.cell_learning import newton, samples, set_aside
-from sensorgraph.models.cell_march import prepare
-from sensorgraph.models.cell_visibility import TERMS
+from sensorgraph.models.cells import model as cells
+from sensorgraph.models.cells.evidence import Evidence
+from sensorgraph.models.cells.learning import newton, samples, set_aside
+from sensorgraph.models.cells.ray_march import prepare
+from sensorgraph.models.cells.visibility import TERMS
 
 Floats = NDArray[np.float64]
 COLUMNS = ("mae_m", "median_m", "within_0.1m", "within_0.5m", "pearson_r", "wrong_5cm", "f_score")

@@ -23,8 +23,8 @@ from planners.search.search import search
 from planners.types import Bools, Floats
 from sensorgraph.cli.inputs import named_arena, named_robot
 from sensorgraph.planning.plan_folder import counted
-from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow
+from sensorgraph.world.wall_distance import WallDistance
 
 ERRORS = (0.0, 0.01, 0.02, 0.035, 0.05, 0.07)
 """[m] root mean square distance from the plan."""

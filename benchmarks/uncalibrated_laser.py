@@ -27,7 +27,7 @@ from logs.run import RangeSensor
 from planners.arena import Arena
 from planners.maps import geojson
 from sensorgraph.models.base import Scans
-from sensorgraph.models.faces import Faces
+from sensorgraph.models.faces.model import Faces
 from sensorgraph.world.raycast import cast
 
 Floats = NDArray[np.float64]

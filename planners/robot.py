@@ -1,4 +1,4 @@
-"""Robot: what a planner must know of it. The robot.yaml file is read in `sensorgraph.world.robot_file`."""
+"""Robot: what a planner must know of it. The robot.yaml file is read in `sensorgraph.world.robot`."""
 
 from __future__ import annotations
 

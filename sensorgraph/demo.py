@@ -15,7 +15,7 @@ from planners.arena import Arena
 from planners.coverage import Coverage
 from planners.maps import geojson
 from sensorgraph.building.build import build
-from sensorgraph.evaluation import Evaluation, evaluate
+from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.planning.plan_folder import counted, save
 from sensorgraph.recording.record import record
@@ -23,11 +23,11 @@ from sensorgraph.show import figures
 from sensorgraph.show import rerun_view as view
 from sensorgraph.show.review import review
 from sensorgraph.types import Floats, ProgressBars
-from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.raycast import cast
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.robot import RobotFile
 from sensorgraph.world.scene import limited
 from sensorgraph.world.simulate import EPOCH_NS, occupancy
+from sensorgraph.world.wall_distance import WallDistance
 
 N_CHECK = 1000
 BASELINE = "polynomial"

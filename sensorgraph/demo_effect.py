@@ -16,8 +16,8 @@ from sensorgraph.diagnosis.report.files import to_dict as report_dict
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.recording.record import record
 from sensorgraph.types import Floats, ProgressBars
-from sensorgraph.world.clearance import WallDistance
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.wall_distance import WallDistance
 
 DURATION = 60.0  # [s] that the robot drives
 

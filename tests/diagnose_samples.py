@@ -10,7 +10,7 @@ import numpy as np
 from logs.run import RangeSensor, Run
 from planners.arena import wrap
 from planners.types import Floats
-from sensorgraph.world import robot_file
+from sensorgraph.world import robot as robot_file
 
 STEP = 0.005
 PERIOD = 0.05

@@ -22,7 +22,7 @@ from sensorgraph.cli.inputs import named_arena, named_robot
 from sensorgraph.diagnosis.report import figures
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effects_file import write as write_effects
-from sensorgraph.world import robot_file
+from sensorgraph.world import robot as robot_file
 from sensorgraph.world.drive import Driven
 from sensorgraph.world.simulate import simulate
 

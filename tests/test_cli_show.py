@@ -14,7 +14,7 @@ from planners.arena import Arena
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as cli
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.faces import Faces
+from sensorgraph.models.faces.model import Faces
 from sensorgraph.show.figures_graph import _residuals, residual_pieces, stretches
 from sensorgraph.world.raycast import cast
 

@@ -19,7 +19,7 @@ from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.diagnosis.scan.scan_data import gather
 from sensorgraph.diagnosis.scan.site_variation import Sighting, usual_sizes
 from sensorgraph.effects import EFFECTS
-from sensorgraph.world import robot_file
+from sensorgraph.world import robot as robot_file
 
 ARENA = polygon_arena(
     [(0, 0), (6, 0), (6, 4), (3.5, 4), (3.5, 5), (0, 5)],

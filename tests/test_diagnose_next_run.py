@@ -20,7 +20,7 @@ from sensorgraph.diagnosis.next_run.forecast import Forecast, Motion, Question
 from sensorgraph.diagnosis.next_run.questions import ask, between, typical
 from sensorgraph.diagnosis.result import Ledger, Rival
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.world.robot_file import RobotFile, default
+from sensorgraph.world.robot import RobotFile, default
 from tests.effects_samples import arena as sample_arena
 
 MINUTES = 0.7

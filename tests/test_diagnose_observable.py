@@ -13,7 +13,7 @@ from sensorgraph.diagnosis.scan.nuisance import Freedom
 from sensorgraph.diagnosis.scan.observability import alike, not_observable
 from sensorgraph.diagnosis.scan.scan_data import Evidence, velocities
 from sensorgraph.effects import EFFECTS
-from sensorgraph.world.robot_file import default
+from sensorgraph.world.robot import default
 from sensorgraph.world.scene import draw
 from tests.effects_samples import arena
 

@@ -17,7 +17,7 @@ from sensorgraph.diagnosis.scan.propose_obstacles import nudged
 from sensorgraph.diagnosis.scan.residuals import View
 from sensorgraph.diagnosis.scan.scan_data import Evidence, gather
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.world import robot_file
+from sensorgraph.world import robot as robot_file
 from sensorgraph.world.scene import Scene, draw
 
 ROBOT = robot_file.loads("sensor: {n_rays: 181}")

@@ -18,7 +18,7 @@ from sensorgraph.diagnosis.scan.nuisance import Freedom
 from sensorgraph.diagnosis.scan.scan_data import gather
 from sensorgraph.diagnosis.scan.standard_errors import lattice_error, material_probability, standard_errors
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.world import robot_file
+from sensorgraph.world import robot as robot_file
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from sensorgraph.diagnosis.report.files import plain, save, to_dict
 from sensorgraph.diagnosis.report.phrases import gap_sentence, number, parameters, percent, said
 from sensorgraph.diagnosis.result import Fit, Gap, Ledger, Rival, Unknown, Where
 from sensorgraph.effects import EFFECTS, effects_file
-from sensorgraph.world import robot_file
+from sensorgraph.world import robot as robot_file
 from sensorgraph.world.raycast import cast
 
 ROBOT = """

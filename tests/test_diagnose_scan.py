@@ -25,7 +25,7 @@ from sensorgraph.diagnosis.scan.score_test import smooth_candidates
 from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.errors import GapError
-from sensorgraph.world import robot_file
+from sensorgraph.world import robot as robot_file
 from sensorgraph.world.scene import Scene, draw
 
 SIGMA = 0.01

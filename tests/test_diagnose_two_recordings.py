@@ -14,7 +14,7 @@ from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.world import robot_file
+from sensorgraph.world import robot as robot_file
 from sensorgraph.world.identified_arena import arena_of
 
 HALL = [(0.0, 0.0), (6.0, 0.0), (6.0, 5.0), (0.0, 5.0)]

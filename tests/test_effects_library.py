@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from logs.run import RangeSensor
 from sensorgraph.effects import EFFECTS, Effect
 from sensorgraph.effects.effect import size_ratio
-from sensorgraph.world.machine import Machine
-from sensorgraph.world.robot_file import default
+from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.robot import default
 from sensorgraph.world.scene import STAGES, draw
 
 NAMES = [

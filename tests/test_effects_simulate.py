@@ -16,8 +16,8 @@ from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.walkers import APART, RADIUS
 from sensorgraph.world import simulate as simulation
 from sensorgraph.world.drive import STEP, Driven, follow, odometry, replay
-from sensorgraph.world.machine import Machine
-from sensorgraph.world.robot_file import PoseReference, RobotFile, Wheels, default
+from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.robot import PoseReference, RobotFile, Wheels, default
 from sensorgraph.world.scene import DISC, Scene
 from sensorgraph.world.simulate import simulate
 

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.hidden_effects.cases import CaseSpec, make_case
 from planners.maps import geojson
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
-from sensorgraph.world import robot_file
+from sensorgraph.world import robot as robot_file
 
 
 def found(**spec: object) -> tuple[Finding, dict[str, object]]:

@@ -34,7 +34,7 @@ OWNERS = {
     "rich": {"sensorgraph/cli/"},
     "yaml": {"sensorgraph/", "planners/", "logs/"},
     "PIL": {"planners/maps/"},
-    "distributed": {"sensorgraph/building/cluster.py"},
+    "distributed": {"sensorgraph/building/dask_cluster.py"},
     "numba": {"robotmodic_ident/kernel.py", "planners/kernel.py"},
     "numpy": set(PACKAGES),
     "scipy": set(PACKAGES),

@@ -11,11 +11,11 @@ from logs.run import RangeSensor
 from planners.arena import Arena, wrap
 from planners.trajectory import Trajectory
 from planners.types import Floats
-from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import STEP, Driven, follow, odometry, replay
-from sensorgraph.world.robot_file import Actuators, PoseReference, RobotFile, Wheels, default
+from sensorgraph.world.robot import Actuators, PoseReference, RobotFile, Wheels, default
 from sensorgraph.world.scene import Scene, limited
 from sensorgraph.world.simulate import scan_stamps, simulate
+from sensorgraph.world.wall_distance import WallDistance
 
 
 def nowhere_near(x: float, y: float) -> float:

@@ -21,7 +21,7 @@ from sensorgraph.planning.plan_folder import save
 from sensorgraph.recording.identified_world import IdentifiedWorld
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.raycast import cast
-from sensorgraph.world.robot_file import RobotFile, default
+from sensorgraph.world.robot import RobotFile, default
 
 
 @pytest.fixture(scope="module")

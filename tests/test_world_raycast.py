@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from logs.run import RangeSensor
 from planners.arena import Arena
+from sensorgraph.world.ray_intersection import nearest, plain_nearest
 from sensorgraph.world.raycast import cast, cast_rays, laser_poses
-from sensorgraph.world.rays import nearest, plain_nearest
 
 FULL = RangeSensor(bearings=-np.pi + 2 * np.pi * np.arange(360) / 360, range_min=0.0, range_max=100.0)
 

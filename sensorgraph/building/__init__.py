@@ -1,0 +1,1 @@
+"""Build a sensorgraph from logs, in one pass and in bounded memory."""

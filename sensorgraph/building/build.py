@@ -12,14 +12,14 @@ from logs.run import Run, pair
 from logs.stream import Log, Whole
 from planners.arena import Arena
 from sensorgraph import __version__
-from sensorgraph.building.feed import Feed, begin_digest, ranges_bytes, together
 from sensorgraph.building.split import held_out
+from sensorgraph.building.training_data import Feed, begin_digest, ranges_bytes, together
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import Model
-from sensorgraph.models.faces import Faces
-from sensorgraph.models.reduction import Spread
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.faces.reduction import Spread
 from sensorgraph.types import Bools, Floats, Progress
 
 MIN_SCANS = 10
@@ -46,7 +46,7 @@ def build(
     model : a name in MODELS
     names : what to call each run in messages and in the graph; None: the file it says it came from
     split : `every10` or `block` hold scans out of each run; the graph remembers it
-    spread : where blocks of scans are reduced; `map`: here. See `sensorgraph.building.cluster`
+    spread : where blocks of scans are reduced; `map`: here. See `sensorgraph.building.dask_cluster`
     update : a graph of faces to which the runs are added; its own runs are not needed
     options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
     """

@@ -66,7 +66,7 @@ def build(
     from logs import parse_topics
     from logs.stream import open_log
     from sensorgraph.building.build import build as build_graph
-    from sensorgraph.building.cluster import cluster
+    from sensorgraph.building.dask_cluster import cluster
     from sensorgraph.cli.inputs import check_output, named_arena, read_robot_sensor
     from sensorgraph.errors import GapError
     from sensorgraph.graph import Sensorgraph

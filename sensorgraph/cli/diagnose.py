@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sensorgraph.diagnosis.commissioning import Commissioned
     from sensorgraph.diagnosis.diagnose import Finding
     from sensorgraph.effects import Amendment
-    from sensorgraph.world.robot_file import RobotFile
+    from sensorgraph.world.robot import RobotFile
 
 
 def diagnose(

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from logs.run import Run
-    from sensorgraph.evaluation import Evaluation, Metrics
+    from sensorgraph.evaluation.evaluate import Evaluation, Metrics
     from sensorgraph.models.base import Point
 
 ROWS = (
@@ -72,7 +72,7 @@ def evaluate(
     from logs import parse_topics, read
     from sensorgraph.cli.inputs import check_output, write_json
     from sensorgraph.errors import GapError
-    from sensorgraph.evaluation import evaluate as evaluate_graph
+    from sensorgraph.evaluation.evaluate import evaluate as evaluate_graph
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.models.base import POINTS
 
@@ -100,7 +100,7 @@ def _simulator(result: Evaluation, run: Run, effects: Path, point: Point | None)
     from sensorgraph.cli.inputs import kept_arena, kept_robot
     from sensorgraph.effects.effects_file import read
     from sensorgraph.errors import GapError
-    from sensorgraph.recording.simulator import compare
+    from sensorgraph.evaluation.raycast_baseline import compare
 
     arena, robot = kept_arena(run), kept_robot(run)
     if arena is None or robot is None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from logs.run import RangeSensor, Run
     from planners.arena import Arena
     from sensorgraph.types import Floats
-    from sensorgraph.world.robot_file import RobotFile
+    from sensorgraph.world.robot import RobotFile
 
 
 def check_output(path: Path, *inputs: Path) -> None:
@@ -45,7 +45,7 @@ def check_folder(folder: Path) -> None:
 def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) -> None:
     """Check that a robot file describes the sensor that recorded."""
     from sensorgraph.building.build import is_same_sensor
-    from sensorgraph.world.robot_file import read
+    from sensorgraph.world.robot import read
 
     described = read(path).sensor
     for name, sensor in sensors:
@@ -140,7 +140,7 @@ def named_robot(path: Path | None) -> RobotFile:
     """Read robot.yaml, or the shipped robot where none is named."""
     from importlib.resources import files
 
-    from sensorgraph.world import robot_file
+    from sensorgraph.world import robot as robot_file
 
     if path is None:
         return robot_file.loads((files("sensorgraph.data") / "radix.yaml").read_text(), name="radix.yaml")
@@ -149,7 +149,7 @@ def named_robot(path: Path | None) -> RobotFile:
 
 def kept_robot(run: Run) -> RobotFile | None:
     """Return the robot kept in a run, if there is one."""
-    from sensorgraph.world import robot_file
+    from sensorgraph.world import robot as robot_file
 
     text = run.attachments.get("robot.yaml")
     return (

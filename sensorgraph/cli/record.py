@@ -64,7 +64,7 @@ def record(
     from sensorgraph.errors import GapError
     from sensorgraph.recording.record import Commands
     from sensorgraph.recording.record import record as record_run
-    from sensorgraph.world.clearance import WallDistance
+    from sensorgraph.world.wall_distance import WallDistance
 
     check_output(out, plan, *([effects] if effects is not None else []))
     if out.suffix != ".mcap":
@@ -128,8 +128,8 @@ def _record_closed_loop(
     from sensorgraph.recording.controllers import CONTROLLERS, controller_label
     from sensorgraph.recording.identified_world import PLAN, ArenaWorld, IdentifiedWorld, record_in
     from sensorgraph.show.figures import tracks_picture
-    from sensorgraph.world.clearance import WallDistance
     from sensorgraph.world.identified_arena import arena_of
+    from sensorgraph.world.wall_distance import WallDistance
 
     known = (PLAN, *CONTROLLERS)
     for name in controllers:

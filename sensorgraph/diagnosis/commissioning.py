@@ -31,7 +31,7 @@ from sensorgraph.diagnosis.scan.scan_data import LEAST_SCANS, Evidence, gather
 from sensorgraph.diagnosis.scan.site_variation import FEW, SURE, Sighting, Usual, alone, usual_sizes
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot_file import RobotFile, Tolerances
+from sensorgraph.world.robot import RobotFile, Tolerances
 
 logger = logging.getLogger(__name__)
 

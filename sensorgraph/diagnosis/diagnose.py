@@ -37,7 +37,7 @@ from sensorgraph.effects.effect import size_ratio
 from sensorgraph.errors import GapError
 from sensorgraph.types import Progress
 from sensorgraph.world.orientation import orientation
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.robot import RobotFile
 
 logger = logging.getLogger(__name__)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
-from sensorgraph.world.machine import Machine
+from sensorgraph.world.drivetrain import Machine
 
 
 def transform(machine: Machine, a: Amendment) -> None:

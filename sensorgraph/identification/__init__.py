@@ -1,0 +1,1 @@
+"""Identify one signal of a run from others, and quantify behaviour."""

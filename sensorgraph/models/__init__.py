@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from sensorgraph.models.base import Model
-from sensorgraph.models.cells import Cells
-from sensorgraph.models.faces import Faces
-from sensorgraph.models.polynomial import Polynomial
+from sensorgraph.models.cells.model import Cells
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.polynomial.model import Polynomial
 
 MODELS: dict[str, type[Model]] = {
     "cells": Cells,

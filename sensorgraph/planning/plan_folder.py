@@ -25,7 +25,7 @@ from sensorgraph.files import whole
 from sensorgraph.show.figures_headings import headings_picture
 from sensorgraph.show.figures_plan import plan_picture, reach_picture
 from sensorgraph.types import Floats
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.robot import RobotFile
 from sensorgraph.world.simulate import EPOCH_NS, occupancy
 
 RUN_FILES = ("trajectory.csv", "cmd_vel.csv", "waypoints.yaml", "plan.mcap", "plan.json")

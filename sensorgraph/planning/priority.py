@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planners.coverage import Coverage
-from sensorgraph.evaluation import poses_for
+from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.types import Floats
 

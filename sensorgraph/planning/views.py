@@ -17,7 +17,7 @@ from planners.arena import Arena
 from planners.errors import PlanError
 from planners.kernel import kernel
 from planners.reach import Reach
-from sensorgraph.evaluation import poses_for
+from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Prediction
 from sensorgraph.types import Floats, Ints, Progress

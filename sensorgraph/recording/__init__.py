@@ -1,0 +1,1 @@
+"""Drive the embedded robot and record what it perceives."""

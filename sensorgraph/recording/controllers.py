@@ -18,7 +18,7 @@ from robotmodic_ident.errors import IdentError
 from sensorgraph.errors import GapError
 from sensorgraph.identification.signals import RAY, perceived, rays_of
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.robot import RobotFile
 
 Controller = Callable[[Floats], tuple[float, float]]
 """Readings (n_rays,) [m] -> (v, omega) [m/s, rad/s]."""

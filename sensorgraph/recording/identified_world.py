@@ -19,18 +19,18 @@ from planners.maps import geojson
 from planners.trajectory import Trajectory
 from sensorgraph.building.build import is_same_sensor
 from sensorgraph.errors import GapError
-from sensorgraph.evaluation import poses_for
+from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.faces import Faces
+from sensorgraph.models.faces.model import Faces
 from sensorgraph.recording.controllers import controller_named
 from sensorgraph.recording.record import silent
 from sensorgraph.types import Floats, ProgressBars
-from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import follow, react
 from sensorgraph.world.raycast import cast
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.robot import RobotFile
 from sensorgraph.world.scene import limited
 from sensorgraph.world.simulate import occupancy, simulate
+from sensorgraph.world.wall_distance import WallDistance
 
 PLAN = "plan"
 """The controller that follows the plan, as `record` does without a graph."""

@@ -17,11 +17,11 @@ from planners.trajectory import Trajectory
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effects_file import check_places, dumps
 from sensorgraph.types import Floats, ProgressBars
-from sensorgraph.world.clearance import WallDistance
 from sensorgraph.world.drive import Driven, follow, replay
-from sensorgraph.world.machine import Machine
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.robot import RobotFile
 from sensorgraph.world.simulate import occupancy, simulate
+from sensorgraph.world.wall_distance import WallDistance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

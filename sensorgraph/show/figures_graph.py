@@ -12,12 +12,12 @@ from scipy.spatial import cKDTree
 
 from logs.run import Run, pair
 from sensorgraph.errors import GapError
-from sensorgraph.evaluation import evaluate, poses_for
+from sensorgraph.evaluation.evaluate import evaluate, poses_for
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.cell_march import RATES
-from sensorgraph.models.cells import Cells
-from sensorgraph.models.face_march import FAINT
-from sensorgraph.models.faces import Faces
+from sensorgraph.models.cells.model import Cells
+from sensorgraph.models.cells.ray_march import RATES
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.faces.ray_march import FAINT
 from sensorgraph.show.figures import ALARM, FLOOR, INK, SOFT, SOLID, new_figure, quiet, save_figure
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.raycast import laser_poses

@@ -13,7 +13,7 @@ from logs.run import Pairing, Run, pair
 from planners.arena import Arena
 from sensorgraph.building.build import training_scans
 from sensorgraph.errors import GapError
-from sensorgraph.evaluation import Evaluation, evaluate
+from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import OFF
 from sensorgraph.show.review_cells import HEADINGS, MUCH_UNANSWERED, OPEN, Cells, cells_of

@@ -13,10 +13,10 @@ from scipy import ndimage
 
 from planners.arena import Arena
 from planners.coverage import Coverage
-from sensorgraph.evaluation import Evaluation
+from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import OFF
-from sensorgraph.models.crossed import Crossed
+from sensorgraph.models.faces.observed_space import Crossed
 from sensorgraph.planning.priority import doubt
 from sensorgraph.types import Bools, Floats, Ints
 

@@ -18,8 +18,8 @@ import numpy as np
 from planners.arena import wrap
 from planners.trajectory import Trajectory
 from sensorgraph.types import Floats
-from sensorgraph.world.machine import Machine
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.robot import RobotFile
 
 STEP = 0.01  # [s] of the simulated truth
 SETTLE = 0.5  # [s] that the robot is recorded standing after the last command

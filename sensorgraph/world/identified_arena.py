@@ -15,8 +15,8 @@ from shapely.geometry import MultiPolygon, Polygon
 from planners.arena import Arena
 from sensorgraph.errors import GapError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.crossed import Crossed
-from sensorgraph.models.faces import Faces
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.faces.observed_space import Crossed
 from sensorgraph.types import Floats, Ints
 
 LEAST = 0.5

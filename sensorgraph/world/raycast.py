@@ -15,7 +15,7 @@ import numpy as np
 from logs.run import RangeSensor
 from planners.arena import Arena, wrap
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.rays import nearest
+from sensorgraph.world.ray_intersection import nearest
 
 BATCH = 48  # poses at a time: the working set stays in the cache
 FEW_WALLS = 160  # up to here every pose meets every wall

@@ -19,8 +19,8 @@ from scipy.special import ndtr
 from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.world.ray_intersection import nearest
 from sensorgraph.world.raycast import cast_laser, directions, laser_poses
-from sensorgraph.world.rays import nearest
 
 STAGES = ("geometry", "time", "mount", "surface", "optics", "range", "detection", "noise")
 FAR = 1e4  # [m] nothing is farther; the sensor's own limits come later, as part of the reading

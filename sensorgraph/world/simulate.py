@@ -14,8 +14,8 @@ from logs.run import OccupancyMap, RangeSensor, Run
 from planners.arena import Arena, wrap
 from sensorgraph.types import Floats, Progress
 from sensorgraph.world.drive import Driven, odometry
-from sensorgraph.world.machine import Machine
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.robot import RobotFile
 from sensorgraph.world.scene import Scene, Transform, draw
 
 EPOCH_NS = 1_704_067_200_000_000_000

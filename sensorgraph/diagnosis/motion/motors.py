@@ -33,7 +33,7 @@ from sensorgraph.diagnosis.motion.whitened_regression import (
 from sensorgraph.diagnosis.result import Fit, Gap, Ledger, Rival, Unknown, Where
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.robot import RobotFile
 
 STEP = 0.01
 """[s] of the simulated motors."""

@@ -16,7 +16,7 @@ from sensorgraph.diagnosis.motion.noise import HUBER, Limits, Noise, fit_noise
 from sensorgraph.diagnosis.motion.odometry_rows import Rows
 from sensorgraph.diagnosis.motion.whitened_regression import Increments, huber
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.robot import RobotFile
 
 ROOM = 1.5
 """[m] that a run must cover for its reference to be called distorted over the place: no camera bends within less."""

@@ -39,7 +39,7 @@ from sensorgraph.diagnosis.motion.whitened_regression import (
 from sensorgraph.diagnosis.result import Fit, Gap, Ledger, Rival, Unknown, Where
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.robot import RobotFile
 
 ORDER = 24
 """Of the whitening filters."""

@@ -12,7 +12,7 @@ from planners.errors import PlanError
 from planners.planning import MARGIN
 from planners.reach import Reach, reach
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.robot import RobotFile
 
 PLACES = 14  # that motions start from
 PASSES = 16  # ways between them that are driven to and fro

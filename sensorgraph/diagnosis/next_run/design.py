@@ -29,7 +29,7 @@ from sensorgraph.diagnosis.next_run.forecast import Forecast, Motion, Question, 
 from sensorgraph.diagnosis.next_run.questions import OPEN
 from sensorgraph.files import whole
 from sensorgraph.types import Floats
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.robot import RobotFile
 
 MOMENTS = 6  # looked at in a motion
 RANDOM = 9  # runs that nobody planned, for comparison

@@ -22,7 +22,7 @@ from sensorgraph.diagnosis.scan.nuisance import BOX
 from sensorgraph.diagnosis.scan.scan_data import Evidence
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot_file import RobotFile
+from sensorgraph.world.robot import RobotFile
 
 Model = tuple[Amendment, ...]
 

@@ -11,7 +11,7 @@ from sensorgraph.diagnosis.diagnose import Finding
 from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, widths
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.effect import size_ratio
-from sensorgraph.world.robot_file import Tolerances
+from sensorgraph.world.robot import Tolerances
 
 WIDE = 2.0
 """Times its materiality that an effect may reach unnamed, above which a tolerance is called wide; robot.yaml's defaults

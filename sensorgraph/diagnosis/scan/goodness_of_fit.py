@@ -20,7 +20,7 @@ from sensorgraph.diagnosis.scan.nuisance import Freedom
 from sensorgraph.diagnosis.scan.residuals import View, best_run
 from sensorgraph.diagnosis.scan.scan_data import Evidence
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.robot_file import Tolerances
+from sensorgraph.world.robot import Tolerances
 
 BLOCK = 1.0  # [s] of scans that share their errors
 CELL = 0.5  # [m] of places

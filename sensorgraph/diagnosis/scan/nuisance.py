@@ -12,7 +12,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.scan.scan_data import Evidence
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.robot_file import Tolerances
+from sensorgraph.world.robot import Tolerances
 from sensorgraph.world.scene import Beams
 
 BOX = 2.5

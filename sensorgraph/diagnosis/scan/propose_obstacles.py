@@ -9,7 +9,7 @@ from sensorgraph.diagnosis.scan.score_test import Candidate, obstacles
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.places import named_walls
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.rays import nearest
+from sensorgraph.world.ray_intersection import nearest
 from sensorgraph.world.scene import each
 
 NUDGE = 0.12

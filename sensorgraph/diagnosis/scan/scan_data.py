@@ -15,7 +15,7 @@ from planners.arena import Arena
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import GapError
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot_file import RobotFile, Tolerances
+from sensorgraph.world.robot import RobotFile, Tolerances
 from sensorgraph.world.scene import Scene
 
 if TYPE_CHECKING:

@@ -1,0 +1,45 @@
+"""Blocks reduced on a Dask cluster: the same work in the same order as here, so the same graph to the last byte."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from sensorgraph.errors import GapError
+from sensorgraph.models.faces.reduction import Block, Reduction, Spread
+
+TIMEOUT = 10.0  # [s] to find the scheduler
+AHEAD = 2
+"""Blocks under way for each worker's thread: memory is bounded by them, wherever they wait."""
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Spread]:
+    """Yield a `map` that a Dask cluster does, whose scheduler is at `address`, for example tcp://10.0.0.5:8786."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise GapError("--dask needs Dask; install it with: pip install 'sensorgraph[dask]'") from None
+    try:
+        client: Any = Client(address, timeout=TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TimeoutError) as exc:
+        raise GapError(
+            f"--dask {address}: no scheduler answers ({exc}); start one with `dask scheduler`"
+        ) from exc
+    with client:
+        n_threads = sum(client.nthreads().values())
+        if n_threads == 0:
+            raise GapError(f"--dask {address}: the scheduler has no workers; start some with `dask worker`")
+
+        def spread(function: Callable[[Block], Reduction], items: Iterable[Block]) -> Iterator[Reduction]:
+            waiting = deque[Any]()
+            for item in items:
+                waiting.append(client.submit(function, item, pure=False))
+                if len(waiting) >= AHEAD * n_threads:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+
+        yield spread

@@ -1,0 +1,191 @@
+"""From logs to blocks of training scans: paired, held out or not, checked, and counted, piece by piece."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from logs.inspect import warnings_of
+from logs.run import PoseFrame, RangeSensor, Run, pair
+from logs.stream import Log
+from sensorgraph.building.split import held_out
+from sensorgraph.errors import GapError
+from sensorgraph.models.base import Scans
+from sensorgraph.models.faces.reduction import BLOCK, Block
+from sensorgraph.types import Bools, Floats
+from sensorgraph.world.orientation import orientation
+
+logger = logging.getLogger(__name__)
+
+METRES = 60.0
+"""[m] a median range above this is of another unit."""
+STILL = (1e-4, 1e-4, 1e-4)
+"""[m, m, rad] a robot that moved less stood still."""
+
+
+class Feed:
+    """The training scans of several logs, as blocks; `entries` are complete when all blocks were taken."""
+
+    def __init__(
+        self,
+        logs: Sequence[Log],
+        names: Sequence[str],
+        *,
+        split: str | None,
+        bounds: tuple[float, float, float, float] | None,
+    ) -> None:
+        self.logs, self.names, self.split, self.bounds = logs, names, split, bounds
+        self.entries: list[dict[str, Any]] = []
+
+    @property
+    def sensor(self) -> RangeSensor:
+        """Of all logs."""
+        return self.logs[0].head.sensor
+
+    @property
+    def pose_frame(self) -> PoseFrame:
+        """Of all logs."""
+        return self.logs[0].head.pose_frame
+
+    @property
+    def n_scans(self) -> int:
+        """Of all logs, trained on or not."""
+        return sum(log.n_scans for log in self.logs)
+
+    def __iter__(self) -> Iterator[Block]:
+        first = 0
+        for i, (log, name) in enumerate(zip(self.logs, self.names, strict=True)):
+            intake = _Intake(name, log.n_scans, self.split)
+            rows: list[tuple[Floats, Floats]] = []
+            waiting = 0
+            for run in log.pieces():
+                rows.append(intake.take(run))
+                waiting += len(rows[-1][0])
+                while waiting >= BLOCK:
+                    poses, ranges = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+                    yield self._block(first, i, poses[:BLOCK], ranges[:BLOCK])
+                    first, waiting = first + BLOCK, waiting - BLOCK
+                    rows = [(poses[BLOCK:], ranges[BLOCK:])]
+            if waiting:
+                poses, ranges = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+                yield self._block(first, i, poses, ranges)
+                first += waiting
+            self.entries.append(intake.entry())
+
+    def _block(self, first: int, i: int, poses: Floats, ranges: Floats) -> Block:
+        scans = Scans(
+            sensor=self.sensor,
+            poses=poses,
+            ranges=ranges,
+            run=np.full(len(poses), i, dtype=np.intp),
+            bounds=self.bounds,
+            pose_frame=self.pose_frame,
+        )
+        return Block(first=first, scans=scans)
+
+
+class _Intake:
+    """What is known of one log, piece after piece."""
+
+    def __init__(self, name: str, n_scans: int, split: str | None) -> None:
+        self.name, self.n_scans, self.split = name, n_scans, split
+        self.held = held_out(n_scans, split)
+        self.counts = {"n_scans": 0, "paired": 0, "held_out": 0, "empty": 0, "trained": 0}
+        self.dropped: dict[str, int] = {}
+        self.warnings: dict[str, str] = {}
+        self.box = np.array([[np.inf] * 3, [-np.inf] * 3])
+        self.digest: hashlib._Hash | None = None
+
+    def take(self, run: Run) -> tuple[Floats, Floats]:
+        """Return poses and ranges of the scans of a piece to train on."""
+        if self.digest is None:
+            self.digest = begin_digest(run.sensor)
+            self._look(run)
+        self.digest.update(ranges_bytes(run.ranges))
+        start = self.counts["n_scans"]
+        held = self.held[start : start + run.n_scans]
+        if len(held) < run.n_scans:
+            raise GapError(f"{self.name} has more scans than the {self.n_scans} it said; read it again")
+        pairing = pair(run)
+        empty = np.isnan(run.ranges).all(axis=1)
+        use: Bools = pairing.paired & ~held & ~empty
+        for key, mask in (
+            ("n_scans", np.ones(run.n_scans, dtype=np.bool_)),
+            ("paired", pairing.paired),
+            ("held_out", held & pairing.paired),
+            ("empty", empty & pairing.paired & ~held),
+            ("trained", use),
+        ):
+            self.counts[key] += int(mask.sum())
+        for reason, count in pairing.dropped.items():
+            self.dropped[reason] = self.dropped.get(reason, 0) + count
+        for text in warnings_of(run):
+            self.warnings.setdefault("".join(c for c in text if not c.isdigit())[:30], text)
+        poses = pairing.poses[use]
+        if len(poses):
+            self.box = np.array(
+                [np.minimum(self.box[0], poses.min(axis=0)), np.maximum(self.box[1], poses.max(axis=0))]
+            )
+        return poses, run.ranges[use]
+
+    def _look(self, run: Run) -> None:
+        """Refuse what no map can come of, from the first piece: other units, a mirrored scan."""
+        finite = run.ranges[np.isfinite(run.ranges)]
+        middle = float(np.median(finite)) if len(finite) else 0.0
+        if middle > METRES:
+            unit, factor = ("millimetres", 1000) if middle > 1000 else ("centimetres", 100)
+            raise GapError(
+                f"{self.name}: the median range is {middle:.0f}, which looks like {unit}, expected metres; "
+                f"divide the ranges by {factor} where they are logged"
+            )
+        oriented = orientation(run, None)
+        if oriented is not None and oriented.best != "as logged":
+            self.warnings["orientation"] = (
+                f"the scan fits itself better {oriented.best}: check the sign of angle_increment, the mount's yaw "
+                f"and the driver's `inverted` setting (sensorgraph inspect {self.name} says more)"
+            )
+
+    def entry(self) -> dict[str, Any]:
+        """Return what the graph keeps of the log; refuse a robot that stood still."""
+        n = self.counts["trained"]
+        if n > 1 and (self.box[1] - self.box[0] < STILL).all():
+            raise GapError(
+                f"{self.name}: the pose never changes over {n} scans; did the robot move, does the reference run? "
+                "Record while driving, or name the topic of the poses with --topic pose=NAME"
+            )
+        pairing = f"{self.counts['paired']} of {self.counts['n_scans']} scans paired with poses"
+        logger.info("%s: %s", self.name, pairing)
+        digest = self.digest.hexdigest() if self.digest is not None else ""
+        out = {"name": self.name, "sha256": digest, **self.counts, "dropped": dict(self.dropped)}
+        return out | ({"warnings": list(self.warnings.values())} if self.warnings else {})
+
+
+def begin_digest(sensor: RangeSensor) -> hashlib._Hash:
+    """Start the sha256 of what a run measured: the bearings, then every range in the order of the scans."""
+    total = hashlib.sha256()
+    total.update(np.ascontiguousarray(sensor.bearings, dtype="<f8").tobytes())
+    return total
+
+
+def ranges_bytes(ranges: Floats) -> bytes:
+    """Return ranges (n_scans, n_rays) as the digest takes them."""
+    return np.ascontiguousarray(ranges, dtype="<f8").tobytes()
+
+
+def together(feed: Feed) -> Scans | None:
+    """Put all blocks into memory together, for models that need that; None where there is no scan."""
+    parts = [block.scans for block in feed]
+    if not parts:
+        return None
+    return Scans(
+        sensor=feed.sensor,
+        poses=np.concatenate([part.poses for part in parts]),
+        ranges=np.concatenate([part.ranges for part in parts]) if len(parts) > 1 else parts[0].ranges,
+        run=np.concatenate([part.run for part in parts]),
+        bounds=feed.bounds,
+        pose_frame=feed.pose_frame,
+    )

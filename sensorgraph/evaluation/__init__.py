@@ -1,0 +1,1 @@
+"""Score a sensorgraph, or the ray caster, on a run."""

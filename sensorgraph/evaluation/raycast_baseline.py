@@ -1,0 +1,106 @@
+"""The ray caster as a model of perception: what it predicts for a run, as mapped and amended by effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import ndtr
+
+from logs.run import RangeSensor, Run, pair
+from planners.arena import Arena
+from sensorgraph.building.build import is_same_sensor
+from sensorgraph.effects import Amendment
+from sensorgraph.errors import GapError
+from sensorgraph.evaluation.evaluate import Evaluation, Job, Metrics
+from sensorgraph.models.base import OFF, Point, Prediction
+from sensorgraph.types import Ints
+from sensorgraph.world.scene import Scene, Transform, fade
+from sensorgraph.world.simulate import BLOCK
+
+
+def compare(
+    result: Evaluation,
+    run: Run,
+    arena: Arena,
+    sensor: RangeSensor,
+    effects: Sequence[Amendment],
+    *,
+    point: Point | None = None,
+) -> dict[str, Metrics]:
+    """Score the ray caster on the very rays that a graph was scored on: `nominal` as mapped, and `amended`.
+
+    Parameters
+    ----------
+    sensor : what robot.yaml says of the sensor that recorded the run
+    effects : those of the scan channel count; odometry and drive have no part in it
+    """
+    if not is_same_sensor(sensor.bearings, run.sensor.bearings):
+        raise GapError(
+            "the robot kept in the run has another sensor than the run; --effects cannot be evaluated"
+        )
+    scored, measured = np.isfinite(result.residual), run.ranges[result.scan_indices]
+    out: dict[str, Metrics] = {}
+    scan = [a for a in effects if a.effect.channel == "scan"]
+    for name, some in (("nominal", ()), ("amended", scan)):
+        job = Job(
+            measured=measured,
+            prediction=predict(run, arena, sensor, result.scan_indices, some),
+            bearings=run.sensor.bearings,
+            point=point,
+            sigma=result.settings["sigma_m"],
+        )
+        out[name] = job.metrics(scored, ~np.isnan(measured))
+    return out
+
+
+def predict(
+    run: Run, arena: Arena, sensor: RangeSensor, scans: Ints, effects: Sequence[Transform]
+) -> Prediction:
+    """Predict some scans (n,) of a run from its reference poses; people are a chance of short readings."""
+    pairing = pair(run)
+    known = pairing.paired
+    stamps, poses = run.stamps[known], pairing.poses[known]
+    track = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
+    if run.pose_frame == "laser":
+        sensor = replace(sensor, mount=np.zeros(3))
+    parts = []
+    for start in range(0, len(scans), BLOCK):
+        scene = Scene(
+            arena=arena,
+            sensor=sensor,
+            stamps=run.stamps[scans[start : start + BLOCK]],
+            motion=lambda t: np.stack([np.interp(t, stamps, column) for column in track.T], axis=-1),
+            span=float(run.stamps[-1] - run.stamps[0]),
+            begin=float(run.stamps[0]),
+        )
+        scene.run(effects)
+        parts.append(_said(scene))
+    return Prediction(
+        **{
+            key: np.concatenate([getattr(part, key) for part in parts])
+            for key in Prediction.__dataclass_fields__
+        }
+    )
+
+
+def _said(scene: Scene) -> Prediction:
+    """Put what a scene expects into the words of a prediction."""
+    beams, sensor = scene.beams, scene.sensor
+    shape = beams.reading.shape
+    sigma = np.broadcast_to(np.maximum(beams.sigma, 1e-6), shape)
+    beyond = np.where(np.isfinite(beams.reading), fade(beams.reading - sensor.range_max, sigma), 1.0)
+    p_no_return = 1 - (1 - beyond) * beams.p_return
+    value = np.minimum(beams.reading, sensor.range_max)
+    stray = 1 - (1 - scene.shorts) * (1 - scene.outliers)
+    return Prediction(
+        ranges=np.where(p_no_return > 0.5, np.inf, value),
+        median=value,
+        mode=value,
+        mean=value,
+        sigma=sigma,
+        p_no_return=p_no_return,
+        p_off=stray + (1 - stray) * 2 * ndtr(-OFF / sigma),
+        answered=np.ones(shape, dtype=np.bool_),
+    )

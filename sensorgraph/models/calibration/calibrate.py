@@ -1,0 +1,496 @@
+"""Calibration: mount and ray terms of the laser, and better training poses, identified together with the faces.
+
+A perfect laser fits its faces at once. One that is mounted elsewhere than stated, or whose rays have biases, bends
+walls and splits them: faces and sensor must be found in turns. From coarse to fine: faces from corrected ranges,
+one joint least squares (`adjustment`), poses (`poses_refined`), and the walls' common shift by occlusion edges (`gauge`).
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.run import RangeSensor
+from sensorgraph.models.calibration.gauge import Gauge, settle
+from sensorgraph.models.calibration.normal_equations import (
+    COMMON,
+    INCIDENCE,
+    MOUNT,
+    N_COMMON,
+    REACH,
+    Matches,
+    Normal,
+    Readings,
+    directions_of,
+    equations,
+    match,
+    mean_incidence,
+    moved,
+    range_change,
+    select,
+    standard_errors,
+)
+from sensorgraph.models.calibration.pose_refinement import Refined, refine, shifted
+from sensorgraph.models.calibration.ray_terms import RayTerms
+from sensorgraph.models.faces.fit import FittedFaces, draft_faces, fit_faces
+from sensorgraph.models.faces.observed_space import Crossed
+from sensorgraph.models.faces.ray_march import FaceSet
+from sensorgraph.models.faces.reduction import Sample
+from sensorgraph.models.faces.visibility import Noise, Rays
+from sensorgraph.types import Floats
+
+logger = logging.getLogger(__name__)
+
+COARSE = (0.025, 0.015)
+"""[m] what returns may be off by in the first rounds."""
+FINE = 0.012
+"""[m] what they may be off by afterwards."""
+GAUGE_READINGS = 250_000
+LOOK_READINGS = 250_000
+"""Readings of whole scans in which a calibration that is worth its price in all shows, if only faintly."""
+REACHES = (0.012, 0.003)
+"""[m] of the searches for the walls' common shift."""
+WORTH = 20.0
+"""[nats] that calibration must be worth beyond the price of its terms."""
+FARTHEST = (0.10, 0.10)
+"""[m, rad] noise of poses beyond which the log is broken (mirrored, other units) and no small step mends it."""
+MOST_OFFSET, MOST_TURN, MOST_SLOPE = 0.5, 0.35, 0.1
+"""[m], [rad] and metres a metre that a laser is off at most."""
+SHARE = 0.01
+"""[nats] a reading that ray terms must be worth: a seventh of the noise, rms; clutter feigns less than that."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibration:
+    """How the laser differs from what was stated."""
+
+    terms: RayTerms
+    offset: Floats
+    """(3,) [m, m, rad] found mount less the stated one."""
+    offset_se: Floats
+    """(3,) its standard errors; nan where the mount was not identified."""
+    can_mount: bool
+    """The poses are those of a base that carries the laser, so the mount can be told."""
+    n_own: int
+    """Rays that have a term of their own."""
+    gauge: Gauge | None
+    """What the edges say; None where no incidence term is there to trade with."""
+    sigma_xy: float
+    """[m] noise of the training poses that was taken out; 0: they were left as they are."""
+    sigma_yaw: float
+    """[rad]"""
+
+    @classmethod
+    def none(cls, n_rays: int, *, can_mount: bool = True) -> Self:
+        """Take the laser as stated."""
+        return cls(
+            terms=RayTerms.none(n_rays),
+            offset=np.zeros(3),
+            offset_se=np.full(3, np.nan),
+            can_mount=can_mount,
+            n_own=0,
+            gauge=None,
+            sigma_xy=0.0,
+            sigma_yaw=0.0,
+        )
+
+    @property
+    def is_as_stated(self) -> bool:
+        """Tell whether neither the laser nor a pose was changed."""
+        return self.terms.is_none and not self.offset.any() and self.sigma_xy == 0 == self.sigma_yaw
+
+    @property
+    def is_plausible(self) -> bool:
+        """Tell whether such a laser may exist; a log whose poses and scans do not belong together gives another."""
+        return bool(
+            np.hypot(*self.offset[:2]) < MOST_OFFSET
+            and abs(self.offset[2]) < MOST_TURN
+            and np.abs(self.terms.constant).max() < REACH
+            and np.abs(self.terms.slope).max() < MOST_SLOPE
+        )
+
+    def summary(self) -> dict[str, str]:
+        """Return what a reader wants to know first."""
+        out = {"mount": self._mount()}
+        if not self.terms.is_none:
+            shared = "with" if self.terms.has_incidence else "without"
+            out["ray terms"] = (
+                f"{self.n_own} of {len(self.terms.constant)} rays have their own, {shared} incidence terms"
+            )
+        else:
+            out["ray terms"] = "none needed"
+        if self.gauge is not None:
+            g = self.gauge
+            out["walls against a common bias"] = (
+                f"moved by {1e3 * g.shift:+.2f} ± {1e3 * g.width:.2f} mm to where occlusion edges are sharpest"
+                if g.is_observed
+                else "not observable in this room: no occlusion edges; walls may all sit some mm too near or far"
+            )
+        if self.sigma_xy > 0 or self.sigma_yaw > 0:
+            out["training poses"] = (
+                f"refined; their noise was {1e3 * self.sigma_xy:.1f} mm and {math.degrees(self.sigma_yaw):.3f}°"
+            )
+        return out
+
+    def _mount(self) -> str:
+        if not self.can_mount:
+            return "cannot be told: the poses are the laser's own"
+        if not np.isfinite(self.offset_se).all():
+            return "as stated"
+        (x, y, yaw), (sx, sy, s_yaw) = self.offset, self.offset_se
+        return (
+            f"off by {1e3 * x:+.2f} ± {1e3 * sx:.2f} mm, {1e3 * y:+.2f} ± {1e3 * sy:.2f} mm, "
+            f"{math.degrees(yaw):+.4f} ± {math.degrees(s_yaw):.4f}° from what was stated"
+        )
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return plain data and arrays that hold all."""
+        gauge = None
+        if self.gauge is not None:
+            gauge = [self.gauge.shift, self.gauge.width if self.gauge.is_observed else None]
+        header = {
+            "can_mount": self.can_mount,
+            "n_own": self.n_own,
+            "gauge": gauge,
+            "sigma_xy": self.sigma_xy,
+            "sigma_yaw": self.sigma_yaw,
+        }
+        arrays: dict[str, NDArray[Any]] = {
+            "constant": self.terms.constant,
+            "slope": self.terms.slope,
+            "incidence": self.terms.incidence,
+            "offset": self.offset,
+            "offset_se": self.offset_se,
+        }
+        return header, arrays
+
+    @classmethod
+    def restore(cls, n_rays: int, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Build it from what `state` gave; a wrong shape is a ValueError."""
+        empty = cls.none(n_rays)
+        right = {name: array.shape for name, array in empty.state()[1].items()}
+        found = {name: np.asarray(arrays[name], dtype=np.float64) for name in right}
+        shapes = {name: array.shape for name, array in found.items()}
+        if shapes != right:
+            raise ValueError(f"calibration has shapes {shapes}, expected {right}")
+        gauge = None
+        if header["gauge"] is not None:
+            shift, width = header["gauge"]
+            gauge = Gauge(shift=float(shift), width=np.inf if width is None else float(width))
+        return cls(
+            terms=RayTerms(**{name: found[name] for name in ("constant", "slope", "incidence")}),
+            offset=found["offset"],
+            offset_se=found["offset_se"],
+            can_mount=bool(header["can_mount"]),
+            n_own=int(header["n_own"]),
+            gauge=gauge,
+            sigma_xy=float(header["sigma_xy"]),
+            sigma_yaw=float(header["sigma_yaw"]),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Identified:
+    """Faces and the laser that saw them."""
+
+    fitted: FittedFaces
+    calibration: Calibration
+    rays: Rays
+    """With corrected origins, directions and ranges."""
+    mount: Floats
+    """(3,) [m, m, rad] laser in the frame of the poses."""
+
+
+def readings_of(sample: Sample, sensor: RangeSensor) -> tuple[Readings, Floats]:
+    """Tell which scan each ray of a sample comes from; return readings and the poses (n_scans, 3) of the scans."""
+    new = np.ones(len(sample), dtype=np.bool_)
+    new[1:] = (sample.poses[1:] != sample.poses[:-1]).any(axis=1)
+    readings = Readings(
+        scan=np.cumsum(new) - 1,
+        ray=sample.beams.astype(np.intp),
+        ranges=sample.ranges,
+        bearings=sensor.bearings,
+        range_max=sensor.range_max,
+    )
+    return readings, sample.poses[new]
+
+
+def crossed_by(rays: Rays) -> Crossed:
+    """Count the space that corrected rays went through."""
+    reach = np.where(np.isfinite(rays.ranges), rays.ranges, rays.range_max)
+    return Crossed.of(rays.origins, rays.directions, reach)
+
+
+def corrected(
+    sample: Sample, sensor: RangeSensor, mount: Floats, calibration: Calibration, faces: FaceSet, noise: Noise
+) -> Rays:
+    """Return the rays of a sample as they are by what was identified before: ray terms off, poses as they came."""
+    rays = sample.rays(sensor, mount)
+    if calibration.terms.is_none:
+        return rays
+    readings, poses = readings_of(sample, sensor)
+    lasers = shifted(poses, mount)
+    first = match(readings, lasers, calibration.terms, faces, noise, 0.0)
+    typical = mean_incidence(first, calibration.terms)
+    found = match(readings, lasers, calibration.terms, faces, noise, typical)
+    return replace(rays, ranges=found.ranges)
+
+
+def identify(
+    sample: Sample,
+    sensor: RangeSensor,
+    mount: Floats,
+    fitted: FittedFaces,
+    *,
+    can_mount: bool = True,
+    calibrate: bool | None = None,
+) -> Identified:
+    """Identify the laser that took a sample, and the faces anew with it, where that is worth it.
+
+    Parameters
+    ----------
+    mount : (3,) [m, m, rad] as stated
+    fitted : faces by the laser as stated
+    can_mount : the poses are of a base that carries the laser; False where they are the laser's own
+    calibrate : None: decide by evidence; True and False: always, never
+    """
+    readings, poses = readings_of(sample, sensor)
+    work = _Work(readings, poses, mount, can_mount=can_mount)
+    work.take(fitted)
+    if calibrate is not False and work.is_worth(force=calibrate is True):
+        found = work.run()
+        if found.calibration.is_plausible and _nats_a_ray(found.fitted) > _nats_a_ray(fitted):
+            return found
+        logger.info("calibration is absurd or explains no more than none: left out")
+    return Identified(
+        fitted=fitted,
+        calibration=Calibration.none(sensor.n_rays, can_mount=can_mount),
+        rays=sample.rays(sensor, mount),
+        mount=mount,
+    )
+
+
+def _nats_a_ray(fitted: FittedFaces) -> float:
+    return fitted.seen.nats / max(fitted.n_rays, 1)
+
+
+class _Work:
+    """What is known so far: mount, poses, terms, faces and noise."""
+
+    def __init__(self, readings: Readings, poses: Floats, mount: Floats, *, can_mount: bool) -> None:
+        self.readings, self.poses, self.can_mount = readings, poses, can_mount
+        self.stated, self.mount = mount, mount.copy()
+        self.shifts = np.zeros_like(poses)
+        self.terms = RayTerms.none(len(readings.bearings))
+        self.typical = 0.0
+        self.is_amiss = False
+        self.has_mount = False
+        self.own = np.zeros((2, len(readings.bearings)), dtype=np.bool_)
+        self.offset_se = np.full(3, np.nan)
+        self.gauge: Gauge | None = None
+        self.pose_noise = (0.0, 0.0)
+        self.faces: FaceSet
+        self.noise: Noise
+
+    @property
+    def lasers(self) -> Floats:
+        """(n_scans, 3) by mount and refined poses."""
+        return shifted(shifted(self.poses, self.mount), self.shifts)
+
+    def rays(self, readings: Readings, ranges: Floats) -> Rays:
+        origins, directions = directions_of(readings, self.lasers)
+        return Rays(origins=origins, directions=directions, ranges=ranges, range_max=readings.range_max)
+
+    def take(self, fitted: FittedFaces, *, least: float = 0.0) -> None:
+        """Go on from new faces; returns may be off by `least` [m] or more."""
+        self.faces = fitted.faces
+        self.noise = replace(fitted.noise, sigma=max(fitted.noise.sigma, least))
+
+    def match(self, readings: Readings | None = None) -> Matches:
+        """Match readings to faces; the mean incidence term follows."""
+        readings = self.readings if readings is None else readings
+        found = match(readings, self.lasers, self.terms, self.faces, self.noise, self.typical)
+        self.typical = mean_incidence(found, self.terms)
+        return found
+
+    def is_worth(self, *, force: bool) -> bool:
+        """Tell whether terms or better poses pay on faces that were fitted without; `force`: terms do.
+
+        Noise of a pose moves all returns of a scan together, and many such scans look like terms that are not
+        there. So the mount counts against the poses' noise, and all others after the poses were refined.
+        """
+        if self.noise.sigma_xy > FARTHEST[0] or self.noise.sigma_yaw > FARTHEST[1]:
+            logger.info("calibration: returns and poses do not belong together: %s", self.noise)
+            return False
+        everything = self.readings
+        if not force and len(everything) > 2 * LOOK_READINGS:
+            self.readings = _whole_scans(everything, LOOK_READINGS)
+            mount, terms, better = self._paying()
+            self.readings = everything
+            if max(mount, terms, better.nats) <= 0:
+                return False
+        mount, terms, better = self._paying()
+        if better.nats > WORTH:
+            self.shifts, self.pose_noise = better.shifts, (better.sigma_xy, better.sigma_yaw)
+        least = max(WORTH, SHARE * len(self.readings))
+        self.is_amiss = force or mount > WORTH or terms > least
+        return self.is_amiss or better.nats > WORTH
+
+    def _paying(self) -> tuple[float, float, Refined]:
+        """Return the nats of the mount against the noise of the poses, of all other terms, and better poses."""
+        better = self._poses(self.match())
+        mount = self._found(better)[0] if self.can_mount else 0.0
+        kept = self.shifts
+        if better.nats > WORTH:
+            self.shifts = better.shifts
+        terms = self._found(better)[1]
+        self.shifts = kept
+        logger.info(
+            "calibration: mount %.0f, terms %.0f, poses %.0f nats (%.2f mm, %.3f mrad)",
+            mount, terms, better.nats, 1e3 * better.sigma_xy, 1e3 * better.sigma_yaw,
+        )  # fmt: skip
+        return mount, terms, better
+
+    def _found(self, better: Refined) -> tuple[float, float]:
+        """Return the nats of the mount alone, against the noise of the poses, and of the other terms."""
+        normal = equations(self.readings, self.lasers, self.match(), self.faces, hold=False)
+        prices = self._prices(normal, incidence=True)
+        price = prices[0]
+        prices[MOUNT] = np.inf
+        terms = select(normal, np.zeros(len(prices)), prices)[2]
+        limits = np.array([better.sigma_xy, better.sigma_xy, better.sigma_yaw]) ** 2 / len(self.poses)
+        own = normal.matrix[MOUNT, MOUNT] + 1e-9 * np.eye(3)
+        spread = np.linalg.inv(own) + np.diag(limits)
+        offset = np.linalg.solve(own, normal.right[MOUNT])
+        return 0.5 * float(offset @ np.linalg.solve(spread, offset)) - 3 * price, terms
+
+    def run(self) -> Identified:
+        """Go from coarse to fine; a laser that is as stated needs only its poses."""
+        if self.is_amiss:
+            self.shifts = np.zeros_like(self.shifts)  # they tried to make up for the laser
+            self.pose_noise = (0.0, 0.0)
+            for i, sigma in enumerate(COARSE):
+                self.take(draft_faces(self.corrected(), sigma=sigma), least=sigma)
+                self.adjust(incidence=i > 0)
+                self.adjust(incidence=i > 0)
+        for reach in REACHES if self.is_amiss else REACHES[:1]:
+            self.take(fit_faces(self.corrected(), sigma=FINE))
+            if self.is_amiss:
+                self.adjust(incidence=True)
+                self.refine_poses()
+                self.adjust(incidence=True)
+                self.settle(reach)
+            self.refine_poses()
+        rays = self.corrected()
+        fitted = fit_faces(rays)
+        return Identified(fitted=fitted, calibration=self.calibration(), rays=rays, mount=self.mount)
+
+    def corrected(self) -> Rays:
+        """Return the rays as they are by what is known of the laser."""
+        return self.rays(self.readings, self.match().ranges)
+
+    def adjust(self, *, incidence: bool, shift: float = 0.0) -> None:
+        """Move mount, terms and faces together; faces are `shift` [m] nearer first, and their mean stays there.
+
+        Until edges have been asked (`settle`) the mean shift of the faces is free.
+        """
+        matches, faces = self.match(), self.faces._replace(offsets=self.faces.offsets + shift)
+        if shift:
+            matches = replace(matches, rho=matches.rho + range_change(matches, shift))
+        hold = self.gauge is not None
+        normal = equations(self.readings, self.lasers, matches, faces, hold=hold)
+        current = np.concatenate([np.zeros(5), self.terms.incidence, self.terms.constant, self.terms.slope])
+        for _ in range(3):  # the price of a ray's term falls with the share of rays that have one
+            values, chosen, _ = select(normal, current, self._prices(normal, incidence=incidence))
+            self.own = chosen[N_COMMON:].reshape(2, -1)
+        self.faces = moved(faces, normal, values - current)
+        self.terms = _terms(values)
+        if chosen[MOUNT].any():
+            self.has_mount = True
+            self.mount = shifted(self.mount[None], values[MOUNT])[0]
+            self.offset_se = standard_errors(normal, chosen)[MOUNT]
+        logger.info(
+            "mount %s, %d + %d rays, incidence %s mm", np.round(self.mount - self.stated, 5),
+            *self.own.sum(axis=1), np.round(1e3 * self.terms.incidence, 1),
+        )  # fmt: skip
+
+    def refine_poses(self) -> None:
+        """Move the training poses where their noise shows."""
+        matches = self.match()
+        better = self._poses(matches)
+        logger.info(
+            "poses: %.0f nats, %.2f mm, %.3f mrad", better.nats, 1e3 * better.sigma_xy, 1e3 * better.sigma_yaw
+        )
+        if better.nats < WORTH:
+            return
+        self.shifts = better.shifts
+        self.pose_noise = (better.sigma_xy, better.sigma_yaw)
+
+    def settle(self, reach: float) -> None:
+        """Let occlusion edges say where the walls are, and give the terms what is left."""
+        if not self.terms.has_incidence:
+            return
+        some = _whole_scans(self.readings, GAUGE_READINGS)
+        matches = self.match(some)
+        found = settle(self.rays(some, matches.ranges), matches, self.faces, self.noise, reach=reach)
+        before = self.gauge.shift if self.gauge is not None else 0.0
+        self.gauge = replace(found, shift=before + found.shift)
+        logger.info("gauge %s", found)
+        if found.shift:
+            self.adjust(incidence=True, shift=found.shift)
+
+    def calibration(self) -> Calibration:
+        # the mean of the poses' noise over all scans is a mount to us
+        limits = np.array([*2 * self.pose_noise[:1], self.pose_noise[1]]) / math.sqrt(len(self.poses))
+        return Calibration(
+            terms=self.terms,
+            offset=self.mount - self.stated,
+            offset_se=np.hypot(self.offset_se, limits),
+            can_mount=self.can_mount,
+            n_own=int(self.own.any(axis=0).sum()),
+            gauge=self.gauge,
+            sigma_xy=self.pose_noise[0],
+            sigma_yaw=self.pose_noise[1],
+        )
+
+    def _poses(self, matches: Matches) -> Refined:
+        found = refine(self.readings, self.lasers, matches, self.faces, self.shifts, self.noise.sigma)
+        if found.sigma_xy > FARTHEST[0] or found.sigma_yaw > FARTHEST[1]:
+            logger.info("poses off by %.2f m, %.2f rad: not refined", found.sigma_xy, found.sigma_yaw)
+            return replace(found, nats=0.0)
+        return found
+
+    def _prices(self, normal: Normal, *, incidence: bool) -> Floats:
+        """Nats that each term must be worth: BIC, and the log of how many there are to choose from."""
+        n, n_rays = max(normal.n_returns, 2.0), len(self.terms.constant)
+        prices = np.full(N_COMMON + 2 * n_rays, 0.5 * math.log(n) + math.log(N_COMMON + 2 * n_rays))
+        if not self.can_mount:
+            prices[MOUNT] = np.inf
+        elif self.has_mount:
+            prices[MOUNT] = -np.inf
+        if not incidence:
+            prices[INCIDENCE] = np.inf
+        for group in range(2):
+            share = (self.own[group].sum() + 0.5) / (n_rays + 1)
+            own = 0.5 * math.log(max(n / n_rays, 2.0)) + math.log((1 - share) / share)
+            prices[N_COMMON + group * n_rays : N_COMMON + (group + 1) * n_rays] = own
+        return prices
+
+
+def _whole_scans(readings: Readings, most: int) -> Readings:
+    """Take evenly spaced scans if there are too many."""
+    step = -(-len(readings) // most)
+    return readings if step == 1 else readings.take(readings.scan % step == 0)
+
+
+def _terms(values: Floats) -> RayTerms:
+    """Add what all rays have in common to each ray's own terms."""
+    constant, slope = values[N_COMMON:].reshape(2, -1)
+    common, scale = values[COMMON]
+    return RayTerms(constant=constant + common, slope=slope + scale, incidence=values[INCIDENCE])

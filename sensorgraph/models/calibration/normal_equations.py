@@ -1,0 +1,411 @@
+"""Joint adjustment of mount, ray terms and faces: one linear least squares over all returns.
+
+A return of ray j from face k at range rho, n·u = den, differs from what is predicted by
+
+    e = -(n·e_x dx + n·e_y dy) / den + rho (t·u) / den dyaw + dc_0j + dc_1j rho + dS(v, q) + (shift + (s - s_k) turn) / den
+
+The faces' two numbers each are eliminated first (Schur complement); which of the others are worth having is decided
+by forward selection on the normal equations (ERR: the term that explains most goes first).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planners.kernel import kernel
+from sensorgraph.models.calibration.ray_terms import N_SHARED, RayTerms, incidence_bias, shared_terms
+from sensorgraph.models.faces.ray_march import ROOM, FaceSet, gather, index
+from sensorgraph.models.faces.visibility import Noise, variance
+from sensorgraph.types import Bools, Floats, Ints
+
+MOUNT = slice(0, 3)
+COMMON = slice(3, 5)  # constant and slope of all rays together
+INCIDENCE = slice(5, 5 + N_SHARED)
+N_COMMON = 5 + N_SHARED
+GRAZING = 0.05  # |n·u| below which a return is all leverage
+SURE = 0.5  # chance that a return comes from this face
+GATE = 4.0  # standard deviations off, beyond which it does not
+LEVER = 1.0  # [m] a face's turn moves it by that much less than a shift, at the prior
+RIDGE = 1e-9  # of a unit diagonal: for unknowns that nearly say the same
+REACH = 0.3  # [m] that readings may be off before anything is known of them
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Readings:
+    """Valid readings of scans, in the order of the log."""
+
+    scan: Ints
+    """(n,)"""
+    ray: Ints
+    """(n,)"""
+    ranges: Floats
+    """(n,) [m] as measured; +inf: nothing."""
+    bearings: Floats
+    """(n_rays,) [rad]"""
+    range_max: float
+
+    def __len__(self) -> int:
+        return len(self.ranges)
+
+    def take(self, index: Ints | slice | Bools) -> Readings:
+        """Return some of the readings."""
+        return Readings(
+            scan=self.scan[index],
+            ray=self.ray[index],
+            ranges=self.ranges[index],
+            bearings=self.bearings,
+            range_max=self.range_max,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Matches:
+    """Which face each reading comes from, and where its surface is by the ray terms."""
+
+    ranges: Floats
+    """(n,) [m] corrected; +inf: nothing."""
+    face: Ints
+    """(n,) -1 for none."""
+    rho: Floats
+    """(n,) [m] range of that face."""
+    den: Floats
+    """(n,) n·u"""
+    along: Floats
+    """(n,) t·u"""
+    at: Floats
+    """(n,) [m] abscissa of the end point."""
+    sure: Floats
+    """(n,) chance that it is this face."""
+    weight: Floats
+    """(n,) [1/m²] of the residual; 0 where it must not count."""
+
+    @property
+    def residual(self) -> Floats:
+        """(n,) [m] corrected range less the face's; 0 where nothing counts."""
+        with np.errstate(invalid="ignore"):
+            return np.where(self.weight > 0, self.ranges - self.rho, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Normal:
+    """Normal equations after the faces were eliminated; unknowns: mount, common, incidence, constants, slopes."""
+
+    matrix: Floats
+    """(n, n), n = N_COMMON + 2 n_rays"""
+    right: Floats
+    """(n,)"""
+    n_returns: float
+    of_face: Floats
+    """(n_faces, 2, 2) inverse of each face's own block."""
+    face_right: Floats
+    """(n_faces, 2)"""
+    across: Floats
+    """(n_faces, 2, n)"""
+    centre: Floats
+    """(n_faces,) [m] abscissa about which a face turns."""
+    held: Floats
+    """(n_faces,) weights of the mean shift that stays 0; all 0 where it is free."""
+
+    def faces_moved(self, step: Floats) -> Floats:
+        """Return shift [m] and turn [rad] (n_faces, 2) that belong to the step (n,) of the others."""
+        free = self.face_right - self.across @ step
+        move: Floats = np.einsum("kij,kj->ki", self.of_face, free)
+        if not self.held.any():
+            return move
+        stiff = self.of_face[:, :, 0] * self.held[:, None]  # D^-1 a
+        return np.asarray(
+            move - stiff * (self.held @ move[:, 0]) / (self.held @ stiff[:, 0]), dtype=np.float64
+        )
+
+
+def directions_of(readings: Readings, lasers: Floats) -> tuple[Floats, Floats]:
+    """Return origins and directions (n, 2) of readings from lasers (n_scans, 3)."""
+    theta = lasers[readings.scan, 2] + readings.bearings[readings.ray]
+    return lasers[readings.scan, :2], np.stack([np.cos(theta), np.sin(theta)], axis=1)
+
+
+def match(
+    readings: Readings, lasers: Floats, terms: RayTerms, faces: FaceSet, noise: Noise, typical: float
+) -> Matches:
+    """Find the face of every reading and take the ray terms off; `typical` is S [m] where no face is known."""
+    origins, directions = directions_of(readings, lasers)
+    n = len(readings)
+    values = np.zeros((n, 7))
+    values[:, 0] = readings.ranges
+    face = np.full(n, -1, dtype=np.intp)
+    _match(
+        origins, directions, readings.ranges, readings.ray, readings.range_max, faces, index(faces), noise.array,
+        terms.constant, terms.slope, terms.incidence, typical, face, values,
+    )  # fmt: skip
+    columns = np.ascontiguousarray(values.T)
+    return Matches(
+        ranges=columns[0],
+        face=face,
+        rho=columns[1],
+        den=columns[2],
+        along=columns[3],
+        at=columns[4],
+        sure=columns[5],
+        weight=columns[6],
+    )
+
+
+def mean_incidence(matches: Matches, terms: RayTerms) -> float:
+    """Return the mean of S [m] over the returns whose face is known."""
+    known = matches.weight > 0
+    if not known.any() or not terms.has_incidence:
+        return 0.0
+    v, q = 1 - np.abs(matches.den[known]), np.minimum(matches.rho[known], 4.0) / 4.0
+    basis = np.empty((N_SHARED, len(v)))
+    shared_terms(v, q, basis)
+    return float((terms.incidence @ basis).mean())
+
+
+def equations(readings: Readings, lasers: Floats, matches: Matches, faces: FaceSet, *, hold: bool) -> Normal:
+    """Add up the normal equations; `hold` keeps the mean shift of all faces at 0 (the gauge)."""
+    k, n = faces.n_faces, N_COMMON + 2 * len(readings.bearings)
+    weight, face = matches.weight, np.maximum(matches.face, 0)
+    total = np.maximum(np.bincount(face, weight * matches.den**2, k), 1e-9)
+    centre = np.bincount(face, weight * matches.den**2 * np.nan_to_num(matches.at), k) / total
+    matrix, right = np.zeros((n, n)), np.zeros(n)
+    own, own_right, across = np.zeros((k, 2, 2)), np.zeros((k, 2)), np.zeros((k, 2, n))
+    heading = lasers[readings.scan, 2]
+    _accumulate(
+        readings.ray, np.cos(heading), np.sin(heading), face, matches.rho, matches.den, matches.along, matches.at,
+        matches.residual, weight, faces.normals, centre, matrix, right, own, own_right, across,
+    )  # fmt: skip
+    matrix += np.tril(matrix, -1).T
+    own[:, 0, 0] += 1.0  # [1/m²] nothing is known of a face without returns
+    own[:, 1, 1] += LEVER**2
+    inverse = np.asarray(np.linalg.inv(own), dtype=np.float64)
+    flat = across.reshape(2 * k, n)
+    solved = np.einsum("kij,kjn->kin", inverse, across).reshape(2 * k, n)
+    matrix -= flat.T @ solved
+    right -= solved.T @ own_right.ravel()
+    held = np.zeros(k)
+    if hold and k:
+        held = total / total.sum()
+        stiff = inverse[:, :, 0] * held[:, None]
+        pull = np.einsum("ki,kin->n", stiff, across)
+        give = float(held @ stiff[:, 0])
+        matrix += np.outer(pull, pull) / give
+        right += pull * float((stiff * own_right).sum()) / give
+    return Normal(
+        matrix=matrix,
+        right=right,
+        n_returns=float((weight > 0).sum()),
+        of_face=inverse,
+        face_right=own_right,
+        across=across,
+        centre=centre,
+        held=held,
+    )
+
+
+def moved(faces: FaceSet, normal: Normal, step: Floats) -> FaceSet:
+    """Shift and turn faces by what belongs to a step of the other unknowns."""
+    shift, turn = normal.faces_moved(step).T
+    turn = np.clip(turn, -0.05, 0.05)
+    normals, tangents, c = faces.normals, faces.tangents, normal.centre
+    centre = normals * (faces.offsets + shift)[:, None] + tangents * c[:, None]
+    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    turned = cos * normals - sin * tangents
+    along = np.stack([-turned[:, 1], turned[:, 0]], axis=1)
+    slide = (along * centre).sum(axis=1) - c
+    return faces._replace(
+        normals=turned,
+        offsets=(turned * centre).sum(axis=1),
+        edges=faces.edges + np.repeat(slide, np.diff(faces.first)),
+    )
+
+
+def select(normal: Normal, current: Floats, prices: Floats) -> tuple[Floats, Bools, float]:
+    """Choose terms forward, the one that explains most first, as long as it is worth its price.
+
+    Parameters
+    ----------
+    current : (n,) values of the unknowns that the normal equations are linearised about
+    prices : (n,) [nats]; inf: never, -inf: always
+
+    Returns
+    -------
+    new values (n,), which were chosen, and the nats they are worth over none, prices taken off
+    """
+    matrix = normal.matrix
+    right = normal.right + matrix @ current
+    chosen, worth = _forward(matrix, right, prices)
+    values = np.zeros(len(right))
+    if chosen.any():
+        part = matrix[np.ix_(chosen, chosen)]
+        scale = np.sqrt(np.diag(part))
+        scaled = part / scale[:, None] / scale + RIDGE * np.eye(len(part))
+        values[chosen] = np.linalg.solve(scaled, right[chosen] / scale) / scale
+    return values, chosen, float(worth)
+
+
+def standard_errors(normal: Normal, chosen: Bools) -> Floats:
+    """Return the standard errors (n,) of chosen unknowns; nan for the others."""
+    part = normal.matrix[np.ix_(chosen, chosen)]
+    scale = np.sqrt(np.diag(part))
+    inverse = np.linalg.inv(part / scale[:, None] / scale + RIDGE * np.eye(len(part)))
+    out = np.full(len(chosen), np.nan)
+    out[chosen] = np.sqrt(np.diag(inverse)) / scale
+    return out
+
+
+def range_change(matches: Matches, shift: float) -> Floats:
+    """Return how much farther (n,) [m] faces are that moved along their normals by `shift` [m]; 0 without a face."""
+    return np.where(
+        (matches.face >= 0) & (matches.den < -0.02), shift / np.where(matches.den < 0, matches.den, -1.0), 0.0
+    )
+
+
+@kernel
+def _forward(matrix: Any, right: Any, prices: Any) -> Any:
+    """Greedy Cholesky: each step takes the unknown that lowers the squares most and takes it out of all others."""
+    n = len(right)
+    left, rest = np.diag(matrix).copy(), right.copy()
+    whole = left.copy()
+    chosen = np.zeros(n, np.bool_)
+    rows = np.zeros((n, n))  # of the Cholesky factor, one for every chosen unknown
+    worth = 0.0
+    for step in range(n):
+        best, at = 0.0, -1
+        for i in range(n):
+            if chosen[i] or left[i] < 1e-6 * whole[i] or left[i] <= 0 or prices[i] == np.inf:
+                continue
+            gain = 1e300 if prices[i] == -np.inf else 0.5 * rest[i] ** 2 / left[i] - prices[i]
+            if gain > best:
+                best, at = gain, i
+        if at < 0:
+            break
+        row = matrix[at].copy()
+        for k in range(step):
+            row -= rows[k, at] * rows[k]
+        row /= np.sqrt(left[at])
+        amount = rest[at] / np.sqrt(left[at])
+        worth += 0.5 * amount**2 - (prices[at] if prices[at] > -1e300 else 0.0)
+        rows[step] = row
+        chosen[at] = True
+        for i in range(n):
+            left[i] -= row[i] ** 2
+            rest[i] -= row[i] * amount
+    return chosen, worth
+
+
+@kernel
+def _match(
+    origins: Any,
+    directions: Any,
+    ranges: Any,
+    ray: Any,
+    range_max: Any,
+    faces: Any,
+    buckets: Any,
+    noise: Any,
+    constant: Any,
+    slope: Any,
+    s: Any,
+    typical: Any,
+    face: Any,
+    values: Any,
+) -> Any:
+    normals, _, first, _, levels, _, _ = faces
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+    for i in range(len(ranges)):
+        z = ranges[i]
+        if z > 1e300:
+            continue
+        ux, uy = directions[i, 0], directions[i, 1]
+        gain = 1.0 + slope[ray[i]]
+        base = (z - constant[ray[i]]) / gain
+        n = gather(origins[i, 0], origins[i, 1], ux, uy, base + REACH, 0.0, faces, buckets, r, k, j, t)
+        survival, total, best, at, best_e, best_var = 1.0, 0.0, 0.0, -1, 0.0, 1.0
+        before = 1.0
+        for m in range(n):
+            f = k[m]
+            alpha = levels[j[m]] if j[m] >= first[f] else 0.0
+            den = normals[f, 0] * ux + normals[f, 1] * uy
+            var = variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise)
+            e = base - incidence_bias(den, r[m], s) / gain - r[m]
+            if e * e < 36 * var:
+                p = survival * alpha * np.exp(-0.5 * e * e / var) / np.sqrt(2 * np.pi * var)
+                total += p
+                if p > best:
+                    best, at, best_e, best_var = p, m, e, var
+            if e > 0:
+                before = survival * (1 - alpha)
+            survival *= 1 - alpha
+        if at < 0:
+            values[i, 0] = max(base - typical / gain, 1e-3)
+            continue
+        f = k[at]
+        den = normals[f, 0] * ux + normals[f, 1] * uy
+        along = -normals[f, 1] * ux + normals[f, 0] * uy
+        sure = best / (total + before * noise[3])
+        face[i] = f
+        values[i, 0] = max(r[at] + best_e, 1e-3)
+        values[i, 1], values[i, 2], values[i, 3] = r[at], den, along
+        values[i, 4] = t[at] + best_e * along
+        values[i, 5] = sure
+        if sure > SURE and den < -GRAZING and best_e * best_e < GATE * GATE * best_var and z < range_max:
+            values[i, 6] = sure / best_var
+
+
+@kernel
+def _accumulate(
+    ray: Any,
+    cos: Any,
+    sin: Any,
+    face: Any,
+    rho: Any,
+    den: Any,
+    along: Any,
+    at: Any,
+    residual: Any,
+    weight: Any,
+    normals: Any,
+    centre: Any,
+    matrix: Any,
+    right: Any,
+    own: Any,
+    own_right: Any,
+    across: Any,
+) -> Any:
+    n_rays = (len(right) - N_COMMON) // 2
+    x, where = np.empty(N_COMMON + 2), np.empty(N_COMMON + 2, np.int64)
+    for a in range(N_COMMON):
+        where[a] = a
+    for i in range(len(ray)):
+        w = weight[i]
+        if w <= 0:
+            continue
+        f = face[i]
+        nx, ny = normals[f, 0], normals[f, 1]
+        x[0] = -(nx * cos[i] + ny * sin[i]) / den[i]
+        x[1] = -(ny * cos[i] - nx * sin[i]) / den[i]
+        x[2] = rho[i] * along[i] / den[i]
+        x[3], x[4] = 1.0, rho[i]
+        shared_terms(1.0 - abs(den[i]), min(rho[i], 4.0) * 0.25, x[5:N_COMMON])
+        x[N_COMMON], x[N_COMMON + 1] = 1.0, rho[i]
+        where[N_COMMON], where[N_COMMON + 1] = N_COMMON + ray[i], N_COMMON + n_rays + ray[i]
+        y0, y1 = 1.0 / den[i], (at[i] - centre[f]) / den[i]
+        e = w * residual[i]
+        own[f, 0, 0] += w * y0 * y0
+        own[f, 0, 1] += w * y0 * y1
+        own[f, 1, 0] += w * y0 * y1
+        own[f, 1, 1] += w * y1 * y1
+        own_right[f, 0] += e * y0
+        own_right[f, 1] += e * y1
+        for a in range(N_COMMON + 2):
+            v = w * x[a]
+            right[where[a]] += e * x[a]
+            across[f, 0, where[a]] += v * y0
+            across[f, 1, where[a]] += v * y1
+            row = matrix[where[a]]
+            for b in range(a + 1):
+                row[where[b]] += v * x[b]

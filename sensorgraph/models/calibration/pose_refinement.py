@@ -1,0 +1,109 @@
+"""Training poses refined against the faces: three numbers a scan, damped by the noise that the poses have.
+
+Their noise is estimated with them (empirical Bayes), so poses that are exact stay as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planners.kernel import kernel
+from sensorgraph.models.calibration.normal_equations import Matches, Readings
+from sensorgraph.models.faces.ray_march import FaceSet
+from sensorgraph.types import Floats
+
+START = (0.005, 0.005)  # [m, rad] noise of the poses to begin with
+ROUNDS = 30
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Refined:
+    """Corrections of poses, and what they are worth."""
+
+    shifts: Floats
+    """(n_scans, 3) [m, m, rad] of each laser in its own frame."""
+    sigma_xy: float
+    """[m] noise of the poses, each axis."""
+    sigma_yaw: float
+    """[rad]"""
+    nats: float
+    """Log evidence of noisy poses over exact ones."""
+
+
+def refine(
+    readings: Readings, lasers: Floats, matches: Matches, faces: FaceSet, shifts: Floats, sigma: float
+) -> Refined:
+    """Refine poses by returns of range noise `sigma` [m]; `shifts` (n_scans, 3) are those applied already."""
+    n = len(lasers)
+    own, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    heading = lasers[readings.scan, 2]
+    weight = np.where(matches.weight > 0, matches.sure / sigma**2, 0.0)
+    _pose_equations(
+        readings.scan, np.cos(heading), np.sin(heading), np.maximum(matches.face, 0), matches.rho, matches.den,
+        matches.along, matches.residual, weight, faces.normals, own, right,
+    )  # fmt: skip
+    right += np.einsum("nij,nj->ni", own, shifts)
+    seen = own[:, 0, 0] + own[:, 1, 1] > 0
+    found = np.zeros((n, 3))
+    found[seen], spread, nats = _damped(own[seen], right[seen])
+    return Refined(
+        shifts=found, sigma_xy=float(np.sqrt(spread[0])), sigma_yaw=float(np.sqrt(spread[2])), nats=nats
+    )
+
+
+def _damped(own: Floats, right: Floats) -> tuple[Floats, Floats, float]:
+    """Solve for the scans' corrections (n, 3) and the variance (3,) that these have; return the evidence for it, too."""
+    spread = np.array([START[0], START[0], START[1]]) ** 2
+    for _ in range(ROUNDS if len(own) else 0):
+        inverse = np.linalg.inv(own + np.diag(1 / spread))
+        found = np.einsum("nij,nj->ni", inverse, right)
+        second = (found**2 + np.einsum("nii->ni", inverse)).mean(axis=0)
+        second[:2] = second[:2].mean()
+        spread = np.maximum(second, 1e-12)
+    inverse = np.linalg.inv(own + np.diag(1 / spread))
+    found = np.einsum("nij,nj->ni", inverse, right)
+    explained = 0.5 * float((right * found).sum())
+    volume = 0.5 * float(np.linalg.slogdet(np.eye(3) + own * spread[:, None])[1].sum())
+    return found, spread, explained - volume
+
+
+def shifted(lasers: Floats, shifts: Floats) -> Floats:
+    """Move lasers (n, 3) by shifts (n, 3) or (3,) in their own frames."""
+    cos, sin = np.cos(lasers[:, 2]), np.sin(lasers[:, 2])
+    dx, dy, turn = np.broadcast_to(shifts, lasers.shape).T
+    return np.stack(
+        [lasers[:, 0] + cos * dx - sin * dy, lasers[:, 1] + sin * dx + cos * dy, lasers[:, 2] + turn], axis=1
+    )
+
+
+@kernel
+def _pose_equations(
+    scan: Any,
+    cos: Any,
+    sin: Any,
+    face: Any,
+    rho: Any,
+    den: Any,
+    along: Any,
+    residual: Any,
+    weight: Any,
+    normals: Any,
+    own: Any,
+    right: Any,
+) -> Any:
+    x = np.empty(3)
+    for i in range(len(scan)):
+        w = weight[i]
+        if w <= 0:
+            continue
+        nx, ny = normals[face[i], 0], normals[face[i], 1]
+        x[0] = -(nx * cos[i] + ny * sin[i]) / den[i]
+        x[1] = -(ny * cos[i] - nx * sin[i]) / den[i]
+        x[2] = rho[i] * along[i] / den[i]
+        for a in range(3):
+            right[scan[i], a] += w * residual[i] * x[a]
+            for b in range(3):
+                own[scan[i], a, b] += w * x[a] * x[b]

@@ -1,0 +1,275 @@
+"""Evidence of a log in cells: hits, passes and interpolated hits by direction, and moments of the hits.
+
+Everything is a sum over scans: evidence of several runs, or of one run batch by batch, adds up.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.kernel import kernel
+from sensorgraph.models.cells.grid import N_SECTORS, Index, Whole, Window, sector, steps_within, walk
+from sensorgraph.types import Floats
+
+Counts = NDArray[np.float32]
+T = TypeVar("T", bound=np.generic)
+
+CELL = 0.05
+"""[m] side of a cell; 3.5 to 7 cm do nearly as well."""
+REACH = 10.0
+"""[m] a longer range counts as nothing seen within reach."""
+NEAREST = 0.1
+"""[m] a shorter range is not used."""
+SPACING = math.radians(0.34)
+"""[rad] wider gaps between neighbouring rays are filled by virtual ones."""
+N_MOMENTS = 6  # count, x, y, xx, xy, yy of hits, [m] from the middle of their cell
+
+
+@dataclass(kw_only=True, eq=False)
+class Evidence:
+    """Sums over scans, a row for each cell that any ray met."""
+
+    window: Window
+    reach: float
+    """[m] how far rays count."""
+    n_rows: int
+    """Cells kept; arrays may be longer."""
+    hits: Counts
+    """(n, 16) hits by sector of the ray."""
+    interpolated: Counts
+    """(n, 16) hits between neighbouring rays that met one surface."""
+    passes: Counts
+    """(n, 8) passes in cell sides, by sector modulo 8."""
+    face: Index
+    """(n,) row in `moments`; -1 where no hit fell."""
+    n_faces: int
+    moments: Floats
+    """(n_faces, 16, 6) count, x, y, xx, xy, yy [m] of the hits from the middle of their cell."""
+
+    @classmethod
+    def empty(cls, cell: float = CELL, reach: float = REACH) -> Evidence:
+        """Start without any scan."""
+        window = Window(cell=cell, low=(0, 0), index=np.full((1, 1), -1, dtype=np.int32))
+        return cls(
+            window=window,
+            reach=reach,
+            n_rows=0,
+            hits=np.zeros((0, N_SECTORS), dtype=np.float32),
+            interpolated=np.zeros((0, N_SECTORS), dtype=np.float32),
+            passes=np.zeros((0, N_SECTORS // 2), dtype=np.float32),
+            face=np.full(0, -1, dtype=np.int32),
+            n_faces=0,
+            moments=np.zeros((0, N_SECTORS, N_MOMENTS)),
+        )
+
+    @classmethod
+    def of(
+        cls, poses: Floats, ranges: Floats, bearings: Floats, *, cell: float = CELL, reach: float = REACH
+    ) -> Evidence:
+        """Gather the evidence of scans at poses (n, 3) with ranges (n, n_rays)."""
+        evidence = cls.empty(cell, reach)
+        evidence.add(poses, ranges, bearings)
+        return evidence
+
+    def add(self, poses: Floats, ranges: Floats, bearings: Floats) -> None:
+        """Add scans at poses (n, 3) [m, m, rad] with ranges (n, n_rays) [m] at bearings (n_rays,) [rad]."""
+        if len(poses) == 0:
+            return
+        self._hold(Window.around(poses[:, :2], self.reach, self.window.cell))
+        gaps = np.append(np.diff(bearings), 0.0)
+        between = np.maximum(np.round(gaps / SPACING).astype(np.int64) - 1, 0)  # virtual rays after each ray
+        room = (len(bearings) + int(between.sum())) * steps_within(self.reach, self.window.cell)
+        done = 0
+        while done < len(poses):
+            self._make_room(room, len(bearings))
+            done, self.n_rows, self.n_faces = gather(
+                done, poses, ranges, bearings, between, self.reach, self.window.cell,
+                np.array(self.window.low), self.window.index, self.n_rows, self.n_faces,
+                self.hits, self.interpolated, self.passes, self.face, self.moments,
+            )  # fmt: skip
+
+    def merge(self, other: Evidence) -> None:
+        """Add the evidence of other scans, gathered with the same cells and reach."""
+        if (other.window.cell, other.reach) != (self.window.cell, self.reach):
+            raise ValueError(
+                f"evidence in cells of {other.window.cell} m out to {other.reach} m cannot be added to "
+                f"cells of {self.window.cell} m out to {self.reach} m"
+            )
+        if other.n_rows == 0:
+            return
+        self._hold(other.window)
+        self._make_room(other.n_rows, other.n_faces)
+        theirs = other.window.places() + np.subtract(other.window.low, self.window.low)
+        rows = self.window.index[theirs[:, 0], theirs[:, 1]]
+        new = rows < 0
+        rows[new] = self.n_rows + np.arange(int(new.sum()))
+        self.window.index[theirs[:, 0], theirs[:, 1]] = rows
+        self.n_rows += int(new.sum())
+        n = other.n_rows
+        self.hits[rows] += other.hits[:n]
+        self.interpolated[rows] += other.interpolated[:n]
+        self.passes[rows] += other.passes[:n]
+        hit = np.flatnonzero(other.face[:n] >= 0)
+        fresh = hit[self.face[rows[hit]] < 0]
+        self.face[rows[fresh]] = self.n_faces + np.arange(len(fresh))
+        self.n_faces += len(fresh)
+        self.moments[self.face[rows[hit]]] += other.moments[other.face[hit]]
+
+    def _hold(self, window: Window) -> None:
+        self.window = window if self.n_rows == 0 else self.window.grown(window)
+
+    def _make_room(self, rows: int, faces: int) -> None:
+        """Lengthen the arrays so that so many more rows fit."""
+        if self.n_rows + rows > len(self.hits):
+            n = max(self.n_rows + rows, 2 * len(self.hits))
+            self.hits, self.interpolated = _longer(self.hits, n), _longer(self.interpolated, n)
+            self.passes, self.face = _longer(self.passes, n), _longer(self.face, n, -1)
+        if self.n_faces + faces > len(self.moments):
+            self.moments = _longer(self.moments, max(self.n_faces + faces, 2 * len(self.moments)))
+
+    def widened(self, cells: int = 2) -> Evidence:
+        """Return the evidence with rows also for all cells within so many of one that was met, in the order of places."""
+        seen = self.window.index >= 0
+        near = seen.copy()
+        for _ in range(cells):
+            for axis in (0, 1):
+                near |= np.roll(near, 1, axis) | np.roll(near, -1, axis)
+        n = int(near.sum())
+        index = np.full(near.shape, -1, dtype=np.int32)
+        index[near] = np.arange(n, dtype=np.int32)
+        old, rows = self.window.index[seen], index[seen]
+        return Evidence(
+            window=Window(cell=self.window.cell, low=self.window.low, index=index),
+            reach=self.reach,
+            n_rows=n,
+            hits=_moved(self.hits[old], rows, n),
+            interpolated=_moved(self.interpolated[old], rows, n),
+            passes=_moved(self.passes[old], rows, n),
+            face=_moved(self.face[old], rows, n, -1),
+            n_faces=self.n_faces,
+            moments=self.moments,
+        )
+
+
+def _longer(array: NDArray[T], n: int, fill: int = 0) -> NDArray[T]:
+    return _moved(array, np.arange(len(array)), n, fill)
+
+
+def _moved(array: NDArray[T], rows: NDArray[np.integer], n: int, fill: int = 0) -> NDArray[T]:
+    """Put an array's rows at other places of an array of n rows."""
+    longer = np.zeros((n, *array.shape[1:]), dtype=array.dtype)
+    if fill:
+        longer[:] = fill
+    longer[rows] = array
+    return longer
+
+
+@kernel
+def row_of(i: int, j: int, index: Index, n_rows: int) -> int:
+    """Return the row of a cell, the next free one if it has none yet."""
+    if index[i, j] < 0:
+        index[i, j] = n_rows
+    return int(index[i, j])
+
+
+@kernel
+def gather(
+    start: int, poses: Floats, ranges: Floats, bearings: Floats, between: Whole, reach: float, cell: float,
+    low: Whole, index: Index, n_rows: int, n_faces: int,
+    hits: Counts, interpolated: Counts, passes: Counts, face: Index, moments: Floats,
+) -> tuple[int, int, int]:  # fmt: skip
+    """Add scans from `start` on until the arrays may overflow; return the next scan and the rows in use."""
+    n_rays = len(bearings)
+    at = np.empty((int(1.4143 * reach / cell) + 4, 2), dtype=np.int64)
+    ends = np.empty(len(at))
+    room = (n_rays + between.sum()) * len(at)
+    for scan in range(start, len(poses)):
+        if n_rows + room > len(hits) or n_faces + n_rays > len(moments):
+            return scan, n_rows, n_faces
+        x, y = poses[scan, 0] - low[0] * cell, poses[scan, 1] - low[1] * cell
+        for ray in range(n_rays):
+            r = ranges[scan, ray]
+            if not r > NEAREST:  # too close or broken
+                continue
+            angle = poses[scan, 2] + bearings[ray]
+            c, s = math.cos(angle), math.sin(angle)
+            b = sector(c, s)
+            free = r - cell if r < reach else reach
+            n_rows = pass_through(x, y, c, s, b, free, 1.0, cell, index, n_rows, passes, at, ends)
+            if r < reach:
+                px, py = x + r * c, y + r * s
+                i, j = math.floor(px / cell), math.floor(py / cell)
+                row = row_of(i, j, index, n_rows)
+                n_rows = max(n_rows, row + 1)
+                hits[row, b] += 1.0
+                if face[row] < 0:
+                    face[row] = n_faces
+                    n_faces += 1
+                add_moments(moments[face[row], b], px - (i + 0.5) * cell, py - (j + 0.5) * cell, 1.0)
+            if between[ray] > 0 and ray + 1 < n_rays and ranges[scan, ray + 1] > NEAREST:
+                n_rows = fill_gap(
+                    x, y, angle, bearings[ray + 1] - bearings[ray], r, ranges[scan, ray + 1], between[ray],
+                    reach, cell, index, n_rows, interpolated, passes, at, ends,
+                )  # fmt: skip
+    return len(poses), n_rows, n_faces
+
+
+@kernel
+def add_moments(moments: Floats, x: float, y: float, weight: float) -> None:
+    """Add a hit at (x, y) [m] from the middle of its cell to moments (6,)."""
+    moments[0] += weight
+    moments[1] += weight * x
+    moments[2] += weight * y
+    moments[3] += weight * x * x
+    moments[4] += weight * x * y
+    moments[5] += weight * y * y
+
+
+@kernel
+def pass_through(
+    x: float, y: float, c: float, s: float, b: int, free: float, weight: float, cell: float,
+    index: Index, n_rows: int, passes: Counts, at: Whole, ends: Floats,
+) -> int:  # fmt: skip
+    """Count a pass in every cell of a ray up to `free` [m]; return the rows in use."""
+    n = walk(x, y, c, s, free, cell, at, ends)
+    before = 0.0
+    for k in range(n):
+        row = row_of(at[k, 0], at[k, 1], index, n_rows)
+        n_rows = max(n_rows, row + 1)
+        passes[row, b % (N_SECTORS // 2)] += weight * (ends[k] - before) / cell
+        before = ends[k]
+    return n_rows
+
+
+@kernel
+def fill_gap(
+    x: float, y: float, angle: float, gap: float, r: float, q: float, n_between: int, reach: float, cell: float,
+    index: Index, n_rows: int, interpolated: Counts, passes: Counts, at: Whole, ends: Floats,
+) -> int:  # fmt: skip
+    """Add virtual rays between two neighbours with ranges r and q [m], `gap` [rad] apart.
+
+    Where both end on what looks like one surface, they end on the chord between the end points; elsewhere only
+    the space that both have crossed counts as free.
+    """
+    weight = 1.0 / (n_between + 1)
+    apart = math.sqrt(r * r + q * q - 2.0 * r * q * math.cos(gap)) if r < reach and q < reach else math.inf
+    one_surface = apart < max(0.10, 4.0 * min(r, q) * gap) and apart < 0.6
+    for k in range(n_between):
+        f = (k + 1) * weight
+        theta = angle + f * gap
+        c, s = math.cos(theta), math.sin(theta)
+        b = sector(c, s)
+        free = min(r, q, reach) - 0.15
+        if one_surface:
+            z = r * q * math.sin(gap) / (r * math.sin(f * gap) + q * math.sin((1.0 - f) * gap))
+            row = row_of(math.floor((x + z * c) / cell), math.floor((y + z * s) / cell), index, n_rows)
+            n_rows = max(n_rows, row + 1)
+            interpolated[row, b] += weight
+            free = z - 1.5 * cell
+        n_rows = pass_through(x, y, c, s, b, free, weight, cell, index, n_rows, passes, at, ends)
+    return n_rows

@@ -1,0 +1,156 @@
+"""Learn the polynomial of visibility: which cells stopped rays whose scans are not part of the evidence."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from planners.kernel import kernel
+from sensorgraph.models.cells.evidence import NEAREST, Evidence
+from sensorgraph.models.cells.grid import Whole, sector, walk
+from sensorgraph.models.cells.ray_march import RATES, Table, face_range
+from sensorgraph.models.cells.visibility import Small, expand, features
+from sensorgraph.types import Bools, Floats
+
+N_STRETCHES, EVERY = 50, 5
+SPREAD = 0.03
+"""[m] standard deviation of a range about the face that stops it, with the noise of poses."""
+NEAR = 0.15
+"""[m] from the measured range, within which a cell may be the one that stopped the ray."""
+RIDGE = 2.0
+MOST = 60_000
+"""Samples of cells that were passed; the others stand for those left out."""
+
+
+def set_aside(n: int, fold: int = 0) -> Bools:
+    """Tell which of n scans are set aside: ten stretches of 2 %, others for each fold 0 ... 4."""
+    stretch = np.arange(n) * N_STRETCHES // max(n, 1)
+    return np.asarray(stretch % EVERY == (2 + fold) % EVERY)
+
+
+@kernel
+def responsibilities(
+    poses: Floats,
+    ranges: Floats,
+    bearings: Floats,
+    table: Table,
+    rows: Whole,
+    sectors: Whole,
+    label: Floats,
+    weight: Floats,
+) -> int:
+    """List every cell that a ray was still at risk in.
+
+    Fills row, sector, label (chance that it stopped the ray, given that none before did) and weight (chance that
+    none before did) of up to len(rows) samples; returns how many there are. `left` chance not explained: no sample.
+    """
+    size = int(1.4143 * table.reach / table.cell) + 4
+    at = np.empty((size, 2), dtype=np.int64)
+    ends, stop = np.empty(size), np.empty(size)
+    n = 0
+    for p in range(len(poses)):
+        for q in range(len(bearings)):
+            z = ranges[p, q]
+            if not z > NEAREST:
+                continue
+            angle = poses[p, 2] + bearings[q]
+            c, s = math.cos(angle), math.sin(angle)
+            b = sector(c, s)
+            hit = z < table.reach
+            x0, y0 = poses[p, 0] - table.low[0], poses[p, 1] - table.low[1]
+            far = min(z + NEAR, table.reach) if hit else table.reach
+            n_steps = walk(x0, y0, c, s, far, table.cell, at, ends)
+            if n + n_steps > len(rows):
+                return n
+            before, left, total = 0.0, 1.0, 0.0
+            for k in range(n_steps):
+                row = table.rows[at[k, 0], at[k, 1]]
+                chord = ends[k] - before
+                stop[k] = 0.0
+                if hit and ends[k] > z - NEAR:
+                    r = face_range(
+                        x0, y0, c, s, at[k, 0], at[k, 1], 0.5 * (before + ends[k]),
+                        table.angle[row, b], table.offset[row, b], table.cell,
+                    )  # fmt: skip
+                    chance = -math.expm1(-RATES[table.rate[row, b]] * chord)
+                    stop[k] = left * chance * math.exp(-0.5 * ((z - r) / SPREAD) ** 2)
+                    left *= 1.0 - chance
+                    total += stop[k]
+                before = ends[k]
+            if hit and total <= 0.0:
+                continue
+            before, at_risk = 0.0, 1.0
+            for k in range(n_steps):
+                chord = ends[k] - before
+                before = ends[k]
+                if chord <= 0.0:  # through a corner
+                    continue
+                if at_risk < 0.01:
+                    break
+                share = stop[k] / total if hit else 0.0
+                now = min(share / at_risk, 1.0)
+                rows[n], sectors[n] = table.rows[at[k, 0], at[k, 1]], b
+                weight[n] = at_risk * (now + (1.0 - now) * chord / table.cell)
+                label[n] = at_risk * now / weight[n]
+                at_risk -= share
+                n += 1
+    return n
+
+
+def newton(
+    phi: Small,
+    label: Floats,
+    weight: Floats,
+    start: Floats,
+    prior: Floats,
+    *,
+    steps: int,
+    ridge: float = RIDGE,
+) -> Floats:
+    """Fit a logistic regression: maximise sum weight (label log p + (1 - label) log(1 - p)) - ridge / 2 |beta - prior|^2."""
+    penalty = np.full(len(start), ridge)
+    penalty[0] = 1e-6
+
+    def loss(beta: Floats) -> tuple[float, Floats]:
+        eta = phi @ beta
+        return float(weight @ (np.logaddexp(0.0, eta) - label * eta) + penalty @ (beta - prior) ** 2 / 2), eta
+
+    beta = start.copy()
+    now, eta = loss(beta)
+    for _ in range(steps):
+        p = 1.0 / (1.0 + np.exp(-np.clip(eta, -30, 30)))
+        slope = phi.T @ (weight * (label - p)) - penalty * (beta - prior)
+        root = phi * np.sqrt(weight * p * (1.0 - p)).astype(np.float32)[:, None]
+        gram = (root.T @ root).astype(np.float64)
+        change = np.linalg.solve(gram + np.diag(penalty), slope)
+        length = 1.0
+        while True:  # a whole step may overshoot far from the solution
+            after, eta = loss(beta + length * change)
+            if after <= now or length < 1e-3:
+                break
+            length /= 2
+        beta = beta + length * change
+        if now - after < 1e-5 * now:
+            break
+        now = after
+    return beta
+
+
+def samples(
+    evidence: Evidence, poses: Floats, ranges: Floats, bearings: Floats, table: Table, most: int = MOST
+) -> tuple[Small, Floats, Floats]:
+    """Return phi (n, n_terms), label (n,) and weight (n,) of the cells that set-aside rays were at risk in."""
+    size = max(len(poses) * len(bearings) * 150, 1000)
+    rows, sectors = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
+    label, weight = np.empty(size), np.empty(size)
+    n = responsibilities(poses, ranges, bearings, table, rows, sectors, label, weight)
+    label, weight = label[:n], weight[:n]
+    use: list[Whole] = []
+    weight = weight.copy()
+    for group in (np.flatnonzero(label > 0.01), np.flatnonzero(label <= 0.01)):
+        keep = group[:: max(1, math.ceil(len(group) / most))]
+        weight[keep] *= weight[group].sum() / max(weight[keep].sum(), 1e-12)
+        use.append(keep)
+    chosen = np.concatenate(use)
+    return expand(features(evidence, rows[chosen], sectors[chosen])), label[chosen], weight[chosen]

@@ -1,0 +1,115 @@
+"""The face in a cell: a line through the hits around it, as seen from each sector; else a place across the ray."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.kernel import kernel
+from sensorgraph.models.cells.evidence import N_MOMENTS, Evidence
+from sensorgraph.models.cells.grid import N_SECTORS, Index, Whole
+from sensorgraph.types import Floats
+
+Bytes = NDArray[np.uint8]
+Offsets = NDArray[np.int8]
+
+ACROSS = 255
+"""Code of a face that stands across every ray: only a distance is known."""
+N_ANGLES = 255
+"""Codes 0 ... 254 are angles of the normal in [0, pi)."""
+OFFSET_STEP = 0.001
+"""[m] of the line from the middle of the cell, along the normal; one byte."""
+COS = np.cos(np.arange(N_ANGLES) * np.pi / N_ANGLES)
+SIN = np.sin(np.arange(N_ANGLES) * np.pi / N_ANGLES)
+
+
+@kernel
+def sum_around(
+    i: int, j: int, radius: int, cell: float, index: Index, face: Index, moments: Floats, b: int, out: Floats
+) -> None:
+    """Sum moments (already over similar sectors) of b in the cells within radius, about the middle of cell (i, j)."""
+    for k in range(len(out)):
+        out[k] = 0.0
+    for di in range(-radius, radius + 1):
+        for dj in range(-radius, radius + 1):
+            row = index[i + di, j + dj]
+            if row < 0 or face[row] < 0:
+                continue
+            m = moments[face[row], b]
+            n, x0, y0 = m[0], di * cell, dj * cell
+            out[0] += n
+            out[1] += m[1] + n * x0
+            out[2] += m[2] + n * y0
+            out[3] += m[3] + 2.0 * x0 * m[1] + n * x0 * x0
+            out[4] += m[4] + x0 * m[2] + y0 * m[1] + n * x0 * y0
+            out[5] += m[5] + 2.0 * y0 * m[2] + n * y0 * y0
+
+
+@kernel
+def line_of(m: Floats, cell: float) -> tuple[bool, float, float, float]:
+    """Fit a line to moments (6,): is there one, angle of its normal [rad], its offset [m], spread across [m]."""
+    if m[0] < 2.5:
+        return False, 0.0, 0.0, 0.0
+    x, y = m[1] / m[0], m[2] / m[0]
+    xx, xy, yy = m[3] / m[0] - x * x, m[4] / m[0] - x * y, m[5] / m[0] - y * y
+    half, root = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    small, large = half - root, half + root
+    if not (large > 4.0 * small and large > (0.6 * cell) ** 2):
+        return False, 0.0, 0.0, 0.0
+    angle = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi  # of the normal: across the long axis
+    return True, angle, x * math.cos(angle) + y * math.sin(angle), math.sqrt(max(small, 0.0))
+
+
+@kernel
+def fill_faces(
+    places: Whole, cell: float, index: Index, face: Index, moments: Floats, angle: Bytes, offset: Offsets
+) -> None:
+    """Fill angle and offset (n, 16) for every place (n, 2); moments are summed over similar sectors."""
+    m = np.empty(N_MOMENTS)
+    for k in range(len(places)):
+        i, j = places[k]
+        any_near = False
+        for di in range(-2, 3):
+            for dj in range(-2, 3):
+                row = index[i + di, j + dj]
+                if row >= 0 and face[row] >= 0:
+                    any_near = True
+        if not any_near:
+            continue
+        for b in range(N_SECTORS):
+            sum_around(i, j, 2, cell, index, face, moments, b, m)
+            found, normal, d, _ = line_of(m, cell)
+            if found:
+                code = round(normal / math.pi * N_ANGLES)  # a turn by pi turns the normal round
+                if (code // N_ANGLES) % 2 != 0:
+                    d = -d
+                code %= N_ANGLES
+                if abs(d) < 127.4 * OFFSET_STEP:
+                    angle[k, b], offset[k, b] = code, round(d / OFFSET_STEP)
+                    continue
+            sum_around(i, j, 1, cell, index, face, moments, b, m)
+            if m[0] > 0.0:
+                direction = 2.0 * math.pi * b / N_SECTORS
+                d = (m[1] * math.cos(direction) + m[2] * math.sin(direction)) / m[0]
+                if abs(d) < 1.5 * cell:
+                    offset[k, b] = round(d / OFFSET_STEP)
+
+
+def faces(evidence: Evidence) -> tuple[Bytes, Offsets]:
+    """Return angle and offset (n_rows + 1, 16) of the face in each cell as each sector sees it, in bytes."""
+    angle = np.full((evidence.n_rows + 1, N_SECTORS), ACROSS, dtype=np.uint8)
+    offset = np.zeros((evidence.n_rows + 1, N_SECTORS), dtype=np.int8)
+    own = evidence.moments[: evidence.n_faces]
+    similar = np.sum([np.roll(own, d, axis=1) for d in range(-3, 4)], axis=0)
+    fill_faces(
+        evidence.window.places(),
+        evidence.window.cell,
+        evidence.window.index,
+        evidence.face,
+        similar,
+        angle,
+        offset,
+    )
+    return angle, offset

@@ -1,0 +1,272 @@
+"""Model `cells`: cell-faces in 5 cm cells, whose visibility is one learned polynomial of the evidence around them.
+
+For worlds without long clean faces, and for poses with noise. Evidence (hits, passes, by direction) is gathered in
+one pass; how likely a cell stops a ray is a polynomial of that evidence, learned on stretches of the log that the
+evidence leaves out. A prediction marches through the cells and gives a mixture of what may be hit.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.run import RangeSensor
+from sensorgraph.errors import GapError
+from sensorgraph.models.base import POINTS, Point, Prediction, Scans
+from sensorgraph.models.cells.evidence import CELL, NEAREST, REACH, Evidence
+from sensorgraph.models.cells.learning import newton, samples, set_aside
+from sensorgraph.models.cells.probability_calibration import KNOTS, best_sigma, seen_for_said
+from sensorgraph.models.cells.ray_march import Table, list_candidates, march, prepare
+from sensorgraph.models.cells.visibility import TERMS
+from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
+from sensorgraph.types import Bools, Floats, Ints, Progress
+
+MOVED, TURNED = 0.4, np.radians(20.0)
+"""[m], [rad] a scan counts where the robot has moved or turned so far since the last one: counts are independent looks."""
+SIGMA = 0.027
+"""[m] spread about a face before it is known."""
+LEARN_FROM = 50
+"""Scans below which the shipped polynomial is used as it is."""
+SURE = 0.5
+"""Least chance that a return lies within 10 cm of the median, for a ray to be answered."""
+UNSEEN = 0.10
+"""[m] of way through cells that no training ray has met, above which a ray is not answered."""
+STEPS = 4
+"""Newton steps; the shipped polynomial is a good start."""
+
+
+@cache
+def shipped() -> tuple[float, ...]:
+    """Return the coefficients that come with the software, learned from several buildings."""
+    table = json.loads((files("sensorgraph.data") / "visibility.json").read_text())["beta"]
+    if tuple(table) != TERMS:
+        raise ValueError("visibility.json has other terms than the polynomial; learn it again")
+    return tuple(table.values())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cells:
+    """A table of cells, and the polynomial it was made with."""
+
+    name: ClassVar[str] = "cells"
+
+    sensor: RangeSensor
+    mount: Floats
+    """(3,) [m, m, rad] laser in the frame of the poses."""
+    table: Table
+    beta: Floats
+    """(n_terms,) coefficients of visibility."""
+    said: Floats
+    """(3, n_knots) seen chance of being off at `KNOTS` of the said one, for each of `POINTS`."""
+    nothing: float
+    """Share of no return at all among the readings beyond reach; the others saw something farther."""
+    counts: Mapping[str, int]
+    """What it was made from: scans, key_frames, set_aside, hits."""
+
+    @classmethod
+    def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
+        """Gather evidence of all key frames; learn visibility and calibration on stretches set aside before."""
+        if unknown := set(options) - {"cell"}:
+            raise GapError(
+                f"option {', '.join(sorted(unknown))} is not known to the model cells; expected cell [m]"
+            )
+        cell = float(options.get("cell", CELL))
+        if not 0.01 <= cell <= 0.5:
+            raise GapError(f"cell is {cell:g} m, expected 0.01 to 0.5")
+        keep = key_frames(scans.poses, scans.run)
+        mount = scans.laser_mount
+        poses, ranges, bearings = lasers(scans.poses[keep], mount), scans.ranges[keep], scans.sensor.bearings
+        reach = min(REACH, scans.sensor.range_max)
+        if not ((ranges > NEAREST) & (ranges < reach)).any():
+            raise GapError(f"no ray of any training scan returned between {NEAREST} and {reach:g} m")
+        report = progress or (lambda done, total: None)
+        beta, sigma, said = learn(poses, ranges, bearings, cell, reach, report)
+        evidence = Evidence.of(poses, ranges, bearings, cell=cell, reach=reach)
+        table = prepare(evidence.widened(), beta, sigma)
+        report(5, 5)
+        far, none = int((ranges >= reach).sum()), int(np.isposinf(ranges).sum())
+        counts = {
+            "scans": len(scans),
+            "key_frames": len(poses),
+            "set_aside": int(set_aside(len(poses)).sum()) if len(poses) >= LEARN_FROM else 0,
+            "hits": int(evidence.hits[: evidence.n_rows].sum()),
+        }
+        return cls(
+            sensor=scans.sensor,
+            mount=mount,
+            table=table,
+            beta=beta,
+            said=said,
+            nothing=none / max(far, 1),
+            counts=counts,
+        )
+
+    def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
+        """Predict rays (n_rays,) at poses (n_poses, 3)."""
+        out, near, dark = summaries(self.table, lasers(poses, self.mount), self.sensor.bearings[rays], point)
+        out[..., P_OFF] = np.interp(out[..., P_OFF], KNOTS, self.said[which_of(point)])
+        beyond = out[..., NO_RETURN] > 0.5
+        out[..., NO_RETURN] *= self.nothing
+        answered = (dark <= UNSEEN) & np.where(beyond, out[..., NO_RETURN] > 0.5, near >= SURE)
+        return to_prediction(out, point, answered)
+
+    def draw(self, poses: Floats, uniform: Floats, normal: Floats) -> Floats:
+        """Draw one reading of every ray at poses (n_poses, 3) from the mixture.
+
+        `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes.
+        """
+        out = np.full(uniform.shape, np.inf)
+        for i, pose in enumerate(lasers(poses, self.mount)):
+            r, w, sigma, left = list_candidates(self.table, pose[None], self.sensor.bearings)
+            stopped = np.cumsum(
+                w[0], axis=1
+            )  # (n_rays, n_most); beyond reach a share `nothing` returns nothing
+            share = uniform[i] * (stopped[:, -1] + left[0] * self.nothing)
+            k = (stopped < share[:, None]).sum(axis=1)
+            hit = np.flatnonzero((k < w.shape[2]) & (share <= stopped[:, -1]))
+            out[i, hit] = r[0, hit, k[hit]] + sigma[0, hit, k[hit]] * normal[i, hit]
+        return out
+
+    def equation(self, ray: int) -> str:
+        """Print how a ray's range comes about, and the polynomial of visibility with its numbers."""
+        bearing = np.degrees(self.sensor.bearings[ray])
+        lines = [
+            f"ray {ray}, bearing {bearing:.2f} deg: sorted by range, the faces k of the cells on its way give",
+            "r_k = (d_k - n_k . q) / (n_k . u)   [m]   q: laser, u: direction, n_k . p = d_k: line through the hits",
+            "w_k = (1 - (1 - a_k)^(l_k / g)) * (chance that no cell before stopped it)   "
+            f"l_k: way in the cell, g = {self.table.cell:g} m",
+            f"a mixture of Gaussians with sigma {self.table.sigma:.4f} m; what is left is no return within {self.table.reach:g} m",
+            "",
+            f"logit a = sum of {len(TERMS)} terms; counts enter as log(1 + 3 count)",
+        ]
+        lines += [f"{value:>14.6g}  {name}" for name, value in zip(TERMS, self.beta, strict=True)]
+        return "\n".join(lines)
+
+    def summary(self) -> Mapping[str, str]:
+        """Return how many cells, what they come from, and the spread about them."""
+        c = self.counts
+        return {
+            "form": f"{len(self.table.rate) - 1} cells of {self.table.cell:g} m, one polynomial of {len(TERMS)} terms for all",
+            "from": f"{c['hits']} hits of {c['key_frames']} key frames ({c['scans']} scans); "
+            f"{c['set_aside']} of them set aside to learn visibility",
+            "sigma": f"{self.table.sigma:.3g} m about a face",
+            "reach": f"{self.table.reach:g} m; {100 * self.nothing:.0f} % of what goes farther returns nothing, the rest is not answered",
+        }
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return plain data and arrays that hold the whole model."""
+        t = self.table
+        header = {
+            "cell": t.cell,
+            "reach": t.reach,
+            "sigma": t.sigma,
+            "nothing": self.nothing,
+            "counts": dict(self.counts),
+            "shape": list(t.rows.shape),
+        }
+        arrays: dict[str, NDArray[Any]] = {
+            "low": t.low,
+            "kept": np.packbits(t.rows >= 0),
+            "rate": t.rate,
+            "angle": t.angle,
+            "offset": t.offset,
+            "is_seen": t.is_seen,
+            "beta": self.beta,
+            "said": self.said,
+            "mount": self.mount,
+        }
+        return header, arrays
+
+    @classmethod
+    def restore(
+        cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+    ) -> Self:
+        """Build the model from what `state` gave."""
+        nx, ny = map(int, header["shape"])
+        kept = np.unpackbits(arrays["kept"], count=nx * ny).astype(np.bool_).reshape(nx, ny)
+        n = int(kept.sum())
+        index = np.full((nx, ny), -1, dtype=np.int32)
+        index[kept] = np.arange(n, dtype=np.int32)
+        expected = {
+            "rate": (n + 1, 16), "angle": (n + 1, 16), "offset": (n + 1, 16), "is_seen": (n + 1,),
+            "beta": (len(TERMS),), "said": (len(POINTS), len(KNOTS)), "mount": (3,), "low": (2,),
+        }  # fmt: skip
+        for name, shape in expected.items():
+            if arrays[name].shape != shape:
+                raise ValueError(f"{name} has shape {arrays[name].shape}, expected {shape}")
+        table = Table(
+            low=arrays["low"], cell=float(header["cell"]), reach=float(header["reach"]), rows=index,
+            rate=arrays["rate"], angle=arrays["angle"], offset=arrays["offset"],
+            sigma=float(header["sigma"]), is_seen=arrays["is_seen"],
+        )  # fmt: skip
+        return cls(
+            sensor=sensor, mount=arrays["mount"], table=table, beta=arrays["beta"], said=arrays["said"],
+            nothing=float(header["nothing"]), counts=header["counts"],
+        )  # fmt: skip
+
+
+def key_frames(poses: Floats, run: Ints) -> Bools:
+    """Tell which scans count: the first of each run, and each that is far from the last one that counts."""
+    keep = np.zeros(len(poses), dtype=np.bool_)
+    last = -1
+    for i, (x, y, phi) in enumerate(poses.tolist()):
+        if last >= 0 and run[i] == run[last]:
+            x0, y0, phi0 = poses[last]
+            turn = np.pi - abs(np.pi - abs(phi - phi0) % (2 * np.pi))
+            if np.hypot(x - x0, y - y0) < MOVED and turn < TURNED:
+                continue
+        keep[i] = True
+        last = i
+    return keep
+
+
+def lasers(poses: Floats, mount: Floats) -> Floats:
+    """Return the laser's pose in map (n, 3) for poses (n, 3) of the frame it is mounted in."""
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x = poses[:, 0] + cos * mount[0] - sin * mount[1]
+    y = poses[:, 1] + sin * mount[0] + cos * mount[1]
+    return np.column_stack([x, y, poses[:, 2] + mount[2]])
+
+
+def learn(
+    poses: Floats, ranges: Floats, bearings: Floats, cell: float, reach: float, report: Progress
+) -> tuple[Floats, float, Floats]:
+    """Return beta (n_terms,), sigma [m] and the calibration (3, n_knots), learned on stretches the evidence leaves out."""
+    beta = np.array(shipped())
+    said = np.tile(KNOTS, (len(POINTS), 1))
+    if len(poses) < LEARN_FROM:
+        return beta, SIGMA, said
+    aside = set_aside(len(poses))
+    evidence = Evidence.of(poses[~aside], ranges[~aside], bearings, cell=cell, reach=reach).widened()
+    report(1, 5)
+    table = prepare(evidence, beta, SIGMA)
+    report(2, 5)
+    apart = poses[aside], ranges[aside], bearings
+    phi, label, weight = samples(evidence, *apart, table)
+    beta = newton(phi, label, weight, beta, beta, steps=STEPS)
+    report(3, 5)
+    table = prepare(evidence, beta, SIGMA)
+    table = table._replace(sigma=best_sigma(*apart, table))
+    every = np.array(
+        [summaries(table, poses[aside], bearings, point)[0] for point in ("mode", "median", "mean")]
+    )
+    scored = (ranges[aside] > NEAREST) & (ranges[aside] < reach)
+    report(4, 5)
+    return beta, table.sigma, seen_for_said(every, ranges[aside], scored)
+
+
+def summaries(
+    table: Table, poses: Floats, bearings: Floats, point: Point
+) -> tuple[NDArray[np.float64], Floats, Floats]:
+    """March all rays; return (n_poses, n_rays, 6) summaries, chance within 10 cm of the median, way [m] never seen."""
+    shape = (len(poses), len(bearings))
+    out, near, dark = np.empty((*shape, 6)), np.empty(shape), np.empty(shape)
+    march(poses, bearings, table, which_of(point), out, near, dark)
+    return out, near, dark

@@ -1,0 +1,92 @@
+"""Settle what is said against what is seen, on scans set aside: spread of ranges, and the chance of being off."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.kernel import kernel
+from sensorgraph.models.base import OFF, POINTS
+from sensorgraph.models.cells.evidence import NEAREST
+from sensorgraph.models.cells.ray_march import Table, candidates
+from sensorgraph.models.mixture import MEAN, MEDIAN, MODE, P_OFF
+from sensorgraph.types import Bools, Floats
+
+SIGMAS = np.geomspace(0.005, 0.08, 17)
+"""[m] spreads tried."""
+STRAY = 1e-3
+"""[1/m] density of a return that nothing explains."""
+KNOTS = np.array([0.0, 0.03, 0.07, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95, 1.0])
+"""Said chances between which the correction is a straight line."""
+
+
+@kernel
+def likelihood(
+    poses: Floats, ranges: Floats, bearings: Floats, table: Table, sigmas: Floats, out: Floats
+) -> None:
+    """Fill out (n_sigmas,) with the log likelihood of all returns, were that the spread about each face."""
+    size = int(1.4143 * table.reach / table.cell) + 4
+    at = np.empty((size, 2), dtype=np.int64)
+    ends, r, w, sigma, unseen = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    out[:] = 0.0
+    for p in range(len(poses)):
+        for q in range(len(bearings)):
+            z = ranges[p, q]
+            if not (z > NEAREST and z < table.reach):
+                continue
+            angle = poses[p, 2] + bearings[q]
+            n, _ = candidates(
+                poses[p, 0],
+                poses[p, 1],
+                math.cos(angle),
+                math.sin(angle),
+                table,
+                at,
+                ends,
+                r,
+                w,
+                sigma,
+                unseen,
+            )
+            for k in range(len(sigmas)):
+                density = STRAY
+                for i in range(n):
+                    e = (z - r[i]) / sigmas[k]
+                    if abs(e) < 6.0:
+                        density += w[i] * 0.3989422804 * math.exp(-0.5 * e * e) / sigmas[k]
+                out[k] += math.log(density)
+
+
+def best_sigma(poses: Floats, ranges: Floats, bearings: Floats, table: Table) -> float:
+    """Return the spread [m] under which set-aside returns are likeliest."""
+    out = np.empty(len(SIGMAS))
+    likelihood(poses, ranges, bearings, table, SIGMAS, out)
+    k = int(np.clip(np.argmax(out), 1, len(SIGMAS) - 2))
+    below, here, above = out[k - 1 : k + 2]
+    bend = below - 2 * here + above
+    shift = 0.5 * (below - above) / bend if bend < 0 else 0.0
+    return float(SIGMAS[k] * (SIGMAS[1] / SIGMAS[0]) ** np.clip(shift, -1, 1))
+
+
+def seen_for_said(summaries: NDArray[np.float64], ranges: Floats, scored: Bools) -> Floats:
+    """Return (3, n_knots) what share of returns is off, for each point of `POINTS`, where the mixture says `KNOTS`.
+
+    A straight line between knots, fitted by least squares to the returns, never falling; without much data it stays
+    close to what was said.
+    """
+    columns = {"mode": MODE, "median": MEDIAN, "mean": MEAN}
+    out = np.empty((len(POINTS), len(KNOTS)))
+    for k, name in enumerate(POINTS):
+        said = summaries[k][..., P_OFF][scored]
+        off = np.abs(summaries[k][..., columns[name]][scored] - ranges[scored]) > OFF
+        left = np.clip(np.searchsorted(KNOTS, said, side="right") - 1, 0, len(KNOTS) - 2)
+        share = (said - KNOTS[left]) / np.diff(KNOTS)[left]
+        hat = np.zeros((len(said), len(KNOTS)))
+        hat[np.arange(len(said)), left] = 1.0 - share
+        hat[np.arange(len(said)), left + 1] = share
+        ridge = 20.0  # returns that each knot's own claim is worth
+        value = np.linalg.solve(hat.T @ hat + ridge * np.eye(len(KNOTS)), hat.T @ off + ridge * KNOTS)
+        out[k] = np.maximum.accumulate(np.clip(value, 0.0, 1.0))
+    return out

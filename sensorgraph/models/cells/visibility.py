@@ -1,0 +1,309 @@
+"""Visibility of cells: ONE polynomial of the evidence around a cell says how likely a ray of a direction stops there.
+
+logit(chance of stopping within one cell side) = beta . phi, where phi are 1, the `FEATURES` of (cell, sector), all squares
+and products of `OWN`, and products of `AROUND` with `WITH`. One beta serves a whole building, and others too.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planners.kernel import kernel
+from sensorgraph.models.cells.evidence import Counts, Evidence
+from sensorgraph.models.cells.grid import N_SECTORS, Index, Whole
+from sensorgraph.types import Floats
+
+Small = NDArray[np.float32]
+
+FEATURES = (
+    "Hs", "Is", "Ho", "Io", "Qs", "Qo", "Q",
+    "S side 1", "S side 2", "Qs side 1", "Qs side 2",
+    "S +1", "S +2", "S +3", "S -1", "S -2", "Qs +1", "Qs +2", "Qs +3", "Qs -1", "Qs -2",
+    "S diagonal +", "S diagonal -", "O +1", "O +2", "O -1", "O side",
+    "unseen", "all unseen", "L", "L5", "S5",
+    "S5 +4", "S5 -4", "S5 side 4", "S5 both sides 4", "seen 11", "H11", "Q11", "unseen +4",
+)  # fmt: skip
+"""H hits, I interpolated hits, S both, Q passes, O hits and interpolated hits of other directions; s: from similar
+directions, o: from others; + farther from the sensor, - nearer; L log ratio of hits to passes;
+5, 11: of 5 x 5 and 11 x 11 cells; both sides: the lesser one."""
+OWN = ("Hs", "Ho", "Is", "Io", "Qs", "Qo", "S side 1", "Qs side 1", "L", "L5", "S5", "seen 11", "H11")
+AROUND = (
+    "S +1", "S +2", "S -1", "S -2", "Qs +1", "Qs +2", "Qs -1", "Qs -2", "S diagonal +", "S diagonal -", "O +1", "all unseen",
+    "S5 +4", "S5 -4", "S5 side 4", "S5 both sides 4",
+)  # fmt: skip
+WITH = ("Hs", "Is", "Qs", "L")
+N_FEATURES = len(FEATURES)
+STEP = 1.2
+"""Cells between neighbours along and across a ray: more than 1, so that diagonal ones differ."""
+
+_PLACE = {name: k for k, name in enumerate(FEATURES)}
+PAIRS = np.array(
+    [(_PLACE[a], _PLACE[b]) for i, a in enumerate(OWN) for b in OWN[i:]]
+    + [(_PLACE[a], _PLACE[b]) for a in AROUND for b in WITH]
+)
+"""(n_products, 2) which features are multiplied."""
+TERMS = ("1", *FEATURES, *(f"{FEATURES[a]} * {FEATURES[b]}" for a, b in PAIRS))
+"""What beta multiplies, by name."""
+
+
+def offsets(b: int) -> Whole:
+    """Return (n, 2) cells from a cell to its neighbours as sector b sees them, in the order of `_NEIGHBOURS`."""
+    angle = b * 2 * np.pi / N_SECTORS
+    along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    return np.array([np.round(STEP * (a * along + side * across)) for a, side in _NEIGHBOURS]).astype(
+        np.int64
+    )
+
+
+_NEIGHBOURS = (
+    (0, 1), (0, -1), (0, 2), (0, -2), (1, 0), (2, 0), (3, 0), (-1, 0), (-2, 0), (1, 1), (1, -1), (-1, 1), (-1, -1),
+    (3.3, 0), (-3.3, 0), (0, 3.3), (0, -3.3),
+)  # fmt: skip
+
+
+@kernel
+def maps_of(
+    b: int, n_rows: int, hits: Counts, interpolated: Counts, passes: Counts, raw: Small, logs: Small
+) -> None:
+    """Fill raw and logs (n_rows + 1, 14) with the counts of every cell as sector b sees them; the last row stays 0."""
+    half = N_SECTORS // 2
+    for row in range(n_rows):
+        hs = i_s = h_all = i_all = q_all = 0.0
+        for k in range(N_SECTORS):
+            h_all += hits[row, k]
+            i_all += interpolated[row, k]
+        for k in range(half):
+            q_all += passes[row, k]
+        for d in range(-2, 3):
+            hs += hits[row, (b + d) % N_SECTORS]
+            i_s += interpolated[row, (b + d) % N_SECTORS]
+        q = passes[row, b % half]
+        qs = q + passes[row, (b + 1) % half] + passes[row, (b - 1) % half]
+        raw[row, 0], raw[row, 1], raw[row, 2], raw[row, 3] = (
+            hs,
+            i_s,
+            max(h_all - hs, 0.0),
+            max(i_all - i_s, 0.0),
+        )
+        raw[row, 4], raw[row, 5], raw[row, 6] = qs, max(q_all - qs, 0.0), q
+        raw[row, 7], raw[row, 8] = hs + i_s, max(h_all - hs, 0.0) + max(i_all - i_s, 0.0)
+        raw[row, 9] = 1.0 if h_all + i_all + q_all > 0.0 else 0.0
+        for k in range(9):
+            logs[row, k] = math.log(1.0 + 3.0 * raw[row, k]) if raw[row, k] > 0.0 else 0.0
+
+
+@kernel
+def boxes_of(places: Whole, index: Index, raw: Small, logs: Small) -> None:
+    """Add the sums over 5 x 5 cells of S and O to the maps of one sector."""
+    for row in range(len(places)):
+        i, j = places[row]
+        s5 = o5 = 0.0
+        for di in range(-2, 3):
+            for dj in range(-2, 3):
+                near = index[i + di, j + dj]
+                s5 += raw[near, 7]
+                o5 += raw[near, 8]
+        raw[row, 10], raw[row, 11] = s5, o5
+        logs[row, 10] = math.log(1.0 + 5.0 * s5)
+
+
+@kernel
+def surroundings_of(
+    places: Whole, index: Index, hits: Counts, interpolated: Counts, passes: Counts, logs: Small
+) -> None:
+    """Add to logs what lies within 11 x 11 cells, from any sector: share of cells seen, hits and passes a 5 x 5."""
+    nx, ny = index.shape
+    total = np.zeros((nx + 1, ny + 1, 3))  # sums over all cells before (i, j)
+    own = np.zeros(3)
+    for i in range(nx):
+        for j in range(ny):
+            row = index[i, j]
+            own[:] = 0.0
+            if row >= 0:
+                own[1], own[2] = hits[row].sum() + interpolated[row].sum(), passes[row].sum()
+                own[0] = 1.0 if own[1] + own[2] > 0.0 else 0.0
+            for k in range(3):
+                total[i + 1, j + 1, k] = total[i, j + 1, k] + total[i + 1, j, k] - total[i, j, k] + own[k]
+    for row in range(len(places)):
+        i, j = places[row]
+        a, b, c, d = max(i - 5, 0), min(i + 6, nx), max(j - 5, 0), min(j + 6, ny)
+        for k in range(3):
+            inside = total[b, d, k] - total[a, d, k] - total[b, c, k] + total[a, c, k]
+            logs[row, 11 + k] = inside / 121.0 if k == 0 else math.log(1.0 + 3.0 * max(inside, 0.0) / 25.0)
+
+
+@kernel
+def features_of(i: int, j: int, index: Index, raw: Small, logs: Small, around: Whole, f: Small) -> None:
+    """Fill f (40,) with the features of cell (i, j) in the maps of one sector; `around` are its `offsets`."""
+    row = index[i, j]
+    for k in range(7):
+        f[k] = logs[row, k]
+    n = np.empty(17, dtype=np.int64)
+    for k in range(17):
+        n[k] = index[i + around[k, 0], j + around[k, 1]]
+    f[7] = 0.5 * (logs[n[0], 7] + logs[n[1], 7])
+    f[8] = 0.5 * (logs[n[2], 7] + logs[n[3], 7])
+    f[9] = 0.5 * (logs[n[0], 4] + logs[n[1], 4])
+    f[10] = 0.5 * (logs[n[2], 4] + logs[n[3], 4])
+    for k in range(5):  # ahead 1, 2, 3, behind 1, 2
+        f[11 + k] = logs[n[4 + k], 7]
+        f[16 + k] = logs[n[4 + k], 4]
+    f[21] = 0.5 * (logs[n[9], 7] + logs[n[10], 7])
+    f[22] = 0.5 * (logs[n[11], 7] + logs[n[12], 7])
+    f[23], f[24], f[25] = logs[n[4], 8], logs[n[5], 8], logs[n[7], 8]
+    f[26] = 0.5 * (logs[n[0], 8] + logs[n[1], 8])
+    f[27] = 1.0 - raw[row, 9]
+    seen = raw[row, 9] + raw[n[4], 9] + raw[n[0], 9] + raw[n[1], 9]
+    f[28] = 1.0 if seen == 0.0 else 0.0
+    s5, o5 = raw[row, 10], raw[row, 11]
+    hits = raw[row, 0] + 0.5 * raw[row, 1] + 0.3 * raw[row, 2] + 0.15 * raw[row, 3] + 0.05
+    free = raw[row, 4] + 0.3 * raw[row, 5] + 0.25
+    f[29] = math.log(hits / free)
+    f[30] = math.log((s5 + 0.3 * o5 + 0.05) / free)
+    f[31] = logs[row, 10]
+    f[32], f[33] = logs[n[13], 10], logs[n[14], 10]
+    f[34], f[35] = 0.5 * (logs[n[15], 10] + logs[n[16], 10]), min(logs[n[15], 10], logs[n[16], 10])
+    f[36], f[37], f[38] = logs[row, 11], logs[row, 12], logs[row, 13]
+    f[39] = 1.0 - raw[n[13], 9]
+
+
+@kernel
+def logit_of(f: Small, beta: Floats, pairs: Whole) -> float:
+    """Evaluate the polynomial at features f (40,)."""
+    total = beta[0]
+    for k in range(len(f)):
+        total += beta[1 + k] * f[k]
+    for k in range(len(pairs)):
+        total += beta[1 + len(f) + k] * f[pairs[k, 0]] * f[pairs[k, 1]]
+    return float(total)
+
+
+@kernel
+def logits_in(
+    places: Whole,
+    index: Index,
+    raw: Small,
+    logs: Small,
+    around: Whole,
+    beta: Floats,
+    pairs: Whole,
+    out: Small,
+) -> None:
+    """Fill out (n,) with the polynomial at every place (n, 2) of the maps of one sector."""
+    f = np.zeros(N_FEATURES, dtype=np.float32)
+    for k in range(len(places)):
+        features_of(places[k, 0], places[k, 1], index, raw, logs, around, f)
+        out[k] = logit_of(f, beta, pairs)
+
+
+@kernel
+def features_in(places: Whole, index: Index, raw: Small, logs: Small, around: Whole, out: Small) -> None:
+    """Fill out (n, 40) with the features at every place (n, 2) of the maps of one sector."""
+    for k in range(len(places)):
+        features_of(places[k, 0], places[k, 1], index, raw, logs, around, out[k])
+
+
+def logits(evidence: Evidence, beta: Floats) -> Small:
+    """Return (n_rows + 1, 16) logit of the chance to stop in each cell and sector; the last row is a cell never seen."""
+    places = evidence.window.places()
+    raw, logs = (np.zeros((evidence.n_rows + 1, 14), dtype=np.float32) for _ in range(2))
+    surroundings_of(
+        places, evidence.window.index, evidence.hits, evidence.interpolated, evidence.passes, logs
+    )
+    out = np.empty((evidence.n_rows + 1, N_SECTORS), dtype=np.float32)
+    unseen = np.zeros(N_FEATURES, dtype=np.float32)
+    unseen[[27, 28, 39]] = 1.0
+    unseen[[29, 30]] = math.log(0.05 / 0.25)
+    out[-1] = logit_of(unseen, beta, PAIRS)
+    column = np.empty(evidence.n_rows, dtype=np.float32)
+    for b in range(N_SECTORS):
+        maps_of(b, evidence.n_rows, evidence.hits, evidence.interpolated, evidence.passes, raw, logs)
+        boxes_of(places, evidence.window.index, raw, logs)
+        logits_in(places, evidence.window.index, raw, logs, offsets(b), beta, PAIRS, column)
+        out[:-1, b] = column
+    return out
+
+
+def features(evidence: Evidence, rows: Whole, sectors: Whole) -> Small:
+    """Return the (n, 40) features of cells in rows (n,) as sectors (n,) see them."""
+    places = evidence.window.places()
+    raw, logs = (np.zeros((evidence.n_rows + 1, 14), dtype=np.float32) for _ in range(2))
+    surroundings_of(
+        places, evidence.window.index, evidence.hits, evidence.interpolated, evidence.passes, logs
+    )
+    out = np.empty((len(rows), N_FEATURES), dtype=np.float32)
+    for b in range(N_SECTORS):
+        here = np.flatnonzero(sectors == b)
+        if len(here) == 0:
+            continue
+        maps_of(b, evidence.n_rows, evidence.hits, evidence.interpolated, evidence.passes, raw, logs)
+        boxes_of(places, evidence.window.index, raw, logs)
+        part = np.empty((len(here), N_FEATURES), dtype=np.float32)
+        features_in(places[rows[here]], evidence.window.index, raw, logs, offsets(b), part)
+        out[here] = part
+    return out
+
+
+def expand(f: Small) -> Small:
+    """Return phi (n, n_terms) of features (n, 40)."""
+    one = np.ones((len(f), 1), dtype=np.float32)
+    return np.hstack([one, f, f[:, PAIRS[:, 0]] * f[:, PAIRS[:, 1]]])
+
+
+def features_plain(evidence: Evidence, row: int, b: int) -> Floats:
+    """Do what `features` does for one cell and sector, in numpy and as `FEATURES` reads."""
+    near = [(b + d) % N_SECTORS for d in range(-2, 3)]
+    far = [k for k in range(N_SECTORS) if k not in near]
+    beside = [(b + d) % (N_SECTORS // 2) for d in (-1, 0, 1)]
+    place = evidence.window.places()[row]
+
+    def counts(i: int, j: int) -> dict[str, float]:
+        at = evidence.window.index[i, j]
+        zero = at < 0
+        h, i_, q = (
+            np.zeros(a.shape[1]) if zero else a[at].astype(np.float64)
+            for a in (evidence.hits, evidence.interpolated, evidence.passes)
+        )
+        own = {"Hs": h[near].sum(), "Is": i_[near].sum(), "Ho": h[far].sum(), "Io": i_[far].sum()}
+        own |= {"Qs": q[beside].sum(), "Qo": q.sum() - q[beside].sum(), "Q": q[b % (N_SECTORS // 2)]}
+        seen = float(h.any() or i_.any() or q.any())
+        return own | {"S": own["Hs"] + own["Is"], "O": own["Ho"] + own["Io"], "seen": seen}
+
+    def log(values: list[float]) -> float:
+        return float(np.mean(np.log1p(3 * np.array(values))))
+
+    steps = offsets(b)
+    around: dict[tuple[float, float], dict[str, float]]
+    around = {key: counts(*(place + steps[k])) for k, key in enumerate(_NEIGHBOURS)}
+    own = counts(*place)
+    square = [counts(place[0] + i, place[1] + j) for i in range(-2, 3) for j in range(-2, 3)]
+    s5, o5 = sum(c["S"] for c in square), sum(c["O"] for c in square)
+    out = [log([own[name]]) for name in ("Hs", "Is", "Ho", "Io", "Qs", "Qo", "Q")]
+    out += [log([around[0, d][name], around[0, -d][name]]) for name in ("S", "Qs") for d in (1, 2)]
+    out += [log([around[d, 0][name]]) for name in ("S", "Qs") for d in (1, 2, 3, -1, -2)]
+    out += [log([around[d, 1]["S"], around[d, -1]["S"]]) for d in (1, -1)]
+    out += [log([around[d, 0]["O"]]) for d in (1, 2, -1)] + [log([around[0, 1]["O"], around[0, -1]["O"]])]
+    out += [
+        1.0 - own["seen"],
+        float(not any(c["seen"] for c in (own, around[1, 0], around[0, 1], around[0, -1]))),
+    ]
+    free = own["Qs"] + 0.3 * own["Qo"] + 0.25
+    hits = own["Hs"] + 0.5 * own["Is"] + 0.3 * own["Ho"] + 0.15 * own["Io"] + 0.05
+    out += [math.log(hits / free), math.log((s5 + 0.3 * o5 + 0.05) / free)]
+
+    def boxed(place: Whole) -> float:
+        if evidence.window.index[tuple(place)] < 0:
+            return 0.0
+        box = [counts(place[0] + i, place[1] + j)["S"] for i in range(-2, 3) for j in range(-2, 3)]
+        return math.log(1 + 5 * sum(box))
+
+    ahead, behind, left, right = (boxed(place + steps[k]) for k in range(13, 17))
+    out += [boxed(place), ahead, behind, (left + right) / 2, min(left, right)]
+    large = [counts(place[0] + i, place[1] + j) for i in range(-5, 6) for j in range(-5, 6)]
+    out.append(sum(c["seen"] for c in large) / 121)
+    out += [math.log(1 + 3 / 25 * sum(c[a] + c[b] for c in large)) for a, b in (("S", "O"), ("Qs", "Qo"))]
+    out.append(1.0 - around[3.3, 0]["seen"])
+    return np.array(out)

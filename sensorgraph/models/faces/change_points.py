@@ -1,0 +1,200 @@
+"""The edges of visible stretches: change points in what rays did along a face."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planners.kernel import kernel
+from sensorgraph.models.faces.ray_march import FAINT, ROOM, FaceSet, index
+from sensorgraph.models.faces.visibility import Noise, Rays, gather_within, share_within
+from sensorgraph.types import Bools, Floats, Ints
+
+CHANGE = 4.0  # [nats] that an edge must be worth, beside half the log of the looks at its face
+LOOK_BACK = 600  # runs of equal outcome that one stretch may hold
+
+
+class Looks(NamedTuple):
+    """What rays did where they crossed faces, sorted along each face."""
+
+    t: Floats
+    """(n_looks,) [m] abscissa."""
+    stop: Floats
+    """(n_looks,) chance that the ray stopped there, given that it came so far."""
+    weight: Floats
+    """(n_looks,) chance that it came so far."""
+    bounds: Ints
+    """(n_faces + 1,) where each face's looks begin."""
+
+    def at(self, k: int) -> tuple[Floats, Floats, Floats]:
+        """Return abscissae, stops and weights of face k."""
+        part = slice(self.bounds[k], self.bounds[k + 1])
+        return self.t[part], self.stop[part], self.weight[part]
+
+    def of_faces(self, index: Ints) -> Looks:
+        """Return the looks at some faces, in the order of `index`."""
+        parts = [np.arange(self.bounds[k], self.bounds[k + 1]) for k in index]
+        place = np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
+        bounds = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.intp)
+        return Looks(self.t[place], self.stop[place], self.weight[place], bounds)
+
+
+def sharpen(faces: FaceSet, looks: Looks) -> FaceSet:
+    """Replace bins by stretches of constant visibility whose edges lie where outcomes change.
+
+    The outcomes of all looks at a face, sorted along it, are cut by dynamic programming (optimal partitioning,
+    Jackson et al. 2005) at the places that are worth more than `CHANGE` nats; an edge lies midway between the
+    looks on both sides of it. A face may be left that stops nothing: see `is_seen`.
+    """
+    first, edges, levels, blur = [0], [], [], []
+    for k in range(faces.n_faces):
+        cut, level, gap = _stretches(*looks.at(k))
+        edges.append(cut)
+        levels.append(level)
+        blur.append(gap)
+        first.append(first[-1] + len(cut))
+    n_edges = first[-1]
+    return FaceSet(
+        normals=faces.normals,
+        offsets=faces.offsets,
+        first=np.array(first, dtype=np.intp),
+        edges=np.concatenate(edges) if edges else np.zeros(0),
+        levels=np.concatenate(levels) if levels else np.zeros(0),
+        blur=np.concatenate(blur) if blur else np.zeros(0),
+        neighbour=np.full(n_edges, -1, dtype=np.intp),
+    )
+
+
+def looks_at(rays: Rays, faces: FaceSet, noise: Noise) -> Looks:
+    """List what rays did at faces."""
+    face, t, stop, weight = _events(
+        rays.origins, rays.directions, rays.ranges, rays.range_max, faces, index(faces), noise.array
+    )
+    return sorted_looks(face, t, stop, weight, faces.n_faces)
+
+
+def sorted_looks(face: Ints, t: Floats, stop: Floats, weight: Floats, n_faces: int) -> Looks:
+    """Sort looks (n,) by face, then along it."""
+    order = np.argsort(_along(face, t), kind="stable")
+    bounds = np.searchsorted(face[order], np.arange(n_faces + 1))
+    return Looks(t[order], stop[order], weight[order], bounds)
+
+
+def is_seen(faces: FaceSet) -> Bools:
+    """Tell which faces (n_faces,) stop anything."""
+    return np.array(
+        [(faces.levels[faces.first[k] : faces.first[k + 1]] > FAINT).any() for k in range(faces.n_faces)],
+        dtype=np.bool_,
+    )
+
+
+def _along(face: Ints, t: Floats) -> Floats:
+    """Return a key (n,) that sorts by face, then by abscissa: one sort instead of two."""
+    if len(t) == 0:
+        return np.zeros(0)
+    low, high = t.min(), t.max()
+    return np.asarray(face * (2 * (high - low) + 1.0) + (t - low), dtype=np.float64)
+
+
+def subset(faces: FaceSet, index: Ints) -> FaceSet:
+    """Return some faces; neighbours that are gone become -1."""
+    parts = [np.arange(faces.first[k], faces.first[k + 1]) for k in index]
+    place = np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
+    renamed = np.full(faces.n_faces + 1, -1, dtype=np.intp)
+    renamed[index] = np.arange(len(index))
+    return FaceSet(
+        normals=faces.normals[index],
+        offsets=faces.offsets[index],
+        first=np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.intp),
+        edges=faces.edges[place],
+        levels=faces.levels[place],
+        blur=faces.blur[place],
+        neighbour=renamed[faces.neighbour[place]],
+    )
+
+
+@kernel
+def _events(
+    origins: Any, directions: Any, ranges: Any, range_max: Any, faces: Any, buckets: Any, noise: Any
+) -> Any:
+    """List all looks: face, abscissa, chance that the ray stopped given that it came so far, and that chance."""
+    size = 3 * len(ranges) + 64
+    face, at = np.empty(size, np.int32), np.empty(size)
+    stop, weight = np.empty(size), np.empty(size)
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+    gamma, survive = np.empty(ROOM), np.empty(ROOM)
+    count = 0
+    for i in range(len(ranges)):
+        qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
+        reach = range_max if z > 1e300 else z + 0.08 + 6 * np.sqrt(noise[0])
+        n = gather_within(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
+        _, stray = share_within(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+        if stray > 0.5:
+            continue
+        for m in range(n):
+            if survive[m] < 0.2:
+                continue
+            if count == size:
+                size *= 2
+                face = np.concatenate((face, np.empty(count, np.int32)))
+                at = np.concatenate((at, np.empty(count)))
+                stop = np.concatenate((stop, np.empty(count)))
+                weight = np.concatenate((weight, np.empty(count)))
+            face[count], at[count] = k[m], t[m]
+            stop[count], weight[count] = min(gamma[m] / survive[m], 1.0), survive[m]
+            count += 1
+    return face[:count], at[:count], stop[:count], weight[:count]
+
+
+def _stretches(t: Floats, stop: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
+    """Cut sorted looks into stretches; return edges, visibility after each (the last 0) and the edges' s.e."""
+    if len(t) == 0:
+        return np.array([0.0, 1e-9]), np.zeros(2), np.zeros(2)
+    cuts = _partition(stop, weight, CHANGE + 0.5 * np.log(len(t)))
+    stopped, looked = np.add.reduceat(stop * weight, cuts[:-1]), np.add.reduceat(weight, cuts[:-1])
+    level = (stopped + 0.02) / (looked + 0.04)
+    level[level < FAINT * 5] = 0.0
+    inner = cuts[1:-1]
+    edges = np.concatenate([t[:1], (t[inner - 1] + t[inner]) / 2, t[-1:]])
+    gap = np.concatenate([[0.0], (t[inner] - t[inner - 1]) / np.sqrt(12), [0.0]])
+    return edges + 1e-9 * np.arange(len(edges)), np.append(level, 0.0), gap
+
+
+@kernel
+def _partition(stop: Any, weight: Any, price: Any) -> Any:
+    """Cut outcomes where it pays: the first look of every stretch, and their count."""
+    n = len(stop)
+    starts = np.empty(n + 1, np.int64)  # runs of equal outcome: edges lie between them
+    n_runs = 0
+    for i in range(n):
+        if i == 0 or (stop[i] > 0.5) != (stop[i - 1] > 0.5):
+            starts[n_runs] = i
+            n_runs += 1
+    starts[n_runs] = n
+    ones, all_ = np.zeros(n_runs + 1), np.zeros(n_runs + 1)
+    for a in range(n_runs):
+        s, w = 0.0, 0.0
+        for i in range(starts[a], starts[a + 1]):
+            s += stop[i] * weight[i]
+            w += weight[i]
+        ones[a + 1], all_[a + 1] = ones[a] + s, all_[a] + w
+    best = np.full(n_runs + 1, np.inf)
+    since = np.zeros(n_runs + 1, np.int64)
+    best[0] = -price
+    for b in range(1, n_runs + 1):
+        for a in range(max(0, b - LOOK_BACK), b):
+            s, w = ones[b] - ones[a], all_[b] - all_[a]
+            p = (s + 0.02) / (w + 0.04)
+            cost = best[a] + price - s * np.log(p) - (w - s) * np.log(1 - p)
+            if cost < best[b]:
+                best[b], since[b] = cost, a
+    cuts = np.empty(n_runs + 1, np.int64)
+    m, b = 0, n_runs
+    while b > 0:
+        cuts[m] = starts[b]
+        m += 1
+        b = since[b]
+    cuts[m] = 0
+    return cuts[: m + 1][::-1].copy()

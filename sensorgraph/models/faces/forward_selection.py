@@ -1,0 +1,311 @@
+"""Forward selection of faces on pooled moments: the face that explains most hits first (ERR, with faces as terms).
+
+Each cell of hits votes for the lines through it whose normal agrees with its surroundings (a Hough transform);
+the strongest line is fitted by total least squares, cut where its run of hits ends, and its cells are taken away.
+The cost depends on the cells that were hit, not on the length of the log.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planners.kernel import kernel
+from sensorgraph.models.faces.hit_moments import CELL, Surfaces
+from sensorgraph.types import Floats, Ints
+
+N_ANGLES = 240  # normals over the full turn: faces have one side
+SPREAD = 3  # angle bins beside its own that a cell votes for
+D_BIN = 0.02  # [m]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lines:
+    """One-sided lines n·p = d with the stretch of abscissae t·p where hits were pooled; t is n turned by +90°."""
+
+    normals: Floats
+    """(n_faces, 2) unit, towards the side that was seen."""
+    offsets: Floats
+    """(n_faces,) [m]."""
+    spans: Floats
+    """(n_faces, 2) [m] first and last abscissa."""
+
+    def __len__(self) -> int:
+        return len(self.offsets)
+
+    def joined(self, other: Lines) -> Lines:
+        """Return both, self first."""
+        return Lines(
+            normals=np.concatenate([self.normals, other.normals]),
+            offsets=np.concatenate([self.offsets, other.offsets]),
+            spans=np.concatenate([self.spans, other.spans]),
+        )
+
+    def take(self, index: Ints) -> Lines:
+        """Return a subset, in the order of `index`."""
+        return Lines(normals=self.normals[index], offsets=self.offsets[index], spans=self.spans[index])
+
+
+def select_lines(
+    surfaces: Surfaces, *, sigma: float, least: float = 12.0, gap: float = 0.10, shortest: float = 0.03
+) -> Lines:
+    """Select lines until none explains `least` hits over `shortest` [m].
+
+    Parameters
+    ----------
+    sigma : [m] spread of hits across a face (range noise and pose noise)
+    gap : [m] a longer stretch without hits ends a face
+    """
+    if len(surfaces.cells) == 0:
+        return Lines(normals=np.zeros((0, 2)), offsets=np.zeros(0), spans=np.zeros((0, 2)))
+    low = surfaces.cells.min(axis=0)
+    shape = surfaces.cells.max(axis=0) - low + 1
+    grid = np.full((int(shape[0]), int(shape[1])), -1, dtype=np.int32)
+    column, row = (surfaces.cells - low).T
+    grid[column, row] = np.arange(len(surfaces.cells), dtype=np.int32)
+    middle = surfaces.centres.mean(axis=0)  # keeps d small far from the origin
+    rows = _select(
+        grid,
+        column,
+        row,
+        surfaces.centres - middle,
+        surfaces.moments,
+        float(max(3 * sigma, 0.6 * CELL)),
+        float(least),
+        float(gap),
+        float(shortest),
+    )
+    normals = rows[:, :2]
+    tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+    return Lines(
+        normals=normals,
+        offsets=rows[:, 2] + normals @ middle,
+        spans=rows[:, 3:5] + (tangents @ middle)[:, None],
+    )
+
+
+@kernel
+def _select(
+    grid: Any,
+    column: Any,
+    row: Any,
+    centres: Any,
+    moments: Any,
+    band: Any,
+    least: Any,
+    gap: Any,
+    shortest: Any,
+) -> Any:
+    n_cells = len(column)
+    angle = _normals(grid, column, row, centres, moments)
+    mean = np.empty((n_cells, 2))
+    for i in range(n_cells):
+        for j in range(2):
+            mean[i, j] = centres[i, j] + moments[i, 1 + j] / max(moments[i, 0], 1e-9)
+    reach = 0.0
+    for i in range(n_cells):
+        reach = max(reach, np.hypot(mean[i, 0], mean[i, 1]))
+    n_d = int(2 * reach / D_BIN) + 5
+    cos, sin = (
+        np.cos(2 * np.pi * np.arange(N_ANGLES) / N_ANGLES),
+        np.sin(2 * np.pi * np.arange(N_ANGLES) / N_ANGLES),
+    )
+    votes = np.zeros((N_ANGLES, n_d))
+    tops = np.zeros(N_ANGLES)
+    places = np.zeros(N_ANGLES, np.int64)
+    live = np.ones(n_cells, np.bool_)
+    for i in range(n_cells):
+        _vote(votes, i, angle, mean, moments, cos, sin, reach, 1.0)
+    stale = np.ones(N_ANGLES, np.bool_)
+    found = np.zeros((4096, 5))
+    n_found = 0
+    failures = 0
+    while n_found < len(found) and failures < 4000:
+        for a in range(N_ANGLES):
+            if stale[a]:
+                places[a] = np.argmax(votes[a])
+                tops[a] = votes[a, places[a]]
+                stale[a] = False
+        best = np.argmax(tops)
+        if tops[best] < 0.5 * least:
+            break
+        a, k = int(best), int(places[best])
+        line, members = _grow(
+            cos[a],
+            sin[a],
+            (k - 2 + 0.5) * D_BIN - reach,
+            mean,
+            moments,
+            live,
+            angle,
+            band,
+            gap,
+            shortest,
+            least,
+        )
+        if len(members) == 0:
+            votes[a, k] = 0.0  # nothing there after all
+            stale[a] = True
+            failures += 1
+            continue
+        found[n_found] = line
+        n_found += 1
+        for i in members:
+            live[i] = False
+            _vote(votes, i, angle, mean, moments, cos, sin, reach, -1.0)
+            b = int(angle[i])
+            if b >= 0:
+                for s in range(-SPREAD, SPREAD + 1):
+                    stale[(b + s) % N_ANGLES] = True
+    return found[:n_found].copy()
+
+
+@kernel
+def _vote(
+    votes: Any, i: Any, angle: Any, mean: Any, moments: Any, cos: Any, sin: Any, reach: Any, sign: Any
+) -> Any:
+    if angle[i] < 0:
+        return
+    for s in range(-SPREAD, SPREAD + 1):
+        a = (int(angle[i]) + s) % N_ANGLES
+        d = (cos[a] * mean[i, 0] + sin[a] * mean[i, 1] + reach) / D_BIN + 2
+        k = int(np.floor(d - 0.5))
+        f = d - 0.5 - k
+        w = sign * moments[i, 0] * (1 - abs(s) / (SPREAD + 1.0))
+        votes[a, k] += (1 - f) * w
+        votes[a, k + 1] += f * w
+
+
+@kernel
+def _normals(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -> Any:
+    """Find each cell's angle bin by the moments of 5 x 5 cells seen from the same side; -1 where unclear."""
+    n_cells = len(column)
+    nx, ny = grid.shape
+    angle = np.full(n_cells, -1.0)
+    for i in range(n_cells):
+        for half in (2, 4):
+            m0, mx, my, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            ux, uy = moments[i, 6], moments[i, 7]
+            for c in range(max(column[i] - half, 0), min(column[i] + half + 1, nx)):
+                for r in range(max(row[i] - half, 0), min(row[i] + half + 1, ny)):
+                    j = grid[c, r]
+                    if j < 0:
+                        continue
+                    m = moments[j]
+                    if m[6] * moments[i, 6] + m[7] * moments[i, 7] < 0:
+                        continue
+                    dx, dy = centres[j, 0] - centres[i, 0], centres[j, 1] - centres[i, 1]
+                    m0 += m[0]
+                    mx += m[1] + m[0] * dx
+                    my += m[2] + m[0] * dy
+                    xx += m[3] + 2 * dx * m[1] + m[0] * dx * dx
+                    xy += m[4] + dx * m[2] + dy * m[1] + m[0] * dx * dy
+                    yy += m[5] + 2 * dy * m[2] + m[0] * dy * dy
+                    ux += m[6]
+                    uy += m[7]
+            if m0 < 3:
+                continue
+            xx, xy, yy = xx / m0 - (mx / m0) ** 2, xy / m0 - mx * my / m0**2, yy / m0 - (my / m0) ** 2
+            mid, half_gap = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+            if mid + half_gap > 3.0 * (mid - half_gap):
+                along = 0.5 * np.arctan2(2 * xy, xx - yy)
+                nx_, ny_ = -np.sin(along), np.cos(along)
+                if nx_ * ux + ny_ * uy > 0:
+                    nx_, ny_ = -nx_, -ny_
+                angle[i] = np.round(np.arctan2(ny_, nx_) / (2 * np.pi) * N_ANGLES) % N_ANGLES
+                break
+    return angle
+
+
+@kernel
+def _grow(
+    c: Any,
+    s: Any,
+    d: Any,
+    mean: Any,
+    moments: Any,
+    live: Any,
+    angle: Any,
+    band: Any,
+    gap: Any,
+    shortest: Any,
+    least: Any,
+) -> Any:
+    """Fit the line near (c, s, d) to its strongest run of live cells; no members where there is none."""
+    nx, ny = c, s
+    none = np.empty(0, np.int64)
+    line = np.zeros(5)
+    n_cells = len(mean)
+    index = np.empty(n_cells, np.int64)
+    low, high = -np.inf, np.inf
+    for step in range(4):
+        width = max(band, 1.5 * D_BIN) if step == 0 else band
+        n = 0
+        for i in range(n_cells):
+            if not live[i] or abs(nx * mean[i, 0] + ny * mean[i, 1] - d) > width:
+                continue
+            if nx * moments[i, 6] + ny * moments[i, 7] > -0.02 * moments[i, 0]:
+                continue
+            if angle[i] >= 0:
+                turn = abs(angle[i] - np.arctan2(ny, nx) / (2 * np.pi) * N_ANGLES) % N_ANGLES
+                if min(turn, N_ANGLES - turn) > N_ANGLES / 9:  # 40°
+                    continue
+            t = -ny * mean[i, 0] + nx * mean[i, 1]
+            if t < low - gap or t > high + gap:
+                continue
+            index[n] = i
+            n += 1
+        if n == 0:
+            return line, none
+        members = index[:n].copy()
+        t = np.empty(n)
+        for k in range(n):
+            t[k] = -ny * mean[members[k], 0] + nx * mean[members[k], 1]
+        order = np.argsort(t)
+        members, t = members[order], t[order]
+        first, last, most = 0, 0, -1.0
+        start, total = 0, 0.0
+        for k in range(n):
+            if k > 0 and t[k] - t[k - 1] > gap:
+                start, total = k, 0.0
+            total += moments[members[k], 0]
+            if total > most:
+                first, last, most = start, k, total
+        members = members[first : last + 1]
+        low, high = t[first], t[last]
+        m0, mx, my, xx, xy, yy, ux, uy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        x0, y0 = mean[members[0], 0], mean[members[0], 1]
+        for i in members:
+            w = moments[i, 0]
+            x, y = mean[i, 0] - x0, mean[i, 1] - y0
+            vxx = moments[i, 3] - moments[i, 1] ** 2 / w
+            vxy = moments[i, 4] - moments[i, 1] * moments[i, 2] / w
+            vyy = moments[i, 5] - moments[i, 2] ** 2 / w
+            m0 += w
+            mx += w * x
+            my += w * y
+            xx += w * x * x + vxx
+            xy += w * x * y + vxy
+            yy += w * y * y + vyy
+            ux += moments[i, 6]
+            uy += moments[i, 7]
+        if m0 < least or high - low + CELL < shortest:
+            return line, none
+        cx, cy = mx / m0, my / m0
+        xx, xy, yy = xx / m0 - cx * cx, xy / m0 - cx * cy, yy / m0 - cy * cy
+        if high - low > 2 * band or step == 3:
+            along = 0.5 * np.arctan2(2 * xy, xx - yy)
+            ax, ay = -np.sin(along), np.cos(along)
+            if ax * nx + ay * ny < 0:
+                ax, ay = -ax, -ay
+            if ax * nx + ay * ny > 0.7:
+                nx, ny = ax, ay
+        d = nx * (cx + x0) + ny * (cy + y0)
+        low = high = -ny * mean[members[0], 0] + nx * mean[members[0], 1]
+        for i in members:
+            t_i = -ny * mean[i, 0] + nx * mean[i, 1]
+            low, high = min(low, t_i), max(high, t_i)
+    line[0], line[1], line[2], line[3], line[4] = nx, ny, d, low, high
+    return line, members

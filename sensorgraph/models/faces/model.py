@@ -1,0 +1,479 @@
+"""Model `faces`: on each visible face the range is exactly rational in (x, y, cos phi, sin phi).
+
+For a ray of direction u from q that meets the face n·p = d:  r = (d - n·q) / (n·u), linear to identify. Faces come
+from forward selection on pooled moments, their visible stretches from EM on hits and passes and from change
+points; a prediction is the mixture of all faces a ray crosses, each with the chance that it stops there.
+Where long faces leave much unexplained (clutter, poses from SLAM), short ones in cells predict instead (`cells`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.run import RangeSensor
+from planners.kernel import kernel
+from sensorgraph.errors import GapError
+from sensorgraph.models.base import OFF, Point, Prediction, Scans
+from sensorgraph.models.calibration.calibrate import Calibration, corrected, crossed_by, identify
+from sensorgraph.models.calibration.ray_terms import incidence_bias
+from sensorgraph.models.cells.model import Cells
+from sensorgraph.models.faces.fit import STEPS, Steps, fit_faces
+from sensorgraph.models.faces.observed_space import Crossed, is_crossed
+from sensorgraph.models.faces.ray_march import FAINT, MOST, ROOM, FaceSet, gather, index
+from sensorgraph.models.faces.reduction import BLOCK, Block, Spread, blocks_of, reduce_blocks
+from sensorgraph.models.faces.sampling import draw_rays
+from sensorgraph.models.faces.sufficient_statistics import Memory
+from sensorgraph.models.faces.update import update_faces
+from sensorgraph.models.faces.visibility import Noise, variance
+from sensorgraph.models.mixture import NO_RETURN, P_OFF, summarise, to_prediction, which_of
+from sensorgraph.types import Floats, Ints, Progress
+
+SURE = 0.05
+"""Chance of being off above which a ray is not answered."""
+SHORT_OF = 0.10
+"""[m] before the predicted range a ray needs no support any more: the surface itself was seen."""
+CLUTTER = 2e-3
+"""[1/m] returns that no face explains, above which cells predict; 1e-4 in clean rooms, 7e-3 on logs of real floors."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Faces:
+    """Faces with their visible stretches, the noise about them, and the space that was looked through."""
+
+    name: ClassVar[str] = "faces"
+
+    sensor: RangeSensor
+    faces: FaceSet
+    noise: Noise
+    hits: Floats
+    """(n_faces,) training returns that each face explains."""
+    crossed: Crossed
+    returns: float
+    """Share of the training rays that returned."""
+    mount: Floats
+    """(3,) [m, m, rad] laser in the frame of the poses, as identified."""
+    calibration: Calibration
+    """How the laser differs from what was stated; identity for a perfect one."""
+    n_rays: int = 0
+    """Training rays."""
+    memory: Memory | None = None
+    """What new runs are added to."""
+    cells: Cells | None = None
+    """What predicts where long faces do not explain enough."""
+
+    @classmethod
+    def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
+        """Identify faces from scans; options `calibrate` the laser and add `cells`: None where worth it."""
+        if unknown := sorted(options.keys() - {"calibrate", "cells"}):
+            raise GapError(
+                f"option {', '.join(unknown)} is not known to the model faces, which takes calibrate and cells; "
+                "give --model polynomial"
+            )
+        fitted = cls.fit_blocks(
+            blocks_of(scans),
+            scans.sensor,
+            scans.laser_mount,
+            n_scans=len(scans),
+            can_mount=scans.pose_frame != "laser",
+            calibrate=options.get("calibrate"),
+            progress=progress,
+        )
+        wanted = options.get("cells")
+        cluttered = fitted.is_cluttered if wanted is None else bool(wanted)
+        return fitted.with_cells(scans, progress=progress) if cluttered else fitted
+
+    @property
+    def is_cluttered(self) -> bool:
+        """Tell whether faces leave so much unexplained that cells predict better."""
+        return self.noise.stray > CLUTTER
+
+    def with_cells(self, scans: Scans, *, progress: Progress | None = None) -> Self:
+        """Add cells from the same scans; from then on they predict."""
+        if scans.pose_frame == "base_link":
+            scans = replace(scans, sensor=replace(scans.sensor, mount=self.mount))
+        return replace(self, cells=Cells.fit(scans, progress=progress))
+
+    @classmethod
+    def fit_blocks(
+        cls,
+        blocks: Iterable[Block],
+        sensor: RangeSensor,
+        mount: Floats,
+        *,
+        n_scans: int,
+        spread: Spread = map,
+        can_mount: bool = True,
+        calibrate: bool | None = None,
+        progress: Progress | None = None,
+    ) -> Self:
+        """Identify faces from blocks of scans that need not be in memory together.
+
+        Parameters
+        ----------
+        n_scans : how many scans all blocks hold, about
+        spread : where the blocks are reduced; `map`: here, one after the other
+        can_mount : the poses are of a base that carries the laser; False where they are the laser's own
+        calibrate : identify the laser with the faces; None: where that is worth it
+        """
+        n_blocks = -(-n_scans // BLOCK)
+        steps = Steps(progress, n_blocks + STEPS)
+        reduced = reduce_blocks(
+            blocks, mount=mount, n_rays=n_scans * sensor.n_rays, spread=spread, tick=steps.tick
+        )
+        if reduced is None or reduced.n_returns == 0:
+            raise GapError("no ray of the log returned; check range_max and the no-return code of the log")
+        rays = reduced.sample.rays(sensor, mount)
+        fitted = fit_faces(
+            rays, surfaces=reduced.surfaces, progress=lambda done, _: steps.to(n_blocks + done)
+        )
+        found = identify(reduced.sample, sensor, mount, fitted, can_mount=can_mount, calibrate=calibrate)
+        if not found.calibration.is_as_stated and len(found.rays) == reduced.n_rays:
+            # of a larger log the grid of all its rays, a few cm off, tells more than that of a sample
+            reduced = replace(reduced, crossed=crossed_by(found.rays))
+        fitted = found.fitted
+        return cls(
+            sensor=sensor,
+            faces=fitted.faces,
+            noise=fitted.noise,
+            hits=fitted.hits * (reduced.n_rays / max(fitted.n_rays, 1)),
+            crossed=reduced.crossed,
+            returns=reduced.n_returns / reduced.n_rays,
+            mount=found.mount,
+            calibration=found.calibration,
+            n_rays=reduced.n_rays,
+            memory=None
+            if fitted.memory is None
+            else fitted.memory.scaled(reduced.n_rays / max(fitted.n_rays, 1)),
+        )
+
+    def updated(
+        self,
+        blocks: Iterable[Block],
+        *,
+        n_scans: int,
+        spread: Spread = map,
+        progress: Progress | None = None,
+    ) -> Self:
+        """Add blocks of new scans, of the same laser, without the old ones."""
+        if self.cells is not None:
+            raise GapError(
+                "the graph predicts with cells, which are not updated; build it again from all runs"
+            )
+        if self.memory is None:
+            raise GapError("the graph remembers too little of its rays to be updated; build it again")
+        steps = Steps(progress, -(-n_scans // BLOCK) + 1)
+        new = reduce_blocks(
+            blocks, mount=self.mount, n_rays=n_scans * self.sensor.n_rays, spread=spread, tick=steps.tick
+        )
+        if new is None or new.n_returns == 0:
+            raise GapError(
+                "no ray of the new log returned; check range_max and the no-return code of the log"
+            )
+        rays = corrected(new.sample, self.sensor, self.mount, self.calibration, self.faces, self.noise)
+        faces, noise, memory = update_faces(
+            self.faces, self.noise, self.memory, self.crossed, rays, n_rays=new.n_rays
+        )
+        steps.tick()
+        n_rays = self.n_rays + new.n_rays
+        return replace(
+            self,
+            faces=faces,
+            noise=noise,
+            hits=memory.lines[:, 5].copy(),
+            crossed=self.crossed.merge(new.crossed),
+            returns=(self.returns * self.n_rays + new.n_returns) / n_rays,
+            n_rays=n_rays,
+            memory=memory,
+        )
+
+    def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
+        """Predict rays (n_rays,) at poses (n_poses, 3)."""
+        if self.cells is not None:
+            return self.cells.predict(poses, rays, point)
+        table = np.empty((len(poses), len(rays), 6))
+        supported = np.empty((len(poses), len(rays)), dtype=np.bool_)
+        x, y, cos, sin = self._lasers(poses)
+        bearings, terms = self.sensor.bearings[rays], self.calibration.terms
+        _predict(
+            x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces, index(self.faces),
+            self.noise.array, self.crossed.origin, self.crossed.cell, self.crossed.room, self.returns,
+            terms.constant[rays], terms.slope[rays], terms.incidence, not terms.is_none,
+            which_of(point), table, supported,
+        )  # fmt: skip
+        sure = (table[..., P_OFF] < SURE) | (table[..., NO_RETURN] > 1 - SURE)
+        return to_prediction(table, point, supported & sure)
+
+    def draw(self, poses: Floats, uniform: Floats, normal: Floats) -> Floats:
+        """Draw one reading of every ray at poses (n_poses, 3), with range noise and without the poses' noise.
+
+        `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes.
+        """
+        if self.cells is not None:
+            return self.cells.draw(poses, uniform, normal)
+        out = np.empty(uniform.shape)
+        x, y, cos, sin = self._lasers(poses)
+        bearings, terms = self.sensor.bearings, self.calibration.terms
+        draw_rays(
+            x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces,
+            index(self.faces), self.noise.sigma, terms.constant, terms.slope, terms.incidence, uniform, normal, out,
+        )  # fmt: skip
+        return out
+
+    def equation(self, ray: int) -> str:
+        """Print the explicit equations of one ray, face by face, those that explain most returns first."""
+        bearing = float(self.sensor.bearings[ray] + self.mount[2])
+        lines = [
+            f"ray {ray}, bearing {math.degrees(self.sensor.bearings[ray]):.2f}°: the first of these faces that stops it",
+            "(x, y, phi: pose; c = cos phi, s = sin phi; a face counts where its denominator is negative)",
+        ]
+        for k in np.argsort(-self.hits, kind="stable"):
+            lines.append(f"face {k}: r = {self._rational(int(k), bearing)}")
+            lines.append(f"    stops it where {self._stretches(int(k))}")
+        spread = f"{self.noise.sigma:.4f} m"
+        if self.noise.sigma_xy > 0 or self.noise.sigma_yaw > 0:
+            spread += f" of range, {self.noise.sigma_xy:.4f} m and {self.noise.sigma_yaw:.5f} rad of pose"
+        lines += self._added(ray)
+        lines.append(f"returns spread by {spread}")
+        if self.cells is not None:
+            lines += ["", "where these leave too much unexplained, as in this log, cells predict:"]
+            lines.append(self.cells.equation(ray))
+        return "\n".join(lines)
+
+    def _added(self, ray: int) -> list[str]:
+        """Write what the laser adds to the range of a face."""
+        added = self.calibration.terms.equation(ray)
+        if not added:
+            return []
+        line = f"the laser shows r{added.replace('rho', 'r')}"
+        if self.calibration.terms.has_incidence:
+            line += " (v = 1 - |denominator|, q = min(r, 4 m) / 4 m)"
+        return [line]
+
+    def _rational(self, k: int, bearing: float) -> str:
+        """Write (d - n·q) / (n·u) in x, y, c, s for a ray at `bearing` [rad] in the frame of the poses."""
+        (nx, ny), d = self.faces.normals[k], self.faces.offsets[k]
+        mx, my = self.mount[:2]
+        cos, sin = math.cos(bearing), math.sin(bearing)
+        above = _sum([(d, ""), (-nx, "x"), (-ny, "y"), (-(nx * mx + ny * my), "c"), (nx * my - ny * mx, "s")])
+        below = _sum([(nx * cos + ny * sin, "c"), (ny * cos - nx * sin, "s")])
+        return f"({above}) / ({below})"
+
+    def _stretches(self, k: int) -> str:
+        """Write the visible stretches of a face over t, the abscissa along it."""
+        a, b = self.faces.first[k], self.faces.first[k + 1] - 1
+        (nx, ny), edges, levels = self.faces.normals[k], self.faces.edges, self.faces.levels
+        parts = [
+            f"{edges[j]:.3f} < t < {edges[j + 1]:.3f} (chance {levels[j]:.3f})"
+            for j in range(a, b)
+            if levels[j] > FAINT
+        ]
+        return f"{', '.join(parts)}; t = {_sum([(-ny, 'x_hit'), (nx, 'y_hit')])}"
+
+    def summary(self) -> Mapping[str, str]:
+        """Return what a reader wants to know first."""
+        stretches = int((self.faces.levels > FAINT).sum())
+        noise = f"{1e3 * self.noise.sigma:.1f} mm of range"
+        noise += f", {1e3 * self.noise.sigma_xy:.1f} mm and {math.degrees(self.noise.sigma_yaw):.3f}° of pose"
+        return {
+            "faces": f"{self.faces.n_faces}, with {stretches} visible stretches",
+            "noise": noise,
+            "unexplained": f"{self.noise.stray:.2g} returns a metre travelled",
+            **self.calibration.summary(),
+            **({} if self.cells is None else {f"cells, {k}": v for k, v in self.cells.summary().items()}),
+        }
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return plain data and arrays that hold the whole model."""
+        noise = {name: getattr(self.noise, name) for name in Noise.__dataclass_fields__}
+        calibration, terms = self.calibration.state()
+        header: dict[str, Any] = {
+            "noise": noise,
+            "returns": self.returns,
+            "cell": self.crossed.cell,
+            "calibration": calibration,
+            "n_rays": self.n_rays,
+        }
+        arrays: dict[str, NDArray[Any]] = {name: getattr(self.faces, name) for name in FaceSet._fields}
+        arrays |= {"hits": self.hits, "mount": self.mount}
+        arrays |= {f"calibration.{name}": array for name, array in terms.items()}
+        if self.memory is not None:
+            arrays |= {f"memory.{name}": array for name, array in self.memory.arrays().items()}
+        arrays |= {"crossed.origin": self.crossed.origin, "crossed.counts": self.crossed.counts}
+        if self.cells is not None:
+            header["cells"], own = self.cells.state()
+            arrays |= {f"cells.{name}": array for name, array in own.items()}
+        return header, arrays
+
+    @classmethod
+    def restore(
+        cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+    ) -> Self:
+        """Build the model from what `state` gave; a wrong shape is a ValueError."""
+        faces = FaceSet(
+            **{name: np.asarray(arrays[name], _TYPES.get(name, float)) for name in FaceSet._fields}
+        )
+        _check(faces)
+        memory = {
+            name.removeprefix("memory."): array
+            for name, array in arrays.items()
+            if name.startswith("memory.")
+        }
+        return cls(
+            sensor=sensor,
+            faces=faces,
+            noise=Noise(**{name: float(value) for name, value in header["noise"].items()}),
+            hits=np.asarray(arrays["hits"], dtype=np.float64),
+            crossed=Crossed(
+                origin=np.asarray(arrays["crossed.origin"], dtype=np.float64),
+                cell=float(header["cell"]),
+                counts=np.asarray(arrays["crossed.counts"], dtype=np.uint8),
+            ),
+            returns=float(header["returns"]),
+            n_rays=int(header.get("n_rays", 0)),
+            memory=Memory.from_arrays(memory, faces) if memory else None,
+            mount=np.asarray(arrays["mount"], dtype=np.float64),
+            calibration=_calibration(sensor, header, arrays),
+            cells=_cells(sensor, header, arrays),
+        )
+
+    def _lasers(self, poses: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return x, y, cos and sin (n_poses,) of the laser's heading."""
+        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        mx, my, yaw = self.mount
+        x, y = poses[:, 0] + cos * mx - sin * my, poses[:, 1] + sin * mx + cos * my
+        c, s = math.cos(yaw), math.sin(yaw)
+        return x, y, cos * c - sin * s, sin * c + cos * s
+
+
+def _calibration(
+    sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+) -> Calibration:
+    """Restore the calibration."""
+    prefix = "calibration."
+    own = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+    return Calibration.restore(sensor.n_rays, header["calibration"], own)
+
+
+def _cells(
+    sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+) -> Cells | None:
+    """Restore the cells, if there are any."""
+    if "cells" not in header:
+        return None
+    own = {name.removeprefix("cells."): array for name, array in arrays.items() if name.startswith("cells.")}
+    return Cells.restore(sensor, header["cells"], own)
+
+
+_TYPES: dict[str, type] = {"first": np.intp, "neighbour": np.intp}
+
+
+def _check(faces: FaceSet) -> None:
+    """Refuse arrays that kernels would read beyond their ends."""
+    k, e = faces.n_faces, len(faces.edges)
+    shapes = {name: np.shape(getattr(faces, name)) for name in FaceSet._fields}
+    right = {"normals": (k, 2), "offsets": (k,), "first": (k + 1,)} | dict.fromkeys(
+        ("edges", "levels", "blur", "neighbour"), (e,)
+    )
+    if shapes != right:
+        raise ValueError(f"faces have shapes {shapes}, expected {right}")
+    if faces.first[0] != 0 or faces.first[-1] != e or (np.diff(faces.first) < 1).any():
+        raise ValueError(
+            f"faces' edges start at {faces.first.tolist()[:8]} ..., expected 0 to {e}, increasing"
+        )
+    if len(faces.neighbour) and not (faces.neighbour.min() >= -1 and faces.neighbour.max() < k):
+        raise ValueError(f"neighbours reach {faces.neighbour.max()}, expected less than {k} faces")
+
+
+def _sum(parts: list[tuple[float, str]]) -> str:
+    """Write a sum of products, leaving zeros out."""
+    text = ""
+    for value, name in parts:
+        if abs(value) < 5e-6:
+            continue
+        sign = "-" if value < 0 else "+"
+        text += f" {sign} " if text else ("-" if value < 0 else "")
+        text += f"{abs(value):.5f}" + (f" {name}" if name else "")
+    return text or "0"
+
+
+@kernel
+def _predict(
+    x: Any,
+    y: Any,
+    cos: Any,
+    sin: Any,
+    cos_b: Any,
+    sin_b: Any,
+    range_max: Any,
+    faces: Any,
+    buckets: Any,
+    noise: Any,
+    origin: Any,
+    cell: Any,
+    room: Any,
+    returns: Any,
+    constant: Any,
+    slope: Any,
+    incidence: Any,
+    is_biased: Any,
+    which: Any,
+    table: Any,
+    supported: Any,
+) -> Any:
+    normals, _, first, edges, levels, blur, neighbour = faces
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+    rho, w, s = np.empty(ROOM), np.empty(ROOM), np.empty(ROOM)
+    is_moved, sigma = noise[1] > 0 or noise[2] > 0, math.sqrt(noise[0])  # by noise of poses
+    for i in range(len(x)):
+        for b in range(len(cos_b)):
+            ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
+            n = gather(x[i], y[i], ux, uy, range_max, 0.001, faces, buckets, r, k, j, t)
+            left, c = 1.0, 0
+            for m in range(n):
+                f = k[m]
+                den = normals[f, 0] * ux + normals[f, 1] * uy
+                across = (noise[1] + r[m] ** 2 * noise[2]) / (den * den) if is_moved else 0.0
+                alpha = levels[j[m]] if j[m] >= first[f] else 0.0
+                e = j[m]  # the nearer edge
+                if e < first[f]:
+                    e = first[f]
+                elif e + 1 < first[f + 1] and edges[e + 1] - t[m] < t[m] - edges[e]:
+                    e += 1
+                spread = blur[e] ** 2 + across + 1e-8
+                off = t[m] - edges[e]
+                if off * off < 16.0 * spread:
+                    beside = neighbour[e]
+                    if beside < 0 or normals[beside, 0] * ux + normals[beside, 1] * uy >= 0:
+                        before = levels[e - 1] if e > first[f] else 0.0
+                        alpha = before + (levels[e] - before) * 0.5 * math.erfc(
+                            -off / math.sqrt(2.0 * spread)
+                        )
+                if alpha < 1e-4:
+                    continue
+                rho[c], w[c] = r[m], left * alpha
+                if is_biased:
+                    rho[c] += constant[b] + slope[b] * r[m] + incidence_bias(den, r[m], incidence)
+                s[c] = sigma
+                if is_moved:
+                    s[c] = math.sqrt(variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise))
+                c += 1
+                left *= 1.0 - alpha
+                if left < 0.001:
+                    break
+            row = table[i, b]
+            if c == 1:  # most rays: one face, nothing else
+                row[0], row[1], row[2], row[3], row[4] = rho[0], rho[0], rho[0], s[0], left
+                row[5] = math.erfc(OFF / s[0] * 0.7071067811865476) if 4.5 * s[0] > OFF else 0.0
+            else:
+                row[0], row[1], row[2], row[3], row[4], row[5] = summarise(
+                    rho, w, s, c, left, range_max, which
+                )
+            reach = range_max if row[4] > 0.5 else row[1] - SHORT_OF
+            supported[i, b] = r[MOST] > reach and is_crossed(x[i], y[i], ux, uy, reach, origin, cell, room)

@@ -1,0 +1,222 @@
+"""Reduction: what one pass over scans leaves of them; it adds up, so logs can be streamed, merged and distributed.
+
+A block of scans becomes pooled moments of its hits, counts of the space its rays crossed, and a sample of its rays.
+Blocks are cut at fixed places and merged in their order, so that the sums agree to the last bit however the blocks
+were read and wherever they were reduced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.run import RangeSensor
+from planners.kernel import kernel
+from sensorgraph.models.base import Scans
+from sensorgraph.models.faces.hit_moments import Surfaces
+from sensorgraph.models.faces.observed_space import Crossed
+from sensorgraph.models.faces.visibility import Rays
+from sensorgraph.types import Floats
+
+BLOCK = 8192
+"""Scans of a block."""
+MOST_SAMPLED = 1_500_000
+"""Rays that the sample of a whole log holds, in the mean."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sample:
+    """Some rays, as the log has them: at which pose, which ray, what range."""
+
+    poses: Floats
+    """(n, 3) [m, m, rad]"""
+    beams: NDArray[np.int32]
+    """(n,) index of the ray in its scan."""
+    ranges: Floats
+    """(n,) [m]; +inf nothing seen."""
+
+    def __len__(self) -> int:
+        return len(self.ranges)
+
+    def merge(self, other: Sample) -> Sample:
+        """Put two samples one after the other."""
+        return _joined([self, other])
+
+    def rays(self, sensor: RangeSensor, mount: Floats) -> Rays:
+        """Return them as rays from a laser mounted at `mount` (3,)."""
+        cos, sin = np.cos(self.poses[:, 2]), np.sin(self.poses[:, 2])
+        x = self.poses[:, 0] + cos * mount[0] - sin * mount[1]
+        y = self.poses[:, 1] + sin * mount[0] + cos * mount[1]
+        theta = self.poses[:, 2] + mount[2] + sensor.bearings[self.beams]
+        return Rays(
+            origins=np.stack([x, y], axis=1),
+            directions=np.stack([np.cos(theta), np.sin(theta)], axis=1),
+            ranges=self.ranges,
+            range_max=sensor.range_max,
+        )
+
+
+NOTHING = Sample(poses=np.zeros((0, 3)), beams=np.zeros(0, dtype=np.int32), ranges=np.zeros(0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reduction:
+    """What is left of any number of scans."""
+
+    surfaces: Surfaces
+    crossed: Crossed
+    sample: Sample
+    n_rays: int
+    """All that were neither broken nor too near."""
+    n_returns: int
+
+    def merge(self, other: Reduction) -> Reduction:
+        """Add up two disjoint sets of scans, those of `self` first."""
+        return Reduction(
+            surfaces=self.surfaces.merge(other.surfaces),
+            crossed=self.crossed.merge(other.crossed),
+            sample=self.sample.merge(other.sample),
+            n_rays=self.n_rays + other.n_rays,
+            n_returns=self.n_returns + other.n_returns,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Block:
+    """Scans that are reduced in one go."""
+
+    first: int
+    """How many scans came before, in this log and those before it."""
+    scans: Scans
+
+
+class Spread(Protocol):
+    """`map`, or something like it that spreads the work; results come in the order of the items."""
+
+    def __call__(
+        self, function: Callable[[Block], Reduction], items: Iterable[Block], /
+    ) -> Iterator[Reduction]:
+        """Apply the function to every item."""
+        ...
+
+
+def blocks_of(scans: Scans, first: int = 0, size: int = BLOCK) -> Iterator[Block]:
+    """Cut scans into blocks."""
+    for start in range(0, len(scans), size):
+        yield Block(first=first + start, scans=scans.part(slice(start, start + size)))
+
+
+def reduce_block(block: Block, *, mount: Floats, share: float) -> Reduction:
+    """Reduce one block for a laser mounted at `mount` (3,); `share` of its rays are kept in the sample."""
+    scans = block.scans
+    sensor, poses = scans.sensor, scans.poses
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x, y = poses[:, 0] + cos * mount[0] - sin * mount[1], poses[:, 1] + sin * mount[0] + cos * mount[1]
+    theta = poses[:, 2] + mount[2]
+    n = scans.ranges.size
+    origins, directions, ends = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2))
+    reach, place = np.empty(n), np.empty(n, dtype=np.int64)
+    ranges = np.ascontiguousarray(scans.ranges, dtype=np.float64)
+    n_rays, n_returns = _flatten(
+        x, y, np.cos(theta), np.sin(theta), np.cos(sensor.bearings), np.sin(sensor.bearings), ranges,
+        sensor.range_max, origins, directions, ends, reach, place,
+    )  # fmt: skip
+    origins, directions, ends = origins[:n_rays], directions[:n_rays], ends[:n_rays]
+    reach, place = reach[:n_rays], place[:n_rays]
+    taken = place if share >= 1 else place[_is_taken(place, block.first * sensor.n_rays, share)]
+    row, beam = np.divmod(taken, sensor.n_rays)
+    return Reduction(
+        surfaces=Surfaces.of(ends, directions),
+        crossed=Crossed.of(origins, directions, reach),
+        sample=Sample(poses=poses[row], beams=beam.astype(np.int32), ranges=ranges.ravel()[taken]),
+        n_rays=n_rays,
+        n_returns=n_returns,
+    )
+
+
+def reduce_blocks(
+    blocks: Iterable[Block],
+    *,
+    mount: Floats,
+    n_rays: int,
+    spread: Spread = map,
+    tick: Callable[[], None] | None = None,
+) -> Reduction | None:
+    """Reduce blocks and merge what is left of them in their order; None where there is no block.
+
+    Parameters
+    ----------
+    n_rays : of all blocks together, about: it says how thin the sample is
+    spread : where the blocks are reduced; `map`: here, one after the other
+    """
+    work = partial(reduce_block, mount=mount, share=min(1.0, MOST_SAMPLED / max(n_rays, 1)))
+    total: Reduction | None = None
+    samples: list[Sample] = []
+    for part in spread(work, blocks):
+        samples.append(part.sample)  # put together once, not again with every block
+        part = replace(part, sample=NOTHING)
+        total = part if total is None else total.merge(part)
+        if tick is not None:
+            tick()
+    return None if total is None else replace(total, sample=_joined(samples))
+
+
+def _joined(samples: Sequence[Sample]) -> Sample:
+    return Sample(
+        poses=np.concatenate([s.poses for s in samples]),
+        beams=np.concatenate([s.beams for s in samples]),
+        ranges=np.concatenate([s.ranges for s in samples]),
+    )
+
+
+@kernel
+def _flatten(
+    x: Any,
+    y: Any,
+    cos: Any,
+    sin: Any,
+    cos_b: Any,
+    sin_b: Any,
+    ranges: Any,
+    range_max: Any,
+    origins: Any,
+    directions: Any,
+    ends: Any,
+    reach: Any,
+    place: Any,
+) -> Any:
+    """List rays that are neither broken nor too near: where they start, point and end (nan: nothing seen)."""
+    n, n_returns = 0, 0
+    for i in range(ranges.shape[0]):
+        for b in range(ranges.shape[1]):
+            z = ranges[i, b]
+            if not z > 0:
+                continue
+            ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
+            origins[n, 0], origins[n, 1] = x[i], y[i]
+            directions[n, 0], directions[n, 1] = ux, uy
+            place[n] = i * ranges.shape[1] + b
+            if z < np.inf:
+                reach[n] = z
+                ends[n, 0], ends[n, 1] = x[i] + z * ux, y[i] + z * uy
+                n_returns += 1
+            else:
+                reach[n] = range_max
+                ends[n, 0], ends[n, 1] = np.nan, np.nan
+            n += 1
+    return n, n_returns
+
+
+def _is_taken(place: NDArray[np.int64], first: int, share: float) -> NDArray[np.bool_]:
+    """Choose rays by a hash of their number in the log (splitmix64, Steele et al. 2014): the same ones always."""
+    with np.errstate(over="ignore"):
+        z = (place.astype(np.uint64) + np.uint64(first)) * np.uint64(0x9E3779B97F4A7C15)
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        z ^= z >> np.uint64(31)
+    return np.asarray(z < np.uint64(int(share * 2**64)))

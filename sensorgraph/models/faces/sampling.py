@@ -1,0 +1,65 @@
+"""Draw readings from faces: ray by ray one outcome of the mixture, by numbers that the caller has drawn."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from planners.kernel import kernel
+from sensorgraph.models.calibration.ray_terms import incidence_bias
+from sensorgraph.models.faces.ray_march import ROOM, gather
+
+
+@kernel
+def draw_rays(
+    x: Any,
+    y: Any,
+    cos: Any,
+    sin: Any,
+    cos_b: Any,
+    sin_b: Any,
+    range_max: Any,
+    faces: Any,
+    buckets: Any,
+    sigma: Any,
+    constant: Any,
+    slope: Any,
+    incidence: Any,
+    uniform: Any,
+    normal: Any,
+    out: Any,
+) -> Any:
+    """Fill out (n_poses, n_rays) [m]: the first face in whose share of the mixture `uniform` falls, else +inf.
+
+    The laser adds what its terms say (`constant`, `slope`, `incidence`), and `sigma` [m] times `normal`. Edges are blurred by what is not known of them, as in a prediction.
+    """
+    normals, _, first, edges, levels, blur, neighbour = faces
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+    for i in range(len(x)):
+        for b in range(len(cos_b)):
+            ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
+            n = gather(x[i], y[i], ux, uy, range_max, 0.001, faces, buckets, r, k, j, t)
+            passed = 1.0
+            out[i, b] = np.inf
+            for m in range(n):
+                f = k[m]
+                alpha = levels[j[m]] if j[m] >= first[f] else 0.0
+                e = max(j[m], first[f])
+                if e + 1 < first[f + 1] and edges[e + 1] - t[m] < t[m] - edges[e]:
+                    e += 1
+                off = t[m] - edges[e]
+                beside = neighbour[e]
+                is_end = beside < 0 or normals[beside, 0] * ux + normals[beside, 1] * uy >= 0
+                if is_end and off * off < 16.0 * (blur[e] ** 2 + 1e-8):
+                    before = levels[e - 1] if e > first[f] else 0.0
+                    share = 0.5 * math.erfc(-off / math.sqrt(2.0 * (blur[e] ** 2 + 1e-8)))
+                    alpha = before + (levels[e] - before) * share
+                passed *= 1.0 - alpha
+                if uniform[i, b] >= passed:
+                    den = normals[f, 0] * ux + normals[f, 1] * uy
+                    shown = constant[b] + slope[b] * r[m] + incidence_bias(den, r[m], incidence)
+                    out[i, b] = r[m] + shown + sigma * normal[i, b]
+                    break

@@ -1,0 +1,161 @@
+"""Splits: faces whose hits bend or step become two; a round column becomes as many as the noise lets see."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planners.kernel import kernel
+from sensorgraph.models.faces.forward_selection import Lines
+from sensorgraph.models.faces.ray_march import ROOM, FaceSet, index
+from sensorgraph.models.faces.visibility import (
+    STEEP,
+    Noise,
+    Rays,
+    gather_within,
+    lines_of,
+    share_within,
+    variance,
+)
+from sensorgraph.types import Floats
+
+SPLIT = 9.0  # [nats] that two lines must be worth over one, beside the log of the hits
+FEWEST = 4  # hits of a line
+
+
+def split_bent(rays: Rays, faces: FaceSet, noise: Noise) -> Lines:
+    """Return the lines of all faces, those cut in two (or more) whose hits bend or step."""
+    face, s, across, weight = _hits(
+        rays.origins, rays.directions, rays.ranges, rays.range_max, faces, index(faces), noise.array
+    )
+    order = np.lexsort((s, face))
+    face, s, across, weight = face[order], s[order], across[order], weight[order]
+    bounds = np.searchsorted(face, np.arange(faces.n_faces + 1))
+    whole = lines_of(faces)
+    normals, offsets, spans = [], [], []
+    for k in range(faces.n_faces):
+        part = slice(bounds[k], bounds[k + 1])
+        pieces = _pieces(s[part], across[part], weight[part])
+        if len(pieces) < 2:
+            normals.append(whole.normals[k])
+            offsets.append(whole.offsets[k])
+            spans.append(whole.spans[k])
+            continue
+        n, t = faces.normals[k], np.array([-faces.normals[k, 1], faces.normals[k, 0]])
+        for first, last, a, b in pieces:  # across = a + b s on s[first] ... s[last - 1]
+            low, high = s[part][first], s[part][last - 1]
+            ends = [n * (faces.offsets[k] + a + b * x) + t * x for x in (low, high)]
+            along = ends[1] - ends[0]
+            length = float(np.hypot(*along))
+            if length < 1e-6:
+                continue
+            along = along / length
+            normal = np.array([along[1], -along[0]])
+            normals.append(normal)
+            offsets.append(float(normal @ ends[0]))
+            spans.append(np.array([along @ ends[0], along @ ends[1]]))
+    return Lines(
+        normals=np.array(normals).reshape(-1, 2),
+        offsets=np.array(offsets),
+        spans=np.array(spans).reshape(-1, 2),
+    )
+
+
+def _pieces(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, float, float]]:
+    """Cut sorted hits where two lines explain them better than one, again and again."""
+    n = len(s)
+    if n < 2 * FEWEST:
+        return [(0, n, 0.0, 0.0)]
+    price = SPLIT + np.log(n)
+    done: list[tuple[int, int, float, float]] = []
+    todo = [(0, n)]
+    while todo:
+        a, b = todo.pop()
+        cut, gain = _best_cut(s[a:b], across[a:b], weight[a:b], FEWEST)
+        if gain > price:
+            todo += [(a + cut, b), (a, a + cut)]
+        else:
+            done.append((a, b, *_line_fit(s[a:b], across[a:b], weight[a:b])))
+    return done
+
+
+@kernel
+def _line_fit(s: Any, e: Any, w: Any) -> Any:
+    """Fit e = a + b s by weighted least squares, b held near 0 by a prior of 0.3."""
+    m = w.sum()
+    cs, ce = (w * s).sum() / m, (w * e).sum() / m
+    b = (w * (s - cs) * (e - ce)).sum() / ((w * (s - cs) ** 2).sum() + 1.0 / 0.3**2)
+    return ce - b * cs, b
+
+
+@kernel
+def _best_cut(s: Any, e: Any, w: Any, fewest: Any) -> Any:
+    """Find where two lines beat one by most nats; return the first index of the second, and the gain."""
+    n = len(s)
+    best, place_ = 0.0, 0
+    if n < 2 * fewest:
+        return place_, best
+    c = s[n // 2]
+    sums = np.zeros((n + 1, 6))
+    for i in range(n):
+        x = s[i] - c
+        sums[i + 1, 0] = sums[i, 0] + w[i]
+        sums[i + 1, 1] = sums[i, 1] + w[i] * x
+        sums[i + 1, 2] = sums[i, 2] + w[i] * x * x
+        sums[i + 1, 3] = sums[i, 3] + w[i] * e[i]
+        sums[i + 1, 4] = sums[i, 4] + w[i] * x * e[i]
+    whole_ = _explained(sums[n])
+    for i in range(fewest, n - fewest + 1):
+        gain = 0.5 * (_explained(sums[i]) + _explained(sums[n] - sums[i]) - whole_)
+        if gain > best:
+            best, place_ = gain, i
+    return place_, best
+
+
+@kernel
+def _explained(m: Any) -> Any:
+    """Return the weighted squares that a line explains, from its moments."""
+    if m[0] <= 0:
+        return 0.0
+    sxx = m[2] - m[1] * m[1] / m[0] + 1.0 / 0.3**2
+    sxy = m[4] - m[1] * m[3] / m[0]
+    return m[3] * m[3] / m[0] + sxy * sxy / sxx
+
+
+@kernel
+def _hits(
+    origins: Any, directions: Any, ranges: Any, range_max: Any, faces: Any, buckets: Any, noise: Any
+) -> Any:
+    """List all hits: face, abscissa of the end point, distance off the face [m], 1 / variance of that."""
+    n_rays = len(ranges)
+    face, at = np.empty(n_rays, np.int32), np.empty(n_rays)
+    off, weight = np.empty(n_rays), np.empty(n_rays)
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+    gamma, survive = np.empty(ROOM), np.empty(ROOM)
+    normals = faces[0]
+    count = 0
+    for i in range(n_rays):
+        qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
+        if z > 1e300:
+            continue
+        reach = z + 0.08 + 6 * np.sqrt(noise[0])
+        n = gather_within(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
+        share_within(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+        for m in range(n):
+            if gamma[m] < 0.5:
+                continue
+            f = k[m]
+            den = normals[f, 0] * ux + normals[f, 1] * uy
+            if den > -STEEP:
+                continue
+            t_u = -normals[f, 1] * ux + normals[f, 0] * uy
+            var = variance(r[m], t_u, den, noise)
+            e = z - r[m]
+            if e * e > 16 * var:
+                continue
+            face[count], at[count] = f, t[m] + e * t_u
+            off[count], weight[count] = e * den, 1.0 / (var * den * den)
+            count += 1
+    return face[:count], at[:count], off[:count], weight[:count]

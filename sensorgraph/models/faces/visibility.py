@@ -1,0 +1,343 @@
+"""Which crossing stops a ray: EM over hits and passes.
+
+A ray that crosses face k at abscissa t stops there with chance alpha_k(t). What a ray did is known up to noise:
+it stopped at the face whose predicted range agrees with the measured one and passed those before it. EM turns
+that into stops and looks for each stretch, and into weighted moments that refit every line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import nnls
+
+from planners.kernel import inlined, kernel
+from sensorgraph.models.faces.forward_selection import Lines
+from sensorgraph.models.faces.ray_march import MARGIN, ROOM, Buckets, FaceSet, gather, index
+from sensorgraph.types import Floats, Ints
+
+BIN = 0.01  # [m] first guess of the edges: bins along the face
+STEEP = 0.08  # |n·u| below which a hit does not move its face: its range is all leverage
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rays:
+    """Rays as the laser took them."""
+
+    origins: Floats
+    """(n, 2) [m] of the laser in map."""
+    directions: Floats
+    """(n, 2) unit."""
+    ranges: Floats
+    """(n,) [m]; +inf: nothing up to `range_max`. No nan, no -inf."""
+    range_max: float
+
+    def __len__(self) -> int:
+        return len(self.ranges)
+
+    def take(self, index: Ints | slice) -> Rays:
+        """Return some of the rays."""
+        return Rays(
+            origins=np.ascontiguousarray(self.origins[index]),  # kernels are compiled for this layout
+            directions=np.ascontiguousarray(self.directions[index]),
+            ranges=np.ascontiguousarray(self.ranges[index]),
+            range_max=self.range_max,
+        )
+
+    @property
+    def hits(self) -> Floats:
+        """(n, 2) [m] end points; not finite where nothing was seen."""
+        with np.errstate(invalid="ignore"):
+            return self.origins + self.ranges[:, None] * self.directions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """What spreads a return about its face: var = sigma² + (sigma_xy² + (r u·t sigma_yaw)²) / (n·u)²."""
+
+    sigma: float
+    """[m] of the range."""
+    sigma_xy: float = 0.0
+    """[m] of the pose, across the face."""
+    sigma_yaw: float = 0.0
+    """[rad] of the heading."""
+    stray: float = 1e-3
+    """[1/m] density of returns that no face explains."""
+
+    @property
+    def array(self) -> Floats:
+        """(4,) variances and the density, for kernels."""
+        return np.array([self.sigma**2, self.sigma_xy**2, self.sigma_yaw**2, self.stray])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Expectation:
+    """What one pass of EM over the rays adds up."""
+
+    stops: Floats
+    """(n_edges,) expected stops on each stretch."""
+    looks: Floats
+    """(n_edges,) expected rays that came so far."""
+    lines: Floats
+    """(n_faces, 8) sums of w, w s, w s², w e', w s e', gamma, w e'², nats; e' = e·(n·u) [m], s abscissa.
+
+    The nats are what the log would be less likely by, if the face were not there.
+    """
+    spread: Floats
+    """(3, 4) normal equations of e² on 1, 1/(n·u)², (r u·t / n·u)²."""
+    unexplained: Floats
+    """(n,) chance that no face stopped this ray though it returned."""
+    nats: float
+    """Log likelihood of all rays."""
+    metres: float
+    """[m] that all rays travelled."""
+
+    @property
+    def n_faces(self) -> int:
+        """Count of faces."""
+        return len(self.lines)
+
+
+def faces_of(lines: Lines, *, bin_size: float = BIN, level: float = 0.8) -> FaceSet:
+    """Cut lines into bins, visible over their spans and a margin beside them faintly so."""
+    first, edges, levels = [0], [], []
+    for low, high in lines.spans:
+        n = int(np.ceil((high - low + 4 * MARGIN) / bin_size))
+        here = low - 2 * MARGIN + bin_size * np.arange(n + 1)
+        middle = here + bin_size / 2
+        edges.append(here)
+        levels.append(np.where((middle > low) & (middle < high), level, 0.1))
+        levels[-1][-1] = 0.0
+        first.append(first[-1] + n + 1)
+    n_edges = first[-1]
+    return FaceSet(
+        normals=lines.normals.copy(),
+        offsets=lines.offsets.copy(),
+        first=np.array(first, dtype=np.intp),
+        edges=np.concatenate(edges) if edges else np.zeros(0),
+        levels=np.concatenate(levels) if levels else np.zeros(0),
+        blur=np.zeros(n_edges),
+        neighbour=np.full(n_edges, -1, dtype=np.intp),
+    )
+
+
+def lines_of(faces: FaceSet) -> Lines:
+    """Return the lines over the stretches that are seen."""
+    spans = np.zeros((faces.n_faces, 2))
+    for k in range(faces.n_faces):
+        j = np.arange(faces.first[k], faces.first[k + 1] - 1)
+        seen = j[faces.levels[j] > 0.05]
+        spans[k] = (faces.edges[seen[0]], faces.edges[seen[-1] + 1]) if len(seen) else (0.0, 0.0)
+    return Lines(normals=faces.normals, offsets=faces.offsets, spans=spans)
+
+
+def expect(rays: Rays, faces: FaceSet, noise: Noise, buckets: Buckets | None = None) -> Expectation:
+    """Share every ray out among the faces it crosses (E step)."""
+    buckets = index(faces) if buckets is None else buckets
+    stops, looks = np.zeros(len(faces.edges)), np.zeros(len(faces.edges))
+    lines, spread = np.zeros((faces.n_faces, 8)), np.zeros((3, 4))
+    unexplained, total = np.zeros(len(rays)), np.zeros(2)
+    _expect(
+        rays.origins, rays.directions, rays.ranges, rays.range_max, faces, buckets, noise.array,
+        stops, looks, lines, spread, unexplained, total,
+    )  # fmt: skip
+    return Expectation(
+        stops=stops,
+        looks=looks,
+        lines=lines,
+        spread=spread,
+        unexplained=unexplained,
+        nats=float(total[0]),
+        metres=float(total[1]),
+    )
+
+
+def improve(faces: FaceSet, seen: Expectation, noise: Noise, *, refit: bool) -> tuple[FaceSet, Noise]:
+    """Set visibility, lines (if `refit`) and noise to what explains the shares best (M step)."""
+    levels = np.where(seen.looks > 0, (seen.stops + 0.02) / (seen.looks + 0.04), 0.0)
+    levels[faces.first[1:] - 1] = 0.0
+    better = faces._replace(levels=levels)
+    if refit:
+        better = moved(better, seen.lines)
+    returned = float(seen.unexplained.sum())
+    stray = float(np.clip((returned + 1.0) / max(seen.metres, 1.0), 1e-6, 0.05))
+    return better, spread_of(noise, seen.spread, stray)
+
+
+def moved(faces: FaceSet, sums: Floats) -> FaceSet:
+    """Shift and turn every line about the middle of its hits by weighted least squares."""
+    w, ws, wss, we, wse = sums[:, 0], sums[:, 1], sums[:, 2], sums[:, 3], sums[:, 4]
+    enough = (sums[:, 5] > 2.0) & (w > 0)
+    w = np.where(enough, w, 1.0)
+    c = ws / w
+    shift = np.where(enough, we / w, 0.0)
+    sway = np.maximum(wss / w - c**2, 0.0)
+    # a prior of 0.1 rad on the turn and of the hits' own width keeps faces of few hits from spinning
+    turn = np.where(enough, (wse / w - c * shift) / (sway + 1.0 / (w * 0.1**2) + 1e-9), 0.0)
+    turn = np.clip(turn, -0.2, 0.2)
+    normals, tangents = faces.normals, faces.tangents
+    centre = normals * (faces.offsets + shift)[:, None] + tangents * c[:, None]
+    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    turned = cos * normals - sin * tangents  # n·p + s·turn stays: e' = shift + (s - c) turn
+    offsets = (turned * centre).sum(axis=1)
+    moved = np.stack([-turned[:, 1], turned[:, 0]], axis=1)
+    slide = (moved * centre).sum(axis=1) - c
+    edges = faces.edges + np.repeat(np.where(enough, slide, 0.0), np.diff(faces.first))
+    return faces._replace(normals=turned, offsets=offsets, edges=edges)
+
+
+def spread_of(noise: Noise, spread: Floats, stray: float) -> Noise:
+    """Split the spread of returns into range noise and pose noise, none of them negative."""
+    scale = np.sqrt(np.maximum(np.diag(spread[:, :3]), 1e-300))
+    if spread[0, 0] <= 0:
+        return Noise(sigma=noise.sigma, sigma_xy=noise.sigma_xy, sigma_yaw=noise.sigma_yaw, stray=stray)
+    solution = nnls(spread[:, :3] / scale[:, None] / scale, spread[:, 3] / scale)[0] / scale
+    return Noise(
+        sigma=float(np.sqrt(max(solution[0], 1e-8))),
+        sigma_xy=float(np.sqrt(solution[1])),
+        sigma_yaw=float(np.sqrt(solution[2])),
+        stray=stray,
+    )
+
+
+@kernel
+def variance(rho: Any, t_u: Any, den: Any, noise: Any) -> Any:
+    """Return the variance [m²] of a return from a face at range rho, t_u = t·u, den = n·u."""
+    return noise[0] + (noise[1] + (rho * t_u) ** 2 * noise[2]) / max(den * den, 0.0025)
+
+
+@kernel
+def share(
+    qx: Any,
+    qy: Any,
+    ux: Any,
+    uy: Any,
+    z: Any,
+    faces: Any,
+    noise: Any,
+    r: Any,
+    k: Any,
+    j: Any,
+    t: Any,
+    n: Any,
+    gamma: Any,
+    survive: Any,
+) -> Any:
+    """Fill for n candidates the chance gamma that the ray stopped there and the chance that it came so far.
+
+    Returns the likelihood [1/m] of the measured range, and its part that no face explains.
+    """
+    normals, _, first, _, levels, _, _ = faces
+    survival, total, before = 1.0, 0.0, 1.0
+    for m in range(n):
+        f = k[m]
+        gamma[m] = 0.0
+        alpha = levels[j[m]] if j[m] >= first[f] else 0.0
+        if z < 1e300:
+            den = normals[f, 0] * ux + normals[f, 1] * uy
+            var = variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise)
+            e = z - r[m]
+            if e * e < 36 * var:
+                gamma[m] = survival * alpha * np.exp(-0.5 * e * e / var) / np.sqrt(2 * np.pi * var)
+                total += gamma[m]
+            if r[m] < z:
+                before = survival * (1 - alpha)
+        survival *= 1 - alpha
+    if z > 1e300:
+        for m in range(n):
+            survive[m] = 1.0
+        return survival, 0.0
+    stray = before * noise[3]
+    total += stray
+    left = 1.0
+    for m in range(n):
+        gamma[m] /= total
+        survive[m] = left if (r[m] < z or gamma[m] > 0) else 0.0
+        left = max(left - gamma[m], 0.0)
+    # a crossing behind the measured range was not reached, unless noise alone put it there
+    for m in range(n):
+        if r[m] > z:
+            survive[m] = min(survive[m], gamma[m])
+    return total, stray / total
+
+
+gather_within, share_within = inlined(gather), inlined(share)
+"""For kernels that do this for each of many rays."""
+
+
+@kernel
+def _expect(
+    origins: Any,
+    directions: Any,
+    ranges: Any,
+    range_max: Any,
+    faces: Any,
+    buckets: Any,
+    noise: Any,
+    stops: Any,
+    looks: Any,
+    lines: Any,
+    spread: Any,
+    unexplained: Any,
+    total: Any,
+) -> Any:
+    normals, _, first, _, levels, _, _ = faces
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+    gamma, survive = np.empty(ROOM), np.empty(ROOM)
+    passed = np.log(np.maximum(1.0 - levels, 1e-5))
+    for i in range(len(ranges)):
+        qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
+        reach = range_max if z > 1e300 else z + 0.08 + 6 * np.sqrt(noise[0])
+        n = gather_within(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
+        value, stray = share_within(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+        total[0] += np.log(max(value, 1e-12))
+        total[1] += min(z, range_max)
+        unexplained[i] = stray
+        for m in range(n):
+            f = k[m]
+            if j[m] < first[f]:
+                continue
+            looks[j[m]] += survive[m]
+            stops[j[m]] += gamma[m]
+            g = gamma[m]
+            if g > 0:
+                lines[f, 7] -= np.log(max(1.0 - g, 1e-5))
+            if survive[m] > 0 and g < 0.5:
+                lines[f, 7] += survive[m] * passed[j[m]]
+            if g < 0.01:
+                continue
+            den = normals[f, 0] * ux + normals[f, 1] * uy
+            if den > -STEEP:
+                continue
+            t_u = -normals[f, 1] * ux + normals[f, 0] * uy
+            var = variance(r[m], t_u, den, noise)
+            e = z - r[m]
+            if e * e > 16 * var:
+                continue
+            across = e * den  # how far the end point is off the face, along its normal
+            w = g / (var * den * den)
+            s = t[m] + e * t_u
+            line = lines[f]
+            line[0] += w
+            line[1] += w * s
+            line[2] += w * s * s
+            line[3] += w * across
+            line[4] += w * s * across
+            line[5] += g
+            line[6] += w * across * across
+            if g > 0.5:
+                x1, x2 = 1.0 / (den * den), (r[m] * t_u / den) ** 2
+                v = 1.0 / (var * var)
+                spread[0, 0] += v
+                spread[0, 1] += v * x1
+                spread[0, 2] += v * x2
+                spread[1, 1] += v * x1 * x1
+                spread[1, 2] += v * x1 * x2
+                spread[2, 2] += v * x2 * x2
+                spread[0, 3] += v * e * e
+                spread[1, 3] += v * x1 * e * e
+                spread[2, 3] += v * x2 * e * e
+    spread[1, 0], spread[2, 0], spread[2, 1] = spread[0, 1], spread[0, 2], spread[1, 2]

@@ -1,0 +1,343 @@
+"""Model `polynomial`: one polynomial for each ray over (x, y, phi), the form of 2004; phi through harmonics.
+
+The rays share one dictionary and one pass over the data; each ray then selects its own terms by ERR.
+A range is fitted where something was seen; whether something is seen is a second polynomial of the same kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.run import RangeSensor
+from robotmodic_ident import Moments, Scale, Selection, Terms, fourier, polynomial, select
+from robotmodic_ident.expand import expand
+from robotmodic_ident.printing import sum_text
+from sensorgraph.errors import GapError
+from sensorgraph.models.base import OFF, Point, Prediction, Scans
+from sensorgraph.models.polynomial.complexity import Auto, Choice, choose
+from sensorgraph.models.polynomial.support import Support
+from sensorgraph.types import Floats, Ints, Progress
+
+BLOCK = 4096
+"""Poses taken at a time."""
+HELD = 1 << 23
+"""Numbers (64 MB) that the Grams of missing returns may take; more rays go in several passes."""
+SPREAD = np.linspace(0.0, 1.0, 33)
+"""Shares at which the size of the residuals is kept."""
+FULL_CIRCLE = 1.95 * np.pi  # [rad] of field of view above which the sensor sees all around
+
+
+def dictionary(degree: int, harmonics: int) -> Terms:
+    """List monomials of x and y times harmonics of phi."""
+    return polynomial(["x", "y"], degree) * fourier(["phi"], harmonics)
+
+
+def columns(poses: Floats) -> dict[str, Floats]:
+    """Name the columns of poses (n, 3) as the terms do."""
+    return {"x": poses[:, 0], "y": poses[:, 1], "phi": poses[:, 2]}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Polynomial:
+    """Polynomials of all rays, and where they may be trusted."""
+
+    name: ClassVar[str] = "polynomial"
+
+    sensor: RangeSensor
+    choice: Choice
+    terms: Terms
+    scale: Scale
+    order: Ints
+    """(n_rays, n_max) terms of each ray in order of choice; -1 beyond them."""
+    err: Floats
+    """(n_rays, n_max) error reduction ratio of each choice."""
+    stderr: Floats
+    """(n_rays, n_max) standard error of the coefficient."""
+    theta: Floats
+    """(n_rays, n_terms) [m] coefficients of the scaled terms."""
+    theta_none: Floats
+    """(n_rays, n_terms) coefficients for the chance of no return."""
+    returns: Ints
+    """(n_rays,) training scans in which the ray returned."""
+    nothing: Ints
+    """(n_rays,) training scans in which it saw nothing (+inf)."""
+    sigma: Floats
+    """(n_rays,) [m] standard deviation of the residual."""
+    spread: Floats
+    """(n_rays, len(SPREAD)) [m] quantiles of the size of the residual."""
+    root: Floats
+    """(n_terms, n_terms) W with W W' = (Φ'Φ)⁻¹ over all training scans: leverage is |φ W|²."""
+    leverage_limit: float
+    """A larger leverage is extrapolation."""
+    support: Support
+
+    @property
+    def n_rays(self) -> int:
+        """Count of rays."""
+        return len(self.sigma)
+
+    @classmethod
+    def fit(
+        cls,
+        scans: Scans,
+        *,
+        progress: Progress | None = None,
+        **options: Auto,
+    ) -> Self:
+        """Choose degree, harmonics and n_terms (the options) by validation, then fit every ray."""
+        if unknown := set(options) - {"degree", "harmonics", "n_terms"}:
+            raise GapError(
+                f"option {', '.join(sorted(unknown))} is not known to the model polynomial; "
+                "expected degree, harmonics or n_terms"
+            )
+        scale = _scale(scans)
+        choice = choose(scans, scale, dictionary, progress=progress, **options)
+        terms = dictionary(choice.degree, choice.harmonics)
+        fitted = _select_all(scans, terms, scale, choice.n_terms, progress)
+        root, limit = _leverage(scans, terms, scale, fitted.pop("gram"))
+        field_of_view = np.ptp(scans.sensor.bearings) + (
+            np.diff(scans.sensor.bearings).mean() if scans.sensor.n_rays > 1 else 0.0
+        )
+        draft = cls(
+            sensor=scans.sensor,
+            choice=choice,
+            terms=terms,
+            scale=scale,
+            sigma=np.zeros(scans.sensor.n_rays),
+            spread=np.zeros((scans.sensor.n_rays, len(SPREAD))),
+            root=root,
+            leverage_limit=limit,
+            support=Support.of(scans.poses, sees_around=bool(field_of_view > FULL_CIRCLE)),
+            **fitted,
+        )
+        return draft._with_residuals(scans)
+
+    def _with_residuals(self, scans: Scans) -> Self:
+        """Fill sigma and spread from the residuals of the training scans, corrected for the terms used."""
+        residual = np.empty_like(scans.ranges)
+        for start in range(0, len(scans), BLOCK):
+            rows = slice(start, start + BLOCK)
+            phi = self.terms.matrix(columns(scans.poses[rows]), self.scale)
+            residual[rows] = np.abs(scans.ranges[rows] - self._clip(phi @ self.theta.T))
+        sigma, spread = np.empty(self.n_rays), np.empty((self.n_rays, len(SPREAD)))
+        used = (self.order >= 0).sum(axis=1)
+        span = self.sensor.range_max - self.sensor.range_min
+        for i in range(self.n_rays):
+            size = residual[np.isfinite(residual[:, i]), i]
+            free = len(size) - used[i]
+            if free < 1:
+                sigma[i], spread[i] = span, np.linspace(0, span, len(SPREAD))
+                continue
+            grow = np.sqrt(len(size) / free)
+            sigma[i] = max(grow * np.sqrt(np.mean(size**2)), 1e-6)
+            spread[i] = grow * np.quantile(size, SPREAD)
+        return type(self)(**{**self.__dict__, "sigma": sigma, "spread": spread})
+
+    def _clip(self, ranges: Floats) -> Floats:
+        return np.clip(ranges, self.sensor.range_min, self.sensor.range_max)
+
+    def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
+        """Predict rays (n_rays,) at poses (n_poses, 3); median, mode and mean are one for a Gaussian."""
+        shape = (len(poses), len(rays))
+        value, sigma, none, off = (np.empty(shape) for _ in range(4))
+        trusted = np.empty(len(poses), dtype=np.bool_)
+        least = 0.5 / (self.returns[rays] + self.nothing[rays] + 1.0)
+        for start in range(0, len(poses), BLOCK):
+            rows = slice(start, start + BLOCK)
+            phi = self.terms.matrix(columns(poses[rows]), self.scale)
+            value[rows] = self._clip(phi @ self.theta[rays].T)
+            none[rows] = np.clip(phi @ self.theta_none[rays].T, least, 1.0 - least)
+            leverage = np.minimum(((phi @ self.root) ** 2).sum(axis=1), 1e12)
+            widen = np.sqrt(1.0 + leverage)
+            sigma[rows] = self.sigma[rays] * widen[:, None]
+            for j, ray in enumerate(rays.tolist()):
+                off[rows, j] = 1.0 - np.interp(OFF / widen, self.spread[ray], SPREAD)
+            trusted[rows] = (leverage <= self.leverage_limit) & self.support.covers(poses[rows])
+        known = self.returns[rays] + self.nothing[rays] > 0
+        return Prediction(
+            ranges=np.where(none > 0.5, np.inf, value),
+            median=value,
+            mode=value,
+            mean=value,
+            sigma=sigma,
+            p_no_return=none,
+            p_off=off,
+            answered=trusted[:, None] & known,
+        )
+
+    def ray_terms(self, ray: int) -> Ints:
+        """Return the indices of a ray's terms in order of choice."""
+        return np.asarray(self.order[ray][self.order[ray] >= 0], dtype=np.intp)
+
+    def equation(self, ray: int) -> str:
+        """Print one ray's equation in metres and radians, its sigma, and the terms it chose."""
+        chosen = self.ray_terms(ray)
+        if len(chosen) == 0:
+            return f"ray {ray} never returned in {self.nothing[ray]} training scans: no equation"
+        terms, theta, _ = expand(self.terms[chosen.tolist()], self.theta[ray, chosen], self.scale)
+        bearing = np.degrees(self.sensor.bearings[ray])
+        lines = [
+            f"ray {ray}, bearing {bearing:.2f} deg: {len(chosen)} terms, sigma {self.sigma[ray]:.4g} m, "
+            f"{self.returns[ray]} returns, {self.nothing[ray]} without",
+            f"r{ray} = {sum_text(terms, theta, digits=8)}   [m; x, y in m, phi in rad]",
+            "",
+            "as it was fitted, with "
+            + ", ".join(
+                f"{v} -> ({v} - {c:.6g}) / {w:.6g}"
+                for v, c, w in zip(self.scale.variables, self.scale.centres, self.scale.widths, strict=True)
+            )
+            + ":",
+            f"{'term':<22}{'theta [m]':>14}{'stderr [m]':>13}{'ERR':>14}",
+        ]
+        for j, i in enumerate(chosen.tolist()):
+            lines.append(
+                f"{self.terms.names[i]:<22}{self.theta[ray, i]:>14.6g}{self.stderr[ray, j]:>13.3g}"
+                f"{self.err[ray, j]:>14.6e}"
+            )
+        return "\n".join(lines)
+
+    def summary(self) -> Mapping[str, str]:
+        """Return the form, how it was chosen, and how well the training scans are met."""
+        used = (self.order >= 0).sum(axis=1)
+        return {
+            "form": f"degree {self.choice.degree} in x, y times {self.choice.harmonics} harmonics of phi: "
+            f"{len(self.terms)} candidates, {used.min()} to {used.max()} terms a ray",
+            "chosen by": self.choice.how,
+            "sigma": f"{self.sigma.min():.3g} to {self.sigma.max():.3g} m, median {np.median(self.sigma):.3g} m",
+            "support": f"{len(self.support.keys)} cells of {self.support.cell:g} m x "
+            f"{360 / self.support.n_sectors:g} deg, leverage up to {self.leverage_limit:.3g}",
+        }
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return plain data and arrays that hold the whole model."""
+        support, arrays = self.support.state()
+        header = {
+            "choice": self.choice.to_dict(),
+            "scale": self.scale.to_dict(),
+            "leverage_limit": self.leverage_limit,
+            "support": support,
+        }
+        for name in _ARRAYS:
+            arrays[name] = getattr(self, name)
+        return header, arrays
+
+    @classmethod
+    def restore(
+        cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+    ) -> Self:
+        """Build the model from what `state` gave."""
+        choice = Choice(**header["choice"])
+        terms = dictionary(choice.degree, choice.harmonics)
+        q, m = sensor.n_rays, len(terms)
+        k = arrays["order"].shape[-1]
+        for name, shape in zip(_ARRAYS, _shapes(q, m, k), strict=True):
+            if arrays[name].shape != shape:
+                raise ValueError(f"{name} has shape {arrays[name].shape}, expected {shape}")
+        return cls(
+            sensor=sensor,
+            choice=choice,
+            terms=terms,
+            scale=Scale.from_dict(header["scale"]),
+            leverage_limit=float(header["leverage_limit"]),
+            support=Support.restore(header["support"], arrays),
+            **{name: arrays[name] for name in _ARRAYS},
+        )
+
+
+_ARRAYS = ("order", "err", "stderr", "theta", "theta_none", "returns", "nothing", "sigma", "spread", "root")
+
+
+def _shapes(q: int, m: int, k: int) -> tuple[tuple[int, ...], ...]:
+    return ((q, k), (q, k), (q, k), (q, m), (q, m), (q,), (q,), (q,), (q, len(SPREAD)), (m, m))
+
+
+def _scale(scans: Scans) -> Scale:
+    """Scale x and y by the arena's bounds if they are known, else by the poses."""
+    if scans.bounds is not None:
+        x0, y0, x1, y1 = scans.bounds
+        return Scale.between({"x": (x0, x1), "y": (y0, y1)})
+    return Scale.of({"x": scans.poses[:, 0], "y": scans.poses[:, 1]})
+
+
+def _select_all(
+    scans: Scans, terms: Terms, scale: Scale, n_terms: int, progress: Progress | None
+) -> dict[str, Any]:
+    """Fit the range and the chance of no return of all rays, a few rays a pass where returns are missing."""
+    n, q, m = len(scans), scans.sensor.n_rays, len(terms)
+    k = min(n_terms, m)
+    out: dict[str, Any] = {
+        "order": np.full((q, k), -1, dtype=np.int64),
+        "err": np.zeros((q, k)),
+        "stderr": np.zeros((q, k)),
+        "theta": np.zeros((q, m)),
+        "theta_none": np.zeros((q, m)),
+        "returns": np.isfinite(scans.ranges).sum(axis=0),
+        "nothing": np.isposinf(scans.ranges).sum(axis=0),
+    }
+    if not out["returns"].any():
+        raise GapError("no ray of any training scan returned a range; record where the sensor sees something")
+    out["theta"][:, terms.names.index("1")] = np.where(out["returns"] > 0, 0.0, scans.sensor.range_max)
+    step = max(1, min(q, HELD // (2 * m * m)))
+    total = -(-n // BLOCK) * -(-q // step)
+    done = 0
+    gram = np.zeros((m, m))
+    for first in range(0, q, step):
+        rays = np.arange(first, min(first + step, q))
+        ranges = Moments(terms, len(rays), scale=scale)
+        nothing = Moments(terms, len(rays), scale=scale)
+        for start in range(0, n, BLOCK):
+            block = scans.ranges[start : start + BLOCK, rays]
+            phi = terms.matrix(columns(scans.poses[start : start + BLOCK]), scale)
+            ranges.add_rows(phi, np.where(np.isfinite(block), block, np.nan))
+            nothing.add_rows(phi, np.where(np.isnan(block), np.nan, np.isposinf(block)))
+            if first == 0:
+                gram += phi.T @ phi
+            done += 1
+            if progress is not None:
+                progress(done, total)
+        for few, size in _by_size(ranges.count, k):
+            picked = select(ranges.pick(outputs=few), size, keep=["1"])
+            _store(out, rays[few], picked)
+        both = np.flatnonzero((out["nothing"][rays] > 0) & (nothing.count > 0))
+        for few, size in _by_size(nothing.count, k):
+            few = np.intersect1d(few, both)
+            if len(few):
+                out["theta_none"][rays[few]] = select(nothing.pick(outputs=few), size, keep=["1"]).theta
+    out["gram"] = gram
+    return out
+
+
+def _by_size(count: NDArray[np.int64], k: int) -> list[tuple[Ints, int]]:
+    """Group outputs by how many terms their data allow: `k`, or the mean alone below 5 rows a term."""
+    rich, poor = np.flatnonzero(count >= 5 * k), np.flatnonzero((count < 5 * k) & (count > 0))
+    return [(few, size) for few, size in ((rich, k), (poor, 1)) if len(few)]
+
+
+def _store(out: dict[str, Any], rays: Ints, picked: Selection) -> None:
+    k = picked.order.shape[1]
+    out["order"][rays, :k] = picked.order
+    out["err"][rays, :k] = picked.err
+    out["theta"][rays] = picked.theta
+    spread = np.sqrt((picked.inverse**2).sum(axis=2))  # root of the diagonal of T T'
+    out["stderr"][rays, :k] = np.nan_to_num(picked.sigma)[:, None] * spread
+
+
+def _leverage(scans: Scans, terms: Terms, scale: Scale, gram: Floats) -> tuple[Floats, float]:
+    """Return W with W W' = (Φ'Φ)⁻¹ and the leverage beyond which a pose is unlike the training poses.
+
+    Directions that the poses never left are kept with a tiny variance: who leaves them has a huge leverage.
+    """
+    values, vectors = np.linalg.eigh(gram)
+    root = vectors / np.sqrt(np.maximum(values, 1e-10 * values[-1]))
+    parts = []
+    for start in range(0, len(scans), BLOCK):
+        phi = terms.matrix(columns(scans.poses[start : start + BLOCK]), scale)
+        parts.append(((phi @ root) ** 2).sum(axis=1))
+    h = np.minimum(np.concatenate(parts), 1.0 - 1e-9)
+    # h / (1 - h): the leverage that a training pose would have as a new one
+    return root, float(2.0 * np.quantile(h / (1.0 - h), 0.995))

@@ -1,0 +1,196 @@
+"""Splits are the same for building and evaluating; every number equals its plain recomputation."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logs.run import RangeSensor, Run
+from sensorgraph.building.build import build
+from sensorgraph.building.split import SPLITS, held_out
+from sensorgraph.errors import GapError
+from sensorgraph.evaluation.evaluate import evaluate
+
+KEYS = [
+    "median_m",
+    "mae_m",
+    "rmse_m",
+    "within_0.1m",
+    "within_0.5m",
+    "within_3sigma",
+    "wrong_5cm",
+    "pearson_r",
+    "chamfer_m",
+    "f_score",
+    "no_return_recall",
+    "no_return_precision",
+]
+BEARINGS = np.radians([-60.0, -20.0, 10.0, 45.0, 80.0])
+
+
+def make_run(seed: int = 0, n: int = 300) -> Run:
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) * 0.1
+    poses = np.column_stack([2 + np.cos(t), 2 + np.sin(0.7 * t), np.pi * np.sin(0.31 * t)])
+    ranges = 2 + np.abs(np.sin(poses[:, 2:3] + BEARINGS)) * poses[:, 0:1] + 0.03 * rng.normal(size=(n, 5))
+    ranges[poses[:, 0] > 2.7, 4] = np.inf
+    ranges[rng.random((n, 5)) < 0.02] = np.nan
+    ranges[rng.random((n, 5)) < 0.02] = -np.inf
+    return Run(
+        sensor=RangeSensor(bearings=BEARINGS, sigma=0.02), stamps=t, ranges=ranges, pose_stamps=t, poses=poses
+    )
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return make_run()
+
+
+@given(st.integers(10, 5000), st.sampled_from(SPLITS))
+def test_split_holds_out_its_share_of_distinct_scans(n: int, split: str) -> None:
+    held = held_out(n, split)
+    assert held.shape == (n,)
+    if split == "every10":
+        assert np.flatnonzero(held).tolist() == list(range(9, n, 10))
+    else:
+        length = max(1, round(0.02 * n))
+        edges = np.flatnonzero(np.diff(np.r_[0, held.astype(int), 0]))
+        assert (edges[1::2] - edges[::2]).tolist() == [length] * 5
+        assert held.sum() == 5 * length < n
+
+
+def test_no_split_holds_out_nothing_and_short_log_is_refused() -> None:
+    assert not held_out(5, None).any()
+    with pytest.raises(GapError, match="too few"):
+        held_out(5, "block")
+
+
+@pytest.mark.parametrize("split", SPLITS)
+def test_held_out_scans_do_not_touch_the_graph_and_are_what_is_evaluated(run: Run, split: str) -> None:
+    held = held_out(run, split)
+    spoiled = replace(run, ranges=np.where(held[:, None], 0.3, run.ranges))
+    graph, other = (
+        build([r], split=split, model="polynomial", degree=2, harmonics=2) for r in (run, spoiled)
+    )
+    np.testing.assert_array_equal(graph.predict(run.poses).mode, other.predict(run.poses).mode)
+    result = evaluate(graph, run, split=split)
+    np.testing.assert_array_equal(result.scan_indices, np.flatnonzero(held))
+    assert result.settings["training"].startswith("held out")
+    assert "were trained on" in evaluate(graph, run).settings["training"]
+    assert "not seen this run" in evaluate(graph, make_run(1)).settings["training"]
+
+
+def plain_numbers(graph, run: Run, cap: float, answered_only: bool) -> dict[str, float | None]:
+    """Recompute every number ray by ray, scan by scan, in plain Python."""
+    p = graph.predict(run.poses)
+    errors, pairs, chamfers, scores = [], [], [], []
+    nothing = said = both = 0
+    for i in range(run.n_scans):
+        seen, told = [], []
+        for j, bearing in enumerate(BEARINGS):
+            r, answered = run.ranges[i, j], p.answered[i, j]
+            if answered_only and not answered:
+                continue
+            if not math.isnan(r):
+                nothing += r == math.inf
+                said += p.ranges[i, j] == math.inf
+                both += r == math.inf and p.ranges[i, j] == math.inf
+            if 0.1 < r < cap:
+                errors.append(r - p.mode[i, j])
+                pairs.append((r, p.mean[i, j]))
+                seen.append((r * math.cos(bearing), r * math.sin(bearing)))
+                told.append((p.mode[i, j] * math.cos(bearing), p.mode[i, j] * math.sin(bearing)))
+        if seen:
+            there = [min(math.dist(a, b) for b in told) for a in seen]
+            back = [min(math.dist(a, b) for b in seen) for a in told]
+            chamfers.append((sum(there) / len(there) + sum(back) / len(back)) / 2)
+            recall = sum(d <= 0.1 for d in there) / len(there)
+            precision = sum(d <= 0.1 for d in back) / len(back)
+            scores.append(2 * recall * precision / (recall + precision) if recall + precision else 0.0)
+    size = [abs(e) for e in errors]
+    share = lambda limit: sum(e <= limit for e in size) / len(size)  # noqa: E731
+    return {
+        "median_m": float(np.median(size)),
+        "mae_m": sum(size) / len(size),
+        "rmse_m": math.sqrt(sum(e * e for e in errors) / len(errors)),
+        "within_0.1m": share(0.1),
+        "within_0.5m": share(0.5),
+        "within_3sigma": share(0.06),
+        "wrong_5cm": 1 - share(0.05),
+        "pearson_r": float(np.corrcoef(np.array(pairs).T)[0, 1]),
+        "chamfer_m": sum(chamfers) / len(chamfers),
+        "f_score": sum(scores) / len(scores),
+        "no_return_recall": both / nothing if nothing else None,
+        "no_return_precision": both / said if said else None,
+    }
+
+
+@pytest.mark.parametrize("cap", [2.9, 8.0])
+def test_every_number_equals_its_plain_recomputation(run: Run, cap: float) -> None:
+    graph = build([make_run(3, 200)], model="polynomial", degree=2, harmonics=1, n_terms=8)
+    result = evaluate(graph, run, cap=cap)
+    for block, only in ((result.all, False), (result.answered_only, True)):
+        expected = plain_numbers(graph, run, cap, only)
+        assert set(KEYS) <= set(block)
+        for key in KEYS:
+            assert block[key] == pytest.approx(expected[key], abs=1e-12), key
+    finite = np.isfinite(run.ranges) & (run.ranges > 0.1) & (run.ranges < cap)
+    np.testing.assert_array_equal(np.isfinite(result.residual), finite)
+    assert result.n_rays == finite.sum()
+    assert result.answered == pytest.approx(result.prediction.answered[finite].mean())
+    per_ray = np.sqrt(np.nanmean(result.residual**2, axis=0))
+    np.testing.assert_allclose(result.rmse_per_ray, per_ray)
+
+
+def test_calibration_counts_every_scored_ray_once(run: Run) -> None:
+    result = evaluate(build([run], model="polynomial", degree=2, harmonics=1), run)
+    assert sum(row["n"] for row in result.calibration) == result.n_rays
+    seen = sum(row["seen"] * row["n"] for row in result.calibration) / result.n_rays
+    assert seen == pytest.approx(result.all["wrong_5cm"])
+
+
+def test_report_is_json_with_the_promised_keys(run: Run) -> None:
+    data = json.loads(
+        json.dumps(
+            evaluate(build([run], model="polynomial", degree=1, harmonics=1), run).to_dict(), allow_nan=False
+        )
+    )
+    assert {"n_rays", "answered", "all", "answered_only", "calibration", "scored", "point"} <= set(data)
+    assert set(KEYS) <= set(data["all"]) and set(KEYS) <= set(data["answered_only"])
+    assert data["point"]["mae_m"] == "median" and data["point"]["rmse_m"] == "mean"
+    assert data["point"]["within_0.1m"] == "mode"
+    one = evaluate(build([run], model="polynomial", degree=1, harmonics=1), run, point="mean").to_dict()
+    assert set(one["point"].values()) == {"mean"}
+
+
+def test_graph_of_base_poses_evaluates_a_run_of_laser_poses(run: Run) -> None:
+    mount = np.array([0.3, -0.1, 0.4])
+    graph = build([run], model="polynomial", degree=3, harmonics=3)
+    c, s = np.cos(run.poses[:, 2]), np.sin(run.poses[:, 2])
+    laser = np.column_stack(
+        [
+            run.poses[:, 0] + 0.3 * c + 0.1 * s,
+            run.poses[:, 1] + 0.3 * s - 0.1 * c,
+            run.poses[:, 2] + 0.4,
+        ]
+    )
+    sensor = replace(run.sensor, mount=mount)
+    there = evaluate(graph, replace(run, sensor=sensor, poses=laser, pose_frame="laser"))
+    here = evaluate(graph, run)
+    assert there.all["rmse_m"] == pytest.approx(here.all["rmse_m"], rel=1e-9)
+
+
+def test_nothing_to_score_is_said(run: Run) -> None:
+    graph = build([run], model="polynomial", degree=1, harmonics=1)
+    with pytest.raises(GapError, match="nothing to score"):
+        evaluate(graph, replace(run, ranges=np.full_like(run.ranges, np.inf)))
+    with pytest.raises(GapError, match="nothing to evaluate"):
+        evaluate(graph, replace(run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3))))
+    with pytest.raises(GapError, match="cap"):
+        evaluate(graph, run, cap=0.05)

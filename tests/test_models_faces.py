@@ -1,0 +1,239 @@
+"""Model faces: what was planted is found, what is printed is what is predicted, kernels agree with plain numpy."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.run import RangeSensor
+from planners.arena import Arena
+from planners.maps import geojson
+from sensorgraph.errors import GapError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.base import Scans
+from sensorgraph.models.faces.hit_moments import Surfaces
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.faces.ray_march import ROOM, FaceSet, gather, index
+from sensorgraph.planning.views import choose_views
+from sensorgraph.types import Floats
+from sensorgraph.world.identified_arena import arena_of
+from sensorgraph.world.raycast import cast
+
+SIGMA = 0.01  # [m]
+SENSOR = RangeSensor(bearings=np.linspace(-np.pi / 2, np.pi / 2, 91), range_max=12.0, sigma=SIGMA)
+BOX = [(1.4, 1.6), (2.2, 1.6), (2.2, 2.2), (1.4, 2.2)]
+
+
+def room(obstacle: list[tuple[float, float]] | None = None) -> Arena:
+    """A 4 m square, with one obstacle or none."""
+    square = "[[0,0],[4,0],[4,4],[0,4],[0,0]]"
+    features = [
+        f'{{"type":"Feature","properties":{{"name":"room","kind":"arena"}},'
+        f'"geometry":{{"type":"Polygon","coordinates":[{square}]}}}}'
+    ]
+    if obstacle is not None:
+        ring = [list(corner) for corner in [*obstacle, obstacle[0]]]
+        features.append(
+            f'{{"type":"Feature","properties":{{"name":"box","kind":"obstacle"}},'
+            f'"geometry":{{"type":"Polygon","coordinates":[{ring}]}}}}'
+        )
+    return geojson.loads(f'{{"type":"FeatureCollection","features":[{",".join(features)}]}}')
+
+
+def somewhere(arena: Arena, n: int, rng: np.random.Generator, clear: float = 0.15) -> Floats:
+    """Poses (n, 3) in free space, off the walls."""
+    space = Arena(
+        free=arena.free.buffer(-clear), walls=arena.walls, names=arena.names, surfaces=arena.surfaces
+    )
+    x0, y0, x1, y1 = arena.bounds
+    points = rng.uniform([x0, y0], [x1, y1], (8 * n, 2))
+    points = points[space.contains(points)][:n]
+    return np.column_stack([points, rng.uniform(-np.pi, np.pi, len(points))])
+
+
+def scans_of(arena: Arena, poses: Floats, rng: np.random.Generator) -> Scans:
+    ranges = cast(arena, poses, SENSOR).ranges
+    return Scans(
+        sensor=SENSOR,
+        poses=poses,
+        ranges=ranges + SIGMA * rng.normal(size=ranges.shape),
+        run=np.zeros(len(poses), dtype=np.intp),
+    )
+
+
+@pytest.fixture(scope="module")
+def boxed() -> tuple[Arena, Faces]:
+    arena, rng = room(BOX), np.random.default_rng(3)
+    return arena, Faces.fit(scans_of(arena, somewhere(arena, 400, rng), rng), calibrate=False)
+
+
+def test_square_room_is_four_faces_known_to_a_millimetre() -> None:
+    arena, rng = room(), np.random.default_rng(1)
+    model = Faces.fit(scans_of(arena, somewhere(arena, 100, rng), rng), calibrate=False)
+    assert model.faces.n_faces == 4
+    assert model.noise.sigma == pytest.approx(SIGMA, rel=0.05)  # 9,100 returns: 0.7 %
+    fresh = somewhere(arena, 300, rng)
+    off = model.predict(fresh, np.arange(SENSOR.n_rays), "mode").mode - cast(arena, fresh, SENSOR).ranges
+    assert np.median(np.abs(off)) < 1e-3
+    assert np.abs(off).max() < 0.02  # grazing rays magnify
+
+
+def test_rays_beside_an_obstacle_end_where_its_corners_say(boxed: tuple[Arena, Faces]) -> None:
+    arena, model = boxed
+    fresh = somewhere(arena, 1000, np.random.default_rng(8))
+    said = model.predict(fresh, np.arange(SENSOR.n_rays), "mode")
+    wrong = np.abs(said.mode - cast(arena, fresh, SENSOR).ranges) > 0.05
+    assert wrong.mean() < 1.5e-3
+    assert wrong[said.answered].mean() < 1e-3
+    assert said.answered.mean() > 0.98
+
+
+def test_corners_of_an_obstacle_are_found(boxed: tuple[Arena, Faces]) -> None:
+    graph = Sensorgraph(model=boxed[1], sensor=SENSOR, pose_frame="base_link", origin={})
+    found = arena_of(graph)
+    assert {name.split("/")[0] for name in found.names} == {"room", "thing_1"}
+    corners = found.walls[[name.startswith("thing_1") for name in found.names]].reshape(-1, 2)
+    for corner in BOX:
+        assert np.hypot(*(corners - corner).T).min() < 0.005  # two faces of 400 hits each: 1 mm
+    assert found.free.area == pytest.approx(16 - 0.48, abs=0.5)  # cells of 10 cm
+    assert not found.contains(np.array([1.8, 1.9]))
+
+
+def test_printed_equation_gives_the_predicted_range(boxed: tuple[Arena, Faces]) -> None:
+    arena, model = boxed
+    ray = 60
+    fractions = re.findall(r"r = \((.*?)\) / \((.*?)\)", model.equation(ray))
+    assert len(fractions) == model.faces.n_faces
+    poses = somewhere(arena, 50, np.random.default_rng(4))
+    predicted = model.predict(poses, np.array([ray]), "mode").mode[:, 0]
+    for (x, y, phi), wanted in zip(poses, predicted, strict=True):
+        names = {"x": x, "y": y, "c": np.cos(phi), "s": np.sin(phi)}
+        values = [
+            evaluate(above, names) / below
+            for above, text in fractions
+            if (below := evaluate(text, names)) < 0
+        ]
+        assert np.abs(np.array(values) - wanted).min() < 2e-3  # printed to five digits
+
+
+def evaluate(text: str, names: dict[str, float]) -> float:
+    """Add up `a - b x + ...` by reading it, without the code that wrote it."""
+    total = 0.0
+    for sign, value, name in re.findall(r"(^-|[+-] |^)\s*([\d.]+)(?: ([xycs]))?", text):
+        total += (-1 if "-" in sign else 1) * float(value) * (names[name] if name else 1.0)
+    return total
+
+
+def test_unseen_side_is_not_answered() -> None:
+    arena, rng = room(BOX), np.random.default_rng(5)
+    poses = somewhere(arena, 600, rng)
+    poses = poses[poses[:, 1] < 1.3]  # all below the box: nobody saw what is above it
+    model = Faces.fit(scans_of(arena, poses, rng), calibrate=False)
+    above = np.array([[1.8, 3.0, -np.pi / 2]])
+    said = model.predict(above, np.arange(30, 61), "mode")
+    wrong = np.abs(said.mode - cast(arena, above, SENSOR).ranges[:, 30:61]) > 0.05
+    assert wrong.any()
+    assert not said.answered[wrong].any()
+
+
+def test_march_lists_the_crossings_that_all_faces_against_all_rays_give() -> None:
+    rng = np.random.default_rng(6)
+    k = 40
+    angle = rng.uniform(-np.pi, np.pi, k)
+    normals = np.column_stack([np.cos(angle), np.sin(angle)])
+    middle = rng.uniform(0, 6, (k, 2))
+    tangents = np.column_stack([-normals[:, 1], normals[:, 0]])
+    centre = (tangents * middle).sum(axis=1)
+    half = rng.uniform(0.05, 2.0, k)
+    faces = FaceSet(
+        normals=normals,
+        offsets=(normals * middle).sum(axis=1),
+        first=2 * np.arange(k + 1, dtype=np.intp),
+        edges=np.stack([centre - half, centre + half], axis=1).ravel(),
+        levels=np.tile([0.5, 0.0], k),
+        blur=np.zeros(2 * k),
+        neighbour=np.full(2 * k, -1, dtype=np.intp),
+    )
+    buckets = index(faces)
+    r, t = np.empty(ROOM), np.empty(ROOM)
+    f, j = np.empty(ROOM, dtype=np.int64), np.empty(ROOM, dtype=np.int64)
+    crossings = 0
+    for _ in range(400):
+        q, theta = rng.uniform(-1, 7, 2), rng.uniform(-np.pi, np.pi)
+        u = np.array([np.cos(theta), np.sin(theta)])
+        den = normals @ u
+        rho = (faces.offsets - normals @ q) / den
+        s = (tangents * (q + rho[:, None] * u)).sum(axis=1)
+        seen = np.flatnonzero((den < -1e-6) & (rho > 0) & (rho < 9) & (np.abs(s - centre) < half))
+        n = gather(q[0], q[1], u[0], u[1], 9.0, 0.0, faces, buckets, r, f, j, t)
+        inside = [i for i in range(n) if j[i] == 2 * f[i]]  # not only in the margin
+        assert f[inside].tolist() == seen[np.argsort(rho[seen])].tolist()
+        np.testing.assert_allclose(r[inside], np.sort(rho[seen]), rtol=1e-12)
+        crossings += len(seen)
+    assert crossings > 500
+
+
+def test_pooled_moments_add_up() -> None:
+    rng = np.random.default_rng(7)
+    points, ways = rng.uniform(-3, 3, (5000, 2)), rng.normal(size=(5000, 2))
+    whole = Surfaces.of(points, ways)
+    parts = Surfaces.of(points[:1234], ways[:1234]).merge(Surfaces.of(points[1234:], ways[1234:]))
+    np.testing.assert_array_equal(whole.cells, parts.cells)
+    np.testing.assert_allclose(whole.moments, parts.moments, atol=1e-12)
+    assert whole.counts.sum() == 5000
+    np.testing.assert_allclose(
+        (whole.centres * whole.counts[:, None] + whole.moments[:, 1:3]).sum(axis=0),
+        points.sum(axis=0),
+        rtol=1e-9,
+    )
+
+
+def test_file_gives_the_same_predictions_and_the_same_bytes(
+    boxed: tuple[Arena, Faces], tmp_path: Path
+) -> None:
+    graph = Sensorgraph(model=boxed[1], sensor=SENSOR, pose_frame="base_link", origin={})
+    graph.save(tmp_path / "a.sensorgraph")
+    again = Sensorgraph.load(tmp_path / "a.sensorgraph")
+    again.save(tmp_path / "b.sensorgraph")
+    assert (tmp_path / "a.sensorgraph").read_bytes() == (tmp_path / "b.sensorgraph").read_bytes()
+    poses = np.array([[1.0, 1.0, 0.3], [3.0, 2.0, 2.0]])
+    np.testing.assert_array_equal(graph.predict(poses).mode, again.predict(poses).mode)
+
+
+def test_no_returns_and_options_are_refused() -> None:
+    scans = Scans(
+        sensor=SENSOR,
+        poses=np.zeros((20, 3)),
+        ranges=np.full((20, SENSOR.n_rays), np.inf),
+        run=np.zeros(20, dtype=np.intp),
+    )
+    with pytest.raises(GapError, match="no ray of the log returned"):
+        Faces.fit(scans)
+    with pytest.raises(GapError, match="degree is not known to the model faces"):
+        Faces.fit(scans, degree=3)
+
+
+def test_chosen_views_show_more_surface_than_random_ones() -> None:
+    arena, rng = room(BOX), np.random.default_rng(9)
+    candidates = somewhere(arena, 300, rng)
+
+    def ideal(poses: Floats) -> Floats:
+        return cast(arena, poses, SENSOR).ranges
+
+    n = 30
+    chosen = choose_views(candidates, ideal, SENSOR, n)
+    assert len(set(chosen.tolist())) == n
+
+    def shown(poses: Floats) -> float:
+        """Add up 1 + 1/2 + 1/3 ... of the hits in every 2 cm of surface."""
+        theta = poses[:, 2, None] + SENSOR.bearings
+        ways = np.stack([np.cos(theta), np.sin(theta)], axis=-1)
+        ends = poses[:, None, :2] + ideal(poses)[..., None] * ways
+        _, hits = np.unique(np.floor(ends.reshape(-1, 2) / 0.02), axis=0, return_counts=True)
+        return float(sum((1 / np.arange(1, h + 1)).sum() for h in hits))
+
+    at_random = [shown(candidates[rng.choice(300, n, replace=False)]) for _ in range(40)]
+    assert shown(candidates[chosen]) > max(at_random)
