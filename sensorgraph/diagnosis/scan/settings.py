@@ -1,0 +1,482 @@
+"""Settings of the scan channel: every tuned number of `diagnosis/scan` with its unit, its meaning and what set it.
+
+One frozen dataclass, `ScanSettings`, with one group per stage; `SCAN` is the instance that the modules use. One piece
+is clearer than many, since it is the only table of these numbers.
+
+Unless a group says otherwise, its numbers were set on the development cases of the hidden-effects benchmark:
+
+    python -m benchmarks.hidden_effects.generate --suite SUITE --seeds dev --n N -o DIR
+    python -m benchmarks.hidden_effects.run DIR
+
+with SUITE one of singles, none, pairs, triples and foreign. Numbers of the site baseline were set on stretches of
+public logs with `python -m benchmarks.planted_effects`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseBounds:
+    """Limits of the estimated beam noise and of the scale of the tolerances; a commissioning run narrows them."""
+
+    core: tuple[float, float] = (0.75, 1.15)
+    """Scale of the sensor's nominal standard deviation."""
+    tail: tuple[float, float] = (0.005, 0.2)
+    """Share of returns with the wide standard deviation."""
+    loss: tuple[float, float] = (1e-4, 0.002)
+    """Chance that a ray which should return does not."""
+    stray: tuple[float, float] = (1e-4, 0.002)
+    """Share of readings from anywhere."""
+    min_pose_scale: float = 1.0
+    """Least scale of the tolerances of the reference poses."""
+    max_scale: float = 3.5
+    """Largest scale of the tolerances of poses and map, where the data say that they are too tight."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntakeSettings:
+    """Which runs are accepted, and how much of a run is used."""
+
+    min_scans: int = 50
+    """Scans with a pose."""
+    min_rays: int = 3
+    """Rays per scan."""
+    max_readings: int = 100_000
+    """Readings used; beyond this the map and the poses, not the noise, limit what can be told."""
+    min_sigma: float = 5e-4
+    """[m] least standard deviation of a return."""
+    velocity_window: float = 0.2
+    """[s] on either side, over which the reference is fitted for its velocity."""
+    max_bearing_mismatch: float = 0.02
+    """[rad] between the run's bearings and those of robot.yaml."""
+    range_max_slack: tuple[float, float] = (1.02, 0.05)
+    """Factor and [m] by which a reading may exceed range_max."""
+    max_share_beyond_range: float = 0.01
+    """Share of readings that may exceed even that."""
+    min_tolerances: Mapping[str, float] = field(
+        default_factory=lambda: {
+            "map": 2e-4,
+            "mount_xy": 1e-4,
+            "mount_yaw": 2e-5,
+            "pose_xy": 2e-4,
+            "pose_yaw": 1e-4,
+            "stamp": 1e-4,
+        }
+    )
+    """[m, m, rad, m, rad, s] least tolerances: no set-up is perfect, and a zero has no logarithm."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlignmentSettings:
+    """When the arena fits the run, and the search for a better place (`map_alignment`)."""
+
+    wall_distance: float = 0.15
+    """[m] from a wall within which a ray ends at it."""
+    min_share: float = 0.3
+    """Share of returns at walls, below which no name would mean anything."""
+    poor_share: float = 0.45
+    """Share of returns at walls, below which a better place is looked for."""
+    good_share: float = 0.8
+    """Share of returns at walls, below which another scale of the map is looked for."""
+    min_matching: float = 0.45
+    """Share of readings as long as the arena makes them, below which the run is of another place."""
+    partly_matching: float = 0.65
+    """The same share, below which only few effects are named."""
+    matching_error: tuple[float, float] = (0.15, 0.05)
+    """[m] and share of the range by which a reading may differ and still count as matching."""
+    matching_scans: int = 100
+    """Scans that are cast for that share."""
+    min_gain: float = 0.25
+    """Share of returns by which another place must be better."""
+    min_scale_gain: float = 0.05
+    """Share of returns by which another scale must be better than another place."""
+    cell: float = 0.1
+    """[m] of the raster of walls."""
+    max_cells: int = 600
+    """Cells of the raster along its longer side."""
+    n_points: int = 3000
+    """Ends of rays that are laid over the walls."""
+    min_points: int = 100
+    """Ends of rays below which the question is not asked."""
+    n_turns: int = 90
+    """Headings that are tried."""
+    scale_range: tuple[float, float] = (0.5, 2.0)
+    """Scales of the map that are tried."""
+    n_scales: int = 47
+    """Count of them, 3 % apart."""
+    max_orientation_error: float = 0.3
+    """[m] median error of a scan that is turned or mirrored the right way."""
+    second_run_share: float = 0.6
+    """Of the first run's share of returns at walls, below which a second run is of another place."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NuisanceSettings:
+    """What a careful set-up may hide, beyond the tolerances of robot.yaml."""
+
+    max_tolerances: float = 2.5
+    """Tolerances at which a nuisance is bounded; a larger error must be an effect."""
+    bias: float = 0.0012
+    """[m] standard deviation of a hidden range bias."""
+    scale: float = 0.0005
+    """Standard deviation of a hidden range scale."""
+    drift: float = 0.0015
+    """[m] standard deviation of a hidden drift over the run."""
+    steady_stamp_share: float = 0.43
+    """Of a stamp's tolerance, the part that is the same all through a run (latency)."""
+    skew_stamp_share: float = 0.7
+    """Of a stamp's tolerance, the part that may be a skew of the sweep."""
+    min_cosine: float = 0.12
+    """Cosine of the incidence below which a ray tells little (83 degrees)."""
+    grazing_sigma: tuple[float, float] = (0.004, 0.003)
+    """[m] and share of the range: extra standard deviation of a grazing ray, over the cosine of its incidence."""
+    max_grazing_sigma: float = 1.0
+    """[m] at most."""
+    max_bent_sigma: float = 0.5
+    """[m] largest extra standard deviation of a ray that a surface has bent."""
+    max_corners: int = 400
+    """Corners of a map beyond which none of them may shift."""
+    max_pose_error: float = 3.5
+    """Mahalanobis length that the estimated pose error of a scan may have."""
+    stretched_scale: float = 1.3
+    """Scale of the tolerances above which they count as stretched."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LikelihoodSettings:
+    """The beam mixture of one reading (`likelihood`, `beam_mixture`)."""
+
+    tail_width: float = 3.0
+    """Standard deviation of the tail over that of the core."""
+    unexplained: float = 1e-5
+    """Chance of a reading that nothing explains."""
+    lost_at_edge: float = 0.02
+    """Chance that a beam which passes an edge does not come back."""
+    min_resolution: float = 1e-4
+    """[m] resolution of a reading where robot.yaml gives none."""
+    min_edge_chance: float = 0.002
+    """Chance of reading the other side of an edge, below which a ray counts as clear of it."""
+    min_edge_step: float = 2.0
+    """Standard deviations of the sensor by which the two sides of an edge must differ."""
+    stray_responsibility: float = 0.5
+    """Responsibility of the stray component above which a reading counts as stray."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitSettings:
+    """When the iterations of a fit end, and what counts as a jump to another surface (`fit`, `gauss_newton`)."""
+
+    min_round_gain: float = 0.05
+    """[nats] of a round of expectation and maximisation, below which it is the last."""
+    min_cast_gain: float = 0.3
+    """[nats] of another cast, below which it is the last."""
+    settled_step: float = 0.2
+    """Standard errors below which a step is too small for another cast."""
+    profile_tolerance: float = 0.02
+    """Relative step at which the search for a share or a width ends."""
+    max_profile_casts: int = 9
+    """Casts of that search."""
+    noise_rounds: int = 3
+    """Rounds of the noise where it is estimated again at a step of a searched parameter."""
+    pose_steps: tuple[float, float, float] = (5e-4, 5e-4, 3e-4)
+    """[m, m, rad] of the difference quotients by the pose."""
+    max_pose_slope: float = 60.0
+    """[1, 1, m/rad] a larger quotient by the pose is a jump to another surface."""
+    max_slope: Mapping[str, float] = field(
+        default_factory=lambda: {
+            "beta": 5e3,
+            "theta0": 5e3,
+            "delta": 300.0,
+            "tau": 300.0,
+            "T": 300.0,
+            "s": 300.0,
+        }
+    )
+    """By parameter of an effect: a larger quotient is a jump to another surface."""
+    default_max_slope: float = 25.0
+    """The same for parameters that are not listed."""
+    min_known_corners: int = 6
+    """Corners that the data must tell of before the map's tolerance is scaled."""
+    max_prior_share: float = 0.6
+    """Share of a corner's prior variance that is left, below which the data tell of it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectionSettings:
+    """Evidence that an effect takes, and the search for effects (`model_selection`, `score_test`)."""
+
+    threshold: float = 12.0
+    """[nats] of evidence that a name takes, beyond the price of its parameters."""
+    price: float = 4.0
+    """[nats] per parameter."""
+    n_obstacle_places: int = 6
+    """Places among which an obstacle counts as chosen, for the price of the choice."""
+    max_effects: int = 5
+    """Effects in one model."""
+    max_effects_if_partly_matching: int = 3
+    """The same where the arena matches the run only in part: many names would not mend that."""
+    max_candidates: int = 10
+    """Candidates fitted on a part of the scans."""
+    max_searched: int = 5
+    """Candidates whose searched parameters are searched."""
+    max_finalists: int = 3
+    """Candidates fitted on all scans."""
+    finalist_share: float = 0.5
+    """Of the best gain; candidates farther behind are not fitted on all scans."""
+    gain_margin: float = 20.0
+    """[nats] of slack on gains that were found on a part of the scans."""
+    n_scans: int = 130
+    """Scans on which all candidates are fitted."""
+    min_expected_gain: float = 3.5
+    """[nats] expected of a smooth effect that is worth a fit; bounds on the nuisances hide a part of it."""
+    end_blur: float = 2.0
+    """Standard deviations of where a ray meets its wall, within which it may miss the end of a part."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProposalSettings:
+    """What a proposer takes to propose (`propose`, `propose_obstacles`, `propose_surfaces`)."""
+
+    min_gain: float = 6.0
+    """[nats] that a candidate must promise."""
+    min_rays: int = 8
+    """Rays; fewer are no ground for a proposal."""
+    wall_bin: float = 0.1
+    """[m] along a wall."""
+    nudge_distance: float = 0.12
+    """[m] from an outline within which a reading may tell of a small move."""
+    nudge_steps: tuple[float, ...] = (0.06, 0.03, 0.015, 0.008, 0.004, 0.002)
+    """[m] steps in which a small move is looked for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StandardErrorSettings:
+    """Half-widths of searched parameters (`standard_errors`)."""
+
+    block: float = 1.0
+    """[s] of scans that share their errors."""
+    fall: float = 0.5
+    """[nats] by which the log-likelihood falls over one standard error."""
+    fall_window: tuple[float, float] = (0.15, 1.5)
+    """[nats] falls from which the half-width follows by a parabola."""
+    broad_fall_window: tuple[float, float] = (1.0, 12.0)
+    """[nats] the same for effects on single readings, whose likelihood is jagged in the small."""
+    max_casts: int = 7
+    """Casts per side."""
+    first_step: float = 0.1
+    """Of the search's first step."""
+    max_step: float = 20.0
+    """Times the search's first step; beyond, a parameter is not known."""
+    obstacle_step: float = 0.02
+    """[m] first step along which an obstacle is moved."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservabilitySettings:
+    """What a run should have shown (`observability`)."""
+
+    size: float = 3.0
+    """Materialities: an effect of this size should show."""
+    max_correlation: float = 0.98
+    """Of projected columns, above which effects are the same to a run."""
+    unexpected: float = 5.0
+    """[nats] of a reading far from where it is expected."""
+    n_sectors: int = 6
+    """Sectors in which a bias is looked for."""
+    sector: float = float(np.radians(30.0))
+    """[rad] width of a sector."""
+    min_drift_span: float = 30.0
+    """[s] of a run, below which nothing drifts."""
+    max_places: int = 4
+    """Places named in a sentence."""
+    cell: float = 0.25
+    """[m] of the raster of free space."""
+    n_scans: int = 60
+    """Scans that the raster is looked at from."""
+    near: float = 0.3
+    """[m] of a return that tells min_range from self_occlusion."""
+    steep: float = float(np.radians(70.0))
+    """[rad] of incidence that tells incidence_dropout from black_surface."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GoodnessOfFitSettings:
+    """When a model leaves something unexplained (`goodness_of_fit`, `deviations`)."""
+
+    block: float = 1.0
+    """[s] of scans that share their errors."""
+    cell: float = 0.5
+    """[m] of the raster of places."""
+    clip: float = 4.0
+    """Standard deviations at which a residual is cut."""
+    clipped_variance: float = 0.9866
+    """Mean square of a unit normal that is cut there, nearly."""
+    clipped_tail_variance: float = 5.4
+    """The same of the tail."""
+    min_rays: int = 40
+    """Rays in a bin."""
+    min_blocks: int = 5
+    """Blocks in a bin."""
+    listed_z: float = 3.5
+    """z above which a bin is listed as a deviation."""
+    replicate_z: float = 2.5
+    """The same in replicates."""
+    max_listed: int = 24
+    """Deviations listed before any naming."""
+    min_z: Mapping[str, float] = field(
+        default_factory=lambda: {"bias": 4.5, "spread": 6.0, "outliers": 6.0, "misses": 6.0}
+    )
+    """By kind of deviation: z below which nothing is suspect."""
+    min_size: Mapping[str, float] = field(
+        default_factory=lambda: {"bias": 0.2, "spread": 0.15, "outliers": 0.004, "misses": 0.005}
+    )
+    """By kind: standard deviations, ratio, share, share below which a deviation does not matter."""
+    min_scatter: Mapping[str, float] = field(
+        default_factory=lambda: {"bias": 1.0, "spread": 1.6, "outliers": 0.04, "misses": 0.04}
+    )
+    """By kind: least scatter of one ray's score."""
+    n_replicates: int = 12
+    """Replicates drawn from the model."""
+    replicate_factor: float = 1.25
+    """Times the largest z of the replicates that a deviation must exceed."""
+    replicate_sigmas: float = 4.0
+    """Standard deviations of the replicates' z, above their mean, that it must exceed too."""
+    min_share_of_gain: float = 0.003
+    """Of the model's gain; a smaller misfit is the coarseness of a right model."""
+    max_dispersion: float = 1.45
+    """Variance ratio between scans and within; right models have 0.85 to 1.15."""
+    min_absence_gain: float = 100.0
+    """[nats] that the absence of something for one stretch of the run must explain."""
+    min_absence_rays: int = 20
+    """Rays that must ask for it."""
+    max_tolerance_scale: float = 3.2
+    """Times the nominal tolerances beyond which the set-up is not the one described."""
+    widened_max_scale: float = 1.3
+    """Largest further scale of the tolerances, once they have been widened."""
+    outline_distance: float = 0.1
+    """[m] from mapped walls, beyond which an obstacle is no part of them."""
+    min_absorbed_rays: int = 20
+    """Readings that an absorbing effect must have taken before its law is tested."""
+    failed_law_share: float = 0.1
+    """Of an effect's evidence, that counts as unexplained where its own law fails."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOutSettings:
+    """Scans that are kept from every fit and choice (`held_out_gap`)."""
+
+    block: float = 1.0
+    """[s] of scans that are held out together."""
+    every: int = 8
+    """One block in so many is held out."""
+    n_replicates: int = 4
+    """Replicates that the noise floor is averaged over."""
+    pose_rounds: int = 3
+    """Rounds of the pose error of a scan."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiteSettings:
+    """Baseline of a site: what good runs show though nothing is wrong (`commissioning`, `site_variation`)."""
+
+    n_parts: int = 8
+    """Parts of a run, in time, for the jackknife."""
+    confidence: float = 0.999
+    """Of the t and F quantiles."""
+    min_windows: int = 4
+    """Windows that a spread takes."""
+    prior_windows: float = 3.0
+    """Windows' worth of belief that a careful set-up varies by `prior_share` of the materiality."""
+    prior_share: float = 1 / 3
+    """Of the materiality."""
+    free_width: float = 1e3
+    """[m, rad, s] prior width of a number that is free."""
+    clutter_factor: float = 3.0
+    """Times the most that clutter alone has brought in one good run, that a name takes."""
+    local_clutter_factor: float = 2.0
+    """The same for effects at one place, of which a good run shows the worst of many."""
+    min_clutter_factor: float = 1.4
+    """Least such factor where several good runs show how far clutter goes."""
+    max_clutter_factor: float = 3.0
+    """And the largest."""
+    min_wall: float = 0.3
+    """[m] median length of walls, below which a map has no panes."""
+    wide_noise: NoiseBounds = field(
+        default_factory=lambda: NoiseBounds(
+            core=(0.3, 4.0), tail=(0.005, 0.6), loss=(1e-4, 0.3), stray=(1e-4, 0.5), max_scale=1.0
+        )
+    )
+    """Bounds of the noise in a run that is known to be good."""
+    min_noise: Mapping[str, float] = field(
+        default_factory=lambda: {"core": 0.1, "tail": 0.001, "loss": 1e-4, "stray": 1e-4}
+    )
+    """Least lower bounds of the noise of later runs."""
+    noise_rise: float = 1.15
+    """Factor by which noise levels may rise above those of the good run."""
+    noise_fall: float = 2.0
+    """Factor by which they may be lower: less noise is no effect."""
+    misfit_factor: float = 3.0
+    """Times the good run's own misfit, before anything is said to be unknown."""
+    doubt_factor: float = 1.5
+    """Times a doubt's threshold: the clutter of two days is never quite the same."""
+    doubt_share: float = 0.02
+    """Of the misfit beyond that, which counts against names."""
+    sector: float = float(np.radians(20.0))
+    """[rad] of rays that share what is in their way."""
+    pose_factors: tuple[float, ...] = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.5)
+    """Factors of the tolerances of the poses that are tried."""
+    windows: tuple[int, ...] = (1, 2, 4)
+    """The run is looked at as a whole, in halves and in quarters."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamingSettings:
+    """Which effects of the accepted model are named (`diagnosis/naming.py`)."""
+
+    min_material_probability: float = 0.65
+    """Chance that an effect's size is material, which a name takes."""
+    min_part: float = 0.15
+    """[m] of a pane, a mirror or a black part; a shorter one may be a blurred corner."""
+    map_sigmas: float = 4.0
+    """Map tolerances by which an obstacle over a mapped one must stand out of it."""
+    max_unexplained_share: float = 0.006
+    """Of an effect's evidence; where more than this stays unexplained, its name falls."""
+    max_probability: float = 0.975
+    """Most that a name deserves: now and then something outside the library looks like it."""
+    probability_per_nat: float = 0.15
+    """Slope of the log-odds of a name with its evidence, or its margin over a rival [1/nat]."""
+    doubted_factor: float = 0.5
+    """Of the probability, where something is left unexplained."""
+    stretched_factor: float = 1.25
+    """Times the scale of stretched tolerances that an effect must be material."""
+    rival_margin: float = 3.0
+    """[nats] between a name and its rival within which neither is said to be found."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanSettings:
+    """All tuned numbers of the scan channel, by stage."""
+
+    intake: IntakeSettings = field(default_factory=IntakeSettings)
+    alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
+    nuisance: NuisanceSettings = field(default_factory=NuisanceSettings)
+    noise: NoiseBounds = field(default_factory=NoiseBounds)
+    likelihood: LikelihoodSettings = field(default_factory=LikelihoodSettings)
+    fit: FitSettings = field(default_factory=FitSettings)
+    selection: SelectionSettings = field(default_factory=SelectionSettings)
+    proposal: ProposalSettings = field(default_factory=ProposalSettings)
+    standard_error: StandardErrorSettings = field(default_factory=StandardErrorSettings)
+    observability: ObservabilitySettings = field(default_factory=ObservabilitySettings)
+    goodness_of_fit: GoodnessOfFitSettings = field(default_factory=GoodnessOfFitSettings)
+    held_out: HeldOutSettings = field(default_factory=HeldOutSettings)
+    site: SiteSettings = field(default_factory=SiteSettings)
+    naming: NamingSettings = field(default_factory=NamingSettings)
+
+
+SCAN = ScanSettings()
+"""The settings in use."""
