@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import PoseFrame, RangeSensor
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import whole
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import POINTS, Model, Point, Prediction
@@ -60,14 +60,14 @@ class Sensorgraph:
             raise ValueError(f"poses has shape {poses.shape}, expected (n_poses, 3): x, y, phi")
         if not np.isfinite(poses).all():
             row = int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
-            raise GapError(f"pose {row} is not finite; leave such poses out")
+            raise SensorgraphError(f"pose {row} is not finite; leave such poses out")
         if np.abs(poses[:, :2]).max(initial=0.0) > FARTHEST:
             row = int(np.abs(poses[:, :2]).max(axis=1).argmax())
-            raise GapError(
+            raise SensorgraphError(
                 f"pose {row} is {poses[row, :2].tolist()}, expected metres within {FARTHEST:g} of the origin"
             )
         if point not in POINTS:
-            raise GapError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
+            raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
         index = np.arange(self.sensor.n_rays) if rays is None else np.asarray(rays, dtype=np.intp)
         self._check_rays(index)
         return self.model.predict(poses, index, point)
@@ -80,7 +80,7 @@ class Sensorgraph:
     def _check_rays(self, rays: NDArray[np.integer]) -> None:
         n_rays = self.sensor.n_rays
         if rays.ndim != 1 or len(rays) == 0 or rays.min() < 0 or rays.max() >= n_rays:
-            raise GapError(
+            raise SensorgraphError(
                 f"ray {', '.join(map(str, rays.ravel().tolist()))} does not exist; this sensor has rays 0 to {n_rays - 1}"
             )
 
@@ -115,14 +115,16 @@ class Sensorgraph:
         """Read what `save` wrote; nothing in the file is executed."""
         top, arrays = _read(path)
         if top.get("format") != FORMAT or not isinstance(top.get("version"), int):
-            raise GapError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
+            raise SensorgraphError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
         if top["version"] > VERSION:
-            raise GapError(
+            raise SensorgraphError(
                 f"{path}: written as version {top['version']}, this software reads up to {VERSION}; "
                 "install a newer sensorgraph"
             )
         if top.get("model") not in MODELS:
-            raise GapError(f"{path}: model {top.get('model')!r} is not known; expected {', '.join(MODELS)}")
+            raise SensorgraphError(
+                f"{path}: model {top.get('model')!r} is not known; expected {', '.join(MODELS)}"
+            )
         try:
             sensor = RangeSensor(
                 bearings=arrays.pop("sensor.bearings"),
@@ -133,7 +135,7 @@ class Sensorgraph:
             return cls(model=model, sensor=sensor, pose_frame=top["pose_frame"], origin=top["origin"])
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as exc:
             detail = f"{type(exc).__name__}: {exc}"
-            raise GapError(f"{path}: the sensorgraph is damaged ({detail}); build it again") from exc
+            raise SensorgraphError(f"{path}: the sensorgraph is damaged ({detail}); build it again") from exc
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -141,22 +143,22 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     try:
         with zipfile.ZipFile(path) as file:
             if "header.json" not in file.namelist():
-                raise GapError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
+                raise SensorgraphError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
             top = json.loads(file.read("header.json"))
             for name in file.namelist():
                 if name.endswith(".npy"):
                     data = io.BytesIO(file.read(name))
                     arrays[name.removesuffix(".npy")] = np.lib.format.read_array(data, allow_pickle=False)
-    except GapError:
+    except SensorgraphError:
         raise
     except (zipfile.BadZipFile, EOFError, ValueError, NotImplementedError, RuntimeError) as exc:
-        raise GapError(
+        raise SensorgraphError(
             f"{path}: not a sensorgraph, or cut short ({exc}); build it again with `sensorgraph build`"
         ) from exc
     except Exception as exc:  # zlib.error has no common base with the others
         if type(exc).__name__ != "error":
             raise
-        raise GapError(f"{path}: the sensorgraph is damaged ({exc}); build it again") from exc
+        raise SensorgraphError(f"{path}: the sensorgraph is damaged ({exc}); build it again") from exc
     if not isinstance(top, dict):
-        raise GapError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
+        raise SensorgraphError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
     return top, arrays

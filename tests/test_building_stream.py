@@ -17,7 +17,7 @@ from planners.arena import Arena
 from sensorgraph.building import training_data
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.faces import reduction
 from sensorgraph.world.raycast import cast
 
@@ -140,7 +140,7 @@ def one_scan(run: Run) -> Run:
     ],
 )
 def test_what_cannot_be_built_says_what_to_do(run: Run, spoil: Callable[[Run], Run], words: str) -> None:
-    with pytest.raises(GapError, match=words) as caught:
+    with pytest.raises(SensorgraphError, match=words) as caught:
         build([spoil(run)])
     assert "\n" not in str(caught.value)
 

@@ -24,7 +24,7 @@ from sensorgraph.diagnosis.scan.scan_data import Evidence, gather
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
 from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.world import robot as robot_file
 from sensorgraph.world.scene import Scene, draw
 
@@ -343,12 +343,12 @@ def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, tur
 
 
 def test_too_few_scans_are_refused_in_one_line(hall: Arena) -> None:
-    with pytest.raises(GapError, match="the run has 20 scans, expected 50"):
+    with pytest.raises(SensorgraphError, match="the run has 20 scans, expected 50"):
         evidence_of(hall, n=20)
 
 
 def test_another_sensor_is_refused(hall: Arena) -> None:
-    with pytest.raises(GapError, match="the run has 61 rays"):
+    with pytest.raises(SensorgraphError, match="the run has 61 rays"):
         gather(drive(hall), hall, robot_file.default())
 
 

@@ -10,7 +10,7 @@ from effects_samples import arena, neutral, strong
 
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.effects_file import check_places, dumps, loads, read, write
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 
 ROOM = arena()
 SCAN = [name for name, effect in EFFECTS.items() if effect.channel == "scan"]
@@ -74,7 +74,7 @@ def test_places_are_checked_later_against_the_arena_of_a_run() -> None:
         f"- {{name: glass, parameters: {{a: 90, b: 91, {PANE}}}, location: {{name: room/edge_0}}}}"
     )
     with pytest.raises(
-        GapError, match=r"mine.yaml: effect 1 \(glass\): the part .* lies beside `room/edge_0`"
+        SensorgraphError, match=r"mine.yaml: effect 1 \(glass\): the part .* lies beside `room/edge_0`"
     ):
         check_places([pane], ROOM, name="mine.yaml")
 
@@ -139,7 +139,7 @@ PANE = "alpha_ret: 0.3, depth: 1.0"
 def test_a_mistake_is_one_line(text: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / "effects.yaml"
     path.write_text(text)
-    with pytest.raises(GapError) as caught:
+    with pytest.raises(SensorgraphError) as caught:
         read(path, ROOM)
     assert said in str(caught.value)
     assert str(caught.value).startswith(str(path))
@@ -153,5 +153,5 @@ def test_a_file_that_is_none(tmp_path: Path) -> None:
         (tmp_path / "none.yaml", "does not exist"),
         (tmp_path / "binary.yaml", "not a text file"),
     ):
-        with pytest.raises(GapError, match=said):
+        with pytest.raises(SensorgraphError, match=said):
             read(path)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from logs.run import RangeSensor, Run
 from sensorgraph.building.build import build
 from sensorgraph.building.split import SPLITS, held_out
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import evaluate
 
 KEYS = [
@@ -67,7 +67,7 @@ def test_split_holds_out_its_share_of_distinct_scans(n: int, split: str) -> None
 
 def test_no_split_holds_out_nothing_and_short_log_is_refused() -> None:
     assert not held_out(5, None).any()
-    with pytest.raises(GapError, match="too few"):
+    with pytest.raises(SensorgraphError, match="too few"):
         held_out(5, "block")
 
 
@@ -188,9 +188,9 @@ def test_graph_of_base_poses_evaluates_a_run_of_laser_poses(run: Run) -> None:
 
 def test_nothing_to_score_is_said(run: Run) -> None:
     graph = build([run], model="polynomial", degree=1, harmonics=1)
-    with pytest.raises(GapError, match="nothing to score"):
+    with pytest.raises(SensorgraphError, match="nothing to score"):
         evaluate(graph, replace(run, ranges=np.full_like(run.ranges, np.inf)))
-    with pytest.raises(GapError, match="nothing to evaluate"):
+    with pytest.raises(SensorgraphError, match="nothing to evaluate"):
         evaluate(graph, replace(run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3))))
-    with pytest.raises(GapError, match="cap"):
+    with pytest.raises(SensorgraphError, match="cap"):
         evaluate(graph, run, cap=0.05)

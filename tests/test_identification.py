@@ -9,7 +9,7 @@ import pytest
 
 from logs.run import RangeSensor, Run
 from robotmodic_ident import Record
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.identification.behaviour import track_dimension
 from sensorgraph.identification.identify import Question, identify, split_records
 from sensorgraph.identification.signals import Data, of_run, of_table, rays_of, variable
@@ -42,9 +42,9 @@ def test_rays_are_counted_from_the_robots_right() -> None:
     assert rays_of(sensor, "L45-90").tolist() == list(range(45, 91))
     turned = RangeSensor(bearings=DEGREES, mount=np.array([0.0, 0.0, np.radians(10.0)]))
     assert rays_of(turned, "L67").tolist() == [57]
-    with pytest.raises(GapError, match="from 0° to 180°"):
+    with pytest.raises(SensorgraphError, match="from 0° to 180°"):
         rays_of(sensor, "L200")
-    with pytest.raises(GapError, match="L45-90"):
+    with pytest.raises(SensorgraphError, match="L45-90"):
         rays_of(sensor, "L90-45")
 
 
@@ -188,7 +188,7 @@ def test_what_cannot_be_answered_is_refused(
     rng = np.random.default_rng(11)
     values = {"y": rng.normal(size=n), "u": rng.normal(size=n), **signals}
     data = Data(records=[Record(signals=values)], names={"y": "y", "u": "u"}, period=None)
-    with pytest.raises(GapError, match=said):
+    with pytest.raises(SensorgraphError, match=said):
         identify(data, Question(output="y", inputs=("u",), **options))  # type: ignore[arg-type]
 
 
@@ -245,7 +245,7 @@ def test_a_model_steps_at_its_own_period(recorded: tuple[RobotFile, object, obje
     commands = [steer(rng.uniform(0.3, 1.0, robot.sensor.n_rays)) for _ in range(9)]
     assert len(set(commands[:3])) == len(set(commands[3:6])) == 1
     assert len(set(commands)) == 3
-    with pytest.raises(GapError, match="multiple"):
+    with pytest.raises(SensorgraphError, match="multiple"):
         PolynomialController(found.model, {**slow, "period_s": 0.25}, robot, name="odd")
 
 
@@ -262,11 +262,11 @@ def test_a_scan_without_return_leaves_the_command_in_force(
 
 def test_a_model_of_poses_is_no_controller() -> None:
     model = identify(planted(), Question(output="y", inputs=("u",))).model
-    with pytest.raises(GapError, match="predicts y"):
+    with pytest.raises(SensorgraphError, match="predicts y"):
         PolynomialController(model, {}, default(), name="m.json")
-    with pytest.raises(GapError, match="expected wall_following"):
+    with pytest.raises(SensorgraphError, match="expected wall_following"):
         controller_named("sideways", default(), 0)
-    with pytest.raises(GapError, match="does not exist"):
+    with pytest.raises(SensorgraphError, match="does not exist"):
         controller_named("gone.json", default(), 0)
 
 

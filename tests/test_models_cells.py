@@ -11,7 +11,7 @@ import pytest
 from logs import read
 from logs.run import RangeSensor
 from sensorgraph.building.build import build
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import evaluate
 from sensorgraph.models.base import Scans
 from sensorgraph.models.cells.evidence import Evidence
@@ -333,7 +333,7 @@ def test_no_return_is_said_where_nothing_ever_stopped_a_ray() -> None:
 )
 def test_options_that_mean_nothing_are_refused(options: dict, words: str) -> None:
     poses = some_poses(np.random.default_rng(0), 5)
-    with pytest.raises(GapError, match=words):
+    with pytest.raises(SensorgraphError, match=words):
         Cells.fit(scans_of(poses, room(poses)), **options)
 
 
@@ -350,7 +350,7 @@ def test_what_returns_from_beyond_reach_is_no_missing_return_and_is_not_answered
 
 def test_log_without_returns_is_refused() -> None:
     poses = some_poses(np.random.default_rng(0), 20)
-    with pytest.raises(GapError, match="no ray of any training scan returned"):
+    with pytest.raises(SensorgraphError, match="no ray of any training scan returned"):
         Cells.fit(scans_of(poses, np.full((20, 91), np.inf)))
 
 

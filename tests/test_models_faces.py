@@ -11,7 +11,7 @@ import pytest
 from logs.run import RangeSensor
 from planners.arena import Arena
 from planners.maps import geojson
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Scans
 from sensorgraph.models.faces.hit_moments import Surfaces
@@ -210,9 +210,9 @@ def test_no_returns_and_options_are_refused() -> None:
         ranges=np.full((20, SENSOR.n_rays), np.inf),
         run=np.zeros(20, dtype=np.intp),
     )
-    with pytest.raises(GapError, match="no ray of the log returned"):
+    with pytest.raises(SensorgraphError, match="no ray of the log returned"):
         Faces.fit(scans)
-    with pytest.raises(GapError, match="degree is not known to the model faces"):
+    with pytest.raises(SensorgraphError, match="degree is not known to the model faces"):
         Faces.fit(scans, degree=3)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from logs.run import RangeSensor, Run
 from sensorgraph.building.build import build as build_any
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models import MODELS
 
@@ -244,7 +244,7 @@ def test_two_runs_are_fitted_together(rng) -> None:
 )
 def test_what_cannot_be_built_is_said_in_one_line(square, change: dict, words: str) -> None:
     arguments = {"runs": [square[0]], **change}
-    with pytest.raises(GapError, match=words) as caught:
+    with pytest.raises(SensorgraphError, match=words) as caught:
         build(arguments.pop("runs"), **arguments)
     assert "\n" not in str(caught.value)
 
@@ -253,9 +253,9 @@ def test_runs_of_other_sensors_or_frames_are_refused(rng) -> None:
     poses = poses_in(rng, 50, (0, 4), (0, 4))
     run = run_at(poses, planted(poses), range_max=20.0)
     fewer = run_at(poses, planted(poses)[:, :9], bearings=BEARINGS[:9], range_max=20.0)
-    with pytest.raises(GapError, match="other bearings"):
+    with pytest.raises(SensorgraphError, match="other bearings"):
         build([run, fewer], **FORM)
-    with pytest.raises(GapError, match="one frame"):
+    with pytest.raises(SensorgraphError, match="one frame"):
         build([run, replace(run, pose_frame="laser")], **FORM)
 
 
@@ -265,7 +265,7 @@ def test_scans_without_pose_are_counted_and_too_few_is_an_error(rng) -> None:
     late = replace(run, pose_stamps=run.pose_stamps[50:], poses=poses[50:])
     entry = build([late], **FORM).origin["inputs"][0]
     assert entry["dropped"] == {"before the first pose": 50} and entry["trained"] == 150
-    with pytest.raises(GapError, match="without any pose"):
+    with pytest.raises(SensorgraphError, match="without any pose"):
         build([replace(run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3)))], **FORM)
 
 
@@ -297,6 +297,6 @@ def test_file_that_is_no_sensorgraph_is_told_in_one_line(square, tmp_path: Path,
                     np.save(buffer, np.zeros((2, 2)))
                     content = buffer.getvalue()
                 new.writestr(name, content)
-    with pytest.raises(GapError, match="sensorgraph") as caught:
+    with pytest.raises(SensorgraphError, match="sensorgraph") as caught:
         Sensorgraph.load(path)
     assert "\n" not in str(caught.value)

@@ -13,7 +13,7 @@ from logs.run import RangeSensor, Run
 from planners.arena import Arena
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.sufficient_statistics import rebased
@@ -139,10 +139,10 @@ def test_update_on_the_command_line(
 def test_what_cannot_be_updated_is_said(first: Sensorgraph, room: Arena, sensor: RangeSensor) -> None:
     run = drive(room, sensor, 60, 3)
     plain = build([run], model="polynomial", degree=1, harmonics=1)
-    with pytest.raises(GapError, match="this one is of polynomial"):
+    with pytest.raises(SensorgraphError, match="this one is of polynomial"):
         build([run], update=plain)
-    with pytest.raises(GapError, match="update it with the same"):
+    with pytest.raises(SensorgraphError, match="update it with the same"):
         build([run], update=first, split="every10")
     other = RangeSensor(bearings=np.linspace(-1, 1, 9), mount=sensor.mount)
-    with pytest.raises(GapError, match="9 rays at other bearings than the 61"):
+    with pytest.raises(SensorgraphError, match="9 rays at other bearings than the 61"):
         build([drive(room, other, 60, 3)], update=first)

@@ -12,7 +12,7 @@ import rerun as rr
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
 from sensorgraph.building.build import build
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.show import rerun_maps as view_maps
 from sensorgraph.show import rerun_view as view
@@ -155,7 +155,7 @@ def test_a_long_run_is_thinned_evenly_and_says_so(run: Run, graph: Sensorgraph) 
 
 
 def test_a_run_without_poses_is_refused(run: Run) -> None:
-    with pytest.raises(GapError, match="0 of 400 scans paired"):
+    with pytest.raises(SensorgraphError, match="0 of 400 scans paired"):
         review(replace(run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3))))
 
 

@@ -14,7 +14,7 @@ from planners import plan as make_plan
 from planners.arena import Arena
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification.behaviour import behaviour, lyapunov, table
 from sensorgraph.planning.plan_folder import save
@@ -91,7 +91,7 @@ def test_rays_without_an_answer_are_counted(graph: Sensorgraph, robot: RobotFile
 
 
 def test_a_robot_with_another_sensor_is_refused(graph: Sensorgraph) -> None:
-    with pytest.raises(GapError, match="61 rays, the robot 181"):
+    with pytest.raises(SensorgraphError, match="61 rays, the robot 181"):
         IdentifiedWorld(graph, default(), seed=0)
 
 

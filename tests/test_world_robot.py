@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.world.robot import RobotFile, bearings, loads, read
 
 
@@ -70,7 +70,7 @@ def test_bearings_of_a_full_turn_do_not_meet_themselves() -> None:
     ],
 )
 def test_a_mistake_is_said_in_one_line(text: str, said: str) -> None:
-    with pytest.raises(GapError) as caught:
+    with pytest.raises(SensorgraphError) as caught:
         loads(text, name="my.yaml")
     assert said in str(caught.value)
     assert str(caught.value).startswith("my.yaml: ")
@@ -78,7 +78,7 @@ def test_a_mistake_is_said_in_one_line(text: str, said: str) -> None:
 
 def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_bytes(bytes(range(256)))
-    with pytest.raises(GapError, match="not a text file"):
+    with pytest.raises(SensorgraphError, match="not a text file"):
         read(tmp_path / "robot.yaml")
-    with pytest.raises(GapError, match="is a directory"):
+    with pytest.raises(SensorgraphError, match="is a directory"):
         read(tmp_path)

@@ -14,7 +14,7 @@ from planners.arena import Arena
 from sensorgraph import __version__
 from sensorgraph.building.split import held_out
 from sensorgraph.building.training_data import Feed, begin_digest, ranges_bytes, together
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import Model
@@ -51,7 +51,7 @@ def build(
     options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
     """
     if model not in MODELS:
-        raise GapError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
+        raise SensorgraphError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
     names = [_name(run, i) for i, run in enumerate(runs)] if names is None else names
     sources = [Whole(head=run) if isinstance(run, Run) else run for run in runs]
     _check_alike([source.head for source in sources], names)
@@ -108,22 +108,28 @@ def _updated(
     model = graph.model
     if not isinstance(model, Faces) or options:
         asked = f", and option {', '.join(sorted(options))} is of a new fit" if options else ""
-        raise GapError(f"--update adds runs to a graph of faces; this one is of {model.name}{asked}")
+        raise SensorgraphError(f"--update adds runs to a graph of faces; this one is of {model.name}{asked}")
     if not is_same_sensor(graph.sensor.bearings, feed.sensor.bearings):
-        raise GapError(
+        raise SensorgraphError(
             f"{feed.names[0]} has {feed.sensor.n_rays} rays at other bearings than the {graph.sensor.n_rays} of "
             "the graph; build one graph for each sensor"
         )
     if feed.pose_frame != graph.pose_frame:
-        raise GapError(f"{feed.names[0]} has poses of {feed.pose_frame}, the graph of {graph.pose_frame}")
+        raise SensorgraphError(
+            f"{feed.names[0]} has poses of {feed.pose_frame}, the graph of {graph.pose_frame}"
+        )
     if feed.split != graph.origin["split"]:
-        raise GapError(f"the graph was built with split {graph.origin['split']}; update it with the same")
+        raise SensorgraphError(
+            f"the graph was built with split {graph.origin['split']}; update it with the same"
+        )
     fitted = model.updated(feed, n_scans=feed.n_scans, spread=spread, progress=progress)
     _check_enough(feed)
     known = {entry["sha256"] for entry in graph.origin["inputs"]}
     for entry in feed.entries:
         if entry["sha256"] in known:
-            raise GapError(f"{entry['name']} is part of the graph already; give runs that it has not seen")
+            raise SensorgraphError(
+                f"{entry['name']} is part of the graph already; give runs that it has not seen"
+            )
     origin = {**graph.origin, "inputs": [*graph.origin["inputs"], *feed.entries]}
     return Sensorgraph(model=fitted, sensor=graph.sensor, pose_frame=graph.pose_frame, origin=origin)
 
@@ -132,7 +138,7 @@ def _check_enough(feed: Feed) -> None:
     """Refuse to build from next to nothing, once all was read."""
     n_trained = sum(entry["trained"] for entry in feed.entries)
     if len(feed.entries) == len(feed.logs) and n_trained < MIN_SCANS:
-        raise GapError(_too_few(n_trained, feed.entries))
+        raise SensorgraphError(_too_few(n_trained, feed.entries))
 
 
 def digest(run: Run) -> str:
@@ -158,16 +164,16 @@ def training_scans(graph: Sensorgraph, run: Run) -> Bools | None:
 
 def _check_alike(runs: Sequence[Run], names: Sequence[str]) -> None:
     if not runs:
-        raise GapError("no run to build from; give at least one recording")
+        raise SensorgraphError("no run to build from; give at least one recording")
     first = runs[0]
     for name, run in zip(names[1:], runs[1:], strict=True):
         if not is_same_sensor(run.sensor.bearings, first.sensor.bearings):
-            raise GapError(
+            raise SensorgraphError(
                 f"{name} has {run.sensor.n_rays} rays at other bearings than the {first.sensor.n_rays} of "
                 f"{names[0]}; build one graph for each sensor"
             )
         if run.pose_frame != first.pose_frame:
-            raise GapError(
+            raise SensorgraphError(
                 f"{name} has poses of {run.pose_frame}, {names[0]} of {first.pose_frame}; "
                 "build from runs whose poses are of one frame"
             )

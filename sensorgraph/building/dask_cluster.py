@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.faces.reduction import Block, Reduction, Spread
 
 TIMEOUT = 10.0  # [s] to find the scheduler
@@ -21,17 +21,21 @@ def cluster(address: str) -> Iterator[Spread]:
     try:
         from distributed import Client
     except ImportError:
-        raise GapError("--dask needs Dask; install it with: pip install 'sensorgraph[dask]'") from None
+        raise SensorgraphError(
+            "--dask needs Dask; install it with: pip install 'sensorgraph[dask]'"
+        ) from None
     try:
         client: Any = Client(address, timeout=TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TimeoutError) as exc:
-        raise GapError(
+        raise SensorgraphError(
             f"--dask {address}: no scheduler answers ({exc}); start one with `dask scheduler`"
         ) from exc
     with client:
         n_threads = sum(client.nthreads().values())
         if n_threads == 0:
-            raise GapError(f"--dask {address}: the scheduler has no workers; start some with `dask worker`")
+            raise SensorgraphError(
+                f"--dask {address}: the scheduler has no workers; start some with `dask worker`"
+            )
 
         def spread(function: Callable[[Block], Reduction], items: Iterable[Block]) -> Iterator[Reduction]:
             waiting = deque[Any]()

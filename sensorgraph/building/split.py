@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from logs.run import Run
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools
 
 Split = Literal["every10", "block"]
@@ -28,9 +28,11 @@ def held_out(run: Run | int, split: str | None) -> Bools:
     if split is None:
         return held
     if split not in SPLITS:
-        raise GapError(f"split is {split!r}, expected one of {', '.join(SPLITS)}")
+        raise SensorgraphError(f"split is {split!r}, expected one of {', '.join(SPLITS)}")
     if n < 2 * N_STRETCHES:
-        raise GapError(f"{n} scans are too few to hold some out; give a log of {2 * N_STRETCHES} or more")
+        raise SensorgraphError(
+            f"{n} scans are too few to hold some out; give a log of {2 * N_STRETCHES} or more"
+        )
     if split == "every10":
         held[9::10] = True
         return held

@@ -13,7 +13,7 @@ from logs.inspect import warnings_of
 from logs.run import PoseFrame, RangeSensor, Run, pair
 from logs.stream import Log
 from sensorgraph.building.split import held_out
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Scans
 from sensorgraph.models.faces.reduction import BLOCK, Block
 from sensorgraph.types import Bools, Floats
@@ -109,7 +109,9 @@ class _Intake:
         start = self.counts["n_scans"]
         held = self.held[start : start + run.n_scans]
         if len(held) < run.n_scans:
-            raise GapError(f"{self.name} has more scans than the {self.n_scans} it said; read it again")
+            raise SensorgraphError(
+                f"{self.name} has more scans than the {self.n_scans} it said; read it again"
+            )
         pairing = pair(run)
         empty = np.isnan(run.ranges).all(axis=1)
         use: Bools = pairing.paired & ~held & ~empty
@@ -138,7 +140,7 @@ class _Intake:
         middle = float(np.median(finite)) if len(finite) else 0.0
         if middle > METRES:
             unit, factor = ("millimetres", 1000) if middle > 1000 else ("centimetres", 100)
-            raise GapError(
+            raise SensorgraphError(
                 f"{self.name}: the median range is {middle:.0f}, which looks like {unit}, expected metres; "
                 f"divide the ranges by {factor} where they are logged"
             )
@@ -153,7 +155,7 @@ class _Intake:
         """Return what the graph keeps of the log; refuse a robot that stood still."""
         n = self.counts["trained"]
         if n > 1 and (self.box[1] - self.box[0] < STILL).all():
-            raise GapError(
+            raise SensorgraphError(
                 f"{self.name}: the pose never changes over {n} scans; did the robot move, does the reference run? "
                 "Record while driving, or name the topic of the poses with --topic pose=NAME"
             )

@@ -109,9 +109,9 @@ def _answer(exc: Exception) -> int:
     from logs.errors import LogError
     from planners.errors import PlanError
     from robotmodic_ident.errors import IdentError
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
 
-    if isinstance(exc, LogError | PlanError | IdentError | GapError):
+    if isinstance(exc, LogError | PlanError | IdentError | SensorgraphError):
         _say(f"error: {_one_line(exc)}")
         return 2
     if os.environ.get("SENSORGRAPH_DEBUG"):

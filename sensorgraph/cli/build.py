@@ -68,15 +68,17 @@ def build(
     from sensorgraph.building.build import build as build_graph
     from sensorgraph.building.dask_cluster import cluster
     from sensorgraph.cli.inputs import check_output, named_arena, read_robot_sensor
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.models import MODELS
 
     check_output(output, *runs)
     if update is not None and (model != "faces" or arena is not None):
-        raise GapError("--update adds runs to a graph as it was built; leave --model and --arena away")
+        raise SensorgraphError(
+            "--update adds runs to a graph as it was built; leave --model and --arena away"
+        )
     if model not in MODELS:
-        raise GapError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
+        raise SensorgraphError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
     options: dict[str, Any] = {
         "n_terms" if name == "terms" else name: value
         for name, text in (("degree", degree), ("harmonics", harmonics), ("terms", terms))
@@ -126,11 +128,11 @@ def build(
 
 
 def _number(name: str, text: str) -> int | str:
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
 
     if text == "auto":
         return text
     try:
         return int(text)
     except ValueError:
-        raise GapError(f"{name} is {text!r}, expected a whole number or auto") from None
+        raise SensorgraphError(f"{name} is {text!r}, expected a whole number or auto") from None

@@ -100,14 +100,16 @@ def diagnose(
 
 def _check_runs(runs: Sequence[Path]) -> None:
     """Refuse more than two runs, and one run given as its own proof."""
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
 
     if len(runs) > 2:
-        raise GapError(
+        raise SensorgraphError(
             f"{len(runs)} runs given, expected one, or two of which the second is only for the proof"
         )
     if len(runs) == 2 and all(p.exists() for p in runs) and runs[0].samefile(runs[1]):
-        raise GapError(f"{runs[1]} is given twice; the second run is for the proof and must be another")
+        raise SensorgraphError(
+            f"{runs[1]} is given twice; the second run is for the proof and must be another"
+        )
 
 
 def _read(path: Path, topic: list[str] | None) -> Run:
@@ -121,11 +123,11 @@ def _read(path: Path, topic: list[str] | None) -> Run:
 def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple[Arena, RobotFile]:
     """Read arena and robot, or take those kept in the run."""
     from sensorgraph.cli.inputs import kept_arena, kept_robot, named_arena, robot_for
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
 
     walls = named_arena(arena) if arena is not None else kept_arena(run)
     if walls is None:
-        raise GapError(f"{name} keeps no arena; give one with --arena")
+        raise SensorgraphError(f"{name} keeps no arena; give one with --arena")
     machine = kept_robot(run) if robot is None else None
     return walls, robot_for(run, robot) if machine is None else machine
 

@@ -71,7 +71,7 @@ def evaluate(
 
     from logs import parse_topics, read
     from sensorgraph.cli.inputs import check_output, write_json
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.evaluation.evaluate import evaluate as evaluate_graph
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.models.base import POINTS
@@ -79,7 +79,7 @@ def evaluate(
     if json is not None:
         check_output(json, graph, run, *([effects] if effects is not None else []))
     if point is not None and point not in POINTS:
-        raise GapError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
+        raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
     value = cast("Point | None", point)
     model = Sensorgraph.load(graph)
     with progress("reading", "messages") as tick:
@@ -99,12 +99,12 @@ def _simulator(result: Evaluation, run: Run, effects: Path, point: Point | None)
     """Score the simulator of the arena and the robot that the run keeps."""
     from sensorgraph.cli.inputs import kept_arena, kept_robot
     from sensorgraph.effects.effects_file import read
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.evaluation.raycast_baseline import compare
 
     arena, robot = kept_arena(run), kept_robot(run)
     if arena is None or robot is None:
-        raise GapError(
+        raise SensorgraphError(
             "--effects needs a run that keeps arena and robot, as `record` writes; this one does not"
         )
     with progress("simulating", "scans"):

@@ -66,14 +66,16 @@ def identify(
       sensorgraph identify motor.csv --output speed --inputs volts --output-lags 2 --noise-lags auto -o motor.json
     """
     from sensorgraph.cli.inputs import check_output, write_json
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.identification.identify import Question
     from sensorgraph.identification.identify import identify as identify_model
     from sensorgraph.show.figures_identify import identified_picture
 
     check_output(out, file)
     if out.suffix != ".json":
-        raise GapError(f"{out}: a model is written as *.json; name it {out.with_suffix('.json').name}")
+        raise SensorgraphError(
+            f"{out}: a model is written as *.json; name it {out.with_suffix('.json').name}"
+        )
     question = Question(
         output=output.strip(), inputs=tuple(n.strip() for n in inputs.split(",") if n.strip()), lags=lags,
         output_lags=output_lags, degree=degree, noise_lags=_noise_lags(noise_lags), split=split,  # type: ignore[arg-type]
@@ -90,27 +92,27 @@ def identify(
 
 
 def _noise_lags(text: str) -> int | Literal["auto"]:
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
 
     word = text.strip().lower()
     if word == "auto":
         return "auto"
     if word.isdecimal() and int(word) <= MOST_NOISE_LAGS:
         return int(word)
-    raise GapError(f"--noise-lags is {text}, expected 0 to {MOST_NOISE_LAGS}, or auto")
+    raise SensorgraphError(f"--noise-lags is {text}, expected 0 to {MOST_NOISE_LAGS}, or auto")
 
 
 def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> Data:
     from logs import parse_topics, read
     from sensorgraph.cli.progress import progress
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.identification.signals import is_table, of_run, of_table
 
     if not file.exists():
-        raise GapError(f"{file} does not exist; give a CSV or a run")
+        raise SensorgraphError(f"{file} does not exist; give a CSV or a run")
     if is_table(file):
         if topic:
-            raise GapError(f"{file} is a CSV; --topic names topics of a run, leave it out")
+            raise SensorgraphError(f"{file} is a CSV; --topic names topics of a run, leave it out")
         return of_table(file, names, every=every)
     with progress("reading", "messages") as tick:
         run = read(file, topics=parse_topics(topic or []), progress=tick)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import whole
 
 if TYPE_CHECKING:
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 def check_output(path: Path, *inputs: Path) -> None:
     """Refuse an output path that cannot be written, or is one of the inputs, before any work is done."""
     if path.is_dir():
-        raise GapError(f"{path} is a folder; give the name of a file to write")
+        raise SensorgraphError(f"{path} is a folder; give the name of a file to write")
     if not path.parent.is_dir():
-        raise GapError(f"the folder {path.parent} does not exist; make it first, or write elsewhere")
+        raise SensorgraphError(f"the folder {path.parent} does not exist; make it first, or write elsewhere")
     for given in inputs:
         if path.exists() and given.exists() and path.samefile(given):
-            raise GapError(f"{path} is the input itself and would be lost; write to another name")
+            raise SensorgraphError(f"{path} is the input itself and would be lost; write to another name")
     probe = path.with_name(path.name + ".part")
     if not probe.exists():
         probe.open("wb").close()  # says now, not after the work, that the folder cannot be written
@@ -35,7 +35,7 @@ def check_output(path: Path, *inputs: Path) -> None:
 def check_folder(folder: Path) -> None:
     """Refuse a folder that cannot be written in, before any work is done; make it if it is not there."""
     if folder.exists() and not folder.is_dir():
-        raise GapError(f"{folder} is a file; give the name of a folder")
+        raise SensorgraphError(f"{folder} is a file; give the name of a folder")
     folder.mkdir(parents=True, exist_ok=True)
     probe = folder / ".part"
     probe.open("wb").close()
@@ -50,7 +50,7 @@ def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) ->
     described = read(path).sensor
     for name, sensor in sensors:
         if not is_same_sensor(sensor.bearings, described.bearings):
-            raise GapError(
+            raise SensorgraphError(
                 f"{name} has {sensor.n_rays} rays, {path} describes {described.n_rays} or other bearings; "
                 "give the robot that recorded the run"
             )
@@ -68,23 +68,25 @@ def read_poses(path: Path) -> Floats:
             reader.fieldnames = names
             missing = [name for name in ("x", "y", "phi") if name not in names]
             if missing:
-                raise GapError(f"{path}: no column {', '.join(missing)}; expected a header line x,y,phi")
+                raise SensorgraphError(
+                    f"{path}: no column {', '.join(missing)}; expected a header line x,y,phi"
+                )
             for row in reader:
                 try:
                     rows.append([float(row[name]) for name in ("x", "y", "phi")])
                 except (TypeError, ValueError):
-                    raise GapError(
+                    raise SensorgraphError(
                         f"{path}: line {reader.line_num}: cannot read numbers in {list(row.values())}; "
                         "expected x,y,phi"
                     ) from None
     except (UnicodeDecodeError, csv.Error) as exc:
-        raise GapError(f"{path}: not a CSV file ({exc}); expected a header line x,y,phi") from exc
+        raise SensorgraphError(f"{path}: not a CSV file ({exc}); expected a header line x,y,phi") from exc
     poses = np.array(rows, dtype=np.float64).reshape(-1, 3)
     if len(poses) == 0:
-        raise GapError(f"{path}: no pose below the header; expected lines of x,y,phi")
+        raise SensorgraphError(f"{path}: no pose below the header; expected lines of x,y,phi")
     if not np.isfinite(poses).all():
         line = 2 + int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
-        raise GapError(f"{path}: line {line}: a number is not finite; leave such poses out")
+        raise SensorgraphError(f"{path}: line {line}: a number is not finite; leave such poses out")
     return poses
 
 
@@ -105,7 +107,7 @@ def parse_pose(text: str, option: str = "--start") -> Floats:
     except ValueError:
         pose = np.zeros(0)
     if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise GapError(f"{option} is {text!r}, expected X,Y,PHI such as 1.0,2.0,0.5")
+        raise SensorgraphError(f"{option} is {text!r}, expected X,Y,PHI such as 1.0,2.0,0.5")
     return pose
 
 
@@ -124,7 +126,7 @@ def named_arena(name: str) -> Arena:
         with as_file(files("sensorgraph.data") / f"{name}.geojson") as path:
             return maps.load(path)
     if not Path(name).exists():
-        raise GapError(
+        raise SensorgraphError(
             f"{name} does not exist; give a *.geojson, a map_server *.yaml, a *.sensorgraph, "
             f"or one of {', '.join(shipped)}"
         )
@@ -182,6 +184,6 @@ def kept_arena(run: Run) -> Arena | None:
     try:
         return geojson.loads(text.decode(errors="replace"))
     except PlanError as exc:
-        raise GapError(
+        raise SensorgraphError(
             f"the arena kept in the run cannot be used ({exc}); give another with --arena"
         ) from exc

@@ -33,7 +33,7 @@ def inspect(
     from logs.inspect import inspect as look
     from sensorgraph.cli.inputs import check_output, kept_arena, named_arena, write_json
     from sensorgraph.cli.progress import progress
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.world.orientation import orientation
 
     if json is not None:
@@ -47,7 +47,7 @@ def inspect(
         if walls is None:
             try:
                 walls = kept_arena(found.run)
-            except GapError as exc:
+            except SensorgraphError as exc:
                 lines += [f"WARNING: {exc}"]
         oriented = orientation(found.run, walls)
         lines += ["orientation", *(f"  {line}" for line in oriented.lines())] if oriented is not None else []

@@ -61,33 +61,35 @@ def record(
     from sensorgraph.cli.inputs import check_output, named_arena, named_robot
     from sensorgraph.cli.progress import progress
     from sensorgraph.effects.effects_file import read as read_effects
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.recording.record import Commands
     from sensorgraph.recording.record import record as record_run
     from sensorgraph.world.wall_distance import WallDistance
 
     check_output(out, plan, *([effects] if effects is not None else []))
     if out.suffix != ".mcap":
-        raise GapError(f"{out}: a run is written as *.mcap; name it {out.with_suffix('.mcap').name}")
+        raise SensorgraphError(f"{out}: a run is written as *.mcap; name it {out.with_suffix('.mcap').name}")
     if graph is not None:
         if effects is not None or start is not None:
-            raise GapError("--graph holds what was perceived; --effects and --start go with --arena")
+            raise SensorgraphError("--graph holds what was perceived; --effects and --start go with --arena")
         _record_closed_loop(plan, graph, out, controller or ["plan"], arena, robot, seed)
         return
     if controller:
         if effects is not None or start is not None or arena is None:
-            raise GapError(
+            raise SensorgraphError(
                 "--controller goes with --arena or --graph alone, and starts where the plan starts"
             )
         _record_closed_loop(plan, None, out, controller, arena, robot, seed)
         return
     if arena is None:
-        raise GapError("nowhere to drive; give --arena NAME or --graph GRAPH")
+        raise SensorgraphError("nowhere to drive; give --arena NAME or --graph GRAPH")
     walls, machine = named_arena(arena), named_robot(robot)
     amendments = () if effects is None else read_effects(effects, walls)
     trajectory, commands = _read(plan)
     if trajectory is not None and start is not None:
-        raise GapError("--start is where a replay of commands begins; a plan begins where it was planned")
+        raise SensorgraphError(
+            "--start is where a replay of commands begins; a plan begins where it was planned"
+        )
     _warn_of_other_arena(plan, walls)
     way: Trajectory | Commands
     if trajectory is not None:
@@ -122,7 +124,7 @@ def _record_closed_loop(
     """Drive in an arena or an identified world, once for each controller, and say how the drives compare."""
     from sensorgraph.cli.inputs import check_output, named_arena, named_robot
     from sensorgraph.cli.progress import progress
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.identification.behaviour import behaviour, table
     from sensorgraph.recording.controllers import CONTROLLERS, controller_label
@@ -134,12 +136,12 @@ def _record_closed_loop(
     known = (PLAN, *CONTROLLERS)
     for name in controllers:
         if (name not in known and not name.endswith(".json")) or controllers.count(name) > 1:
-            raise GapError(
+            raise SensorgraphError(
                 f"controller is {name!r}, expected each of {', '.join(known)}, or a MODEL.json, at most once"
             )
     trajectory, _ = _read(plan)
     if trajectory is None:
-        raise GapError(f"{plan} is a run; a controller needs a plan: its start and its time count")
+        raise SensorgraphError(f"{plan} is a run; a controller needs a plan: its start and its time count")
     graph, machine = None if path is None else Sensorgraph.load(path), named_robot(robot)
     if arena is not None:
         walls = named_arena(arena)
@@ -149,7 +151,7 @@ def _record_closed_loop(
     _check_start(trajectory.poses[0], WallDistance(walls), machine.robot.footprint_radius, arena or str(path))
     labels = {name: controller_label(name) for name in controllers}
     if len(set(labels.values())) < len(labels):
-        raise GapError(f"controllers {', '.join(controllers)} share a name; rename one of the files")
+        raise SensorgraphError(f"controllers {', '.join(controllers)} share a name; rename one of the files")
     outs = {
         name: out if i == 0 else out.with_suffix(f".{labels[name]}.mcap")
         for i, name in enumerate(controllers)
@@ -185,7 +187,7 @@ def _read(plan: Path) -> tuple[Trajectory | None, Run | None]:
     """Read a trajectory, or a run to replay."""
     import logs
     from planners.trajectory import read_csv
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
 
     inside = plan / "trajectory.csv"
     if plan.is_dir() and inside.is_file():
@@ -193,10 +195,14 @@ def _read(plan: Path) -> tuple[Trajectory | None, Run | None]:
     if plan.suffix.lower() == ".csv":
         return read_csv(plan), None
     if not plan.exists():
-        raise GapError(f"{plan} does not exist; give a plan's folder (`sensorgraph plan` makes one) or a run")
+        raise SensorgraphError(
+            f"{plan} does not exist; give a plan's folder (`sensorgraph plan` makes one) or a run"
+        )
     run = logs.read(plan)
     if len(run.cmd_stamps) < 2:
-        raise GapError(f"{plan} has {len(run.cmd_stamps)} commands; give a plan, or a run with /cmd_vel")
+        raise SensorgraphError(
+            f"{plan} has {len(run.cmd_stamps)} commands; give a plan, or a run with /cmd_vel"
+        )
     return None, run
 
 
@@ -205,12 +211,12 @@ def _start(text: str | None, run: Run) -> Floats:
     import numpy as np
 
     from sensorgraph.cli.inputs import parse_pose
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
 
     if text is not None:
         return parse_pose(text)
     if not len(run.poses):
-        raise GapError("the run has no pose to begin from; give --start X,Y,PHI")
+        raise SensorgraphError("the run has no pose to begin from; give --start X,Y,PHI")
     return np.asarray(run.poses[0])
 
 
@@ -218,12 +224,12 @@ def _timeless(path: Path) -> bytes:
     """Return plan.json without the time that planning took: the same seed shall give the same bytes."""
     import json
 
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
 
     try:
         facts = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as exc:
-        raise GapError(f"{path}: not JSON ({exc}); plan again, or take the file away") from exc
+        raise SensorgraphError(f"{path}: not JSON ({exc}); plan again, or take the file away") from exc
     if isinstance(facts, dict):
         facts.pop("planning_s", None)
     return (json.dumps(facts, indent=1) + "\n").encode()
@@ -241,13 +247,13 @@ def _warn_of_other_arena(plan: Path, walls: Arena) -> None:
 
 
 def _check_start(pose: Floats, clearance: object, radius: float, arena: str) -> None:
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
 
     assert callable(clearance)
     free = float(clearance(float(pose[0]), float(pose[1])))
     if free < radius:
         where = f"({pose[0]:.2f}, {pose[1]:.2f})"
-        raise GapError(
+        raise SensorgraphError(
             f"the start {where} is {free:.2f} m from a wall of {arena}, less than the footprint_radius of {radius} m; "
             "is this the arena of the plan?"
         )

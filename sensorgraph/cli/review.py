@@ -36,14 +36,14 @@ def review(
     from planners.trajectory import read_csv
     from sensorgraph.cli.inputs import check_output, kept_arena, named_arena
     from sensorgraph.cli.progress import progress
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.show import rerun_view as view
     from sensorgraph.show.review import review as collect
 
     check_output(out, run, *(path for path in (graph,) if path is not None))
     if out.suffix != ".rrd":
-        raise GapError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
+        raise SensorgraphError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
     with progress("reading", "messages") as tick:
         log = read(run, topics=parse_topics(topic or []), progress=tick)
     walls = named_arena(arena) if arena is not None else kept_arena(log)

@@ -34,11 +34,11 @@ def show(
     """
     from math import degrees
 
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
 
     if run is not None and figure is None:
-        raise GapError("--run is for --figure; say where to draw with --figure faces.png")
+        raise SensorgraphError("--run is for --figure; say where to draw with --figure faces.png")
     model = Sensorgraph.load(graph)
     if figure is not None:
         _draw(model, figure, graph, run, topic or [])
@@ -86,12 +86,14 @@ def _draw(model: Sensorgraph, figure: Path, graph: Path, run: Path | None, topic
     from logs import parse_topics, read
     from sensorgraph.cli.inputs import check_output
     from sensorgraph.cli.progress import progress
-    from sensorgraph.errors import GapError
+    from sensorgraph.errors import SensorgraphError
     from sensorgraph.show.figures_graph import graph_picture
 
     check_output(figure, graph, *(path for path in (run,) if path is not None))
     if figure.suffix != ".png":
-        raise GapError(f"{figure}: the figure is written as *.png; name it {figure.with_suffix('.png').name}")
+        raise SensorgraphError(
+            f"{figure}: the figure is written as *.png; name it {figure.with_suffix('.png').name}"
+        )
     log = None
     if run is not None:
         with progress("reading", "messages") as tick:

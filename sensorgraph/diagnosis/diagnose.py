@@ -34,7 +34,7 @@ from sensorgraph.diagnosis.scan.site_variation import is_usual
 from sensorgraph.diagnosis.scan.standard_errors import material_probability
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Progress
 from sensorgraph.world.orientation import orientation
 from sensorgraph.world.robot import RobotFile
@@ -196,7 +196,7 @@ def other_run(
     evidence, _ = gather(second, arena, robot, known)
     there = placement(evidence, rng)
     if there.share < min(POORLY, 0.6 * place.share):
-        raise GapError(
+        raise SensorgraphError(
             f"the second run does not fit the arena: {100 * there.share:.0f} % of its returns end at walls, "
             f"{100 * place.share:.0f} % of the first run's; give a run of the same place"
         )

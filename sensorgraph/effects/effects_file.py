@@ -15,7 +15,7 @@ import yaml
 from planners.arena import Arena
 from sensorgraph.effects import EFFECTS, Amendment, Effect, Location
 from sensorgraph.effects.places import named_walls
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import whole
 
 logger = logging.getLogger(__name__)
@@ -53,15 +53,15 @@ def to_dict(a: Amendment) -> dict[str, Any]:
 
 
 def read(path: Path, arena: Arena | None = None) -> tuple[Amendment, ...]:
-    """Read effects.yaml; raise GapError in one line for whatever is wrong with it, also for places not in `arena`."""
+    """Read effects.yaml; raise SensorgraphError in one line for whatever is wrong with it, also for places not in `arena`."""
     if path.is_dir():
-        raise GapError(f"{path} is a directory, expected an effects.yaml")
+        raise SensorgraphError(f"{path} is a directory, expected an effects.yaml")
     if not path.exists():
-        raise GapError(f"{path} does not exist; give an effects.yaml such as `diagnose` writes")
+        raise SensorgraphError(f"{path} does not exist; give an effects.yaml such as `diagnose` writes")
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as exc:
-        raise GapError(f"{path} is not a text file; expected an effects.yaml") from exc
+        raise SensorgraphError(f"{path} is not a text file; expected an effects.yaml") from exc
     amendments = loads(text, arena, name=str(path))
     if not amendments:
         logger.warning("%s holds no effect; the model stays as it is", path)
@@ -73,10 +73,12 @@ def loads(text: str, arena: Arena | None = None, *, name: str = "effects.yaml") 
     try:
         data = yaml.safe_load(text)
     except yaml.YAMLError as exc:
-        raise GapError(f"{name}: not YAML: {' '.join(str(exc).split())}") from exc
+        raise SensorgraphError(f"{name}: not YAML: {' '.join(str(exc).split())}") from exc
     data = [] if data is None else data
     if not isinstance(data, list):
-        raise GapError(f"{name}: holds a {type(data).__name__}, expected a list of effects, `- name: ...`")
+        raise SensorgraphError(
+            f"{name}: holds a {type(data).__name__}, expected a list of effects, `- name: ...`"
+        )
     return tuple(_amendment(entry, f"{name}: effect {i}", arena) for i, entry in enumerate(data, start=1))
 
 
@@ -90,10 +92,14 @@ def check_places(amendments: Sequence[Amendment], arena: Arena, *, name: str = "
 
 def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
     if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
-        raise GapError(f"{where} is {entry!r}, expected keys {', '.join(KEYS)}, of which name is needed")
+        raise SensorgraphError(
+            f"{where} is {entry!r}, expected keys {', '.join(KEYS)}, of which name is needed"
+        )
     _refuse_unknown(entry, KEYS, where, "key")
     if entry["name"] not in EFFECTS:
-        raise GapError(f"{where}: unknown effect `{entry['name']}`; {_nearest(entry['name'], list(EFFECTS))}")
+        raise SensorgraphError(
+            f"{where}: unknown effect `{entry['name']}`; {_nearest(entry['name'], list(EFFECTS))}"
+        )
     effect = EFFECTS[entry["name"]]
     where = f"{where} ({effect.name})"
     names = [p.name for p in effect.parameters]
@@ -102,9 +108,9 @@ def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
         if p.name not in parameters:
             if p.name in OPTIONAL.get(effect.name, ()):
                 continue
-            raise GapError(f"{where}: no parameter `{p.name}` ({_unit(p.unit)}, {p.doc}); add it")
+            raise SensorgraphError(f"{where}: no parameter `{p.name}` ({_unit(p.unit)}, {p.doc}); add it")
         if not p.low <= parameters[p.name] <= p.high:
-            raise GapError(
+            raise SensorgraphError(
                 f"{where}: parameter `{p.name}` is {parameters[p.name]:g}, expected {p.low:g} to {p.high:g}"
             )
     location = _location(entry.get("location"), where)
@@ -124,15 +130,17 @@ def _location(data: Any, where: str) -> Location | None:
     if data is None:
         return None
     if not isinstance(data, dict):
-        raise GapError(f"{where}: location is {data!r}, expected keys name, xy")
+        raise SensorgraphError(f"{where}: location is {data!r}, expected keys name, xy")
     _refuse_unknown(data, ("name", "xy"), where, "key of location")
     name, xy = data.get("name") or "", data.get("xy")
     if not isinstance(name, str):
-        raise GapError(f"{where}: location.name is {name!r}, expected the name of a wall or an obstacle")
+        raise SensorgraphError(
+            f"{where}: location.name is {name!r}, expected the name of a wall or an obstacle"
+        )
     if xy is None:
         return Location(name=name)
     if not isinstance(xy, list) or len(xy) != 2:
-        raise GapError(f"{where}: location.xy is {xy!r}, expected [x, y] in m")
+        raise SensorgraphError(f"{where}: location.xy is {xy!r}, expected [x, y] in m")
     x, y = (_number(value, f"{where}: location.xy") for value in xy)
     return Location(name=name, xy=(x, y))
 
@@ -144,13 +152,15 @@ def _check_place(effect: Effect, location: Location | None, arena: Arena | None,
     name = "" if location is None else location.name
     like = "`NAME/edge_0`" if effect.place == "wall" else "a feature's name"
     if not name:
-        raise GapError(f"{where}: needs the {effect.place} it sits on; add location: {{name: ...}}, {like}")
+        raise SensorgraphError(
+            f"{where}: needs the {effect.place} it sits on; add location: {{name: ...}}, {like}"
+        )
     if arena is None:
         return
     obstacles = list(dict.fromkeys(wall.rsplit("/", 1)[0] for wall in arena.names))
     known = list(arena.names) if effect.place == "wall" else obstacles
     if name not in known:
-        raise GapError(f"{where}: the arena has no {effect.place} `{name}`; {_nearest(name, known)}")
+        raise SensorgraphError(f"{where}: the arena has no {effect.place} `{name}`; {_nearest(name, known)}")
     named_walls(arena, name)
 
 
@@ -162,7 +172,7 @@ def _check_part(
         return
     a, b = values["a"], values["b"]
     if a >= b:
-        raise GapError(
+        raise SensorgraphError(
             f"{where}: the part begins at a = {a:g} m and ends at b = {b:g} m; expected a < b, both along "
             "the wall from its first corner"
         )
@@ -170,7 +180,7 @@ def _check_part(
         return
     length = float(np.hypot(*np.diff(arena.walls[arena.names.index(wall)], axis=0)[0]))
     if a >= length or b <= 0:
-        raise GapError(
+        raise SensorgraphError(
             f"{where}: the part from a = {a:g} m to b = {b:g} m lies beside `{wall}`, which is {length:.2f} m "
             "long; expected a and b along the wall from its first corner"
         )
@@ -181,7 +191,9 @@ def _numbers(
 ) -> dict[str, float]:
     data = {} if data is None else data
     if not isinstance(data, dict):
-        raise GapError(f"{where}: {what} is {data!r}, expected NAME: NUMBER for {', '.join(known) or 'none'}")
+        raise SensorgraphError(
+            f"{where}: {what} is {data!r}, expected NAME: NUMBER for {', '.join(known) or 'none'}"
+        )
     _refuse_unknown(data, known, where, what)
     return {
         key: _number(value, f"{where}: {what} `{key}`", is_finite=is_finite) for key, value in data.items()
@@ -200,14 +212,14 @@ def _number(value: Any, where: str, *, is_finite: bool = True) -> float:
     except (TypeError, ValueError):
         number = math.nan
     if math.isnan(number) or (is_finite and math.isinf(number)):
-        raise GapError(f"{where} is {value!r}, expected a number")
+        raise SensorgraphError(f"{where} is {value!r}, expected a number")
     return number
 
 
 def _refuse_unknown(data: Mapping[Any, Any], known: Sequence[str], where: str, what: str) -> None:
     for key in data:
         if key not in known:
-            raise GapError(f"{where}: unknown {what} `{key}`; {_nearest(str(key), known)}")
+            raise SensorgraphError(f"{where}: unknown {what} `{key}`; {_nearest(str(key), known)}")
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from planners.arena import Arena
 from sensorgraph.effects.effect import Amendment
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.scene import Beams, Scene, each
 
@@ -25,7 +25,7 @@ def named_walls(arena: Arena, name: str) -> Ints:
     found = [i for i, wall in enumerate(arena.names) if wall == name or wall.rsplit("/", 1)[0] == name]
     if not found:
         near = ", ".join(arena.names[:6])
-        raise GapError(f"the arena has no wall or obstacle {name!r}; it has {near}, ...")
+        raise SensorgraphError(f"the arena has no wall or obstacle {name!r}; it has {near}, ...")
     return np.array(found, dtype=np.intp)
 
 

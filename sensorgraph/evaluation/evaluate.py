@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from logs.run import PoseFrame, Run, pair
 from sensorgraph.building.build import is_same_sensor, training_scans
 from sensorgraph.building.split import held_out
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import OFF, Point, Prediction
 from sensorgraph.types import Bools, Floats, Progress
@@ -103,9 +103,9 @@ def evaluate(
     """
     cap = min(CAP, run.sensor.range_max) if cap is None else cap
     if not cap > NEAREST:
-        raise GapError(f"cap is {cap:g} m, expected more than {NEAREST} m")
+        raise SensorgraphError(f"cap is {cap:g} m, expected more than {NEAREST} m")
     if not is_same_sensor(graph.sensor.bearings, run.sensor.bearings):
-        raise GapError(
+        raise SensorgraphError(
             f"the run has {run.sensor.n_rays} rays at other bearings than the {graph.sensor.n_rays} of the graph; "
             "evaluate with a run of the same sensor"
         )
@@ -114,14 +114,16 @@ def evaluate(
     index = np.flatnonzero(use)
     if len(index) == 0:
         held = "" if split is None else f", none of them in split {split}"
-        raise GapError(f"nothing to evaluate: {pairing}{held}")
+        raise SensorgraphError(f"nothing to evaluate: {pairing}{held}")
     measured = run.ranges[index]
     prediction = graph.predict(
         poses_for(graph, run.pose_frame, run.sensor.mount, pairing.poses[index]), point=point or "mode"
     )
     scored = np.isfinite(measured) & (measured > NEAREST) & (measured < cap)
     if not scored.any():
-        raise GapError(f"no ray of the run returned between {NEAREST} m and {cap:g} m; nothing to score")
+        raise SensorgraphError(
+            f"no ray of the run returned between {NEAREST} m and {cap:g} m; nothing to score"
+        )
     sigma = run.sensor.sigma if run.sensor.sigma > 0 else 0.01
     residual = np.where(scored, measured - prediction.point(point or "mode"), np.nan)
     job = Job(

@@ -12,7 +12,7 @@ from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
 from sensorgraph.building.build import is_same_sensor
 from sensorgraph.effects import Amendment
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import Evaluation, Job, Metrics
 from sensorgraph.models.base import OFF, Point, Prediction
 from sensorgraph.types import Ints
@@ -37,7 +37,7 @@ def compare(
     effects : those of the scan channel count; odometry and drive have no part in it
     """
     if not is_same_sensor(sensor.bearings, run.sensor.bearings):
-        raise GapError(
+        raise SensorgraphError(
             "the robot kept in the run has another sensor than the run; --effects cannot be evaluated"
         )
     scored, measured = np.isfinite(result.residual), run.ranges[result.scan_indices]

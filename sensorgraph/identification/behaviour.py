@@ -17,7 +17,7 @@ from logs.run import Run, pair
 from planners.arena import Arena
 from robotmodic_ident.analysis import correlation_dimension
 from robotmodic_ident.errors import IdentError
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 
 CELL = 0.25  # [m] of the coverage
@@ -78,7 +78,7 @@ def behaviour(run: Run, arena: Arena | None = None) -> Behaviour:
     """Measure a run by its reference poses and its scans."""
     pairing = pair(run)
     if int(pairing.paired.sum()) < 2:
-        raise GapError(f"{pairing}; a behaviour needs two poses or more")
+        raise SensorgraphError(f"{pairing}; a behaviour needs two poses or more")
     stamps, poses = run.stamps[pairing.paired], pairing.poses[pairing.paired]
     duration = float(stamps[-1] - stamps[0])
     calm = _means(stamps, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))

@@ -15,7 +15,7 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.score import Outside, Score, outside
 from robotmodic_ident.score import score as score_series
 from robotmodic_ident.validate import validate
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.identification.signals import Data, variable
 from sensorgraph.types import Floats
 
@@ -51,19 +51,23 @@ class Question:
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
-            raise GapError(f"split is {self.split!r}, expected one of {', '.join(SPLITS)}")
+            raise SensorgraphError(f"split is {self.split!r}, expected one of {', '.join(SPLITS)}")
         if self.criterion is not None and self.criterion not in CRITERIA:
-            raise GapError(f"criterion is {self.criterion!r}, expected one of {', '.join(CRITERIA)}")
+            raise SensorgraphError(f"criterion is {self.criterion!r}, expected one of {', '.join(CRITERIA)}")
         if self.criterion == "n_terms" and self.n_terms is None:
-            raise GapError("criterion n_terms needs --terms N")
+            raise SensorgraphError("criterion n_terms needs --terms N")
         if not self.inputs and not self.output_lags:
-            raise GapError("nothing to explain the output by; give --inputs, or --output-lags above 0")
+            raise SensorgraphError(
+                "nothing to explain the output by; give --inputs, or --output-lags above 0"
+            )
         if "record" in (self.output, *self.inputs):
-            raise GapError("record separates records and is no signal; name others")
+            raise SensorgraphError("record separates records and is no signal; name others")
         if self.output in self.inputs:
-            raise GapError(f"{self.output} cannot explain itself; its past is read with --output-lags N")
+            raise SensorgraphError(
+                f"{self.output} cannot explain itself; its past is read with --output-lags N"
+            )
         if len(set(self.inputs)) < len(self.inputs):
-            raise GapError(f"an input is given twice: {', '.join(self.inputs)}")
+            raise SensorgraphError(f"an input is given twice: {', '.join(self.inputs)}")
 
     @property
     def terms(self) -> Terms:
@@ -73,7 +77,7 @@ class Question:
             signals += lags(variable(name), 0, self.lags)
         size = math.comb(len(signals) + self.degree, self.degree)
         if size > MOST_TERMS:
-            raise GapError(
+            raise SensorgraphError(
                 f"{len(signals)} lagged signals of degree {self.degree} make {size:,} candidate terms, more than "
                 f"{MOST_TERMS:,}; lower --degree or --lags, or give fewer inputs"
             )
@@ -223,7 +227,9 @@ def _shares(data: Data) -> dict[str, float]:
         values = np.concatenate([r.signals[key] for r in data.records])
         out[name] = float(np.mean(~np.isfinite(values)))
         if out[name] == 1.0:
-            raise GapError(f"{name} has no known sample; leave it out, or look at the file with `inspect`")
+            raise SensorgraphError(
+                f"{name} has no known sample; leave it out, or look at the file with `inspect`"
+            )
     return out
 
 
@@ -235,23 +241,25 @@ def _check(
         max((s.stop - s.start for r in part for s in r.segments()), default=0) for part in (train, test)
     ]
     if min(longest) < need:
-        raise GapError(
+        raise SensorgraphError(
             f"the longest stretch to train on has {longest[0]} samples, to test on {longest[1]}; lags of "
             f"{question.look_back} need {need} each; lower the lags, or give longer records"
         )
     known = np.concatenate([r.signals[output] for r in train])
     known = known[np.isfinite(known)]
     if not len(known) or float(np.ptp(known)) <= 1e-12 * max(float(np.abs(known).max()), 1e-300):
-        raise GapError(f"{question.output} is constant in the training part; there is nothing to explain")
+        raise SensorgraphError(
+            f"{question.output} is constant in the training part; there is nothing to explain"
+        )
     usable = _rows(train, question)
     if usable < len(question.terms):
         holes = ", ".join(f"{name} {share:.0%} unknown" for name, share in unknown.items() if share)
-        raise GapError(
+        raise SensorgraphError(
             f"{usable} whole samples cannot train a dictionary of {len(question.terms)} terms"
             f"{f' ({holes})' if holes else ''}; lower --degree or --lags, or give more data"
         )
     if question.noise_lags != "auto" and question.noise_lags > usable // ROWS_PER_NOISE_LAG:
-        raise GapError(
+        raise SensorgraphError(
             f"{usable} whole samples cannot tell {question.noise_lags} noise lags; give "
             f"{usable // ROWS_PER_NOISE_LAG} at most, or auto"
         )

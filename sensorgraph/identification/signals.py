@@ -21,7 +21,7 @@ from logs.run import RangeSensor, Run, pair
 from logs.text import first_bytes, read_lines
 from planners.arena import wrap
 from robotmodic_ident import Record
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats, Ints
 
 POSE = ("x", "y", "phi", "cos_phi", "sin_phi")
@@ -63,7 +63,7 @@ def variables(names: Iterable[str]) -> dict[str, str]:
     for name in names:
         key = variable(name)
         if out.setdefault(key, name) != name:
-            raise GapError(
+            raise SensorgraphError(
                 f"signals {out[key]!r} and {name!r} would both be called {key}; rename one of them"
             )
     return out
@@ -76,7 +76,9 @@ def rays_of(sensor: RangeSensor, name: str) -> Ints:
     degrees = np.degrees(wrap(sensor.bearings + sensor.mount[2])) + 90.0
     low, high = float(found[1]), float(found[2] or found[1])
     if high < low:
-        raise GapError(f"{name} ends before it begins; write the smaller angle first, L{high:g}-{low:g}")
+        raise SensorgraphError(
+            f"{name} ends before it begins; write the smaller angle first, L{high:g}-{low:g}"
+        )
     step = float(np.median(np.diff(degrees))) if len(degrees) > 1 else 1.0
     if found[2] is None:
         nearest = int(np.abs(degrees - low).argmin())
@@ -84,7 +86,7 @@ def rays_of(sensor: RangeSensor, name: str) -> Ints:
     else:
         chosen = np.flatnonzero((degrees >= low - 1e-6) & (degrees <= high + 1e-6)).astype(np.intp)
     if not len(chosen):
-        raise GapError(
+        raise SensorgraphError(
             f"no ray for {name}: the sensor looks from {degrees.min():.0f}° to {degrees.max():.0f}°, counted "
             "counter-clockwise from the robot's right; choose an angle in between"
         )
@@ -107,7 +109,7 @@ def of_run(run: Run, names: Sequence[str], *, every: int = 1) -> Data:
     known = _offered(run)
     for name in names:
         if name not in known and not RAY.fullmatch(name):
-            raise GapError(_unknown(name, [*known, "L67", "L45-90"]))
+            raise SensorgraphError(_unknown(name, [*known, "L67", "L45-90"]))
     stamps = run.stamps[::every]
     new = np.diff(stamps, prepend=-np.inf) > 0  # two scans of one stamp: the first counts
     values = {name: _signal(run, name, every)[new] for name in names}
@@ -171,7 +173,7 @@ def of_table(path: Path, names: Sequence[str], *, every: int = 1) -> Data:
     header, rows = _rows(path)
     for name in names:
         if name not in header:
-            raise GapError(f"{path}: {_unknown(name, [h for h in header if h != 'record'])}")
+            raise SensorgraphError(f"{path}: {_unknown(name, [h for h in header if h != 'record'])}")
     wanted = [*dict.fromkeys([*names, *(["t"] if "t" in header else [])])]
     values = {name: _numbers(path, rows, header.index(name), name) for name in wanted}
     owner = (
@@ -184,10 +186,12 @@ def of_table(path: Path, names: Sequence[str], *, every: int = 1) -> Data:
         stamps = values["t"][mine] if "t" in values else None
         if stamps is not None and not np.isfinite(stamps).all():
             line = rows[int(mine[int(np.argmin(np.isfinite(stamps)))])][0]
-            raise GapError(f"{path}: line {line}: column t holds no number; fill it, or leave the row out")
+            raise SensorgraphError(
+                f"{path}: line {line}: column t holds no number; fill it, or leave the row out"
+            )
         if stamps is not None and not (np.diff(stamps) > 0).all():
             line = rows[int(mine[int(np.argmin(np.diff(stamps, append=np.inf) > 0))])][0]
-            raise GapError(
+            raise SensorgraphError(
                 f"{path}: line {line}: column t does not increase; sort the rows, or name a column `record`"
             )
         if stamps is not None and len(stamps) > 1:
@@ -227,28 +231,30 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     try:
         lines = read_lines(path)
     except LogError as exc:
-        raise GapError(str(exc)) from exc
+        raise SensorgraphError(str(exc)) from exc
     numbered = [
         (i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")
     ]
     if not numbered:
-        raise GapError(f"{path} holds no line; expected a header with the names of the columns")
+        raise SensorgraphError(f"{path} holds no line; expected a header with the names of the columns")
     header = [cell.strip() for cell in next(csv.reader([numbered[0][1]]))]
     if all(_is_number(cell) for cell in header):
-        raise GapError(
+        raise SensorgraphError(
             f"{path}: the first line holds numbers, {numbered[0][1].strip()[:40]!r}; expected the names of the columns"
         )
     if len(header) == 1 and (sign := re.search(r"[;\t|]", header[0])):
-        raise GapError(f"{path}: the header has one column, {header[0]!r}; put commas for {sign[0]!r}")
+        raise SensorgraphError(
+            f"{path}: the header has one column, {header[0]!r}; put commas for {sign[0]!r}"
+        )
     if twice := sorted({h for h in header if header.count(h) > 1}):
-        raise GapError(f"{path}: column {', '.join(twice)} is there twice; give each its own name")
+        raise SensorgraphError(f"{path}: column {', '.join(twice)} is there twice; give each its own name")
     rows = []
     for (number, _), cells in zip(numbered[1:], csv.reader(line for _, line in numbered[1:]), strict=False):
         if len(cells) != len(header):
-            raise GapError(f"{path}: line {number} has {len(cells)} cells, the header {len(header)}")
+            raise SensorgraphError(f"{path}: line {number} has {len(cells)} cells, the header {len(header)}")
         rows.append((number, cells))
     if not rows:
-        raise GapError(f"{path} has a header but no rows; expected one for each sample")
+        raise SensorgraphError(f"{path} has a header but no rows; expected one for each sample")
     return header, rows
 
 
@@ -267,7 +273,7 @@ def _numbers(path: Path, rows: Sequence[tuple[int, list[str]]], column: int, nam
         try:
             out[i] = float(text) if text else np.nan
         except ValueError:
-            raise GapError(
+            raise SensorgraphError(
                 f"{path}: line {number}: {name} is {text!r}, expected a number (an empty cell: not known)"
             ) from None
     out[~np.isfinite(out)] = np.nan

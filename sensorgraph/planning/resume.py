@@ -11,7 +11,7 @@ from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.maps import geojson
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import arena_of
@@ -52,7 +52,7 @@ def doubts(graph: Sensorgraph, name: str, arena: Arena) -> list[str]:
     """Return a line if the walls that a sensorgraph has identified do not stand in an arena; none if it has none."""
     try:
         own = arena_of(graph)
-    except GapError:
+    except SensorgraphError:
         return []
     if (share := shared_walls(own, arena)) >= SAME:
         return []

@@ -15,7 +15,7 @@ import numpy as np
 
 from robotmodic_ident import Narmax
 from robotmodic_ident.errors import IdentError
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.identification.signals import RAY, perceived, rays_of
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import RobotFile
@@ -124,7 +124,7 @@ class PolynomialController:
         }
         self.is_turn = model.output in TURNS
         if not self.is_turn and model.output not in SPEEDS:
-            raise GapError(
+            raise SensorgraphError(
                 f"{name} predicts {model.output}; a controller needs one of {', '.join(TURNS + SPEEDS)}"
             )
         held = facts.get("held", {})
@@ -135,7 +135,7 @@ class PolynomialController:
             if v != model.output and RAY.fullmatch(s)
         }
         if strange := [s for v, s in self.names.items() if v not in self.rays and v != model.output]:
-            raise GapError(
+            raise SensorgraphError(
                 f"{name} reads {', '.join(strange)}, which the robot does not perceive; identify a command from "
                 "rays such as L45-90"
             )
@@ -151,9 +151,9 @@ class PolynomialController:
         try:
             return cls(model, json.loads(path.read_text()), robot, name=path.name)
         except (AttributeError, TypeError, ValueError) as exc:
-            if isinstance(exc, GapError | IdentError):
+            if isinstance(exc, SensorgraphError | IdentError):
                 raise
-            raise GapError(f"{path}: not a controller ({exc}); write one with `identify`") from exc
+            raise SensorgraphError(f"{path}: not a controller ({exc}); write one with `identify`") from exc
 
     def __call__(self, readings: Floats) -> tuple[float, float]:
         """Steer by the rays that the polynomial reads, at the period that it was identified with."""
@@ -196,7 +196,7 @@ def _every(period: float | None, rate: float, name: str) -> int:
     steps = float(period) * rate
     whole = max(1, round(steps))
     if abs(steps - whole) > UNEVEN * whole:
-        raise GapError(
+        raise SensorgraphError(
             f"{name} was identified every {period:g} s, the sensor scans every {1 / rate:g} s; the period must "
             "be a multiple of it"
         )
@@ -208,19 +208,19 @@ def controller_named(name: str, robot: RobotFile, seed: int) -> Controller:
     if name in CONTROLLERS:
         return CONTROLLERS[name](robot, seed)
     if not name.endswith(".json"):
-        raise GapError(
+        raise SensorgraphError(
             f"controller is {name!r}, expected {', '.join(CONTROLLERS)} or a MODEL.json of `identify`"
         )
     files = [Path(part) for part in name.split(",")]
     for file in files:
         if not file.is_file():
-            raise GapError(f"{file} does not exist; `sensorgraph identify` writes such a model")
+            raise SensorgraphError(f"{file} does not exist; `sensorgraph identify` writes such a model")
     models = [PolynomialController.load(file, robot) for file in files]
     if len(models) == 1:
         return models[0]
     turns, speeds = [m for m in models if m.is_turn], [m for m in models if not m.is_turn]
     if len(turns) != 1 or len(speeds) != 1:
-        raise GapError(
+        raise SensorgraphError(
             f"{name} holds {len(turns)} models of the turn rate and {len(speeds)} of the speed; give one each"
         )
     return lambda readings: (speeds[0](readings)[0], turns[0](readings)[1])

@@ -18,7 +18,7 @@ from planners.arena import Arena
 from planners.maps import geojson
 from planners.trajectory import Trajectory
 from sensorgraph.building.build import is_same_sensor
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces.model import Faces
@@ -93,7 +93,7 @@ class IdentifiedWorld:
 
     def __init__(self, graph: Sensorgraph, robot: RobotFile, seed: int) -> None:
         if not is_same_sensor(graph.sensor.bearings, robot.sensor.bearings):
-            raise GapError(
+            raise SensorgraphError(
                 f"the graph has {graph.sensor.n_rays} rays, the robot {robot.sensor.n_rays} or other bearings; "
                 "give the robot.yaml of the sensor that the graph was built from"
             )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from logs.run import Run, pair
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import evaluate, poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.cells.model import Cells
@@ -49,7 +49,7 @@ def graph_picture(graph: Sensorgraph, path: Path, *, run: Run | None = None) -> 
     """
     model = graph.model
     if not isinstance(model, (Faces, Cells)):
-        raise GapError(
+        raise SensorgraphError(
             f"the model {model.name} has neither faces nor cells to draw; build with --model faces, "
             "or look at it with sensorgraph review"
         )
@@ -154,7 +154,7 @@ def _extent(model: Faces | Cells) -> tuple[Floats, Floats]:
     elif len(index):
         low, high = corner + index.min(axis=0) * side, corner + (index.max(axis=0) + 1) * side
     else:
-        raise GapError("the graph knows no surface; there is nothing to draw")
+        raise SensorgraphError("the graph knows no surface; there is nothing to draw")
     margin = 0.03 * float((high - low).max()) + 0.05
     return low - margin, high + margin
 

@@ -16,7 +16,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import whole
 from sensorgraph.show import rerun_maps as view_maps
 from sensorgraph.show.rerun_maps import VERDICT
@@ -39,7 +39,9 @@ def write(seen: Review, path: Path, *, ray: int | None = None) -> None:
     """
     ray = int(np.abs(seen.run.sensor.bearings).argmin()) if ray is None else ray
     if not 0 <= ray < seen.run.sensor.n_rays:
-        raise GapError(f"ray {ray} does not exist; this sensor has rays 0 to {seen.run.sensor.n_rays - 1}")
+        raise SensorgraphError(
+            f"ray {ray} does not exist; this sensor has rays 0 to {seen.run.sensor.n_rays - 1}"
+        )
     with recorded(path, "review", _layout(seen, ray)) as recording:
         _still(recording, seen)
         for start in range(0, len(seen.shown), BLOCK):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from logs.run import Pairing, Run, pair
 from planners.arena import Arena
 from sensorgraph.building.build import training_scans
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import OFF
@@ -97,7 +97,7 @@ def review(
     pairing = pair(run)
     index = np.flatnonzero(pairing.paired)
     if not len(index):
-        raise GapError(f"{pairing}; nothing to place in the map: record poses with the scans")
+        raise SensorgraphError(f"{pairing}; nothing to place in the map: record poses with the scans")
     shown = index[np.linspace(0, len(index) - 1, min(len(index), most_scans)).round().astype(np.intp)]
     part = replace(run, stamps=run.stamps[shown], ranges=run.ranges[shown])
     poses = pairing.poses[shown]

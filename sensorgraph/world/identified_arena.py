@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from shapely.geometry import MultiPolygon, Polygon
 
 from planners.arena import Arena
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.observed_space import Crossed
@@ -35,12 +35,14 @@ def arena_of(graph: Sensorgraph) -> Arena:
     """
     model = graph.model
     if not isinstance(model, Faces):
-        raise GapError(
+        raise SensorgraphError(
             f"the graph's model is {model.name}, which has no walls; build it with --model faces, or give a map"
         )
     walls, normals = _walls(model)
     if len(walls) == 0:
-        raise GapError("the graph has no face that is surely seen; build it from a longer log, or give a map")
+        raise SensorgraphError(
+            "the graph has no face that is surely seen; build it from a longer log, or give a map"
+        )
     thing = _things(walls)
     size = [
         float(np.prod(np.ptp(walls[thing == k].reshape(-1, 2), axis=0) + 0.1)) for k in range(thing.max() + 1)
@@ -110,5 +112,5 @@ def _free(crossed: Crossed, walls: Floats, normals: Floats) -> Polygon | MultiPo
     )
     parts = [p for p in shapely.get_parts(free) if isinstance(p, Polygon) and p.buffer(-SLIVER).area > 0]
     if not parts:
-        raise GapError("the graph knows no free space; build it from a longer log, or give a map")
+        raise SensorgraphError("the graph knows no free space; build it from a longer log, or give a map")
     return MultiPolygon(parts) if len(parts) > 1 else parts[0]

@@ -13,7 +13,7 @@ import yaml
 
 from logs.run import RangeSensor
 from planners.robot import DRIVES, Limits, Robot
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,14 +129,14 @@ def default() -> RobotFile:
 
 
 def read(path: Path | str) -> RobotFile:
-    """Read robot.yaml; raise GapError in one line for whatever is wrong with it."""
+    """Read robot.yaml; raise SensorgraphError in one line for whatever is wrong with it."""
     path = Path(path)
     if path.is_dir():
-        raise GapError(f"{path} is a directory, expected a robot.yaml file")
+        raise SensorgraphError(f"{path} is a directory, expected a robot.yaml file")
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as exc:
-        raise GapError(f"{path} is not a text file; expected a robot.yaml") from exc
+        raise SensorgraphError(f"{path} is not a text file; expected a robot.yaml") from exc
     return loads(text, name=str(path))
 
 
@@ -145,17 +145,17 @@ def loads(text: str, *, name: str = "robot.yaml") -> RobotFile:
     try:
         data = yaml.safe_load(text)
     except yaml.YAMLError as exc:
-        raise GapError(f"{name}: not YAML: {exc}") from exc
+        raise SensorgraphError(f"{name}: not YAML: {exc}") from exc
     data = {} if data is None else data
     if not isinstance(data, dict):
-        raise GapError(
+        raise SensorgraphError(
             f"{name}: holds a {type(data).__name__}, expected keys such as `name:`, `drive:`, `limits:`"
         )
     _refuse_unknown(name, "", data, [*TOP, *SECTIONS])
     values = {key: _section(name, key, data.get(key), defaults) for key, defaults in SECTIONS.items()}
     top = {key: _value(name, key, data.get(key, default), default) for key, default in TOP.items()}
     if top["drive"] not in DRIVES:
-        raise GapError(f"{name}: drive is {top['drive']!r}, expected one of {', '.join(DRIVES)}")
+        raise SensorgraphError(f"{name}: drive is {top['drive']!r}, expected one of {', '.join(DRIVES)}")
     try:
         return RobotFile(
             robot=Robot(limits=Limits(**values["limits"]), **top),
@@ -167,7 +167,7 @@ def loads(text: str, *, name: str = "robot.yaml") -> RobotFile:
             text=text,
         )
     except ValueError as exc:
-        raise GapError(f"{name}: {exc}") from exc
+        raise SensorgraphError(f"{name}: {exc}") from exc
 
 
 def bearings(n_rays: int, fov: float) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -194,13 +194,13 @@ def _refuse_unknown(name: str, where: str, data: Mapping[Any, Any], known: list[
     for key in data:
         if key not in known:
             near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.0)
-            raise GapError(f"{name}: unknown key `{where}{key}`; did you mean `{where}{near[0]}`?")
+            raise SensorgraphError(f"{name}: unknown key `{where}{key}`; did you mean `{where}{near[0]}`?")
 
 
 def _section(name: str, key: str, data: Any, defaults: Mapping[str, Any]) -> dict[str, Any]:
     data = {} if data is None else data
     if not isinstance(data, dict):
-        raise GapError(f"{name}: `{key}` is {data!r}, expected keys {', '.join(defaults)}")
+        raise SensorgraphError(f"{name}: `{key}` is {data!r}, expected keys {', '.join(defaults)}")
     _refuse_unknown(name, f"{key}.", data, list(defaults))
     return {k: _value(name, f"{key}.{k}", data.get(k, default), default) for k, default in defaults.items()}
 
@@ -209,26 +209,28 @@ def _value(name: str, key: str, value: Any, default: Any) -> Any:
     """Check one value against the type of its default; numbers are finite and, where it matters, positive."""
     if isinstance(default, str):
         if not isinstance(value, str):
-            raise GapError(f"{name}: `{key}` is {value!r}, expected a word such as {default!r}")
+            raise SensorgraphError(f"{name}: `{key}` is {value!r}, expected a word such as {default!r}")
         return value
     if isinstance(default, list):
         value = [_number(v) for v in value] if isinstance(value, list) else value
         ok = isinstance(value, list) and len(value) == len(default) and all(_is_number(v) for v in value)
         if not ok:
-            raise GapError(f"{name}: `{key}` is {value!r}, expected {len(default)} numbers such as {default}")
+            raise SensorgraphError(
+                f"{name}: `{key}` is {value!r}, expected {len(default)} numbers such as {default}"
+            )
         return [float(v) for v in value]
     whole = isinstance(default, int)
     value = _number(value)
     if not _is_number(value) or (whole and value != int(value)):
-        raise GapError(
+        raise SensorgraphError(
             f"{name}: `{key}` is {value!r}, expected a {'whole ' if whole else ''}number such as {default}"
         )
     least = "above 0" if key.split(".")[-1] in POSITIVE else "0 or more"
     if value < 0 or (value == 0 and least == "above 0"):
-        raise GapError(f"{name}: `{key}` is {value}, expected {least}")
+        raise SensorgraphError(f"{name}: `{key}` is {value}, expected {least}")
     most = MOST.get(key.split(".")[-1], np.inf)
     if value > most:
-        raise GapError(f"{name}: `{key}` is {value:g}, expected {most:g} or less")
+        raise SensorgraphError(f"{name}: `{key}` is {value:g}, expected {most:g} or less")
     return int(value) if whole else float(value)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
 from sensorgraph.effects import Amendment
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import RobotFile, Tolerances
 from sensorgraph.world.scene import Scene
@@ -137,13 +137,13 @@ def gather(
         },
     }
     if run.n_scans < LEAST_SCANS:
-        raise GapError(
+        raise SensorgraphError(
             f"the run has {run.n_scans} scans, expected {LEAST_SCANS} or more; record a longer run"
         )
     if not np.isfinite(run.ranges).any():
-        raise GapError("no ray of the run ever returned; there is nothing to compare with the arena")
+        raise SensorgraphError("no ray of the run ever returned; there is nothing to compare with the arena")
     if kept.sum() < LEAST_SCANS:
-        raise GapError(
+        raise SensorgraphError(
             f"only {int(kept.sum())} of {run.n_scans} scans have a pose ({pairing}), expected {LEAST_SCANS} or more; "
             "record a longer run, or name the topic of its poses with --topic pose=..."
         )
@@ -221,17 +221,17 @@ def _sensor(run: Run, robot: RobotFile, laser_frame: bool) -> RangeSensor:
     """Return what robot.yaml says of the sensor, at the bearings that the run has."""
     told, seen = robot.sensor, run.sensor
     if seen.n_rays != told.n_rays or np.abs(seen.bearings - told.bearings).max() > 0.02:
-        raise GapError(
+        raise SensorgraphError(
             f"the run has {seen.n_rays} rays from {seen.bearings[0]:.3f} to {seen.bearings[-1]:.3f} rad, robot.yaml "
             f"describes {told.n_rays} from {told.bearings[0]:.3f} to {told.bearings[-1]:.3f}; give the robot that recorded it"
         )
     if told.n_rays < LEAST_RAYS:
-        raise GapError(
+        raise SensorgraphError(
             f"the sensor has {told.n_rays} rays, expected {LEAST_RAYS} or more to tell effects apart"
         )
     beyond = float((np.where(np.isfinite(run.ranges), run.ranges, 0.0) > 1.02 * told.range_max + 0.05).mean())
     if beyond > 0.01:
-        raise GapError(
+        raise SensorgraphError(
             f"{100 * beyond:.0f} % of the readings are beyond sensor.range_max = {told.range_max:g} m of robot.yaml; "
             "give the robot that recorded the run"
         )

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import POINTS, Point, Prediction, Scans
 from sensorgraph.models.cells.evidence import CELL, NEAREST, REACH, Evidence
 from sensorgraph.models.cells.learning import newton, samples, set_aside
@@ -74,18 +74,18 @@ class Cells:
     def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
         """Gather evidence of all key frames; learn visibility and calibration on stretches set aside before."""
         if unknown := set(options) - {"cell"}:
-            raise GapError(
+            raise SensorgraphError(
                 f"option {', '.join(sorted(unknown))} is not known to the model cells; expected cell [m]"
             )
         cell = float(options.get("cell", CELL))
         if not 0.01 <= cell <= 0.5:
-            raise GapError(f"cell is {cell:g} m, expected 0.01 to 0.5")
+            raise SensorgraphError(f"cell is {cell:g} m, expected 0.01 to 0.5")
         keep = key_frames(scans.poses, scans.run)
         mount = scans.laser_mount
         poses, ranges, bearings = lasers(scans.poses[keep], mount), scans.ranges[keep], scans.sensor.bearings
         reach = min(REACH, scans.sensor.range_max)
         if not ((ranges > NEAREST) & (ranges < reach)).any():
-            raise GapError(f"no ray of any training scan returned between {NEAREST} and {reach:g} m")
+            raise SensorgraphError(f"no ray of any training scan returned between {NEAREST} and {reach:g} m")
         report = progress or (lambda done, total: None)
         beta, sigma, said = learn(poses, ranges, bearings, cell, reach, report)
         evidence = Evidence.of(poses, ranges, bearings, cell=cell, reach=reach)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from logs.run import RangeSensor
 from planners.kernel import kernel
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF, Point, Prediction, Scans
 from sensorgraph.models.calibration.calibrate import Calibration, corrected, crossed_by, identify
 from sensorgraph.models.calibration.ray_terms import incidence_bias
@@ -71,7 +71,7 @@ class Faces:
     def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
         """Identify faces from scans; options `calibrate` the laser and add `cells`: None where worth it."""
         if unknown := sorted(options.keys() - {"calibrate", "cells"}):
-            raise GapError(
+            raise SensorgraphError(
                 f"option {', '.join(unknown)} is not known to the model faces, which takes calibrate and cells; "
                 "give --model polynomial"
             )
@@ -127,7 +127,9 @@ class Faces:
             blocks, mount=mount, n_rays=n_scans * sensor.n_rays, spread=spread, tick=steps.tick
         )
         if reduced is None or reduced.n_returns == 0:
-            raise GapError("no ray of the log returned; check range_max and the no-return code of the log")
+            raise SensorgraphError(
+                "no ray of the log returned; check range_max and the no-return code of the log"
+            )
         rays = reduced.sample.rays(sensor, mount)
         fitted = fit_faces(
             rays, surfaces=reduced.surfaces, progress=lambda done, _: steps.to(n_blocks + done)
@@ -162,17 +164,17 @@ class Faces:
     ) -> Self:
         """Add blocks of new scans, of the same laser, without the old ones."""
         if self.cells is not None:
-            raise GapError(
+            raise SensorgraphError(
                 "the graph predicts with cells, which are not updated; build it again from all runs"
             )
         if self.memory is None:
-            raise GapError("the graph remembers too little of its rays to be updated; build it again")
+            raise SensorgraphError("the graph remembers too little of its rays to be updated; build it again")
         steps = Steps(progress, -(-n_scans // BLOCK) + 1)
         new = reduce_blocks(
             blocks, mount=self.mount, n_rays=n_scans * self.sensor.n_rays, spread=spread, tick=steps.tick
         )
         if new is None or new.n_returns == 0:
-            raise GapError(
+            raise SensorgraphError(
                 "no ray of the new log returned; check range_max and the no-return code of the log"
             )
         rays = corrected(new.sample, self.sensor, self.mount, self.calibration, self.faces, self.noise)

@@ -10,7 +10,7 @@ import numpy as np
 
 from robotmodic_ident import Moments, Scale, Terms
 from robotmodic_ident.select import forward, invert_upper
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Scans
 from sensorgraph.types import Floats, Ints, Progress
 
@@ -60,7 +60,7 @@ def choose(
     """Return the form with the least mean error on stretches of the training scans that its fit left out."""
     for name, value, least in (("degree", degree, 0), ("harmonics", harmonics, 0), ("terms", n_terms, 1)):
         if value != "auto" and value < least:
-            raise GapError(f"{name} is {value}, expected {least} or more, or auto")
+            raise SensorgraphError(f"{name} is {value}, expected {least} or more, or auto")
     if degree != "auto" and harmonics != "auto" and n_terms != "auto":
         size = min(int(n_terms), n_candidates(degree, harmonics))
         return Choice(degree=degree, harmonics=harmonics, n_terms=size, how="as asked")
@@ -95,7 +95,7 @@ class _Folds:
         q = scans.sensor.n_rays
         alive = np.flatnonzero(np.isfinite(scans.ranges).any(axis=0))
         if len(alive) == 0:
-            raise GapError(
+            raise SensorgraphError(
                 "no ray of any training scan returned a range; record where the sensor sees something"
             )
         rays = alive[np.unique(np.linspace(0, len(alive) - 1, min(MAX_RAYS, q)).round().astype(np.intp))]

@@ -17,7 +17,7 @@ from logs.run import RangeSensor
 from robotmodic_ident import Moments, Scale, Selection, Terms, fourier, polynomial, select
 from robotmodic_ident.expand import expand
 from robotmodic_ident.printing import sum_text
-from sensorgraph.errors import GapError
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF, Point, Prediction, Scans
 from sensorgraph.models.polynomial.complexity import Auto, Choice, choose
 from sensorgraph.models.polynomial.support import Support
@@ -91,7 +91,7 @@ class Polynomial:
     ) -> Self:
         """Choose degree, harmonics and n_terms (the options) by validation, then fit every ray."""
         if unknown := set(options) - {"degree", "harmonics", "n_terms"}:
-            raise GapError(
+            raise SensorgraphError(
                 f"option {', '.join(sorted(unknown))} is not known to the model polynomial; "
                 "expected degree, harmonics or n_terms"
             )
@@ -280,7 +280,9 @@ def _select_all(
         "nothing": np.isposinf(scans.ranges).sum(axis=0),
     }
     if not out["returns"].any():
-        raise GapError("no ray of any training scan returned a range; record where the sensor sees something")
+        raise SensorgraphError(
+            "no ray of any training scan returned a range; record where the sensor sees something"
+        )
     out["theta"][:, terms.names.index("1")] = np.where(out["returns"] > 0, 0.0, scans.sensor.range_max)
     step = max(1, min(q, HELD // (2 * m * m)))
     total = -(-n // BLOCK) * -(-q // step)
