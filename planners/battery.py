@@ -9,9 +9,9 @@ from scipy.sparse import csgraph
 
 from planners.curve import joined
 from planners.errors import PlanError
-from planners.methods.stop_and_spin import Driven, Task
 from planners.rooms import cell_graph
 from planners.session import Ways, cut_at, cuts, ends, latest, minutes, section, together
+from planners.task import PlannedDrive, Task
 from planners.types import Floats
 
 
@@ -19,7 +19,7 @@ from planners.types import Floats
 class Session:
     """One run from the dock and back to it."""
 
-    driven: Driven
+    driven: PlannedDrive
     out_s: float
     """[s] on the way from the dock."""
     home_s: float
@@ -49,7 +49,7 @@ def too_small(battery: float, x: float, y: float, least: float) -> str:
     )
 
 
-def sessions(driven: Driven, task: Task, *, battery: float, dock: Floats) -> list[Session]:
+def sessions(driven: PlannedDrive, task: Task, *, battery: float, dock: Floats) -> list[Session]:
     """Part a drive into runs from the dock (3,) and back to it, each done within `battery` [s].
 
     They come in an order that spreads early runs over the floor, unless a priority has put them in another.
@@ -85,12 +85,12 @@ def spread(points: Floats) -> list[int]:
     return order
 
 
-def chain(runs: list[Session], parted: Driven) -> Driven:
+def chain(runs: list[Session], parted: PlannedDrive) -> PlannedDrive:
     """Return all runs of a drive that was parted as one, one after the other."""
     joins = parted.joins
     for run in runs:
         joins += run.driven.joins
-    return Driven(
+    return PlannedDrive(
         curve=joined([run.driven.curve for run in runs]),
         stops=np.concatenate([run.driven.stops for run in runs]),
         joins=joins,

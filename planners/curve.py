@@ -173,7 +173,7 @@ class _Motion:
     rate: float = 0.0
 
 
-class Pen:
+class CurveBuilder:
     """Draw a curve of straight moves and turns on the spot, each from rest to rest, overlapping where asked.
 
     With an overlap, the new motion starts while the one before still brakes. Each of v and omega keeps its own

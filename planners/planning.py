@@ -19,19 +19,19 @@ from planners.coverage import Coverage
 from planners.curve import Curve
 from planners.errors import PlanError
 from planners.interrupt import undisturbed
-from planners.joins.paths import Joins
 from planners.methods import baselines
 from planners.methods.coverage import plan_search
-from planners.methods.stop_and_spin import Driven, Task, plan_stop_and_spin
+from planners.methods.stop_and_spin import plan_stop_and_spin
 from planners.methods.views import plan_views
 from planners.reach import LEAST_SHARE, Cycle, Reach, reach
 from planners.report import counted, measured, reference_time
 from planners.robot import Robot
 from planners.session import check_pose, ends, within
+from planners.task import JoinCounts, PlannedDrive, Task
 from planners.trajectory import Trajectory
 from planners.types import Bools, Floats, Progress
 
-PLANNERS: dict[str, Callable[[Task], Driven]] = {
+PLANNERS: dict[str, Callable[[Task], PlannedDrive]] = {
     "coverage": plan_search,
     "random_bounce": baselines.random_bounce,
     "wall_following": baselines.wall_following,
@@ -55,7 +55,7 @@ class Plan:
     coverage: Coverage
     """As a log at `rate` would count it, earlier runs included."""
     reach: Reach
-    joins: Joins
+    joins: JoinCounts
     stops: Floats
     """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the turn made there."""
     lost: Bools
@@ -187,7 +187,7 @@ def _floor(
 
 
 def _fitted(
-    driven: Driven,
+    driven: PlannedDrive,
     task: Task,
     planner: str,
     *,

@@ -13,9 +13,9 @@ from planners import holes
 from planners.battery import Session
 from planners.check import check_parts
 from planners.coverage import Coverage
-from planners.methods.stop_and_spin import Driven, Task
 from planners.robot import Robot
 from planners.sampling import warnings as too_fast
+from planners.task import PlannedDrive, Task
 from planners.trajectory import Trajectory
 
 logger = logging.getLogger(__name__)
@@ -56,7 +56,7 @@ def counted(grid: Coverage, run: Session, rate: float) -> dict[str, Any]:
 
 
 def measured(
-    task: Task, driven: Driven, trajectory: Trajectory, planner: str, sweep_time: float
+    task: Task, driven: PlannedDrive, trajectory: Trajectory, planner: str, sweep_time: float
 ) -> dict[str, Any]:
     """Measure the plan; `task.coverage` already counts its log."""
     grid, robot = task.coverage, task.robot

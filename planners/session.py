@@ -15,15 +15,15 @@ import numpy as np
 from planners.arena import Arena, wrap
 from planners.cars.search import redriven
 from planners.clearance import Barriers
-from planners.curve import Curve, Pen, joined
+from planners.curve import Curve, CurveBuilder, joined
 from planners.errors import PlanError
 from planners.joins.car_paths import connect_cars
-from planners.joins.paths import Joins, connect
+from planners.joins.paths import connect
 from planners.methods.coverage import face
 from planners.methods.repair_spins import lead
-from planners.methods.stop_and_spin import Driven, Task
 from planners.reach import Reach
 from planners.robot import Robot
+from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats, Ints
 
 STILL = 1e-9
@@ -40,7 +40,7 @@ class Way:
 
     curve: Curve | None
     """None where the poses are the same."""
-    joins: Joins
+    joins: JoinCounts
 
     @property
     def duration(self) -> float:
@@ -152,14 +152,14 @@ class Ways:
 
     def __init__(self, task: Task) -> None:
         self.task = task
-        self._paths: dict[tuple[float, ...], tuple[Floats, Joins]] = {}
+        self._paths: dict[tuple[float, ...], tuple[Floats, JoinCounts]] = {}
 
     def way(self, begin: Floats, end: Floats) -> Way:
         """Return the way from pose (3,) to pose (3,), at rest at both."""
         if self.task.robot.drive != "diff":
             return self._by_car(begin, end)
         path, joins = self._path(begin[:2], end[:2])
-        pen = Pen(begin, self.task.robot.limits)
+        pen = CurveBuilder(begin, self.task.robot.limits)
         lead(pen, path)
         face(pen, float(end[2]))
         return Way(curve=pen.curve() if pen.clock > 0 else None, joins=joins)
@@ -178,7 +178,7 @@ class Ways:
             raise NoWayError(_no_way(begin, end))
         return Way(curve=ways[0].curve, joins=joins)
 
-    def _path(self, begin: Floats, end: Floats) -> tuple[Floats, Joins]:
+    def _path(self, begin: Floats, end: Floats) -> tuple[Floats, JoinCounts]:
         key = (*begin.tolist(), *end.tolist())
         back = (*end.tolist(), *begin.tolist())
         if key not in self._paths and back in self._paths:
@@ -253,7 +253,7 @@ def latest(
         allowed = float(stamps[last] - stamps[first]) - over
 
 
-def within(driven: Driven, task: Task, *, budget: float | None, end: Floats | None) -> Driven:
+def within(driven: PlannedDrive, task: Task, *, budget: float | None, end: Floats | None) -> PlannedDrive:
     """Return the drive as far as `budget` [s] goes, led to `end` (3,) if there is one."""
     if budget is None and end is None:
         return driven
@@ -286,7 +286,9 @@ def minutes(seconds: float) -> str:
     return f"{np.ceil(seconds / 6) / 10:g}"
 
 
-def together(curves: list[Curve], joins: Joins, task: Task, *, interrupted: bool = False) -> Driven:
+def together(
+    curves: list[Curve], joins: JoinCounts, task: Task, *, interrupted: bool = False
+) -> PlannedDrive:
     """Return the drive along some curves, each of which starts where the one before it ends."""
     curve = joined(curves)
-    return Driven(curve=curve, stops=stops(curve, task), joins=joins, interrupted=interrupted)
+    return PlannedDrive(curve=curve, stops=stops(curve, task), joins=joins, interrupted=interrupted)

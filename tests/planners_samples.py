@@ -11,9 +11,9 @@ from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.maps import geojson
-from planners.methods.stop_and_spin import Task
 from planners.reach import reach
 from planners.robot import Drive, Limits, Robot
+from planners.task import Task
 from planners.types import Bools, Floats
 
 

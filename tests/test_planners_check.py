@@ -9,7 +9,7 @@ import pytest
 from planners_samples import door_arena, shipped
 
 from planners.check import check, check_parts
-from planners.curve import Pen
+from planners.curve import CurveBuilder
 from planners.robot import Limits, Robot
 from planners.trajectory import Trajectory
 
@@ -18,7 +18,7 @@ ROBOT = Robot()
 
 def clean() -> Trajectory:
     """Drive about the first room."""
-    pen = Pen(np.array([0.5, 0.5, 0.0]), ROBOT.limits)
+    pen = CurveBuilder(np.array([0.5, 0.5, 0.0]), ROBOT.limits)
     for size in (1.0, 2.0, -0.5, 1.2):
         pen.move(0.8, overlap=0.5)
         pen.turn(size, overlap=0.5)
@@ -118,7 +118,7 @@ def test_a_car_may_jump_from_one_arc_to_the_next_but_not_turn_faster_than_omega(
 
 
 def test_a_coarser_sampling_is_no_violation_by_itself() -> None:
-    pen = Pen(np.array([0.5, 0.5, 0.0]), ROBOT.limits)
+    pen = CurveBuilder(np.array([0.5, 0.5, 0.0]), ROBOT.limits)
     for _ in range(5):
         pen.move(0.6, overlap=0.5)
         pen.turn(2.6, overlap=0.5)
@@ -128,7 +128,7 @@ def test_a_coarser_sampling_is_no_violation_by_itself() -> None:
 
 @pytest.mark.parametrize("size", [7, 100, 10_000])
 def test_in_parts_a_curve_is_sampled_and_checked_as_in_one(size: int) -> None:
-    pen = Pen(np.array([0.5, 0.5, 0.0]), ROBOT.limits)
+    pen = CurveBuilder(np.array([0.5, 0.5, 0.0]), ROBOT.limits)
     for turn in (1.0, 2.0, -0.5, 1.2):
         pen.move(0.8, overlap=0.5)
         pen.turn(turn, overlap=0.5)

@@ -13,13 +13,13 @@ import numpy as np
 from planners.arena import wrap
 from planners.cars.search import Entry, begin, car_curve
 from planners.curve import Curve
-from planners.methods.stop_and_spin import Task
 from planners.reach import Cycle, Reach
 from planners.robot import Limits
 from planners.search.kernel_world import Branches
 from planners.search.motion_primitives import driving
 from planners.search.search import Found, Scene, Search, scene
 from planners.search.wavefront import spread
+from planners.task import Task
 from planners.types import Bools, Floats
 
 FINE = 0.02

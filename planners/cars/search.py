@@ -13,7 +13,6 @@ from planners.cars.arc_path import Drive, Ground, drive_of, ground_of
 from planners.cars.reeds_shepp import NONE, Arcs, part_of
 from planners.cars.shortcuts import shorter
 from planners.curve import Curve
-from planners.methods.stop_and_spin import Task
 from planners.priority import urgency, worth
 from planners.robot import Limits
 from planners.rooms import rooms
@@ -21,6 +20,7 @@ from planners.search.kernel_world import CREDITS, is_safe
 from planners.search.log_phases import missed
 from planners.search.motion_primitives import GEARS, Table, driving
 from planners.search.search import Found, Scene, Search, Settings, Visit, chained, scene
+from planners.task import Task
 from planners.types import Bools, Floats
 
 MOST_STEPS = 3

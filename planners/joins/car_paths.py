@@ -20,9 +20,10 @@ from planners.clearance import Barriers
 from planners.curve import Curve
 from planners.joins.ompl_car_paths import Arcs
 from planners.joins.ompl_process import SLACK, ask
-from planners.joins.paths import Joins, field_of
+from planners.joins.paths import field_of
 from planners.reach import Reach
 from planners.robot import SHORTEST_ARC, Robot
+from planners.task import JoinCounts
 from planners.types import Bools, Floats
 
 PROOF_STEP = 0.004
@@ -49,7 +50,7 @@ def connect_cars(
     barriers: Barriers,
     robot: Robot,
     seed: int,
-) -> tuple[list[CarWay | None], Joins]:
+) -> tuple[list[CarWay | None], JoinCounts]:
     """Find a drive from each start (n, 3) to one of its goals, each (m, 3) [m, m, rad].
 
     Returns
@@ -69,7 +70,7 @@ def connect_cars(
     )
     found_arcs = np.split(answer["arcs"], np.cumsum(answer["lengths"])[:-1])
     ways: list[CarWay | None] = []
-    joins = Joins()
+    joins = JoinCounts()
     for k, (start, own) in enumerate(zip(starts, found_arcs, strict=True)):
         found, straight = int(answer["goal"][k]), bool(answer["direct"][k])
         goal = int(within[k][found]) if found >= 0 else -1
@@ -77,7 +78,7 @@ def connect_cars(
         made = (_proven(start, arcs, goal, barriers, reach.clearance, robot) for arcs in tried)
         way = next((one for one in made if one is not None), None)
         ways.append(way)
-        joins += Joins(
+        joins += JoinCounts(
             direct=int(way is not None and straight),
             planned=int(way is not None and not straight),
             failed=int(way is None),

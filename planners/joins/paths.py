@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from planners.clearance import Barriers
 from planners.joins.ompl_process import SLACK, ask
 from planners.reach import Reach
 from planners.rooms import cell_graph
+from planners.task import JoinCounts
 from planners.types import Floats
 
 MOST_GOALS = 400
@@ -24,34 +24,9 @@ BATCH = 48
 """Queries for one process; batches run side by side, and do not depend on how many do."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Joins:
-    """How the moves between primitives came about."""
-
-    direct: int = 0
-    """Straight moves that are clear."""
-    planned: int = 0
-    """Moves that OMPL planned."""
-    failed: int = 0
-    """Moves for which OMPL found no path."""
-    flooded: int = 0
-    """Moves of a Dubins car that its own flood found then."""
-    planned_m: float = 0.0
-    """[m] of all planned moves."""
-
-    def __add__(self, other: Joins) -> Joins:
-        return Joins(
-            direct=self.direct + other.direct,
-            planned=self.planned + other.planned,
-            failed=self.failed + other.failed,
-            flooded=self.flooded + other.flooded,
-            planned_m=self.planned_m + other.planned_m,
-        )
-
-
 def connect(
     starts: Floats, ends: Floats, *, reach: Reach, barriers: Barriers, seed: int
-) -> tuple[list[Floats | None], Joins]:
+) -> tuple[list[Floats | None], JoinCounts]:
     """Find a path for each move (n, 2) -> (n, 2) [m]: straight if clear, else by OMPL.
 
     Returns
@@ -70,7 +45,7 @@ def connect(
             if paths[k] is None:
                 paths[k] = _by_legs(starts[k], ends[k], reach, barriers, seed)
     planned = [path for k in blocked.tolist() if (path := paths[k]) is not None]
-    return paths, Joins(
+    return paths, JoinCounts(
         direct=int(direct.sum()),
         planned=len(planned),
         failed=len(blocked) - len(planned),
@@ -80,7 +55,7 @@ def connect(
 
 def connect_nearest(
     start: Floats, goals: Floats, *, reach: Reach, barriers: Barriers, seed: int
-) -> tuple[Floats | None, Joins]:
+) -> tuple[Floats | None, JoinCounts]:
     """Find a path from a place (2,) to one of the goals (m, 2) [m]: straight to the nearest if clear, else by OMPL.
 
     One query holds them all (`ob.GoalStates`).
@@ -92,7 +67,7 @@ def connect_nearest(
     nearest = np.argsort(np.hypot(*(goals - start).T), kind="stable")
     clear = barriers.are_clear(np.repeat(start[None], len(goals), axis=0), goals[nearest], reach.clearance)
     if clear.any():
-        return np.stack([start, goals[nearest[clear.argmax()]]]), Joins(direct=1)
+        return np.stack([start, goals[nearest[clear.argmax()]]]), JoinCounts(direct=1)
     (way,) = _in_a_process(start[None], [goals[nearest[:MOST_GOALS]]], reach, seed)
     path = _certified(way, barriers, reach.clearance)
     if path is None:
@@ -100,8 +75,8 @@ def connect_nearest(
     if path is None:
         path = _by_legs(start, goals[nearest[0]], reach, barriers, seed)
     if path is None:
-        return None, Joins(failed=1)
-    return path, Joins(planned=1, planned_m=float(np.hypot(*np.diff(path, axis=0).T).sum()))
+        return None, JoinCounts(failed=1)
+    return path, JoinCounts(planned=1, planned_m=float(np.hypot(*np.diff(path, axis=0).T).sum()))
 
 
 def _by_legs(start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int) -> Floats | None:

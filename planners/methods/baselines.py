@@ -6,10 +6,10 @@ import numpy as np
 import shapely
 
 from planners.arena import wrap
-from planners.curve import Pen
+from planners.curve import CurveBuilder
 from planners.errors import PlanError
-from planners.joins.paths import Joins, connect
-from planners.methods.stop_and_spin import Driven, Task
+from planners.joins.paths import connect
+from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats
 
 LEAST_WAY = 0.05
@@ -20,11 +20,11 @@ FOLLOW = 0.15
 """[m] beyond the clearance at which walls are followed."""
 
 
-def random_bounce(task: Task) -> Driven:
+def random_bounce(task: Task) -> PlannedDrive:
     """Drive straight until a wall is near, turn to a random open heading, and so on for `task.duration`."""
     _only_in_place(task, "random_bounce")
     rng = np.random.default_rng(task.seed)
-    pen = Pen(_start(task, rng), task.robot.limits)
+    pen = CurveBuilder(_start(task, rng), task.robot.limits)
     bounces = 0
     while pen.clock < _duration(task):
         way = _free_way(task, pen.pose)
@@ -35,7 +35,9 @@ def random_bounce(task: Task) -> Driven:
         pen.turn(float(wrap(heading - pen.pose[2])), "turn")
         if task.progress:
             task.progress(int(min(pen.clock, _duration(task))), int(_duration(task)))
-    return Driven(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=Joins(direct=bounces))
+    return PlannedDrive(
+        curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=JoinCounts(direct=bounces)
+    )
 
 
 def _open_heading(task: Task, pose: Floats, rng: np.random.Generator) -> float:
@@ -63,7 +65,7 @@ def _free_way(task: Task, pose: Floats, most: float | None = None) -> float:
     return low
 
 
-def wall_following(task: Task) -> Driven:
+def wall_following(task: Task) -> PlannedDrive:
     """Follow the longest wall within reach at an even distance, lap after lap for `task.duration`."""
     _only_in_place(task, "wall_following")
     rng = np.random.default_rng(task.seed)
@@ -81,7 +83,7 @@ def wall_following(task: Task) -> Driven:
         raise PlanError(
             f"OMPL found no way along the wall from ({start[0]:.2f}, {start[1]:.2f}); choose another start"
         )
-    pen = Pen(start, task.robot.limits)
+    pen = CurveBuilder(start, task.robot.limits)
     corners = [*lead[0][1:], *path[1:]]
     lap = 0
     while pen.clock < _duration(task):
@@ -92,7 +94,7 @@ def wall_following(task: Task) -> Driven:
         pen.move(float(np.hypot(*way)), "lane")
         if task.progress:
             task.progress(int(min(pen.clock, _duration(task))), int(_duration(task)))
-    return Driven(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=joins + first_join)
+    return PlannedDrive(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=joins + first_join)
 
 
 def _ring(task: Task) -> Floats:

@@ -19,18 +19,19 @@ from scipy.sparse import csgraph
 
 from planners.arena import wrap
 from planners.cars.search import cusps, geared, room_order, search_floor, shortened
-from planners.curve import Curve, Pen, joined
+from planners.curve import Curve, CurveBuilder, joined
 from planners.errors import PlanError
 from planners.interrupt import undisturbed
 from planners.joins.paths import connect
 from planners.methods.repair_cars import CarRepair
 from planners.methods.repair_spins import SpinRepair, lead
-from planners.methods.stop_and_spin import Driven, Task, wanted
+from planners.methods.stop_and_spin import wanted
 from planners.priority import levels
 from planners.rooms import cell_graph, rooms, sequence
 from planners.search.log_phases import missed
 from planners.search.motion_primitives import GEARS, Table, driving, spinning
 from planners.search.search import Scene, Search, Settings, Visit, scene, spin_curve
+from planners.task import PlannedDrive, Task
 from planners.types import Bools, Floats, Ints
 
 logger = logging.getLogger(__name__)
@@ -65,7 +66,7 @@ TIGHT = 1e-9
 """[m, rad] moves and turns shorter than this are none."""
 
 
-def plan_search(task: Task) -> Driven:
+def plan_search(task: Task) -> PlannedDrive:
     """Visit every bin that is still missing: spin without a stop, and choose the speed."""
     if task.robot.drive != "diff":
         return _by_car(task)
@@ -96,7 +97,7 @@ def plan_search(task: Task) -> Driven:
     return _repaired(drawn, todo, task)
 
 
-def _by_car(task: Task) -> Driven:
+def _by_car(task: Task) -> PlannedDrive:
     """Search the rooms side by side, and join them by OMPL; then complete what is missing."""
     todo = task.coverage.reachable & (task.coverage.counts == 0)
     if not todo.any():
@@ -129,7 +130,7 @@ def _by_car(task: Task) -> Driven:
             f"the car cannot reach a bin from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}); choose another start"
         )
     curve = repair.trip.curve
-    return Driven(
+    return PlannedDrive(
         curve=curve, stops=cusps(curve), joins=repair.joins, interrupted=interrupted, lost=repair.lost
     )
 
@@ -355,7 +356,7 @@ def _order(visits: list[Visit], here: Floats | None, task: Task) -> Ints:
     return sequence(cost[: len(visits)], None if here is None else cost[-1])
 
 
-def _drawn(visits: list[Visit], task: Task) -> Driven:
+def _drawn(visits: list[Visit], task: Task) -> PlannedDrive:
     """Join the visits; one that cannot be reached is left out."""
     here = visits[0].ends[0] if task.start is None else task.start
     froms = np.array([here, *(visit.ends[1] for visit in visits[:-1])])
@@ -375,7 +376,7 @@ def _drawn(visits: list[Visit], task: Task) -> Driven:
             path, joins = again[0], joins + more
         if path is None:
             continue
-        pen = Pen(here, task.robot.limits)
+        pen = CurveBuilder(here, task.robot.limits)
         lead(pen, path)
         face(pen, visit.ends[0][2])
         if pen.clock > 0:
@@ -386,15 +387,15 @@ def _drawn(visits: list[Visit], task: Task) -> Driven:
         here = visit.ends[1]
     if not curves:
         raise PlanError("no way leads to any room; choose another start")
-    return Driven(curve=joined(curves), stops=np.concatenate(stops), joins=joins)
+    return PlannedDrive(curve=joined(curves), stops=np.concatenate(stops), joins=joins)
 
 
-def face(pen: Pen, heading: float) -> None:
+def face(pen: CurveBuilder, heading: float) -> None:
     """Turn to a heading [rad]."""
     pen.turn(float(wrap(np.float64(heading - pen.pose[2]))), "turn")
 
 
-def _repaired(driven: Driven, todo: Bools, task: Task) -> Driven:
+def _repaired(driven: PlannedDrive, todo: Bools, task: Task) -> PlannedDrive:
     """Turn in the cells where a bin is still missing."""
     missing = missed(driven.curve, todo, task.coverage, task.rate)
     if not missing.any():
@@ -405,7 +406,7 @@ def _repaired(driven: Driven, todo: Bools, task: Task) -> Driven:
         repair.run()
     except KeyboardInterrupt:
         interrupted = True
-    return Driven(
+    return PlannedDrive(
         interrupted=interrupted,
         curve=joined([driven.curve, *repair.curves]),
         stops=np.concatenate([driven.stops, np.array(repair.stops).reshape(-1, 4)]),

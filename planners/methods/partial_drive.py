@@ -16,7 +16,7 @@ from planners.types import Bools, Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Trip:
+class PartialDrive:
     """Curves of a car, one after the other."""
 
     grid: Coverage
@@ -55,7 +55,7 @@ class Trip:
         """All curves in one; there must be some."""
         return joined(list(self.curves))
 
-    def then(self, curve: Curve) -> Trip:
+    def then(self, curve: Curve) -> PartialDrive:
         """Return the trip that goes on along a curve, which starts here."""
         return replace(
             self,
@@ -65,11 +65,11 @@ class Trip:
             earlier=self.seen if self.curves else None,
         )
 
-    def instead(self, curve: Curve) -> Trip:
+    def instead(self, curve: Curve) -> PartialDrive:
         """Return the trip that drives a curve in place of all curves."""
         return replace(self, curves=(), clock=0.0, earlier=None).then(curve)
 
-    def before(self, back: float) -> Trip | None:
+    def before(self, back: float) -> PartialDrive | None:
         """Return the trip without its last `back` [s]; None where that is all of the last curve, or more."""
         if back == 0.0:
             return self

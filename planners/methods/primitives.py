@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planners.arena import wrap
-from planners.curve import Pen, bend
+from planners.curve import CurveBuilder, bend
 from planners.types import Bools, Floats
 
 GUARD = 0.1
@@ -47,7 +47,7 @@ def least_sweep(phi: float, need: Bools, direction: int) -> float:
     return float(ahead.max(initial=0.0))
 
 
-def aim(pen: Pen, target: Floats | None, need: Bools | None, overlap: tuple[float, float]) -> Aim:
+def aim(pen: CurveBuilder, target: Floats | None, need: Bools | None, overlap: tuple[float, float]) -> Aim:
     """Choose the shortest turn that passes the headings in `need` and ends along the way to `target`, or from it.
 
     Parameters
@@ -76,7 +76,7 @@ def aim(pen: Pen, target: Floats | None, need: Bools | None, overlap: tuple[floa
 
 
 def _towards(
-    pen: Pen, target: Floats, direction: int, gear: int, sweep: float, overlap: tuple[float, float]
+    pen: CurveBuilder, target: Floats, direction: int, gear: int, sweep: float, overlap: tuple[float, float]
 ) -> Aim:
     """Turn at least `sweep` in this direction until the target lies ahead (gear 1) or behind (-1)."""
     phi = float(pen.pose[2])
@@ -98,7 +98,7 @@ def _towards(
     return Aim(angle=angle, distance=gear * distance)
 
 
-def leave(pen: Pen, angle: float, distance: float, overlap: float) -> Floats:
+def leave(pen: CurveBuilder, angle: float, distance: float, overlap: float) -> Floats:
     """Return (2,) [m], in the frame of the move, how far it ends off if it starts before a turn has ended."""
     limits = pen.limits
     turn_ramp = min(pen.spin / limits.alpha, float(np.sqrt(abs(angle) / limits.alpha)))

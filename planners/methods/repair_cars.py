@@ -21,11 +21,10 @@ from planners.cars.reachability import Ways
 from planners.cars.search import drive_on, geared
 from planners.curve import Curve
 from planners.joins.car_paths import CarWay, connect_cars
-from planners.joins.paths import Joins
-from planners.methods.partial_drive import Trip
-from planners.methods.stop_and_spin import Task
+from planners.methods.partial_drive import PartialDrive
 from planners.search.motion_primitives import GEARS, driving
 from planners.search.search import Visit
+from planners.task import JoinCounts, Task
 from planners.types import Bools, Floats, Ints
 
 IDLE = 12
@@ -61,11 +60,11 @@ class CarRepair:
     start: Floats
     """(3,) where the car is."""
     search: SearchOn
-    joins: Joins = field(default_factory=Joins)
+    joins: JoinCounts = field(default_factory=JoinCounts)
 
     def __post_init__(self) -> None:
         task, robot = self.task, self.task.robot
-        self.trip = Trip(grid=task.coverage, rate=task.rate, limits=robot.limits, here=self.start)
+        self.trip = PartialDrive(grid=task.coverage, rate=task.rate, limits=robot.limits, here=self.start)
         self.lost: Bools = np.zeros_like(self.todo)
         """(nx, ny, n_phi) bins that no way was found to."""
         self.tried: Ints = np.zeros(self.todo.shape, dtype=np.int64)
@@ -123,7 +122,7 @@ class CarRepair:
             longer = trip.then(curve)
             if (missing & longer.met).any():  # else too short a stay for some phase of the log
                 self.trip = longer
-                self.joins += Joins(flooded=1)
+                self.joins += JoinCounts(flooded=1)
                 return True
         return False
 

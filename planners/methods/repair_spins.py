@@ -11,11 +11,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from planners.arena import wrap
-from planners.curve import Curve, Pen
-from planners.joins.paths import Joins, connect_nearest
+from planners.curve import Curve, CurveBuilder
+from planners.joins.paths import connect_nearest
 from planners.methods.primitives import aim
-from planners.methods.stop_and_spin import DWELL, Task, places
+from planners.methods.stop_and_spin import DWELL, places
 from planners.search.log_phases import missed
+from planners.task import JoinCounts, Task
 from planners.types import Bools, Floats
 
 TURNS = 2
@@ -35,7 +36,7 @@ class SpinRepair:
     """(3,) where the robot stands."""
     curves: list[Curve] = field(default_factory=list)
     stops: list[tuple[float, float, float, float]] = field(default_factory=list)
-    joins: Joins = field(default_factory=Joins)
+    joins: JoinCounts = field(default_factory=JoinCounts)
 
     def __post_init__(self) -> None:
         self.missing = self.missing.copy()
@@ -69,7 +70,7 @@ class SpinRepair:
         """Drive along a path (k, 2) [m] and turn through the headings `need` (n_phi,) at its end."""
         task = self.task
         width = 2 * np.pi / task.coverage.headings
-        pen = Pen(self.here, task.robot.limits, spin=width * task.rate / DWELL)
+        pen = CurveBuilder(self.here, task.robot.limits, spin=width * task.rate / DWELL)
         lead(pen, path)
         pen.turn(aim(pen, None, need, (0.0, 0.0)).angle, "spin")
         pen.wait(1.0 / task.rate)
@@ -79,7 +80,7 @@ class SpinRepair:
         self.missing &= missed(self.curves[-1], self.missing, task.coverage, task.rate)
 
 
-def lead(pen: Pen, path: Floats) -> None:
+def lead(pen: CurveBuilder, path: Floats) -> None:
     """Drive along a path (k, 2) [m] from where the pen is."""
     for corner in path[1:]:
         way = corner - pen.pose[:2]

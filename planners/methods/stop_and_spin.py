@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from planners import order
-from planners.arena import Arena
 from planners.clearance import Barriers
-from planners.coverage import Coverage
-from planners.curve import Curve, Pen
+from planners.curve import CurveBuilder
 from planners.errors import PlanError
-from planners.joins.paths import Joins, connect
+from planners.joins.paths import connect
 from planners.methods.primitives import ZIGZAG, aim
 from planners.order import Cells
 from planners.priority import levels
-from planners.reach import LEAST_SHARE, Cycle, Reach
-from planners.robot import Robot
+from planners.reach import LEAST_SHARE, Reach
 from planners.search.log_phases import missed
-from planners.types import Bools, Floats, Ints, Progress
+from planners.task import JoinCounts, PlannedDrive, Task
+from planners.types import Bools, Floats, Ints
 
 OVERLAP = 0.5
 """[s] that turns and moves overlap where there is room."""
@@ -35,47 +31,7 @@ BACK = (1, 4, 16, 64)
 """Stops to go back where the robot is stuck."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Task:
-    """What a planner is asked for."""
-
-    arena: Arena
-    robot: Robot
-    barriers: Barriers
-    reach: Reach
-    coverage: Coverage
-    """Reachable bins, with the poses of earlier runs."""
-    start: Floats | None
-    """(3,) [m, m, rad]"""
-    seed: int
-    rate: float
-    """[Hz] of the log."""
-    priority: Floats | None
-    """(nx, ny, n_phi) higher comes earlier."""
-    duration: float | None
-    """[s] for planners that never finish."""
-    progress: Progress | None
-    targets: Floats | None = None
-    """(n, 3) [m, m, rad] poses to visit, for the planner of views."""
-    cycle: Cycle | None = None
-    """Of a car that only goes forward, what it can get to from the start and come back from, if that is known."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Driven:
-    """What a planner answers."""
-
-    curve: Curve
-    stops: Floats
-    """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the turn made there."""
-    joins: Joins
-    interrupted: bool = False
-    """Ctrl-C ended the planning: a drive through what was planned by then."""
-    lost: Bools | None = None
-    """(nx, ny, n_phi) bins that OMPL found no way to; None: none."""
-
-
-def plan_stop_and_spin(task: Task) -> Driven:
+def plan_stop_and_spin(task: Task) -> PlannedDrive:
     """Visit every cell that still lacks a heading, in an order that saves time."""
     if task.robot.drive != "diff":
         raise PlanError(
@@ -102,10 +58,10 @@ class Stops:
         self.limit = task.reach.clearance
         width = 2 * np.pi / task.coverage.headings
         self.spin = width * task.rate / DWELL
-        self.joins = Joins()
-        self.pen: Pen | None = None
+        self.joins = JoinCounts()
+        self.pen: CurveBuilder | None = None
 
-    def run(self) -> Driven:
+    def run(self) -> PlannedDrive:
         """Visit all, then again what a log of some phase would miss."""
         self._visit(self.todo)
         missing = self._missed()
@@ -118,7 +74,9 @@ class Stops:
                 break
         assert self.pen is not None
         self.pen.wait(1.0 / self.task.rate)
-        return Driven(curve=self.pen.curve(), stops=np.array(self.pen.stops).reshape(-1, 4), joins=self.joins)
+        return PlannedDrive(
+            curve=self.pen.curve(), stops=np.array(self.pen.stops).reshape(-1, 4), joins=self.joins
+        )
 
     def _missed(self) -> Bools:
         """Return (nx, ny, n_phi) bins that the log of at least one phase does not meet."""
@@ -157,7 +115,7 @@ class Stops:
         return np.concatenate(found)
 
     def _draw(
-        self, ends: Floats, needs: list[Bools | None], paths: list[Floats | None], joins: Joins
+        self, ends: Floats, needs: list[Bools | None], paths: list[Floats | None], joins: JoinCounts
     ) -> None:
         """Draw the stops one by one, each left in the direction of the next that can be reached."""
         route: list[tuple[Floats, Bools | None, str]] = [(ends[0], needs[0], "move")]
@@ -178,7 +136,7 @@ class Stops:
         roomy = self.task.barriers.are_clear(points[:-1], points[1:], self.limit + ROOM)
         roomy = np.concatenate([[False], roomy, [False]])
         blend = np.where(roomy[:-1] & roomy[1:], OVERLAP, 0.0)  # (n stops,)
-        pen = self.pen or Pen(self._first_pose(points), self.task.robot.limits, spin=self.spin)
+        pen = self.pen or CurveBuilder(self._first_pose(points), self.task.robot.limits, spin=self.spin)
         self.pen = pen
         for k, (_, need, _) in enumerate(route):
             target = points[k + 1] if k + 1 < len(points) else None
@@ -202,7 +160,9 @@ class Stops:
         )
         for b, path in zip(back, paths, strict=True):
             if path is not None:
-                self.joins += Joins(direct=joins.direct, planned=joins.planned, planned_m=joins.planned_m)
+                self.joins += JoinCounts(
+                    direct=joins.direct, planned=joins.planned, planned_m=joins.planned_m
+                )
                 return np.concatenate([np.array(route[len(route) - b :][::-1]).reshape(-1, 2), path])
         return None
 

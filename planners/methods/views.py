@@ -6,14 +6,15 @@ import numpy as np
 
 from planners import order
 from planners.arena import wrap
-from planners.curve import Pen
+from planners.curve import CurveBuilder
 from planners.errors import PlanError
-from planners.joins.paths import Joins, connect
-from planners.methods.stop_and_spin import DWELL, Driven, Task, places
+from planners.joins.paths import connect
+from planners.methods.stop_and_spin import DWELL, places
+from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats, Ints
 
 
-def plan_views(task: Task) -> Driven:
+def plan_views(task: Task) -> PlannedDrive:
     """Drive through the poses of `task.targets`; straight where that is clear, else by OMPL."""
     if task.robot.drive != "diff":
         raise PlanError(
@@ -24,7 +25,7 @@ def plan_views(task: Task) -> Driven:
     _check(task, task.targets)
     targets = task.targets[_order(task, task.targets)]
     start = targets[0] if task.start is None else task.start
-    pen = Pen(start, task.robot.limits)
+    pen = CurveBuilder(start, task.robot.limits)
     ends = np.concatenate([start[None, :2], targets[:, :2]])
     paths, joins = connect(ends[:-1], ends[1:], reach=task.reach, barriers=task.barriers, seed=task.seed)
     for k, (target, path) in enumerate(zip(targets, paths, strict=True)):
@@ -36,7 +37,7 @@ def plan_views(task: Task) -> Driven:
             pen.wait(DWELL / task.rate, "view")
         if task.progress:
             task.progress(k + 1, len(targets))
-    return Driven(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=joins)
+    return PlannedDrive(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=joins)
 
 
 def _check(task: Task, targets: Floats) -> None:
@@ -67,7 +68,7 @@ def _order(task: Task, targets: Floats) -> Ints:
     return np.array([k for k, _ in tour if k < len(targets)], dtype=np.int64)
 
 
-def _again(task: Task, here: Floats, target: Floats, joins: Joins) -> tuple[Floats | None, Joins]:
+def _again(task: Task, here: Floats, target: Floats, joins: JoinCounts) -> tuple[Floats | None, JoinCounts]:
     """Find a way from where the robot is after all."""
     paths, more = connect(
         here[None], target[None, :2], reach=task.reach, barriers=task.barriers, seed=task.seed
@@ -75,7 +76,7 @@ def _again(task: Task, here: Floats, target: Floats, joins: Joins) -> tuple[Floa
     return paths[0], joins + more
 
 
-def _go(pen: Pen, path: Floats) -> None:
+def _go(pen: CurveBuilder, path: Floats) -> None:
     """Turn and drive from corner to corner of a path (k, 2), whose first is where the robot is."""
     for corner in path[1:]:
         way = corner - pen.pose[:2]
@@ -85,6 +86,6 @@ def _go(pen: Pen, path: Floats) -> None:
             pen.move(length, "move" if len(path) == 2 else "join")
 
 
-def _face(pen: Pen, heading: float) -> None:
+def _face(pen: CurveBuilder, heading: float) -> None:
     """Turn to a heading [rad], the short way round."""
     pen.turn(float(wrap(np.float64(heading - pen.pose[2]))), "turn")

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
 from planners.arena import wrap
-from planners.curve import Curve, Pen
+from planners.curve import Curve, CurveBuilder
 from planners.errors import PlanError
 from planners.joins.paths import connect
 from sensorgraph.diagnosis.next_run.candidate_motions import SWEEP, Ground, Step
@@ -57,13 +57,13 @@ class Artist:
     def __init__(self, ground: Ground, seconds: float, start: Floats | None, seed: int) -> None:
         self.ground, self.seconds, self.start, self.seed = ground, seconds, start, seed
         self.limits = ground.robot.robot.limits
-        self.pen = Pen(np.zeros(3), self.limits)
+        self.pen = CurveBuilder(np.zeros(3), self.limits)
 
     def draw(self, steps: Sequence[Step], share: Floats, rounds: int) -> list[Step]:
         """Draw the motions by their shares of the time; return those that were drawn."""
         tour = _tour([s.place for s in steps], self.start)
         first = steps[tour[0]]
-        self.pen = Pen(
+        self.pen = CurveBuilder(
             np.array([*first.place, first.heading]) if self.start is None else self.start, self.limits
         )
         visits = [k for turn in range(rounds) for k in (tour if turn % 2 == 0 else tour[::-1])]
@@ -169,7 +169,7 @@ def random_run(ground: Ground, rng: np.random.Generator, seconds: float) -> Curv
     """Drive between random places at random speeds, with a spin or a pause now and then: what one does without a plan."""
     limits = ground.robot.robot.limits
     nodes = ground.nodes
-    pen = Pen(np.array([*nodes[rng.integers(len(nodes))], rng.uniform(-np.pi, np.pi)]), limits)
+    pen = CurveBuilder(np.array([*nodes[rng.integers(len(nodes))], rng.uniform(-np.pi, np.pi)]), limits)
     while pen.clock < seconds:
         pace = float(rng.uniform(0.4, 1.0))
         pen.limits = replace(limits, v=pace * limits.v)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planners.curve import Curve, Pen, duration, trapezoid
+from planners.curve import Curve, CurveBuilder, duration, trapezoid
 from planners.methods.primitives import GUARD, aim, least_sweep
 from planners.robot import Limits
 from planners.trajectory import Trajectory, read_csv
@@ -51,7 +51,7 @@ def integrate(curve: Curve) -> np.ndarray:
 def test_a_drawing_keeps_its_limits_and_ends_where_its_pen_is(
     limits: Limits, steps: list[tuple[bool, float, float]]
 ) -> None:
-    pen = Pen(np.array([1.0, -2.0, 0.4]), limits)
+    pen = CurveBuilder(np.array([1.0, -2.0, 0.4]), limits)
     for is_turn, size, overlap in steps:
         if is_turn:
             pen.turn(size, overlap=overlap)
@@ -71,7 +71,7 @@ def test_a_drawing_keeps_its_limits_and_ends_where_its_pen_is(
 
 
 def test_without_overlap_moves_and_turns_are_exact() -> None:
-    pen = Pen(np.zeros(3), Limits())
+    pen = CurveBuilder(np.zeros(3), Limits())
     for _ in range(4):
         pen.move(1.5)
         pen.turn(np.pi / 2)
@@ -82,7 +82,7 @@ def test_without_overlap_moves_and_turns_are_exact() -> None:
 def test_overlap_saves_its_time_and_costs_millimetres() -> None:
     ends, times = [], []
     for overlap in (0.0, 0.5):
-        pen = Pen(np.zeros(3), Limits())
+        pen = CurveBuilder(np.zeros(3), Limits())
         for _ in range(10):
             pen.move(0.25, overlap=overlap)
             pen.turn(np.pi, overlap=overlap)
@@ -128,7 +128,7 @@ def test_the_least_sweep_passes_every_heading_and_none_shorter_does(
 def test_aiming_hits_the_target_through_the_blends(
     phi: float, way: float, bearing: float, overlap: float, spins: bool
 ) -> None:
-    pen = Pen(np.array([0.0, 0.0, phi]), Limits())
+    pen = CurveBuilder(np.array([0.0, 0.0, phi]), Limits())
     pen.move(0.3)
     target = pen.pose[:2] + way * np.array([np.cos(bearing), np.sin(bearing)])
     chosen = aim(pen, target, np.ones(16, dtype=bool) if spins else None, (overlap, overlap))
@@ -140,7 +140,7 @@ def test_aiming_hits_the_target_through_the_blends(
 
 
 def test_samples_are_at_fifty_hertz_and_survive_the_file(tmp_path: Path) -> None:
-    pen = Pen(np.array([0.1, 0.2, 3.0]), Limits())
+    pen = CurveBuilder(np.array([0.1, 0.2, 3.0]), Limits())
     pen.move(1.0)
     pen.turn(1.0, "spin")
     trajectory = pen.curve().trajectory()
@@ -166,4 +166,4 @@ def test_a_primitive_may_have_any_name(tmp_path: Path) -> None:
 
 def test_nothing_drawn_is_an_error() -> None:
     with pytest.raises(ValueError, match="nothing was drawn"):
-        Pen(np.zeros(3), Limits()).curve()
+        CurveBuilder(np.zeros(3), Limits()).curve()

@@ -8,18 +8,20 @@ from hypothesis import strategies as st
 from planners_samples import door_arena, task_of
 
 from planners.cars.search import geared
-from planners.methods.partial_drive import Trip
+from planners.methods.partial_drive import PartialDrive
 from planners.search.log_phases import missed
 
 TASK = task_of(door_arena(9.0), "reeds_shepp", np.array([1.0, 1.4, 0.3]))
 PIECES = st.lists(st.tuples(st.floats(0.05, 0.6), st.sampled_from([-1, 0, 1])), min_size=1, max_size=4)
 
 
-def begun() -> Trip:
-    return Trip(grid=TASK.coverage, rate=TASK.rate, limits=TASK.robot.limits, here=np.array([1.0, 1.4, 0.3]))
+def begun() -> PartialDrive:
+    return PartialDrive(
+        grid=TASK.coverage, rate=TASK.rate, limits=TASK.robot.limits, here=np.array([1.0, 1.4, 0.3])
+    )
 
 
-def going_on(trip: Trip, pieces: list[tuple[float, int]], gear: int) -> Trip:
+def going_on(trip: PartialDrive, pieces: list[tuple[float, int]], gear: int) -> PartialDrive:
     length, bend = (np.array(column) for column in zip(*pieces, strict=True))
     return trip.then(geared(trip.here, length, bend, np.full(len(length), gear), TASK.robot.limits))
 

@@ -161,7 +161,7 @@ def test_an_arc_forward_and_the_same_backward_meet_again() -> None:
 def test_same_seed_same_ways_whatever_the_process_did_before() -> None:
     script = (
         "import sys, hashlib; sys.path.insert(0, sys.argv[1]);"
-        "from test_planners_ompl import *;"
+        "from test_planners_joins_car_paths import *;"
         "a = door_arena(1.2); b = Barriers(a); f = reach(a, b, clearance=CLEARANCE, cell=0.25);"
         "n = int(sys.argv[2]);"
         "[connect_cars(STARTS, GOALS, reach=f, barriers=b, robot=car('dubins'), seed=k) for k in range(n)];"

@@ -26,14 +26,13 @@ from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.curve import Curve
 from planners.export import commands, waypoints
-from planners.joins.paths import Joins
 from planners.maps.no_go import without, zones
 from planners.methods import coverage as search_planner
 from planners.methods.repair_cars import CarRepair
-from planners.methods.stop_and_spin import Driven, Task
 from planners.robot import Drive, Limits, Robot
 from planners.sampling import warnings
 from planners.session import Ways, cut_at, cuts, ends, latest, section, turns, within
+from planners.task import JoinCounts, PlannedDrive, Task
 from planners.trajectory import Trajectory
 from sensorgraph.planning.plan_folder import counted
 
@@ -41,8 +40,8 @@ ROBOT = Robot()
 GRID = {"cell": 0.5, "headings": 8}
 
 
-def task_of(made: Plan, arena: Arena, robot: Robot = ROBOT) -> tuple[Driven, Task]:
-    driven = Driven(curve=made.curve, stops=made.stops, joins=Joins())
+def task_of(made: Plan, arena: Arena, robot: Robot = ROBOT) -> tuple[PlannedDrive, Task]:
+    driven = PlannedDrive(curve=made.curve, stops=made.stops, joins=JoinCounts())
     task = Task(
         arena=arena,
         robot=robot,

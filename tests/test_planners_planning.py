@@ -119,7 +119,7 @@ def test_an_office_is_filled_too() -> None:
 
 
 SCRIPT = """
-from test_planners_plan import fingerprint
+from test_planners_planning import fingerprint
 print(fingerprint(5))
 """
 

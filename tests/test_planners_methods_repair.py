@@ -13,13 +13,14 @@ from planners.cars.search import search_floor
 from planners.check import check
 from planners.curve import joined
 from planners.joins.car_paths import CarWay
-from planners.joins.paths import Joins, connect
+from planners.joins.paths import connect
 from planners.methods.repair_cars import CarRepair
 from planners.methods.repair_spins import SpinRepair
 from planners.reach import Reach
 from planners.robot import Drive, Limits, Robot
 from planners.search.log_phases import missed
 from planners.search.search import Settings, Visit
+from planners.task import JoinCounts
 from planners.types import Bools, Floats
 
 START = np.array([0.8, 0.8, 0.3])
@@ -57,7 +58,7 @@ def test_what_is_crossed_on_the_way_is_not_driven_to_again() -> None:
     again.take(curve)
     again.run()
     assert len(again.trip.curves) == 1
-    assert again.joins == Joins()
+    assert again.joins == JoinCounts()
 
 
 def test_a_bin_that_no_way_leads_to_is_given_up_and_said_to_be() -> None:
@@ -73,11 +74,11 @@ def test_a_bin_that_no_way_leads_to_is_given_up_and_said_to_be() -> None:
 def test_ompl_is_not_asked_twice_for_a_bin_that_it_found_no_way_to(monkeypatch: pytest.MonkeyPatch) -> None:
     task, asked = task_of(door_arena(1.2), "dubins", START), list[Bools]()
 
-    def in_vain(starts: Floats, goals: list[Floats], **_: object) -> tuple[list[None], Joins]:
+    def in_vain(starts: Floats, goals: list[Floats], **_: object) -> tuple[list[None], JoinCounts]:
         (bins, inside) = task.coverage.bins(goals[0])
         assert inside.all()
         asked.append(some(task, *(tuple(own) for own in bins.tolist())))
-        return [None] * len(starts), Joins(failed=len(starts))
+        return [None] * len(starts), JoinCounts(failed=len(starts))
 
     monkeypatch.setattr(repairs, "connect_cars", in_vain)
     todo = some(task, (12, 6, 0), (12, 7, 8), (3, 6, 8), (6, 8, 4))

@@ -10,9 +10,9 @@ from planners.cars.search import geared
 from planners.check import check
 from planners.curve import Curve
 from planners.methods.repair_cars import CarRepair
-from planners.methods.stop_and_spin import Task
 from planners.robot import Drive
 from planners.search.log_phases import met, missed
+from planners.task import Task
 from planners.types import Bools
 
 START = np.array([0.5, 1.375, 0.0])

@@ -15,10 +15,10 @@ from planners.check import check
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.curve import Curve
-from planners.methods.coverage import Task
 from planners.reach import Reach, reach
 from planners.robot import Limits, Robot
 from planners.search.log_phases import missed
+from planners.task import Task
 from planners.types import Bools, Floats
 
 LIMITS = Limits(turning_radius=0.4)

@@ -13,10 +13,10 @@ import planners.methods.repair_cars as repairs
 from planners.cars.reachability import Ways, cycle
 from planners.cars.search import search_floor
 from planners.check import check
-from planners.joins.paths import Joins
 from planners.methods.repair_cars import CarRepair
 from planners.search.log_phases import missed
 from planners.search.search import Settings, Visit
+from planners.task import JoinCounts
 from planners.types import Bools, Floats
 
 START = np.array([0.8, 0.8, 0.3])
@@ -98,8 +98,8 @@ def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_flood(monkeypatch:
     todo[11:13, 5:7] = True
     todo &= cycle(task.reach, task.robot.limits, 16, 10.0, START).bins
 
-    def in_vain(starts: Floats, goals: list[Floats], **_: object) -> tuple[list[None], Joins]:
-        return [None] * len(starts), Joins(failed=len(starts))
+    def in_vain(starts: Floats, goals: list[Floats], **_: object) -> tuple[list[None], JoinCounts]:
+        return [None] * len(starts), JoinCounts(failed=len(starts))
 
     def search(missing: Bools, here: Floats, seed: int) -> Visit | None:
         return search_floor(missing, task, here, seed, lambda _: True, Settings(beam=30))

@@ -1,0 +1,78 @@
+"""What a planner is asked for (`Task`), and what it answers (`PlannedDrive`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from planners.arena import Arena
+from planners.clearance import Barriers
+from planners.coverage import Coverage
+from planners.curve import Curve
+from planners.reach import Cycle, Reach
+from planners.robot import Robot
+from planners.types import Bools, Floats, Progress
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """One planning job, as `planning.plan` gives it to a planner."""
+
+    arena: Arena
+    robot: Robot
+    barriers: Barriers
+    reach: Reach
+    coverage: Coverage
+    """Its reachable bins are to be covered; its counts hold the poses of earlier runs."""
+    start: Floats | None
+    """(3,) [m, m, rad]; None: wherever the planner likes."""
+    seed: int
+    rate: float
+    """[Hz] of the log."""
+    priority: Floats | None
+    """(nx, ny, n_phi) higher comes earlier."""
+    duration: float | None
+    """[s] that planners drive which never finish by themselves (the baselines)."""
+    progress: Progress | None
+    targets: Floats | None = None
+    """(n, 3) [m, m, rad] poses that the planner `views` visits."""
+    cycle: Cycle | None = None
+    """Of a car that only goes forward, what it can get to from the start and come back from, if that is known."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JoinCounts:
+    """How the joins came about: moves that only lead from one part of a drive to the next."""
+
+    direct: int = 0
+    """Straight moves (for cars: shortest curves) that are clear."""
+    planned: int = 0
+    """Joins that OMPL planned around obstacles."""
+    failed: int = 0
+    """Joins for which OMPL found no path."""
+    flooded: int = 0
+    """Joins of a Dubins car that OMPL did not find, but the wavefront over its own primitives did."""
+    planned_m: float = 0.0
+    """[m] of all planned joins."""
+
+    def __add__(self, other: JoinCounts) -> JoinCounts:
+        return JoinCounts(
+            direct=self.direct + other.direct,
+            planned=self.planned + other.planned,
+            failed=self.failed + other.failed,
+            flooded=self.flooded + other.flooded,
+            planned_m=self.planned_m + other.planned_m,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlannedDrive:
+    """A planner's answer."""
+
+    curve: Curve
+    stops: Floats
+    """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the turn made there."""
+    joins: JoinCounts
+    interrupted: bool = False
+    """Ctrl-C ended the planning; the drive covers what was planned by then."""
+    lost: Bools | None = None
+    """(nx, ny, n_phi) bins that OMPL found no way to; None: none."""
