@@ -26,8 +26,8 @@ from sensorgraph.diagnosis.next_run.candidate_motions import Ground
 from sensorgraph.diagnosis.next_run.design import next_run
 from sensorgraph.diagnosis.next_run.questions import OPEN, between
 from sensorgraph.diagnosis.scan.fit import ROUGH, Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.nuisance import Freedom
-from sensorgraph.diagnosis.scan.scan_data import Evidence, gather
+from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.drive import follow
 from sensorgraph.world.robot import RobotFile, default
@@ -74,24 +74,24 @@ def pairs(arena: Arena) -> dict[str, tuple[Amendment, Amendment]]:
 
 def measured(
     trajectory: Trajectory, arena: Arena, robot: RobotFile, effect: Amendment, seed: int
-) -> Evidence:
+) -> ScanData:
     """Drive and scan with an effect."""
     rng = np.random.default_rng(seed)
     driven = follow(trajectory, robot, clearance=WallDistance(arena), rng=rng)
     run = simulate(driven, arena, robot, rng=rng, effects=[effect], seed=seed)
-    return gather(run, arena, robot)[0]
+    return prepare_scans(run, arena, robot)[0]
 
 
-def nats(evidence: Evidence, a: Amendment, b: Amendment) -> tuple[float, Amendment]:
+def nats(data: ScanData, a: Amendment, b: Amendment) -> tuple[float, Amendment]:
     """Return J(A) - J(B) on measured data, both refitted; and B as fitted."""
-    fits = [fitted(evidence, model) for model in (a, b)]
+    fits = [fitted(data, model) for model in (a, b)]
     return fits[0].j - fits[1].j, fits[1].model[0]
 
 
-def fitted(evidence: Evidence, effect: Amendment) -> Fitted:
+def fitted(data: ScanData, effect: Amendment) -> Fitted:
     """Fit an effect with all nuisances: its smooth parameters, and its rough ones by trying both sides."""
-    freedom = Freedom()
-    best = fit(evidence, (effect,), start_state(evidence, freedom), freedom, outer=4, inner=4)
+    noise_bounds = NoiseBounds()
+    best = fit(data, (effect,), start_state(data, noise_bounds), noise_bounds, outer=4, inner=4)
     for scale in (4.0, 1.0):
         for name, step in ROUGH.get(effect.name, {}).items():
             if name not in effect.parameters:
@@ -99,7 +99,7 @@ def fitted(evidence: Evidence, effect: Amendment) -> Fitted:
             for sign in (1.0, -1.0):
                 value = best.model[0][name] + sign * scale * step
                 moved = best.model[0].moved_to({name: value})
-                got = fit(evidence, (moved,), best.state, freedom, outer=1, inner=2)
+                got = fit(data, (moved,), best.state, noise_bounds, outer=1, inner=2)
                 best = got if got.j > best.j else best
     return best
 

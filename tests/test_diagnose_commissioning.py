@@ -16,8 +16,8 @@ from planners.arena import Arena
 from planners.types import Floats
 from sensorgraph.diagnosis.commissioning import Commissioned, commission, commission_all
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
-from sensorgraph.diagnosis.scan.scan_data import gather
-from sensorgraph.diagnosis.scan.site_variation import Sighting, usual_sizes
+from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+from sensorgraph.diagnosis.scan.site_variation import WindowEstimate, usual_sizes
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world import robot as robot_file
 
@@ -103,7 +103,7 @@ def test_a_turned_laser_is_named_though_the_poses_are_its_own(good: Commissioned
     effect = against(good, site_run(4, turn=0.02)).effects[0]
     assert effect.name == "mount_yaw"
     assert effect["delta"] == pytest.approx(0.02, abs=0.004)
-    bare, _ = gather(site_run(4), ARENA, ROBOT)
+    bare, _ = prepare_scans(site_run(4), ARENA, ROBOT)
     assert bare.laser_frame
     assert not good.told(bare).laser_frame
 
@@ -112,14 +112,16 @@ def test_the_good_run_loosens_pose_tolerances_to_what_its_poses_deserve(good: Co
     t = good.robot.tolerances
     assert 0.006 < t.pose_xy < 0.02  # 10 mm planted
     assert 0.002 < t.pose_yaw < 0.008  # 4 mrad planted
-    assert 0.01 < good.freedom.stray[1] < 0.2
+    assert 0.01 < good.noise_bounds.stray[1] < 0.2
 
 
-def sightings(name: str, key: str, values: list[float], wobbles: list[float] | None = None) -> list[Sighting]:
+def sightings(
+    name: str, key: str, values: list[float], wobbles: list[float] | None = None
+) -> list[WindowEstimate]:
     """Make windows of 100 scans that show these sizes."""
     errors = [0.5] * len(values) if wobbles is None else wobbles
     return [
-        Sighting(
+        WindowEstimate(
             n_scans=100, n_readings=9000, gains={}, sizes={name: {key: v}}, wobbles={name: w}, misfit=0.0
         )
         for v, w in zip(values, errors, strict=True)

@@ -20,17 +20,17 @@ PLANTED: list[tuple[str, dict[str, Any], str, float]] = [
 
 def test_nothing_planted_nothing_named() -> None:
     for seed in (1, 2):
-        ledger = diagnose_drive(make_run(seed), ROBOT)
-        assert ledger.effects == () and ledger.unknown is None and ledger.skipped == ""
+        result = diagnose_drive(make_run(seed), ROBOT)
+        assert result.effects == () and result.unknown is None and result.skipped == ""
 
 
 @pytest.mark.parametrize(("name", "effect", "key", "value"), PLANTED, ids=[p[0] for p in PLANTED])
 def test_planted_effect_is_named_with_its_size(
     name: str, effect: dict[str, Any], key: str, value: float
 ) -> None:
-    ledger = diagnose_drive(make_run(3, **effect), ROBOT)
-    assert [a.name for a in ledger.effects] == [name] and ledger.unknown is None
-    assert abs(ledger.effects[0][key] - value) < 3 * ledger.effects[0].stderr[key]
+    result = diagnose_drive(make_run(3, **effect), ROBOT)
+    assert [a.name for a in result.effects] == [name] and result.unknown is None
+    assert abs(result.effects[0][key] - value) < 3 * result.effects[0].stderr[key]
 
 
 @pytest.mark.parametrize(
@@ -48,8 +48,8 @@ def test_motors_that_ignore_small_commands_are_unknown(column: int, least: float
         told, still = run.commands.copy(), np.abs(run.commands[:, column]) < 1e-9
         shift = np.sign(np.sin(run.cmd_stamps / 3.0))
         told[still, column] = 0.6 * least * shift[still]
-        ledger = diagnose_drive(replace(run, commands=told), ROBOT)
-        assert ledger.unknown is not None and "small" in ledger.unknown.statement and ledger.effects == ()
+        result = diagnose_drive(replace(run, commands=told), ROBOT)
+        assert result.unknown is not None and "small" in result.unknown.statement and result.effects == ()
 
 
 def test_run_without_commands_or_odometry_is_skipped_with_reason() -> None:

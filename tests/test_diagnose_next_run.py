@@ -18,7 +18,7 @@ from sensorgraph.diagnosis.next_run.candidate_motions import Ground
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.forecast import Forecast, Motion, Question
 from sensorgraph.diagnosis.next_run.questions import ask, between, typical
-from sensorgraph.diagnosis.result import Ledger, Rival
+from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import RobotFile, default
 from tests.effects_samples import arena as sample_arena
@@ -153,8 +153,10 @@ def test_a_folder_is_written_that_record_can_drive(
 def test_the_rival_is_asked_about_first(arena: Arena) -> None:
     own, other = effect("latency", tau=0.02), effect("mount_xy", dx=0.01, dy=0.0)
     rival = Rival(name="mount_xy", instead_of="latency", evidence_nats=20.0, separates="")
-    ledger = Ledger(channel="scan", effects=(own,), rivals=(rival,), not_observable={"min_range": "too far"})
-    (question,) = ask(ledger, [own], [other])
+    result = ChannelResult(
+        channel="scan", effects=(own,), rivals=(rival,), not_observable={"min_range": "too far"}
+    )
+    (question,) = ask(result, [own], [other])
     assert question.words == "latency between pose and scan or mounting offset"
 
 
@@ -163,29 +165,29 @@ def test_a_rival_far_behind_is_asked_about_no_more() -> None:
     sure = replace(own, evidence=900.0)
     rival = Rival(name="mount_xy", instead_of="latency", evidence_nats=20.0, separates="")
     hidden = {"mirror": "box/edge_2: hardly met by a ray", "min_range": "no return from nearer than 0.40 m"}
-    ledger = Ledger(channel="scan", effects=(sure,), rivals=(rival,), not_observable=hidden)
-    assert [q.a[-1].name for q in ask(ledger, [own], [other])] == ["min_range"]
-    ledger = replace(
-        ledger, not_observable={"mirror": hidden["mirror"]}
+    result = ChannelResult(channel="scan", effects=(sure,), rivals=(rival,), not_observable=hidden)
+    assert [q.a[-1].name for q in ask(result, [own], [other])] == ["min_range"]
+    result = replace(
+        result, not_observable={"mirror": hidden["mirror"]}
     )  # a little wall is little to ask for
-    assert ask(ledger, [own], [other])[0].words.startswith("how large is the effect of latency")
-    near = replace(ledger, effects=(replace(own, evidence=40.0),))
+    assert ask(result, [own], [other])[0].words.startswith("how large is the effect of latency")
+    near = replace(result, effects=(replace(own, evidence=40.0),))
     assert ask(near, [own], [other])[0].words == "latency between pose and scan or mounting offset"
 
 
 def test_without_a_rival_what_was_not_observable_is_asked_for() -> None:
     hidden = {"glass": "room/edge_2, room/edge_3: hardly met", "latency": "the robot stood still"}
-    (question,) = ask(Ledger(channel="scan", not_observable=hidden), [], [])
+    (question,) = ask(ChannelResult(channel="scan", not_observable=hidden), [], [])
     assert question.a[-1].name == "latency"
     del hidden["latency"]
-    (question,) = ask(Ledger(channel="scan", not_observable=hidden), [], [])
+    (question,) = ask(ChannelResult(channel="scan", not_observable=hidden), [], [])
     assert (question.a[-1].name, question.a[-1].place) == ("glass", "room/edge_2")
 
 
 def test_there_is_always_a_question() -> None:
-    assert ask(Ledger(channel="scan"), [], [])
+    assert ask(ChannelResult(channel="scan"), [], [])
     assert (
-        ask(Ledger(channel="scan"), [effect("range_bias", b=0.02)], [])[0].words
+        ask(ChannelResult(channel="scan"), [effect("range_bias", b=0.02)], [])[0].words
         == "how large is the effect of range bias"
     )
 

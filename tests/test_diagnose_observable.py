@@ -9,9 +9,9 @@ import pytest
 
 from planners.types import Floats
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.nuisance import Freedom
 from sensorgraph.diagnosis.scan.observability import alike, not_observable
-from sensorgraph.diagnosis.scan.scan_data import Evidence, velocities
+from sensorgraph.diagnosis.scan.scan_data import ScanData, velocities
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot import default
 from sensorgraph.world.scene import draw
@@ -20,13 +20,13 @@ from tests.effects_samples import arena
 STAMPS = np.arange(0.0, 60.0, 0.2)
 
 
-def evidence(poses: Floats, *, laser_frame: bool = False, stamps: Floats = STAMPS) -> Evidence:
+def evidence(poses: Floats, *, laser_frame: bool = False, stamps: Floats = STAMPS) -> ScanData:
     """Scan along poses (n, 3) at the stamps, with the noise of the default robot and nothing else."""
     robot = default()
     sensor = replace(robot.sensor, bearings=robot.sensor.bearings[::3])
     track = np.arange(0.0, stamps[-1] + 0.05, 0.05)
     along = np.stack([np.interp(track, stamps, column) for column in poses.T], axis=1)
-    found = Evidence(
+    found = ScanData(
         arena=arena(),
         sensor=sensor,
         tolerances=robot.tolerances,
@@ -44,8 +44,8 @@ def evidence(poses: Floats, *, laser_frame: bool = False, stamps: Floats = STAMP
     return replace(found, ranges=draw(scene, np.random.default_rng(0)), memo={})
 
 
-def null(found: Evidence) -> Fitted:
-    return fit(found, (), start_state(found, Freedom()), Freedom(), outer=1, inner=5)
+def null(found: ScanData) -> Fitted:
+    return fit(found, (), start_state(found, NoiseBounds()), NoiseBounds(), outer=1, inner=5)
 
 
 def standing(stamps: Floats = STAMPS) -> Floats:
@@ -127,8 +127,8 @@ def test_what_was_never_looked_at_is_named() -> None:
 
 def test_effects_of_the_model_are_not_said_to_be_hidden() -> None:
     found = evidence(standing())
-    state = start_state(found, Freedom())
-    fitted = fit(found, (EFFECTS["latency"](tau=0.0),), state, Freedom(), outer=1, inner=3)
+    state = start_state(found, NoiseBounds())
+    fitted = fit(found, (EFFECTS["latency"](tau=0.0),), state, NoiseBounds(), outer=1, inner=3)
     assert "latency" not in not_observable(found, fitted)
 
 

@@ -12,10 +12,10 @@ from logs.run import Run
 from planners.arena import Arena, wrap
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.nuisance import Freedom
 from sensorgraph.diagnosis.scan.propose_obstacles import nudged
 from sensorgraph.diagnosis.scan.residuals import View
-from sensorgraph.diagnosis.scan.scan_data import Evidence, gather
+from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world import robot as robot_file
 from sensorgraph.world.scene import Scene, draw
@@ -56,9 +56,9 @@ def to_and_fro(hall: Arena, effects: tuple[Amendment, ...] = (), seed: int = 0) 
     )
 
 
-def bare(hall: Arena, run: Run) -> tuple[Evidence, Fitted]:
-    evidence = gather(run, hall, ROBOT)[0]
-    return evidence, fit(evidence, (), start_state(evidence, Freedom()), Freedom(), outer=1, inner=4)
+def bare(hall: Arena, run: Run) -> tuple[ScanData, Fitted]:
+    data = prepare_scans(run, hall, ROBOT)[0]
+    return data, fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=4)
 
 
 def moved(dx: float, dy: float) -> Amendment:

@@ -28,28 +28,28 @@ PLANTED: list[tuple[str, dict[str, Any], dict[str, float]]] = [
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_nothing_planted_nothing_named(memory: float) -> None:
     for seed in (1, 2):
-        ledger = diagnose_odometry(make_run(seed, memory=memory), ROBOT)
-        assert ledger.effects == () and ledger.unknown is None and ledger.skipped == ""
+        result = diagnose_odometry(make_run(seed, memory=memory), ROBOT)
+        assert result.effects == () and result.unknown is None and result.skipped == ""
 
 
 @pytest.mark.parametrize(("name", "effect", "truth"), PLANTED, ids=[name for name, _, _ in PLANTED])
 def test_planted_effect_is_named_with_its_size(
     name: str, effect: dict[str, Any], truth: dict[str, float]
 ) -> None:
-    ledger = diagnose_odometry(make_run(3, **effect), ROBOT)
-    assert [a.name for a in ledger.effects] == [name] and ledger.unknown is None
+    result = diagnose_odometry(make_run(3, **effect), ROBOT)
+    assert [a.name for a in result.effects] == [name] and result.unknown is None
     for key, value in truth.items():
-        assert abs(ledger.effects[0][key] - value) < 3 * ledger.effects[0].stderr[key]
-    assert ledger.gap is not None and ledger.gap.after.rmse_m < ledger.gap.before.rmse_m
+        assert abs(result.effects[0][key] - value) < 3 * result.effects[0].stderr[key]
+    assert result.gap is not None and result.gap.after.rmse_m < result.gap.before.rmse_m
 
 
 def test_slippery_patch_is_found_where_it_is() -> None:
     run = make_run(4)
     moving = run.poses[600]
     run = make_run(4, slip=(0.3, moving[0], moving[1], 0.5))
-    ledger = diagnose_odometry(run, ROBOT)
-    assert [a.name for a in ledger.effects] == ["wheel_slip"]
-    found = ledger.effects[0]
+    result = diagnose_odometry(run, ROBOT)
+    assert [a.name for a in result.effects] == ["wheel_slip"]
+    found = result.effects[0]
     assert abs(found["s"] - 0.3) < max(3 * found.stderr["s"], 0.03)
     assert np.hypot(found["x"] - moving[0], found["y"] - moving[1]) < 0.3  # place, as the issue asks
 
@@ -57,9 +57,9 @@ def test_slippery_patch_is_found_where_it_is() -> None:
 @pytest.mark.parametrize("share", [0.03, 0.07])
 def test_a_faint_patch_is_no_reason_to_doubt(share: float) -> None:
     spot = make_run(4).poses[600]
-    ledger = diagnose_odometry(make_run(4, slip=(share, spot[0], spot[1], 0.5)), ROBOT)
-    found = [*ledger.effects, *ledger.within_tolerance]
-    assert ledger.unknown is None
+    result = diagnose_odometry(make_run(4, slip=(share, spot[0], spot[1], 0.5)), ROBOT)
+    found = [*result.effects, *result.within_tolerance]
+    assert result.unknown is None
     assert [a.name for a in found] == ["wheel_slip"]
     assert abs(found[0]["s"] - share) < 0.01
 
@@ -79,8 +79,8 @@ def test_dispersion_is_one_for_white_rows_and_more_where_neighbours_agree(
 
 
 def test_two_effects_are_both_named() -> None:
-    ledger = diagnose_odometry(make_run(5, base=0.03, clock=0.05), ROBOT)
-    assert {a.name for a in ledger.effects} == {"wheel_base", "pose_clock_offset"}
+    result = diagnose_odometry(make_run(5, base=0.03, clock=0.05), ROBOT)
+    assert {a.name for a in result.effects} == {"wheel_base", "pose_clock_offset"}
 
 
 def turned_by_place(run: Run) -> Run:
@@ -122,9 +122,9 @@ def worn_half_way(run: Run) -> Run:
 )
 def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: str) -> None:
     for seed in (11, 12):
-        ledger = diagnose_odometry(distort(make_run(seed)), ROBOT)
-        assert ledger.unknown is not None and said in ledger.unknown.statement
-        assert not {a.name for a in ledger.effects} & {"wheel_slip", "wheel_base", "wheel_radius_diff"}
+        result = diagnose_odometry(distort(make_run(seed)), ROBOT)
+        assert result.unknown is not None and said in result.unknown.statement
+        assert not {a.name for a in result.effects} & {"wheel_slip", "wheel_base", "wheel_radius_diff"}
 
 
 def test_camera_louder_than_said_is_no_structure() -> None:
@@ -132,8 +132,8 @@ def test_camera_louder_than_said_is_no_structure() -> None:
     for seed in (13, 14):
         run = make_run(seed, memory=0.9)
         louder = run.poses + rng.normal(size=run.poses.shape) * [0.005, 0.005, 0.004]
-        ledger = diagnose_odometry(replace(run, poses=louder), ROBOT)
-        assert ledger.effects == () and ledger.unknown is None
+        result = diagnose_odometry(replace(run, poses=louder), ROBOT)
+        assert result.effects == () and result.unknown is None
 
 
 def test_a_reference_that_is_stretched_evenly_is_a_wheel_radius_and_nothing_more() -> None:
@@ -158,16 +158,16 @@ def test_run_without_odometry_is_skipped_with_reason() -> None:
 def test_odometry_is_not_compared_with_itself(source: str) -> None:
     run = make_run(1, duration=10.0, radius=0.05)
     itself = replace(run, pose_stamps=run.odom_stamps, poses=run.odometry, meta={"pose_source": source})
-    ledger = diagnose_odometry(itself, ROBOT)
-    assert "are its odometry" in ledger.skipped and source in ledger.skipped and ledger.effects == ()
+    result = diagnose_odometry(itself, ROBOT)
+    assert "are its odometry" in result.skipped and source in result.skipped and result.effects == ()
 
 
 def test_poses_that_stop_early_are_used_and_said() -> None:
     run = make_run(6, radius=0.03)
     n = len(run.poses) // 2
     run = replace(run, poses=run.poses[:n], pose_stamps=run.pose_stamps[:n])
-    ledger = diagnose_odometry(run, ROBOT)
-    assert "overlap" in ledger.notes and [a.name for a in ledger.effects] == ["wheel_radius"]
+    result = diagnose_odometry(run, ROBOT)
+    assert "overlap" in result.notes and [a.name for a in result.effects] == ["wheel_radius"]
 
 
 def test_reference_that_does_not_move_is_skipped_with_reason() -> None:
@@ -177,5 +177,5 @@ def test_reference_that_does_not_move_is_skipped_with_reason() -> None:
 
 def test_twists_stand_in_for_poses_that_do_not_move() -> None:
     run = make_run(8, radius=0.03)
-    ledger = diagnose_odometry(replace(run, odometry=np.zeros_like(run.odometry)), ROBOT)
-    assert ledger.notes["odometry_from"] == "twists" and [a.name for a in ledger.effects] == ["wheel_radius"]
+    result = diagnose_odometry(replace(run, odometry=np.zeros_like(run.odometry)), ROBOT)
+    assert result.notes["odometry_from"] == "twists" and [a.name for a in result.effects] == ["wheel_radius"]

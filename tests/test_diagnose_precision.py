@@ -14,8 +14,8 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import is_known
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import searched
-from sensorgraph.diagnosis.scan.nuisance import Freedom
-from sensorgraph.diagnosis.scan.scan_data import gather
+from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.standard_errors import lattice_error, material_probability, standard_errors
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world import robot as robot_file
@@ -35,13 +35,13 @@ def fitted(
     hall: Arena, planted: Amendment, start: Amendment, seed: int = 0
 ) -> tuple[Fitted, dict[str, float]]:
     """Plant an effect, fit it from a start; return the fit and its standard errors."""
-    evidence, _ = gather(
+    data, _ = prepare_scans(
         drive(hall, (planted,), seed=seed), hall, robot_file.loads("sensor: {n_rays: 61}"), ()
     )
-    freedom = Freedom()
-    first = fit(evidence, (start,), start_state(evidence, freedom), freedom)
-    got = searched(evidence, first, freedom, rounds=4, first=1.0, turns=3)
-    return got, standard_errors(got, freedom)[0]
+    noise_bounds = NoiseBounds()
+    first = fit(data, (start,), start_state(data, noise_bounds), noise_bounds)
+    got = searched(data, first, noise_bounds, rounds=4, first=1.0, turns=3)
+    return got, standard_errors(got, noise_bounds)[0]
 
 
 @pytest.mark.parametrize(
@@ -64,18 +64,18 @@ def test_a_rough_parameter_is_within_its_error(
 def test_the_error_of_scattered_strays_is_that_of_counting(hall: Arena) -> None:
     p = 0.02
     got, errors = fitted(hall, EFFECTS["random_outliers"](p=p), EFFECTS["random_outliers"](p=0.01))
-    counting = np.sqrt(p * (1 - p) / got.solver.evidence.ranges.size)
+    counting = np.sqrt(p * (1 - p) / got.solver.data.ranges.size)
     assert 0.7 * counting < errors["p"] < 1.8 * counting
 
 
 def test_a_lattice_that_is_off_by_its_error_still_holds_every_reading(hall: Arena) -> None:
     q = 0.05
-    evidence, _ = gather(
+    data, _ = prepare_scans(
         drive(hall, (EFFECTS["quantisation"](q=q),)), hall, robot_file.loads("sensor: {n_rays: 61}"), ()
     )
-    z = evidence.ranges[evidence.returned]
-    cell = max(evidence.sensor.resolution, 1e-4)
-    off = lattice_error(evidence, q)
+    z = data.ranges[data.returned]
+    cell = max(data.sensor.resolution, 1e-4)
+    off = lattice_error(data, q)
     for step, holds in ((q + 0.99 * off, True), (q + 1.5 * off, False)):
         assert (np.abs(np.round(z / q) * step - z).max() <= 0.5 * cell + 1e-9) == holds
 

@@ -21,7 +21,7 @@ from sensorgraph.demo_effect import to_dict as hidden_dict
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.diagnosis.report.files import plain, save, to_dict
 from sensorgraph.diagnosis.report.phrases import gap_sentence, number, parameters, percent, said
-from sensorgraph.diagnosis.result import Fit, Gap, Ledger, Rival, Unknown, Where
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import EFFECTS, effects_file
 from sensorgraph.world import robot as robot_file
 from sensorgraph.world.raycast import cast
@@ -71,18 +71,21 @@ def saved(found: Finding, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def unknown(silent: Finding) -> Finding:
-    where = Where(
+    deviation = Deviation(
         family="bias", partition="wall", label="w/edge_1", z=9.0, size=0.021, n_rays=812, xy=(4.0, 1.5)
     )
     doubt = Unknown(
-        statement="something no effect of the library explains", where=where, statistic=9.0, threshold=4.0
+        statement="something no effect of the library explains",
+        deviation=deviation,
+        statistic=9.0,
+        threshold=4.0,
     )
-    return with_scan(silent, unknown=doubt, where=(where,))
+    return with_scan(silent, unknown=doubt, deviations=(deviation,))
 
 
 def with_scan(finding: Finding, **changes: object) -> Finding:
-    ledgers = {**finding.ledgers, "scan": replace(finding.ledgers["scan"], **changes)}  # type: ignore[arg-type]
-    return replace(finding, ledgers=ledgers)
+    channels = {**finding.channels, "scan": replace(finding.channels["scan"], **changes)}  # type: ignore[arg-type]
+    return replace(finding, channels=channels)
 
 
 def external(html: str) -> list[str]:
@@ -186,13 +189,13 @@ def test_something_unknown_is_said_with_its_place(unknown: Finding, tmp_path: Pa
 
 def test_a_script_reads_the_gap_of_the_channel_that_the_headline_is_about(found: Finding) -> None:
     a = replace(EFFECTS["wheel_radius"](s=0.02), evidence=1e6, probability=1.0)
-    fit = Fit(rmse_m=0.02, normalised=2.0, nats_per_ray=-1.0)
+    fit = FitQuality(rmse_m=0.02, normalised=2.0, nats_per_ray=-1.0)
     wheels = Gap(before=fit, after=replace(fit, rmse_m=0.01), noise_floor=fit, n_rays=70)
-    where = Where(
+    deviation = Deviation(
         family="bias", partition="turn", label="left", z=9.0, size=0.1, n_rays=70, channel="odometry"
     )
-    odometry = Ledger(channel="odometry", effects=(a,), gap=wheels, where=(where,))
-    report = to_dict(replace(found, ledgers={**found.ledgers, "odometry": odometry}))
+    odometry = ChannelResult(channel="odometry", effects=(a,), gap=wheels, deviations=(deviation,))
+    report = to_dict(replace(found, channels={**found.channels, "odometry": odometry}))
     assert report["gap"]["channel"] == "odometry"
     assert (report["gap"]["unit"], report["gap"]["before"]["rmse_m"]) == ("m/s", 0.02)
     assert report["where"][0]["channel"] == "odometry"
@@ -250,21 +253,23 @@ def test_a_name_that_its_rival_equals_is_no_name(found: Finding, lead: float, na
         evidence_nats=(a.evidence or 0) - lead,
         separates="near and far",
     )
-    ledger = replace(found.ledgers["scan"], rivals=(rival,)).settled()
-    one = replace(found, ledgers={**found.ledgers, "scan": ledger})
+    result = replace(found.channels["scan"], rivals=(rival,)).settled()
+    one = replace(found, channels={**found.channels, "scan": result})
     report = to_dict(one)
     assert [e["name"] for e in report["effects"]] == ([a.name] if named else [])
     assert [e["name"] for e in report["undecided"]] == ([] if named else [a.name])
     assert report["runner_up"]["name"] == "range_scale"
     if not named:
         assert said(one).headline.startswith("Undecided between range bias")
-        also = replace(ledger, effects=(EFFECTS["range_scale"](s=0.01),), undecided=())
+        also = replace(result, effects=(EFFECTS["range_scale"](s=0.01),), undecided=())
         assert replace(also, effects=(*also.effects, a)).settled().undecided == ()  # both are there
 
 
 def test_skipped_channels_and_missing_parts_leave_a_report(silent: Finding, tmp_path: Path) -> None:
-    skipped = {name: Ledger(channel=name, skipped=f"no {name}") for name in ("scan", "odometry", "drive")}
-    bare = replace(silent, ledgers=skipped, explained=None, verdict=None, next_run=None)
+    skipped = {
+        name: ChannelResult(channel=name, skipped=f"no {name}") for name in ("scan", "odometry", "drive")
+    }
+    bare = replace(silent, channels=skipped, explained=None, verdict=None, next_run=None)
     files = save(bare, tmp_path)
     assert {path.name for path in files} == {"report.json", "report.html", "effects.yaml"}
     html = (tmp_path / "report.html").read_text()
@@ -328,9 +333,9 @@ def test_numbers_are_rounded_to_their_errors() -> None:
 
 
 def test_the_gap_is_told_in_nats_where_metres_hardly_change() -> None:
-    floor = Fit(rmse_m=0.01, normalised=1.0, nats_per_ray=-3.0)
-    before = Fit(rmse_m=0.0192, normalised=1.92, nats_per_ray=-2.0)
-    after = Fit(rmse_m=0.0101, normalised=1.01, nats_per_ray=-2.9)
+    floor = FitQuality(rmse_m=0.01, normalised=1.0, nats_per_ray=-3.0)
+    before = FitQuality(rmse_m=0.0192, normalised=1.92, nats_per_ray=-2.0)
+    after = FitQuality(rmse_m=0.0101, normalised=1.01, nats_per_ray=-2.9)
     assert "from 1.92 to 1.01 times" in gap_sentence(
         Gap(before=before, after=after, noise_floor=floor, n_rays=9)
     )

@@ -16,12 +16,13 @@ from sensorgraph.diagnosis.scan.fit import SMOOTH, Fitted, cast, fit, solver_for
 from sensorgraph.diagnosis.scan.gauss_newton import boxed
 from sensorgraph.diagnosis.scan.goodness_of_fit import check, dispersion, replicate
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
-from sensorgraph.diagnosis.scan.likelihood import Predicted, judge, plain_judge, predicted
+from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings, plain_e_step
 from sensorgraph.diagnosis.scan.map_alignment import placement
-from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, Freedom, Noise, pose_prior
+from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, BeamNoise, pose_prior
 from sensorgraph.diagnosis.scan.residuals import View, best_run
-from sensorgraph.diagnosis.scan.scan_data import Evidence, gather
+from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.errors import SensorgraphError
@@ -70,37 +71,37 @@ def drive(hall: Arena, effects: tuple[Amendment, ...] = (), *, seed: int = 0, n:
     )
 
 
-def evidence_of(hall: Arena, effects: tuple[Amendment, ...] = (), **options: int) -> Evidence:
+def evidence_of(hall: Arena, effects: tuple[Amendment, ...] = (), **options: int) -> ScanData:
     robot = robot_file.loads("sensor: {n_rays: 61}")
-    return gather(drive(hall, effects, **options), hall, robot)[0]
+    return prepare_scans(drive(hall, effects, **options), hall, robot)[0]
 
 
 @pytest.fixture(scope="module")
-def quiet(hall: Arena) -> Evidence:
+def quiet(hall: Arena) -> ScanData:
     """Return the evidence of a run without any effect."""
     return evidence_of(hall)
 
 
 @pytest.fixture(scope="module")
-def null(quiet: Evidence) -> Fitted:
+def null(quiet: ScanData) -> Fitted:
     """Return its fit without effects."""
-    return fit(quiet, (), start_state(quiet, Freedom()), Freedom(), outer=1, inner=5)
+    return fit(quiet, (), start_state(quiet, NoiseBounds()), NoiseBounds(), outer=1, inner=5)
 
 
-def moved_pose(evidence: Evidence, step: Floats) -> Evidence:
-    stamps, poses = evidence.track
-    return replace(evidence, track=(stamps, poses + step), memo={})
+def moved_pose(data: ScanData, step: Floats) -> ScanData:
+    stamps, poses = data.track
+    return replace(data, track=(stamps, poses + step), memo={})
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_columns_by_the_pose_are_difference_quotients(quiet: Evidence, axis: int) -> None:
+def test_columns_by_the_pose_are_difference_quotients(quiet: ScanData, axis: int) -> None:
     at, h = cast(quiet, ()), 1e-6
     step = np.zeros(3)
     step[axis] = h
     moved = cast(moved_pose(quiet, step), ())
-    same = at.cols.valid & (moved.beams.wall == at.beams.wall)
-    quotient = (moved.what.reading - at.what.reading)[same] / h
-    np.testing.assert_allclose(at.cols.pose[:, axis][same], quotient, atol=2e-3)  # second order over h
+    same = at.jacobian.valid & (moved.beams.wall == at.beams.wall)
+    quotient = (moved.expected.reading - at.expected.reading)[same] / h
+    np.testing.assert_allclose(at.jacobian.pose[:, axis][same], quotient, atol=2e-3)  # second order over h
 
 
 @pytest.mark.parametrize(
@@ -117,13 +118,13 @@ def test_columns_by_the_pose_are_difference_quotients(quiet: Evidence, axis: int
     ],
 )
 def test_a_nuisance_does_what_its_effect_does(
-    quiet: Evidence, name: str, values: dict[str, float], column: str
+    quiet: ScanData, name: str, values: dict[str, float], column: str
 ) -> None:
     at = cast(quiet, ())
     moved = cast(quiet, (EFFECTS[name](**values),))
-    same = at.cols.valid & (moved.beams.wall == at.beams.wall)
-    quotient = (moved.what.reading - at.what.reading)[same] / 1e-6
-    got = at.cols.dense[:, DENSE.index(column)][same]
+    same = at.jacobian.valid & (moved.beams.wall == at.beams.wall)
+    quotient = (moved.expected.reading - at.expected.reading)[same] / 1e-6
+    got = at.jacobian.dense[:, DENSE.index(column)][same]
     if column in (
         "latency",
         "skew",
@@ -133,7 +134,7 @@ def test_a_nuisance_does_what_its_effect_does(
         assert np.abs(got - quotient).max() < 5e-3 * max(1.0, np.abs(quotient).max())
 
 
-def test_eliminating_the_poses_solves_the_whole_system(quiet: Evidence, null: Fitted) -> None:
+def test_eliminating_the_poses_solves_the_whole_system(quiet: ScanData, null: Fitted) -> None:
     """Schur complement against one dense least-squares problem with every pose error as an unknown."""
     few = quiet.part(np.arange(6))
     solver, _ = solver_for(few, (EFFECTS["range_bias"](b=0.0),))
@@ -144,16 +145,16 @@ def test_eliminating_the_poses_solves_the_whole_system(quiet: Evidence, null: Fi
     for j in range(k):
         x = np.zeros(k)
         x[j] = 1.0
-        state = start_state(few, Freedom())
+        state = start_state(few, NoiseBounds())
         state.g = x[: solver.n_g]
         columns.append(solver.shift(state, x[solver.n_g :]).ravel())
     for scan in range(n_scans):
         for axis in range(3):
-            state = start_state(few, Freedom())
+            state = start_state(few, NoiseBounds())
             state.delta[scan, axis] = 1.0
             columns.append(solver.shift(state, np.zeros(1)).ravel())
     a = np.column_stack(columns)
-    w = np.where(solver.cols.valid, weight, 0.0).ravel()
+    w = np.where(solver.jacobian.valid, weight, 0.0).ravel()
     normal = a.T @ (a * w[:, None])
     prior = np.linalg.inv(pose_prior(few, 1.0))
     for scan in range(n_scans):
@@ -198,7 +199,7 @@ def test_the_box_holds_and_binds_only_where_it_must() -> None:
 
 
 @pytest.mark.parametrize(("short", "lattice"), [(0.0, 0.0), (0.05, 0.0), (0.0, 0.01), (0.02, 0.05)])
-def test_the_compiled_likelihood_is_the_plain_one(quiet: Evidence, short: float, lattice: float) -> None:
+def test_the_compiled_likelihood_is_the_plain_one(quiet: ScanData, short: float, lattice: float) -> None:
     """Readings of every kind: returned, lost, too near and broken, aimed at something or not, beside edges or not."""
     rng, shape = np.random.default_rng(6), (40, 61)
     expected = rng.uniform(0.05, 9.0, shape)
@@ -207,7 +208,7 @@ def test_the_compiled_likelihood_is_the_plain_one(quiet: Evidence, short: float,
         z = np.where(rng.random(shape) < 0.8, np.round(z / lattice) * lattice, z)
     z = np.where(rng.random(shape) < 0.4, rng.choice([np.inf, -np.inf, np.nan], shape), np.abs(z))
     beside = rng.random(shape) < 0.3
-    what = Predicted(
+    expected = ExpectedReadings(
         reading=np.where(rng.random(shape) < 0.2, rng.choice([np.inf, np.nan], shape), expected),
         sigma=rng.uniform(0.005, 0.05, shape),
         p_return=np.broadcast_to(rng.uniform(0, 1, (40, 1)), shape),
@@ -217,16 +218,21 @@ def test_the_compiled_likelihood_is_the_plain_one(quiet: Evidence, short: float,
         short=short,
         lattice=lattice,
     )
-    evidence = replace(quiet.part(np.arange(40)), ranges=z)
-    asked = evidence, what, rng.normal(size=shape) * 0.01, Noise(core=1.1, tail=0.1, loss=0.01, stray=0.002)
-    got, plain = judge(*asked), plain_judge(*asked)
+    data = replace(quiet.part(np.arange(40)), ranges=z)
+    asked = (
+        data,
+        expected,
+        rng.normal(size=shape) * 0.01,
+        BeamNoise(core=1.1, tail=0.1, loss=0.01, stray=0.002),
+    )
+    got, plain = e_step(*asked), plain_e_step(*asked)
     for name in ("log_p", "weight", "residual", "core", "tail", "lost", "stray"):
         np.testing.assert_allclose(
             getattr(got, name), getattr(plain, name), rtol=1e-9, atol=1e-12, err_msg=name
         )
 
 
-def test_a_reading_has_a_probability_of_one_in_all(quiet: Evidence) -> None:
+def test_a_reading_has_a_probability_of_one_in_all(quiet: ScanData) -> None:
     """Integrate the density over every reading a ray may give, lost and too close among them."""
     at = cast(quiet, ())
     few = quiet.part(np.arange(3))
@@ -234,16 +240,22 @@ def test_a_reading_has_a_probability_of_one_in_all(quiet: Evidence) -> None:
     beams = replace(
         beams, reading=np.tile(np.linspace(0.5, 7.9, 61), (3, 1)), p_return=0.8, sigma=0.02, ox=beams.ox[:3]
     )
-    what = predicted(beams, np.zeros((3, 61)), None, 0.03, 0.0, 0.0)
+    expected = expected_readings(beams, np.zeros((3, 61)), None, 0.03, 0.0, 0.0)
     grid = np.arange(0.05, 8.0, 0.002)
     total = np.zeros((3, 61))
     for z in grid:
-        got = judge(
-            replace(few, ranges=np.full((3, 61), z)), what, np.zeros((3, 61)), Noise(tail=0.1, loss=0.01)
+        got = e_step(
+            replace(few, ranges=np.full((3, 61), z)),
+            expected,
+            np.zeros((3, 61)),
+            BeamNoise(tail=0.1, loss=0.01),
         )
         total += 0.002 * np.exp(got.log_p)
-    lost = judge(
-        replace(few, ranges=np.full((3, 61), np.inf)), what, np.zeros((3, 61)), Noise(tail=0.1, loss=0.01)
+    lost = e_step(
+        replace(few, ranges=np.full((3, 61), np.inf)),
+        expected,
+        np.zeros((3, 61)),
+        BeamNoise(tail=0.1, loss=0.01),
     )
     np.testing.assert_allclose(total + np.exp(lost.log_p), 1.0, atol=0.012)  # of 0.05 to 8 m, and a floor
 
@@ -257,11 +269,11 @@ def test_without_an_effect_nuisances_stay_small_and_scales_at_one(null: Fitted) 
 
 
 def test_screening_foresees_the_gain_of_a_fit(hall: Arena) -> None:
-    evidence = evidence_of(hall, (EFFECTS["range_bias"](b=0.008),))
-    free = Freedom()
-    without = fit(evidence, (), start_state(evidence, free), free, outer=1, inner=6)
-    foreseen = next(c for c in smooth_candidates(evidence, without) if c.amendment.name == "range_bias")
-    with_it = fit(evidence, (foreseen.amendment,), without.state, free, outer=3, inner=4)
+    data = evidence_of(hall, (EFFECTS["range_bias"](b=0.008),))
+    free = NoiseBounds()
+    without = fit(data, (), start_state(data, free), free, outer=1, inner=6)
+    foreseen = next(c for c in smooth_candidates(data, without) if c.amendment.name == "range_bias")
+    with_it = fit(data, (foreseen.amendment,), without.state, free, outer=3, inner=4)
     assert with_it.j - without.j > 20
     assert 0.4 < foreseen.gain / (with_it.j - without.j) < 2.5
     assert abs(with_it.model[0]["b"] - 0.008) < 0.002
@@ -287,9 +299,9 @@ def test_a_fit_recovers_what_was_planted(
 ) -> None:
     planted = EFFECTS[name](**values)
     planted = planted.at(place) if place else planted
-    evidence = evidence_of(hall, (planted,))
+    data = evidence_of(hall, (planted,))
     start = planted.moved_to({k: 0.8 * v for k, v in values.items() if k in SMOOTH[name] and k not in "xy"})
-    got = fit(evidence, (start,), start_state(evidence, Freedom()), Freedom(), outer=6, inner=4)
+    got = fit(data, (start,), start_state(data, NoiseBounds()), NoiseBounds(), outer=6, inner=4)
     sd = np.sqrt(np.diag(got.solution.covariance))
     for k, (parameter, deviation) in enumerate(zip(SMOOTH[name], sd, strict=True)):
         assert abs(got.model[0][parameter] - values[parameter]) < 4 * deviation + 1e-4, (k, parameter)
@@ -304,22 +316,22 @@ def test_best_run_is_the_best_of_all_runs() -> None:
         assert row[i : j + 1].sum() == pytest.approx(plain)
 
 
-def test_replicates_are_as_the_model_says(quiet: Evidence, null: Fitted) -> None:
+def test_replicates_are_as_the_model_says(quiet: ScanData, null: Fitted) -> None:
     rng = np.random.default_rng(1)
     ratios = [dispersion(View(*replicate(quiet, null, rng))) for _ in range(6)]
     assert 0.8 < np.mean(ratios) < 1.2
 
 
-def test_scans_that_differ_show_in_the_dispersion(quiet: Evidence) -> None:
+def test_scans_that_differ_show_in_the_dispersion(quiet: ScanData) -> None:
     rng = np.random.default_rng(2)
     bursts = rng.random(quiet.n_scans) < 0.3
     noisy = quiet.ranges + rng.normal(size=quiet.ranges.shape) * np.where(bursts, 0.02, 0.0)[:, None]
     changed = replace(quiet, ranges=noisy, memo={})
-    got = fit(changed, (), start_state(changed, Freedom()), Freedom(), outer=1, inner=5)
+    got = fit(changed, (), start_state(changed, NoiseBounds()), NoiseBounds(), outer=1, inner=5)
     assert dispersion(View(changed, got)) > 2
 
 
-def test_one_block_in_eight_is_held_out(quiet: Evidence) -> None:
+def test_one_block_in_eight_is_held_out(quiet: ScanData) -> None:
     held = held_out(quiet)
     assert 0.05 < held.mean() < 0.2
     assert (np.diff(np.flatnonzero(held)) == 1).any()  # whole blocks
@@ -332,8 +344,8 @@ def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, tur
     poses = np.column_stack(
         [c * run.poses[:, 0] - s * run.poses[:, 1] + 3.0, s * run.poses[:, 0] + c * run.poses[:, 1] - 1.5, wrap(run.poses[:, 2] + turn)]
     )  # fmt: skip
-    evidence, _ = gather(replace(run, poses=poses), hall, robot_file.loads("sensor: {n_rays: 61}"))
-    place = placement(evidence, np.random.default_rng(0))
+    data, _ = prepare_scans(replace(run, poses=poses), hall, robot_file.loads("sensor: {n_rays: 61}"))
+    place = placement(data, np.random.default_rng(0))
     assert not place.fits
     assert place.best_share > 0.85
     assert abs(wrap(place.dphi + turn)) < 0.05
@@ -349,7 +361,7 @@ def test_too_few_scans_are_refused_in_one_line(hall: Arena) -> None:
 
 def test_another_sensor_is_refused(hall: Arena) -> None:
     with pytest.raises(SensorgraphError, match="the run has 61 rays"):
-        gather(drive(hall), hall, robot_file.default())
+        prepare_scans(drive(hall), hall, robot_file.default())
 
 
 @pytest.mark.parametrize(("away", "doubted"), [(0, False), (60, True)])
@@ -362,11 +374,11 @@ def test_a_pane_that_is_away_for_a_stretch_of_the_run_is_no_pane(
     ranges = with_pane.ranges.copy()
     ranges[:away] = without.ranges[:away]
     run = replace(with_pane, ranges=ranges)
-    evidence, _ = gather(run, hall, robot_file.loads("sensor: {n_rays: 61}"), ())
-    null = fit(evidence, (), start_state(evidence, Freedom()), Freedom())
-    fitted = fit(evidence, (pane,), start_state(evidence, Freedom()), Freedom())
+    data, _ = prepare_scans(run, hall, robot_file.loads("sensor: {n_rays: 61}"), ())
+    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds())
+    fitted = fit(data, (pane,), start_state(data, NoiseBounds()), NoiseBounds())
     gained = fitted.j - null.j
-    verdict = check(evidence, fitted, gained, {0: gained}, rng=np.random.default_rng(0))
+    verdict = check(data, fitted, gained, {0: gained}, rng=np.random.default_rng(0))
     assert gained > 500
     assert (0 in verdict.failed) == doubted
 
@@ -377,8 +389,8 @@ def test_a_run_in_an_arena_full_of_walls_is_of_another_place_though_rays_end_at_
         for x, y in zip(np.arange(0.3, 5.9, 0.4), 14 * [0.2], strict=True)
     ]
     store = polygon_arena([(0, 0), (6, 0), (6, 5), (0, 5)], *shelves)
-    evidence, _ = gather(drive(hall), store, robot_file.loads("sensor: {n_rays: 61}"))
-    place = placement(evidence, np.random.default_rng(0))
+    data, _ = prepare_scans(drive(hall), store, robot_file.loads("sensor: {n_rays: 61}"))
+    place = placement(data, np.random.default_rng(0))
     assert place.share > 0.6  # by chance
     assert place.alike < 0.3 and not place.fits
     assert "as long as the arena would make them" in place.sentence()
@@ -411,7 +423,7 @@ def test_the_outline_of_a_box_where_a_disc_is_said_doubts_no_other_name(hall: Ar
 
 @pytest.mark.parametrize(("sticks_out", "is_named"), [(0.008, False), (0.08, True)])
 def test_what_hardly_stands_out_of_a_mapped_obstacle_is_none(
-    quiet: Evidence, null: Fitted, sticks_out: float, is_named: bool
+    quiet: ScanData, null: Fitted, sticks_out: float, is_named: bool
 ) -> None:
     """A disc over the face x = 2.6 of a pillar, within what the map may be wrong there, or not."""
     r = 0.05

@@ -96,4 +96,4 @@ def test_a_place_that_has_not_changed_is_silent(before: Sensorgraph) -> None:
     found = later(before, polygon_arena(HALL, BOX, PILLAR))
     assert not found.effects
     assert not found.undecided
-    assert all(ledger.unknown is None for ledger in found.ledgers.values())
+    assert all(result.unknown is None for result in found.channels.values())

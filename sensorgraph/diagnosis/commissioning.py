@@ -21,14 +21,22 @@ from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
-from sensorgraph.diagnosis.scan.goodness_of_fit import Verdict, check
-from sensorgraph.diagnosis.scan.likelihood import judge
+from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check
+from sensorgraph.diagnosis.scan.likelihood import e_step
 from sensorgraph.diagnosis.scan.model_selection import THRESHOLD, is_rough, price, searched, shortlist
-from sensorgraph.diagnosis.scan.nuisance import OWN, Freedom
+from sensorgraph.diagnosis.scan.nuisance import OWN
 from sensorgraph.diagnosis.scan.propose import lattice
 from sensorgraph.diagnosis.scan.residuals import View
-from sensorgraph.diagnosis.scan.scan_data import LEAST_SCANS, Evidence, gather
-from sensorgraph.diagnosis.scan.site_variation import FEW, SURE, Sighting, Usual, alone, usual_sizes
+from sensorgraph.diagnosis.scan.scan_data import LEAST_SCANS, ScanData, prepare_scans
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.diagnosis.scan.site_variation import (
+    FEW,
+    SURE,
+    BaselineInterval,
+    WindowEstimate,
+    alone,
+    usual_sizes,
+)
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import RobotFile, Tolerances
@@ -41,7 +49,9 @@ SEVERAL = 1.4  # the same where several good runs show how far clutter goes, at 
 MOST_TIMES = 3.0  # and at most
 STEADY = 0.43  # share of a stamp's tolerance that is the same all through a run (see `nuisance.widths`)
 SHORT = 0.3  # [m] a map of shorter walls has no panes
-WIDE = Freedom(core=(0.3, 4.0), tail=(0.005, 0.6), loss=(1e-4, 0.3), stray=(1e-4, 0.5), pose=1.0, most=1.0)
+WIDE = NoiseBounds(
+    core=(0.3, 4.0), tail=(0.005, 0.6), loss=(1e-4, 0.3), stray=(1e-4, 0.5), min_pose_scale=1.0, max_scale=1.0
+)
 SLACK = 1.15  # by which noise levels may rise above those of the good run
 CALMER = 2.0  # by which they may be lower: less noise is no effect
 MISFIT = 3.0  # over that of the good run, before anything is said to be unknown
@@ -65,11 +75,11 @@ class Commissioned:
     """With the tolerances of the poses, and the resolution of the sensor, that the run showed."""
     known: tuple[Amendment, ...]
     """What the run itself shows: part of the simulator from now on."""
-    freedom: Freedom
+    noise_bounds: NoiseBounds
     """Noise, frozen near what the run showed."""
     unseen: Mapping[str, float]
     """Effect -> inf, where a map like this one cannot show it."""
-    runs: tuple[tuple[tuple[Sighting, ...], ...], ...]
+    runs: tuple[tuple[tuple[WindowEstimate, ...], ...], ...]
     """Of each run, as a whole and cut finer: what its windows showed though nothing was wrong."""
 
     @property
@@ -88,20 +98,20 @@ class Commissioned:
             "runs": self.n_runs,
             "tolerances": asdict(self.robot.tolerances),
             "resolution": self.robot.sensor.resolution,
-            "noise": asdict(self.freedom),
+            "noise": _noise_dict(self.noise_bounds),
             "known": {a.name: dict(a.parameters) for a in self.known},
             "clutter_floor_nats": {n: round(g, 1) for n, g in floors.items()},
             "usual_sizes": {n: u.said(n) for n, u in usual.items()},
             "not_looked_for": list(self.unseen),
         }
 
-    def alike(self, n_scans: int) -> list[Sighting]:
+    def alike(self, n_scans: int) -> list[WindowEstimate]:
         """Return windows of the good runs that are nearly as long; shorter ones too, where these are few."""
         levels = []
         for cuts in self.runs:
             apart = [abs(np.log(level[0].n_scans / n_scans)) for level in cuts]
             levels.append(cuts[int(np.argmin(apart)) :])
-        seen: list[Sighting] = []
+        seen: list[WindowEstimate] = []
         for depth in range(max(len(level) for level in levels)):
             seen += [s for finer in levels for level in finer[depth : depth + 1] for s in level]
             if len(seen) >= FEW:
@@ -109,7 +119,11 @@ class Commissioned:
         return seen
 
     def floors(
-        self, seen: Sequence[Sighting], usual: Mapping[str, Usual], n_scans: int, n_readings: int
+        self,
+        seen: Sequence[WindowEstimate],
+        usual: Mapping[str, BaselineInterval],
+        n_scans: int,
+        n_readings: int,
     ) -> dict[str, float]:
         """Return, per effect, what it may gain though nothing is wrong [nats], in a run of this length.
 
@@ -140,27 +154,39 @@ class Commissioned:
         far = stdtrit(len(logs) - 1, SURE) * logs.std(ddof=1) * np.sqrt(1 + 1 / len(logs))
         return float(np.clip(np.exp(logs.mean() + far) / gained.max(), SEVERAL, MOST_TIMES))
 
-    def told(self, evidence: Evidence) -> Evidence:
+    def told(self, data: ScanData) -> ScanData:
         """Return evidence of a later run that is judged against this one.
 
         Its poses may be the laser's own: a mount that has moved since shows as a difference.
         """
-        seen = self.alike(evidence.n_scans)
-        usual = usual_sizes(seen, evidence.n_scans)
+        seen = self.alike(data.n_scans)
+        usual = usual_sizes(seen, data.n_scans)
         extra: dict[str, float] = dict(self.unseen)
-        for name, gain in self.floors(seen, usual, evidence.n_scans, evidence.ranges.size).items():
+        for name, gain in self.floors(seen, usual, data.n_scans, data.ranges.size).items():
             extra[name] = max(gain - THRESHOLD, 0.0)
-        return replace(evidence, laser_frame=False, floors=extra, usual=usual, memo={})
+        return replace(data, laser_frame=False, floors=extra, usual=usual, memo={})
 
-    def calmed(self, verdict: Verdict, evidence: Evidence) -> Verdict:
+    def calmed(self, verdict: GoodnessOfFit, data: ScanData) -> GoodnessOfFit:
         """Take back a doubt that is no larger than the good run's own, and weigh only what is beyond that."""
         seen = [s for cuts in self.runs for level in cuts[:2] for s in level]
-        own = max(s.misfit / s.n_readings for s in seen) * evidence.ranges.size
+        own = max(s.misfit / s.n_readings for s in seen) * data.ranges.size
         beyond = verdict.misfit - MISFIT * own
         clear = verdict.threshold <= 0 or verdict.statistic > CLEAR * verdict.threshold
         if beyond > 0 and clear:
             return replace(verdict, misfit=STRIKE_SHARE * beyond)
-        return replace(verdict, statement="", where=None, misfit=0.0, failed=frozenset())
+        return replace(verdict, statement="", deviation=None, misfit=0.0, failed=frozenset())
+
+
+def _noise_dict(bounds: NoiseBounds) -> dict[str, Any]:
+    """Return bounds of the noise under the keys of report.json."""
+    return {
+        "core": bounds.core,
+        "tail": bounds.tail,
+        "loss": bounds.loss,
+        "stray": bounds.stray,
+        "pose": bounds.min_pose_scale,
+        "most": bounds.max_scale,
+    }
 
 
 def commission(
@@ -174,34 +200,34 @@ def commission(
     runs are merged
     """
     rng = np.random.default_rng(seed)
-    evidence, _ = gather(run, arena, robot)
-    evidence = replace(evidence, laser_frame=False)
-    null = fit(evidence, (), start_state(evidence, WIDE), WIDE, outer=1, inner=12)
+    data, _ = prepare_scans(run, arena, robot)
+    data = replace(data, laser_frame=False)
+    null = fit(data, (), start_state(data, WIDE), WIDE, outer=1, inner=12)
     sensor = robot.sensor
-    for found in lattice(View(evidence, null)):
+    for found in lattice(View(data, null)):
         sensor = replace(sensor, resolution=found.amendment["q"])
-    tolerances = pose_tolerances(evidence, null)
+    tolerances = pose_tolerances(data, null)
     robot = replace(robot, sensor=sensor, tolerances=tolerances)
-    evidence = replace(
-        evidence,
-        sensor=replace(evidence.sensor, resolution=sensor.resolution),
+    data = replace(
+        data,
+        sensor=replace(data.sensor, resolution=sensor.resolution),
         tolerances=tolerances,
         memo={},
     )
-    known = baseline(evidence) if learn else ()
-    evidence = replace(evidence, known=(*evidence.known, *known), memo={})
+    known = baseline(data) if learn else ()
+    data = replace(data, known=(*data.known, *known), memo={})
     cuts = WINDOWS[:2] if learn else WINDOWS[:1]
-    robot = replace(robot, tolerances=shift_tolerances(evidence, cuts))
-    evidence = replace(evidence, tolerances=robot.tolerances, floors=unseen(arena), memo={})
-    parts = [part for n in cuts for part in windows(evidence, n)]
-    freedom = frozen([fit(p, (), start_state(p, WIDE), WIDE, outer=1, inner=12) for p in parts])
-    seen = [tuple(sighting(part, freedom, rng) for part in windows(evidence, n)) for n in WINDOWS]
+    robot = replace(robot, tolerances=shift_tolerances(data, cuts))
+    data = replace(data, tolerances=robot.tolerances, floors=unseen(arena), memo={})
+    parts = [part for n in cuts for part in windows(data, n)]
+    noise_bounds = frozen([fit(p, (), start_state(p, WIDE), WIDE, outer=1, inner=12) for p in parts])
+    seen = [tuple(sighting(part, noise_bounds, rng) for part in windows(data, n)) for n in WINDOWS]
     logger.debug("known %s; sightings %s", known, seen)
     return Commissioned(
         robot=robot,
         known=known,
-        freedom=freedom,
-        unseen=evidence.floors,
+        noise_bounds=noise_bounds,
+        unseen=data.floors,
         runs=(tuple(level for level in seen if level),),
     )
 
@@ -213,18 +239,18 @@ def commission_all(runs: Sequence[Run], arena: Arena, robot: RobotFile, *, seed:
     return merged([commission(run, arena, robot, seed=seed, learn=False) for run in runs])
 
 
-def sighting(evidence: Evidence, freedom: Freedom, rng: np.random.Generator) -> Sighting:
+def sighting(data: ScanData, noise_bounds: NoiseBounds, rng: np.random.Generator) -> WindowEstimate:
     """Look at one window of a good run as if it were a run under test."""
-    null = fit(evidence, (), start_state(evidence, freedom), freedom, outer=1, inner=7)
-    gained, sizes = gains(evidence, null, freedom)
+    null = fit(data, (), start_state(data, noise_bounds), noise_bounds, outer=1, inner=7)
+    gained, sizes = gains(data, null, noise_bounds)
     smooth, wobbles = alone(null)
-    return Sighting(
-        n_scans=evidence.n_scans,
-        n_readings=int(evidence.ranges.size),
+    return WindowEstimate(
+        n_scans=data.n_scans,
+        n_readings=int(data.ranges.size),
         gains=gained,
         sizes={**sizes, **smooth},
         wobbles=wobbles,
-        misfit=check(evidence, null, 0.0, {}, rng=rng).misfit,
+        misfit=check(data, null, 0.0, {}, rng=rng).misfit,
     )
 
 
@@ -243,28 +269,28 @@ def is_local(name: str) -> bool:
     return EFFECTS[name].place in ("wall", "obstacle", "spot")
 
 
-def windows(evidence: Evidence, n: int) -> list[Evidence]:
+def windows(data: ScanData, n: int) -> list[ScanData]:
     """Cut the run into n stretches of the same count of scans, unless they get too short."""
-    cuts = np.linspace(0, evidence.n_scans, n + 1).astype(np.intp)
-    if evidence.n_scans < n * LEAST_SCANS:
+    cuts = np.linspace(0, data.n_scans, n + 1).astype(np.intp)
+    if data.n_scans < n * LEAST_SCANS:
         return []
     parts = []
     for low, high in pairwise(cuts):
-        part = evidence.part(np.arange(low, high))
+        part = data.part(np.arange(low, high))
         span = float(part.stamps[-1] - part.stamps[0])
         parts.append(replace(part, begin=float(part.stamps[0]), span=max(span, 1e-9)))
     return parts
 
 
-def shift_tolerances(evidence: Evidence, cuts: Sequence[int]) -> Tolerances:
+def shift_tolerances(data: ScanData, cuts: Sequence[int]) -> Tolerances:
     """Return the tolerances, those of mount and stamps as wide as these seem to shift though nothing has moved.
 
     The clock is fitted by itself: while a robot turns one way only, a late clock looks like a yaw.
     """
     mount = [EFFECTS["mount_xy"](dx=0.0, dy=0.0), EFFECTS["mount_yaw"](delta=0.0)]
     clock = [EFFECTS["latency"](tau=0.0)]
-    t, rows = evidence.tolerances, []
-    for part in (part for n in cuts for part in windows(evidence, n)):
+    t, rows = data.tolerances, []
+    for part in (part for n in cuts for part in windows(data, n)):
         xy, yaw = fit(part, mount, start_state(part, WIDE), WIDE, outer=3, inner=5).model
         (late,) = fit(part, clock, start_state(part, WIDE), WIDE, outer=3, inner=5).model
         rows.append([xy["dx"] ** 2 / 2 + xy["dy"] ** 2 / 2, yaw["delta"] ** 2, late["tau"] ** 2])
@@ -284,8 +310,8 @@ def merged(several: Sequence[Commissioned]) -> Commissioned:
     shifts = {k: np.array([getattr(t, k) for t in tolerances]) for k in ("mount_xy", "mount_yaw", "stamp")}
     widest = {k: float(np.sqrt(np.mean(v**2))) for k, v in shifts.items()}
     usual = {k: float(np.median([getattr(t, k) for t in tolerances])) for k in ("pose_xy", "pose_yaw")}
-    freedoms = [c.freedom for c in several]
-    freedom = replace(
+    freedoms = [c.noise_bounds for c in several]
+    noise_bounds = replace(
         freedoms[0],
         core=_union([f.core for f in freedoms]),
         tail=_union([f.tail for f in freedoms]),
@@ -295,7 +321,7 @@ def merged(several: Sequence[Commissioned]) -> Commissioned:
     return Commissioned(
         robot=replace(first.robot, tolerances=replace(tolerances[0], **widest, **usual)),
         known=(),
-        freedom=freedom,
+        noise_bounds=noise_bounds,
         unseen=dict(item for c in several for item in c.unseen.items()),
         runs=tuple(cuts for c in several for cuts in c.runs),
     )
@@ -305,18 +331,18 @@ def _union(spans: Sequence[tuple[float, float]]) -> tuple[float, float]:
     return min(low for low, _ in spans), max(high for _, high in spans)
 
 
-def baseline(evidence: Evidence) -> tuple[Amendment, ...]:
+def baseline(data: ScanData) -> tuple[Amendment, ...]:
     """Fit what the run itself shows, one effect after another, as long as each is worth its price."""
-    current = fit(evidence, (), start_state(evidence, WIDE), WIDE, outer=1, inner=12)
+    current = fit(data, (), start_state(data, WIDE), WIDE, outer=1, inner=12)
     left = dict(BASELINE)
     while left:
         tried = []
         for name, values in left.items():
             model = (*current.model, EFFECTS[name](**values))
-            got = fit(evidence, model, current.state, WIDE, outer=3, inner=4)
+            got = fit(data, model, current.state, WIDE, outer=3, inner=4)
             if is_rough(model[-1]):
-                got = searched(evidence, got, WIDE, rounds=6, first=1.0, turns=2)
-            tried.append((got.j - current.j - price(got.model[-1], evidence), got))
+                got = searched(data, got, WIDE, rounds=6, first=1.0, turns=2)
+            tried.append((got.j - current.j - price(got.model[-1], data), got))
         gain, best = max(tried, key=lambda pair: pair[0])
         if gain < THRESHOLD:
             break
@@ -325,7 +351,7 @@ def baseline(evidence: Evidence) -> tuple[Amendment, ...]:
     return current.model
 
 
-def frozen(fits: list[Fitted]) -> Freedom:
+def frozen(fits: list[Fitted]) -> NoiseBounds:
     """Return the noise levels that the stretches of the good run span, a little widened."""
     noises = [f.state.noise for f in fits]
 
@@ -333,41 +359,39 @@ def frozen(fits: list[Fitted]) -> Freedom:
         values = [float(getattr(noise, name)) for noise in noises]
         return max(min(values) / CALMER, least), max(values) * SLACK
 
-    return Freedom(
+    return NoiseBounds(
         core=span("core", 0.1),
         tail=span("tail", 0.001),
         loss=span("loss", 1e-4),
         stray=span("stray", 1e-4),
-        pose=1.0,
-        most=1.0,
+        min_pose_scale=1.0,
+        max_scale=1.0,
     )
 
 
 def gains(
-    evidence: Evidence, null: Fitted, freedom: Freedom
+    data: ScanData, null: Fitted, noise_bounds: NoiseBounds
 ) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
     """Return, per effect, the most that it gains beyond its price [nats], and the sizes of those of the whole sensor."""
     out: dict[str, float] = {}
     sizes: dict[str, dict[str, float]] = {}
-    for candidate in shortlist(evidence, null, set(), 0.0):
-        got = fit(evidence, (candidate.amendment,), null.state, freedom, outer=3, inner=3)
+    for candidate in shortlist(data, null, set(), 0.0):
+        got = fit(data, (candidate.amendment,), null.state, noise_bounds, outer=3, inner=3)
         if is_rough(got.model[-1]):
-            got = searched(evidence, got, freedom, rounds=3, first=1.0, turns=1)
+            got = searched(data, got, noise_bounds, rounds=3, first=1.0, turns=1)
         (effect,) = got.model
-        gain = got.j - null.j - price(effect, evidence)
+        gain = got.j - null.j - price(effect, data)
         if gain > out.get(effect.name, -np.inf) and effect.effect.place is None:
             sizes[effect.name] = {k: effect[k] for k in effect.effect.sizes}
         out[effect.name] = max(out.get(effect.name, 0.0), gain)
     return out, {name: values for name, values in sizes.items() if values}
 
 
-def pose_tolerances(evidence: Evidence, null: Fitted) -> Tolerances:
+def pose_tolerances(data: ScanData, null: Fitted) -> Tolerances:
     """Return the tolerances of the poses under which one half of the bearings predicts the other half best."""
-    t = evidence.tolerances
-    solver, _ = solver_for(evidence, ())
-    side = (
-        np.floor((evidence.sensor.bearings - evidence.sensor.bearings[0]) / SECTOR).astype(np.intp) % 2 == 0
-    )
+    t = data.tolerances
+    solver, _ = solver_for(data, ())
+    side = np.floor((data.sensor.bearings - data.sensor.bearings[0]) / SECTOR).astype(np.intp) % 2 == 0
     factor = {"pose_xy": 1.0, "pose_yaw": 1.0}
     memory: dict[tuple[float, ...], float] = {}
 
@@ -375,7 +399,7 @@ def pose_tolerances(evidence: Evidence, null: Fitted) -> Tolerances:
         key = tuple(trial.values())
         if key not in memory:
             tolerances = replace(t, **{k: v * getattr(t, k) for k, v in trial.items()})
-            solver.evidence = replace(evidence, tolerances=tolerances)
+            solver.data = replace(data, tolerances=tolerances)
             memory[key] = sum(crossed(solver, null.state, some) for some in (side, ~side))
         return memory[key]
 
@@ -387,12 +411,12 @@ def pose_tolerances(evidence: Evidence, null: Fitted) -> Tolerances:
 
 def crossed(solver: Solver, state: State, rays: Bools) -> float:
     """Fit the pose of each scan to some rays; return the log-likelihood of the others [nats]."""
-    evidence, what, none = solver.evidence, solver.what, np.zeros(0)
+    data, expected, none = solver.data, solver.expected, np.zeros(0)
     state = state.copy()
     state.delta = np.zeros_like(state.delta)
     for _ in range(4):
-        judged = judge(evidence, what, solver.shift(state, none), state.noise)
-        weight: Floats = np.where(rays, judged.weight, 0.0)
+        responsibilities = e_step(data, expected, solver.shift(state, none), state.noise)
+        weight: Floats = np.where(rays, responsibilities.weight, 0.0)
         state.delta = solver.poses_at(solver.assemble(weight, 1.0), state.g)
-    log_p = judge(evidence, what, solver.shift(state, none), state.noise).log_p
+    log_p = e_step(data, expected, solver.shift(state, none), state.noise).log_p
     return float(log_p[:, ~rays].sum())

@@ -20,16 +20,16 @@ from sensorgraph.diagnosis.motion.motors import diagnose_drive
 from sensorgraph.diagnosis.motion.wheels import diagnose_odometry
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import ask
-from sensorgraph.diagnosis.result import Gap, Ledger, Rival, Unknown, Where
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, Gap, Rival, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.goodness_of_fit import Verdict, check, deviations
+from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, deviations
 from sensorgraph.diagnosis.scan.held_out_gap import gap, held_out
 from sensorgraph.diagnosis.scan.map_alignment import POORLY, Placement, placement
 from sensorgraph.diagnosis.scan.model_selection import FEW, MOST, THRESHOLD, Explained, explain
-from sensorgraph.diagnosis.scan.nuisance import Freedom
 from sensorgraph.diagnosis.scan.observability import alike, not_observable, separation
 from sensorgraph.diagnosis.scan.residuals import View
-from sensorgraph.diagnosis.scan.scan_data import Evidence, gather
+from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.site_variation import is_usual
 from sensorgraph.diagnosis.scan.standard_errors import material_probability
 from sensorgraph.effects import Amendment
@@ -56,13 +56,13 @@ STRIKE = 0.006  # of an effect's evidence; where more than this stays unexplaine
 class Finding:
     """All that a diagnosis says, channel by channel, and what pictures need."""
 
-    ledgers: dict[str, Ledger]
+    channels: dict[str, ChannelResult]
     """`scan`, `odometry`, `drive`."""
     intake: dict[str, Any]
     """What came in, what was used, what was dropped, what this run excites; plain data."""
-    evidence: Evidence
+    data: ScanData
     explained: Explained | None
-    verdict: Verdict | None
+    verdict: GoodnessOfFit | None
     second_gap: Gap | None = None
     """On a further run that nothing has seen, where one was given."""
     next_run: NextRun | None = None
@@ -73,18 +73,18 @@ class Finding:
     @property
     def effects(self) -> tuple[Amendment, ...]:
         """Named effects of all channels, strongest evidence first."""
-        named = [a for ledger in self.ledgers.values() for a in ledger.effects]
+        named = [a for result in self.channels.values() for a in result.effects]
         return tuple(sorted(named, key=lambda a: -(a.evidence or 0.0)))
 
     @property
     def undecided(self) -> tuple[Amendment, ...]:
         """Effects of all channels that a rival explains as well."""
-        return tuple(a for ledger in self.ledgers.values() for a in ledger.undecided)
+        return tuple(a for result in self.channels.values() for a in result.undecided)
 
     @property
     def unknown(self) -> Unknown | None:
         """What no effect of the library explains."""
-        return next((ledger.unknown for ledger in self.ledgers.values() if ledger.unknown), None)
+        return next((result.unknown for result in self.channels.values() if result.unknown), None)
 
 
 def diagnose(
@@ -94,7 +94,7 @@ def diagnose(
     *,
     second: Run | None = None,
     known: Sequence[Amendment] = (),
-    freedom: Freedom | None = None,
+    noise_bounds: NoiseBounds | None = None,
     threshold: float = THRESHOLD,
     commissioned: Commissioned | None = None,
     seed: int = 0,
@@ -107,7 +107,7 @@ def diagnose(
     ----------
     second : a further run of the same robot and place, used for nothing but the gap
     known : effects that are part of the model already
-    freedom : of the noise; from a commissioning run
+    noise_bounds : of the noise; from a commissioning run
     threshold : [nats] of evidence that a name takes
     commissioned : what a run known to be good showed; the diagnosis is of the difference to it
     plan_next : plan the run that would tell more
@@ -126,30 +126,34 @@ def diagnose(
             progress(len(seconds), PARTS)
 
     if commissioned is not None:
-        robot, known, freedom = commissioned.robot, (*commissioned.known, *known), commissioned.freedom
+        robot, known, noise_bounds = (
+            commissioned.robot,
+            (*commissioned.known, *known),
+            commissioned.noise_bounds,
+        )
     machine = with_known(robot, known)
-    evidence, notes = gather(run, arena, robot, known)
+    data, notes = prepare_scans(run, arena, robot, known)
     if commissioned is not None:
-        evidence = commissioned.told(evidence)
-    place = placement(evidence, rng)
+        data = commissioned.told(data)
+    place = placement(data, rng)
     notes["arena"], notes["share_at_walls"] = place.sentence(), place.share
-    words = wrong_way(run, evidence, arena, place) or ("" if place.fits else place.sentence())
+    words = wrong_way(run, data, arena, place) or ("" if place.fits else place.sentence())
     if words:
-        return _misplaced(evidence, notes, place, words, seconds)
+        return _misplaced(data, notes, place, words, seconds)
     further = None if second is None else other_run(second, arena, robot, known, commissioned, place, rng)
-    held = held_out(evidence)
-    train, unseen = evidence.part(~held), evidence.part(held)
+    held = held_out(data)
+    train, unseen = data.part(~held), data.part(held)
     lap("intake")
     most = FEW if place.alike < PARTLY_ALIKE else MOST
-    explained = explain(train, freedom or Freedom(), threshold=threshold, most=most)
+    explained = explain(train, noise_bounds or NoiseBounds(), threshold=threshold, most=most)
     lap("explain")
-    where = tuple(deviations(View(train, explained.null)))[:24]
+    listed = tuple(deviations(View(train, explained.null)))[:24]
     gained = explained.final.j - explained.null.j
     verdict = check(train, explained.final, gained, explained.gains, rng=rng)
     if commissioned is not None:
         verdict = commissioned.calmed(verdict, train)
     lap("criticise")
-    scan = _ledger(train, explained, verdict, where).settled()
+    scan = _scan_result(train, explained, verdict, listed).settled()
     found = [a for i, a in enumerate(explained.final.model) if i in scan_names(explained, verdict)]
     open_names = {(a.name, a.place) for a in scan.undecided}
     named = [a for a in found if (a.name, a.place) not in open_names]
@@ -167,9 +171,9 @@ def diagnose(
     plan = _next(scan, found, rivals, arena, robot, seed) if plan_next else None
     lap("next run")
     return Finding(
-        ledgers={"scan": scan, "odometry": odometry, "drive": drive},
-        intake={**notes, "rays": int(evidence.ranges.size), "held_out_scans": int(held.sum())},
-        evidence=evidence,
+        channels={"scan": scan, "odometry": odometry, "drive": drive},
+        intake={**notes, "rays": int(data.ranges.size), "held_out_scans": int(held.sum())},
+        data=data,
         explained=explained,
         verdict=verdict,
         second_gap=second_gap,
@@ -186,25 +190,25 @@ def other_run(
     commissioned: Commissioned | None,
     place: Placement,
     rng: np.random.Generator,
-) -> Evidence:
+) -> ScanData:
     """Return the evidence of a further run; refuse one of another place.
 
     Parameters
     ----------
     place : how the first run lies in the arena
     """
-    evidence, _ = gather(second, arena, robot, known)
-    there = placement(evidence, rng)
+    data, _ = prepare_scans(second, arena, robot, known)
+    there = placement(data, rng)
     if there.share < min(POORLY, 0.6 * place.share):
         raise SensorgraphError(
             f"the second run does not fit the arena: {100 * there.share:.0f} % of its returns end at walls, "
             f"{100 * place.share:.0f} % of the first run's; give a run of the same place"
         )
-    return evidence if commissioned is None else commissioned.told(evidence)
+    return data if commissioned is None else commissioned.told(data)
 
 
 def _next(
-    scan: Ledger,
+    scan: ChannelResult,
     named: Sequence[Amendment],
     rivals: Sequence[Amendment],
     arena: Arena,
@@ -219,11 +223,11 @@ def _next(
         return None
 
 
-def wrong_way(run: Run, evidence: Evidence, arena: Arena, place: Placement) -> str:
+def wrong_way(run: Run, data: ScanData, arena: Arena, place: Placement) -> str:
     """Say that the scan is mirrored or turned, if that is why few rays end at walls; else nothing."""
     if place.share > POORLY:
         return ""
-    found = orientation(replace(run, sensor=evidence.sensor), arena)
+    found = orientation(replace(run, sensor=data.sensor), arena)
     if (
         found is None
         or found.best == "as logged"
@@ -238,19 +242,19 @@ def wrong_way(run: Run, evidence: Evidence, arena: Arena, place: Placement) -> s
 
 
 def _misplaced(
-    evidence: Evidence, notes: dict[str, Any], place: Placement, words: str, seconds: dict[str, float]
+    data: ScanData, notes: dict[str, Any], place: Placement, words: str, seconds: dict[str, float]
 ) -> Finding:
     """Say that the arena does not fit the run, before anything is named."""
     unknown = Unknown(statement=words, statistic=place.share, threshold=place.best_share)
     skipped = "the arena does not fit the run; move it first"
     return Finding(
-        ledgers={
-            "scan": Ledger(channel="scan", unknown=unknown),
-            "odometry": Ledger(channel="odometry", skipped=skipped),
-            "drive": Ledger(channel="drive", skipped=skipped),
+        channels={
+            "scan": ChannelResult(channel="scan", unknown=unknown),
+            "odometry": ChannelResult(channel="odometry", skipped=skipped),
+            "drive": ChannelResult(channel="drive", skipped=skipped),
         },
         intake=notes,
-        evidence=evidence,
+        data=data,
         explained=None,
         verdict=None,
         seconds=seconds,
@@ -280,8 +284,8 @@ def with_known(robot: RobotFile, known: Sequence[Amendment]) -> RobotFile:
     )
 
 
-def beside(ledger: Ledger, known: Sequence[Amendment]) -> Ledger:
-    """Leave out of a ledger what is known of wheels and top speed: named again only if it is another size."""
+def beside(result: ChannelResult, known: Sequence[Amendment]) -> ChannelResult:
+    """Leave out of a result what is known of wheels and top speed: named again only if it is another size."""
     same = {a.name: a for a in known if a.name not in ("actuator_lag", "dead_time")}
 
     def is_new(a: Amendment) -> bool:
@@ -291,24 +295,24 @@ def beside(ledger: Ledger, known: Sequence[Amendment]) -> Ledger:
         return size_ratio(a.effect, off) >= 1.0
 
     wild = [
-        a for a in ledger.effects if a.effect.channel == "odometry" and abs(a.parameters.get("s", 0.0)) > 0.5
+        a for a in result.effects if a.effect.channel == "odometry" and abs(a.parameters.get("s", 0.0)) > 0.5
     ]
     if wild:  # no wheel is that wrong
         words = "odometry and reference do not belong together: way or turn differ in sign or by half"
-        return replace(ledger, effects=(), unknown=Unknown(statement=words))
-    slips = [a for a in ledger.effects if a.name == "wheel_slip"]
+        return replace(result, effects=(), unknown=Unknown(statement=words))
+    slips = [a for a in result.effects if a.name == "wheel_slip"]
     doubtful = (
-        slips if len(slips) > 1 and ledger.unknown is not None else []
+        slips if len(slips) > 1 and result.unknown is not None else []
     )  # patches that only mimic the unknown
-    return replace(ledger, effects=tuple(a for a in ledger.effects if is_new(a) and a not in doubtful))
+    return replace(result, effects=tuple(a for a in result.effects if is_new(a) and a not in doubtful))
 
 
-def scan_order(explained: Explained, verdict: Verdict) -> list[int]:
+def scan_order(explained: Explained, verdict: GoodnessOfFit) -> list[int]:
     """Return the indices of the effects that are named, strongest evidence first."""
     return sorted(scan_names(explained, verdict), key=lambda i: -explained.gains[i])
 
 
-def scan_names(explained: Explained, verdict: Verdict) -> set[int]:
+def scan_names(explained: Explained, verdict: GoodnessOfFit) -> set[int]:
     """Return the indices of the effects that are named: material, and not struck by a doubt."""
     final = explained.final
     return {
@@ -318,12 +322,14 @@ def scan_names(explained: Explained, verdict: Verdict) -> set[int]:
     }
 
 
-def _ledger(evidence: Evidence, explained: Explained, verdict: Verdict, where: tuple[Where, ...]) -> Ledger:
+def _scan_result(
+    data: ScanData, explained: Explained, verdict: GoodnessOfFit, listed: tuple[Deviation, ...]
+) -> ChannelResult:
     """Turn the accepted model into names, sizes within tolerance, doubt and rivals."""
     final = explained.final
     complete = [
         replace(
-            placed(amendment, evidence),
+            placed(amendment, data),
             evidence=explained.gains[index],
             probability=probability(explained, index, verdict),
         )
@@ -344,23 +350,23 @@ def _ledger(evidence: Evidence, explained: Explained, verdict: Verdict, where: t
                     separates=separation(amendment, rival),
                 )
             )
-    return Ledger(
+    return ChannelResult(
         channel="scan",
         effects=tuple(complete[i] for i in order),
         within_tolerance=tuple(small),
         unknown=_unknown(verdict),
         rivals=tuple(rivals),
-        where=where,
+        deviations=listed,
     )
 
 
-def placed(amendment: Amendment, evidence: Evidence) -> Amendment:
+def placed(amendment: Amendment, data: ScanData) -> Amendment:
     """Return an effect with its point moved to where its fitted parameters put it."""
     values = amendment.parameters
     if amendment.name == "unmapped_obstacle":
         return amendment.at("", (values["x"], values["y"]))
-    if {"a", "b"} <= set(values) and amendment.place in evidence.arena.names:
-        start, end = evidence.arena.walls[evidence.arena.names.index(amendment.place)]
+    if {"a", "b"} <= set(values) and amendment.place in data.arena.names:
+        start, end = data.arena.walls[data.arena.names.index(amendment.place)]
         along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
         return amendment.at(amendment.place, start + along * (values["a"] + values["b"]) / 2)
     return amendment
@@ -384,12 +390,12 @@ def is_skin(fitted: Fitted, amendment: Amendment) -> bool:
     """Tell whether an obstacle stands out of a mapped one by no more than the map may be wrong there."""
     if amendment.name != "unmapped_obstacle":
         return False
-    evidence, values = fitted.solver.evidence, amendment.parameters
+    data, values = fitted.solver.data, amendment.parameters
     place = np.array([[values["x"], values["y"]]])
-    if evidence.arena.contains(place)[0]:
+    if data.arena.contains(place)[0]:
         return False
-    stands_out = values["r"] - float(Barriers(evidence.arena).distances(place)[0])
-    return stands_out < SKIN * evidence.tolerances.map * slackness(fitted, amendment)
+    stands_out = values["r"] - float(Barriers(data.arena).distances(place)[0])
+    return stands_out < SKIN * data.tolerances.map * slackness(fitted, amendment)
 
 
 def is_known(amendment: Amendment) -> bool:
@@ -405,7 +411,7 @@ def slackness(fitted: Fitted, amendment: Amendment) -> float:
     return 1.25 * scale if scale > 1.3 else max(1.0, scale)
 
 
-def _is_struck(explained: Explained, index: int, verdict: Verdict) -> bool:
+def _is_struck(explained: Explained, index: int, verdict: GoodnessOfFit) -> bool:
     """Tell whether a name falls because too much of its own feature is left unexplained."""
     if index in verdict.failed:
         return True
@@ -416,7 +422,7 @@ def _is_struck(explained: Explained, index: int, verdict: Verdict) -> bool:
     return verdict.doubted and verdict.misfit > STRIKE * explained.gains[index]
 
 
-def probability(explained: Explained, index: int, verdict: Verdict) -> float:
+def probability(explained: Explained, index: int, verdict: GoodnessOfFit) -> float:
     """Return the chance that a name is right and its size material, calibrated on development cases."""
     gain = explained.gains[index]
     margin = explained.rivals[index][1] if index in explained.rivals else gain
@@ -430,17 +436,12 @@ def probability(explained: Explained, index: int, verdict: Verdict) -> float:
     return float(p)
 
 
-def _unknown(verdict: Verdict) -> Unknown | None:
+def _unknown(verdict: GoodnessOfFit) -> Unknown | None:
     if not verdict.doubted:
         return None
     return Unknown(
         statement=f"something no effect of the library explains: {verdict.statement}",
-        where=verdict.where,
+        deviation=verdict.deviation,
         statistic=verdict.statistic,
         threshold=verdict.threshold,
     )
-
-
-def sentence(where: Where) -> str:
-    """Say one deviation in words."""
-    return where.sentence()

@@ -10,7 +10,7 @@ from sensorgraph.effects import Amendment
 
 
 @dataclass(frozen=True, kw_only=True)
-class Where:
+class Deviation:
     """One place, bearing, range, time … at which measured and simulated differ more than chance allows."""
 
     family: str
@@ -52,13 +52,13 @@ class Unknown:
 
     statement: str
     """One sentence: what differs, where, by how much."""
-    where: Where | None = None
+    deviation: Deviation | None = None
     statistic: float = 0.0
     threshold: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class FitQuality:
     """How far the simulator is from what was measured."""
 
     rmse_m: float
@@ -73,9 +73,9 @@ class Fit:
 class Gap:
     """The gap on rays that no fit and no choice has seen."""
 
-    before: Fit
-    after: Fit
-    noise_floor: Fit
+    before: FitQuality
+    after: FitQuality
+    noise_floor: FitQuality
     n_rays: int
 
 
@@ -95,7 +95,7 @@ CLOSE = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Ledger:
+class ChannelResult:
     """What one channel shows."""
 
     channel: str
@@ -107,7 +107,7 @@ class Ledger:
     """Evidence, but too small to be called an effect."""
     unknown: Unknown | None = None
     rivals: tuple[Rival, ...] = ()
-    where: tuple[Where, ...] = ()
+    deviations: tuple[Deviation, ...] = ()
     """Before any naming."""
     gap: Gap | None = None
     not_observable: Mapping[str, str] = field(default_factory=dict)
@@ -117,7 +117,7 @@ class Ledger:
     notes: Mapping[str, Any] = field(default_factory=dict)
     """What else is worth knowing, plain data."""
 
-    def settled(self) -> Ledger:
+    def settled(self) -> ChannelResult:
         """Take the name from effects that a rival explains as well, one that is not itself named."""
         names = {a.name for a in self.effects}
         close = [a for a in self.effects if any(_is_close(a, r) for r in self.rivals if r.name not in names)]

@@ -30,7 +30,7 @@ from sensorgraph.diagnosis.motion.whitened_regression import (
     probabilities,
     whiten,
 )
-from sensorgraph.diagnosis.result import Fit, Gap, Ledger, Rival, Unknown, Where
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import RobotFile
@@ -70,25 +70,27 @@ class Motors:
     """[m/s]"""
 
 
-def diagnose_drive(run: Run, robot: RobotFile, *, seed: int = 0, use_clock: bool = True) -> Ledger:
+def diagnose_drive(run: Run, robot: RobotFile, *, seed: int = 0, use_clock: bool = True) -> ChannelResult:
     """Name what makes commands and odometry differ."""
     wheels = increments(run)
     if wheels is None:
-        return Ledger(channel="drive", skipped="this run has no odometry that moves")
+        return ChannelResult(channel="drive", skipped="this run has no odometry that moves")
     good = np.isfinite(run.commands).all(axis=1) if len(run.commands) else np.zeros(0, dtype=np.bool_)
     stamps, commands = run.cmd_stamps[good], run.commands[good]
     if len(stamps) < 20:
-        return Ledger(channel="drive", skipped=f"this run has {len(stamps)} commands, expected at least 20")
+        return ChannelResult(
+            channel="drive", skipped=f"this run has {len(stamps)} commands, expected at least 20"
+        )
     if np.ptp(commands, axis=0).max() < 1e-3:
-        return Ledger(channel="drive", skipped="the commands of this run never change")
+        return ChannelResult(channel="drive", skipped="the commands of this run never change")
     clock = clock_offset(run, robot) if use_clock else None
     search = _Search(stamps=stamps, commands=commands, wheels=wheels, robot=robot, clock=clock)
     if search.n_valid < LEAST_ROWS:
-        return Ledger(
+        return ChannelResult(
             channel="drive",
             skipped=f"commands and odometry overlap in {search.n_valid} samples, expected at least {LEAST_ROWS}",
         )
-    return search.ledger()
+    return search.result()
 
 
 class _Search:
@@ -332,7 +334,7 @@ class _Search:
         text = found[name].statement
         unknown = Unknown(
             statement=f"commands and odometry differ {text}, which no effect of the library explains",
-            where=Where(
+            deviation=Deviation(
                 family="bias",
                 partition=kind_of(name),
                 label=text,
@@ -402,10 +404,10 @@ class _Search:
 
     # result
 
-    def ledger(self) -> Ledger:
+    def result(self) -> ChannelResult:
         """Search, judge and report."""
         names, here = self.select()
-        where = self._where()
+        deviations = self._deviations()
         names, here, unknown = self.compete(names, here)
         evidence = self.evidence(names, here)
         if any(value < THRESHOLD for value in evidence.values()):
@@ -427,13 +429,13 @@ class _Search:
             "gain_v": 1 + float(here.solution.theta[2]),
             "gain_omega": 1 + float(here.solution.theta[3]),
         }
-        return Ledger(
+        return ChannelResult(
             channel="drive",
             effects=tuple(named),
             within_tolerance=tuple(a for a in found if not self._is_material(a)),
             unknown=unknown,
             rivals=tuple(rivals),
-            where=where,
+            deviations=deviations,
             gap=self._gap(names, here),
             not_observable=self._not_observable(names, here),
             notes=notes,
@@ -482,7 +484,7 @@ class _Search:
             return bool(self.top - a["v_max"] > 0.02)
         return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
 
-    def _where(self) -> tuple[Where, ...]:
+    def _deviations(self) -> tuple[Deviation, ...]:
         """Say where the bare simulator differs, before any effect is named."""
         here = self.fit([])
         left = here.normal.y - here.normal.A @ here.solution.theta
@@ -510,7 +512,7 @@ class _Search:
             if abs(z) > 4:
                 size = float(e.sum() / max(mask.sum(), 1) * self.sigmas[0])
                 out.append(
-                    Where(
+                    Deviation(
                         family="bias",
                         partition=partition,
                         label=label,
@@ -542,7 +544,7 @@ class _Search:
             n_rays=2 * self.n_valid,
         )
 
-    def _measure(self, residual: Floats) -> Fit:
+    def _measure(self, residual: Floats) -> FitQuality:
         n = len(self.ok)
         use = np.where(self.ok2, residual, 0.0)
         v, omega = use[:n][self.ok], use[n:][self.ok]
@@ -552,7 +554,7 @@ class _Search:
         self.weights = saved
         sigma = np.repeat(self.sigmas, n)[self.ok2]
         nats = float(np.mean(0.5 * white**2 + np.log(sigma * np.sqrt(2 * np.pi))))
-        return Fit(rmse_m=rmse, normalised=float(np.sqrt(np.mean(white**2))), nats_per_ray=nats)
+        return FitQuality(rmse_m=rmse, normalised=float(np.sqrt(np.mean(white**2))), nats_per_ray=nats)
 
     def _not_observable(self, names: Sequence[str], here: Fitted) -> dict[str, str]:
         """Say which effects could not have been seen at three times their materiality."""

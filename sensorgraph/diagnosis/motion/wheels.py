@@ -36,7 +36,7 @@ from sensorgraph.diagnosis.motion.whitened_regression import (
     probabilities,
     whiten,
 )
-from sensorgraph.diagnosis.result import Fit, Gap, Ledger, Rival, Unknown, Where
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import RobotFile
@@ -70,15 +70,15 @@ FURTHER = 0.005
 """Of the evidence of all names that a further patch must bring: less mends the rim of the others."""
 
 
-def diagnose_odometry(run: Run, robot: RobotFile, *, seed: int = 0) -> Ledger:
+def diagnose_odometry(run: Run, robot: RobotFile, *, seed: int = 0) -> ChannelResult:
     """Name what makes odometry and reference pose differ."""
     signals = signals_of(run)
     if isinstance(signals, str):
-        return Ledger(channel="odometry", skipped=signals)
+        return ChannelResult(channel="odometry", skipped=signals)
     stamps, poses, wheels, notes = signals
     rows = aligned(stamps, poses, wheels)
     if isinstance(rows, str):
-        return Ledger(channel="odometry", skipped=rows)
+        return ChannelResult(channel="odometry", skipped=rows)
     search = _Search(rows=rows, wheels=wheels, robot=robot, rng=np.random.default_rng(seed))
     search.whiten_rows()
     late = search.late()
@@ -87,7 +87,7 @@ def diagnose_odometry(run: Run, robot: RobotFile, *, seed: int = 0) -> Ledger:
         if moved is not None:
             search = _Search(rows=moved, wheels=wheels, robot=robot, rng=np.random.default_rng(seed))
             search.whiten_rows()
-    return search.ledger(notes)
+    return search.result(notes)
 
 
 def clock_offset(run: Run, robot: RobotFile) -> tuple[float, float] | None:
@@ -436,9 +436,9 @@ class _Search:
 
     # result
 
-    def ledger(self, notes: Mapping[str, object]) -> Ledger:
+    def result(self, notes: Mapping[str, object]) -> ChannelResult:
         """Search, judge and report."""
-        where = self._where()
+        deviations = self._deviations()
         names = self.select()
         unknown = self._unknown(names)
         solution = self.normal.solve(self.prior(names))
@@ -453,13 +453,13 @@ class _Search:
             "clock_offset_s": self.rows.clock + float(solution.theta[3]),
             "rows": int(self.ok.sum()),
         }
-        return Ledger(
+        return ChannelResult(
             channel="odometry",
             effects=tuple(named),
             within_tolerance=tuple(small),
             unknown=unknown,
             rivals=tuple(rivals),
-            where=where,
+            deviations=deviations,
             gap=self._gap(names),
             not_observable=self._not_observable(names),
             notes=extra,
@@ -526,7 +526,7 @@ class _Search:
         """Return the families whose columns stand for themselves; the moments of a jump are one choice of many."""
         return {name: family for name, family in self.families.items() if not family.choices}
 
-    def _where(self) -> tuple[Where, ...]:
+    def _deviations(self) -> tuple[Deviation, ...]:
         """Say where the bare simulator differs, before any effect is named."""
         solution = self.normal.solve(self.prior([]))
         left = self.normal.y - self.normal.A @ solution.theta
@@ -542,7 +542,7 @@ class _Search:
             for i in np.flatnonzero((np.abs(z) > 4.0) & (info > 1e-6)):
                 n = int((np.abs(columns[:, i]) > 1e-9).sum())
                 out.append(
-                    Where(
+                    Deviation(
                         family="bias",
                         partition=name,
                         label=labels[i],
@@ -563,7 +563,7 @@ class _Search:
         text = self.families[name].statement
         return Unknown(
             statement=f"odometry and reference pose differ {text}, which no effect of the library explains",
-            where=Where(
+            deviation=Deviation(
                 family="bias",
                 partition=kind_of(name),
                 label=text,
@@ -612,7 +612,7 @@ class _Search:
             before=self._fit(before), after=self._fit(after), noise_floor=self._fit(floor), n_rays=2 * n
         )
 
-    def _fit(self, residual: Floats) -> Fit:
+    def _fit(self, residual: Floats) -> FitQuality:
         n, step = self.rows.n, float(np.median(np.diff(self.rows.stamps)))
         m = max(1, round(1.0 / step))
         k = n // m
@@ -624,7 +624,7 @@ class _Search:
         self.weights = saved
         sigma = np.repeat(self.sigmas, n)[self.ok]
         nats = float(np.mean(0.5 * white**2 + np.log(sigma * np.sqrt(2 * np.pi))))
-        return Fit(rmse_m=rmse, normalised=float(np.sqrt(np.mean(white**2))), nats_per_ray=nats)
+        return FitQuality(rmse_m=rmse, normalised=float(np.sqrt(np.mean(white**2))), nats_per_ray=nats)
 
     def _not_observable(self, names: Sequence[str]) -> dict[str, str]:
         """Say which effects could not have been seen at three times their materiality."""

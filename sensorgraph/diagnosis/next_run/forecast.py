@@ -17,9 +17,9 @@ from scipy.special import ndtr
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.fit import cast, solver_for
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
-from sensorgraph.diagnosis.scan.likelihood import Predicted
+from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings
 from sensorgraph.diagnosis.scan.nuisance import BOX
-from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import RobotFile
@@ -88,7 +88,7 @@ class Share:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Imagined(Evidence):
+class Imagined(ScanData):
     """Scans that nobody has taken: each at its own pose, with its own twist."""
 
     def motion(self, times: Floats) -> Floats:
@@ -108,11 +108,11 @@ class Forecast:
         self, question: Question, motions: Sequence[Motion], arena: Arena, robot: RobotFile, span: float
     ) -> None:
         self.motions, self.rate = motions, robot.sensor.rate
-        evidence, every = _imagined(motions, arena, robot, span)
-        first = cast(evidence, question.a)
-        truth = first.what
-        evidence = replace(evidence, ranges=_readings(truth, evidence))
-        self.solver, at = solver_for(evidence, question.b)
+        data, every = _imagined(motions, arena, robot, span)
+        first = cast(data, question.a)
+        truth = first.expected
+        data = replace(data, ranges=_readings(truth, data))
+        self.solver, at = solver_for(data, question.b)
         self.walls = at.scene.walls
         self.tau = self.solver.tau
         self.locked = self.solver.locked
@@ -121,7 +121,7 @@ class Forecast:
         noisier = np.clip(
             np.square(first.beams.sigma) / np.maximum(np.square(at.beams.sigma), 1e-12), 0.01, 100.0
         )
-        weight, self.sure = _weights(self.solver, truth, evidence, same, noisier)
+        weight, self.sure = _weights(self.solver, truth, data, same, noisier)
         self.weight, self.sure = every * weight, every * self.sure
 
     def shares(self) -> list[Share]:
@@ -132,7 +132,7 @@ class Forecast:
             at = rows.stop
             solver = _part(self.solver, self.walls, rows)
             system = solver.assemble(self.weight[rows], 1.0)
-            w = np.where(solver.cols.valid, self.weight[rows], 0.0)
+            w = np.where(solver.jacobian.valid, self.weight[rows], 0.0)
             poses = np.einsum("ni,nij,nj->", system.start, system.poses, system.start)
             share = Share(
                 matrix=system.matrix,
@@ -213,7 +213,7 @@ def _imagined(
     every = max(1, -(-sensor.n_rays // MOST_RAYS))
     rays = np.arange(every // 2, sensor.n_rays, every)
     phi = poses[:, 2]
-    evidence = Imagined(
+    data = Imagined(
         arena=arena,
         sensor=replace(sensor, bearings=sensor.bearings[rays]),
         tolerances=robot.tolerances,
@@ -226,18 +226,18 @@ def _imagined(
         span=span,
         laser_frame=False,
     )
-    return evidence, sensor.n_rays / len(rays)
+    return data, sensor.n_rays / len(rays)
 
 
-def _readings(what: Predicted, evidence: Evidence) -> Floats:
+def _readings(expected: ExpectedReadings, data: ScanData) -> Floats:
     """Return what the first model reads without noise; inf where the ray rather does not return."""
     with np.errstate(invalid="ignore"):
-        seen = (what.reading < evidence.sensor.range_max) & (what.p_return > 0.5)
-    return np.where(seen, what.reading, np.inf)
+        seen = (expected.reading < data.sensor.range_max) & (expected.p_return > 0.5)
+    return np.where(seen, expected.reading, np.inf)
 
 
 def _weights(
-    solver: Solver, truth: Predicted, evidence: Evidence, same: Bools, noisier: Floats
+    solver: Solver, truth: ExpectedReadings, data: ScanData, same: Bools, noisier: Floats
 ) -> tuple[Floats, Floats]:
     """Return weights [1/m²] of the rays that tell little by little, and the nats of those that tell at once.
 
@@ -246,14 +246,14 @@ def _weights(
     same : (n_scans, n_rays) both models see the same wall, along a straight ray
     noisier : variance of the readings under the first model over that under the second
     """
-    what = solver.what
-    sigma = what.sigma
-    both = np.isfinite(truth.reading) & np.isfinite(what.reading)
-    off = np.where(both, np.where(both, truth.reading, 0.0) - np.where(both, what.reading, 0.0), 0.0)
-    back_a, back_b = _back(truth, evidence), _back(what, evidence)
-    asked = what.p_alternative <= EDGE
+    expected = solver.expected
+    sigma = expected.sigma
+    both = np.isfinite(truth.reading) & np.isfinite(expected.reading)
+    off = np.where(both, np.where(both, truth.reading, 0.0) - np.where(both, expected.reading, 0.0), 0.0)
+    back_a, back_b = _back(truth, data), _back(expected, data)
+    asked = expected.p_alternative <= EDGE
     asked &= truth.p_alternative <= EDGE
-    near: Bools = solver.cols.valid & (same | (np.abs(off) <= FAR * sigma)) & evidence.returned
+    near: Bools = solver.jacobian.valid & (same | (np.abs(off) <= FAR * sigma)) & data.returned
     weight = np.where(near & asked, back_a / sigma**2, 0.0)
     spread = 0.5 * (noisier - 1 - np.log(noisier))
     at_once = np.minimum(np.where(near, 0.0, 0.5 * (off / sigma) ** 2) + spread, CAP)
@@ -262,11 +262,11 @@ def _weights(
     return weight, sure
 
 
-def _back(what: Predicted, evidence: Evidence) -> Floats:
+def _back(expected: ExpectedReadings, data: ScanData) -> Floats:
     """Return the chance of a return, never quite 0 or 1."""
-    aimed = np.isfinite(what.reading)
-    margin = evidence.sensor.range_max - np.where(aimed, what.reading, 1e9)
-    chance = what.p_return * ndtr(margin / what.sigma)
+    aimed = np.isfinite(expected.reading)
+    margin = data.sensor.range_max - np.where(aimed, expected.reading, 1e9)
+    chance = expected.p_return * ndtr(margin / expected.sigma)
     return np.clip(np.where(aimed, chance, 0.0), LOSS, 1 - LOSS)
 
 
@@ -284,9 +284,9 @@ def _part(solver: Solver, walls: Floats, rows: slice) -> Solver:
 
     some = np.arange(n)[rows]
     return Solver(
-        solver.evidence.part(some),
-        cut(solver.what),
-        cut(solver.cols),
+        solver.data.part(some),
+        cut(solver.expected),
+        cut(solver.jacobian),
         walls,
         solver.effects[rows],
         solver.corners,

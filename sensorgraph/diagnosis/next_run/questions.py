@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sensorgraph.diagnosis.next_run.forecast import Question
-from sensorgraph.diagnosis.result import Ledger
+from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.observability import TIMES, TYPICAL, separation
 from sensorgraph.effects import EFFECTS, Amendment
 
 OPEN = 50.0  # [nats] between a name and its rival, above which nothing is left to ask
 
 
-def ask(ledger: Ledger, model: Sequence[Amendment], rivals: Sequence[Amendment]) -> list[Question]:
-    """Make the questions of a scan ledger.
+def ask(result: ChannelResult, model: Sequence[Amendment], rivals: Sequence[Amendment]) -> list[Question]:
+    """Make the questions of a scan result.
 
     What is open comes first: rivals within OPEN nats of a name; then effects that the run could not have shown at
     all; then how large the least sure effect is, or those that could not be shown at some places. A rival that lies
@@ -22,13 +22,13 @@ def ask(ledger: Ledger, model: Sequence[Amendment], rivals: Sequence[Amendment])
     Parameters
     ----------
     model : the accepted effects
-    rivals : of each effect the second best explanation, in the order of `ledger.rivals`
+    rivals : of each effect the second best explanation, in the order of `result.rivals`
     """
     accepted = tuple(model)
-    close = _close(ledger, accepted, rivals)
+    close = _close(result, accepted, rivals)
     if close:
         return close[:1]
-    hidden = [(name, why, typical(name, why)) for name, why in ledger.not_observable.items()]
+    hidden = [(name, why, typical(name, why)) for name, why in result.not_observable.items()]
     everywhere = [
         _is_there(one, accepted, why) for _, why, one in hidden if one is not None and not one.place
     ]
@@ -46,11 +46,13 @@ def ask(ledger: Ledger, model: Sequence[Amendment], rivals: Sequence[Amendment])
     return [_is_there(one, (), "") for one in usual if one is not None]
 
 
-def _close(ledger: Ledger, accepted: tuple[Amendment, ...], rivals: Sequence[Amendment]) -> list[Question]:
+def _close(
+    result: ChannelResult, accepted: tuple[Amendment, ...], rivals: Sequence[Amendment]
+) -> list[Question]:
     """Ask about the rivals that the run leaves open, the closest first."""
-    evidence = {a.name: a.evidence or 0.0 for a in ledger.effects}
+    evidence = {a.name: a.evidence or 0.0 for a in result.effects}
     found = []
-    for told, rival in zip(ledger.rivals, rivals, strict=True):
+    for told, rival in zip(result.rivals, rivals, strict=True):
         own = next((a for a in accepted if a.name == told.instead_of), None)
         margin = evidence.get(told.instead_of, 0.0) - told.evidence_nats
         if own is not None and margin < OPEN:

@@ -15,7 +15,7 @@ import numpy as np
 from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import Finding
-from sensorgraph.diagnosis.result import Fit, Gap
+from sensorgraph.diagnosis.result import FitQuality, Gap
 from sensorgraph.diagnosis.scan.fit import Fitted, cast
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.effects import Amendment
@@ -52,15 +52,15 @@ class Side:
     @classmethod
     def of(cls, fitted: Fitted, effects: Sequence[Amendment]) -> Side:
         """Simulate with some effects, and compare; strays are those of a fit."""
-        evidence = fitted.solver.evidence
-        at = cast(evidence, effects)
-        mu, what, z = at.what.reading, at.what, evidence.ranges
-        range_max = evidence.sensor.range_max
+        data = fitted.solver.data
+        at = cast(data, effects)
+        mu, expected, z = at.expected.reading, at.expected, data.ranges
+        range_max = data.sensor.range_max
         returned, lost = np.isfinite(z), np.isinf(z)
         aimed = np.isfinite(mu)
-        likely = aimed & (what.p_return > 0.5)
-        clear = what.p_alternative < EDGE
-        missing = lost & likely & (mu < range_max - 3 * what.sigma) & (mu > evidence.sensor.range_min) & clear
+        likely = aimed & (expected.p_return > 0.5)
+        clear = expected.p_alternative < EDGE
+        missing = lost & likely & (mu < range_max - 3 * expected.sigma) & (mu > data.sensor.range_min) & clear
         compared = returned & likely
         residual = np.full(z.shape, np.nan)
         residual[compared] = z[compared] - mu[compared]
@@ -68,10 +68,12 @@ class Side:
             simulated=np.where(likely & (mu < range_max), mu, np.inf),
             aimed=np.where(aimed, mu, np.inf),
             residual=residual,
-            strange=missing | (returned & ~likely) | (returned & (fitted.solution.judged.stray > 0.5)),
+            strange=missing
+            | (returned & ~likely)
+            | (returned & (fitted.solution.responsibilities.stray > 0.5)),
             missing=missing,
             clear=clear,
-            sigma=np.maximum(what.sigma, 1e-6),
+            sigma=np.maximum(expected.sigma, 1e-6),
             walls=at.scene.walls,
         )
 
@@ -214,23 +216,23 @@ def bare_gap(finding: Finding) -> Gap | None:
     named = _named(finding)
     if not named:
         return None
-    held = held_out(finding.evidence)
-    evidence = finding.evidence.part(held)
-    sigma = evidence.sensor.sigma or 0.01
-    z = evidence.ranges
+    held = held_out(finding.data)
+    data = finding.data.part(held)
+    sigma = data.sensor.sigma or 0.01
+    z = data.ranges
     squares: list[float] = []
     count = 0
     for effects in ((), named):
-        what = cast(evidence, effects).what
+        expected = cast(data, effects).expected
         with np.errstate(invalid="ignore"):
-            off = np.abs(z - what.reading)
-        there = np.isfinite(off) & (what.p_return > 0.5) & (what.p_alternative < EDGE)
+            off = np.abs(z - expected.reading)
+        there = np.isfinite(off) & (expected.p_return > 0.5) & (expected.p_alternative < EDGE)
         count = int(there.sum())
         squares.append(float(np.mean(np.minimum(off[there], CLIP * sigma) ** 2)) if count else 0.0)
     before, after = (
-        Fit(rmse_m=s**0.5, normalised=s**0.5 / sigma, nats_per_ray=float("nan")) for s in squares
+        FitQuality(rmse_m=s**0.5, normalised=s**0.5 / sigma, nats_per_ray=float("nan")) for s in squares
     )
-    floor = Fit(rmse_m=sigma, normalised=1.0, nats_per_ray=float("nan"))
+    floor = FitQuality(rmse_m=sigma, normalised=1.0, nats_per_ray=float("nan"))
     return Gap(before=before, after=after, noise_floor=floor, n_rays=count)
 
 
@@ -254,26 +256,26 @@ def compare(finding: Finding) -> Compared | None:
     if finding.explained is None:
         return None
     null, final = finding.explained.null, finding.explained.final
-    evidence = null.solver.evidence
+    data = null.solver.data
     beams = null.cast.beams
     lasers = np.column_stack(
         [
-            np.broadcast_to(beams.ox, evidence.ranges.shape)[:, 0],
-            np.broadcast_to(beams.oy, evidence.ranges.shape)[:, 0],
-            evidence.poses[:, 2] + (0.0 if evidence.laser_frame else evidence.sensor.mount[2]),
+            np.broadcast_to(beams.ox, data.ranges.shape)[:, 0],
+            np.broadcast_to(beams.oy, data.ranges.shape)[:, 0],
+            data.poses[:, 2] + (0.0 if data.laser_frame else data.sensor.mount[2]),
         ]
     )
     named = _named(finding)
     before = Side.of(null, ())
     return Compared(
-        arena=evidence.arena,
-        sensor=evidence.sensor,
-        stamps=evidence.stamps - evidence.begin,
-        poses=evidence.poses,
+        arena=data.arena,
+        sensor=data.sensor,
+        stamps=data.stamps - data.begin,
+        poses=data.poses,
         lasers=lasers,
-        omega=evidence.twists[:, 2],
-        speed=evidence.speed,
-        measured=evidence.ranges,
+        omega=data.twists[:, 2],
+        speed=data.speed,
+        measured=data.ranges,
         incidence=beams.incidence,
         before=before,
         after=Side.of(final, named) if named else before,

@@ -12,7 +12,7 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import Finding
 from sensorgraph.diagnosis.report.comparison import Compared, Side, bare_gap, sections
 from sensorgraph.diagnosis.report.phrases import place_words
-from sensorgraph.diagnosis.result import Gap, Ledger, Unknown
+from sensorgraph.diagnosis.result import ChannelResult, Gap, Unknown
 from sensorgraph.diagnosis.scan.model_selection import THRESHOLD
 from sensorgraph.effects import Amendment
 from sensorgraph.show.figures import ALARM, INK, SOFT, SOLID, draw_floor, new_figure, quiet, save_figure
@@ -43,7 +43,7 @@ def draw(finding: Finding, compared: Compared | None, folder: Path) -> dict[str,
     trajectory = getattr(plan, "trajectory", None)
     if trajectory is not None:
         out["next_run"] = folder / "next_run.png"
-        next_run_picture(trajectory.poses, finding.evidence.arena, out["next_run"])
+        next_run_picture(trajectory.poses, finding.data.arena, out["next_run"])
     return out
 
 
@@ -77,8 +77,8 @@ def next_run_picture(poses: Floats, arena: Arena, path: Path) -> None:
 
 def _gaps(finding: Finding) -> dict[str, Gap]:
     """Return the gaps worth a picture: where something was found first, and the scan channel's."""
-    told = {name: ledger for name, ledger in finding.ledgers.items() if ledger.gap is not None}
-    first = [n for n, ledger in told.items() if ledger.effects or ledger.unknown is not None]
+    told = {name: result for name, result in finding.channels.items() if result.gap is not None}
+    first = [n for n, result in told.items() if result.effects or result.unknown is not None]
     names = dict.fromkeys([*first, *(n for n in told if n == "scan")]) or dict.fromkeys(told)
     return {name: gap for name in names if (gap := told[name].gap) is not None}
 
@@ -199,8 +199,8 @@ def _marks(axes: Any, compared: Compared, effects: Sequence[Amendment], unknown:
             _mark_walls(axes, compared, a)
         elif xy is not None:
             _ring(axes, compared, xy, a.effect.title)
-    if unknown is not None and unknown.where is not None and unknown.where.xy is not None:
-        where = unknown.where
+    if unknown is not None and unknown.deviation is not None and unknown.deviation.xy is not None:
+        where = unknown.deviation
         if where.partition.startswith("wall"):
             name = where.label.split(",")[0]
             _line(
@@ -370,7 +370,7 @@ def _distinct(tried: Sequence[tuple[Amendment, float]]) -> list[tuple[Amendment,
 def residuals_picture(finding: Finding, compared: Compared, path: Path) -> None:
     """Draw mean residual, and scatter or surprises, over bearing, range, incidence, time, turn rate and speed."""
     variables = compared.variables()
-    rows = ["mean", _second_row(finding.ledgers.get("scan"))]
+    rows = ["mean", _second_row(finding.channels.get("scan"))]
     figure = new_figure(11.0, 3.9, layout=None)
     grid = figure.subplots(2, len(variables), sharey="row")
     figure.subplots_adjust(left=0.06, right=0.995, top=0.90, bottom=0.115, wspace=0.10, hspace=0.18)
@@ -437,8 +437,8 @@ def residuals_picture(finding: Finding, compared: Compared, path: Path) -> None:
     save_figure(figure, path)
 
 
-def _second_row(ledger: Ledger | None) -> str:
-    found = [] if ledger is None else [w.family for w in ledger.where if w.family != "bias"]
+def _second_row(result: ChannelResult | None) -> str:
+    found = [] if result is None else [w.family for w in result.deviations if w.family != "bias"]
     return "spread" if found and found[0] == "spread" else "strange"
 
 

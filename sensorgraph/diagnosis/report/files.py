@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from sensorgraph import __version__
-from sensorgraph.diagnosis.diagnose import Finding, sentence
+from sensorgraph.diagnosis.diagnose import Finding
 from sensorgraph.diagnosis.report.comparison import bare_gap, compare, sections
 from sensorgraph.diagnosis.report.phrases import (
     deviation,
-    main_ledger,
+    main_channel,
     parameters,
     percent,
     place_words,
     said,
 )
-from sensorgraph.diagnosis.result import Gap, Ledger, Where
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, Gap, Unknown
 from sensorgraph.effects import Amendment, effects_file
 from sensorgraph.files import whole
 from sensorgraph.types import Progress
@@ -107,8 +107,8 @@ def marks(finding: Finding) -> list[tuple[str, tuple[float, float]]]:
     """Return words and points (x, y) [m, map] of what sits somewhere."""
     out = [(a.effect.title, xy) for a in finding.effects if (xy := spot(a)) is not None]
     unknown = finding.unknown
-    if unknown is not None and unknown.where is not None and unknown.where.xy is not None:
-        out.append(("unknown", unknown.where.xy))
+    if unknown is not None and unknown.deviation is not None and unknown.deviation.xy is not None:
+        out.append(("unknown", unknown.deviation.xy))
     return out
 
 
@@ -134,9 +134,9 @@ def markdown(finding: Finding, name: str) -> str:
             + (f", at {place_words(a)}" if place_words(a) else ""),
             "",
         ]
-    scan = finding.ledgers.get("scan")
-    if scan is not None and scan.where:
-        lines += ["Before any name:", "", *(f"- {deviation(w)}" for w in scan.where[:4]), ""]
+    scan = finding.channels.get("scan")
+    if scan is not None and scan.deviations:
+        lines += ["Before any name:", "", *(f"- {deviation(w)}" for w in scan.deviations[:4]), ""]
     lines += [f"*{name}. Gap and residuals here are the bare simulator's, at the reference poses.*"]
     return "\n".join(lines)
 
@@ -158,30 +158,30 @@ def plain(data: Any) -> Any:
 
 def to_dict(finding: Finding) -> dict[str, Any]:
     """Return the report as plain data; `gap`, `where` and `runner_up` begin with what the headline is about."""
-    main = main_ledger(finding)
-    ledgers = dict(sorted(finding.ledgers.items(), key=lambda item: item[0] != main))
+    main = main_channel(finding)
+    results = dict(sorted(finding.channels.items(), key=lambda item: item[0] != main))
     unknown = finding.unknown
     bare = bare_gap(finding)
-    rivals = [asdict(r) for ledger in ledgers.values() for r in ledger.rivals]
+    rivals = [asdict(r) for result in results.values() for r in result.rivals]
     return {
         "effects": [effect_dict(a) for a in finding.effects],
         "undecided": [effect_dict(a) for a in finding.undecided],
-        "unknown": None if unknown is None else asdict(unknown),
-        "where": [where_dict(w) for ledger in ledgers.values() for w in ledger.where],
+        "unknown": None if unknown is None else unknown_dict(unknown),
+        "where": [where_dict(w) for result in results.values() for w in result.deviations],
         "runner_up": runner_up(finding, rivals),
         "rivals": rivals,
-        "gap": next((gap_dict(one.gap, name) for name, one in ledgers.items() if one.gap is not None), None),
+        "gap": next((gap_dict(one.gap, name) for name, one in results.items() if one.gap is not None), None),
         "gap_bare_simulator": None if bare is None else gap_dict(bare),
         "gap_second_run": None if finding.second_gap is None else gap_dict(finding.second_gap),
-        "within_tolerance": [effect_dict(a) for ledger in ledgers.values() for a in ledger.within_tolerance],
+        "within_tolerance": [effect_dict(a) for result in results.values() for a in result.within_tolerance],
         "not_observable": [
             {"name": name, "why": why}
-            for ledger in ledgers.values()
-            for name, why in ledger.not_observable.items()
+            for result in results.values()
+            for name, why in result.not_observable.items()
         ],
         "next_run": next_run(finding),
         "intake": finding.intake,
-        "channels": {name: channel_dict(ledger) for name, ledger in finding.ledgers.items()},
+        "channels": {name: channel_dict(result) for name, result in finding.channels.items()},
         "cpu_s": finding.seconds,
     }
 
@@ -208,9 +208,19 @@ def runner_up(finding: Finding, rivals: Sequence[Mapping[str, Any]]) -> Mapping[
     return next((r for r in rivals if r["instead_of"] == first), rivals[0] if rivals else None)
 
 
-def where_dict(where: Where) -> dict[str, Any]:
+def where_dict(where: Deviation) -> dict[str, Any]:
     """Return one deviation as plain data."""
-    return {**asdict(where), "statement": sentence(where)}
+    return {**asdict(where), "statement": where.sentence()}
+
+
+def unknown_dict(unknown: Unknown) -> dict[str, Any]:
+    """Return what no effect explains as plain data."""
+    return {
+        "statement": unknown.statement,
+        "where": None if unknown.deviation is None else asdict(unknown.deviation),
+        "statistic": unknown.statistic,
+        "threshold": unknown.threshold,
+    }
 
 
 def gap_dict(gap: Gap, channel: str = "scan") -> dict[str, Any]:
@@ -218,14 +228,14 @@ def gap_dict(gap: Gap, channel: str = "scan") -> dict[str, Any]:
     return {"channel": channel, "unit": "m" if channel == "scan" else "m/s", **asdict(gap)}
 
 
-def channel_dict(ledger: Ledger) -> dict[str, Any]:
+def channel_dict(result: ChannelResult) -> dict[str, Any]:
     """Return what one channel says."""
     return {
-        "effects": [a.name for a in ledger.effects],
-        "within_tolerance": [a.name for a in ledger.within_tolerance],
-        "unknown": None if ledger.unknown is None else ledger.unknown.statement,
-        "skipped": ledger.skipped,
-        "gap": None if ledger.gap is None else gap_dict(ledger.gap, ledger.channel),
-        "where": [where_dict(w) for w in ledger.where],
-        "notes": dict(ledger.notes),
+        "effects": [a.name for a in result.effects],
+        "within_tolerance": [a.name for a in result.within_tolerance],
+        "unknown": None if result.unknown is None else result.unknown.statement,
+        "skipped": result.skipped,
+        "gap": None if result.gap is None else gap_dict(result.gap, result.channel),
+        "where": [where_dict(w) for w in result.deviations],
+        "notes": dict(result.notes),
     }

@@ -12,7 +12,7 @@ from typing import Any
 from sensorgraph.diagnosis.diagnose import Finding
 from sensorgraph.diagnosis.report.phrases import (
     deviation,
-    main_ledger,
+    main_channel,
     minus,
     parameters,
     percent,
@@ -22,7 +22,7 @@ from sensorgraph.diagnosis.report.phrases import (
     tolerance,
     undecided,
 )
-from sensorgraph.diagnosis.result import Ledger
+from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.effects import Amendment
 
 STYLE = """
@@ -104,7 +104,7 @@ def page(
         f"<h1>{_glued(what.headline)}</h1>",
         *(f'<p class="lead">{_glued(text)}</p>' for text in what.details),
         "</header>",
-        *(body if main_ledger(finding) == "scan" else [*body[1:], body[0]]),
+        *(body if main_channel(finding) == "scan" else [*body[1:], body[0]]),
         _deviations(finding, pictures),
         _tolerated(finding),
         _channels(finding),
@@ -141,14 +141,14 @@ def _where(finding: Finding, pictures: Mapping[str, Path]) -> str:
     )
     if amended:
         caption += " A model that is right leaves an even, narrow band of noise along every wall."
-    title = "Where they differ" if main_ledger(finding) == "scan" else "The scans in the arena"
+    title = "Where they differ" if main_channel(finding) == "scan" else "The scans in the arena"
     return f"<h2>{title}</h2>{_picture(pictures['arena'], 'Residuals in the arena', caption)}"
 
 
 def _gap(finding: Finding, pictures: Mapping[str, Path]) -> str:
     if "gap" not in pictures:
         return ""
-    gap = finding.ledgers["scan"].gap if "scan" in finding.ledgers else None
+    gap = finding.channels["scan"].gap if "scan" in finding.channels else None
     rays = f" ({gap.n_rays:,} rays)" if gap is not None else ""
     caption = (
         f"Measured on readings that no fit and no choice has seen{rays}; map and poses may shift within their "
@@ -201,7 +201,7 @@ def _lowered(text: str) -> str:
 
 
 def _ranking(finding: Finding, pictures: Mapping[str, Path]) -> str:
-    rivals = [rival for ledger in finding.ledgers.values() for rival in ledger.rivals]
+    rivals = [rival for result in finding.channels.values() for rival in result.rivals]
     if "ranking" not in pictures and not rivals:
         return ""
     rows = []
@@ -229,8 +229,8 @@ def _ranking(finding: Finding, pictures: Mapping[str, Path]) -> str:
 
 
 def _deviations(finding: Finding, pictures: Mapping[str, Path]) -> str:
-    scan = finding.ledgers.get("scan")
-    found = [] if scan is None else list(scan.where)
+    scan = finding.channels.get("scan")
+    found = [] if scan is None else list(scan.deviations)
     if not found and "residuals" not in pictures:
         return ""
     rows = "".join(f"<li>{escape(deviation(w))}</li>" for w in found[:6])
@@ -249,7 +249,7 @@ def _deviations(finding: Finding, pictures: Mapping[str, Path]) -> str:
 
 
 def _tolerated(finding: Finding) -> str:
-    small = [a for ledger in finding.ledgers.values() for a in ledger.within_tolerance]
+    small = [a for result in finding.channels.values() for a in result.within_tolerance]
     if not small:
         return ""
     rows = "".join(
@@ -266,14 +266,14 @@ def _tolerated(finding: Finding) -> str:
 
 def _channels(finding: Finding) -> str:
     rows = "".join(
-        f"<tr><td>{escape(CHANNELS.get(name, name))}</td><td>{escape(_channel(ledger))}</td></tr>"
-        for name, ledger in finding.ledgers.items()
+        f"<tr><td>{escape(CHANNELS.get(name, name))}</td><td>{escape(_channel(result))}</td></tr>"
+        for name, result in finding.channels.items()
     )
     notes = "".join(
         f"<li>{escape(deviation(w) if name == 'scan' else _plain(w))}</li>"
-        for name, ledger in finding.ledgers.items()
+        for name, result in finding.channels.items()
         if name != "scan"
-        for w in ledger.where[:4]
+        for w in result.deviations[:4]
     )
     listed = f"<p>Odometry and drive deviate, before any name:</p><ul>{notes}</ul>" if notes else ""
     return f"<h2>Channels</h2><table class='pairs'>{rows}</table>{listed}"
@@ -284,19 +284,19 @@ def _plain(where: Any) -> str:
     return f"{where.family} at {label}: {abs(where.z):.1f} standard errors"
 
 
-def _channel(ledger: Ledger) -> str:
-    if ledger.skipped:
-        return f"not looked at: {ledger.skipped}"
+def _channel(result: ChannelResult) -> str:
+    if result.skipped:
+        return f"not looked at: {result.skipped}"
     out = []
-    if ledger.effects:
-        out.append("found: " + ", ".join(a.effect.title for a in ledger.effects))
-    if ledger.unknown is not None:
-        out.append(ledger.unknown.statement)
-    gap = ledger.gap
+    if result.effects:
+        out.append("found: " + ", ".join(a.effect.title for a in result.effects))
+    if result.unknown is not None:
+        out.append(result.unknown.statement)
+    gap = result.gap
     if gap is not None and gap.noise_floor.normalised > 0:
         floor = gap.noise_floor.normalised
         before, after = f"{gap.before.normalised / floor:.2f}", f"{gap.after.normalised / floor:.2f}"
-        size = f"from {before} to {after}" if ledger.effects else after
+        size = f"from {before} to {after}" if result.effects else after
         out = out or ["nothing material"]
         out.append(f"gap {size} times the noise floor")
     return "; ".join(out) if out else "nothing material"
@@ -305,13 +305,13 @@ def _channel(ledger: Ledger) -> str:
 def _not_observable(finding: Finding) -> str:
     rows = "".join(
         f"<tr><td>{escape(title_of(name))}</td><td>{escape(why)}</td></tr>"
-        for ledger in finding.ledgers.values()
-        for name, why in ledger.not_observable.items()
+        for result in finding.channels.values()
+        for name, why in result.not_observable.items()
     )
     skipped = "".join(
-        f"<tr><td>everything of the {escape(name)} channel</td><td>{escape(ledger.skipped)}</td></tr>"
-        for name, ledger in finding.ledgers.items()
-        if ledger.skipped
+        f"<tr><td>everything of the {escape(name)} channel</td><td>{escape(result.skipped)}</td></tr>"
+        for name, result in finding.channels.items()
+        if result.skipped
     )
     if not rows and not skipped:
         return ""

@@ -6,8 +6,8 @@ import math
 import re
 from dataclasses import dataclass
 
-from sensorgraph.diagnosis.diagnose import Finding, sentence
-from sensorgraph.diagnosis.result import Gap, Rival, Unknown, Where
+from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.result import Deviation, Gap, Rival, Unknown
 from sensorgraph.diagnosis.scan.map_alignment import PARTLY
 from sensorgraph.effects import Amendment, Parameter
 
@@ -132,8 +132,8 @@ def undecided(finding: Finding) -> list[tuple[Amendment, Rival]]:
     names = {a.name for a in finding.effects}
     out = []
     for a in (*finding.undecided, *finding.effects):
-        for ledger in finding.ledgers.values():
-            for rival in ledger.rivals:
+        for result in finding.channels.values():
+            for rival in result.rivals:
                 close = (a.evidence or 0.0) - rival.evidence_nats < UNDECIDED
                 if rival.instead_of == a.name and rival.name not in names and close:
                     out.append((a, rival))
@@ -151,11 +151,11 @@ def said(finding: Finding) -> Said:
     """Say what came out."""
     effects, unknown, doubt = finding.effects, finding.unknown, undecided(finding)
     details = gap_sentences(finding)
-    if finding.explained is None and unknown is not None and unknown.where is None:
+    if finding.explained is None and unknown is not None and unknown.deviation is None:
         return misplaced(unknown)
-    seen = [name for name, one in finding.ledgers.items() if not one.skipped]
+    seen = [name for name, one in finding.channels.items() if not one.skipped]
     if not seen:
-        why = "; ".join(f"{name}: {one.skipped}" for name, one in finding.ledgers.items())
+        why = "; ".join(f"{name}: {one.skipped}" for name, one in finding.channels.items())
         return Said(kind="skipped", headline="Nothing could be compared.", details=(why,))
     if doubt:
         a, rival = doubt[0]
@@ -166,7 +166,7 @@ def said(finding: Finding) -> Said:
             details.insert(0, f"Found besides: {'; '.join(brief(b) for b in rest)}.")
         kind = "undecided"
     elif unknown is not None and all((a.probability or 0.0) <= 0.5 for a in effects):
-        headline, kind = f"Something unknown {_at(unknown.where)}.", "unknown"
+        headline, kind = f"Something unknown {_at(unknown.deviation)}.", "unknown"
         if effects:
             details.insert(0, f"Part of it is explained by {'; '.join(brief(a) for a in effects)}.")
     elif effects:
@@ -179,7 +179,7 @@ def said(finding: Finding) -> Said:
         headline, kind = "Nothing material found.", "nothing"
         details.insert(0, "Simulation and measurement agree within what a careful set-up holds.")
     if unknown is not None:
-        text = deviation(unknown.where) if unknown.where is not None else unknown.statement
+        text = deviation(unknown.deviation) if unknown.deviation is not None else unknown.statement
         text = text.removeprefix("something no effect of the library explains: ")
         lead = (
             "Besides, something unknown is left: "
@@ -239,20 +239,20 @@ def intake_sentences(finding: Finding) -> list[str]:
     if dropped and used < scans:
         counted = ", ".join(f"{n:,} {why}" for why, n in dropped.items())
         out.append(f"used {used:,} of {scans:,} scans; dropped: {counted}")
-    for name, ledger in finding.ledgers.items():
-        if ledger.skipped and finding.explained is not None:
-            out.append(f"{name}: not looked at, {ledger.skipped}")
+    for name, result in finding.channels.items():
+        if result.skipped and finding.explained is not None:
+            out.append(f"{name}: not looked at, {result.skipped}")
     return out
 
 
-def deviation(where: Where) -> str:
+def deviation(where: Deviation) -> str:
     """Say one deviation in words."""
-    text = sentence(where).replace(" and half of the run ", " ").replace("at hit place around", "around")
+    text = where.sentence().replace(" and half of the run ", " ").replace("at hit place around", "around")
     text = re.sub(r"-?\d\.\d+e-\d+", "0", text)  # what rounding leaves of an edge at zero
     return minus(text.replace(" at omega ", " at turn rate "))
 
 
-def _at(where: Where | None) -> str:
+def _at(where: Deviation | None) -> str:
     if where is None:
         return "is left"
     part = where.partition.removesuffix(" and half of the run")
@@ -260,23 +260,23 @@ def _at(where: Where | None) -> str:
     return f"{words.get(part, 'at ' + part)} {where.label}".strip()
 
 
-def main_ledger(finding: Finding) -> str:
+def main_channel(finding: Finding) -> str:
     """Return the channel that the headline is about: the first-named effect's, or that of the unknown."""
     if finding.effects or finding.undecided:
         return (*finding.effects, *finding.undecided)[0].effect.channel
-    for name, ledger in finding.ledgers.items():
-        if ledger.unknown is not None:
+    for name, result in finding.channels.items():
+        if result.unknown is not None:
             return name
-    return next(iter(finding.ledgers))
+    return next(iter(finding.channels))
 
 
 def gap_sentences(finding: Finding) -> list[str]:
     """Say how far the gap shrinks in every channel with a name; without one, how large it is."""
-    named = [name for name, ledger in finding.ledgers.items() if ledger.effects]
+    named = [name for name, result in finding.channels.items() if result.effects]
     out = []
-    for name in named or [main_ledger(finding)]:
-        ledger = finding.ledgers[name]
-        text = gap_sentence(ledger.gap, channel=name, n_effects=len(ledger.effects))
+    for name in named or [main_channel(finding)]:
+        result = finding.channels[name]
+        text = gap_sentence(result.gap, channel=name, n_effects=len(result.effects))
         out.append(f"{name.capitalize()}: {text[0].lower()}{text[1:]}" if text and len(named) > 1 else text)
     return [text for text in out if text]
 

@@ -32,7 +32,7 @@ class Tolerated:
 
 def tolerated(finding: Finding) -> list[Tolerated]:
     """List what the tolerances of this run are too wide to show."""
-    tolerances = finding.evidence.tolerances
+    tolerances = finding.data.tolerances
     present = {a.name for a in finding.effects}
     here = _here(finding)
     out = []

@@ -16,9 +16,16 @@ from sensorgraph.diagnosis.scan.gauss_newton import (
     fitted_noise,
     iterate,
 )
-from sensorgraph.diagnosis.scan.likelihood import Edges, Predicted, find_edges, judge, predicted
-from sensorgraph.diagnosis.scan.nuisance import DENSE, OWN, Columns, Corners, Freedom, columns
-from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.likelihood import (
+    Edges,
+    ExpectedReadings,
+    e_step,
+    expected_readings,
+    find_edges,
+)
+from sensorgraph.diagnosis.scan.nuisance import DENSE, OWN, Corners, Jacobian, linearise
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.scene import Beams, Scene
@@ -70,8 +77,8 @@ class Cast:
 
     scene: Scene
     beams: Beams
-    cols: Columns
-    what: Predicted
+    jacobian: Jacobian
+    expected: ExpectedReadings
     edges: Edges | None
 
 
@@ -99,14 +106,14 @@ class Fitted:
         return tuple(a.name for a in self.model)
 
 
-def cast(evidence: Evidence, model: Sequence[Amendment]) -> Cast:
+def cast(data: ScanData, model: Sequence[Amendment]) -> Cast:
     """Run the simulator on the poses of the evidence."""
-    scene = evidence.scene()
-    beams = scene.run((*evidence.known, *model))
-    cols = columns(evidence, beams, scene.walls, scene.mount, _bent(evidence, model, beams))
-    edges = None if any(a.name == "sonar_cone" for a in model) else _edges(evidence, scene)
-    what = predicted(beams, cols.steep, edges, scene.outliers, scene.shorts, scene.lattice)
-    return Cast(scene=scene, beams=beams, cols=cols, what=what, edges=edges)
+    scene = data.scene()
+    beams = scene.run((*data.known, *model))
+    jacobian = linearise(data, beams, scene.walls, scene.mount, _bent(data, model, beams))
+    edges = None if any(a.name == "sonar_cone" for a in model) else _edges(data, scene)
+    expected = expected_readings(beams, jacobian.steep, edges, scene.outliers, scene.shorts, scene.lattice)
+    return Cast(scene=scene, beams=beams, jacobian=jacobian, expected=expected, edges=edges)
 
 
 FINE = 0.02  # relative step at which the search for a share or a width ends
@@ -119,9 +126,7 @@ NUDGE = (5e-4, 5e-4, 3e-4)  # [m, m, rad] of the difference quotients by the pos
 RIGID = 60.0  # [1, 1, m/rad] a larger quotient is a jump to another surface
 
 
-def _bent(
-    evidence: Evidence, model: Sequence[Amendment], beams: Beams
-) -> tuple[Bools, Floats, Floats] | None:
+def _bent(data: ScanData, model: Sequence[Amendment], beams: Beams) -> tuple[Bools, Floats, Floats] | None:
     """Differentiate rays that a surface, an edge or a tilt has bent by the pose, by casting again.
 
     Returns which rays (n_scans, n_rays) have columns, the columns (n_scans, 3, n_rays), and |d reading / d phi|
@@ -133,15 +138,15 @@ def _bent(
     rows = np.flatnonzero(which.any(axis=1))
     if len(rows) == 0:
         return None
-    few = evidence.part(rows)
-    quotients = np.zeros((evidence.n_scans, 3, evidence.n_rays))
+    few = data.part(rows)
+    quotients = np.zeros((data.n_scans, 3, data.n_rays))
     smooth = which.copy()
     steepness = np.zeros(which.shape)
     for axis, step in enumerate(NUDGE):
         scene = few.scene()
         scene.memo = None
         scene.motion = _nudged(few, axis, step)
-        moved = scene.run((*evidence.known, *model)).reading
+        moved = scene.run((*data.known, *model)).reading
         with np.errstate(invalid="ignore"):
             q = (moved - beams.reading[rows]) / step
         ok = np.isfinite(q) & (np.abs(q) < RIGID)
@@ -152,20 +157,20 @@ def _bent(
     return smooth, np.where(smooth[:, None, :], quotients, 0.0), np.where(which, steepness, 0.0)
 
 
-def _nudged(evidence: Evidence, axis: int, step: float) -> Callable[[Floats], Floats]:
+def _nudged(data: ScanData, axis: int, step: float) -> Callable[[Floats], Floats]:
     offset = np.zeros(3)
     offset[axis] = step
-    return lambda times: evidence.motion(times) + offset
+    return lambda times: data.motion(times) + offset
 
 
-def _edges(evidence: Evidence, scene: Scene) -> Edges | None:
+def _edges(data: ScanData, scene: Scene) -> Edges | None:
     """Find the edges of the bare cast; kept as long as geometry and timing stay."""
     parts = (scene.walls, scene.mount, scene.delay, scene.discs)
     key = b"edges|" + b"|".join(part.tobytes() for part in parts)
-    if key not in evidence.memo:
+    if key not in data.memo:
         bare = bare_cast(scene)
-        evidence.memo[key] = find_edges(evidence, bare, scene.walls)
-    kept = evidence.memo[key]
+        data.memo[key] = find_edges(data, bare, scene.walls)
+    kept = data.memo[key]
     assert kept is None or isinstance(kept, Edges)
     return kept
 
@@ -179,63 +184,63 @@ def bare_cast(scene: Scene) -> Beams:
         scene.surfaces = kept
 
 
-def start_state(evidence: Evidence, freedom: Freedom) -> State:
+def start_state(data: ScanData, noise_bounds: NoiseBounds) -> State:
     """Return nuisances at zero."""
-    corners = corners_of(evidence)
-    state = State(g=np.zeros(len(DENSE) + 2 * corners.count), delta=np.zeros((evidence.n_scans, 3)))
-    state.pose_scale = freedom.pose
+    corners = corners_of(data)
+    state = State(g=np.zeros(len(DENSE) + 2 * corners.count), delta=np.zeros((data.n_scans, 3)))
+    state.pose_scale = noise_bounds.min_pose_scale
     noise = state.noise
-    noise.core = float(np.clip(noise.core, *freedom.core))
-    noise.tail = float(np.clip(noise.tail, *freedom.tail))
-    noise.loss = float(np.clip(noise.loss, *freedom.loss))
-    noise.stray = float(np.clip(noise.stray, *freedom.stray))
+    noise.core = float(np.clip(noise.core, *noise_bounds.core))
+    noise.tail = float(np.clip(noise.tail, *noise_bounds.tail))
+    noise.loss = float(np.clip(noise.loss, *noise_bounds.loss))
+    noise.stray = float(np.clip(noise.stray, *noise_bounds.stray))
     return state
 
 
-def corners_of(evidence: Evidence) -> Corners:
+def corners_of(data: ScanData) -> Corners:
     """Return the corners of the map that may shift; none where there are too many."""
-    corners = Corners.of(evidence.arena.walls)
+    corners = Corners.of(data.arena.walls)
     if corners.count > MOST_CORNERS:
         return Corners(ends=corners.ends * 0, count=0)
     return corners
 
 
-def locked(evidence: Evidence, model: Sequence[Amendment], corners: Corners) -> Bools:
+def locked(data: ScanData, model: Sequence[Amendment], corners: Corners) -> Bools:
     """Return which nuisances are held at 0: the copies of effects in the model, and the mount of a bare laser."""
     out = np.zeros(len(DENSE) + 2 * corners.count, dtype=np.bool_)
     names = [name for a in model for name in OWN.get(a.name, ())]
-    if evidence.laser_frame:
+    if data.laser_frame:
         names += ["mount_x", "mount_y", "mount_yaw"]
     for name in names:
         out[DENSE.index(name)] = True
     return out
 
 
-def solver_for(evidence: Evidence, model: Sequence[Amendment], at: Cast | None = None) -> tuple[Solver, Cast]:
+def solver_for(data: ScanData, model: Sequence[Amendment], at: Cast | None = None) -> tuple[Solver, Cast]:
     """Cast, and differentiate by the effects' smooth parameters."""
-    at = cast(evidence, model) if at is None else at
-    corners = corners_of(evidence)
+    at = cast(data, model) if at is None else at
+    corners = corners_of(data)
     quotients = []
     for index, amendment in enumerate(model):
         for name, step in smooth_parameters(amendment).items():
             moved = [*model]
             moved[index] = amendment.moved_to({name: amendment.parameters.get(name, 0.0) + step})
-            scene = evidence.scene()
-            beams = scene.run((*evidence.known, *moved))
+            scene = data.scene()
+            beams = scene.run((*data.known, *moved))
             with np.errstate(invalid="ignore"):
                 slope = (beams.reading - at.beams.reading) / step
             same = (
                 (beams.wall == at.beams.wall)
-                & at.cols.valid
+                & at.jacobian.valid
                 & np.isfinite(slope)
                 & (np.abs(slope) < STIFF.get(name, STIFF_ELSE))
             )
             quotients.append(np.where(same, slope, 0.0))
-    shape = at.what.reading.shape
+    shape = at.expected.reading.shape
     effects = np.stack(quotients, axis=1) if quotients else np.zeros((shape[0], 0, shape[1]))
-    held = locked(evidence, model, corners)
+    held = locked(data, model, corners)
     walls = at.scene.walls
-    return Solver(evidence, at.what, at.cols, walls, effects, corners, held), at
+    return Solver(data, at.expected, at.jacobian, walls, effects, corners, held), at
 
 
 def with_increments(model: Sequence[Amendment], p: Floats) -> tuple[Amendment, ...]:
@@ -253,10 +258,10 @@ def with_increments(model: Sequence[Amendment], p: Floats) -> tuple[Amendment, .
 
 
 def fit(
-    evidence: Evidence,
+    data: ScanData,
     model: Sequence[Amendment],
     state: State,
-    freedom: Freedom,
+    noise_bounds: NoiseBounds,
     *,
     outer: int = 4,
     inner: int = 4,
@@ -265,14 +270,14 @@ def fit(
     """Fit the smooth parameters, nuisances and noise; cast again until nothing is gained."""
     best: Fitted | None = None
     model = tuple(model)
-    freedom, state = strays_taken(model, freedom), state.copy()
-    state.noise.stray = float(np.clip(state.noise.stray, *freedom.stray))
-    corners = corners_of(evidence)
-    state.g[locked(evidence, model, corners)] = 0.0
+    noise_bounds, state = strays_taken(model, noise_bounds), state.copy()
+    state.noise.stray = float(np.clip(state.noise.stray, *noise_bounds.stray))
+    corners = corners_of(data)
+    state.g[locked(data, model, corners)] = 0.0
     for _ in range(outer):
-        solver, at = solver_for(evidence, model)
+        solver, at = solver_for(data, model)
         zero = np.zeros(solver.n_effects)
-        solution = iterate(solver, state, zero, freedom, rounds=inner, **held)
+        solution = iterate(solver, state, zero, noise_bounds, rounds=inner, **held)
         got = Fitted(model=model, solution=solution, cast=at, solver=solver)
         better = best is None or got.j > best.j + 0.3
         if best is None or got.j > best.j:
@@ -294,52 +299,52 @@ def _settled(solution: Solution) -> bool:
 
 
 def log_p_at(
-    evidence: Evidence, model: Sequence[Amendment], state: State, freedom: Freedom | None = None
+    data: ScanData, model: Sequence[Amendment], state: State, noise_bounds: NoiseBounds | None = None
 ) -> Floats:
     """Return the log-likelihood of every reading (n_scans, n_rays) [nats] at given nuisances; one cast, no solve.
 
     Parameters
     ----------
-    freedom : the noise is estimated again within it; None: it stays
+    noise_bounds : the noise is estimated again within it; None: it stays
     """
-    at = cast(evidence, model)
-    corners = corners_of(evidence)
-    shape = at.what.reading.shape
+    at = cast(data, model)
+    corners = corners_of(data)
+    shape = at.expected.reading.shape
     solver = Solver(
-        evidence, at.what, at.cols, at.scene.walls, np.zeros((shape[0], 0, shape[1])), corners,
+        data, at.expected, at.jacobian, at.scene.walls, np.zeros((shape[0], 0, shape[1])), corners,
         np.zeros(len(state.g), dtype=np.bool_),
     )  # fmt: skip
     shift, noise = solver.shift(state, np.zeros(0)), state.noise
-    judged = judge(evidence, at.what, shift, noise)
-    if freedom is not None:
-        freedom = strays_taken(model, freedom)
+    responsibilities = e_step(data, at.expected, shift, noise)
+    if noise_bounds is not None:
+        noise_bounds = strays_taken(model, noise_bounds)
         for _ in range(NOISE_ROUNDS):
-            noise = fitted_noise(solver, judged, noise, freedom)
-            judged = judge(evidence, at.what, shift, noise)
-    return judged.log_p
+            noise = fitted_noise(solver, responsibilities, noise, noise_bounds)
+            responsibilities = e_step(data, at.expected, shift, noise)
+    return responsibilities.log_p
 
 
 def log_likelihood(
-    evidence: Evidence, model: Sequence[Amendment], state: State, freedom: Freedom | None = None
+    data: ScanData, model: Sequence[Amendment], state: State, noise_bounds: NoiseBounds | None = None
 ) -> float:
     """Return the log-likelihood of a model [nats]; see `log_p_at`."""
-    return float(log_p_at(evidence, model, state, freedom).sum())
+    return float(log_p_at(data, model, state, noise_bounds).sum())
 
 
-def strays_taken(model: Sequence[Amendment], freedom: Freedom) -> Freedom:
+def strays_taken(model: Sequence[Amendment], noise_bounds: NoiseBounds) -> NoiseBounds:
     """Leave no strays to the noise where random_outliers is in the model: its share is all of them."""
     if not any(a.name == "random_outliers" for a in model):
-        return freedom
-    low = freedom.stray[0]
-    return replace(freedom, stray=(low, low))
+        return noise_bounds
+    low = noise_bounds.stray[0]
+    return replace(noise_bounds, stray=(low, low))
 
 
 def polish(
-    evidence: Evidence,
+    data: ScanData,
     model: tuple[Amendment, ...],
     index: int,
     fitted: Fitted,
-    freedom: Freedom,
+    noise_bounds: NoiseBounds,
     *,
     rounds: int,
     first: float,
@@ -359,10 +364,10 @@ def polish(
     if not steps:
         return model
     if amendment.effect.absorber:
-        return _peaked(evidence, model, index, fitted.state, freedom, factor=1 + 2 * first)
+        return _peaked(data, model, index, fitted.state, noise_bounds, factor=1 + 2 * first)
     bounds = {q.name: (q.low, q.high) for q in amendment.effect.parameters}
     current = [*model]
-    best = log_likelihood(evidence, current, fitted.state)
+    best = log_likelihood(data, current, fitted.state)
     for _ in range(rounds):
         moved = False
         for name in steps:
@@ -370,7 +375,7 @@ def polish(
                 value = float(np.clip(current[index][name] + sign * steps[name], *bounds[name]))
                 trial = [*current]
                 trial[index] = current[index].moved_to({name: value})
-                got = log_likelihood(evidence, trial, fitted.state)
+                got = log_likelihood(data, trial, fitted.state)
                 if got > best + 1e-6:
                     best, current, moved = got, trial, True
                     steps[name] *= 1.5
@@ -383,11 +388,11 @@ def polish(
 
 
 def _peaked(
-    evidence: Evidence,
+    data: ScanData,
     model: tuple[Amendment, ...],
     index: int,
     state: State,
-    freedom: Freedom,
+    noise_bounds: NoiseBounds,
     *,
     factor: float,
 ) -> tuple[Amendment, ...]:
@@ -400,7 +405,7 @@ def _peaked(
 
     reach = float(np.log(factor))
     found = minimize_scalar(
-        lambda u: -log_likelihood(evidence, at(u), state, freedom),
+        lambda u: -log_likelihood(data, at(u), state, noise_bounds),
         bounds=(-reach, reach),
         method="bounded",
         options={"xatol": FINE, "maxiter": MOST_PEAKED},
@@ -408,9 +413,9 @@ def _peaked(
     return at(float(found.x))
 
 
-def thin(evidence: Evidence, every: int) -> Evidence:
+def thin(data: ScanData, every: int) -> ScanData:
     """Return every n-th scan."""
-    return evidence.part(np.arange(0, evidence.n_scans, every))
+    return data.part(np.arange(0, data.n_scans, every))
 
 
 def thin_state(state: State, every: int) -> State:

@@ -11,19 +11,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.likelihood import Judged, Predicted, judge
+from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, e_step
 from sensorgraph.diagnosis.scan.nuisance import (
     BOX,
     DENSE,
     TAIL,
-    Columns,
+    BeamNoise,
     Corners,
-    Freedom,
-    Noise,
+    Jacobian,
     pose_prior,
     widths,
 )
-from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.wall_sums import wall_sums
 from sensorgraph.types import Bools, Floats
 
@@ -39,7 +39,7 @@ class State:
     """(8 + 2 n_corners,) DENSE, then x and y of each corner."""
     delta: Floats
     """(n_scans, 3) [m, m, rad] pose errors."""
-    noise: Noise = field(default_factory=Noise)
+    noise: BeamNoise = field(default_factory=BeamNoise)
     pose_scale: float = 1.0
     """By how much the tolerances of the reference are too tight."""
     map_scale: float = 1.0
@@ -88,52 +88,50 @@ class Solver:
 
     def __init__(
         self,
-        evidence: Evidence,
-        what: Predicted,
-        cols: Columns,
+        data: ScanData,
+        expected: ExpectedReadings,
+        jacobian: Jacobian,
         walls: Floats,
         effects: Floats,
         corners: Corners,
         locked: Bools,
     ) -> None:
-        self.evidence, self.what, self.cols, self.corners = evidence, what, cols, corners
+        self.data, self.expected, self.jacobian, self.corners = data, expected, jacobian, corners
         self.effects = effects  # (n_scans, k, n_rays)
         self.n_effects = effects.shape[1]
         self.map = normal(corners, walls, corners.count > 0)
-        n_scans, n_rays = what.reading.shape
+        n_scans, n_rays = expected.reading.shape
         self.shape = (n_scans, n_rays)
         self.n_walls = max(len(walls), 1)
         d = walls[:, 1] - walls[:, 0]
         d = d / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)[:, None]
         if self.map is not None:
-            facing = np.sign(cols.nx * d[:, 1][cols.wall] - cols.ny * d[:, 0][cols.wall])
-            self.ends = cols.ends * facing
-        self.tau = np.concatenate(
-            [widths(evidence.tolerances), np.full(2 * corners.count, evidence.tolerances.map)]
-        )
+            facing = np.sign(jacobian.nx * d[:, 1][jacobian.wall] - jacobian.ny * d[:, 0][jacobian.wall])
+            self.ends = jacobian.ends * facing
+        self.tau = np.concatenate([widths(data.tolerances), np.full(2 * corners.count, data.tolerances.map)])
         self.locked = locked  # (8 + 2 n_corners,)
-        self.stack = np.concatenate([cols.dense, effects], axis=1)  # (n_scans, 8 + k, n_rays)
+        self.stack = np.concatenate([jacobian.dense, effects], axis=1)  # (n_scans, 8 + k, n_rays)
         with np.errstate(invalid="ignore"):
-            self.y = np.where(cols.valid & evidence.returned, evidence.ranges - what.reading, 0.0)
+            self.y = np.where(jacobian.valid & data.returned, data.ranges - expected.reading, 0.0)
         self.y[~np.isfinite(self.y)] = 0.0
 
     def shift(self, state: State, p: Floats) -> Floats:
         """Return what nuisances, poses and effect increments add to the readings, (n_scans, n_rays)."""
-        out = np.matmul(state.delta[:, None, :], self.cols.pose)[:, 0]
+        out = np.matmul(state.delta[:, None, :], self.jacobian.pose)[:, 0]
         out += np.matmul(np.concatenate([state.g[: len(DENSE)], p]), self.stack)
         if self.map is not None:
             ends = (self.map @ state.g[len(DENSE) :]).reshape(2, self.n_walls)
-            out += self.ends[0] * ends[0][self.cols.wall] + self.ends[1] * ends[1][self.cols.wall]
+            out += self.ends[0] * ends[0][self.jacobian.wall] + self.ends[1] * ends[1][self.jacobian.wall]
         return np.asarray(out)
 
     def assemble(self, weight: Floats, pose_scale: float) -> System:
         """Build the normal equations for weights (n_scans, n_rays) [1/m²]."""
         n_scans, _ = self.shape
-        prior = pose_prior(self.evidence, pose_scale)
+        prior = pose_prior(self.data, pose_scale)
         inverse = np.linalg.inv(prior)
-        w = np.where(self.cols.valid, weight, 0.0)
-        wb = self.cols.pose * w[:, None, :]
-        block = np.matmul(wb, self.cols.pose.transpose(0, 2, 1))
+        w = np.where(self.jacobian.valid, weight, 0.0)
+        wb = self.jacobian.pose * w[:, None, :]
+        block = np.matmul(wb, self.jacobian.pose.transpose(0, 2, 1))
         h = block + inverse
         ws = self.stack * w[:, None, :]
         turned = self.stack.transpose(0, 2, 1)
@@ -164,7 +162,7 @@ class Solver:
         n_scans, _ = self.shape
         k, n_walls = len(DENSE), self.n_walls
         cl, gl, rl, square = wall_sums(
-            w, self.cols.pose, self.stack, self.ends, self.cols.wall, self.y, n_walls
+            w, self.jacobian.pose, self.stack, self.ends, self.jacobian.wall, self.y, n_walls
         )
         m = self.map.reshape(2, n_walls, -1)
         cv = cl.reshape(n_scans * 3, -1) @ self.map
@@ -200,7 +198,9 @@ class Solver:
         """Return the pose errors (n_scans, 3) for (g, p), none longer than CLIP."""
         return np.asarray(system.start - system.gain @ x)
 
-    def objective(self, system: System, state: State, judged: Judged, delta_prior: Floats) -> float:
+    def objective(
+        self, system: System, state: State, responsibilities: Responsibilities, delta_prior: Floats
+    ) -> float:
         """Return J: log-likelihood, priors and the volume of what was integrated out [nats]."""
         tau = self.scaled(state)
         free = ~self.locked
@@ -209,7 +209,7 @@ class Solver:
         s = system.matrix[:n, :n][np.ix_(free, free)] * tau[free] * tau[free][:, None]
         _, volume = np.linalg.slogdet(np.eye(int(free.sum())) + s)
         return (
-            float(judged.log_p.sum())
+            float(responsibilities.log_p.sum())
             - 0.5 * float(delta_prior.sum())
             - 0.5 * system.logdet
             - penalty
@@ -246,7 +246,7 @@ class Solution:
     """(k,) increments of the effects' smooth parameters."""
     j: float
     """[nats] penalised log-likelihood."""
-    judged: Judged
+    responsibilities: Responsibilities
     system: System
     covariance: Floats
     """(k, k) of p, nuisances integrated out."""
@@ -256,7 +256,7 @@ def iterate(
     solver: Solver,
     state: State,
     p: Floats,
-    freedom: Freedom,
+    noise_bounds: NoiseBounds,
     *,
     rounds: int,
     poses_free: bool = True,
@@ -269,16 +269,21 @@ def iterate(
     best: Solution | None = None
     n = solver.n_g
     for turn in range(rounds + 1):
-        judged = judge(solver.evidence, solver.what, solver.shift(state, p), state.noise)
-        system = solver.assemble(judged.weight, state.pose_scale)
-        inverse = np.linalg.inv(pose_prior(solver.evidence, state.pose_scale))
+        responsibilities = e_step(solver.data, solver.expected, solver.shift(state, p), state.noise)
+        system = solver.assemble(responsibilities.weight, state.pose_scale)
+        inverse = np.linalg.inv(pose_prior(solver.data, state.pose_scale))
         length = np.einsum("ni,nij,nj->n", state.delta, inverse, state.delta)
-        j = solver.objective(system, state, judged, length)
+        j = solver.objective(system, state, responsibilities, length)
         if best is None or j > best.j:
             covariance = _covariance(system, solver, state)
             gained = np.inf if best is None else j - best.j
             best = Solution(
-                state=state.copy(), p=p.copy(), j=j, judged=judged, system=system, covariance=covariance
+                state=state.copy(),
+                p=p.copy(),
+                j=j,
+                responsibilities=responsibilities,
+                system=system,
+                covariance=covariance,
             )
             if gained < 0.05 and turn > 1:
                 break
@@ -301,32 +306,34 @@ def iterate(
             length = np.sqrt(np.einsum("ni,nij,nj->n", delta, inverse, delta))
             state.delta = delta * np.minimum(1.0, CLIP / np.maximum(length, 1e-9))[:, None]
         if noise_free:
-            state.noise = fitted_noise(solver, judged, state.noise, freedom)
+            state.noise = fitted_noise(solver, responsibilities, state.noise, noise_bounds)
         if scales_free:
-            state.pose_scale, state.map_scale = _scales(solver, system, state, freedom)
+            state.pose_scale, state.map_scale = _scales(solver, system, state, noise_bounds)
     assert best is not None
     return best
 
 
-def fitted_noise(solver: Solver, judged: Judged, noise: Noise, freedom: Freedom) -> Noise:
+def fitted_noise(
+    solver: Solver, responsibilities: Responsibilities, noise: BeamNoise, noise_bounds: NoiseBounds
+) -> BeamNoise:
     """Update scale, tail, loss and stray share from the responsibilities (EM, closed form)."""
-    both = judged.core + judged.tail
+    both = responsibilities.core + responsibilities.tail
     count = max(float(both.sum()), 1.0)
-    e2 = (judged.residual / solver.what.sigma) ** 2
-    variance = float((judged.core * e2 + judged.tail * e2 / TAIL**2).sum()) / count
-    returnable = max(float((solver.what.p_return * np.isfinite(solver.what.reading)).sum()), 1.0)
-    n = max(float(solver.evidence.returned.sum()), 1.0)
-    return Noise(
-        core=float(np.clip(np.sqrt(variance), *freedom.core)),
-        tail=float(np.clip(judged.tail.sum() / count, *freedom.tail)),
-        loss=float(np.clip(judged.lost.sum() / returnable, *freedom.loss)),
-        stray=float(np.clip(judged.stray.sum() / n, *freedom.stray)),
+    e2 = (responsibilities.residual / solver.expected.sigma) ** 2
+    variance = float((responsibilities.core * e2 + responsibilities.tail * e2 / TAIL**2).sum()) / count
+    returnable = max(float((solver.expected.p_return * np.isfinite(solver.expected.reading)).sum()), 1.0)
+    n = max(float(solver.data.returned.sum()), 1.0)
+    return BeamNoise(
+        core=float(np.clip(np.sqrt(variance), *noise_bounds.core)),
+        tail=float(np.clip(responsibilities.tail.sum() / count, *noise_bounds.tail)),
+        loss=float(np.clip(responsibilities.lost.sum() / returnable, *noise_bounds.loss)),
+        stray=float(np.clip(responsibilities.stray.sum() / n, *noise_bounds.stray)),
     )
 
 
-def _scales(solver: Solver, system: System, state: State, freedom: Freedom) -> tuple[float, float]:
+def _scales(solver: Solver, system: System, state: State, noise_bounds: NoiseBounds) -> tuple[float, float]:
     """Estimate by how much the tolerances of reference and map are too tight; medians, so that an effect does not count."""
-    prior = pose_prior(solver.evidence, state.pose_scale)
+    prior = pose_prior(solver.data, state.pose_scale)
     spread = prior - np.linalg.inv(system.poses)  # covariance of the estimate under the prior
     spread = spread + 1e-3 * prior
     q = np.einsum("ni,nij,nj->n", state.delta, np.linalg.inv(spread), state.delta)
@@ -345,7 +352,7 @@ def _scales(solver: Solver, system: System, state: State, freedom: Freedom) -> t
         if seen.sum() >= 6:
             ratio = (state.g[corners] / tau[corners])[seen] ** 2 / (1 - left[seen])
             scale = state.map_scale * float(np.sqrt(np.median(ratio) / 0.455))
-    low, most = freedom.pose, freedom.most
+    low, most = noise_bounds.min_pose_scale, noise_bounds.max_scale
     return float(np.clip(pose, low, max(most, low))), float(np.clip(scale, 1.0, most))
 
 

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from planners.clearance import Barriers
-from sensorgraph.diagnosis.result import Where
+from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, fit, log_p_at
-from sensorgraph.diagnosis.scan.nuisance import Freedom
 from sensorgraph.diagnosis.scan.residuals import View, best_run
-from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.robot import Tolerances
 
@@ -47,7 +47,7 @@ class Partition:
 
 def partitions(view: View) -> list[Partition]:
     """Return every partition of the rays."""
-    ev, beams = view.evidence, view.beams
+    ev, beams = view.data, view.beams
     shape = view.z.shape
     hit = np.isfinite(beams.ranges)
     phi = ev.poses[:, 2]
@@ -134,7 +134,7 @@ def partitions(view: View) -> list[Partition]:
 def _parts_of_walls(view: View, t: Floats) -> list[Partition]:
     """Sort the rays of each pane, mirror or black part by time and by incidence: does its law hold?"""
     out = []
-    arena, span = view.evidence.arena, view.evidence.span
+    arena, span = view.data.arena, view.data.span
     scene = view.fitted.cast.scene
     placed = [a for a in view.fitted.model if a.name in ("glass", "mirror", "black_surface")]
     bare = bare_cast(scene) if placed else view.beams
@@ -174,8 +174,8 @@ def dispersion(view: View) -> float:
         return 1.0
     mean = value.sum(axis=1)[some] / n[some]
     within = float(value[counted].var())
-    expected = within * float((1 / n[some]).mean())
-    return float(np.var(mean) / max(expected, 1e-12))
+    within_expected = within * float((1 / n[some]).mean())
+    return float(np.var(mean) / max(within_expected, 1e-12))
 
 
 def _cells(
@@ -213,26 +213,26 @@ class Scores:
 
 def scores(view: View) -> Scores:
     """Return, per family, how each ray deviates."""
-    judged, what = view.fitted.solution.judged, view.fitted.cast.what
-    clear = view.returned & view.aimed & (what.p_alternative < 0.002) & view.fitted.cast.cols.valid
+    responsibilities, expected = view.fitted.solution.responsibilities, view.fitted.cast.expected
+    clear = view.returned & view.aimed & (expected.p_alternative < 0.002) & view.fitted.cast.jacobian.valid
     if view.beams.straight is not None:
-        bent = view.returned & view.aimed & ~view.beams.straight & (judged.stray < 0.5)
+        bent = view.returned & view.aimed & ~view.beams.straight & (responsibilities.stray < 0.5)
         clear = clear | bent
-    u = np.where(clear, judged.residual / view.sigma, 0.0)
-    usual = clear & (judged.stray < 0.5)
-    if what.short > 0:
-        usual &= judged.core + judged.tail > 0.5
+    u = np.where(clear, responsibilities.residual / view.sigma, 0.0)
+    usual = clear & (responsibilities.stray < 0.5)
+    if expected.short > 0:
+        usual &= responsibilities.core + responsibilities.tail > 0.5
     psi = np.clip(u, -CLIP, CLIP)
     tail = view.noise.tail
-    lattice2 = what.lattice**2 / 12 if what.lattice > 0 else 0.0
+    lattice2 = expected.lattice**2 / 12 if expected.lattice > 0 else 0.0
     extra = lattice2 / np.square(view.sigma)
-    expected = (1 - tail) * SPREAD + tail * 5.4 + extra
-    away = view.returned & view.aimed & (what.p_alternative < 0.002)
-    odd = judged.stray > 0.5
-    p_stray = view.noise.stray + what.stray + what.short
-    due = view.aimed & (what.p_alternative < 0.002) & ~np.isnan(view.z)
+    expected_square = (1 - tail) * SPREAD + tail * 5.4 + extra
+    away = view.returned & view.aimed & (expected.p_alternative < 0.002)
+    odd = responsibilities.stray > 0.5
+    p_stray = view.noise.stray + expected.stray + expected.short
+    due = view.aimed & (expected.p_alternative < 0.002) & ~np.isnan(view.z)
     inside = np.clip((view.range_max - np.where(view.aimed, view.mu, 0.0)) / (4 * view.sigma), 0.0, 1.0)
-    p_lost = 1 - what.p_return * (1 - view.noise.loss)
+    p_lost = 1 - expected.p_return * (1 - view.noise.loss)
     due = due & (inside >= 1.0)
     outline = outlines(view)
     if outline is not None:
@@ -240,7 +240,7 @@ def scores(view: View) -> Scores:
     return Scores(
         values={
             "bias": np.where(usual, psi, 0.0),
-            "spread": np.where(usual, psi**2 - expected, 0.0),
+            "spread": np.where(usual, psi**2 - expected_square, 0.0),
             "outliers": np.where(away, odd - p_stray, 0.0),
             "misses": np.where(due, view.lost - p_lost, 0.0),
         },
@@ -250,7 +250,7 @@ def scores(view: View) -> Scores:
 
 def outlines(view: View) -> Bools | None:
     """Tell which rays pass an unmapped obstacle that stands free: of its outline, a disc says too little to be judged."""
-    arena, beams, out = view.evidence.arena, view.beams, None
+    arena, beams, out = view.data.arena, view.beams, None
     for a in view.fitted.model:
         if a.name != "unmapped_obstacle":
             continue
@@ -264,14 +264,14 @@ def outlines(view: View) -> Bools | None:
     return out
 
 
-def deviations(view: View, parts: list[Partition] | None = None, *, least: float = 3.5) -> list[Where]:
+def deviations(view: View, parts: list[Partition] | None = None, *, least: float = 3.5) -> list[Deviation]:
     """Return the bins of material size whose z is above `least`, largest first; spread and shares one-sided."""
     parts = partitions(view) if parts is None else parts
     score = scores(view)
-    blocks = ((view.evidence.stamps - view.evidence.begin) / BLOCK).astype(np.intp)
+    blocks = ((view.data.stamps - view.data.begin) / BLOCK).astype(np.intp)
     blocks -= blocks.min(initial=0)
     n_blocks = int(blocks.max(initial=0)) + 1
-    found: list[Where] = []
+    found: list[Deviation] = []
     for part in parts:
         ok = part.index >= 0
         group = np.where(ok, blocks[:, None] * part.count + part.index, n_blocks * part.count)
@@ -296,12 +296,12 @@ def deviations(view: View, parts: list[Partition] | None = None, *, least: float
             strong = enough & size_ok & ((np.abs(z) > least) if family == "bias" else (z > least))
             for k in np.flatnonzero(strong):
                 found.append(
-                    Where(
+                    Deviation(
                         family=family,
                         partition=part.name,
                         label=part.label(int(k)),
                         z=float(z[k]),
-                        size=float(mean[k] * (view.evidence.sensor.sigma if family == "bias" else 1.0)),
+                        size=float(mean[k] * (view.data.sensor.sigma if family == "bias" else 1.0)),
                         n_rays=int(rays[k]),
                         xy=part.place(int(k)),
                     )
@@ -309,25 +309,25 @@ def deviations(view: View, parts: list[Partition] | None = None, *, least: float
     return sorted(found, key=lambda w: -abs(w.z))
 
 
-def statistic(found: list[Where]) -> dict[str, float]:
+def statistic(found: list[Deviation]) -> dict[str, float]:
     """Return the largest |z| per family."""
     out = dict.fromkeys(FLOORS, 0.0)
-    for where in found:
-        out[where.family] = max(out[where.family], abs(where.z))
+    for deviation in found:
+        out[deviation.family] = max(out[deviation.family], abs(deviation.z))
     return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Verdict:
+class GoodnessOfFit:
     """Whether a model leaves something unexplained."""
 
     statement: str
     """What is left, in words; empty: the model is enough."""
-    where: Where | None
+    deviation: Deviation | None
     """The strongest deviation that replicates do not show."""
     statistic: float
     threshold: float
-    found: tuple[Where, ...]
+    found: tuple[Deviation, ...]
     """All deviations above the least z."""
     misfit: float
     """[nats] that the unexplained part is worth, roughly."""
@@ -346,19 +346,19 @@ class _Doubt:
     misfit: float
     statistic: float
     threshold: float
-    where: Where | None = None
+    deviation: Deviation | None = None
     failed: frozenset[int] = frozenset()
 
 
 def check(
-    evidence: Evidence,
+    data: ScanData,
     fitted: Fitted,
     gained: float,
     gains: Mapping[int, float],
     *,
     rng: np.random.Generator,
     replicates: int = 12,
-) -> Verdict:
+) -> GoodnessOfFit:
     """Ask whether a model is enough: deviations against replicates, scans against each other, laws of its effects.
 
     Parameters
@@ -366,15 +366,15 @@ def check(
     gained : [nats] by which the model beats the one without effects; a doubt must be worth a share of it
     gains : [nats] that each effect of the model brings
     """
-    told = evidence.tolerances
-    evidence, fitted = _widened(evidence, fitted)
-    view = View(evidence, fitted)
+    told = data.tolerances
+    data, fitted = _widened(data, fitted)
+    view = View(data, fitted)
     parts = partitions(view)
     found = deviations(view, parts)
     doubts = [*_laws(view, gained, gains), *_limits(view, told), *_unsteady(view)]
     ratio = dispersion(view)
     if ratio > DISPERSED:
-        worth = (ratio - 1) / 2 * evidence.n_scans
+        worth = (ratio - 1) / 2 * data.n_scans
         doubts.append(
             _Doubt(
                 statement=f"scans differ from each other {ratio:.1f} times more than their rays do within a scan",
@@ -383,17 +383,21 @@ def check(
                 threshold=DISPERSED,
             )
         )
-    doubts += _against_replicates(evidence, fitted, parts, found, told, rng, replicates)
+    doubts += _against_replicates(data, fitted, parts, found, told, rng, replicates)
     worth = max((COARSE.get(a.name, WORTH) for a in fitted.model), default=WORTH)
     doubts = [d for d in doubts if d.misfit > worth * gained]
     failed = frozenset(i for d in doubts for i in d.failed)
     if not doubts:
-        return Verdict(statement="", where=None, statistic=0.0, threshold=0.0, found=tuple(found), misfit=0.0)
+        return GoodnessOfFit(
+            statement="", deviation=None, statistic=0.0, threshold=0.0, found=tuple(found), misfit=0.0
+        )
     worst = max(doubts, key=lambda d: d.misfit)
-    where = next((d.where for d in sorted(doubts, key=lambda d: -d.misfit) if d.where is not None), None)
-    return Verdict(
+    deviation = next(
+        (d.deviation for d in sorted(doubts, key=lambda d: -d.misfit) if d.deviation is not None), None
+    )
+    return GoodnessOfFit(
         statement=worst.statement,
-        where=where,
+        deviation=deviation,
         statistic=worst.statistic,
         threshold=worst.threshold,
         found=tuple(found),
@@ -413,12 +417,12 @@ AWAY_RAYS = 20  # rays that must ask for it
 LIMIT = 3.2  # tolerances that would have to be so many times wider
 
 
-def _widened(evidence: Evidence, fitted: Fitted) -> tuple[Evidence, Fitted]:
+def _widened(data: ScanData, fitted: Fitted) -> tuple[ScanData, Fitted]:
     """Where the tolerances proved too tight, find edges with the wider ones."""
     state = fitted.state
     if max(state.pose_scale, state.map_scale) < 1.3:
-        return evidence, fitted
-    t = evidence.tolerances
+        return data, fitted
+    t = data.tolerances
     wide = replace(
         t,
         map=t.map * state.map_scale,
@@ -426,14 +430,14 @@ def _widened(evidence: Evidence, fitted: Fitted) -> tuple[Evidence, Fitted]:
         pose_yaw=t.pose_yaw * state.pose_scale,
         stamp=t.stamp * state.pose_scale,
     )
-    wider = replace(evidence, tolerances=wide, memo={})
+    wider = replace(data, tolerances=wide, memo={})
     start = replace(state, pose_scale=1.0, map_scale=1.0)
-    return wider, fit(wider, fitted.model, start, Freedom(most=1.3), outer=1, inner=3)
+    return wider, fit(wider, fitted.model, start, NoiseBounds(max_scale=1.3), outer=1, inner=3)
 
 
 def _limits(view: View, told: Tolerances) -> list[_Doubt]:
     """Doubt a model that needs tolerances far wider than told."""
-    state, t = view.fitted.state, view.evidence.tolerances
+    state, t = view.fitted.state, view.data.tolerances
     out = []
     poses = state.pose_scale * t.pose_xy / max(told.pose_xy, 1e-9)
     for name, scale in (("reference pose", poses), ("map", state.map_scale * t.map / max(told.map, 1e-9))):
@@ -441,7 +445,7 @@ def _limits(view: View, told: Tolerances) -> list[_Doubt]:
             out.append(
                 _Doubt(
                     statement=f"the {name} would have to be {scale:.1f} times worse than its tolerance",
-                    misfit=(scale - 1) * view.evidence.n_scans,
+                    misfit=(scale - 1) * view.data.n_scans,
                     statistic=scale,
                     threshold=LIMIT,
                 )
@@ -452,8 +456,12 @@ def _limits(view: View, told: Tolerances) -> list[_Doubt]:
 def _laws(view: View, gained: float, gains: Mapping[int, float]) -> list[_Doubt]:
     """Check what effects that absorb anything claim of the readings they absorb; and tell-tale combinations."""
     out = []
-    judged = view.fitted.solution.judged
-    odd = view.returned & (judged.core + judged.tail < 0.5) & (view.fitted.cast.what.p_alternative < 0.002)
+    responsibilities = view.fitted.solution.responsibilities
+    odd = (
+        view.returned
+        & (responsibilities.core + responsibilities.tail < 0.5)
+        & (view.fitted.cast.expected.p_alternative < 0.002)
+    )
     with np.errstate(invalid="ignore"):
         short = odd & (view.z < np.where(view.aimed, view.mu, view.range_max))
     model = view.fitted.model
@@ -505,22 +513,22 @@ TELLTALES: tuple[
 def _unsteady(view: View) -> list[_Doubt]:
     """Doubt what stands in the world but seems to be away for one stretch of the run: a door, not a pane."""
     out = []
-    evidence, fitted = view.evidence, view.fitted
+    data, fitted = view.data, view.fitted
     for index, a in enumerate(fitted.model):
         if a.effect.place not in ("wall", "obstacle", "spot"):
             continue
         rest = (*fitted.model[:index], *fitted.model[index + 1 :])
-        bare = log_p_at(evidence, rest, fitted.state)
-        clear = fitted.cast.what.p_alternative < 0.002
+        bare = log_p_at(data, rest, fitted.state)
+        clear = fitted.cast.expected.p_alternative < 0.002
         better = np.where(clear, bare - view.log_p, 0.0)
         first, last, gain = best_run(better.sum(axis=1)[None])
         some = better[first[0] : last[0] + 1]
         if gain[0] > AWAY and (some > 1.0).sum() > AWAY_RAYS:
-            begin, end = evidence.stamps[first[0]], evidence.stamps[last[0]]
+            begin, end = data.stamps[first[0]], data.stamps[last[0]]
             out.append(
                 _Doubt(
                     statement=f"{a.effect.title} at {a.place or 'its spot'} is not there from "
-                    f"{begin - evidence.begin:.0f} s to {end - evidence.begin:.0f} s of the run",
+                    f"{begin - data.begin:.0f} s to {end - data.begin:.0f} s of the run",
                     misfit=float(gain[0]),
                     statistic=float(gain[0]),
                     threshold=AWAY,
@@ -569,10 +577,10 @@ def clustered(view: View, some: Bools) -> float:
 
 
 def _against_replicates(
-    evidence: Evidence,
+    data: ScanData,
     fitted: Fitted,
     parts: list[Partition],
-    found: list[Where],
+    found: list[Deviation],
     told: Tolerances,
     rng: np.random.Generator,
     count: int,
@@ -581,12 +589,12 @@ def _against_replicates(
     suspects = {f: z for f, z in statistic(found).items() if z > FLOORS[f]}
     if not suspects:
         return []
-    t = evidence.tolerances
+    t = data.tolerances
     wider = max(t.map / max(told.map, 1e-9), t.pose_xy / max(told.pose_xy, 1e-9))
     slack = float(np.clip(wider, 1.0, 2.0))
     drawn: dict[str, list[float]] = {f: [] for f in FLOORS}
     for _ in range(count):
-        again = replicate(evidence, fitted, rng)
+        again = replicate(data, fitted, rng)
         for family, z in statistic(deviations(View(*again), parts, least=2.5)).items():
             drawn[family].append(z)
     out = []
@@ -594,45 +602,60 @@ def _against_replicates(
         d = np.array(drawn[family])
         threshold = max(1.25 * float(d.max()), float(d.mean() + 4 * d.std()), FLOORS[family]) * slack
         if z > threshold:
-            where = next(w for w in found if w.family == family)
-            misfit = sum(0.5 * w.z**2 for w in found if w.partition == where.partition and w.family == family)
+            deviation = next(w for w in found if w.family == family)
+            misfit = sum(
+                0.5 * w.z**2 for w in found if w.partition == deviation.partition and w.family == family
+            )
             out.append(
                 _Doubt(
-                    statement=where.sentence(),
+                    statement=deviation.sentence(),
                     misfit=float(misfit),
                     statistic=z,
                     threshold=threshold,
-                    where=where,
+                    deviation=deviation,
                 )
             )
     return out
 
 
-def replicate(evidence: Evidence, fitted: Fitted, rng: np.random.Generator) -> tuple[Evidence, Fitted]:
+def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple[ScanData, Fitted]:
     """Draw readings from a fitted model, with pose errors and tails, and refit nuisances linearly."""
     from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver
-    from sensorgraph.diagnosis.scan.likelihood import judge, sample
+    from sensorgraph.diagnosis.scan.likelihood import e_step, sample
     from sensorgraph.diagnosis.scan.nuisance import pose_prior
 
-    solution, what, cols = fitted.solution, fitted.cast.what, fitted.cast.cols
+    solution, expected, jacobian = fitted.solution, fitted.cast.expected, fitted.cast.jacobian
     state = solution.state.copy()
-    prior = pose_prior(evidence, state.pose_scale)
+    prior = pose_prior(data, state.pose_scale)
     state.delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=state.delta.shape))
-    mu = what.reading + fitted.solver.shift(state, solution.p)
-    z = sample(evidence, what, mu, state.noise, rng)
-    drawn = replace(evidence, ranges=z)
+    mu = expected.reading + fitted.solver.shift(state, solution.p)
+    z = sample(data, expected, mu, state.noise, rng)
+    drawn = replace(data, ranges=z)
     corners = fitted.solver.corners
     solver = Solver(
-        drawn, what, cols, fitted.cast.scene.walls, fitted.solver.effects, corners, fitted.solver.locked
+        drawn,
+        expected,
+        jacobian,
+        fitted.cast.scene.walls,
+        fitted.solver.effects,
+        corners,
+        fitted.solver.locked,
     )
     state = solution.state.copy()
     state.delta[:] = 0.0
     p = solution.p
     for _ in range(2):
-        judged = judge(drawn, what, solver.shift(state, p), state.noise)
-        system = solver.assemble(judged.weight, state.pose_scale)
+        responsibilities = e_step(drawn, expected, solver.shift(state, p), state.noise)
+        system = solver.assemble(responsibilities.weight, state.pose_scale)
         state.g, p = solver.maximise(system, state)
         state.delta = solver.poses_at(system, np.concatenate([state.g, p]))
-    judged = judge(drawn, what, solver.shift(state, p), state.noise)
-    refit = Solution(state=state, p=p, j=0.0, judged=judged, system=system, covariance=solution.covariance)
+    responsibilities = e_step(drawn, expected, solver.shift(state, p), state.noise)
+    refit = Solution(
+        state=state,
+        p=p,
+        j=0.0,
+        responsibilities=responsibilities,
+        system=system,
+        covariance=solution.covariance,
+    )
     return drawn, Fitted(model=fitted.model, solution=refit, cast=fitted.cast, solver=solver)

@@ -9,8 +9,8 @@ from scipy.special import ndtr
 
 from sensorgraph.diagnosis.scan.beam_mixture import CORE, LOG_P, LOST, RESIDUAL, STRAY, WEIGHT, mixture
 from sensorgraph.diagnosis.scan.beam_mixture import TAIL as OUTER
-from sensorgraph.diagnosis.scan.nuisance import TAIL, Noise
-from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.nuisance import TAIL, BeamNoise
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.scene import Beams, limited
 
@@ -33,7 +33,7 @@ class Edges:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Predicted:
+class ExpectedReadings:
     """What each reading is compared with; arrays (n_scans, n_rays)."""
 
     reading: Floats
@@ -49,9 +49,9 @@ class Predicted:
     lattice: float
 
 
-def predicted(
+def expected_readings(
     beams: Beams, steep: Floats, edges: Edges | None, stray: float, short: float, lattice: float
-) -> Predicted:
+) -> ExpectedReadings:
     """Collect what the likelihood needs of a cast."""
     shape = beams.reading.shape
     alternative, chance = np.full(shape, np.nan), np.zeros(shape)
@@ -61,7 +61,7 @@ def predicted(
     if beams.straight is not None:
         chance = np.where(beams.straight, chance, 0.0)
     sigma = np.sqrt(np.square(beams.sigma) + steep**2)
-    return Predicted(
+    return ExpectedReadings(
         reading=beams.reading,
         sigma=np.broadcast_to(sigma, shape),
         p_return=np.broadcast_to(np.asarray(beams.p_return, dtype=np.float64), shape),
@@ -74,7 +74,7 @@ def predicted(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Judged:
+class Responsibilities:
     """Log-likelihood of every reading, and what an update of the parameters needs; arrays (n_scans, n_rays)."""
 
     log_p: Floats
@@ -91,24 +91,24 @@ class Judged:
     stray: Floats
 
 
-def judge(evidence: Evidence, what: Predicted, shift: Floats, noise: Noise) -> Judged:
-    """Judge every reading against `what.reading + shift`."""
-    z, sensor = evidence.ranges, evidence.sensor
+def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: BeamNoise) -> Responsibilities:
+    """Judge every reading against `expected.reading + shift`."""
+    z, sensor = data.ranges, data.sensor
     found = mixture(
         z.ravel(),
-        (what.reading + shift).ravel(),
-        (noise.core * what.sigma).ravel(),
-        what.p_return.ravel(),
-        what.alternative.ravel(),
-        what.p_alternative.ravel(),
+        (expected.reading + shift).ravel(),
+        (noise.core * expected.sigma).ravel(),
+        expected.p_return.ravel(),
+        expected.alternative.ravel(),
+        expected.p_alternative.ravel(),
         (float(sensor.range_min), float(sensor.range_max), max(float(sensor.resolution), FINEST)),
-        (float(noise.tail), float(noise.loss), float(noise.stray), float(what.stray)),
-        (float(what.short), LOST_AT_EDGE),
-        float(what.lattice),
+        (float(noise.tail), float(noise.loss), float(noise.stray), float(expected.stray)),
+        (float(expected.short), LOST_AT_EDGE),
+        float(expected.lattice),
         float(TAIL),
         FLOOR,
     ).reshape(7, *z.shape)
-    return Judged(
+    return Responsibilities(
         log_p=found[LOG_P],
         weight=found[WEIGHT],
         residual=found[RESIDUAL],
@@ -119,50 +119,52 @@ def judge(evidence: Evidence, what: Predicted, shift: Floats, noise: Noise) -> J
     )
 
 
-def plain_judge(evidence: Evidence, what: Predicted, shift: Floats, noise: Noise) -> Judged:
-    """Judge as `judge` does, in numpy; tests hold the compiled one against it."""
-    z, sensor = evidence.ranges, evidence.sensor
-    returned = evidence.returned
-    mu = what.reading + shift
+def plain_e_step(
+    data: ScanData, expected: ExpectedReadings, shift: Floats, noise: BeamNoise
+) -> Responsibilities:
+    """Judge as `e_step` does, in numpy; tests hold the compiled one against it."""
+    z, sensor = data.ranges, data.sensor
+    returned = data.returned
+    mu = expected.reading + shift
     aimed = np.isfinite(mu)
     both = returned & aimed
     e = np.where(both, z - np.where(aimed, mu, 0.0), 0.0)
     e[~both] = 0.0
-    sigma = noise.core * what.sigma
+    sigma = noise.core * expected.sigma
     inside = ndtr((sensor.range_max - np.where(aimed, mu, 1e9)) / sigma)
-    p_back = what.p_return * (1 - noise.loss) * np.where(aimed, inside, 0.0)
+    p_back = expected.p_return * (1 - noise.loss) * np.where(aimed, inside, 0.0)
     cell = max(sensor.resolution, FINEST)
-    core, tail = _density(e, sigma, what.lattice, cell), _density(e, TAIL * sigma, what.lattice, cell)
-    stray = 1 - (1 - what.stray) * (1 - noise.stray)
-    rest = (1 - stray) * (1 - what.short)
-    own = rest * p_back * (1 - what.p_alternative)
-    if what.lattice > 0:
-        steps = np.where(returned, z, 0.0) / what.lattice
-        off = np.abs(steps - np.round(steps)) * what.lattice > 0.51 * cell + 1e-9
+    core, tail = _density(e, sigma, expected.lattice, cell), _density(e, TAIL * sigma, expected.lattice, cell)
+    stray = 1 - (1 - expected.stray) * (1 - noise.stray)
+    rest = (1 - stray) * (1 - expected.short)
+    own = rest * p_back * (1 - expected.p_alternative)
+    if expected.lattice > 0:
+        steps = np.where(returned, z, 0.0) / expected.lattice
+        off = np.abs(steps - np.round(steps)) * expected.lattice > 0.51 * cell + 1e-9
         own = np.where(off & both, 1e-9, own)
     p_core = own * (1 - noise.tail) * core * both
     p_tail = own * noise.tail * tail * both
     p = p_core + p_tail
-    edge = what.p_alternative > 0
+    edge = expected.p_alternative > 0
     if edge.any():
-        there = np.isfinite(what.alternative) & edge & returned
-        off_there = np.where(there, z - np.where(there, what.alternative, 0.0), 0.0)
+        there = np.isfinite(expected.alternative) & edge & returned
+        off_there = np.where(there, z - np.where(there, expected.alternative, 0.0), 0.0)
         near = np.exp(-0.5 * (off_there / (2 * sigma)) ** 2) / (2 * ROOT * sigma)
-        low = np.minimum(what.alternative, mu)
-        high = np.maximum(what.alternative, mu)
+        low = np.minimum(expected.alternative, mu)
+        high = np.maximum(expected.alternative, mu)
         with np.errstate(invalid="ignore"):
             between = there & (z > low) & (z < high)
             flat = np.where(between, 1 / np.maximum(high - low, 0.01), 0.0)
-        p = p + rest * p_back * what.p_alternative * (0.9 * near + 0.1 * flat) * there
-    if what.short > 0:
+        p = p + rest * p_back * expected.p_alternative * (0.9 * near + 0.1 * flat) * there
+    if expected.short > 0:
         top = np.minimum(np.where(aimed, mu, sensor.range_max), sensor.range_max)
-        p = p + (1 - stray) * what.short * (returned & (z < top)) / np.maximum(top, 0.05)
+        p = p + (1 - stray) * expected.short * (returned & (z < top)) / np.maximum(top, 0.05)
     p_stray = stray / sensor.range_max
-    p_lost = (1 - stray) * np.where(aimed, what.p_return * inside * noise.loss, 0.0)
-    gone = (1 - stray) * (1 - what.short) * np.where(aimed, 1 - what.p_return * inside, 1.0)
+    p_lost = (1 - stray) * np.where(aimed, expected.p_return * inside * noise.loss, 0.0)
+    gone = (1 - stray) * (1 - expected.short) * np.where(aimed, 1 - expected.p_return * inside, 1.0)
     p_gone = p_lost + gone + edge * LOST_AT_EDGE
-    if what.short > 0:
-        p_gone = p_gone * (1 - what.short)
+    if expected.short > 0:
+        p_gone = p_gone * (1 - expected.short)
     near_limit = np.where(aimed, ndtr((sensor.range_min - np.where(aimed, mu, 1e9)) / sigma), 0.0)
     total = np.where(
         returned,
@@ -176,7 +178,7 @@ def plain_judge(evidence: Evidence, what: Predicted, shift: Floats, noise: Noise
     tail_share = np.where(returned, p_tail * inverse, 0.0)
     weight = (core_share + tail_share / TAIL**2) / sigma**2
     lost = np.where(~returned & ~broken & (z > 0), p_lost * inverse, 0.0)
-    return Judged(
+    return Responsibilities(
         log_p=np.log(total),
         weight=weight,
         residual=e,
@@ -195,15 +197,15 @@ def _density(e: Floats, sigma: Floats, lattice: float, cell: float) -> Floats:
     return np.asarray((ndtr((e + half) / sigma) - ndtr((e - half) / sigma)) / cell)
 
 
-def find_edges(evidence: Evidence, beams: Beams, walls: Floats) -> Edges | None:
+def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
     """Find the rays next to a step in depth, and what they would read beyond it."""
-    t = evidence.tolerances
+    t = data.tolerances
     ranges, wall = beams.ranges, beams.wall
     differ = wall[:, 1:] != wall[:, :-1]
     scan, left = np.nonzero(differ)
     if len(scan) == 0:
         return None
-    bearings = evidence.sensor.bearings
+    bearings = data.sensor.bearings
     gap = np.diff(bearings)[left]
     near_left = ranges[scan, left] <= ranges[scan, left + 1]
     near = np.where(near_left, left, left + 1)
@@ -219,7 +221,7 @@ def find_edges(evidence: Evidence, beams: Beams, walls: Floats) -> Edges | None:
         with np.errstate(invalid="ignore"):
             keep = (
                 (chance > 0.002)
-                & (np.abs(beyond - own) > 2 * evidence.sensor.sigma)
+                & (np.abs(beyond - own) > 2 * data.sensor.sigma)
                 & np.isfinite(own)
                 & (beyond > 0)
             )
@@ -268,19 +270,21 @@ def _extended(beams: Beams, walls: Floats, scan: Ints, ray: Ints, other: Ints) -
     return np.asarray(np.where(usable, r, fallback))
 
 
-def sample(evidence: Evidence, what: Predicted, mu: Floats, noise: Noise, rng: np.random.Generator) -> Floats:
-    """Draw readings (n_scans, n_rays) [m] around `mu` from the mixture that `judge` judges by; broken ones stay broken."""
-    shape, sensor = mu.shape, evidence.sensor
-    other = (rng.random(shape) < what.p_alternative) & np.isfinite(what.alternative)
-    mu = np.where(other, what.alternative, mu)
+def sample(
+    data: ScanData, expected: ExpectedReadings, mu: Floats, noise: BeamNoise, rng: np.random.Generator
+) -> Floats:
+    """Draw readings (n_scans, n_rays) [m] around `mu` from the mixture that `e_step` judges by; broken ones stay broken."""
+    shape, sensor = mu.shape, data.sensor
+    other = (rng.random(shape) < expected.p_alternative) & np.isfinite(expected.alternative)
+    mu = np.where(other, expected.alternative, mu)
     wide = np.where(rng.random(shape) < noise.tail, TAIL, 1.0)
-    z = np.where(np.isfinite(mu), mu + rng.normal(size=shape) * wide * noise.core * what.sigma, np.inf)
-    z = np.where(rng.random(shape) < what.p_return * (1 - noise.loss), z, np.inf)
-    stray = rng.random(shape) < 1 - (1 - noise.stray) * (1 - what.stray)
+    z = np.where(np.isfinite(mu), mu + rng.normal(size=shape) * wide * noise.core * expected.sigma, np.inf)
+    z = np.where(rng.random(shape) < expected.p_return * (1 - noise.loss), z, np.inf)
+    stray = rng.random(shape) < 1 - (1 - noise.stray) * (1 - expected.stray)
     z = np.where(stray, rng.random(shape) * sensor.range_max, z)
-    if what.short > 0:
-        short = rng.random(shape) < what.short
+    if expected.short > 0:
+        short = rng.random(shape) < expected.short
         z = np.where(short, rng.random(shape) * np.where(np.isfinite(mu), mu, sensor.range_max), z)
-    z = limited(z, sensor, what.lattice)
-    z[np.isnan(evidence.ranges)] = np.nan
+    z = limited(z, sensor, expected.lattice)
+    z[np.isnan(data.ranges)] = np.nan
     return z

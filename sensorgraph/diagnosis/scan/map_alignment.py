@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser, laser_poses
 
@@ -75,40 +75,40 @@ class Placement:
         return f"{lead}: {now}; {mend} it would be {100 * self.best_share:.0f} %"
 
 
-def placement(evidence: Evidence, rng: np.random.Generator) -> Placement:
+def placement(data: ScanData, rng: np.random.Generator) -> Placement:
     """Lay the ends of the measured rays over the walls; where few meet, look for a better place."""
-    points = _ends(evidence, rng)
+    points = _ends(data, rng)
     if len(points) < 100:
         return Placement(share=1.0, best_share=1.0)
-    raster = _Raster(evidence)
-    share, alike = raster.share(points), _alike(evidence)
+    raster = _Raster(data)
+    share, alike = raster.share(points), _alike(data)
     if share >= PARTLY and alike >= ALIKE:
         return Placement(share=share, best_share=share, alike=alike)
     moved = Placement(share=share, best_share=share)
     if share <= POORLY or alike < ALIKE:
-        moved = _moved(evidence, raster, points, share)
+        moved = _moved(data, raster, points, share)
     scaled = _scaled(raster, points, share)
     is_better = scaled.best_share > max(moved.best_share + MARGIN, PARTLY)
     return replace(scaled if is_better and not scaled.fits else moved, alike=alike)
 
 
-def _alike(evidence: Evidence) -> float:
+def _alike(data: ScanData) -> float:
     """Return the share of the returns that are about as long as the arena makes them.
 
     In an arena full of walls rays end at one by chance; that they are as long as the first wall allows, they are not.
     """
-    some = np.linspace(0, evidence.n_scans - 1, min(evidence.n_scans, LOOKED)).astype(np.intp)
-    sensor, measured = evidence.sensor, evidence.ranges[some]
-    lasers = laser_poses(evidence.poses[some], sensor.mount)
-    cast, _ = cast_laser(evidence.arena.walls, lasers, sensor.bearings, sensor.range_max)
+    some = np.linspace(0, data.n_scans - 1, min(data.n_scans, LOOKED)).astype(np.intp)
+    sensor, measured = data.sensor, data.ranges[some]
+    lasers = laser_poses(data.poses[some], sensor.mount)
+    cast, _ = cast_laser(data.arena.walls, lasers, sensor.bearings, sensor.range_max)
     returned = np.isfinite(measured)
     off = np.abs(measured[returned] - cast[returned])
     return float((off < LONGER[0] + LONGER[1] * measured[returned]).mean()) if returned.any() else 1.0
 
 
-def _moved(evidence: Evidence, raster: _Raster, points: Floats, share: float) -> Placement:
+def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Placement:
     """Look for the rigid motion of the poses that lays most ends of rays on walls."""
-    middle = evidence.poses[:, :2].mean(axis=0)
+    middle = data.poses[:, :2].mean(axis=0)
     points = points - middle
     best = (share, 0.0, middle)
     for turn in np.linspace(-np.pi, np.pi, N_TURNS, endpoint=False):
@@ -157,15 +157,15 @@ def _rescaled(raster: _Raster, points: Floats, scale: float, shift: Floats) -> t
     return best
 
 
-def _ends(evidence: Evidence, rng: np.random.Generator) -> Floats:
+def _ends(data: ScanData, rng: np.random.Generator) -> Floats:
     """Return where some of the measured rays end, (n, 2) [m, map]."""
-    lasers = laser_poses(evidence.poses, evidence.sensor.mount)
-    scan, ray = np.nonzero(evidence.returned)
+    lasers = laser_poses(data.poses, data.sensor.mount)
+    scan, ray = np.nonzero(data.returned)
     if len(scan) > N_POINTS:
         some = rng.choice(len(scan), N_POINTS, replace=False)
         scan, ray = scan[some], ray[some]
-    phi = lasers[scan, 2] + evidence.sensor.bearings[ray]
-    r = evidence.ranges[scan, ray]
+    phi = lasers[scan, 2] + data.sensor.bearings[ray]
+    r = data.ranges[scan, ray]
     return np.stack([lasers[scan, 0] + r * np.cos(phi), lasers[scan, 1] + r * np.sin(phi)], axis=1)
 
 
@@ -177,8 +177,8 @@ def _rotation(turn: float) -> Floats:
 class _Raster:
     """Walls in a grid, with the distance to the nearest."""
 
-    def __init__(self, evidence: Evidence) -> None:
-        walls = evidence.arena.walls
+    def __init__(self, data: ScanData) -> None:
+        walls = data.arena.walls
         low = walls.reshape(-1, 2).min(axis=0) - 1.0
         high = walls.reshape(-1, 2).max(axis=0) + 1.0
         self.cell = max(CELL, float((high - low).max()) / 600)

@@ -18,11 +18,11 @@ from sensorgraph.diagnosis.scan.fit import (
     thin,
     thin_state,
 )
-from sensorgraph.diagnosis.scan.nuisance import Freedom
 from sensorgraph.diagnosis.scan.propose import rough_candidates
 from sensorgraph.diagnosis.scan.residuals import View
-from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
@@ -80,35 +80,35 @@ class Explained:
     """Index in the final model -> the second best explanation and how many nats it falls short."""
 
 
-def price(amendment: Amendment, evidence: Evidence) -> float:
+def price(amendment: Amendment, data: ScanData) -> float:
     """Return what an effect must pay for its parameters and for the choice of its place [nats]."""
-    places = {"wall": evidence.arena.n_walls, "obstacle": 6}.get(amendment.effect.place or "", 1)
+    places = {"wall": data.arena.n_walls, "obstacle": 6}.get(amendment.effect.place or "", 1)
     unused = {("glass", "depth"), ("range_drift", "tau")}  # 0 says: no such plane, no such time
     n = sum(1 for k, v in amendment.parameters.items() if v != 0.0 or (amendment.name, k) not in unused)
     paid = PRICE * max(n, 1) + float(np.log(max(places, 1)))
-    return paid + evidence.floors.get(amendment.name, 0.0)
+    return paid + data.floors.get(amendment.name, 0.0)
 
 
 def explain(
-    evidence: Evidence, freedom: Freedom, *, threshold: float = THRESHOLD, most: int = MOST
+    data: ScanData, noise_bounds: NoiseBounds, *, threshold: float = THRESHOLD, most: int = MOST
 ) -> Explained:
     """Search for the effects that the evidence asks for, at most so many."""
-    null = fit(evidence, (), start_state(evidence, freedom), freedom, outer=1, inner=7)
+    null = fit(data, (), start_state(data, noise_bounds), noise_bounds, outer=1, inner=7)
     current, steps, n_small = null, [], 0
     rivals: dict[str, tuple[Amendment, float]] = {}
     struck: set[tuple[str, str]] = set()
     while len(current.model) < most:
-        tried, also = _try(evidence, current, freedom, struck, current.j - null.j)
+        tried, also = _try(data, current, noise_bounds, struck, current.j - null.j)
         tried = [t for t in tried if t[1] > -50]
         if not tried:
             break
-        order = _ranked(without_ends(evidence, tried))
+        order = _ranked(without_ends(data, tried))
         best, gain = order[0]
         if gain >= threshold:
-            again = fit(evidence, current.model, best.state, freedom, outer=1, inner=4)
+            again = fit(data, current.model, best.state, noise_bounds, outer=1, inner=4)
             if again.j > current.j:
                 current = again
-            gain = best.j - current.j - price(best.model[-1], evidence)
+            gain = best.j - current.j - price(best.model[-1], data)
         steps.append(
             Step(
                 tried=_best_of_each([*((f.model[-1], g) for f, g in order), *also]),
@@ -126,7 +126,7 @@ def explain(
             rival, nats = max(others, key=lambda t: t[1])
             rivals[_key(best.model[-1])] = (rival, order[0][1] - nats)
         before, small = current, best.model[-1].ratio < current.state.map_scale
-        current = _pruned(evidence, best, freedom, threshold, struck)
+        current = _pruned(data, best, noise_bounds, threshold, struck)
         if {_key(a) for a in current.model} == {_key(a) for a in before.model}:
             break
         n_small += small
@@ -134,10 +134,10 @@ def explain(
             break
     gains = {}
     for index in range(len(current.model)):
-        rest = fit(evidence, _without(current.model, index), current.state, freedom, outer=2, inner=4)
-        gains[index] = current.j - rest.j - price(current.model[index], evidence)
+        rest = fit(data, _without(current.model, index), current.state, noise_bounds, outer=2, inner=4)
+        gains[index] = current.j - rest.j - price(current.model[index], data)
     kept = {i: rivals[_key(a)] for i, a in enumerate(current.model) if _key(a) in rivals}
-    errors = standard_errors(current, freedom)
+    errors = standard_errors(current, noise_bounds)
     model = tuple(replace(a, stderr=e) for a, e in zip(current.model, errors, strict=True))
     final = replace(current, model=model)
     return Explained(null=null, final=final, gains=gains, steps=tuple(steps), rivals=kept)
@@ -171,7 +171,7 @@ def _without(model: Sequence[Amendment], index: int) -> tuple[Amendment, ...]:
 
 
 def _try(
-    evidence: Evidence, current: Fitted, freedom: Freedom, struck: set[tuple[str, str]], gained: float
+    data: ScanData, current: Fitted, noise_bounds: NoiseBounds, struck: set[tuple[str, str]], gained: float
 ) -> tuple[list[tuple[Fitted, float]], list[tuple[Amendment, float]]]:
     """Fit the most promising candidates; return (fit, gain [nats]), and (effect, gain) of those far behind.
 
@@ -180,30 +180,35 @@ def _try(
     """
     noise = current.state.noise
     stretched = max(current.state.pose_scale, current.state.map_scale) > 1.3
-    strained = freedom.most > 1.0 and (stretched or noise.core > 1.1 or noise.tail > 0.1)
-    short = shortlist(evidence, current, struck, gained)
+    strained = noise_bounds.max_scale > 1.0 and (stretched or noise.core > 1.1 or noise.tail > 0.1)
+    short = shortlist(data, current, struck, gained)
     if strained:  # tolerances that stretch may hide an effect: look again with the ones told
-        told = replace(freedom, most=1.0)
-        tight = fit(evidence, current.model, start_state(evidence, told), told, outer=1, inner=4)
-        more = shortlist(evidence, tight, struck, gained)
+        told = replace(noise_bounds, max_scale=1.0)
+        tight = fit(data, current.model, start_state(data, told), told, outer=1, inner=4)
+        more = shortlist(data, tight, struck, gained)
         short += [c for c in more if not any(_same(c.amendment, o.amendment) for o in short)][: MANY // 2]
     if not short:
         return [], []
-    every = max(1, evidence.n_scans // SOME)
-    few = thin(evidence, every)
-    base = fit(few, current.model, thin_state(current.state, every), freedom, outer=1, inner=2)
-    fresh = start_state(few, freedom) if strained else base.state
+    every = max(1, data.n_scans // SOME)
+    few = thin(data, every)
+    base = fit(few, current.model, thin_state(current.state, every), noise_bounds, outer=1, inner=2)
+    fresh = start_state(few, noise_bounds) if strained else base.state
     quick: list[tuple[float, Fitted]] = []
     for candidate in short:
         got = fit(
-            few, (*current.model, candidate.amendment), fresh, freedom, outer=3, inner=3 if strained else 2
+            few,
+            (*current.model, candidate.amendment),
+            fresh,
+            noise_bounds,
+            outer=3,
+            inner=3 if strained else 2,
         )
-        quick.append(((got.j - base.j) * every - price(candidate.amendment, evidence), got))
+        quick.append(((got.j - base.j) * every - price(candidate.amendment, data), got))
     quick.sort(key=lambda pair: -pair[0])
     for k, (gain, got) in enumerate(quick[:SEARCHED]):
         if gain > 0.2 * quick[0][0] - 20 and is_rough(got.model[-1]):
             better = searched(
-                few, got, freedom, rounds=4, first=1.0, turns=3 if got.model[-1].effect.absorber else 1
+                few, got, noise_bounds, rounds=4, first=1.0, turns=3 if got.model[-1].effect.absorber else 1
             )
             quick[k] = (gain + (better.j - got.j) * every, better)
     quick.sort(key=lambda pair: -pair[0])
@@ -217,11 +222,11 @@ def _try(
         if gain < NEAR * finalists[0][0] - 20:
             also.append((got.model[-1], gain))
             continue
-        begin = start_state(evidence, freedom) if strained else current.state
-        full = fit(evidence, got.model, begin, freedom, outer=3, inner=5 if strained else 3)
+        begin = start_state(data, noise_bounds) if strained else current.state
+        full = fit(data, got.model, begin, noise_bounds, outer=3, inner=5 if strained else 3)
         if is_rough(full.model[-1]):
-            full = searched(evidence, full, freedom, rounds=2, first=0.25, turns=1)
-        out.append((full, full.j - current.j - price(full.model[-1], evidence)))
+            full = searched(data, full, noise_bounds, rounds=2, first=0.25, turns=1)
+        out.append((full, full.j - current.j - price(full.model[-1], data)))
     return out, also
 
 
@@ -231,12 +236,12 @@ def is_rough(amendment: Amendment) -> bool:
 
 
 def searched(
-    evidence: Evidence, got: Fitted, freedom: Freedom, *, rounds: int, first: float, turns: int
+    data: ScanData, got: Fitted, noise_bounds: NoiseBounds, *, rounds: int, first: float, turns: int
 ) -> Fitted:
     """Search the rough parameters of the last effect, then fit again."""
     for _ in range(turns):
-        polished = polish(evidence, got.model, len(got.model) - 1, got, freedom, rounds=rounds, first=first)
-        better = fit(evidence, polished, got.state, freedom, outer=1, inner=2)
+        polished = polish(data, got.model, len(got.model) - 1, got, noise_bounds, rounds=rounds, first=first)
+        better = fit(data, polished, got.state, noise_bounds, outer=1, inner=2)
         gained = better.j - got.j
         if gained > 0:
             got = better
@@ -246,12 +251,12 @@ def searched(
 
 
 def shortlist(
-    evidence: Evidence, current: Fitted, struck: set[tuple[str, str]], gained: float
+    data: ScanData, current: Fitted, struck: set[tuple[str, str]], gained: float
 ) -> list[Candidate]:
     """Return the candidates worth fitting, best first."""
-    sharp = [c for c in smooth_candidates(evidence, current) if c.gain > LOOK]
-    broad = [c for c in smooth_candidates(evidence, current, broad=True) if c.gain > 2 * LOOK]
-    rough = rough_candidates(View(evidence, current))
+    sharp = [c for c in smooth_candidates(data, current) if c.gain > LOOK]
+    broad = [c for c in smooth_candidates(data, current, broad=True) if c.gain > 2 * LOOK]
+    rough = rough_candidates(View(data, current))
     present = {_key(a) for a in current.model}
     out: list[Candidate] = []
     seen: dict[str, int] = {}
@@ -264,14 +269,14 @@ def shortlist(
                 continue
             if (c.amendment.name, c.amendment.place) in struck:
                 continue
-            if evidence.floors.get(c.amendment.name) == np.inf:
+            if data.floors.get(c.amendment.name) == np.inf:
                 continue
             if c.gain < _least(current.model, c.amendment, gained):
                 continue
             if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
                 continue
             if c.amendment.name == "range_drift":  # it may also be a warm-up
-                warm = c.amendment.moved_to({"tau": 0.2 * evidence.span})
+                warm = c.amendment.moved_to({"tau": 0.2 * data.span})
                 out.append(Candidate(amendment=warm, gain=c.gain))
             out.append(c)
             seen[c.amendment.name] = seen.get(c.amendment.name, 0) + 1
@@ -312,7 +317,7 @@ def _ranked(tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
     return order
 
 
-def without_ends(evidence: Evidence, tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
+def without_ends(data: ScanData, tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
     """Compare panes, mirrors and black parts of one wall by the rays that clearly meet them or clearly do not.
 
     Rays next to an end may be on either side of it, which a law of certain loss pays dearer than one of likely loss.
@@ -325,17 +330,19 @@ def without_ends(evidence: Evidence, tried: list[tuple[Fitted, float]]) -> list[
     for got, nats in order[1:]:
         a = got.model[-1]
         if a.name in PARTS and a.place == best.model[-1].place:
-            clear = ~(_near_ends(evidence, best) | _near_ends(evidence, got))
-            nats = gain - float((best.solution.judged.log_p - got.solution.judged.log_p)[clear].sum())
+            clear = ~(_near_ends(data, best) | _near_ends(data, got))
+            nats = gain - float(
+                (best.solution.responsibilities.log_p - got.solution.responsibilities.log_p)[clear].sum()
+            )
         out.append((got, nats))
     return out
 
 
-def _near_ends(evidence: Evidence, fitted: Fitted) -> Bools:
+def _near_ends(data: ScanData, fitted: Fitted) -> Bools:
     """Tell which rays (n_scans, n_rays) meet the wall of the last effect within END blurs of one of its ends."""
-    a, t, scene = fitted.model[-1], evidence.tolerances, fitted.cast.scene
+    a, t, scene = fitted.model[-1], data.tolerances, fitted.cast.scene
     bare = bare_cast(scene)
-    on = np.isin(bare.wall, named_walls(evidence.arena, a.place))
+    on = np.isin(bare.wall, named_walls(data.arena, a.place))
     blur = (t.pose_xy + t.pose_yaw * bare.ranges) / np.maximum(bare.cosine, 0.1) + t.map
     with np.errstate(invalid="ignore"):
         along = bare.along(scene.walls)
@@ -344,13 +351,13 @@ def _near_ends(evidence: Evidence, fitted: Fitted) -> Bools:
 
 
 def _pruned(
-    evidence: Evidence, best: Fitted, freedom: Freedom, threshold: float, struck: set[tuple[str, str]]
+    data: ScanData, best: Fitted, noise_bounds: NoiseBounds, threshold: float, struck: set[tuple[str, str]]
 ) -> Fitted:
     """Take back earlier effects that the model can do without."""
     index = 0
     while len(best.model) > 1 and index < len(best.model) - 1:
-        rest = fit(evidence, _without(best.model, index), best.state, freedom, outer=2, inner=4)
-        if best.j - rest.j - price(best.model[index], evidence) < threshold:
+        rest = fit(data, _without(best.model, index), best.state, noise_bounds, outer=2, inner=4)
+        if best.j - rest.j - price(best.model[index], data) < threshold:
             struck.add((best.model[index].name, best.model[index].place))
             best = rest
             index = 0

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.robot import Tolerances
 from sensorgraph.world.scene import Beams
@@ -64,7 +64,7 @@ class Corners:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Columns:
+class Jacobian:
     """How the readings of one cast change with poses, nuisances and effects (first order)."""
 
     pose: Floats
@@ -83,13 +83,13 @@ class Columns:
     """(n_scans, n_rays) [m] further standard deviation of rays that meet their wall slanting."""
 
 
-def columns(
-    evidence: Evidence,
+def linearise(
+    data: ScanData,
     beams: Beams,
     walls: Floats,
     mount: Floats,
     bent: tuple[Bools, Floats, Floats] | None = None,
-) -> Columns:
+) -> Jacobian:
     """Differentiate the readings of one cast.
 
     Parameters
@@ -107,7 +107,7 @@ def columns(
     inverse = slope / safe
     dx, dy = beams.nx * inverse, beams.ny * inverse
     turn = r * (beams.ny * beams.ux - beams.nx * beams.uy) * inverse
-    phi = evidence.poses[:, 2]
+    phi = data.poses[:, 2]
     c, s = np.cos(phi)[:, None], np.sin(phi)[:, None]
     lx, ly = c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]
     pose = np.stack([dx, dy, turn + lx * dy - ly * dx], axis=1)
@@ -120,15 +120,15 @@ def columns(
         turn = np.where(which, pose[:, 2] - lx * dy + ly * dx, turn)
         r = np.where(which, beams.reading, r)
         slope = np.where(which, np.where(np.abs(dx) + np.abs(dy) > 0, 1.0, 0.0), slope)
-        t = evidence.tolerances
+        t = data.tolerances
         near = np.maximum(np.where(np.isfinite(beams.ranges), beams.ranges, 1.0), 0.1)
         blur = t.map / near + 0.5 * t.mount_yaw
         blur = np.where(which, blur, np.hypot(blur, t.pose_yaw + t.pose_xy / near))
         slack = steepness * blur
         valid = valid | which
     n_rays = beams.ranges.shape[1]
-    carried = np.einsum("nkm,nk->nm", pose, evidence.twists)
-    late = (evidence.stamps - evidence.begin) / evidence.span
+    carried = np.einsum("nkm,nk->nm", pose, data.twists)
+    late = (data.stamps - data.begin) / data.span
     dense = np.empty((len(phi), len(DENSE), n_rays))
     dense[:, 0] = c * dx + s * dy
     dense[:, 1] = c * dy - s * dx
@@ -148,7 +148,7 @@ def columns(
         0.0,
     )
     steep = np.where(slack > 0, np.minimum(slack, 0.5), steep)
-    return Columns(
+    return Jacobian(
         pose=pose, dense=dense, ends=ends, wall=wall, nx=beams.nx, ny=beams.ny, valid=valid, steep=steep
     )
 
@@ -166,7 +166,7 @@ def _share(beams: Beams, walls: Floats, wall: Ints) -> Floats:
 
 
 @dataclass(eq=False)
-class Noise:
+class BeamNoise:
     """The noise of a reading, as free as a careful set-up leaves it."""
 
     core: float = 1.0
@@ -179,23 +179,9 @@ class Noise:
     """Share of readings from anywhere."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Freedom:
-    """How far the noise may go; a commissioning run narrows it."""
-
-    core: tuple[float, float] = (0.75, 1.15)
-    tail: tuple[float, float] = (0.005, 0.2)
-    loss: tuple[float, float] = (1e-4, 0.002)
-    stray: tuple[float, float] = (1e-4, 0.002)
-    pose: float = 1.0
-    """Least scale of the pose tolerances."""
-    most: float = 3.5
-    """Largest scale of the tolerances, where the data say that they are too tight."""
-
-
-def pose_prior(evidence: Evidence, scale: float) -> Floats:
+def pose_prior(data: ScanData, scale: float) -> Floats:
     """Return P_s, (n_scans, 3, 3): the reference's own error, and a stamp error along the velocity."""
-    t = evidence.tolerances
+    t = data.tolerances
     own = np.diag([max(t.pose_xy, 1e-5) ** 2, max(t.pose_xy, 1e-5) ** 2, max(t.pose_yaw, 1e-6) ** 2])
-    u = evidence.twists
+    u = data.twists
     return scale**2 * (own + t.stamp**2 * u[:, :, None] * u[:, None, :])

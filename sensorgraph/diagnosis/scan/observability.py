@@ -17,9 +17,10 @@ import numpy as np
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
 from sensorgraph.diagnosis.scan.model_selection import THRESHOLD, price
-from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, Freedom
-from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import START, hypotheses, obstacles
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.places import in_sector, named_walls
 from sensorgraph.types import Bools, Floats
@@ -64,7 +65,7 @@ class Alike:
 
 
 def not_observable(
-    evidence: Evidence, fitted: Fitted, *, threshold: float = THRESHOLD, from_scans: bool | None = None
+    data: ScanData, fitted: Fitted, *, threshold: float = THRESHOLD, from_scans: bool | None = None
 ) -> dict[str, str]:
     """Say, effect by effect, what this run could not have shown, and why.
 
@@ -73,8 +74,8 @@ def not_observable(
     threshold : [nats] of evidence that a name takes, beyond the price of its parameters
     from_scans : the poses were estimated from these very scans (SLAM); None: where they are the laser's own
     """
-    view = _View(evidence, fitted, threshold)
-    out = _hidden_by_poses(evidence, evidence.laser_frame if from_scans is None else from_scans)
+    view = _View(data, fitted, threshold)
+    out = _hidden_by_poses(data, data.laser_frame if from_scans is None else from_scans)
     present = set(fitted.names())
     for found in (_smooth(view), _sectors(view), _rough(view)):
         for name, why in found.items():
@@ -83,25 +84,25 @@ def not_observable(
     return dict(sorted(out.items(), key=lambda item: list(EFFECTS).index(item[0])))
 
 
-def alike(evidence: Evidence, fitted: Fitted, *, threshold: float = THRESHOLD) -> list[Alike]:
+def alike(data: ScanData, fitted: Fitted, *, threshold: float = THRESHOLD) -> list[Alike]:
     """List the pairs of effects that this run would show, but cannot tell apart."""
-    view = _View(evidence, fitted, threshold)
+    view = _View(data, fitted, threshold)
     return [*_alike_smooth(view), *_alike_rough(view)]
 
 
 class _View:
     """What the questions share."""
 
-    def __init__(self, evidence: Evidence, fitted: Fitted, threshold: float) -> None:
-        self.evidence, self.fitted, self.threshold = evidence, fitted, threshold
+    def __init__(self, data: ScanData, fitted: Fitted, threshold: float) -> None:
+        self.data, self.fitted, self.threshold = data, fitted, threshold
         self.system, self.solver = fitted.solution.system, fitted.solver
         self.tau = self.solver.scaled(fitted.state)
         self.n = self.solver.n_g
-        beams, what = fitted.cast.beams, fitted.cast.what
-        self.reading = what.reading
+        beams, expected = fitted.cast.beams, fitted.cast.expected
+        self.reading = expected.reading
         with np.errstate(invalid="ignore"):
-            self.seen = (what.reading < evidence.sensor.range_max) & (what.p_return > 0.5)
-        self.seen &= ~np.isnan(evidence.ranges)
+            self.seen = (expected.reading < data.sensor.range_max) & (expected.p_return > 0.5)
+        self.seen &= ~np.isnan(data.ranges)
         self.wall = beams.wall
         self.incidence = np.where(self.seen, np.nan_to_num(beams.incidence), 0.0)
         self.range = np.where(self.seen, self.reading, 0.0)
@@ -110,12 +111,12 @@ class _View:
 
     def need(self, amendment: Amendment) -> float:
         """Return the nats that the name takes."""
-        return self.threshold + price(amendment, self.evidence)
+        return self.threshold + price(amendment, self.data)
 
     @cached_property
     def hypotheses(self) -> list[tuple[Amendment, Floats, Sequence[str]]]:
         """Smooth effects as directions among the nuisances."""
-        return hypotheses(self.evidence, self.fitted)
+        return hypotheses(self.data, self.fitted)
 
     def locked(self, own: Sequence[str]) -> Bools:
         """Return which nuisances are held when these copies are, (n_g,)."""
@@ -155,7 +156,7 @@ class _View:
         """Return the evidence expected if rays `some` return by `chance` only (array or number), losses refitted."""
         p = np.clip(np.broadcast_to(chance, some.shape)[some], 1e-6, 1.0)
         loss = self.fitted.state.noise.loss
-        most = max(Freedom().loss[1], loss)
+        most = max(NoiseBounds().loss[1], loss)
         taken = min(most, loss + float((1 - p).sum()) / max(self.n_seen, 1))
         q = np.clip(p * (1 - loss), 1e-9, 1 - 1e-9)
         gone = 1 - q
@@ -182,9 +183,9 @@ def _missing(
     return max(0.5 * square - taken, 0.0)
 
 
-def _hidden_by_poses(evidence: Evidence, from_scans: bool) -> dict[str, str]:
+def _hidden_by_poses(data: ScanData, from_scans: bool) -> dict[str, str]:
     out: dict[str, str] = {}
-    if evidence.laser_frame:
+    if data.laser_frame:
         why = "the poses are the laser's own, so that the mount has no part in them"
         out |= {"mount_xy": why, "mount_yaw": why}
     if from_scans:
@@ -220,13 +221,13 @@ def _smooth(view: _View) -> dict[str, str]:
             group = blind if max(nats) < need else partly
             group.setdefault(amendment.name, []).append(amendment.place)
             continue
-        reason = REASONS[amendment.name](view.evidence, view)
+        reason = REASONS[amendment.name](view.data, view)
         if max(nats) >= need:
             angle = int(45 * int(np.argmin(nats)))
             reason = f"not along {angle} degrees (0 is ahead): {reason}"
         out[amendment.name] = f"{reason}; at {TIMES:g} times its materiality {_said(min(nats), need)}"
-    if view.evidence.span < LONG:
-        out["range_drift"] = f"the run lasts {view.evidence.span:.0f} s, too short for a drift"
+    if view.data.span < LONG:
+        out["range_drift"] = f"the run lasts {view.data.span:.0f} s, too short for a drift"
     for name, places in blind.items():
         out[name] = f"{_list(places)}: hardly looked at, {TIMES:g} times its materiality would not show"
     for name, places in partly.items():
@@ -244,48 +245,50 @@ def _list(places: Sequence[str]) -> str:
     return ", ".join(places[:NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
-def _speeds(evidence: Evidence) -> str:
-    speed = float(np.percentile(np.hypot(*evidence.twists[:, :2].T), 95))
-    turn = float(np.percentile(np.abs(evidence.twists[:, 2]), 95))
+def _speeds(data: ScanData) -> str:
+    speed = float(np.percentile(np.hypot(*data.twists[:, :2].T), 95))
+    turn = float(np.percentile(np.abs(data.twists[:, 2]), 95))
     return f"the robot drove at most {speed:.2f} m/s and turned at most {turn:.2f} rad/s"
 
 
-def _count(evidence: Evidence, view: _View) -> str:
+def _count(data: ScanData, view: _View) -> str:
     return f"only {view.n_seen} returns"
 
 
-def _spread(evidence: Evidence, view: _View) -> str:
+def _spread(data: ScanData, view: _View) -> str:
     low, high = np.percentile(view.reading[view.seen], [5, 95]) if view.n_seen else (0.0, 0.0)
     return f"ranges only from {low:.1f} to {high:.1f} m"
 
 
-def _slants(evidence: Evidence, view: _View) -> str:
+def _slants(data: ScanData, view: _View) -> str:
     share = float((view.incidence[view.seen] > np.radians(20)).mean()) if view.n_seen else 0.0
     return f"{100 * share:.0f} % of the returns are from walls met at more than 20 degrees"
 
 
-REASONS: dict[str, Callable[[Evidence, _View], str]] = {
+REASONS: dict[str, Callable[[ScanData, _View], str]] = {
     "range_bias": _count,
     "range_scale": _spread,
-    "range_drift": lambda evidence, view: f"the run lasts {evidence.span:.0f} s",
+    "range_drift": lambda data, view: f"the run lasts {data.span:.0f} s",
     "mount_yaw": _slants,
     "mount_xy": _count,
-    "latency": lambda evidence, view: _speeds(evidence),
-    "scan_skew": lambda evidence, view: _speeds(evidence),
+    "latency": lambda data, view: _speeds(data),
+    "scan_skew": lambda data, view: _speeds(data),
     "map_scale": _spread,
 }
 
 
 def _sectors(view: _View) -> dict[str, str]:
     """Judge a bias of sectors: their columns are not in the equations of the fit, so assemble once more."""
-    evidence, old, n = view.evidence, view.solver, view.n
-    bearings = evidence.sensor.bearings
+    data, old, n = view.data, view.solver, view.n
+    bearings = data.sensor.bearings
     centres = bearings[0] + (np.arange(SECTORS) + 0.5) / SECTORS * (bearings[-1] - bearings[0])
     inside = np.array([in_sector(bearings, c - SECTOR / 2, c + SECTOR / 2) for c in centres])
-    effects = np.where(old.cols.valid[:, None] & inside[None], 1.0, 0.0)
+    effects = np.where(old.jacobian.valid[:, None] & inside[None], 1.0, 0.0)
     walls = view.fitted.cast.scene.walls
-    solver = Solver(evidence, old.what, old.cols, walls, effects, old.corners, old.locked)
-    matrix = solver.assemble(view.fitted.solution.judged.weight, view.fitted.state.pose_scale).matrix
+    solver = Solver(data, old.expected, old.jacobian, walls, effects, old.corners, old.locked)
+    matrix = solver.assemble(
+        view.fitted.solution.responsibilities.weight, view.fitted.state.pose_scale
+    ).matrix
     b = TIMES * EFFECTS["sector_bias"].sizes["b"]
     need = view.need(EFFECTS["sector_bias"](theta1=0.0, theta2=0.0, b=b))
     nuisances = matrix[:n, :n]
@@ -339,14 +342,14 @@ def _min_range(view: _View) -> str:
 
 
 def _max_range(view: _View) -> str:
-    far = TYPICAL["max_range"]["share"] * view.evidence.sensor.range_max
+    far = TYPICAL["max_range"]["share"] * view.data.sensor.range_max
     some = view.seen & (view.reading > far)
     if view.lost(0.0, some) >= view.need(EFFECTS["max_range"](R=far)):
         return ""
     farthest = float(view.range.max())
     if farthest > far:
         return f"only {int(some.sum())} returns from farther than {far:.1f} m"
-    return f"no return from farther than {farthest:.1f} m, of {view.evidence.sensor.range_max:.0f} m"
+    return f"no return from farther than {farthest:.1f} m, of {view.data.sensor.range_max:.0f} m"
 
 
 def _incidence(view: _View) -> str:
@@ -358,7 +361,7 @@ def _incidence(view: _View) -> str:
 
 
 def _quantisation(view: _View) -> str:
-    q, resolution = TYPICAL["quantisation"]["q"], view.evidence.sensor.resolution
+    q, resolution = TYPICAL["quantisation"]["q"], view.data.sensor.resolution
     if resolution >= q:
         return f"the log itself has steps of {1000 * resolution:.0f} mm"
     need = view.need(EFFECTS["quantisation"](q=q))
@@ -368,7 +371,7 @@ def _quantisation(view: _View) -> str:
 
 
 def _tilt(view: _View) -> str:
-    beta, sensor = TYPICAL["tilt"]["beta"], view.evidence.sensor
+    beta, sensor = TYPICAL["tilt"]["beta"], view.data.sensor
     need = view.need(EFFECTS["tilt"](beta=beta, theta0=0.0))
     floor = sensor.height / np.sin(beta)
     middle = np.cos(sensor.bearings - sensor.bearings.mean())
@@ -384,11 +387,11 @@ def _tilt(view: _View) -> str:
 
 
 def _range_noise(view: _View) -> str:
-    k, sigma = TIMES * EFFECTS["range_noise"].sizes["k"], view.evidence.sensor.sigma
+    k, sigma = TIMES * EFFECTS["range_noise"].sizes["k"], view.data.sensor.sigma
     if sigma <= 0 or not view.n_seen:
         return ""
     ratio = 1 + (k * view.reading[view.seen] / sigma) ** 2
-    scale = np.linspace(*Freedom().core, 9)[:, None] ** 2
+    scale = np.linspace(*NoiseBounds().core, 9)[:, None] ** 2
     counts, edges = np.histogram(ratio, bins=40)
     middle = (edges[1:] + edges[:-1]) / 2 / scale  # (9, 40)
     nats = float((0.5 * (middle - 1 - np.log(middle)) * counts).sum(axis=1).min())
@@ -399,7 +402,7 @@ def _range_noise(view: _View) -> str:
 
 def _mixed_pixels(view: _View) -> str:
     gamma = TIMES * EFFECTS["mixed_pixels"].sizes["gamma"]
-    bearings = view.evidence.sensor.bearings
+    bearings = view.data.sensor.bearings
     gap = float(np.median(np.abs(np.diff(bearings)))) if len(bearings) > 1 else np.inf
     step = np.abs(np.diff(view.range, axis=1)) > 0.1
     edges = step & view.seen[:, 1:] & view.seen[:, :-1]
@@ -411,11 +414,11 @@ def _mixed_pixels(view: _View) -> str:
 
 def _sonar(view: _View) -> str:
     gamma = TYPICAL["sonar_cone"]["gamma"]
-    bearings = view.evidence.sensor.bearings
+    bearings = view.data.sensor.bearings
     side = int(gamma / np.median(np.abs(np.diff(bearings)))) if len(bearings) > 1 else 0
     shorter = np.zeros(view.range.shape, dtype=np.bool_)
     if side:
-        limit = view.range - 4 * max(view.evidence.sensor.sigma, 1e-3)
+        limit = view.range - 4 * max(view.data.sensor.sigma, 1e-3)
         shorter[:, side:] |= view.seen[:, :-side] & (view.range[:, :-side] < limit[:, side:])
         shorter[:, :-side] |= view.seen[:, side:] & (view.range[:, side:] < limit[:, :-side])
     if STRANGE * shorter.sum() >= view.need(EFFECTS["sonar_cone"](gamma=gamma, alpha_max=1.0)):
@@ -424,7 +427,7 @@ def _sonar(view: _View) -> str:
 
 
 def _self_occlusion(view: _View) -> str:
-    r0, sensor = TYPICAL["self_occlusion"]["r0"], view.evidence.sensor
+    r0, sensor = TYPICAL["self_occlusion"]["r0"], view.data.sensor
     need = view.need(EFFECTS["self_occlusion"](r0=r0, theta1=0.0, theta2=0.0))
     few = STRANGE * (view.seen & (view.reading > r0 + 0.05)).sum(axis=0) < need
     if not few.any():
@@ -434,7 +437,7 @@ def _self_occlusion(view: _View) -> str:
 
 def _strays(view: _View, name: str) -> str:
     p = TIMES * EFFECTS[name].sizes["p"]
-    usual = max(Freedom().stray[1], view.fitted.state.noise.stray)
+    usual = max(NoiseBounds().stray[1], view.fitted.state.noise.stray)
     nats = view.n_seen * (p * np.log(p / usual) + (1 - p) * np.log((1 - p) / (1 - usual))) if p > usual else 0
     need = view.need(EFFECTS[name](p=p))
     return "" if nats >= need else f"only {view.n_seen} returns; {_said(nats, need)}"
@@ -442,7 +445,7 @@ def _strays(view: _View, name: str) -> str:
 
 def _per_wall(view: _View, nats: Floats, need: float, why: str) -> str:
     """Name the walls on which too few rays would tell; `nats` (n_scans, n_rays) of each ray."""
-    names = view.evidence.arena.names
+    names = view.data.arena.names
     on = view.wall >= 0
     total = np.bincount(view.wall[on], nats[on], len(names))[: len(names)]
     blind = [name for name, value in zip(names, total, strict=True) if value < need]
@@ -468,7 +471,7 @@ def _black(view: _View) -> str:
     r0 = TYPICAL["black_surface"]["r0"]
     with np.errstate(divide="ignore"):
         p = np.clip(np.cos(view.incidence) * (r0 / np.maximum(view.range, 1e-3)) ** 2, 1e-3, 1 - 1e-3)
-    loss = max(Freedom().loss[1], view.fitted.state.noise.loss)
+    loss = max(NoiseBounds().loss[1], view.fitted.state.noise.loss)
     nats = view.seen * (p * np.log(p / (1 - loss)) + (1 - p) * np.log((1 - p) / loss))
     why = f"hardly met from farther than {r0:.0f} m, or at a slant"
     return _per_wall(view, nats, _place("black_surface", view, r0=r0), why)
@@ -477,8 +480,8 @@ def _black(view: _View) -> str:
 def _missing_obstacle(view: _View) -> str:
     need = view.need(EFFECTS["missing_obstacle"]())
     blind = []
-    for name in obstacles(view.evidence):
-        walls = named_walls(view.evidence.arena, name)
+    for name in obstacles(view.data):
+        walls = named_walls(view.data.arena, name)
         if STRANGE * (np.isin(view.wall, walls) & view.seen).sum() < need:
             blind.append(name)
     return f"{_list(blind)}: hardly met by a ray" if blind else ""
@@ -486,18 +489,18 @@ def _missing_obstacle(view: _View) -> str:
 
 def _unmapped(view: _View) -> str:
     """Name the part of free space that was hardly looked at."""
-    evidence, beams = view.evidence, view.fitted.cast.beams
-    x0, y0, x1, y1 = evidence.arena.bounds
+    data, beams = view.data, view.fitted.cast.beams
+    x0, y0, x1, y1 = data.arena.bounds
     step = max(SPOT, float(np.sqrt((x1 - x0) * (y1 - y0) / 1500)))
     x, y = np.meshgrid(np.arange(x0 + step / 2, x1, step), np.arange(y0 + step / 2, y1, step))
     spots = np.stack([x.ravel(), y.ravel()], axis=1)
-    spots = spots[evidence.arena.contains(spots)]
+    spots = spots[data.arena.contains(spots)]
     if not len(spots):
         return ""
-    some = np.unique(np.linspace(0, evidence.n_scans - 1, LOOKS).astype(np.intp))
+    some = np.unique(np.linspace(0, data.n_scans - 1, LOOKS).astype(np.intp))
     ox, oy = (np.broadcast_to(o, beams.ux.shape)[some, 0] for o in (beams.ox, beams.oy))
     dx, dy = spots[:, 0] - ox[:, None], spots[:, 1] - oy[:, None]  # (looks, spots)
-    bearings = evidence.sensor.bearings
+    bearings = data.sensor.bearings
     first = np.arctan2(beams.uy[some, 0], beams.ux[some, 0])[:, None]
     turn = (np.arctan2(dy, dx) - first) % (2 * np.pi)
     width = float(np.median(np.diff(bearings))) if len(bearings) > 1 else 1.0
@@ -577,7 +580,7 @@ def separation(a: Amendment, b: Amendment) -> str:
 
 def _alike_rough(view: _View) -> list[Alike]:
     """Find losses that could as well belong to one wall or one bearing."""
-    far = TYPICAL["max_range"]["share"] * view.evidence.sensor.range_max
+    far = TYPICAL["max_range"]["share"] * view.data.sensor.range_max
     out = []
     for name, some in (
         ("max_range", view.seen & (view.reading > far)),
@@ -586,11 +589,11 @@ def _alike_rough(view: _View) -> list[Alike]:
         walls = np.bincount(view.wall[some & (view.wall >= 0)])
         n = int(walls.sum())
         if n >= 4 and walls.max() > ALIKE * n:
-            wall = view.evidence.arena.names[int(walls.argmax())]
+            wall = view.data.arena.names[int(walls.argmax())]
             out.append(_pair(name, "black_surface", f"all such rays met {wall}"))
     near = view.seen & (view.reading < NEAR)
     rays = np.flatnonzero(near.any(axis=0))
-    if near.sum() >= 4 and np.ptp(view.evidence.sensor.bearings[rays]) < np.radians(20):
+    if near.sum() >= 4 and np.ptp(view.data.sensor.bearings[rays]) < np.radians(20):
         out.append(_pair("min_range", "self_occlusion", "all near returns came from one bearing"))
     return out
 

@@ -13,11 +13,11 @@ import numpy as np
 from sensorgraph.diagnosis.scan.fit import log_likelihood, start_state, thin, thin_state
 from sensorgraph.diagnosis.scan.gauss_newton import MOST_CORNERS
 from sensorgraph.diagnosis.scan.likelihood import FINEST
-from sensorgraph.diagnosis.scan.nuisance import Freedom
 from sensorgraph.diagnosis.scan.propose_obstacles import missing_or_moved, nudged, unmapped
 from sensorgraph.diagnosis.scan.propose_surfaces import black, glass, mirror
 from sensorgraph.diagnosis.scan.residuals import FEW, LEAST_GAIN, View
 from sensorgraph.diagnosis.scan.score_test import Candidate
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS
 from sensorgraph.types import Floats
 
@@ -63,13 +63,13 @@ def cut_offs(view: View) -> list[Candidate]:
 
 def sectors(view: View) -> list[Candidate]:
     """sector_bias: the run of neighbouring rays whose mean residual explains most."""
-    judged = view.fitted.solution.judged
-    bearings = view.evidence.sensor.bearings
+    responsibilities = view.fitted.solution.responsibilities
+    bearings = view.data.sensor.bearings
     found = []
-    for weight in (judged.weight, _broad(view)):
-        valid = view.fitted.cast.cols.valid & view.returned
+    for weight in (responsibilities.weight, _broad(view)):
+        valid = view.fitted.cast.jacobian.valid & view.returned
         w = np.where(valid, weight, 0.0)
-        num, den = (w * judged.residual).sum(axis=0), w.sum(axis=0)
+        num, den = (w * responsibilities.residual).sum(axis=0), w.sum(axis=0)
         n = len(num)
         cn, cd = np.concatenate([[0.0], np.cumsum(num)]), np.concatenate([[0.0], np.cumsum(den)])
         i, j = np.triu_indices(n + 1, 1)
@@ -90,7 +90,7 @@ def sectors(view: View) -> list[Candidate]:
 
 def _broad(view: View) -> Floats:
     """Weigh readings far off as well, but less than near ones."""
-    e = view.fitted.solution.judged.residual
+    e = view.fitted.solution.responsibilities.residual
     sigma = view.sigma
     return np.asarray(np.where(view.returned, 1 / (sigma**2 * (1 + (e / (6 * sigma)) ** 2) * 6), 0.0))
 
@@ -102,7 +102,7 @@ def self_occlusion(view: View) -> list[Candidate]:
     if not odd.any():
         return []
     found = []
-    bearings = view.evidence.sensor.bearings
+    bearings = view.data.sensor.bearings
     edges = np.flatnonzero(np.diff(np.concatenate([[0], odd.astype(int), [0]])))
     for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
         z = view.z[:, first : last + 1]
@@ -123,7 +123,7 @@ def self_occlusion(view: View) -> list[Candidate]:
 def lattice(view: View) -> list[Candidate]:
     """Quantisation: few distinct readings, a step apart."""
     z = view.z[view.returned]
-    finest = max(view.evidence.sensor.resolution, FINEST)
+    finest = max(view.data.sensor.resolution, FINEST)
     cells, counts = np.unique(np.round(z / FINEST).astype(np.int64), return_counts=True)
     values = cells[counts >= 3] * np.float64(FINEST)
     if len(values) < 5 or len(z) < 200 or counts[counts >= 3].sum() < 0.9 * len(z):
@@ -153,9 +153,9 @@ def lattice(view: View) -> list[Candidate]:
 def noises(view: View) -> list[Candidate]:
     """range_noise, random_outliers, people: what widens or mixes."""
     found = []
-    judged = view.fitted.solution.judged
-    ok = view.returned & view.aimed & (judged.stray < 0.5)
-    e, r, sigma = judged.residual[ok], view.mu[ok], view.fitted.cast.what.sigma[ok]
+    responsibilities = view.fitted.solution.responsibilities
+    ok = view.returned & view.aimed & (responsibilities.stray < 0.5)
+    e, r, sigma = responsibilities.residual[ok], view.mu[ok], view.fitted.cast.expected.sigma[ok]
     if ok.sum() > 100:
         base = None
         for k in (0.0, 0.0015, 0.003, 0.005, 0.008, 0.012, 0.02, 0.03):
@@ -188,7 +188,7 @@ def self_tail(e: Floats, s: Floats, tail: float) -> float:
 
 def optics(view: View) -> list[Candidate]:
     """mixed_pixels, sonar_cone: fits of whole rays on a few scans."""
-    if view.evidence.floors.get("mixed_pixels") == np.inf:
+    if view.data.floors.get("mixed_pixels") == np.inf:
         return []
     found = []
     if _between(view) >= FEW and "mixed_pixels" not in view.fitted.names():
@@ -221,12 +221,12 @@ def _between(view: View) -> int:
 
 def _swept(view: View, name: str, parameter: str, values: Floats, fixed: dict[str, float]) -> list[Candidate]:
     """Try values of one parameter on every so-manieth scan, nuisances frozen."""
-    some = 60 if view.evidence.arena.n_walls <= MOST_CORNERS else 20  # scans
-    every = max(1, view.evidence.n_scans // some)
-    few = thin(view.evidence, every)
+    some = 60 if view.data.arena.n_walls <= MOST_CORNERS else 20  # scans
+    every = max(1, view.data.n_scans // some)
+    few = thin(view.data, every)
     state = thin_state(view.fitted.state, every)
     if state.noise.core > 1.1 or state.noise.tail > 0.1:  # bent by what is looked for
-        state = start_state(few, Freedom())
+        state = start_state(few, NoiseBounds())
     model = view.fitted.model
     base = log_likelihood(few, model, state)
     best: Candidate | None = None
@@ -240,11 +240,11 @@ def _swept(view: View, name: str, parameter: str, values: Floats, fixed: dict[st
 
 def tilt(view: View) -> list[Candidate]:
     """Tilt: readings capped by the floor. There h / z = sin(beta cos(theta - theta0)): linear in cos and sin theta."""
-    h = view.evidence.sensor.height
+    h = view.data.sensor.height
     some = view.short & (view.z > 1.5 * h)
     if h <= 0 or some.sum() < 2 * FEW:
         return []
-    bearings = np.broadcast_to(view.evidence.sensor.bearings, view.z.shape)[some]
+    bearings = np.broadcast_to(view.data.sensor.bearings, view.z.shape)[some]
     z = view.z[some]
     dip = np.arcsin(h / z)
     rows = np.column_stack([np.cos(bearings), np.sin(bearings)])

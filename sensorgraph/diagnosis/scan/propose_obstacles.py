@@ -26,10 +26,10 @@ def missing_or_moved(view: View) -> list[Candidate]:
     present = {(a.name, a.place) for a in view.fitted.model}
     walls = view.fitted.cast.scene.walls
     odd_end = view.ends(view.strange) if view.strange.sum() else np.zeros((0, 2))
-    for feature in obstacles(view.evidence):
+    for feature in obstacles(view.data):
         if ("missing_obstacle", feature) in present or ("moved_obstacle", feature) in present:
             continue
-        members = named_walls(view.evidence.arena, feature)
+        members = named_walls(view.data.arena, feature)
         mine = np.isin(view.beams.wall, members)
         if mine.sum() < FEW:
             continue
@@ -135,15 +135,15 @@ def nudged(view: View) -> list[Candidate]:
     To first order a side changes only the readings that end on it; of one that no ray met head-on, only the ends of the
     silhouette tell, so the readings of each shift are cast.
     """
-    if view.strange.sum() < FEW or view.evidence.floors.get("moved_obstacle") == np.inf:
+    if view.strange.sum() < FEW or view.data.floors.get("moved_obstacle") == np.inf:
         return []
     ends, walls = view.ends(view.strange), view.fitted.cast.scene.walls
     present = {(a.name, a.place) for a in view.fitted.model}
     found = []
-    for feature in obstacles(view.evidence):
+    for feature in obstacles(view.data):
         if ("missing_obstacle", feature) in present or ("moved_obstacle", feature) in present:
             continue
-        members = named_walls(view.evidence.arena, feature)
+        members = named_walls(view.data.arena, feature)
         if (_beside(ends, walls[members]) < NUDGE).sum() >= FEW:
             candidate = _nudge(view, feature, members)
             if candidate is not None:

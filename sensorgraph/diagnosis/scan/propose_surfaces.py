@@ -62,7 +62,7 @@ def glass(view: View) -> list[Candidate]:
     if odd.sum() < FEW:
         return []
     found = []
-    names = view.evidence.arena.names
+    names = view.data.arena.names
     counts = np.bincount(view.beams.wall[odd], minlength=len(names))
     for wall in np.argsort(-counts)[:4]:
         if counts[wall] < FEW:
@@ -187,5 +187,5 @@ def _on_wall(view: View, name: str, wall: int, gain: float, **values: float) -> 
     values["b"] = min(values["b"], length)
     values["a"] = max(values["a"], 0.0)
     middle = a + (b - a) * ((values["a"] + values["b"]) / 2 / max(length, 1e-9))
-    amendment = EFFECTS[name](**values).at(view.evidence.arena.names[wall], middle)
+    amendment = EFFECTS[name](**values).at(view.data.arena.names[wall], middle)
     return Candidate(amendment=amendment, gain=gain)

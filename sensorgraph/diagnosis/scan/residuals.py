@@ -10,7 +10,7 @@ import numpy as np
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.likelihood import FLOOR
 from sensorgraph.diagnosis.scan.nuisance import TAIL
-from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.types import Bools, Floats, Ints
 
 ROOT = np.sqrt(2 * np.pi)
@@ -24,23 +24,23 @@ FEW = 8
 class View:
     """What a fit expects, and what was measured instead; arrays (n_scans, n_rays)."""
 
-    evidence: Evidence
+    data: ScanData
     fitted: Fitted
 
     def __post_init__(self) -> None:
-        solution, what = self.fitted.solution, self.fitted.cast.what
-        self.z = self.evidence.ranges
-        self.returned = self.evidence.returned
+        solution, expected = self.fitted.solution, self.fitted.cast.expected
+        self.z = self.data.ranges
+        self.returned = self.data.returned
         self.lost = self.z == np.inf
         self.near = self.z == -np.inf
-        self.log_p = solution.judged.log_p
-        self.mu = what.reading + self.fitted.solver.shift(solution.state, solution.p)
+        self.log_p = solution.responsibilities.log_p
+        self.mu = expected.reading + self.fitted.solver.shift(solution.state, solution.p)
         self.aimed = np.isfinite(self.mu)
         self.beams = self.fitted.cast.beams
         self.noise = solution.state.noise
-        self.sigma = self.noise.core * what.sigma
-        self.strange = self.returned & (solution.judged.stray > 0.5)
-        self.range_max = self.evidence.sensor.range_max
+        self.sigma = self.noise.core * expected.sigma
+        self.strange = self.returned & (solution.responsibilities.stray > 0.5)
+        self.range_max = self.data.sensor.range_max
         with np.errstate(invalid="ignore"):
             self.short = self.strange & (
                 self.z < np.where(self.aimed, self.mu, self.range_max) - 4 * self.sigma

@@ -19,7 +19,7 @@ from sensorgraph.world.robot import RobotFile, Tolerances
 from sensorgraph.world.scene import Scene
 
 if TYPE_CHECKING:
-    from sensorgraph.diagnosis.scan.site_variation import Usual
+    from sensorgraph.diagnosis.scan.site_variation import BaselineInterval
 
 LEAST_SCANS = 50
 MOST_RAYS = 100_000  # more say little new: map and poses, not noise, then bound what can be told
@@ -29,7 +29,7 @@ SMOOTH = 0.2  # [s] either side, over which the reference is fitted to tell the 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Evidence:
+class ScanData:
     """Measured scans, and how the simulator is set up for them."""
 
     arena: Arena
@@ -55,7 +55,7 @@ class Evidence:
     """Effects that are part of the simulator already."""
     floors: Mapping[str, float] = field(default_factory=dict)
     """Effect -> [nats] further evidence that its name takes at this site (see `commissioning`)."""
-    usual: Mapping[str, Usual] = field(default_factory=dict)
+    usual: Mapping[str, BaselineInterval] = field(default_factory=dict)
     """Effect -> the sizes that the site shows though nothing is wrong."""
     memo: dict[bytes, object] = field(default_factory=dict)
     """Casts made before."""
@@ -99,7 +99,7 @@ class Evidence:
             memo=self.memo,
         )
 
-    def part(self, scans: NDArray[np.intp] | Bools) -> Evidence:
+    def part(self, scans: NDArray[np.intp] | Bools) -> ScanData:
         """Return the evidence of some scans only."""
         return replace(
             self,
@@ -110,7 +110,7 @@ class Evidence:
             memo={},
         )
 
-    def rays(self, every: int) -> Evidence:
+    def rays(self, every: int) -> ScanData:
         """Return the evidence of every n-th ray only."""
         rays = np.arange(every // 2, self.n_rays, every)
         sensor = replace(self.sensor, bearings=self.sensor.bearings[rays])
@@ -119,9 +119,9 @@ class Evidence:
         return replace(self, sensor=sensor, ranges=np.ascontiguousarray(self.ranges[:, rays]), memo={})
 
 
-def gather(
+def prepare_scans(
     run: Run, arena: Arena, robot: RobotFile, known: Sequence[Amendment] = ()
-) -> tuple[Evidence, dict[str, object]]:
+) -> tuple[ScanData, dict[str, object]]:
     """Pair scans with poses; return the evidence and what is worth saying about the pairing."""
     pairing = pair(run)
     kept = pairing.paired & ~np.isnan(run.ranges).all(axis=1)
@@ -154,7 +154,7 @@ def gather(
     stamps, poses = run.pose_stamps[finite], poses[finite]
     poses[:, 2] = np.unwrap(poses[:, 2])
     when = run.stamps[kept]
-    evidence = Evidence(
+    data = ScanData(
         arena=arena,
         sensor=sensor,
         tolerances=_tolerances(robot.tolerances),
@@ -168,7 +168,7 @@ def gather(
         laser_frame=laser_frame,
         known=tuple(a for a in known if a.effect.channel == "scan"),
     )
-    return evidence, notes
+    return data, notes
 
 
 def _thinned(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:

@@ -15,7 +15,7 @@ import numpy as np
 from sensorgraph.diagnosis.scan.fit import Fitted, corners_of
 from sensorgraph.diagnosis.scan.gauss_newton import boxed
 from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, OWN
-from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.places import named_walls, outward
 from sensorgraph.types import Bools, Floats
@@ -30,7 +30,7 @@ class Candidate:
     """[nats] expected over the fit without it."""
 
 
-def smooth_candidates(evidence: Evidence, fitted: Fitted, *, broad: bool = False) -> list[Candidate]:
+def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) -> list[Candidate]:
     """Return every smooth effect with its start values and expected gain.
 
     Parameters
@@ -40,9 +40,9 @@ def smooth_candidates(evidence: Evidence, fitted: Fitted, *, broad: bool = False
     solver, state = fitted.solver, fitted.state
     y = solver.y
     if broad:
-        e = y[solver.cols.valid & evidence.returned]
-        sigma = max(1.5 * float(np.median(np.abs(e))) if len(e) else 0.0, evidence.sensor.sigma)
-        weight = np.where(evidence.returned, 1 / (1 + (y / (3 * sigma)) ** 2), 0.0) / sigma**2
+        e = y[solver.jacobian.valid & data.returned]
+        sigma = max(1.5 * float(np.median(np.abs(e))) if len(e) else 0.0, data.sensor.sigma)
+        weight = np.where(data.returned, 1 / (1 + (y / (3 * sigma)) ** 2), 0.0) / sigma**2
         system = solver.assemble(weight, state.pose_scale)
     else:
         system = fitted.solution.system
@@ -51,7 +51,7 @@ def smooth_candidates(evidence: Evidence, fitted: Fitted, *, broad: bool = False
     held = solver.locked
     reference, _ = _solved(system.matrix, system.right, tau, held, n)
     found = []
-    for amendment, directions, own in hypotheses(evidence, fitted):
+    for amendment, directions, own in hypotheses(data, fitted):
         big = np.concatenate([np.eye(len(system.right)), _padded(directions, len(system.right))], axis=1)
         matrix, right = big.T @ system.matrix @ big, big.T @ system.right
         locked = held.copy()
@@ -81,7 +81,7 @@ START: dict[str, tuple[str, ...]] = {
 }
 
 
-def hypotheses(evidence: Evidence, fitted: Fitted) -> list[tuple[Amendment, Floats, Sequence[str]]]:
+def hypotheses(data: ScanData, fitted: Fitted) -> list[tuple[Amendment, Floats, Sequence[str]]]:
     """List (effect at zero, its directions among the nuisances (n_g, k), its own copies)."""
     n = fitted.solver.n_g
     present = {(a.name, a.place) for a in fitted.model}
@@ -94,18 +94,18 @@ def hypotheses(evidence: Evidence, fitted: Fitted) -> list[tuple[Amendment, Floa
         for k, copy in enumerate(copies):
             directions[DENSE.index(copy), k] = 1.0
         out.append((EFFECTS[name](**dict.fromkeys(START[name], 0.0)), directions, copies))
-    return [*out, *_of_the_map(evidence, fitted, present)]
+    return [*out, *_of_the_map(data, fitted, present)]
 
 
 def _of_the_map(
-    evidence: Evidence, fitted: Fitted, present: set[tuple[str, str]]
+    data: ScanData, fitted: Fitted, present: set[tuple[str, str]]
 ) -> list[tuple[Amendment, Floats, Sequence[str]]]:
     """List moved walls, moved obstacles and the scaled map, as shifts of the corners."""
-    corners, n = corners_of(evidence), fitted.solver.n_g
+    corners, n = corners_of(data), fitted.solver.n_g
     out: list[tuple[Amendment, Floats, Sequence[str]]] = []
     if corners.count == 0:
         return out
-    arena = evidence.arena
+    arena = data.arena
     walls = fitted.cast.scene.walls
     for index, name in enumerate(arena.names):
         if name.split("/")[0] != arena.names[0].split("/")[0] or ("moved_wall", name) in present:
@@ -115,7 +115,7 @@ def _of_the_map(
         for corner in set(corners.ends[index]):
             directions[len(DENSE) + 2 * corner : len(DENSE) + 2 * corner + 2, 0] = normal
         out.append((EFFECTS["moved_wall"](d=0.0).at(name, arena.walls[index].mean(axis=0)), directions, ()))
-    for feature in obstacles(evidence):
+    for feature in obstacles(data):
         if ("moved_obstacle", feature) in present or ("missing_obstacle", feature) in present:
             continue
         directions = np.zeros((n, 2))
@@ -138,9 +138,9 @@ def _of_the_map(
     return out
 
 
-def obstacles(evidence: Evidence) -> list[str]:
+def obstacles(data: ScanData) -> list[str]:
     """Return the names of the arena's features, the outline left out."""
-    names = evidence.arena.names
+    names = data.arena.names
     outline = names[0].rsplit("/", 1)[0]
     return [f for f in dict.fromkeys(name.rsplit("/", 1)[0] for name in names) if f != outline]
 

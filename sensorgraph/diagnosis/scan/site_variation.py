@@ -29,7 +29,7 @@ OPEN = 1e3  # [m, rad, s] prior width of a number that is free
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sighting:
+class WindowEstimate:
     """What one window of a good run shows by itself."""
 
     n_scans: int
@@ -49,7 +49,7 @@ class Sighting:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Usual:
+class BaselineInterval:
     """How large an effect seems, window by window, though nothing is wrong."""
 
     middle: Mapping[str, float]
@@ -80,8 +80,8 @@ class Usual:
 
 def is_usual(fitted: Fitted, amendment: Amendment) -> bool:
     """Tell whether an effect of a fit is what the site shows by itself, or only stands at a few places."""
-    evidence = fitted.solver.evidence
-    usual = evidence.usual.get(amendment.name)
+    data = fitted.solver.data
+    usual = data.usual.get(amendment.name)
     if usual is None:
         return False
     if usual.contains(amendment):
@@ -103,7 +103,7 @@ def in_materialities(name: str, values: Mapping[str, float]) -> float:
 
 def kept_wobble(fitted: Fitted, amendment: Amendment) -> float:
     """Return the standard error of an effect of a fit, by leaving out parts [materialities]; computed once."""
-    memo = fitted.solver.evidence.memo
+    memo = fitted.solver.data.memo
     key = f"wobble|{amendment.name}|{fitted.model!r}".encode()
     if key not in memo:
         memo[key] = wobble(fitted, amendment)
@@ -147,7 +147,7 @@ def alone(fitted: Fitted) -> tuple[dict[str, dict[str, float]], dict[str, float]
 def systems(fitted: Fitted) -> list[tuple[Floats, Floats]]:
     """Return the normal equations (matrix, right) of each part of the run, in time."""
     solver: Solver = fitted.solver
-    weight = fitted.solution.judged.weight
+    weight = fitted.solution.responsibilities.weight
     out = []
     for rows in np.array_split(np.arange(len(weight)), PARTS):
         some = np.zeros_like(weight)
@@ -173,7 +173,7 @@ def left_out(
     return np.asarray(np.sqrt((n - 1) * values.var(axis=0)))
 
 
-def usual_sizes(seen: Sequence[Sighting], n_scans: int) -> dict[str, Usual]:
+def usual_sizes(seen: Sequence[WindowEstimate], n_scans: int) -> dict[str, BaselineInterval]:
     """Return what is usual in a window of so many scans, by effect."""
     out = {}
     for name in sorted({name for s in seen for name in s.sizes}):
@@ -189,7 +189,7 @@ def usual_sizes(seen: Sequence[Sighting], n_scans: int) -> dict[str, Usual]:
             values = np.array([scaled(name, s.sizes[name])[k] for s in having])
             middle[k] = float(values.mean())
             reach[k] = _reach(values, EFFECTS[name].sizes[k] / 3 if name in OWN else None)
-        out[name] = Usual(middle=middle, reach=reach, wobble=pooled, n_windows=len(having))
+        out[name] = BaselineInterval(middle=middle, reach=reach, wobble=pooled, n_windows=len(having))
     return out
 
 
@@ -205,7 +205,7 @@ def unscaled(name: str, values: Mapping[str, float]) -> dict[str, float]:
     return {k: float(max(v, 0.0) ** 2) if k in shares else v for k, v in values.items()}
 
 
-def steady(seen: Sequence[Sighting], name: str, n_scans: int) -> list[Sighting]:
+def steady(seen: Sequence[WindowEstimate], name: str, n_scans: int) -> list[WindowEstimate]:
     """Leave out windows whose parts disagree on an effect more than those of the others (F test)."""
     wobbles = [s.wobble(name, n_scans) for s in seen]
     kept = []
@@ -228,8 +228,8 @@ def _pooled(wobbles: Sequence[float]) -> float:
 
 def _reach(values: Floats, told: float | None) -> float:
     """Return how far from the mean a further value may be; `told` is what set-ups vary by anyhow."""
-    n, freedom, squares = len(values), len(values) - 1.0, float(((values - values.mean()) ** 2).sum())
+    n, dof, squares = len(values), len(values) - 1.0, float(((values - values.mean()) ** 2).sum())
     if told is not None:
-        freedom, squares = freedom + TOLD, squares + TOLD * told**2
-    spread = np.sqrt(squares / freedom)
-    return max(float(stdtrit(freedom, SURE) * spread * np.sqrt(1 + 1 / n)), 1e-9)
+        dof, squares = dof + TOLD, squares + TOLD * told**2
+    spread = np.sqrt(squares / dof)
+    return max(float(stdtrit(dof, SURE) * spread * np.sqrt(1 + 1 / n)), 1e-9)

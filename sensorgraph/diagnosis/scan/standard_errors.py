@@ -16,8 +16,9 @@ from scipy.special import ndtr
 
 from sensorgraph.diagnosis.scan.fit import ROUGH, Fitted, fit, log_p_at, smooth_parameters
 from sensorgraph.diagnosis.scan.likelihood import FINEST
-from sensorgraph.diagnosis.scan.nuisance import DENSE, Freedom, widths
-from sensorgraph.diagnosis.scan.scan_data import Evidence
+from sensorgraph.diagnosis.scan.nuisance import DENSE, widths
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.sonar_cone import RAY
@@ -64,13 +65,13 @@ OWN_TOLERANCE: dict[str, dict[str, str]] = {
 """Effect -> parameter -> what a careful set-up, or the spacing of the rays, hides of it."""
 
 
-def standard_errors(fitted: Fitted, freedom: Freedom) -> tuple[dict[str, float], ...]:
+def standard_errors(fitted: Fitted, noise_bounds: NoiseBounds) -> tuple[dict[str, float], ...]:
     """Return, for every effect of a fit, its parameters' standard errors; none for what cannot be known."""
     smooth = _smooth_errors(fitted)
     out = []
     for index, amendment in enumerate(fitted.model):
-        errors = {**_rough_errors(fitted, index, freedom), **smooth[index]}
-        errors |= _silhouette_errors(fitted, index, freedom, errors)
+        errors = {**_rough_errors(fitted, index, noise_bounds), **smooth[index]}
+        errors |= _silhouette_errors(fitted, index, noise_bounds, errors)
         hidden = widths_of(fitted, amendment)
         out.append({k: float(np.hypot(v, hidden.get(k, 0.0))) for k, v in errors.items() if np.isfinite(v)})
     return tuple(out)
@@ -85,48 +86,48 @@ def _smooth_errors(fitted: Fitted) -> list[dict[str, float]]:
     ]
 
 
-def _rough_errors(fitted: Fitted, index: int, freedom: Freedom) -> dict[str, float]:
+def _rough_errors(fitted: Fitted, index: int, noise_bounds: NoiseBounds) -> dict[str, float]:
     """Return standard errors of the parameters that are searched or read off the rays."""
-    amendment, evidence = fitted.model[index], fitted.solver.evidence
+    amendment, data = fitted.model[index], fitted.solver.data
     if amendment.name == "quantisation":
-        return {"q": lattice_error(evidence, amendment["q"])}
+        return {"q": lattice_error(data, amendment["q"])}
     steps = {k: v for k, v in ROUGH.get(amendment.name, {}).items() if k in amendment.parameters}
     if amendment.effect.place == "sector":
-        steps |= dict.fromkeys(("theta1", "theta2"), spacing(evidence))
+        steps |= dict.fromkeys(("theta1", "theta2"), spacing(data))
     smooth = smooth_parameters(amendment)
-    return {k: _profiled(fitted, index, freedom, k, v) for k, v in steps.items() if k not in smooth}
+    return {k: _profiled(fitted, index, noise_bounds, k, v) for k, v in steps.items() if k not in smooth}
 
 
 def _silhouette_errors(
-    fitted: Fitted, index: int, freedom: Freedom, errors: Mapping[str, float]
+    fitted: Fitted, index: int, noise_bounds: NoiseBounds, errors: Mapping[str, float]
 ) -> dict[str, float]:
     """Return standard errors of a move that no ray met head-on: the ends of the silhouette alone tell of it."""
     amendment = fitted.model[index]
     if amendment.name != "moved_obstacle":
         return {}
     unseen = [k for k, m in amendment.effect.sizes.items() if errors.get(k, 0.0) > m]
-    map_ = fitted.solver.evidence.tolerances.map
-    return {k: float(np.hypot(_profiled(fitted, index, freedom, k, NUDGED), map_)) for k in unseen}
+    map_ = fitted.solver.data.tolerances.map
+    return {k: float(np.hypot(_profiled(fitted, index, noise_bounds, k, NUDGED), map_)) for k in unseen}
 
 
-def lattice_error(evidence: Evidence, q: float) -> float:
+def lattice_error(data: ScanData, q: float) -> float:
     """Return how far the step of a lattice may be off [m] before the farthest reading leaves its lattice point."""
-    cell = max(evidence.sensor.resolution, FINEST)
-    farthest = float(evidence.ranges[evidence.returned].max(initial=q))
+    cell = max(data.sensor.resolution, FINEST)
+    farthest = float(data.ranges[data.returned].max(initial=q))
     return 0.5 * cell * q / max(farthest, q)
 
 
-def spacing(evidence: Evidence) -> float:
+def spacing(data: ScanData) -> float:
     """Return the angle [rad] between neighbouring rays."""
-    bearings = evidence.sensor.bearings
+    bearings = data.sensor.bearings
     return float(np.median(np.diff(bearings))) if len(bearings) > 1 else 0.01
 
 
-def _profiled(fitted: Fitted, index: int, freedom: Freedom, name: str, step: float) -> float:
+def _profiled(fitted: Fitted, index: int, noise_bounds: NoiseBounds, name: str, step: float) -> float:
     """Return the standard error of one rough parameter from how the likelihood falls on both sides."""
-    evidence, amendment = fitted.solver.evidence, fitted.model[index]
+    data, amendment = fitted.solver.data, fitted.model[index]
     spec = next(q for q in amendment.effect.parameters if q.name == name)
-    shares_noise = freedom if amendment.effect.absorber else None
+    shares_noise = noise_bounds if amendment.effect.absorber else None
     at = amendment[name]
 
     def log_p(value: float) -> Floats:
@@ -137,9 +138,9 @@ def _profiled(fitted: Fitted, index: int, freedom: Freedom, name: str, step: flo
             *fitted.model[index + 1 :],
         )
         if amendment.name in REFITTED:
-            j = fit(evidence, moved, fitted.state, freedom, outer=1, inner=1).j
-            return np.full(evidence.n_scans, j / evidence.n_scans)
-        return np.asarray(log_p_at(evidence, moved, fitted.state, shares_noise).sum(axis=1))
+            j = fit(data, moved, fitted.state, noise_bounds, outer=1, inner=1).j
+            return np.full(data.n_scans, j / data.n_scans)
+        return np.asarray(log_p_at(data, moved, fitted.state, shares_noise).sum(axis=1))
 
     here = log_p(at)
     bounds = NEAR_HALF if shares_noise is None else BROAD
@@ -150,7 +151,7 @@ def _profiled(fitted: Fitted, index: int, freedom: Freedom, name: str, step: flo
     if shares_noise is None or not all(np.isfinite(w) for w, _ in sides):
         return width
     slope = sum(sign * change / w for sign, (w, change) in zip((0.5, -0.5), sides, strict=True))
-    return width * max(1.0, width * float(np.sqrt(_by_block(evidence, np.asarray(slope)))))
+    return width * max(1.0, width * float(np.sqrt(_by_block(data, np.asarray(slope)))))
 
 
 def _fall(
@@ -179,26 +180,26 @@ def _fall(
     return h, change
 
 
-def _by_block(evidence: Evidence, slope: Floats) -> float:
+def _by_block(data: ScanData, slope: Floats) -> float:
     """Return the scatter between blocks of the slope of the log-likelihood, given per scan (n_scans,)."""
-    block = ((evidence.stamps - evidence.begin) / BLOCK).astype(np.intp)
+    block = ((data.stamps - data.begin) / BLOCK).astype(np.intp)
     sums = np.bincount(block - block.min(), slope)
     return float(np.square(sums - sums.mean()).sum())
 
 
 def widths_of(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
     """Return what a careful set-up may hide of an effect, by parameter."""
-    evidence = fitted.solver.evidence
-    t = evidence.tolerances
+    data = fitted.solver.data
+    t = data.tolerances
     tau = dict(zip(DENSE, widths(t), strict=True))
     tau |= {"map": t.map, "third of the map": t.map / 3, "half of the map": t.map / 2}
     tau |= {"half a mrad": 5e-4, "a hundredth of a mrad": 1e-5}
-    middle = float(np.median(evidence.ranges[evidence.returned])) if evidence.returned.any() else 1.0
+    middle = float(np.median(data.ranges[data.returned])) if data.returned.any() else 1.0
     tau |= {"edges": 0.5 * t.map / max(middle, 0.1)}  # a few corners, each off by the map's tolerance
     tau |= {"between rays of the cone": RAY / np.sqrt(12)}
     tau |= {"end of a part": float(np.hypot(t.map, t.pose_xy + t.pose_yaw * middle))}  # told by single rays
-    tau |= {"between rays": spacing(evidence) / np.sqrt(12)}
-    walls = np.diff(evidence.arena.walls, axis=1)[:, 0]
+    tau |= {"between rays": spacing(data) / np.sqrt(12)}
+    walls = np.diff(data.arena.walls, axis=1)[:, 0]
     tau |= {"wall direction": t.map / float(np.median(np.hypot(*walls.T)))} if len(walls) else {}
     own = OWN_TOLERANCE.get(amendment.name, {})
     return {parameter: float(tau.get(copy, 0.0)) for parameter, copy in own.items()}
