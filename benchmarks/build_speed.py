@@ -22,13 +22,13 @@ from logs.stream import open_log
 from planners.maps import geojson
 from sensorgraph.building.build import build
 from sensorgraph.demo import check_run
-from sensorgraph.world.robot import default
+from sensorgraph.world.robot import default_robot
 
 
 def recording(n: int) -> Run:
     """Return scans from n poses spread evenly over the office, with a sensor of 30 m."""
     arena = geojson.loads(files("sensorgraph.data").joinpath("office.geojson").read_text())
-    robot = default()
+    robot = default_robot()
     sensor = RangeSensor(bearings=robot.sensor.bearings, range_max=30.0, sigma=0.01, rate=10.0)
     return check_run(arena, replace(robot, sensor=sensor), np.random.default_rng(0), n)
 

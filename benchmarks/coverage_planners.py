@@ -22,8 +22,8 @@ from benchmarks.offices import office
 from planners import PlanError, plan
 from planners.arena import Arena
 from planners.maps import geojson
-from planners.robot import Drive, Limits, Robot
 from planners.types import Floats
+from planners.vehicle import Drive, Limits, Vehicle
 from sensorgraph.cli.inputs import named_arena
 from sensorgraph.show import figures
 
@@ -59,21 +59,21 @@ def main() -> None:
             summary(planner, np.array(rows[-options.random :]))
 
 
-def robot(drive: Drive) -> Robot:
+def vehicle(drive: Drive) -> Vehicle:
     """Return the robot of the benchmark."""
-    return Robot(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
+    return Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
 
 
 def warm_up(drive: Drive) -> None:
     """Compile, so that planning times leave that out."""
-    plan(named_arena("square"), robot(drive), cell=0.5, headings=4)
+    plan(named_arena("square"), vehicle(drive), cell=0.5, headings=4)
 
 
 def row(name: str, arena: Arena, planner: str, drive: Drive) -> tuple[float, ...]:
     """Plan and print one line; return coverage, core, driving time over the reference, seconds, and violations."""
     before = time.process_time()
     try:
-        report = plan(arena, robot(drive), planner=planner).report
+        report = plan(arena, vehicle(drive), planner=planner).report
     except PlanError as exc:
         print(f"{name:12} {planner:14} {exc}")
         return (float("nan"),) * 6
@@ -103,11 +103,12 @@ def race(arenas: dict[str, Arena], path: Path) -> None:
     lines: dict[str, dict[str, tuple[Floats, Floats]]] = {}
     for name, arena in arenas.items():
         made = {
-            planner: plan(arena, robot("diff"), planner=planner) for planner in ("coverage", "stop_and_spin")
+            planner: plan(arena, vehicle("diff"), planner=planner)
+            for planner in ("coverage", "stop_and_spin")
         }
         longest = max(one.trajectory.duration for one in made.values())
         for planner in ("random_bounce", "wall_following"):
-            made[planner] = plan(arena, robot("diff"), planner=planner, duration=longest)
+            made[planner] = plan(arena, vehicle("diff"), planner=planner, duration=longest)
         lines[name] = {planner: one.growth() for planner, one in made.items()}
         done = made["coverage"].trajectory.duration
         print(

@@ -14,14 +14,14 @@ import numpy as np
 from planners import plan
 from planners.arena import Arena
 from planners.planning import Plan
-from planners.robot import Drive, Limits, Robot
 from planners.types import Floats
+from planners.vehicle import Drive, Limits, Vehicle
 from sensorgraph.building.build import build
 from sensorgraph.cli.inputs import named_arena
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.planning.priority import doubt
 from sensorgraph.world.drive import follow
-from sensorgraph.world.robot import default
+from sensorgraph.world.robot import default_robot
 from sensorgraph.world.simulate import simulate
 from sensorgraph.world.wall_distance import WallDistance
 
@@ -45,7 +45,7 @@ def main() -> None:
         arena = named_arena(name)
         graph = bounced(arena, options.minutes, options.seed)
         for drive in options.drive:
-            robot = Robot(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
+            robot = Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
             without = plan(arena, robot)
             doubts = doubt(graph, without.coverage)
             by_doubt = plan(arena, robot, priority=doubts)
@@ -57,8 +57,8 @@ def main() -> None:
 
 def bounced(arena: Arena, minutes: float, seed: int) -> Sensorgraph:
     """Return the graph of a random drive by the shipped robot."""
-    robot, rng = default(), np.random.default_rng(seed)
-    drive = plan(arena, robot.robot, planner="random_bounce", duration=60.0 * minutes, seed=seed).trajectory
+    robot, rng = default_robot(), np.random.default_rng(seed)
+    drive = plan(arena, robot, planner="random_bounce", duration=60.0 * minutes, seed=seed).trajectory
     driven = follow(drive, robot, clearance=WallDistance(arena), rng=rng)
     return build([simulate(driven, arena, robot, rng=rng, seed=seed)])
 

@@ -13,21 +13,21 @@ from planners.types import Floats
 from sensorgraph.recording.controllers import Controller, controller_named
 from sensorgraph.recording.identified_world import ArenaWorld
 from sensorgraph.world.drive import follow, react
-from sensorgraph.world.robot import RobotFile, default
+from sensorgraph.world.robot import Robot, default_robot
 from sensorgraph.world.simulate import simulate
 from sensorgraph.world.wall_distance import WallDistance
 
 PERIOD = 0.25  # [s] of the paper's log
 
 
-def robot_of_the_paper() -> RobotFile:
+def robot_of_the_paper() -> Robot:
     """Return the shipped robot, logging and steering every 250 ms."""
-    robot = default()
+    robot = default_robot()
     return replace(robot, sensor=replace(robot.sensor, rate=1 / PERIOD))
 
 
 def closed_loop(
-    controller: str | Controller, arena: Arena, robot: RobotFile, start: Floats, seconds: float, seed: int
+    controller: str | Controller, arena: Arena, robot: Robot, start: Floats, seconds: float, seed: int
 ) -> Run:
     """Let a controller, or one by its name, drive for so long."""
     world = ArenaWorld(arena, robot, seed)
@@ -40,8 +40,8 @@ def closed_loop(
 
 def covered(arena: Arena, seed: int, *, cell: float = 0.25, headings: int = 16) -> Run:
     """Drive a coverage plan with the shipped robot."""
-    robot = default()
-    way = plan(arena, robot.robot, cell=cell, headings=headings, seed=seed).trajectory
+    robot = default_robot()
+    way = plan(arena, robot, cell=cell, headings=headings, seed=seed).trajectory
     rng = np.random.default_rng(seed)
     driven = follow(way, robot, clearance=WallDistance(arena), rng=rng)
     return simulate(driven, arena, robot, rng=rng)

@@ -33,7 +33,7 @@ from sensorgraph.planning.priority import doubt
 from sensorgraph.planning.views import views_within
 from sensorgraph.show.figures import INK, SOLID, new_figure, quiet, save_figure
 from sensorgraph.world.drive import follow
-from sensorgraph.world.robot import RobotFile, default
+from sensorgraph.world.robot import Robot, default_robot
 from sensorgraph.world.simulate import simulate
 from sensorgraph.world.wall_distance import WallDistance
 
@@ -67,7 +67,7 @@ class Place:
     """Where all drive, with one robot."""
 
     arena: Arena
-    robot: RobotFile
+    robot: Robot
     seed: int
     thin: int
 
@@ -75,7 +75,7 @@ class Place:
         """Plan by a planner and drive the first minutes."""
         duration = None if planner == "coverage" else 60.0 * minutes
         made = plan(
-            self.arena, self.robot.robot, planner=planner, cell=cell, seed=self.seed, rate=self.robot.sensor.rate,
+            self.arena, self.robot, planner=planner, cell=cell, seed=self.seed, rate=self.robot.sensor.rate,
             duration=duration,
         )  # fmt: skip
         return self.scanned(made.trajectory, minutes)
@@ -83,7 +83,7 @@ class Place:
     def by_doubt(self, graph: Sensorgraph, start: Floats, minutes: float) -> Run:
         """Drive on from `start` (3,), first where the graph knows least."""
         made = plan(
-            self.arena, self.robot.robot, cell=1.0, seed=self.seed, rate=self.robot.sensor.rate, start=start,
+            self.arena, self.robot, cell=1.0, seed=self.seed, rate=self.robot.sensor.rate, start=start,
             priority=partial(doubt, graph),
         )  # fmt: skip
         return self.scanned(made.trajectory, minutes)
@@ -96,7 +96,7 @@ class Place:
                 views_within, n=n, arena=self.arena, sensor=self.robot.sensor, graph=graph, seed=self.seed
             )
             return plan(
-                self.arena, self.robot.robot, planner="views", seed=self.seed, rate=self.robot.sensor.rate,
+                self.arena, self.robot, planner="views", seed=self.seed, rate=self.robot.sensor.rate,
                 start=start, targets=choose,
             ).trajectory  # fmt: skip
 
@@ -148,7 +148,7 @@ def ways(place: Place) -> dict[str, Drive]:
     }
 
 
-def drive_and_scan(trajectory: Trajectory, minutes: float, arena: Arena, robot: RobotFile, seed: int) -> Run:
+def drive_and_scan(trajectory: Trajectory, minutes: float, arena: Arena, robot: Robot, seed: int) -> Run:
     """Drive the first minutes of a trajectory (all of it where it is shorter) and log."""
     keep = trajectory.stamps <= 60.0 * minutes
     part = replace(
@@ -227,7 +227,7 @@ def main() -> None:
     parser.add_argument("--thin", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("docs/error_by_minutes.png"))
     options = parser.parse_args()
-    arena, robot = named_arena(options.arena), default()
+    arena, robot = named_arena(options.arena), default_robot()
     check = check_run(arena, robot, np.random.default_rng([options.seed, 99]))
     rows: list[Row] = []
     print("| driven by | minutes | scans | wrong by > 5 cm | answered | of these wrong | median error |")

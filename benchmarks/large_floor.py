@@ -17,7 +17,7 @@ import time
 from benchmarks.offices import office
 from planners import plan
 from planners.maps import geojson
-from planners.robot import Drive, Limits, Robot
+from planners.vehicle import Drive, Limits, Vehicle
 
 
 def main() -> None:
@@ -31,10 +31,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     arena = geojson.loads(office(options.seed, width=options.side, depth=options.side, rooms=options.rooms))
-    plan(geojson.loads(office(0, width=4.0, depth=4.0, rooms=1)), robot(options.drive), cell=0.5, headings=4)
+    plan(
+        geojson.loads(office(0, width=4.0, depth=4.0, rooms=1)), vehicle(options.drive), cell=0.5, headings=4
+    )
     began, cpu = time.perf_counter(), time.process_time()
     report = plan(
-        arena, robot(options.drive), cell=options.cell, headings=options.headings, progress=said
+        arena, vehicle(options.drive), cell=options.cell, headings=options.headings, progress=said
     ).report
     if sys.stderr.isatty():
         sys.stderr.write("\n")
@@ -51,9 +53,9 @@ def main() -> None:
     )
 
 
-def robot(drive: Drive) -> Robot:
+def vehicle(drive: Drive) -> Vehicle:
     """Return the robot of the benchmark."""
-    return Robot(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
+    return Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
 
 
 def said(done: int, total: int) -> None:

@@ -30,7 +30,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.drive import follow
-from sensorgraph.world.robot import RobotFile, default
+from sensorgraph.world.robot import Robot, default_robot
 from sensorgraph.world.simulate import simulate
 from sensorgraph.world.wall_distance import WallDistance
 
@@ -72,9 +72,7 @@ def pairs(arena: Arena) -> dict[str, tuple[Amendment, Amendment]]:
     }
 
 
-def measured(
-    trajectory: Trajectory, arena: Arena, robot: RobotFile, effect: Amendment, seed: int
-) -> ScanData:
+def measured(trajectory: Trajectory, arena: Arena, robot: Robot, effect: Amendment, seed: int) -> ScanData:
     """Drive and scan with an effect."""
     rng = np.random.default_rng(seed)
     driven = follow(trajectory, robot, clearance=WallDistance(arena), rng=rng)
@@ -115,7 +113,7 @@ def main() -> None:
     parser.add_argument("--size", type=float, default=1.0, help="times the size of the true effects")
     parser.add_argument("--pairs", help="only these, comma-separated")
     options = parser.parse_args()
-    robot = default()
+    robot = default_robot()
     sensor = replace(robot.sensor, bearings=np.linspace(-np.pi / 2, np.pi / 2, N_RAYS))
     robot = replace(robot, sensor=sensor)
     wanted = options.pairs.split(",") if options.pairs else None

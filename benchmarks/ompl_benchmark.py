@@ -17,7 +17,7 @@ import numpy as np
 from ompl import geometric, tools, util  # type: ignore[import-untyped]
 
 from planners.ompl_planner import CoveragePlanner, problem
-from planners.robot import Limits, Robot
+from planners.vehicle import Limits, Vehicle
 from sensorgraph.cli.inputs import named_arena
 
 COLUMNS = {
@@ -44,14 +44,16 @@ def main() -> None:
     options = parser.parse_args()
     util.setLogLevel(util.LOG_ERROR)
     arena = named_arena(options.arena)
-    robot = Robot(drive=options.drive, limits=Limits(turning_radius=0.0 if options.drive == "diff" else 0.4))
+    vehicle = Vehicle(
+        drive=options.drive, limits=Limits(turning_radius=0.0 if options.drive == "diff" else 0.4)
+    )
     start, goal = (np.array([float(v) for v in text.split(",")]) for text in (options.start, options.goal))
-    setup = problem(arena, robot, start, goal)
+    setup = problem(arena, vehicle, start, goal)
     information = setup.getSpaceInformation()
     benchmark = tools.Benchmark(setup, f"{options.arena} {options.drive}")
     benchmark.addPlanner(geometric.RRTConnect(information))
     benchmark.addPlanner(geometric.KPIECE1(information))
-    ours = CoveragePlanner(information, arena, robot, cell=options.cell, headings=options.headings)
+    ours = CoveragePlanner(information, arena, vehicle, cell=options.cell, headings=options.headings)
     benchmark.addPlanner(ours)
     benchmark.benchmark(request(options.runs, options.time))
     for name, run in runs(benchmark):

@@ -32,7 +32,7 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.commissioning import Commissioned, commission, merged
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.world.raycast import cast_laser
-from sensorgraph.world.robot import RobotFile, default
+from sensorgraph.world.robot import Robot, default_robot
 
 Floats = NDArray[np.float64]
 LOG = Path(__file__).parents[2] / "shared" / "data" / "ple-freiburg-079" / "freiburg-079-corrected.log.gz"
@@ -186,9 +186,9 @@ def measurement(log: Run, scans: NDArray[np.intp]) -> Run:
     )
 
 
-def robot(log: Run, resolution: float) -> RobotFile:
+def robot(log: Run, resolution: float) -> Robot:
     """Describe the laser, and what the poses of such a log deserve."""
-    told = default()
+    told = default_robot()
     sensor = replace(
         measurement(log, np.arange(1)).sensor, range_min=0.0, sigma=SIGMA, resolution=resolution, height=0.3
     )

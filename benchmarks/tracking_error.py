@@ -41,10 +41,10 @@ def main() -> None:
     parser.add_argument("--memory", type=float, default=2.0, help="[s] that an error lasts")
     options = parser.parse_args()
     arena = named_arena(options.arena)
-    plans = {"inner half": plan(arena, named_robot(None).robot)}
+    plans = {"inner half": plan(arena, named_robot(None))}
     roomy = search.scene(plans["inner half"].reach).inner
     with mock.patch.object(search, "INNER", np.inf):
-        plans["anywhere"] = plan(arena, named_robot(None).robot)
+        plans["anywhere"] = plan(arena, named_robot(None))
     for name, made in plans.items():
         print(f"{name:10}: T / T_ref {made.report['ratio']:.3f}")
     print(f"{'rms error':>14}" + "".join(f"{name + ': all':>20} {'roomy':>9} {'core':>6}" for name in plans))

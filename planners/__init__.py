@@ -1,6 +1,6 @@
 """Where to drive so that (x, y, phi) is filled; knows no sensor, no log and no model.
 
-`plan(arena, robot)` plans with one of `PLANNERS`; `planners.maps.load(path)` reads the arena.
+`plan(arena, vehicle)` plans with one of `PLANNERS`; `planners.maps.load(path)` reads the arena.
 """
 
 from __future__ import annotations

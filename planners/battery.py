@@ -35,7 +35,9 @@ def check_battery(task: Task, battery: float, dock: Floats) -> None:
     todo = (task.coverage.reachable & (task.coverage.counts == 0)).any(axis=2)
     steps = np.where(todo & np.isfinite(steps), steps, 0.0)
     far = np.unravel_index(int(steps.argmax()), steps.shape)
-    least = 2 * float(steps[far]) * reach.cell / np.sqrt(2) / task.robot.limits.v  # a cell path is no shorter
+    least = (
+        2 * float(steps[far]) * reach.cell / np.sqrt(2) / task.vehicle.limits.v
+    )  # a cell path is no shorter
     if least > battery:
         x, y = reach.origin + (np.array(far) + 0.5) * reach.cell
         raise PlanError(too_small(battery, x, y, least))
@@ -54,17 +56,17 @@ def sessions(driven: PlannedDrive, task: Task, *, battery: float, dock: Floats) 
 
     They come in an order that spreads early runs over the floor, unless a priority has put them in another.
     """
-    curve, robot, ways = driven.curve, task.robot, Ways(task)
+    curve, vehicle, ways = driven.curve, task.vehicle, Ways(task)
     found: list[Session] = []
     middles: list[Floats] = []
     first = 0
     while first < len(curve.starts):
-        begin, _ = ends(section(curve, first, len(curve.starts), robot))
+        begin, _ = ends(section(curve, first, len(curve.starts), vehicle))
         out = ways.way(dock, begin)
-        cut = latest(curve, first, battery - out.duration, dock, ways, robot)
+        cut = latest(curve, first, battery - out.duration, dock, ways, vehicle)
         if cut is None:
-            last = int(cuts(curve, robot)[cuts(curve, robot) > first][0])
-            least = out.duration + cut_at(curve, first, last, dock, ways, robot).duration
+            last = int(cuts(curve, vehicle)[cuts(curve, vehicle) > first][0])
+            least = out.duration + cut_at(curve, first, last, dock, ways, vehicle).duration
             raise PlanError(too_small(battery, float(begin[0]), float(begin[1]), least))
         assert cut.home is not None
         parts = [part for part in (out.curve, cut.part, cut.home.curve) if part is not None]

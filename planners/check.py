@@ -13,9 +13,9 @@ import shapely
 from numpy.typing import NDArray
 
 from planners.arena import Arena, wrap
-from planners.robot import Robot
 from planners.trajectory import Trajectory
 from planners.types import Floats
+from planners.vehicle import Vehicle
 
 SLACK = 0.01
 """Of a limit: excess below this is taken for rounding of the file."""
@@ -43,29 +43,29 @@ class Check:
         return sum(self.violations.values())
 
 
-def check(trajectory: Trajectory, arena: Arena, robot: Robot) -> Check:
+def check(trajectory: Trajectory, arena: Arena, vehicle: Vehicle) -> Check:
     """Check the samples, and what lies between two of them as far as the limits bound it."""
-    return check_parts([trajectory], arena, robot)
+    return check_parts([trajectory], arena, vehicle)
 
 
-def check_parts(parts: Iterable[Trajectory], arena: Arena, robot: Robot) -> Check:
+def check_parts(parts: Iterable[Trajectory], arena: Arena, vehicle: Vehicle) -> Check:
     """Check a long trajectory in parts, of which each begins with the last sample of the one before.
 
     A violation at such a sample counts in both.
     """
     lines, total, least = barriers(arena), dict.fromkeys(KINDS, 0), np.inf
     for part in parts:
-        for kind, count in _motion(part, robot).items():
+        for kind, count in _motion(part, vehicle).items():
             total[kind] += count
-        unproven, nearest = _clearance(part, arena, lines, robot.footprint_radius)
+        unproven, nearest = _clearance(part, arena, lines, vehicle.footprint_radius)
         total["clearance"] += unproven
         least = min(least, nearest)
     return Check(violations=total, min_clearance=least)
 
 
-def _motion(trajectory: Trajectory, robot: Robot) -> dict[str, int]:
+def _motion(trajectory: Trajectory, vehicle: Vehicle) -> dict[str, int]:
     """Count what exceeds a limit, or does not follow from the sample before."""
-    limits, dt = robot.limits, np.diff(trajectory.stamps)
+    limits, dt = vehicle.limits, np.diff(trajectory.stamps)
     v, omega = trajectory.twists.T
     most = 1 + SLACK
     found = {
@@ -73,12 +73,13 @@ def _motion(trajectory: Trajectory, robot: Robot) -> dict[str, int]:
         "omega": int((abs(omega) > limits.omega * most).sum()),
         "a": int((abs(np.diff(v)) > limits.a * most * dt + 2e-6).sum()),
         # a car that follows arcs of one radius turns its wheel at once where they meet
-        "alpha": int((abs(np.diff(omega)) > limits.alpha * most * dt + 2e-6).sum()) * (robot.drive == "diff"),
-        "continuity": _jumps(trajectory, 0.25 if robot.drive == "diff" else 0.5),
+        "alpha": int((abs(np.diff(omega)) > limits.alpha * most * dt + 2e-6).sum())
+        * (vehicle.drive == "diff"),
+        "continuity": _jumps(trajectory, 0.25 if vehicle.drive == "diff" else 0.5),
     }
-    if robot.drive != "diff":
+    if vehicle.drive != "diff":
         found["curvature"] = int((abs(omega) * limits.turning_radius > abs(v) * most + 1e-6).sum())
-    if robot.drive == "dubins":
+    if vehicle.drive == "dubins":
         found["v"] += int((v < -1e-6).sum())
     return found
 

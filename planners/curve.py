@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.arena import wrap
-from planners.robot import Limits
 from planners.trajectory import Trajectory
 from planners.types import Floats
+from planners.vehicle import Limits
 
 RATE = 50.0
 """[Hz] of exported samples."""

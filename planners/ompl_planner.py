@@ -3,8 +3,8 @@
 What it solves is a problem with a start and a goal, as any: on its way from one to the other it drives through every
 bin (x, y, phi) that can be reached. Nothing else imports this file, and it needs ompl.
 
-    setup = problem(arena, robot, start, goal)
-    setup.setPlanner(CoveragePlanner(setup.getSpaceInformation(), arena, robot))
+    setup = problem(arena, vehicle, start, goal)
+    setup.setPlanner(CoveragePlanner(setup.getSpaceInformation(), arena, vehicle))
     setup.solve(60.0)
 
 Of OMPL 2.0.1: a planner in Python must not override `getPlannerData`, whose argument cannot be passed to Python (the
@@ -26,9 +26,9 @@ from planners.errors import PlanError
 from planners.joins.ompl_process import CHECK_STEP, INSTALL, Field
 from planners.planning import Plan, plan
 from planners.reach import reach
-from planners.robot import Robot
 from planners.session import check_pose
 from planners.types import Floats
+from planners.vehicle import Vehicle
 
 try:
     from ompl import base, geometric  # type: ignore[import-untyped]
@@ -51,14 +51,14 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
         self,
         information: Any,
         arena: Arena,
-        robot: Robot,
+        vehicle: Vehicle,
         *,
         cell: float = 0.25,
         headings: int = 16,
         seed: int = 0,
     ) -> None:
         super().__init__(information, NAME)
-        self.arena, self.robot = arena, robot
+        self.arena, self.vehicle = arena, vehicle
         self.cell, self.headings, self.seed = cell, headings, seed
         self.plan: Plan | None = None
         """The last plan, with its coverage and report."""
@@ -84,7 +84,7 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
         try:
             self.plan = plan(
                 self.arena,
-                self.robot,
+                self.vehicle,
                 start=start,
                 end=goal,
                 cell=self.cell,
@@ -127,27 +127,27 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
         return path
 
 
-def problem(arena: Arena, robot: Robot, start: Floats, goal: Floats) -> Any:
+def problem(arena: Arena, vehicle: Vehicle, start: Floats, goal: Floats) -> Any:
     """Return OMPL's SimpleSetup for a drive from a pose (3,) to another, in the robot's own state space.
 
     A state is valid where the robot's rim is free. Planners with a margin of their own, as `CoveragePlanner`, keep it.
     """
-    radius = robot.limits.turning_radius
+    radius = vehicle.limits.turning_radius
     space = {
         "diff": base.SE2StateSpace,
         "reeds_shepp": lambda: base.ReedsSheppStateSpace(radius),
         "dubins": lambda: base.DubinsStateSpace(radius),
-    }[robot.drive]()
+    }[vehicle.drive]()
     bounds = base.RealVectorBounds(2)
     for axis, (low, high) in enumerate(zip(arena.bounds[:2], arena.bounds[2:], strict=True)):
         bounds.setLow(axis, float(low))
         bounds.setHigh(axis, float(high))
     space.setBounds(bounds)
     barriers = Barriers(arena)
-    free = reach(arena, barriers, clearance=robot.footprint_radius, cell=CELL, start=start)
+    free = reach(arena, barriers, clearance=vehicle.footprint_radius, cell=CELL, start=start)
     check_pose("goal", goal, arena, barriers, free)  # OMPL would wait for a better one until its time is over
     field = Field(free.distance, free.origin, free.step)
-    field.least = robot.footprint_radius
+    field.least = vehicle.footprint_radius
     setup = geometric.SimpleSetup(space)
     setup.setStateValidityChecker(
         lambda state: bool(field.value(state.getX(), state.getY()) >= field.least)

@@ -1,4 +1,4 @@
-"""plan(): from an arena and a robot to a trajectory that fills (x, y, phi), checked and measured."""
+"""plan(): from an arena and a vehicle to a trajectory that fills (x, y, phi), checked and measured."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from planners.methods.stop_and_spin import plan_stop_and_spin
 from planners.methods.views import plan_views
 from planners.reach import LEAST_SHARE, Cycle, Reach, reach
 from planners.report import counted, measured, reference_time
-from planners.robot import Robot
 from planners.session import check_pose, ends, within
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.trajectory import Trajectory
 from planners.types import Bools, Floats, Progress
+from planners.vehicle import Vehicle
 
 PLANNERS: dict[str, Callable[[Task], PlannedDrive]] = {
     "coverage": plan_search,
@@ -75,7 +75,7 @@ class Plan:
 
 def plan(
     arena: Arena,
-    robot: Robot,
+    vehicle: Vehicle,
     *,
     planner: str = "coverage",
     cell: float = 0.25,
@@ -123,15 +123,15 @@ def plan(
         raise PlanError(f"the planner {planner} drives until all is visited; duration is for the baselines")
     if (targets is None) != (planner != "views"):
         raise PlanError(f"targets are for the planner views, and views needs them; the planner is {planner}")
-    free, barriers = _floor(arena, robot, cell, margin, start, "start" if dock is None else "dock")
+    free, barriers = _floor(arena, vehicle, cell, margin, start, "start" if dock is None else "dock")
     grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
     if not grid.reachable.any():
         raise PlanError(
             f"no {cell} m cell has {100 * LEAST_SHARE:.0f} % of its area within reach; use a smaller cell"
         )
     cyclic: Cycle | None = None
-    if robot.drive == "dubins":
-        start, cyclic = _cyclic(free, robot, grid, rate, start, seed)
+    if vehicle.drive == "dubins":
+        start, cyclic = _cyclic(free, vehicle, grid, rate, start, seed)
         grid = replace(grid, reachable=grid.reachable & cyclic.bins)
     if callable(priority):
         priority = priority(grid)
@@ -143,7 +143,7 @@ def plan(
         check_pose("end", end, arena, barriers, free)
     task = Task(
         arena=arena,
-        robot=robot,
+        vehicle=vehicle,
         barriers=barriers,
         reach=free,
         coverage=grid,
@@ -151,7 +151,7 @@ def plan(
         seed=seed,
         rate=rate,
         priority=priority,
-        duration=duration if duration is not None else reference_time(grid, robot),
+        duration=duration if duration is not None else reference_time(grid, vehicle),
         progress=progress,
         targets=targets(free) if callable(targets) else targets,
         cycle=cyclic,
@@ -168,7 +168,7 @@ def plan(
 
 
 def _floor(
-    arena: Arena, robot: Robot, cell: float, margin: float, start: Floats | None, name: str
+    arena: Arena, vehicle: Vehicle, cell: float, margin: float, start: Floats | None, name: str
 ) -> tuple[Reach, Barriers]:
     """Return where the robot can be, and what it must not touch."""
     x0, y0, x1, y1 = arena.bounds
@@ -178,7 +178,7 @@ def _floor(
     free = reach(
         arena,
         barriers,
-        clearance=robot.footprint_radius + margin,
+        clearance=vehicle.footprint_radius + margin,
         cell=float(cell),
         start=start,
         name=name,
@@ -265,10 +265,10 @@ def _check_ends(
 
 
 def _cyclic(
-    free: Reach, robot: Robot, grid: Coverage, rate: float, start: Floats | None, seed: int
+    free: Reach, vehicle: Vehicle, grid: Coverage, rate: float, start: Floats | None, seed: int
 ) -> tuple[Floats, Cycle]:
     """Return where a car that only goes forward begins, and what it can go to and come back from."""
-    limits, headings = robot.limits, grid.headings
+    limits, headings = vehicle.limits, grid.headings
     if start is None:
         start, found = best_start(free, limits, headings, rate, seed)
     else:

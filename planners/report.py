@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -13,10 +12,10 @@ from planners import holes
 from planners.battery import Session
 from planners.check import check_parts
 from planners.coverage import Coverage
-from planners.robot import Robot
 from planners.sampling import warnings as too_fast
 from planners.task import PlannedDrive, Task
 from planners.trajectory import Trajectory
+from planners.vehicle import Vehicle
 
 logger = logging.getLogger(__name__)
 
@@ -26,14 +25,14 @@ SMALL = 0.99
 """A start that reaches a smaller share of where the robot fits is worth a warning."""
 
 
-def reference_time(grid: Coverage, robot: Robot) -> float:
+def reference_time(grid: Coverage, vehicle: Vehicle) -> float:
     """Return the least time [s] to visit all bin centres by turning or driving, accelerations left out.
 
     Every cell is entered once and all its other headings are turned to, or every heading is driven through. A car
     drives through each bin, or round an arc from one heading bin to the next.
     """
-    k, limits = grid.headings, robot.limits
-    if robot.drive != "diff":
+    k, limits = grid.headings, vehicle.limits
+    if vehicle.drive != "diff":
         todo_bins = int((grid.reachable & (grid.counts == 0)).sum())
         return float(todo_bins * min(grid.cell, limits.turning_radius * 2 * np.pi / k) / limits.v)
     hop = grid.cell / limits.v
@@ -59,11 +58,11 @@ def measured(
     task: Task, driven: PlannedDrive, trajectory: Trajectory, planner: str, sweep_time: float
 ) -> dict[str, Any]:
     """Measure the plan; `task.coverage` already counts its log."""
-    grid, robot = task.coverage, task.robot
+    grid, vehicle = task.coverage, task.vehicle
     none = np.zeros_like(grid.counts)
     empty = Coverage(origin=grid.origin, cell=grid.cell, reachable=grid.reachable, counts=none, core=none)
-    reference = reference_time(empty, robot)
-    found = check_parts(driven.curve.parts(CHECKED), task.arena, robot)
+    reference = reference_time(empty, vehicle)
+    found = check_parts(driven.curve.parts(CHECKED), task.arena, vehicle)
     gap_m, gap_rad = grid.dispersion()
     start = trajectory.poses[0]
     warnings = []
@@ -107,7 +106,7 @@ def measured(
         "largest_gap": {"m": _finite(gap_m), "rad": _finite(gap_rad)},
         "warnings": warnings,
         "planner": planner,
-        "robot": asdict(robot),
+        "robot": vehicle.to_dict(),
         "rate": task.rate,
         "clearance": task.reach.clearance,
         "versions": {name: _version(name) for name in ("ompl", "numpy", "scipy", "shapely")},

@@ -22,9 +22,9 @@ from planners.joins.paths import connect
 from planners.methods.coverage import face
 from planners.methods.repair_spins import lead
 from planners.reach import Reach
-from planners.robot import Robot
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats, Ints
+from planners.vehicle import Vehicle
 
 STILL = 1e-9
 """[m/s, rad/s] slower is standing."""
@@ -67,19 +67,19 @@ def check_pose(name: str, pose: Floats, arena: Arena, barriers: Barriers, reach:
         raise PlanError(f"{where} cannot be reached from the start; move one of them into the other's part")
 
 
-def cuts(curve: Curve, robot: Robot) -> Ints:
+def cuts(curve: Curve, vehicle: Vehicle) -> Ints:
     """Return the pieces (m,) before which the curve can be cut, and the count of all pieces as the last."""
     still = abs(curve.twists[:, 0]) < STILL
-    if robot.drive != "diff":
+    if vehicle.drive != "diff":
         still[:] = True
     return np.append(np.flatnonzero(still), len(curve.starts))
 
 
-def section(curve: Curve, first: int, last: int, robot: Robot) -> Curve:
+def section(curve: Curve, first: int, last: int, vehicle: Vehicle) -> Curve:
     """Return pieces `first` up to `last`, not included, from rest to rest; both must be some of `cuts`."""
-    if robot.drive == "diff":
-        return _of_turner(curve, first, last, robot.limits.alpha)
-    return redriven(curve, first, last, robot.limits)
+    if vehicle.drive == "diff":
+        return _of_turner(curve, first, last, vehicle.limits.alpha)
+    return redriven(curve, first, last, vehicle.limits)
 
 
 def _of_turner(curve: Curve, first: int, last: int, alpha: float) -> Curve:
@@ -136,7 +136,7 @@ def turns(curve: Curve) -> Floats:
 
 def stops(curve: Curve, task: Task) -> Floats:
     """Return the stops (n, 4) of any robot: a car's are where it changes gear, and it turns nothing there."""
-    if task.robot.drive == "diff":
+    if task.vehicle.drive == "diff":
         return turns(curve)
     gear = np.sign(curve.twists[:, 0] + curve.rates[:, 0] * 1e-6)
     cusps = np.flatnonzero(np.diff(gear, prepend=0.0))
@@ -156,10 +156,10 @@ class Ways:
 
     def way(self, begin: Floats, end: Floats) -> Way:
         """Return the way from pose (3,) to pose (3,), at rest at both."""
-        if self.task.robot.drive != "diff":
+        if self.task.vehicle.drive != "diff":
             return self._by_car(begin, end)
         path, joins = self._path(begin[:2], end[:2])
-        pen = CurveBuilder(begin, self.task.robot.limits)
+        pen = CurveBuilder(begin, self.task.vehicle.limits)
         lead(pen, path)
         face(pen, float(end[2]))
         return Way(curve=pen.curve() if pen.clock > 0 else None, joins=joins)
@@ -171,7 +171,7 @@ class Ways:
             [end[None]],
             reach=task.reach,
             barriers=task.barriers,
-            robot=task.robot,
+            vehicle=task.vehicle,
             seed=task.seed,
         )
         if ways[0] is None:
@@ -218,21 +218,23 @@ class Cut:
         return self.part.duration + (0.0 if self.home is None else self.home.duration)
 
 
-def cut_at(curve: Curve, first: int, last: int, home: Floats | None, ways: Ways | None, robot: Robot) -> Cut:
+def cut_at(
+    curve: Curve, first: int, last: int, home: Floats | None, ways: Ways | None, vehicle: Vehicle
+) -> Cut:
     """Return pieces `first` up to `last`, not included, and the way from there to `home` (3,)."""
-    part = section(curve, first, last, robot)
+    part = section(curve, first, last, vehicle)
     back = None if home is None or ways is None else ways.way(ends(part)[1], home)
     return Cut(last=last, part=part, home=back)
 
 
 def latest(
-    curve: Curve, first: int, left: float, home: Floats | None, ways: Ways | None, robot: Robot
+    curve: Curve, first: int, left: float, home: Floats | None, ways: Ways | None, vehicle: Vehicle
 ) -> Cut | None:
     """Return the longest part from piece `first` on that is done, the way `home` (3,) included, within `left` [s].
 
     Where ways home differ much from place to place, a longer one may exist; none is ever too long.
     """
-    choice, stamps = cuts(curve, robot), np.append(curve.starts, curve.duration)
+    choice, stamps = cuts(curve, vehicle), np.append(curve.starts, curve.duration)
     nearest, last = int(choice[choice > first][0]), first
     allowed, stuck = left, 0
     while True:
@@ -241,7 +243,7 @@ def latest(
             return None
         last = int(fits[-1]) if len(fits) else nearest
         try:
-            cut = cut_at(curve, first, last, home, ways, robot)
+            cut = cut_at(curve, first, last, home, ways, vehicle)
         except NoWayError:
             if (stuck := stuck + 1) > MOST_STUCK:
                 raise
@@ -257,14 +259,16 @@ def within(driven: PlannedDrive, task: Task, *, budget: float | None, end: Float
     """Return the drive as far as `budget` [s] goes, led to `end` (3,) if there is one."""
     if budget is None and end is None:
         return driven
-    curve, robot = driven.curve, task.robot
+    curve, vehicle = driven.curve, task.vehicle
     ways = None if end is None else Ways(task)
-    whole = cut_at(curve, 0, len(curve.starts), end, ways, robot)
+    whole = cut_at(curve, 0, len(curve.starts), end, ways, vehicle)
     cut = whole
     if budget is not None and whole.duration > budget + STILL:
-        found = latest(curve, 0, budget, end, ways, robot)
+        found = latest(curve, 0, budget, end, ways, vehicle)
         if found is None:
-            first = cut_at(curve, 0, int(cuts(curve, robot)[cuts(curve, robot) > 0][0]), end, ways, robot)
+            first = cut_at(
+                curve, 0, int(cuts(curve, vehicle)[cuts(curve, vehicle) > 0][0]), end, ways, vehicle
+            )
             raise PlanError(
                 f"a budget of {budget / 60:g} min is too short: to the first stop"
                 f"{'' if end is None else ' and on to the end pose'} takes {minutes(first.duration)} min"

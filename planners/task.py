@@ -9,8 +9,8 @@ from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.curve import Curve
 from planners.reach import Cycle, Reach
-from planners.robot import Robot
 from planners.types import Bools, Floats, Progress
+from planners.vehicle import Vehicle
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -18,7 +18,7 @@ class Task:
     """One planning job, as `planning.plan` gives it to a planner."""
 
     arena: Arena
-    robot: Robot
+    vehicle: Vehicle
     barriers: Barriers
     reach: Reach
     coverage: Coverage

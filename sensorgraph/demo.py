@@ -24,7 +24,7 @@ from sensorgraph.show import rerun_view as view
 from sensorgraph.show.review import review
 from sensorgraph.types import Floats, ProgressBars
 from sensorgraph.world.raycast import cast
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 from sensorgraph.world.scene import limited
 from sensorgraph.world.simulate import EPOCH_NS, occupancy
 from sensorgraph.world.wall_distance import WallDistance
@@ -52,7 +52,7 @@ class Trip:
     """On poses spread evenly over the arena that no run has seen."""
 
 
-def demo(folder: Path, arena: Arena, robot: RobotFile, *, seed: int, progress: ProgressBars) -> list[Trip]:
+def demo(folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: ProgressBars) -> list[Trip]:
     """Run the loop; leave plan, runs, graphs, review and `demo.json` in `folder`."""
     check = check_run(arena, robot, np.random.default_rng([seed, 99]))
     logs.write(check, folder / "check.mcap", occupancy=occupancy(arena))
@@ -72,13 +72,13 @@ def demo(folder: Path, arena: Arena, robot: RobotFile, *, seed: int, progress: P
     return trips
 
 
-def check_run(arena: Arena, robot: RobotFile, rng: np.random.Generator, n: int = N_CHECK) -> Run:
+def check_run(arena: Arena, robot: Robot, rng: np.random.Generator, n: int = N_CHECK) -> Run:
     """Scan from poses spread evenly over the free space and all headings: what a sensorgraph should know."""
     x0, y0, x1, y1 = arena.bounds
     clearance, poses = WallDistance(arena), np.zeros((0, 3))
     while len(poses) < n:
         some = rng.uniform([x0, y0, -np.pi], [x1, y1, np.pi], (n, 3))
-        free = [clearance(x, y) > robot.robot.footprint_radius + MARGIN for x, y in some[:, :2]]
+        free = [clearance(x, y) > robot.footprint_radius + MARGIN for x, y in some[:, :2]]
         poses = np.concatenate([poses, some[free & arena.contains(some[:, :2])]])
     poses = poses[:n]
     stamps: Floats = np.arange(n) / robot.sensor.rate
@@ -109,7 +109,7 @@ def to_dict(trips: list[Trip]) -> dict[str, Any]:
 def _trip(
     folder: Path,
     arena: Arena,
-    robot: RobotFile,
+    robot: Robot,
     planner: str,
     before: list[Trip],
     check: Run,
@@ -121,7 +121,7 @@ def _trip(
     with progress(f"plan {planner}", "cells") as tick:
         planned = make_plan(
             arena,
-            robot.robot,
+            robot,
             planner=planner,
             seed=seed,
             rate=robot.sensor.rate,

@@ -16,7 +16,7 @@ from sensorgraph.diagnosis.report.files import to_dict as report_dict
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.recording.record import record
 from sensorgraph.types import Floats, ProgressBars
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 from sensorgraph.world.wall_distance import WallDistance
 
 DURATION = 60.0  # [s] that the robot drives
@@ -48,9 +48,7 @@ def to_dict(hidden: Hidden) -> dict[str, Any]:
     }
 
 
-def hide_and_find(
-    folder: Path, arena: Arena, robot: RobotFile, *, seed: int, progress: ProgressBars
-) -> Hidden:
+def hide_and_find(folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: ProgressBars) -> Hidden:
     """Drive twice with an effect that the map and robot.yaml lack; diagnose one run, prove it on the other."""
     planted = chosen(arena, robot, np.random.default_rng([seed, 7]))
     folder.mkdir(parents=True, exist_ok=True)
@@ -58,7 +56,7 @@ def hide_and_find(
     for k, name in enumerate(("first", "second")):
         way = make_plan(
             arena,
-            robot.robot,
+            robot,
             planner="random_bounce",
             seed=seed + 50 + k,
             rate=robot.sensor.rate,
@@ -74,7 +72,7 @@ def hide_and_find(
     return Hidden(planted=planted, finding=finding)
 
 
-def chosen(arena: Arena, robot: RobotFile, rng: np.random.Generator) -> Amendment:
+def chosen(arena: Arena, robot: Robot, rng: np.random.Generator) -> Amendment:
     """Draw an effect, its size and its place."""
     sign = float(rng.choice([-1.0, 1.0]))
     outline = arena.names[0].rsplit("/", 1)[0]
@@ -110,13 +108,13 @@ def _middle(arena: Arena, wall: int) -> Floats:
     return np.asarray(arena.walls[wall].mean(axis=0))
 
 
-def _free_point(arena: Arena, robot: RobotFile, rng: np.random.Generator) -> tuple[float, float]:
+def _free_point(arena: Arena, robot: Robot, rng: np.random.Generator) -> tuple[float, float]:
     """Return a point in a corner that the robot, which does not know of the obstacle, does not drive through."""
     x0, y0, x1, y1 = arena.bounds
     clearance = WallDistance(arena)
     best, point = np.inf, (0.0, 0.0)
     for x, y in rng.uniform([x0, y0], [x1, y1], (400, 2)):
-        off = abs(clearance(x, y) - 0.7 * robot.robot.footprint_radius)
+        off = abs(clearance(x, y) - 0.7 * robot.footprint_radius)
         if arena.contains(np.array([x, y])) and off < best:
             best, point = off, (round(float(x), 3), round(float(y), 3))
     return point

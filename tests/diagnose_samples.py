@@ -10,11 +10,11 @@ import numpy as np
 from logs.run import RangeSensor, Run
 from planners.arena import wrap
 from planners.types import Floats
-from sensorgraph.world import robot as robot_file
+from sensorgraph.world.robot import default_robot
 
 STEP = 0.005
 PERIOD = 0.05
-ROBOT = robot_file.default()
+ROBOT = default_robot()
 
 
 def profile(rng: np.random.Generator, duration: float) -> Floats:

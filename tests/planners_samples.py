@@ -12,9 +12,9 @@ from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.maps import geojson
 from planners.reach import reach
-from planners.robot import Drive, Limits, Robot
 from planners.task import Task
 from planners.types import Bools, Floats
+from planners.vehicle import Drive, Limits, Vehicle
 
 
 def shipped(name: str) -> Arena:
@@ -56,7 +56,7 @@ def task_of(arena: Arena, drive: Drive, start: Floats) -> Task:
     grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=16)
     return Task(
         arena=arena,
-        robot=Robot(drive=drive, limits=Limits(turning_radius=0.3)),
+        vehicle=Vehicle(drive=drive, limits=Limits(turning_radius=0.3)),
         barriers=barriers,
         reach=free,
         coverage=grid,

@@ -22,8 +22,8 @@ from sensorgraph.cli.inputs import named_arena, named_robot
 from sensorgraph.diagnosis.report import figures
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effects_file import write as write_effects
-from sensorgraph.world import robot as robot_file
 from sensorgraph.world.drive import Driven
+from sensorgraph.world.robot import parse_robot
 from sensorgraph.world.simulate import simulate
 
 ROBOT = "sensor: {n_rays: 61, rate: 5.0}\n"
@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def driven_run(seed: int) -> Run:
     """Turn to and fro on the spot at a few places of the shipped square."""
-    arena, robot = named_arena("square"), robot_file.loads(ROBOT)
+    arena, robot = named_arena("square"), parse_robot(ROBOT)
     t = np.arange(0, 30.0, 0.01)
     x0, y0, x1, y1 = arena.bounds
     path = np.column_stack(
@@ -232,7 +232,7 @@ def test_effects_that_are_known_may_name_no_other_place(
     said = capsys.readouterr().err
     assert "kitchen/edge_0" in said
     assert f"{tmp_path / 'e.yaml'}: effect 1 (moved_wall)" in said
-    assert named_robot(None).robot.name == "radix"
+    assert named_robot(None).name == "radix"
 
 
 @pytest.mark.parametrize("where", ["residuals_picture", "next_run_picture"])

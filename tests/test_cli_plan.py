@@ -16,8 +16,8 @@ from planners_samples import shipped
 
 from planners.check import check
 from planners.maps.no_go import without, zones
-from planners.robot import Robot
 from planners.trajectory import read_csv
+from planners.vehicle import Vehicle
 from sensorgraph.cli import run as cli
 
 COARSE = ("--cell", "0.5", "--headings", "8")
@@ -63,7 +63,7 @@ def test_plan_json_keeps_its_keys_and_agrees_with_the_trajectory(folder: Path) -
     assert report["seed"] == 4
     assert report["arena"] == "square"
     assert np.diff(trajectory.stamps).max() <= 0.02 + 1e-9
-    assert check(trajectory, shipped("square"), Robot()).count == 0
+    assert check(trajectory, shipped("square"), Vehicle()).count == 0
 
 
 def test_same_seed_same_bytes(folder: Path, tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_battery_makes_a_folder_for_each_run_that_can_be_recorded(tmp_path: Pa
     for run, told in zip(runs, report["sessions"], strict=True):
         trajectory = read_csv(run / "trajectory.csv")
         assert trajectory.duration <= 180.0 + 0.02  # the last sample stands still
-        assert check(trajectory, less, Robot()).count == 0
+        assert check(trajectory, less, Vehicle()).count == 0
         assert json.loads((run / "plan.json").read_text())["coverage"] == told["coverage"]
     assert report["no_go"] == [[[2.6, 2.6], [3.6, 2.6], [3.6, 3.6], [2.6, 3.6]]]
     run = tmp_path / "run.mcap"
@@ -201,4 +201,4 @@ def test_an_interrupt_leaves_a_whole_shorter_plan_or_nothing(after: float, tmp_p
         assert report["interrupted"]
         assert report["coverage"] < 1.0
         assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
-        assert check(read_csv(tmp_path / "out" / "trajectory.csv"), shipped("office"), Robot()).count == 0
+        assert check(read_csv(tmp_path / "out" / "trajectory.csv"), shipped("office"), Vehicle()).count == 0

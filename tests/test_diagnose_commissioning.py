@@ -19,14 +19,14 @@ from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.site_variation import WindowEstimate, usual_sizes
 from sensorgraph.effects import EFFECTS
-from sensorgraph.world import robot as robot_file
+from sensorgraph.world.robot import default_robot
 
 ARENA = polygon_arena(
     [(0, 0), (6, 0), (6, 4), (3.5, 4), (3.5, 5), (0, 5)],
     [(4.0, 1.2), (4.6, 1.2), (4.6, 1.9), (4.0, 1.9)],
 )
 SENSOR = RangeSensor(bearings=np.linspace(-1.5, 1.5, 61), range_max=8.0, sigma=0.01, resolution=0.001)
-ROBOT = replace(robot_file.default(), sensor=SENSOR)
+ROBOT = replace(default_robot(), sensor=SENSOR)
 
 
 def site_run(seed: int, *, bias: float = 0.0, turn: float = 0.0) -> Run:

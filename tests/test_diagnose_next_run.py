@@ -20,7 +20,7 @@ from sensorgraph.diagnosis.next_run.forecast import Forecast, Motion, Question
 from sensorgraph.diagnosis.next_run.questions import ask, between, typical
 from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.world.robot import RobotFile, default
+from sensorgraph.world.robot import Robot, default_robot
 from tests.effects_samples import arena as sample_arena
 
 MINUTES = 0.7
@@ -49,22 +49,22 @@ def arena() -> Arena:
 
 
 @pytest.fixture(scope="module")
-def robot() -> RobotFile:
-    return default()
+def robot() -> Robot:
+    return default_robot()
 
 
 @pytest.fixture(scope="module")
-def chosen(arena: Arena, robot: RobotFile) -> dict[str, NextRun]:
+def chosen(arena: Arena, robot: Robot) -> dict[str, NextRun]:
     return {words: next_run([q], arena, robot, seed=3, minutes=MINUTES) for words, q in QUESTIONS.items()}
 
 
 @pytest.mark.parametrize("words", QUESTIONS)
 def test_the_run_keeps_the_limits_of_the_robot_and_clear_of_walls(
-    words: str, chosen: dict[str, NextRun], arena: Arena, robot: RobotFile
+    words: str, chosen: dict[str, NextRun], arena: Arena, robot: Robot
 ) -> None:
-    found = check(chosen[words].trajectory, arena, robot.robot)
+    found = check(chosen[words].trajectory, arena, robot)
     assert found.count == 0
-    assert found.min_clearance >= robot.robot.footprint_radius
+    assert found.min_clearance >= robot.footprint_radius
 
 
 @pytest.mark.parametrize("words", QUESTIONS)
@@ -80,14 +80,14 @@ def test_the_run_takes_about_the_time_it_was_given(words: str, chosen: dict[str,
     assert 0.7 < chosen[words].trajectory.duration / (60 * MINUTES) < 1.06
 
 
-def test_same_seed_same_trajectory(arena: Arena, robot: RobotFile) -> None:
+def test_same_seed_same_trajectory(arena: Arena, robot: Robot) -> None:
     question = QUESTIONS["latency between pose and scan or mounting offset"]
     one, other = (next_run([question], arena, robot, seed=5, minutes=MINUTES) for _ in range(2))
     assert np.array_equal(one.trajectory.poses, other.trajectory.poses)
     assert one.to_dict() == other.to_dict()
 
 
-def test_the_run_begins_where_the_robot_stands(arena: Arena, robot: RobotFile) -> None:
+def test_the_run_begins_where_the_robot_stands(arena: Arena, robot: Robot) -> None:
     start = np.array([1.0, 2.0, 0.5])
     run = next_run(
         [QUESTIONS["latency between pose and scan or mounting offset"]],
@@ -107,7 +107,7 @@ def test_a_question_of_latency_is_answered_by_motion(chosen: dict[str, NextRun])
     assert busy.max(axis=1).mean() > 0.5
 
 
-def test_standing_still_brings_nothing_for_latency_and_driving_does(arena: Arena, robot: RobotFile) -> None:
+def test_standing_still_brings_nothing_for_latency_and_driving_does(arena: Arena, robot: Robot) -> None:
     question = Question(a=(effect("latency", tau=0.015),), b=(), words="")
     poses = np.tile([2.0, 2.0, 0.3], (10, 1))
     when = np.linspace(0.0, 60.0, 10)
@@ -120,7 +120,7 @@ def test_standing_still_brings_nothing_for_latency_and_driving_does(arena: Arena
     assert nothing < 1e-6 < 100.0 < much
 
 
-def test_evidence_grows_with_the_size_of_the_effect_and_with_time(arena: Arena, robot: RobotFile) -> None:
+def test_evidence_grows_with_the_size_of_the_effect_and_with_time(arena: Arena, robot: Robot) -> None:
     motion = Motion(
         poses=np.tile([2.0, 2.0, 0.3], (10, 1)),
         twists=np.tile([0.0, 1.0], (10, 1)),
@@ -139,7 +139,7 @@ def test_evidence_grows_with_the_size_of_the_effect_and_with_time(arena: Arena, 
 
 
 def test_a_folder_is_written_that_record_can_drive(
-    tmp_path: Path, chosen: dict[str, NextRun], arena: Arena, robot: RobotFile
+    tmp_path: Path, chosen: dict[str, NextRun], arena: Arena, robot: Robot
 ) -> None:
     run = chosen["latency between pose and scan or mounting offset"]
     run.save(tmp_path / "next_run", arena, robot)
@@ -203,17 +203,15 @@ def test_a_typical_effect_can_be_simulated(name: str) -> None:
 
 
 def test_a_car_is_refused_in_one_line(arena: Arena) -> None:
-    from planners.robot import Limits
+    from planners.vehicle import Limits
 
-    robot = default()
-    car = replace(robot.robot, drive="dubins", limits=Limits(turning_radius=0.5))
+    robot = default_robot()
+    car = replace(robot, drive="dubins", limits=Limits(turning_radius=0.5))
     with pytest.raises(PlanError, match="turn in place"):
-        next_run(
-            [QUESTIONS["latency between pose and scan or mounting offset"]], arena, replace(robot, robot=car)
-        )
+        next_run([QUESTIONS["latency between pose and scan or mounting offset"]], arena, car)
 
 
-def test_random_runs_keep_clear_too(arena: Arena, robot: RobotFile) -> None:
+def test_random_runs_keep_clear_too(arena: Arena, robot: Robot) -> None:
     ground = Ground.of(arena, robot)
     curve = random_run(ground, np.random.default_rng(1), 60.0)
-    assert check(curve.trajectory(), arena, robot.robot).count == 0
+    assert check(curve.trajectory(), arena, robot).count == 0

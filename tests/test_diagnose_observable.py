@@ -13,7 +13,7 @@ from sensorgraph.diagnosis.scan.observability import alike, not_observable
 from sensorgraph.diagnosis.scan.scan_data import ScanData, velocities
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS
-from sensorgraph.world.robot import default
+from sensorgraph.world.robot import default_robot
 from sensorgraph.world.scene import draw
 from tests.effects_samples import arena
 
@@ -22,7 +22,7 @@ STAMPS = np.arange(0.0, 60.0, 0.2)
 
 def evidence(poses: Floats, *, laser_frame: bool = False, stamps: Floats = STAMPS) -> ScanData:
     """Scan along poses (n, 3) at the stamps, with the noise of the default robot and nothing else."""
-    robot = default()
+    robot = default_robot()
     sensor = replace(robot.sensor, bearings=robot.sensor.bearings[::3])
     track = np.arange(0.0, stamps[-1] + 0.05, 0.05)
     along = np.stack([np.interp(track, stamps, column) for column in poses.T], axis=1)

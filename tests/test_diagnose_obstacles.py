@@ -17,10 +17,10 @@ from sensorgraph.diagnosis.scan.residuals import View
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.world import robot as robot_file
+from sensorgraph.world.robot import parse_robot
 from sensorgraph.world.scene import Scene, draw
 
-ROBOT = robot_file.loads("sensor: {n_rays: 181}")
+ROBOT = parse_robot("sensor: {n_rays: 181}")
 
 
 @pytest.fixture(scope="module")

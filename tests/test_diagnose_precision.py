@@ -18,7 +18,7 @@ from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.standard_errors import lattice_error, material_probability, standard_errors
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.world import robot as robot_file
+from sensorgraph.world.robot import parse_robot
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +35,7 @@ def fitted(
     hall: Arena, planted: Amendment, start: Amendment, seed: int = 0
 ) -> tuple[Fitted, dict[str, float]]:
     """Plant an effect, fit it from a start; return the fit and its standard errors."""
-    data, _ = prepare_scans(
-        drive(hall, (planted,), seed=seed), hall, robot_file.loads("sensor: {n_rays: 61}"), ()
-    )
+    data, _ = prepare_scans(drive(hall, (planted,), seed=seed), hall, parse_robot("sensor: {n_rays: 61}"), ())
     noise_bounds = NoiseBounds()
     first = fit(data, (start,), start_state(data, noise_bounds), noise_bounds)
     got = searched(data, first, noise_bounds, rounds=4, first=1.0, turns=3)
@@ -71,7 +69,7 @@ def test_the_error_of_scattered_strays_is_that_of_counting(hall: Arena) -> None:
 def test_a_lattice_that_is_off_by_its_error_still_holds_every_reading(hall: Arena) -> None:
     q = 0.05
     data, _ = prepare_scans(
-        drive(hall, (EFFECTS["quantisation"](q=q),)), hall, robot_file.loads("sensor: {n_rays: 61}"), ()
+        drive(hall, (EFFECTS["quantisation"](q=q),)), hall, parse_robot("sensor: {n_rays: 61}"), ()
     )
     z = data.ranges[data.returned]
     cell = max(data.sensor.resolution, 1e-4)

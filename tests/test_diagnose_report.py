@@ -23,8 +23,8 @@ from sensorgraph.diagnosis.report.files import plain, save, to_dict
 from sensorgraph.diagnosis.report.phrases import gap_sentence, number, parameters, percent, said
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import EFFECTS, effects_file
-from sensorgraph.world import robot as robot_file
 from sensorgraph.world.raycast import cast
+from sensorgraph.world.robot import parse_robot
 
 ROBOT = """
 name: tester
@@ -39,7 +39,7 @@ KEYS = {
 def drive(room: Arena, *, bias: float = 0.0) -> Run:
     """Return a short run through the room, without odometry and commands."""
     rng = np.random.default_rng(4)
-    machine = robot_file.loads(ROBOT)
+    machine = parse_robot(ROBOT)
     t = np.arange(0.0, 16.0, 0.1)
     phi = 0.9 * np.sin(0.9 * t) + 0.5 * t
     poses = np.stack(
@@ -53,12 +53,12 @@ def drive(room: Arena, *, bias: float = 0.0) -> Run:
 
 @pytest.fixture(scope="module")
 def found(room: Arena) -> Finding:
-    return diagnose(drive(room, bias=0.03), room, robot_file.loads(ROBOT))
+    return diagnose(drive(room, bias=0.03), room, parse_robot(ROBOT))
 
 
 @pytest.fixture(scope="module")
 def silent(room: Arena) -> Finding:
-    return diagnose(drive(room), room, robot_file.loads(ROBOT))
+    return diagnose(drive(room), room, parse_robot(ROBOT))
 
 
 @pytest.fixture(scope="module")
@@ -215,7 +215,7 @@ def test_the_demo_keeps_what_was_planted_and_what_was_found(found: Finding) -> N
 
 
 def test_wide_tolerances_say_what_they_hide(room: Arena, silent: Finding) -> None:
-    machine = robot_file.loads(ROBOT)
+    machine = parse_robot(ROBOT)
     machine = replace(machine, tolerances=replace(machine.tolerances, mount_yaw=0.03))
     turned = replace(machine.sensor, mount=machine.sensor.mount + [0.0, 0.0, 0.03])
     run = drive(room)

@@ -26,7 +26,7 @@ from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.world import robot as robot_file
+from sensorgraph.world.robot import default_robot, parse_robot
 from sensorgraph.world.scene import Scene, draw
 
 SIGMA = 0.01
@@ -49,7 +49,7 @@ def drive(hall: Arena, effects: tuple[Amendment, ...] = (), *, seed: int = 0, n:
     phase = 0.35 * t
     x, y = 3.0 + 1.5 * np.cos(phase), 2.3 + 1.0 * np.sin(phase) + 0.2 * np.sin(3 * phase)
     poses = np.column_stack([x, y, phase + 1.5 * np.sin(0.9 * t)])
-    robot = robot_file.loads("sensor: {n_rays: 61}")
+    robot = parse_robot("sensor: {n_rays: 61}")
     fine = np.linspace(0, t[-1], 20 * n)
     path = np.stack([np.interp(fine, t, c) for c in poses.T], axis=1)
     scene = Scene(
@@ -72,7 +72,7 @@ def drive(hall: Arena, effects: tuple[Amendment, ...] = (), *, seed: int = 0, n:
 
 
 def evidence_of(hall: Arena, effects: tuple[Amendment, ...] = (), **options: int) -> ScanData:
-    robot = robot_file.loads("sensor: {n_rays: 61}")
+    robot = parse_robot("sensor: {n_rays: 61}")
     return prepare_scans(drive(hall, effects, **options), hall, robot)[0]
 
 
@@ -344,7 +344,7 @@ def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, tur
     poses = np.column_stack(
         [c * run.poses[:, 0] - s * run.poses[:, 1] + 3.0, s * run.poses[:, 0] + c * run.poses[:, 1] - 1.5, wrap(run.poses[:, 2] + turn)]
     )  # fmt: skip
-    data, _ = prepare_scans(replace(run, poses=poses), hall, robot_file.loads("sensor: {n_rays: 61}"))
+    data, _ = prepare_scans(replace(run, poses=poses), hall, parse_robot("sensor: {n_rays: 61}"))
     place = placement(data, np.random.default_rng(0))
     assert not place.fits
     assert place.best_share > 0.85
@@ -361,7 +361,7 @@ def test_too_few_scans_are_refused_in_one_line(hall: Arena) -> None:
 
 def test_another_sensor_is_refused(hall: Arena) -> None:
     with pytest.raises(SensorgraphError, match="the run has 61 rays"):
-        prepare_scans(drive(hall), hall, robot_file.default())
+        prepare_scans(drive(hall), hall, default_robot())
 
 
 @pytest.mark.parametrize(("away", "doubted"), [(0, False), (60, True)])
@@ -374,7 +374,7 @@ def test_a_pane_that_is_away_for_a_stretch_of_the_run_is_no_pane(
     ranges = with_pane.ranges.copy()
     ranges[:away] = without.ranges[:away]
     run = replace(with_pane, ranges=ranges)
-    data, _ = prepare_scans(run, hall, robot_file.loads("sensor: {n_rays: 61}"), ())
+    data, _ = prepare_scans(run, hall, parse_robot("sensor: {n_rays: 61}"), ())
     null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds())
     fitted = fit(data, (pane,), start_state(data, NoiseBounds()), NoiseBounds())
     gained = fitted.j - null.j
@@ -389,7 +389,7 @@ def test_a_run_in_an_arena_full_of_walls_is_of_another_place_though_rays_end_at_
         for x, y in zip(np.arange(0.3, 5.9, 0.4), 14 * [0.2], strict=True)
     ]
     store = polygon_arena([(0, 0), (6, 0), (6, 5), (0, 5)], *shelves)
-    data, _ = prepare_scans(drive(hall), store, robot_file.loads("sensor: {n_rays: 61}"))
+    data, _ = prepare_scans(drive(hall), store, parse_robot("sensor: {n_rays: 61}"))
     place = placement(data, np.random.default_rng(0))
     assert place.share > 0.6  # by chance
     assert place.alike < 0.3 and not place.fits
@@ -413,7 +413,7 @@ def with_box(hall: Arena) -> Arena:
 def test_the_outline_of_a_box_where_a_disc_is_said_doubts_no_other_name(hall: Arena) -> None:
     """A box that the map lacks and a biased laser: both are named, though a disc is not what stands there."""
     run = drive(with_box(hall), (EFFECTS["range_bias"](b=0.03),), n=320)
-    found = diagnose(run, hall, robot_file.loads("sensor: {n_rays: 61}"), plan_next=False)
+    found = diagnose(run, hall, parse_robot("sensor: {n_rays: 61}"), plan_next=False)
     assert {a.name for a in found.effects} == {"unmapped_obstacle", "range_bias"}
     box = next(a for a in found.effects if a.name == "unmapped_obstacle")
     assert abs(box["x"] - 1.35) < 0.05

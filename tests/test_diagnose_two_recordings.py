@@ -14,15 +14,15 @@ from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.world import robot as robot_file
 from sensorgraph.world.identified_arena import arena_of
+from sensorgraph.world.robot import default_robot
 
 HALL = [(0.0, 0.0), (6.0, 0.0), (6.0, 5.0), (0.0, 5.0)]
 BOX = [(1.2, 3.4), (1.9, 3.4), (1.9, 3.9), (1.2, 3.9)]
 PILLAR = [(4.2, 1.1), (4.6, 1.1), (4.6, 1.5), (4.2, 1.5)]
 CRATE = [(4.4, 3.3), (4.7, 3.3), (4.7, 3.6), (4.4, 3.6)]
 SENSOR = RangeSensor(bearings=np.linspace(-1.5, 1.5, 91), range_max=8.0, sigma=0.01, resolution=0.001)
-ROBOT = replace(robot_file.default(), sensor=SENSOR)
+ROBOT = replace(default_robot(), sensor=SENSOR)
 
 
 def moved(ring: list[tuple[float, float]], dx: float, dy: float) -> list[tuple[float, float]]:

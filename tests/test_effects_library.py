@@ -14,7 +14,7 @@ from logs.run import RangeSensor
 from sensorgraph.effects import EFFECTS, Effect
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.world.drivetrain import Machine
-from sensorgraph.world.robot import default
+from sensorgraph.world.robot import default_robot
 from sensorgraph.world.scene import STAGES, draw
 
 NAMES = [
@@ -81,7 +81,7 @@ def test_neutral_values_change_no_reading(name: str, sensor: RangeSensor) -> Non
 
 @pytest.mark.parametrize("name", [name for name in EFFECTS if name not in SCAN])
 def test_neutral_values_leave_the_machine_as_it_is(name: str) -> None:
-    plain, changed = Machine.of(default()), Machine.of(default(), [neutral(name)])
+    plain, changed = Machine.of(default_robot()), Machine.of(default_robot(), [neutral(name)])
     assert (plain.tau, plain.delay, plain.v_max, plain.odometry_lag) == (
         changed.tau, changed.delay, changed.v_max, changed.odometry_lag,
     )  # fmt: skip

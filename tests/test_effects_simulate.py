@@ -17,16 +17,16 @@ from sensorgraph.effects.walkers import APART, RADIUS
 from sensorgraph.world import simulate as simulation
 from sensorgraph.world.drive import STEP, Driven, follow, odometry, replay
 from sensorgraph.world.drivetrain import Machine
-from sensorgraph.world.robot import PoseReference, RobotFile, Wheels, default
+from sensorgraph.world.robot import PoseReference, Robot, Wheels, default_robot
 from sensorgraph.world.scene import DISC, Scene
 from sensorgraph.world.simulate import simulate
 
 ROOM = arena()
 
 
-def robot(sensor: RangeSensor = SENSOR, *, sigma: float = 0.01) -> RobotFile:
+def robot(sensor: RangeSensor = SENSOR, *, sigma: float = 0.01) -> Robot:
     return replace(
-        default(),
+        default_robot(),
         sensor=replace(sensor, sigma=sigma),
         pose=PoseReference(sigma_xy=0.0, sigma_yaw=0.0),
         wheels=Wheels(sigma_v=0.0, sigma_omega=0.0),

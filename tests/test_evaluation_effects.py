@@ -20,9 +20,9 @@ from sensorgraph.effects.effects_file import write
 from sensorgraph.evaluation.evaluate import evaluate
 from sensorgraph.evaluation.raycast_baseline import compare, predict
 from sensorgraph.recording.record import Commands, record
-from sensorgraph.world.robot import default
+from sensorgraph.world.robot import default_robot
 
-ROOM, ROBOT = arena(), default()
+ROOM, ROBOT = arena(), default_robot()
 EFFECTS = [strong(name) for name in ("glass", "max_range", "latency", "random_outliers", "people")]
 
 

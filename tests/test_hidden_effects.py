@@ -7,13 +7,13 @@ import pytest
 from benchmarks.hidden_effects.cases import CaseSpec, make_case
 from planners.maps import geojson
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
-from sensorgraph.world import robot as robot_file
+from sensorgraph.world.robot import parse_robot
 
 
 def found(**spec: object) -> tuple[Finding, dict[str, object]]:
     """Diagnose one case; return the finding and the truth."""
     run, _, arena, robot, truth = make_case(CaseSpec(stream="dev", **spec))  # type: ignore[arg-type]
-    return diagnose(run, geojson.loads(arena), robot_file.loads(robot), plan_next=False), truth
+    return diagnose(run, geojson.loads(arena), parse_robot(robot), plan_next=False), truth
 
 
 @pytest.mark.parametrize("background", ["clean", "dirty"])

@@ -16,7 +16,7 @@ from sensorgraph.identification.signals import Data, of_run, of_table, rays_of, 
 from sensorgraph.recording.controllers import PolynomialController, controller_named
 from sensorgraph.recording.identified_world import ArenaWorld
 from sensorgraph.world.drive import react
-from sensorgraph.world.robot import RobotFile, default
+from sensorgraph.world.robot import Robot, default_robot
 from sensorgraph.world.wall_distance import WallDistance
 
 DEGREES = np.radians(np.arange(181.0) - 90.0)
@@ -199,9 +199,9 @@ def law(readings: np.ndarray) -> tuple[float, float]:
 
 
 @pytest.fixture(scope="module")
-def recorded(room: object) -> tuple[RobotFile, ArenaWorld, WallDistance, Data, np.ndarray]:
+def recorded(room: object) -> tuple[Robot, ArenaWorld, WallDistance, Data, np.ndarray]:
     """Return a drive of `law` as signals, with the poses of the drive."""
-    robot = default()
+    robot = default_robot()
     world = ArenaWorld(room, robot, seed=3)  # type: ignore[arg-type]
     clearance = WallDistance(room)  # type: ignore[arg-type]
     seen: list[np.ndarray] = []
@@ -223,7 +223,7 @@ def recorded(room: object) -> tuple[RobotFile, ArenaWorld, WallDistance, Data, n
 
 
 def test_a_recorded_polynomial_controller_is_identified_and_drives_the_same_way(
-    recorded: tuple[RobotFile, ArenaWorld, WallDistance, Data, np.ndarray],
+    recorded: tuple[Robot, ArenaWorld, WallDistance, Data, np.ndarray],
 ) -> None:
     robot, world, clearance, data, poses = recorded
     question = Question(output="cmd_omega", inputs=("L20-50",), lags=1, split="none", n_terms=3)
@@ -236,7 +236,7 @@ def test_a_recorded_polynomial_controller_is_identified_and_drives_the_same_way(
     np.testing.assert_allclose(driven.poses, poses, atol=1e-3)  # 60 s closed loop on the same noise
 
 
-def test_a_model_steps_at_its_own_period(recorded: tuple[RobotFile, object, object, Data, object]) -> None:
+def test_a_model_steps_at_its_own_period(recorded: tuple[Robot, object, object, Data, object]) -> None:
     robot, data = recorded[0], recorded[3]
     found = identify(data, Question(output="cmd_omega", inputs=("L20-50",), lags=0, split="none", n_terms=2))
     slow = {**found.report(), "period_s": 0.3}
@@ -250,7 +250,7 @@ def test_a_model_steps_at_its_own_period(recorded: tuple[RobotFile, object, obje
 
 
 def test_a_scan_without_return_leaves_the_command_in_force(
-    recorded: tuple[RobotFile, object, object, Data, object],
+    recorded: tuple[Robot, object, object, Data, object],
 ) -> None:
     robot, data = recorded[0], recorded[3]
     found = identify(data, Question(output="cmd_omega", inputs=("L20-50",), lags=1, split="none", n_terms=3))
@@ -263,11 +263,11 @@ def test_a_scan_without_return_leaves_the_command_in_force(
 def test_a_model_of_poses_is_no_controller() -> None:
     model = identify(planted(), Question(output="y", inputs=("u",))).model
     with pytest.raises(SensorgraphError, match="predicts y"):
-        PolynomialController(model, {}, default(), name="m.json")
+        PolynomialController(model, {}, default_robot(), name="m.json")
     with pytest.raises(SensorgraphError, match="expected wall_following"):
-        controller_named("sideways", default(), 0)
+        controller_named("sideways", default_robot(), 0)
     with pytest.raises(SensorgraphError, match="does not exist"):
-        controller_named("gone.json", default(), 0)
+        controller_named("gone.json", default_robot(), 0)
 
 
 def test_laps_have_dimension_one_and_wandering_has_more() -> None:

@@ -10,17 +10,17 @@ from planners.cars.search import geared
 from planners.check import check
 from planners.curve import Curve
 from planners.methods.repair_cars import CarRepair
-from planners.robot import Drive
 from planners.search.log_phases import met, missed
 from planners.task import Task
 from planners.types import Bools
+from planners.vehicle import Drive
 
 START = np.array([0.5, 1.375, 0.0])
 SPEED = 0.3
 
 
 def straight(task: Task, length: float) -> Curve:
-    return geared(START, np.array([length]), np.array([0]), np.array([1]), task.robot.limits, SPEED)
+    return geared(START, np.array([length]), np.array([0]), np.array([1]), task.vehicle.limits, SPEED)
 
 
 def repair_of(task: Task, todo: Bools, curve: Curve) -> CarRepair:
@@ -43,7 +43,7 @@ def test_a_bin_beside_the_drive_is_met_and_those_on_it_stay_met(drive: Drive) ->
     np.testing.assert_allclose(after.poses[0], START)
     ends = [own.sample(np.array([own.duration]))[0][0] for own in (curve, after)]
     np.testing.assert_allclose(ends[1][:2], ends[0][:2], atol=1e-9)
-    assert check(after.trajectory(100.0), task.arena, task.robot).count == 0
+    assert check(after.trajectory(100.0), task.arena, task.vehicle).count == 0
 
 
 def test_a_detour_costs_less_than_a_drive_to_the_bin_from_the_end() -> None:

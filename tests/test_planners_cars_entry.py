@@ -15,10 +15,10 @@ from planners.cars.search import Entry, begin, entry, geared
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.reach import reach
-from planners.robot import Drive, Limits, Robot
 from planners.search.motion_primitives import GEARS, driving
 from planners.search.search import Scene, scene
 from planners.types import Floats
+from planners.vehicle import Drive, Limits, Vehicle
 
 LIMITS = Limits(turning_radius=0.4)
 ROOM = outlined(shapely.box(0, 0, 3, 2.5))
@@ -131,7 +131,7 @@ def does_not_hang_on_rounding(
 ) -> None:
     """Poses a micrometre and a microradian off count as those of the plan do."""
     room = outlined(shapely.box(0, 0, *size))
-    made = plan(room, Robot(drive=drive, limits=LIMITS), start=np.array(start), cell=0.5, headings=8)
+    made = plan(room, Vehicle(drive=drive, limits=LIMITS), start=np.array(start), cell=0.5, headings=8)
     assert made.report["coverage"] >= 0.99
     np.testing.assert_allclose(made.trajectory.poses[0], start, atol=1e-12)
     grid, log = made.coverage, made.curve.log(10.0)

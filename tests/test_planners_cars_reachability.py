@@ -33,9 +33,9 @@ def test_a_way_leads_through_the_door_into_the_bin(door: float, goal: tuple[int,
     end = curve.sample(np.array([curve.duration]))[0]
     assert not missed(curve, wanted, task.coverage, task.rate).any()
     assert np.hypot(*(end[0, :2] - task.reach.origin - (np.array(goal[:2]) + 0.5) * 0.25)) < 0.3
-    found = check(curve.trajectory(100.0), task.arena, task.robot)
+    found = check(curve.trajectory(100.0), task.arena, task.vehicle)
     assert found.count == 0
-    assert found.min_clearance > task.robot.footprint_radius
+    assert found.min_clearance > task.vehicle.footprint_radius
 
 
 def test_of_several_bins_it_goes_to_the_nearest() -> None:
@@ -51,7 +51,7 @@ def test_of_several_bins_it_goes_to_the_nearest() -> None:
 def test_no_way_leads_through_a_wall_or_to_where_the_car_could_not_come_back_from() -> None:
     closed, open_ = task_of(door_arena(0.0), "dubins", START), task_of(door_arena(0.6), "dubins", START)
     assert Ways(closed).to_one_of(some(closed, (12, 6, 0)), START) is None
-    back = cycle(open_.reach, open_.robot.limits, 16, 10.0, START).bins
+    back = cycle(open_.reach, open_.vehicle.limits, 16, 10.0, START).bins
     trapped = open_.coverage.reachable & ~back
     assert trapped.any()
     assert back[12:14].any()
@@ -96,7 +96,7 @@ def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_flood(monkeypatch:
     task = task_of(door_arena(0.6), "dubins", START)
     todo = np.zeros_like(task.coverage.reachable)
     todo[11:13, 5:7] = True
-    todo &= cycle(task.reach, task.robot.limits, 16, 10.0, START).bins
+    todo &= cycle(task.reach, task.vehicle.limits, 16, 10.0, START).bins
 
     def in_vain(starts: Floats, goals: list[Floats], **_: object) -> tuple[list[None], JoinCounts]:
         return [None] * len(starts), JoinCounts(failed=len(starts))
@@ -112,4 +112,4 @@ def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_flood(monkeypatch:
     curve = repair.trip.curve
     assert (repair.joins.failed, repair.joins.flooded) == (1, 1)
     assert missed(curve, todo, task.coverage, task.rate).sum() <= 0.1 * todo.sum()
-    assert check(curve.trajectory(100.0), task.arena, task.robot).count == 0
+    assert check(curve.trajectory(100.0), task.arena, task.vehicle).count == 0

@@ -16,10 +16,10 @@ from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.curve import Curve
 from planners.reach import Reach, reach
-from planners.robot import Limits, Robot
 from planners.search.log_phases import missed
 from planners.task import Task
 from planners.types import Bools, Floats
+from planners.vehicle import Limits, Vehicle
 
 LIMITS = Limits(turning_radius=0.4)
 RATE = 10.0
@@ -32,7 +32,7 @@ def ground(arena: Arena, drive: str) -> Task:
     free = reach(arena, barriers, clearance=0.22, cell=0.25)
     return Task(
         arena=arena,
-        robot=Robot(drive=drive, limits=LIMITS),
+        vehicle=Vehicle(drive=drive, limits=LIMITS),
         barriers=barriers,
         reach=free,
         coverage=Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=16),
@@ -122,7 +122,7 @@ def test_no_way_leads_through_a_wall() -> None:
     walled = best(detour, none, ground(outlined(shapely.box(0, 0, 8, 8).difference(wall)), "dubins"))
     arena = outlined(shapely.box(0, 0, 8, 8).difference(wall))
     assert free.duration < walled.duration - 1.0
-    found = check(walled.trajectory(), arena, Robot(drive="dubins", limits=LIMITS))
+    found = check(walled.trajectory(), arena, Vehicle(drive="dubins", limits=LIMITS))
     assert found.count == 0
 
 
@@ -138,7 +138,7 @@ def test_a_random_drive_gets_shorter_keeps_every_bin_its_ends_and_the_rules(driv
     assert short.duration < 0.98 * curve.duration
     assert not (todo & ~won(short, task)).any()
     np.testing.assert_allclose(ends(short), ends(curve), atol=1e-9)
-    assert check(short.trajectory(), arena, task.robot).count == 0
+    assert check(short.trajectory(), arena, task.vehicle).count == 0
 
 
 def wandering(rng: np.random.Generator, free: Reach, n: int, *, back: bool) -> Curve:

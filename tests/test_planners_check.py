@@ -10,10 +10,10 @@ from planners_samples import door_arena, shipped
 
 from planners.check import check, check_parts
 from planners.curve import CurveBuilder
-from planners.robot import Limits, Robot
 from planners.trajectory import Trajectory
+from planners.vehicle import Limits, Vehicle
 
-ROBOT = Robot()
+ROBOT = Vehicle()
 
 
 def clean() -> Trajectory:
@@ -90,7 +90,7 @@ def test_a_drive_outside_the_arena_has_no_clearance() -> None:
 
 
 def test_a_car_may_neither_spin_nor_turn_too_tightly() -> None:
-    car = Robot(drive="reeds_shepp", limits=Limits(turning_radius=0.4))
+    car = Vehicle(drive="reeds_shepp", limits=Limits(turning_radius=0.4))
     assert check(clean(), door_arena(0.9), car).violations["curvature"] > 0
 
 
@@ -110,10 +110,10 @@ def test_a_car_may_jump_from_one_arc_to_the_next_but_not_turn_faster_than_omega(
         twists=np.column_stack([np.full(len(stamps), 0.32), omega]),
         primitives=np.full(len(stamps), "drive"),
     )
-    car = Robot(drive="dubins", limits=Limits(turning_radius=0.4))
+    car = Vehicle(drive="dubins", limits=Limits(turning_radius=0.4))
     assert check(trajectory, door_arena(9.0), car).count == 0
     assert check(trajectory, door_arena(9.0), ROBOT).violations["alpha"] == 1
-    slow = Robot(drive="dubins", limits=Limits(turning_radius=0.4, omega=0.7))
+    slow = Vehicle(drive="dubins", limits=Limits(turning_radius=0.4, omega=0.7))
     assert check(trajectory, door_arena(9.0), slow).violations["omega"] == len(stamps)
 
 

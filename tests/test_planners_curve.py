@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from planners.curve import Curve, CurveBuilder, duration, trapezoid
 from planners.methods.primitives import GUARD, aim, least_sweep
-from planners.robot import Limits
 from planners.trajectory import Trajectory, read_csv
+from planners.vehicle import Limits
 
 LIMITS = st.builds(
     Limits,

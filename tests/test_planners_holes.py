@@ -15,13 +15,13 @@ from planners.coverage import Coverage
 from planners.holes import counted, cut_off, holes_csv, reaches_little, unmet
 from planners.planning import Plan
 from planners.reach import reach
-from planners.robot import Limits, Robot
+from planners.vehicle import Limits, Vehicle
 
 
 @pytest.fixture(scope="module")
 def cut_short() -> Plan:
     """A Dubins car that has a quarter of a minute."""
-    car = Robot(drive="dubins", limits=Limits(turning_radius=0.4))
+    car = Vehicle(drive="dubins", limits=Limits(turning_radius=0.4))
     return plan(outlined(shapely.box(0, 0, 2.4, 2.0)), car, cell=0.5, headings=8, budget=15.0)
 
 

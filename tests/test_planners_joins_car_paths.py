@@ -20,8 +20,8 @@ from planners.clearance import Barriers
 from planners.curve import Curve
 from planners.joins.car_paths import connect_cars
 from planners.reach import reach
-from planners.robot import SHORTEST_ARC, Drive, Limits, Robot
 from planners.types import Floats
+from planners.vehicle import SHORTEST_ARC, Drive, Limits, Vehicle
 
 CLEARANCE = 0.22
 STARTS = np.array([[1.0, 1.0, 0.0], [1.0, 0.7, 0.0], [1.0, 2.0, 1.0]])
@@ -33,8 +33,8 @@ GOALS = [
 """Beside the start; two behind the wall, and one."""
 
 
-def car(drive: Drive, radius: float = 0.4) -> Robot:
-    return Robot(drive=drive, limits=Limits(turning_radius=radius))
+def car(drive: Drive, radius: float = 0.4) -> Vehicle:
+    return Vehicle(drive=drive, limits=Limits(turning_radius=radius))
 
 
 def ends(curve: Curve) -> Floats:
@@ -43,10 +43,10 @@ def ends(curve: Curve) -> Floats:
 
 @pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
 def test_a_wall_across_the_shortest_curve_makes_ompl_plan_a_car_round_it(drive: Drive) -> None:
-    arena, robot = door_arena(1.2), car(drive)
+    arena, vehicle = door_arena(1.2), car(drive)
     barriers = Barriers(arena)
     free = reach(arena, barriers, clearance=CLEARANCE, cell=0.25)
-    ways, joins = connect_cars(STARTS, GOALS, reach=free, barriers=barriers, robot=robot, seed=3)
+    ways, joins = connect_cars(STARTS, GOALS, reach=free, barriers=barriers, vehicle=vehicle, seed=3)
     assert (joins.direct, joins.planned, joins.failed) == (1, 2, 0)
     for start, goals, way in zip(STARTS, GOALS, ways, strict=True):
         assert way is not None
@@ -54,9 +54,9 @@ def test_a_wall_across_the_shortest_curve_makes_ompl_plan_a_car_round_it(drive: 
         first, last = ends(way.curve)
         np.testing.assert_allclose(first, start, atol=1e-12)
         np.testing.assert_allclose(last, goals[way.goal], atol=1e-6)  # arcs are read off to 1e-8, one by one
-        found = check(way.curve.trajectory(100.0), arena, robot)
+        found = check(way.curve.trajectory(100.0), arena, vehicle)
         assert found.count == 0
-        assert found.min_clearance > robot.footprint_radius
+        assert found.min_clearance > vehicle.footprint_radius
     assert joins.planned_m >= 2 * np.hypot(2.0, 0.8)  # none goes through the wall beside the door
 
 
@@ -64,7 +64,7 @@ def test_without_a_wall_the_same_moves_are_the_shortest_curves() -> None:
     arena = door_arena(9.0)
     barriers = Barriers(arena)
     free = reach(arena, barriers, clearance=CLEARANCE, cell=0.25)
-    _, joins = connect_cars(STARTS, GOALS, reach=free, barriers=barriers, robot=car("reeds_shepp"), seed=3)
+    _, joins = connect_cars(STARTS, GOALS, reach=free, barriers=barriers, vehicle=car("reeds_shepp"), seed=3)
     assert (joins.direct, joins.planned, joins.failed, joins.planned_m) == (3, 0, 0, 0.0)
 
 
@@ -73,7 +73,7 @@ def test_what_no_way_leads_to_fails_and_is_counted() -> None:
     barriers = Barriers(arena)
     free = reach(arena, barriers, clearance=CLEARANCE, cell=0.25)
     ways, joins = connect_cars(
-        STARTS[1:2], GOALS[1:2], reach=free, barriers=barriers, robot=car("reeds_shepp"), seed=0
+        STARTS[1:2], GOALS[1:2], reach=free, barriers=barriers, vehicle=car("reeds_shepp"), seed=0
     )
     assert ways == [None]
     assert (joins.direct, joins.planned, joins.failed, joins.planned_m) == (0, 0, 1, 0.0)
@@ -86,7 +86,9 @@ def test_a_query_in_vain_ends_by_count() -> None:
     barriers = Barriers(arena)
     free = reach(arena, barriers, clearance=CLEARANCE, cell=0.25)
     corner = np.array([[3.7, 2.7, 0.8]])
-    ways, joins = connect_cars(corner, [GOALS[0]], reach=free, barriers=barriers, robot=car("dubins"), seed=0)
+    ways, joins = connect_cars(
+        corner, [GOALS[0]], reach=free, barriers=barriers, vehicle=car("dubins"), seed=0
+    )
     assert ways == [None]
     assert joins.failed == 1
 
@@ -98,7 +100,7 @@ def test_of_many_goals_the_car_drives_to_one_that_it_can_reach() -> None:
     free = reach(arena, barriers, clearance=CLEARANCE, cell=0.25)
     goals = np.array([[0.1, 1.0, 0.0], [3.0, 1.5, 0.0], [0.6, 0.6, -2.0]])
     ways, _ = connect_cars(
-        STARTS[:1], [goals], reach=free, barriers=barriers, robot=car("dubins", 0.25), seed=0
+        STARTS[:1], [goals], reach=free, barriers=barriers, vehicle=car("dubins", 0.25), seed=0
     )
     assert ways[0] is not None
     assert ways[0].goal == 2
@@ -112,9 +114,9 @@ def test_arcs_read_off_a_curve_lead_where_it_leads(seed: int) -> None:
     barriers = Barriers(arena)
     free = reach(arena, barriers, clearance=0.05, cell=0.25)
     start, goal = (np.array([*rng.uniform(1.3, 1.7, 2), rng.uniform(-3, 3)]) for _ in range(2))
-    robot = car("reeds_shepp", 0.2)
+    vehicle = car("reeds_shepp", 0.2)
     ways, joins = connect_cars(
-        start[None], [goal[None]], reach=free, barriers=barriers, robot=robot, seed=seed
+        start[None], [goal[None]], reach=free, barriers=barriers, vehicle=vehicle, seed=seed
     )
     assert joins.direct == 1
     assert ways[0] is not None
@@ -134,20 +136,22 @@ def test_a_way_that_is_all_but_straight_does_not_twitch_its_wheel(drive: Drive, 
     barriers = Barriers(arena)
     free = reach(arena, barriers, clearance=0.05, cell=0.25)
     start, goal = np.array([1.2, 1.5, 0.0]), np.array([2.8, 1.5 + aside, 0.0])
-    robot = car(drive, 0.2)
-    (way,), _ = connect_cars(start[None], [goal[None]], reach=free, barriers=barriers, robot=robot, seed=0)
+    vehicle = car(drive, 0.2)
+    (way,), _ = connect_cars(
+        start[None], [goal[None]], reach=free, barriers=barriers, vehicle=vehicle, seed=0
+    )
     assert way is not None
     assert way.curve is not None
     np.testing.assert_allclose(ends(way.curve)[1][:2], goal[:2], atol=1e-6)
     assert arcs_of(way.curve).length.sum() < 1.6 + 4 * np.pi * 0.2 + 0.1  # at most two loops more
     whole, _ = drive_of(
-        start, arcs_of(way.curve), ground_of(free, np.ones((*free.shape, 1), dtype=np.bool_), robot.limits, 0.2, 10.0,
+        start, arcs_of(way.curve), ground_of(free, np.ones((*free.shape, 1), dtype=np.bool_), vehicle.limits, 0.2, 10.0,
         is_backward=drive == "reeds_shepp"),
     )  # fmt: skip
     turns = np.diff(whole.bend) | np.diff(whole.gear)
     runs = np.add.reduceat(whole.length, np.append(0, np.flatnonzero(turns) + 1))
     assert runs.min() >= SHORTEST_ARC
-    assert check(way.curve.trajectory(100.0), arena, robot).count == 0
+    assert check(way.curve.trajectory(100.0), arena, vehicle).count == 0
 
 
 def test_an_arc_forward_and_the_same_backward_meet_again() -> None:
@@ -164,8 +168,8 @@ def test_same_seed_same_ways_whatever_the_process_did_before() -> None:
         "from test_planners_joins_car_paths import *;"
         "a = door_arena(1.2); b = Barriers(a); f = reach(a, b, clearance=CLEARANCE, cell=0.25);"
         "n = int(sys.argv[2]);"
-        "[connect_cars(STARTS, GOALS, reach=f, barriers=b, robot=car('dubins'), seed=k) for k in range(n)];"
-        "w, _ = connect_cars(STARTS, GOALS, reach=f, barriers=b, robot=car('dubins'), seed=7);"
+        "[connect_cars(STARTS, GOALS, reach=f, barriers=b, vehicle=car('dubins'), seed=k) for k in range(n)];"
+        "w, _ = connect_cars(STARTS, GOALS, reach=f, barriers=b, vehicle=car('dubins'), seed=7);"
         "print(hashlib.sha256(b''.join(x.curve.poses.tobytes() for x in w)).hexdigest())"
     )
     here = str(Path(__file__).parent)

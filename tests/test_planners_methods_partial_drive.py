@@ -17,13 +17,13 @@ PIECES = st.lists(st.tuples(st.floats(0.05, 0.6), st.sampled_from([-1, 0, 1])), 
 
 def begun() -> PartialDrive:
     return PartialDrive(
-        grid=TASK.coverage, rate=TASK.rate, limits=TASK.robot.limits, here=np.array([1.0, 1.4, 0.3])
+        grid=TASK.coverage, rate=TASK.rate, limits=TASK.vehicle.limits, here=np.array([1.0, 1.4, 0.3])
     )
 
 
 def going_on(trip: PartialDrive, pieces: list[tuple[float, int]], gear: int) -> PartialDrive:
     length, bend = (np.array(column) for column in zip(*pieces, strict=True))
-    return trip.then(geared(trip.here, length, bend, np.full(len(length), gear), TASK.robot.limits))
+    return trip.then(geared(trip.here, length, bend, np.full(len(length), gear), TASK.vehicle.limits))
 
 
 @given(drives=st.lists(st.tuples(PIECES, st.sampled_from([1, -1])), min_size=1, max_size=4))

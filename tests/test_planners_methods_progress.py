@@ -6,7 +6,7 @@ import pytest
 from planners_samples import door_arena
 
 from planners import plan
-from planners.robot import Robot
+from planners.vehicle import Vehicle
 from sensorgraph.cli import progress as told
 
 
@@ -14,7 +14,7 @@ def test_progress_starts_at_no_bin_and_ends_at_all_that_are_wanted() -> None:
     said: list[tuple[int, int]] = []
     made = plan(
         door_arena(0.9),
-        Robot(),
+        Vehicle(),
         cell=0.5,
         headings=4,
         progress=lambda done, total: said.append((done, total)),

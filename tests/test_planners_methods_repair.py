@@ -17,11 +17,11 @@ from planners.joins.paths import connect
 from planners.methods.repair_cars import CarRepair
 from planners.methods.repair_spins import SpinRepair
 from planners.reach import Reach
-from planners.robot import Drive, Limits, Robot
 from planners.search.log_phases import missed
 from planners.search.search import Settings, Visit
 from planners.task import JoinCounts
 from planners.types import Bools, Floats
+from planners.vehicle import Drive, Limits, Vehicle
 
 START = np.array([0.8, 0.8, 0.3])
 
@@ -41,9 +41,9 @@ def test_bins_behind_a_wall_that_the_search_gives_up_on_are_met_by_ompl(drive: D
     assert not missed(curve, todo, task.coverage, task.rate).any()
     assert repair.joins.planned >= 1
     np.testing.assert_allclose(curve.poses[0], START)
-    found = check(curve.trajectory(100.0), task.arena, task.robot)
+    found = check(curve.trajectory(100.0), task.arena, task.vehicle)
     assert found.count == 0
-    assert found.min_clearance > task.robot.footprint_radius
+    assert found.min_clearance > task.vehicle.footprint_radius
 
 
 def test_what_is_crossed_on_the_way_is_not_driven_to_again() -> None:
@@ -118,7 +118,7 @@ def test_a_search_whose_flood_gives_up_goes_on_where_ompl_has_brought_the_car(dr
     assert repair.joins.direct + repair.joins.planned >= 1
     assert {"join", "drive"} == set(curve.labels.tolist())
     assert missed(curve, todo, task.coverage, task.rate).sum() == repair.lost.sum() <= 0.1 * todo.sum()
-    assert check(curve.trajectory(100.0), task.arena, task.robot).count == 0
+    assert check(curve.trajectory(100.0), task.arena, task.vehicle).count == 0
 
 
 def test_a_robot_that_turns_in_place_goes_round_the_wall_and_turns_through_what_is_missing() -> None:
@@ -133,9 +133,9 @@ def test_a_robot_that_turns_in_place_goes_round_the_wall_and_turns_through_what_
     assert (repair.joins.direct, repair.joins.planned, repair.joins.failed) == (2, 1, 0)
     assert repair.joins.planned_m > np.hypot(2.0, 0.8)
     np.testing.assert_allclose(curve.poses[0], START)
-    found = check(curve.trajectory(100.0), task.arena, task.robot)
+    found = check(curve.trajectory(100.0), task.arena, task.vehicle)
     assert found.count == 0
-    assert found.min_clearance > task.robot.footprint_radius
+    assert found.min_clearance > task.vehicle.footprint_radius
 
 
 def test_turns_where_nothing_is_missing_are_not_made() -> None:
@@ -199,13 +199,13 @@ def test_where_no_way_leads_on_from_the_end_of_a_drive_one_leads_on_from_before(
     curve = repair.trip.curve
     np.testing.assert_allclose(curve.sample(np.array([curve.duration]))[0][0], START, atol=1e-6)
     assert repair.trip.curves[-2].duration < driven.duration
-    assert check(curve.trajectory(100.0), task.arena, task.robot).count == 0
+    assert check(curve.trajectory(100.0), task.arena, task.vehicle).count == 0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
 def test_two_rooms_become_one_drive(drive: Drive) -> None:
-    robot = Robot(drive=drive, limits=Limits(turning_radius=0.3))
-    made = plan(door_arena(1.2), robot, cell=0.5, headings=8)
+    vehicle = Vehicle(drive=drive, limits=Limits(turning_radius=0.3))
+    made = plan(door_arena(1.2), vehicle, cell=0.5, headings=8)
     assert made.report["coverage"] > 0.99
     assert made.report["limit_violations"] == 0

@@ -21,15 +21,15 @@ sys.path.insert(0, sys.argv[1])
 import numpy as np
 from ompl import geometric, util
 from planners.ompl_planner import CoveragePlanner, pose_of, problem
-from planners.robot import Limits, Robot
+from planners.vehicle import Limits, Vehicle
 from planners_samples import door_arena, shipped
 util.setLogLevel(util.LOG_NONE)
 START, GOAL = np.array([0.8, 0.8, 0.3]), np.array([3.2, 2.2, -1.0])
 def setup_of(drive, arena=None):
-    robot = Robot(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.3))
+    vehicle = Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.3))
     arena = arena or door_arena(1.2)
-    setup = problem(arena, robot, START, GOAL)
-    return setup, CoveragePlanner(setup.getSpaceInformation(), arena, robot, cell=0.5, headings=4)
+    setup = problem(arena, vehicle, START, GOAL)
+    return setup, CoveragePlanner(setup.getSpaceInformation(), arena, vehicle, cell=0.5, headings=4)
 """
 SOLVE = """
 answers = {}

@@ -22,9 +22,9 @@ from planners.coverage import Coverage
 from planners.export import waypoints
 from planners.joins.paths import connect
 from planners.reach import reach
-from planners.robot import Limits, Robot
+from planners.vehicle import Limits, Vehicle
 
-ROBOT = Robot()
+ROBOT = Vehicle()
 
 
 def fresh(made: Plan) -> Coverage:
@@ -286,12 +286,12 @@ def test_bad_input_is_one_line(options: dict[str, Any], says: str) -> None:
 
 def test_a_robot_that_fits_nowhere_is_told_so() -> None:
     with pytest.raises(PlanError, match="does not fit"):
-        plan(shipped("square"), Robot(footprint_radius=2.5))
+        plan(shipped("square"), Vehicle(footprint_radius=2.5))
 
 
 @pytest.mark.parametrize("planner", sorted(set(PLANNERS) - {"coverage"}))
 def test_cars_are_refused_with_what_works(planner: str) -> None:
-    car = Robot(drive="reeds_shepp", limits=Limits(turning_radius=0.4))
+    car = Vehicle(drive="reeds_shepp", limits=Limits(turning_radius=0.4))
     with pytest.raises(PlanError, match="drive"):
         plan(
             shipped("square"),
@@ -312,8 +312,8 @@ def test_cars_are_refused_with_what_works(planner: str) -> None:
 )
 def test_other_grids_and_robots_are_filled_too(cell: float, headings: int, limits: Limits) -> None:
     """A quick robot must slow its spins for the log to see every heading."""
-    robot = Robot(limits=limits)
-    made = plan(door_arena(0.9), robot, cell=cell, headings=headings)
+    vehicle = Vehicle(limits=limits)
+    made = plan(door_arena(0.9), vehicle, cell=cell, headings=headings)
     assert made.report["coverage"] >= 0.999
     assert made.report["limit_violations"] == 0
 
@@ -332,7 +332,7 @@ def test_progress_runs_to_its_total() -> None:
 @pytest.mark.parametrize(("drive", "share"), [("reeds_shepp", 0.999), ("dubins", 0.995)])
 def test_cars_fill_what_they_can_reach(drive: Any, share: float) -> None:
     """v, omega, a, radius and clearance hold; a Dubins car never backs."""
-    car = Robot(drive=drive, limits=Limits(turning_radius=0.4))
+    car = Vehicle(drive=drive, limits=Limits(turning_radius=0.4))
     made = plan(shipped("square"), car)
     assert made.report["coverage"] >= share
     assert made.report["limit_violations"] == 0
@@ -344,7 +344,7 @@ def test_cars_fill_what_they_can_reach(drive: Any, share: float) -> None:
 
 @pytest.mark.slow
 def test_a_car_slows_down_where_its_radius_would_turn_it_too_fast() -> None:
-    car = Robot(drive="reeds_shepp", limits=Limits(turning_radius=0.3, omega=0.8))
+    car = Vehicle(drive="reeds_shepp", limits=Limits(turning_radius=0.3, omega=0.8))
     made = plan(outlined(shapely.box(0, 0, 2.5, 2.0)), car, cell=0.5, headings=8)
     assert made.report["coverage"] >= 0.999
     assert made.report["limit_violations"] == 0
@@ -353,7 +353,7 @@ def test_a_car_slows_down_where_its_radius_would_turn_it_too_fast() -> None:
 
 def test_a_start_from_which_a_dubins_car_gets_nowhere_is_refused_with_a_better_one() -> None:
     """Facing a corner it can neither turn nor back."""
-    car = Robot(drive="dubins", limits=Limits(turning_radius=0.4))
+    car = Vehicle(drive="dubins", limits=Limits(turning_radius=0.4))
     room = outlined(shapely.box(0, 0, 2.4, 2.0))
     with pytest.raises(PlanError, match=r"0 of .* bins and come back; start at -?\d") as caught:
         plan(room, car, start=np.array([0.3, 0.3, -2.3]), headings=8, cell=0.5)

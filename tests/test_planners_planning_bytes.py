@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from planners.robot import Drive
+from planners.vehicle import Drive
 
 SCRIPT = """
 import hashlib, os, sys
@@ -18,11 +18,11 @@ sys.path.insert(0, sys.argv[1])
 drive, folder, own, before, processors = sys.argv[2], Path(sys.argv[3]), *map(int, sys.argv[4:7])
 os.cpu_count = lambda: processors
 from planners import plan
-from planners.robot import Limits, Robot
+from planners.vehicle import Limits, Vehicle
 from planners_samples import door_arena
-robot = Robot(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.3))
+vehicle = Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.3))
 for seed in [7] * before + [own]:
-    made = plan(door_arena(1.2), robot, seed=seed, cell=0.5, headings=8)
+    made = plan(door_arena(1.2), vehicle, seed=seed, cell=0.5, headings=8)
 made.trajectory.write_csv(folder / "trajectory.csv")
 print(made.report["coverage"], len(made.trajectory.poses))
 """

@@ -9,10 +9,10 @@ from planners_samples import door_arena
 
 from planners.clearance import Barriers
 from planners.reach import Reach, reach
-from planners.robot import Limits
 from planners.search.motion_primitives import spinning
 from planners.search.search import DONE, STOPPED, Search, Settings, scene
 from planners.types import Bools
+from planners.vehicle import Limits
 
 FLOOR = door_arena(9)  # one room, 16 x 12 cells
 SHUT, OPEN = (5, 6), (13, 6)

@@ -9,12 +9,12 @@ from planners_samples import door_arena
 from planners.cars.search import state_at
 from planners.clearance import Barriers
 from planners.reach import reach
-from planners.robot import Limits
 from planners.search.beam import look, units_away
 from planners.search.heuristic import FARTHEST
 from planners.search.motion_primitives import GEARS, driving
 from planners.search.search import Search, Settings, scene
 from planners.types import Bools, Floats
+from planners.vehicle import Limits
 
 LIMITS = Limits(turning_radius=0.4)
 

@@ -29,22 +29,22 @@ from planners.export import commands, waypoints
 from planners.maps.no_go import without, zones
 from planners.methods import coverage as search_planner
 from planners.methods.repair_cars import CarRepair
-from planners.robot import Drive, Limits, Robot
 from planners.sampling import warnings
 from planners.session import Ways, cut_at, cuts, ends, latest, section, turns, within
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.trajectory import Trajectory
+from planners.vehicle import Drive, Limits, Vehicle
 from sensorgraph.planning.plan_folder import counted
 
-ROBOT = Robot()
+ROBOT = Vehicle()
 GRID = {"cell": 0.5, "headings": 8}
 
 
-def task_of(made: Plan, arena: Arena, robot: Robot = ROBOT) -> tuple[PlannedDrive, Task]:
+def task_of(made: Plan, arena: Arena, vehicle: Vehicle = ROBOT) -> tuple[PlannedDrive, Task]:
     driven = PlannedDrive(curve=made.curve, stops=made.stops, joins=JoinCounts())
     task = Task(
         arena=arena,
-        robot=robot,
+        vehicle=vehicle,
         barriers=Barriers(arena),
         reach=made.reach,
         coverage=Coverage(
@@ -267,12 +267,12 @@ def pressing(work: Callable[..., Any], times: int = 1) -> Callable[..., Any]:
 def test_ctrl_c_while_rooms_are_joined_keeps_what_is_joined(
     drive: Drive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    robot = Robot(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.3))
+    vehicle = Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.3))
     if drive == "diff":
         monkeypatch.setattr(search_planner, "_drawn", pressing(search_planner._drawn))
     else:
         monkeypatch.setattr(CarRepair, "enters", pressing(CarRepair.enters))
-    made = plan(door_arena(1.2), robot, cell=0.25, headings=8)
+    made = plan(door_arena(1.2), vehicle, cell=0.25, headings=8)
     assert made.report["interrupted"]
     assert made.report["coverage"] > 0.3
     assert made.report["limit_violations"] == 0
@@ -417,7 +417,7 @@ def test_who_does_what_a_warning_says_is_not_warned_again() -> None:
 @pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
 def test_cars_come_home_too(drive: Any) -> None:
     arena, dock = outlined(shapely.box(0, 0, 4, 3)), np.array([2.0, 0.6, 0.0])
-    car = Robot(drive=drive, limits=Limits(turning_radius=0.4))
+    car = Vehicle(drive=drive, limits=Limits(turning_radius=0.4))
     made = plan(arena, car, start=dock, **GRID)
     driven, task = task_of(made, arena, car)
     runs = sessions(driven, task, battery=120.0, dock=dock)

@@ -9,7 +9,7 @@ from logs.run import RangeSensor, Run
 from planners import plan
 from planners.arena import Arena
 from planners.coverage import Coverage
-from planners.robot import Robot
+from planners.vehicle import Vehicle
 from sensorgraph.building.build import build
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.planning.priority import doubt
@@ -39,7 +39,7 @@ def test_doubt_is_one_where_nothing_is_answered_and_lower_elsewhere(left: Sensor
 
 
 def test_the_planner_goes_first_where_the_graph_knows_least(left: Sensorgraph, room: Arena) -> None:
-    made = plan(room, Robot(), headings=4, priority=lambda grid: doubt(left, grid))
+    made = plan(room, Vehicle(), headings=4, priority=lambda grid: doubt(left, grid))
     x = made.trajectory.poses[:, 0]
     half = len(x) // 2
     assert x[:half].mean() > x[half:].mean() + 0.8

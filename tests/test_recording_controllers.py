@@ -7,7 +7,7 @@ import pytest
 
 from planners.types import Floats
 from sensorgraph.recording.controllers import BESIDE, Controller, WallFollowing
-from sensorgraph.world.robot import RobotFile, default
+from sensorgraph.world.robot import Robot, default_robot
 
 SIDE = 6.0
 
@@ -21,7 +21,7 @@ def seen(pose: Floats, bearings: Floats) -> Floats:
     return np.asarray(np.minimum(along_x, along_y))
 
 
-def driven(controller: Controller, robot: RobotFile, start: Floats, seconds: float) -> Floats:
+def driven(controller: Controller, robot: Robot, start: Floats, seconds: float) -> Floats:
     """Return the poses (n, 3) of a robot that does at once what it is told."""
     period, pose, poses = 1.0 / robot.sensor.rate, start.copy(), list[Floats]()
     for _ in range(int(seconds / period)):
@@ -34,11 +34,11 @@ def driven(controller: Controller, robot: RobotFile, start: Floats, seconds: flo
 @pytest.mark.parametrize("phi", [0.0, 1.1, 2.9, -1.6])
 @pytest.mark.parametrize("place", [(3.0, 3.0), (1.5, 4.0), (5.4, 1.0)])
 def test_it_follows_the_walls_wherever_it_starts(place: tuple[float, float], phi: float) -> None:
-    robot = default()
+    robot = default_robot()
     poses = driven(WallFollowing(robot, 0), robot, np.array([*place, phi]), 240.0)
-    assert ((poses[:, :2] > robot.robot.footprint_radius) & (poses[:, :2] < SIDE - 0.2)).all()
+    assert ((poses[:, :2] > robot.footprint_radius) & (poses[:, :2] < SIDE - 0.2)).all()
     late = poses[len(poses) // 2 :]
     depth = np.minimum(late[:, :2], SIDE - late[:, :2]).min(axis=1)
-    assert np.median(depth) == pytest.approx(robot.robot.footprint_radius + BESIDE, abs=0.1)
+    assert np.median(depth) == pytest.approx(robot.footprint_radius + BESIDE, abs=0.1)
     assert np.quantile(depth, 0.95) < 0.8
     assert (np.ptp(late[:, :2], axis=0) > SIDE - 1.6).all()  # all four walls

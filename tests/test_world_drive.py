@@ -12,7 +12,7 @@ from planners.arena import Arena, wrap
 from planners.trajectory import Trajectory
 from planners.types import Floats
 from sensorgraph.world.drive import STEP, Driven, follow, odometry, replay
-from sensorgraph.world.robot import Actuators, PoseReference, RobotFile, Wheels, default
+from sensorgraph.world.robot import Actuators, PoseReference, Robot, Wheels, default_robot
 from sensorgraph.world.scene import Scene, limited
 from sensorgraph.world.simulate import scan_stamps, simulate
 from sensorgraph.world.wall_distance import WallDistance
@@ -22,7 +22,7 @@ def nowhere_near(x: float, y: float) -> float:
     return np.inf
 
 
-def quiet(robot: RobotFile) -> RobotFile:
+def quiet(robot: Robot) -> Robot:
     """Return the robot without any noise."""
     return replace(
         robot,
@@ -50,7 +50,7 @@ def arc(v: float, omega: float, duration: float, start: tuple[float, float, floa
     )
 
 
-def steps(commands: list[tuple[float, float, float]], robot: RobotFile) -> Driven:
+def steps(commands: list[tuple[float, float, float]], robot: Robot) -> Driven:
     """Drive (stamp, v, omega) commands from the origin."""
     table = np.array(commands)
     return replay(table[:, 0], table[:, 1:], np.zeros(3), robot, clearance=nowhere_near)
@@ -58,7 +58,7 @@ def steps(commands: list[tuple[float, float, float]], robot: RobotFile) -> Drive
 
 @pytest.mark.parametrize("omega", [-0.6, 0.0, 0.6])
 def test_it_follows_a_curve_to_a_centimetre(omega: float) -> None:
-    robot = default()
+    robot = default_robot()
     plan = arc(0.3, omega, 20.0, (1.0, 2.0, 3.0))
     driven = follow(plan, robot, clearance=nowhere_near, rng=np.random.default_rng(0))
     want, _ = plan.at(driven.stamps)
@@ -68,10 +68,10 @@ def test_it_follows_a_curve_to_a_centimetre(omega: float) -> None:
 
 
 def test_commands_and_motion_keep_the_limits() -> None:
-    robot = default()
+    robot = default_robot()
     wild = [(0.05 * k, 9.0 * (-1) ** (k // 40), 9.0 * (-1) ** (k // 23)) for k in range(400)]
     driven = steps(wild, robot)
-    limits = robot.robot.limits
+    limits = robot.limits
     assert np.abs(driven.commands).max(axis=0).tolist() == [limits.v, limits.omega]
     rates = np.abs(np.diff(driven.twists, axis=0)) / STEP
     assert (rates <= np.array([limits.a, limits.alpha]) + 1e-9).all()
@@ -79,18 +79,15 @@ def test_commands_and_motion_keep_the_limits() -> None:
 
 
 def test_a_dubins_car_never_drives_backwards() -> None:
-    robot = default()
-    car = replace(
-        robot,
-        robot=replace(robot.robot, drive="dubins", limits=replace(robot.robot.limits, turning_radius=0.4)),
-    )
+    robot = default_robot()
+    car = replace(robot, drive="dubins", limits=replace(robot.limits, turning_radius=0.4))
     driven = steps([(0.0, -0.3, 0.0), (2.0, 0.2, 0.0), (4.0, -0.3, 0.0)], car)
     assert driven.twists[:, 0].min() >= 0
 
 
 @pytest.mark.parametrize(("tau", "delay"), [(0.3, 0.0), (0.1, 0.2)])
 def test_a_step_rises_after_the_dead_time_with_the_time_constant(tau: float, delay: float) -> None:
-    robot = replace(default(), actuators=Actuators(tau=tau, delay=delay))
+    robot = replace(default_robot(), actuators=Actuators(tau=tau, delay=delay))
     driven = steps([(0.0, 0.0, 0.1), (5.0, 0.0, 0.1)], robot)  # so small that alpha does not limit it
     t = driven.stamps
     expected = np.where(t > delay, 0.1 * (1 - np.exp(-(t - delay) / tau)), 0.0)
@@ -98,7 +95,7 @@ def test_a_step_rises_after_the_dead_time_with_the_time_constant(tau: float, del
 
 
 def test_without_noise_odometry_is_the_drive_itself() -> None:
-    robot = quiet(default())
+    robot = quiet(default_robot())
     driven = follow(
         arc(0.3, 0.5, 15.0, (0.0, 0.0, 0.0)), robot, clearance=nowhere_near, rng=np.random.default_rng(0)
     )
@@ -109,7 +106,7 @@ def test_without_noise_odometry_is_the_drive_itself() -> None:
 
 
 def test_odometry_drifts_as_its_noise_says() -> None:
-    robot = replace(default(), wheels=Wheels(sigma_v=0.02, sigma_omega=0.03))
+    robot = replace(default_robot(), wheels=Wheels(sigma_v=0.02, sigma_omega=0.03))
     driven = steps([(0.0, 0.0, 0.0), (100.0, 0.0, 0.0)], robot)
     ends = np.array([odometry(driven, robot, np.random.default_rng(k))[1][-1] for k in range(200)])
     n, rate = 20 * 100.5, 20.0
@@ -118,7 +115,7 @@ def test_odometry_drifts_as_its_noise_says() -> None:
 
 
 def test_the_body_stops_at_a_wall_while_the_wheels_turn(room: Arena) -> None:
-    robot = quiet(default())
+    robot = quiet(default_robot())
     table = np.array([[0.0, 0.4, 0.0], [20.0, 0.4, 0.0]])
     driven = replay(table[:, 0], table[:, 1:], np.array([1.0, 2.2, 0.0]), robot, clearance=WallDistance(room))
     assert driven.contacts == 1
@@ -147,7 +144,7 @@ def still(seconds: float, pose: tuple[float, float, float]) -> Driven:
 
 
 def test_noise_of_scans_and_poses_is_as_stated(room: Arena) -> None:
-    robot = default()
+    robot = default_robot()
     run = simulate(still(60, (1.0, 1.5, 0.3)), room, robot, rng=np.random.default_rng(0))
     assert run.ranges.shape == (601, 181)
     assert run.ranges.std(axis=0).mean() == pytest.approx(robot.sensor.sigma, rel=0.03)

@@ -21,12 +21,12 @@ from sensorgraph.planning.plan_folder import save
 from sensorgraph.recording.identified_world import IdentifiedWorld
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.raycast import cast
-from sensorgraph.world.robot import RobotFile, default
+from sensorgraph.world.robot import Robot, default_robot
 
 
 @pytest.fixture(scope="module")
-def robot(sensor: RangeSensor) -> RobotFile:
-    machine = default()
+def robot(sensor: RangeSensor) -> Robot:
+    machine = default_robot()
     return replace(
         machine, sensor=sensor, text=machine.text.replace("n_rays: 181", f"n_rays: {sensor.n_rays}")
     )
@@ -47,7 +47,7 @@ def graph(room: Arena, sensor: RangeSensor) -> Sensorgraph:
     return build([run])
 
 
-def test_readings_spread_about_the_prediction_as_it_says(graph: Sensorgraph, robot: RobotFile) -> None:
+def test_readings_spread_about_the_prediction_as_it_says(graph: Sensorgraph, robot: Robot) -> None:
     pose = np.array([1.3, 1.4, 0.2])
     readings = IdentifiedWorld(graph, robot, seed=1).scans(0, np.tile(pose, (4000, 1)))
     said = graph.predict(pose[None])
@@ -61,7 +61,7 @@ def test_readings_spread_about_the_prediction_as_it_says(graph: Sensorgraph, rob
     assert np.median(said.sigma[0, sure]) == pytest.approx(0.01, rel=0.05)
 
 
-def test_no_return_is_drawn_as_often_as_it_is_said(graph: Sensorgraph, robot: RobotFile) -> None:
+def test_no_return_is_drawn_as_often_as_it_is_said(graph: Sensorgraph, robot: Robot) -> None:
     model = graph.model
     faces = model.faces._replace(levels=np.where(model.faces.levels > 0.5, 0.7, model.faces.levels))
     thin = replace(graph, model=replace(model, faces=faces))
@@ -73,7 +73,7 @@ def test_no_return_is_drawn_as_often_as_it_is_said(graph: Sensorgraph, robot: Ro
     assert np.abs(seen - said).max() < 5 * 0.5 / np.sqrt(3000)
 
 
-def test_noise_belongs_to_seed_scan_and_ray(graph: Sensorgraph, robot: RobotFile) -> None:
+def test_noise_belongs_to_seed_scan_and_ray(graph: Sensorgraph, robot: Robot) -> None:
     poses = np.tile([1.3, 1.4, 0.2], (600, 1))
     world, other = IdentifiedWorld(graph, robot, seed=1), IdentifiedWorld(graph, robot, seed=1)
     whole = world.scans(0, poses)
@@ -83,7 +83,7 @@ def test_noise_belongs_to_seed_scan_and_ray(graph: Sensorgraph, robot: RobotFile
     assert len(np.unique(whole[:, 30])) > 20  # other scans, other noise
 
 
-def test_rays_without_an_answer_are_counted(graph: Sensorgraph, robot: RobotFile) -> None:
+def test_rays_without_an_answer_are_counted(graph: Sensorgraph, robot: Robot) -> None:
     world = IdentifiedWorld(graph, robot, seed=1)
     world.scans(0, np.array([[40.0, 40.0, 0.0], [1.3, 1.4, 0.2]]))
     assert world.n_rays == 2 * 61
@@ -92,7 +92,7 @@ def test_rays_without_an_answer_are_counted(graph: Sensorgraph, robot: RobotFile
 
 def test_a_robot_with_another_sensor_is_refused(graph: Sensorgraph) -> None:
     with pytest.raises(SensorgraphError, match="61 rays, the robot 181"):
-        IdentifiedWorld(graph, default(), seed=0)
+        IdentifiedWorld(graph, default_robot(), seed=0)
 
 
 def test_behaviour_of_a_circle_is_known() -> None:
@@ -126,16 +126,14 @@ def test_lyapunov_exponent_tells_chaos_from_a_circle() -> None:
 
 
 @pytest.fixture(scope="module")
-def folder(
-    graph: Sensorgraph, room: Arena, robot: RobotFile, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def folder(graph: Sensorgraph, room: Arena, robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Hold a graph, a robot and a short plan."""
     folder = tmp_path_factory.mktemp("identified")
     graph.save(folder / "g.sensorgraph")
     (folder / "robot.yaml").write_text(
         "name: small\nsensor: {n_rays: 61, mount: [0.1, 0.02, 0.01]}\nfootprint_radius: 0.15\n"
     )
-    made = make_plan(room, robot.robot, planner="wall_following", duration=40, seed=0, rate=10.0)
+    made = make_plan(room, robot, planner="wall_following", duration=40, seed=0, rate=10.0)
     save(made, folder / "plan", room, robot)
     return folder
 

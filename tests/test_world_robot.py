@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.world.robot import RobotFile, bearings, loads, read
+from sensorgraph.world.robot import Robot, bearings, load_robot, parse_robot
 
 
-def plain(robot: RobotFile) -> dict[str, object]:
-    parts = (robot.robot, robot.robot.limits, robot.pose, robot.wheels, robot.actuators, robot.tolerances)
-    facts: dict[str, object] = {}
+def plain(robot: Robot) -> dict[str, object]:
+    parts = (robot.limits, robot.pose, robot.wheels, robot.actuators, robot.tolerances)
+    facts: dict[str, object] = robot.to_dict()
     for part in parts:
         facts |= {f"{type(part).__name__}.{k}": v for k, v in vars(part).items() if k != "limits"}
     sensor = {k: np.asarray(v).tolist() for k, v in vars(robot.sensor).items()}
@@ -22,19 +22,19 @@ def plain(robot: RobotFile) -> dict[str, object]:
 
 
 def test_an_empty_file_is_the_shipped_robot() -> None:
-    shipped = loads((files("sensorgraph.data") / "radix.yaml").read_text())
-    assert plain(loads("")) == plain(shipped)
+    shipped = parse_robot((files("sensorgraph.data") / "radix.yaml").read_text())
+    assert plain(parse_robot("")) == plain(shipped)
     assert shipped.sensor.n_rays == 181
     assert shipped.sensor.sigma == 0.01
 
 
 def test_a_key_that_is_given_replaces_its_default_only() -> None:
-    robot = loads(
+    robot = parse_robot(
         "drive: reeds_shepp\nlimits: {turning_radius: 0.4}\nsensor: {sigma: 2e-2, mount: [0.1, 0, -3.1]}"
     )
-    assert robot.robot.drive == "reeds_shepp"
-    assert robot.robot.limits.turning_radius == 0.4
-    assert robot.robot.limits.v == 0.4
+    assert robot.drive == "reeds_shepp"
+    assert robot.limits.turning_radius == 0.4
+    assert robot.limits.v == 0.4
     assert robot.sensor.sigma == 0.02  # YAML 1.1 takes 2e-2 for a word
     assert robot.sensor.mount.tolist() == [0.1, 0.0, -3.1]
 
@@ -71,7 +71,7 @@ def test_bearings_of_a_full_turn_do_not_meet_themselves() -> None:
 )
 def test_a_mistake_is_said_in_one_line(text: str, said: str) -> None:
     with pytest.raises(SensorgraphError) as caught:
-        loads(text, name="my.yaml")
+        parse_robot(text, name="my.yaml")
     assert said in str(caught.value)
     assert str(caught.value).startswith("my.yaml: ")
 
@@ -79,6 +79,6 @@ def test_a_mistake_is_said_in_one_line(text: str, said: str) -> None:
 def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_bytes(bytes(range(256)))
     with pytest.raises(SensorgraphError, match="not a text file"):
-        read(tmp_path / "robot.yaml")
+        load_robot(tmp_path / "robot.yaml")
     with pytest.raises(SensorgraphError, match="is a directory"):
-        read(tmp_path)
+        load_robot(tmp_path)

@@ -12,9 +12,9 @@ import numpy as np
 from planners.cars.reeds_shepp import Arcs, Pose, along
 from planners.kernel import inner_kernel, kernel
 from planners.reach import Reach
-from planners.robot import Limits
 from planners.search.kernel_world import between
 from planners.types import Bools, Floats, Ints
+from planners.vehicle import Limits
 
 SAMPLE = 0.005
 """[m] between the poses of which the bin is looked at."""

@@ -29,8 +29,8 @@ from planners.cars.arc_path import (
 )
 from planners.cars.reeds_shepp import MOST_ARCS, Arcs, Pose, arcs_for, chain, part_of, quickest
 from planners.kernel import inner_kernel
-from planners.robot import SHORTEST_ARC
 from planners.types import Floats, Ints
+from planners.vehicle import SHORTEST_ARC
 
 NEAR = 1.0
 """[m] from the drive to a goal."""

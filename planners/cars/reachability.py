@@ -14,13 +14,13 @@ from planners.arena import wrap
 from planners.cars.search import Entry, begin, car_curve
 from planners.curve import Curve
 from planners.reach import Cycle, Reach
-from planners.robot import Limits
 from planners.search.kernel_world import Branches
 from planners.search.motion_primitives import driving
 from planners.search.search import Found, Scene, Search, scene
 from planners.search.wavefront import spread
 from planners.task import Task
 from planners.types import Bools, Floats
+from planners.vehicle import Limits
 
 FINE = 0.02
 """[m] between the cells of the lattice."""
@@ -80,14 +80,14 @@ class Ways:
         if not len(branches):
             return None
         return car_curve(
-            Found(start=begun.state, sequence=branches, left=wanted), begun, self.task.robot.limits
+            Found(start=begun.state, sequence=branches, left=wanted), begun, self.task.vehicle.limits
         )
 
     def leads_back(self, poses: Floats, here: Floats) -> Bools:
         """Tell from which poses (n, 3) a car that is at `here` (3,) comes back: by an arc to a heading of the lattice."""
         if not self._back:
             self._learn(here)
-        radius = self.task.robot.limits.turning_radius
+        radius = self.task.vehicle.limits.turning_radius
         x, y, phi = poses.T
         out = np.zeros(len(poses), dtype=np.bool_)
         for first, back in self._back.items():
@@ -106,7 +106,7 @@ class Ways:
 
     def _begin(self, pose: Floats, gear: int) -> Entry:
         task = self.task
-        return begin(pose, self.place, task.robot.limits, task.coverage.headings, task.rate, (gear,))
+        return begin(pose, self.place, task.vehicle.limits, task.coverage.headings, task.rate, (gear,))
 
     def _learn(self, pose: Floats) -> None:
         """Find out what leads back to a pose."""

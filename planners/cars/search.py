@@ -14,7 +14,6 @@ from planners.cars.reeds_shepp import NONE, Arcs, part_of
 from planners.cars.shortcuts import shorter
 from planners.curve import Curve
 from planners.priority import urgency, worth
-from planners.robot import Limits
 from planners.rooms import rooms
 from planners.search.kernel_world import CREDITS, is_safe
 from planners.search.log_phases import missed
@@ -22,6 +21,7 @@ from planners.search.motion_primitives import GEARS, Table, driving
 from planners.search.search import Found, Scene, Search, Settings, Visit, chained, scene
 from planners.task import Task
 from planners.types import Bools, Floats
+from planners.vehicle import Limits
 
 MOST_STEPS = 3
 """Headings of the table that a car may pass before it takes one."""
@@ -154,7 +154,7 @@ def arcs_of(curve: Curve) -> Arcs:
 
 def drive_on(curve: Curve, todo: Bools, task: Task, speed: float) -> tuple[Drive, Ground]:
     """Return a car's curve as a drive at some speed [m/s], and the ground on which it wins the bins `todo`."""
-    limits, is_backward = task.robot.limits, len(GEARS[task.robot.drive]) > 1
+    limits, is_backward = task.vehicle.limits, len(GEARS[task.vehicle.drive]) > 1
     ground = ground_of(task.reach, todo, limits, speed, task.rate, is_backward=is_backward)
     arcs = arcs_of(curve)
     drive, _ = drive_of(curve.poses[0], part_of(arcs, arcs.length > NONE), ground)
@@ -172,7 +172,7 @@ def shortened(curve: Curve, todo: Bools, task: Task, speed: float) -> tuple[Curv
     -------
     curve, and whether Ctrl-C ended the work: what was found by then
     """
-    limits, (begun, ground) = task.robot.limits, drive_on(curve, todo, task, speed)
+    limits, (begun, ground) = task.vehicle.limits, drive_on(curve, todo, task, speed)
     best, interrupted = begun, False
     try:
         for drive in shorter(begun, ground):
@@ -223,9 +223,9 @@ def search_floor(
     todo: Bools, task: Task, start: Floats, seed: int, tick: Callable[[int], bool], settings: Settings
 ) -> Visit | None:
     """Drive a car through the bins `todo` (nx, ny, n_phi), one room after the other; None where it gets to none."""
-    robot, grid = task.robot, task.coverage
+    vehicle, grid = task.vehicle, task.coverage
     place = scene(task.reach)
-    begun = begin(start, place, robot.limits, grid.headings, task.rate, GEARS[robot.drive])
+    begun = begin(start, place, vehicle.limits, grid.headings, task.rate, GEARS[vehicle.drive])
     value = worth(task.priority, todo)
     search = Search(place, begun.table, todo, task.rate, seed=seed, value=value, settings=settings)
     search.begin(begun.state)
@@ -250,7 +250,7 @@ def search_floor(
         found = search.found()
         given_up |= found.left
         if len(found.sequence):
-            curve = car_curve(found, begun, robot.limits)
+            curve = car_curve(found, begun, vehicle.limits)
             missing = missed(curve, todo, grid, task.rate)
     return None if curve is None else Visit(curve=curve, stops=cusps(curve), left=int(missing.sum()))
 

@@ -37,8 +37,8 @@ from planners.cars.arc_path import (
 )
 from planners.cars.reeds_shepp import MOST_ARCS, Arcs, Pose, along, arcs_for, chain, part_of, quickest
 from planners.kernel import inner_kernel, kernel
-from planners.robot import SHORTEST_ARC
 from planners.types import Bools, Floats, Ints
+from planners.vehicle import SHORTEST_ARC
 
 LONGEST = 60.0
 """[s] of a part."""

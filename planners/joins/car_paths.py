@@ -22,9 +22,9 @@ from planners.joins.ompl_car_paths import Arcs
 from planners.joins.ompl_process import SLACK, ask
 from planners.joins.paths import field_of
 from planners.reach import Reach
-from planners.robot import SHORTEST_ARC, Robot
 from planners.task import JoinCounts
 from planners.types import Bools, Floats
+from planners.vehicle import SHORTEST_ARC, Vehicle
 
 PROOF_STEP = 0.004
 """[m] between the poses at which clearance is measured; it is less by up to half as much in between."""
@@ -48,7 +48,7 @@ def connect_cars(
     *,
     reach: Reach,
     barriers: Barriers,
-    robot: Robot,
+    vehicle: Vehicle,
     seed: int,
 ) -> tuple[list[CarWay | None], JoinCounts]:
     """Find a drive from each start (n, 3) to one of its goals, each (m, 3) [m, m, rad].
@@ -64,8 +64,8 @@ def connect_cars(
         starts=starts,
         goals=np.concatenate([own[kept] for own, kept in zip(goals, within, strict=True)]),
         counts=[len(kept) for kept in within],
-        radius=robot.limits.turning_radius,
-        backward=robot.drive == "reeds_shepp",
+        radius=vehicle.limits.turning_radius,
+        backward=vehicle.drive == "reeds_shepp",
         **field_of(reach),
     )
     found_arcs = np.split(answer["arcs"], np.cumsum(answer["lengths"])[:-1])
@@ -74,8 +74,8 @@ def connect_cars(
     for k, (start, own) in enumerate(zip(starts, found_arcs, strict=True)):
         found, straight = int(answer["goal"][k]), bool(answer["direct"][k])
         goal = int(within[k][found]) if found >= 0 else -1
-        tried = _untwitched(start, own, robot) if goal >= 0 else iter(())
-        made = (_proven(start, arcs, goal, barriers, reach.clearance, robot) for arcs in tried)
+        tried = _untwitched(start, own, vehicle) if goal >= 0 else iter(())
+        made = (_proven(start, arcs, goal, barriers, reach.clearance, vehicle) for arcs in tried)
         way = next((one for one in made if one is not None), None)
         ways.append(way)
         joins += JoinCounts(
@@ -87,13 +87,13 @@ def connect_cars(
     return ways, joins
 
 
-def _untwitched(start: Floats, arcs: Arcs, robot: Robot) -> Iterator[Arcs]:
+def _untwitched(start: Floats, arcs: Arcs, vehicle: Vehicle) -> Iterator[Arcs]:
     """Yield the way with its twitches of the wheel, and ever more arcs round them, replaced by a word without; then itself.
 
     Twitches are arcs so short that the wheel turns there and back within a sample.
     """
     short = np.flatnonzero(arcs[:, 2] < SHORTEST_ARC)
-    n, radius = len(arcs), robot.limits.turning_radius
+    n, radius = len(arcs), vehicle.limits.turning_radius
     poses: list[Pose] = [(float(start[0]), float(start[1]), float(start[2]))]
     for gear, bend, length in arcs.tolist():
         poses.append(along(poses[-1], length, int(bend), int(gear), radius))
@@ -102,7 +102,7 @@ def _untwitched(start: Floats, arcs: Arcs, robot: Robot) -> Iterator[Arcs]:
     for wide in range(1, n + 1) if len(short) else ():
         i, k = max(int(short[0]) - wide, 0), min(int(short[-1]) + wide + 1, n)
         ends = poses[i], poses[k], radius, gears[i], gears[k + 1]
-        m = quickest(*ends, CUSP, robot.drive == "reeds_shepp", SHORTEST_ARC, 0, word, room)
+        m = quickest(*ends, CUSP, vehicle.drive == "reeds_shepp", SHORTEST_ARC, 0, word, room)
         if m >= 0:
             yield np.concatenate(
                 [arcs[:i], np.column_stack([room.gear, room.bend, room.length])[:m], arcs[k:]]
@@ -122,13 +122,13 @@ def _floods_to(goals: Floats, reach: Reach) -> Bools:
 
 
 def _proven(
-    start: Floats, arcs: Arcs, goal: int, barriers: Barriers, clearance: float, robot: Robot
+    start: Floats, arcs: Arcs, goal: int, barriers: Barriers, clearance: float, vehicle: Vehicle
 ) -> CarWay | None:
     """Return the drive along some arcs; None unless it keeps the clearance, or all but SLACK of it, all along."""
     if not len(arcs):
         return CarWay(curve=None, goal=goal)
-    curve = geared(start, arcs[:, 2], arcs[:, 1], arcs[:, 0], robot.limits)
-    n = int(np.ceil(curve.duration * robot.limits.v / PROOF_STEP)) + 1
+    curve = geared(start, arcs[:, 2], arcs[:, 1], arcs[:, 0], vehicle.limits)
+    n = int(np.ceil(curve.duration * vehicle.limits.v / PROOF_STEP)) + 1
     places = curve.sample(np.linspace(0.0, curve.duration, n))[0][:, :2]
     clear = barriers.distances(places).min() >= clearance - SLACK
     return CarWay(curve=curve, goal=goal) if clear else None

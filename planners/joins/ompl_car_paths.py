@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from planners.joins.ompl_process import CHECK_STEP, SLACK, Countdown, Field, serve
-from planners.robot import SHORTEST_ARC
 from planners.types import Floats
+from planners.vehicle import SHORTEST_ARC
 
 SEARCHES = ((2.0, 1.0, 800), (np.inf, 2.0, 1_500), (np.inf, 0.5, 3_000))
 """Window [m] around start and goals to sample in, longest step [m], iterations; the first to succeed is used."""

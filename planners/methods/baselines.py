@@ -24,7 +24,7 @@ def random_bounce(task: Task) -> PlannedDrive:
     """Drive straight until a wall is near, turn to a random open heading, and so on for `task.duration`."""
     _only_in_place(task, "random_bounce")
     rng = np.random.default_rng(task.seed)
-    pen = CurveBuilder(_start(task, rng), task.robot.limits)
+    pen = CurveBuilder(_start(task, rng), task.vehicle.limits)
     bounces = 0
     while pen.clock < _duration(task):
         way = _free_way(task, pen.pose)
@@ -83,7 +83,7 @@ def wall_following(task: Task) -> PlannedDrive:
         raise PlanError(
             f"OMPL found no way along the wall from ({start[0]:.2f}, {start[1]:.2f}); choose another start"
         )
-    pen = CurveBuilder(start, task.robot.limits)
+    pen = CurveBuilder(start, task.vehicle.limits)
     corners = [*lead[0][1:], *path[1:]]
     lap = 0
     while pen.clock < _duration(task):
@@ -135,7 +135,7 @@ def _duration(task: Task) -> float:
 
 
 def _only_in_place(task: Task, name: str) -> None:
-    if task.robot.drive != "diff":
+    if task.vehicle.drive != "diff":
         raise PlanError(
-            f"planner {name} turns on the spot, which drive {task.robot.drive!r} cannot; use drive: diff"
+            f"planner {name} turns on the spot, which drive {task.vehicle.drive!r} cannot; use drive: diff"
         )

@@ -68,7 +68,7 @@ TIGHT = 1e-9
 
 def plan_search(task: Task) -> PlannedDrive:
     """Visit every bin that is still missing: spin without a stop, and choose the speed."""
-    if task.robot.drive != "diff":
+    if task.vehicle.drive != "diff":
         return _by_car(task)
     todo = wanted(task)
     table = _table(task)
@@ -104,7 +104,7 @@ def _by_car(task: Task) -> PlannedDrive:
         raise PlanError("every reachable bin is covered already; nothing is left to plan")
     start = task.start if task.start is not None else _first_pose(task)
 
-    settings = CAR[task.robot.drive]
+    settings = CAR[task.vehicle.drive]
     parts = [np.asarray(todo & room[:, :, None]) for room in room_order(todo, start, task)]
     begins = [_begin(part, start, task) for part in parts]
 
@@ -192,7 +192,7 @@ def _pose_in(need: Bools, task: Task) -> Floats | None:
 
 def _table(task: Task) -> Table:
     """Return the primitives of the task's robot."""
-    limits, headings, drive = task.robot.limits, task.coverage.headings, task.robot.drive
+    limits, headings, drive = task.vehicle.limits, task.coverage.headings, task.vehicle.drive
     return (
         spinning(limits, headings, task.rate)
         if drive == "diff"
@@ -270,7 +270,7 @@ def _compiled(task: Task) -> None:
     said.start()
     try:
         Search(place, _table(task), none, task.rate).run(lambda _: False)
-        if task.robot.drive != "diff":
+        if task.vehicle.drive != "diff":
             _shorten_nothing(task)
     finally:
         said.cancel()
@@ -279,8 +279,8 @@ def _compiled(task: Task) -> None:
 def _shorten_nothing(task: Task) -> None:
     """Compile what shortens a car's drive: let it look for ways across a straight line of three arcs."""
     arcs = np.full(3, 0.1), np.zeros(3), np.ones(3)
-    line = geared(np.array([*task.reach.origin, 0.0]), *arcs, task.robot.limits)
-    shortened(line, np.zeros_like(task.coverage.reachable), task, task.robot.limits.v)
+    line = geared(np.array([*task.reach.origin, 0.0]), *arcs, task.vehicle.limits)
+    shortened(line, np.zeros_like(task.coverage.reachable), task, task.vehicle.limits.v)
 
 
 def search_room(
@@ -305,12 +305,12 @@ def search_room(
     if not search.rest():
         return None
     found = search.found()
-    curve = spin_curve(found, table, task.robot.limits.alpha)
+    curve = spin_curve(found, table, task.vehicle.limits.alpha)
     return Visit(curve=curve, stops=_revolutions(curve, table), left=int(given_up.sum()))
 
 
 def _missed_by(search: Search, table: Table, task: Task, need: Bools) -> Bools:
-    curve = spin_curve(search.found(), table, task.robot.limits.alpha)
+    curve = spin_curve(search.found(), table, task.vehicle.limits.alpha)
     return missed(curve, need, task.coverage, task.rate)
 
 
@@ -352,7 +352,7 @@ def _order(visits: list[Visit], here: Floats | None, task: Task) -> Ints:
     starts = np.array([visit.ends[0] for visit in visits])
     ends = np.array([visit.ends[1] for visit in visits] + ([] if here is None else [here]))
     far = csgraph.dijkstra(cell_graph(reach), directed=False, indices=cells(ends))[:, cells(starts)]
-    cost = np.where(np.isfinite(far), far, 1e3) * reach.cell / task.robot.limits.v
+    cost = np.where(np.isfinite(far), far, 1e3) * reach.cell / task.vehicle.limits.v
     return sequence(cost[: len(visits)], None if here is None else cost[-1])
 
 
@@ -376,7 +376,7 @@ def _drawn(visits: list[Visit], task: Task) -> PlannedDrive:
             path, joins = again[0], joins + more
         if path is None:
             continue
-        pen = CurveBuilder(here, task.robot.limits)
+        pen = CurveBuilder(here, task.vehicle.limits)
         lead(pen, path)
         face(pen, visit.ends[0][2])
         if pen.clock > 0:

@@ -10,9 +10,9 @@ import numpy as np
 from planners.cars.search import redriven
 from planners.coverage import Coverage
 from planners.curve import Curve, joined
-from planners.robot import Limits
 from planners.search.log_phases import PHASES, met
 from planners.types import Bools, Floats
+from planners.vehicle import Limits
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

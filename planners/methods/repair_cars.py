@@ -63,17 +63,17 @@ class CarRepair:
     joins: JoinCounts = field(default_factory=JoinCounts)
 
     def __post_init__(self) -> None:
-        task, robot = self.task, self.task.robot
-        self.trip = PartialDrive(grid=task.coverage, rate=task.rate, limits=robot.limits, here=self.start)
+        task, vehicle = self.task, self.task.vehicle
+        self.trip = PartialDrive(grid=task.coverage, rate=task.rate, limits=vehicle.limits, here=self.start)
         self.lost: Bools = np.zeros_like(self.todo)
         """(nx, ny, n_phi) bins that no way was found to."""
         self.tried: Ints = np.zeros(self.todo.shape, dtype=np.int64)
         """(nx, ny, n_phi) how often each bin was searched for."""
         self._in_vain: Bools = np.zeros_like(self.todo)
         """(nx, ny, n_phi) bins of queries that OMPL found no way for."""
-        self._ways = Ways(task) if len(GEARS[robot.drive]) == 1 else None
+        self._ways = Ways(task) if len(GEARS[vehicle.drive]) == 1 else None
         """Of a car that only goes forward: another comes back from anywhere."""
-        self.aside = driving(robot.limits, task.coverage.headings, task.rate, GEARS[robot.drive]).first
+        self.aside = driving(vehicle.limits, task.coverage.headings, task.rate, GEARS[vehicle.drive]).first
         """[rad] from the middle of a heading bin to the headings that the search likes."""
 
     def take(self, curve: Curve) -> None:
@@ -143,7 +143,7 @@ class CarRepair:
         missing = self.missing()
         bins, goals = goals_in(missing, self.trip.here, self.aside, self.task)
         if self.trip.curves and len(bins):
-            curve, limits = self.trip.curve, self.task.robot.limits
+            curve, limits = self.trip.curve, self.task.vehicle.limits
             drive, ground = drive_on(curve, self.todo, self.task, speed)
             own = np.ravel_multi_index(tuple(bins.T), missing.shape)
             longer = with_detours(drive, goals, own, ground)
@@ -209,7 +209,7 @@ class CarRepair:
             [goals],
             reach=task.reach,
             barriers=task.barriers,
-            robot=task.robot,
+            vehicle=task.vehicle,
             seed=task.seed + round_,
         )
         self.joins += joins

@@ -70,7 +70,7 @@ class SpinRepair:
         """Drive along a path (k, 2) [m] and turn through the headings `need` (n_phi,) at its end."""
         task = self.task
         width = 2 * np.pi / task.coverage.headings
-        pen = CurveBuilder(self.here, task.robot.limits, spin=width * task.rate / DWELL)
+        pen = CurveBuilder(self.here, task.vehicle.limits, spin=width * task.rate / DWELL)
         lead(pen, path)
         pen.turn(aim(pen, None, need, (0.0, 0.0)).angle, "spin")
         pen.wait(1.0 / task.rate)

@@ -33,9 +33,9 @@ BACK = (1, 4, 16, 64)
 
 def plan_stop_and_spin(task: Task) -> PlannedDrive:
     """Visit every cell that still lacks a heading, in an order that saves time."""
-    if task.robot.drive != "diff":
+    if task.vehicle.drive != "diff":
         raise PlanError(
-            f"planner stop_and_spin turns on the spot, which drive {task.robot.drive!r} cannot; use the planner coverage"
+            f"planner stop_and_spin turns on the spot, which drive {task.vehicle.drive!r} cannot; use the planner coverage"
         )
     return Stops(task, wanted(task)).run()
 
@@ -136,7 +136,7 @@ class Stops:
         roomy = self.task.barriers.are_clear(points[:-1], points[1:], self.limit + ROOM)
         roomy = np.concatenate([[False], roomy, [False]])
         blend = np.where(roomy[:-1] & roomy[1:], OVERLAP, 0.0)  # (n stops,)
-        pen = self.pen or CurveBuilder(self._first_pose(points), self.task.robot.limits, spin=self.spin)
+        pen = self.pen or CurveBuilder(self._first_pose(points), self.task.vehicle.limits, spin=self.spin)
         self.pen = pen
         for k, (_, need, _) in enumerate(route):
             target = points[k + 1] if k + 1 < len(points) else None
@@ -204,7 +204,7 @@ def _subset(cells: Cells, members: Ints) -> Cells:
 
 def _lanes(cells: Cells, here: Floats | None, task: Task) -> Ints:
     """Order cells by runs along x or along y, whichever costs less."""
-    limits = task.robot.limits
+    limits = task.vehicle.limits
     best: tuple[float, Ints] | None = None
     for axis in (0, 1):
         runs = order.runs(cells, axis)

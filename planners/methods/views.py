@@ -16,16 +16,16 @@ from planners.types import Floats, Ints
 
 def plan_views(task: Task) -> PlannedDrive:
     """Drive through the poses of `task.targets`; straight where that is clear, else by OMPL."""
-    if task.robot.drive != "diff":
+    if task.vehicle.drive != "diff":
         raise PlanError(
-            f"planner views turns on the spot, which drive {task.robot.drive!r} cannot; use drive: diff"
+            f"planner views turns on the spot, which drive {task.vehicle.drive!r} cannot; use drive: diff"
         )
     if task.targets is None or len(task.targets) == 0:
         raise PlanError("planner views needs poses to visit; give at least one")
     _check(task, task.targets)
     targets = task.targets[_order(task, task.targets)]
     start = targets[0] if task.start is None else task.start
-    pen = CurveBuilder(start, task.robot.limits)
+    pen = CurveBuilder(start, task.vehicle.limits)
     ends = np.concatenate([start[None, :2], targets[:, :2]])
     paths, joins = connect(ends[:-1], ends[1:], reach=task.reach, barriers=task.barriers, seed=task.seed)
     for k, (target, path) in enumerate(zip(targets, paths, strict=True)):
@@ -58,7 +58,7 @@ def _order(task: Task, targets: Floats) -> Ints:
     """Order the poses (n, 3) by the ways between the cells they lie in."""
     if len(targets) == 1:
         return np.zeros(1, dtype=np.int64)
-    limits = task.robot.limits
+    limits = task.vehicle.limits
     cells = places(task.reach, task.barriers, task.reach.cells()[:, :, None])
     points = targets[:, :2] if task.start is None else np.concatenate([targets[:, :2], task.start[None, :2]])
     near = np.array([((cells.places - point) ** 2).sum(axis=1).argmin() for point in points])

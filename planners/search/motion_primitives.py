@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.curve import displace
-from planners.robot import Limits
 from planners.types import Bools, Floats, Ints
+from planners.vehicle import Limits
 
 SAMPLES = 8
 """Poses looked at within a primitive."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sensorgraph.diagnosis.commissioning import Commissioned
     from sensorgraph.diagnosis.diagnose import Finding
     from sensorgraph.effects import Amendment
-    from sensorgraph.world.robot import RobotFile
+    from sensorgraph.world.robot import Robot
 
 
 def diagnose(
@@ -86,7 +86,7 @@ def diagnose(
         "seed": seed,
         "runs": [path.name for path in runs],
         "arena": arena or "kept in the run",
-        "robot": machine.robot.name,
+        "robot": machine.name,
         "tolerances": vars(machine.tolerances),
         "known_effects": [a.name for a in known],
         "commissioning": baseline.said(", ".join(path.name for path in commissioning))
@@ -120,7 +120,7 @@ def _read(path: Path, topic: list[str] | None) -> Run:
         return read(path, topics=parse_topics(topic or []), progress=tick)
 
 
-def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple[Arena, RobotFile]:
+def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple[Arena, Robot]:
     """Read arena and robot, or take those kept in the run."""
     from sensorgraph.cli.inputs import kept_arena, kept_robot, named_arena, robot_for
     from sensorgraph.errors import SensorgraphError
@@ -144,7 +144,7 @@ def _known(path: Path | None, walls: Arena) -> Sequence[Amendment]:
 
 
 def _commission(
-    runs: list[Path], topic: list[str] | None, walls: Arena, machine: RobotFile, seed: int
+    runs: list[Path], topic: list[str] | None, walls: Arena, machine: Robot, seed: int
 ) -> Commissioned:
     """Learn from a run that is known to be good."""
     from sensorgraph.cli.progress import progress
@@ -156,7 +156,7 @@ def _commission(
 
 
 def _save(
-    finding: Finding, out: Path, walls: Arena, machine: RobotFile, *, name: str, settings: Mapping[str, Any]
+    finding: Finding, out: Path, walls: Arena, machine: Robot, *, name: str, settings: Mapping[str, Any]
 ) -> None:
     """Write report and next run; all of it, or nothing if it is interrupted."""
     from sensorgraph.cli.progress import progress

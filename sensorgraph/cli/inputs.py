@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from logs.run import RangeSensor, Run
     from planners.arena import Arena
     from sensorgraph.types import Floats
-    from sensorgraph.world.robot import RobotFile
+    from sensorgraph.world.robot import Robot
 
 
 def check_output(path: Path, *inputs: Path) -> None:
@@ -45,9 +45,9 @@ def check_folder(folder: Path) -> None:
 def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) -> None:
     """Check that a robot file describes the sensor that recorded."""
     from sensorgraph.building.build import is_same_sensor
-    from sensorgraph.world.robot import read
+    from sensorgraph.world.robot import load_robot
 
-    described = read(path).sensor
+    described = load_robot(path).sensor
     for name, sensor in sensors:
         if not is_same_sensor(sensor.bearings, described.bearings):
             raise SensorgraphError(
@@ -138,30 +138,26 @@ def named_arena(name: str) -> Arena:
     return maps.load(Path(name))
 
 
-def named_robot(path: Path | None) -> RobotFile:
+def named_robot(path: Path | None) -> Robot:
     """Read robot.yaml, or the shipped robot where none is named."""
     from importlib.resources import files
 
-    from sensorgraph.world import robot as robot_file
+    from sensorgraph.world.robot import load_robot, parse_robot
 
     if path is None:
-        return robot_file.loads((files("sensorgraph.data") / "radix.yaml").read_text(), name="radix.yaml")
-    return robot_file.read(path)
+        return parse_robot((files("sensorgraph.data") / "radix.yaml").read_text(), name="radix.yaml")
+    return load_robot(path)
 
 
-def kept_robot(run: Run) -> RobotFile | None:
+def kept_robot(run: Run) -> Robot | None:
     """Return the robot kept in a run, if there is one."""
-    from sensorgraph.world import robot as robot_file
+    from sensorgraph.world.robot import parse_robot
 
     text = run.attachments.get("robot.yaml")
-    return (
-        None
-        if text is None
-        else robot_file.loads(text.decode(errors="replace"), name="robot.yaml in the run")
-    )
+    return None if text is None else parse_robot(text.decode(errors="replace"), name="robot.yaml in the run")
 
 
-def robot_for(run: Run, path: Path | None) -> RobotFile:
+def robot_for(run: Run, path: Path | None) -> Robot:
     """Read robot.yaml; where none is named, the shipped robot with the sensor that the run itself describes."""
     from dataclasses import replace
 

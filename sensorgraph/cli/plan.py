@@ -115,7 +115,7 @@ def plan(
     with progress("planning", "bins" if planner == "coverage" else "stops") as tick:
         made = make_plan(
             without(world, shut),
-            machine.robot,
+            machine,
             planner=planner,
             cell=cell,
             headings=headings,

@@ -98,7 +98,7 @@ def record(
         assert commands is not None
         begin = _start(start, commands)
         way = Commands(stamps=commands.cmd_stamps, twists=commands.commands, start=begin)
-    _check_start(begin, WallDistance(walls), machine.robot.footprint_radius, arena)
+    _check_start(begin, WallDistance(walls), machine.footprint_radius, arena)
     facts = plan / "plan.json" if plan.is_dir() else plan.with_name("plan.json")
     attachments = {"plan.json": _timeless(facts)} if trajectory is not None and facts.is_file() else {}
     run = record_run(
@@ -148,7 +148,7 @@ def _record_closed_loop(
     else:
         assert graph is not None
         walls = arena_of(graph)
-    _check_start(trajectory.poses[0], WallDistance(walls), machine.robot.footprint_radius, arena or str(path))
+    _check_start(trajectory.poses[0], WallDistance(walls), machine.footprint_radius, arena or str(path))
     labels = {name: controller_label(name) for name in controllers}
     if len(set(labels.values())) < len(labels):
         raise SensorgraphError(f"controllers {', '.join(controllers)} share a name; rename one of the files")

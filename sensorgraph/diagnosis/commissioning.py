@@ -39,7 +39,7 @@ from sensorgraph.diagnosis.scan.site_variation import (
 )
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot import RobotFile, Tolerances
+from sensorgraph.world.robot import Robot, Tolerances
 
 logger = logging.getLogger(__name__)
 
@@ -71,7 +71,7 @@ BASELINE: dict[str, dict[str, float]] = {  # what a site or a map may always sho
 class Commissioned:
     """What a run known to be good says of its site, its poses and its sensor."""
 
-    robot: RobotFile
+    robot: Robot
     """With the tolerances of the poses, and the resolution of the sensor, that the run showed."""
     known: tuple[Amendment, ...]
     """What the run itself shows: part of the simulator from now on."""
@@ -189,9 +189,7 @@ def _noise_dict(bounds: NoiseBounds) -> dict[str, Any]:
     }
 
 
-def commission(
-    run: Run, arena: Arena, robot: RobotFile, *, seed: int = 0, learn: bool = True
-) -> Commissioned:
+def commission(run: Run, arena: Arena, robot: Robot, *, seed: int = 0, learn: bool = True) -> Commissioned:
     """Learn the baseline of a site from a run that is known to be good.
 
     Parameters
@@ -232,7 +230,7 @@ def commission(
     )
 
 
-def commission_all(runs: Sequence[Run], arena: Arena, robot: RobotFile, *, seed: int = 0) -> Commissioned:
+def commission_all(runs: Sequence[Run], arena: Arena, robot: Robot, *, seed: int = 0) -> Commissioned:
     """Learn the baseline of a site from one run that is known to be good, or from several."""
     if len(runs) == 1:
         return commission(runs[0], arena, robot, seed=seed)

@@ -37,7 +37,7 @@ from sensorgraph.effects.effect import size_ratio
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Progress
 from sensorgraph.world.orientation import orientation
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
 
@@ -90,7 +90,7 @@ class Finding:
 def diagnose(
     run: Run,
     arena: Arena,
-    robot: RobotFile,
+    robot: Robot,
     *,
     second: Run | None = None,
     known: Sequence[Amendment] = (),
@@ -185,7 +185,7 @@ def diagnose(
 def other_run(
     second: Run,
     arena: Arena,
-    robot: RobotFile,
+    robot: Robot,
     known: Sequence[Amendment],
     commissioned: Commissioned | None,
     place: Placement,
@@ -212,7 +212,7 @@ def _next(
     named: Sequence[Amendment],
     rivals: Sequence[Amendment],
     arena: Arena,
-    robot: RobotFile,
+    robot: Robot,
     seed: int,
 ) -> NextRun | None:
     """Plan the next run; None where the room or the robot does not allow one."""
@@ -261,7 +261,7 @@ def _misplaced(
     )
 
 
-def with_known(robot: RobotFile, known: Sequence[Amendment]) -> RobotFile:
+def with_known(robot: Robot, known: Sequence[Amendment]) -> Robot:
     """Return the robot with the motors that known effects describe."""
     extra = {a.name: a.parameters for a in known if a.name in ("actuator_lag", "dead_time")}
     motors = replace(

@@ -25,13 +25,13 @@ from sensorgraph.files import whole
 from sensorgraph.show.figures_headings import headings_picture
 from sensorgraph.show.figures_plan import plan_picture, reach_picture
 from sensorgraph.types import Floats
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 from sensorgraph.world.simulate import EPOCH_NS, occupancy
 
 RUN_FILES = ("trajectory.csv", "cmd_vel.csv", "waypoints.yaml", "plan.mcap", "plan.json")
 
 
-def save(plan: Plan, folder: Path, arena: Arena, robot: RobotFile) -> None:
+def save(plan: Plan, folder: Path, arena: Arena, robot: Robot) -> None:
     """Write a plan into a folder, with the arena and the robot that made it; each file is whole or not there."""
     folder.mkdir(parents=True, exist_ok=True)
     kept = {"arena.geojson": geojson.dumps(arena), "robot.yaml": robot.text}

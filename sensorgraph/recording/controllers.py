@@ -18,7 +18,7 @@ from robotmodic_ident.errors import IdentError
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.identification.signals import RAY, perceived, rays_of
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 
 Controller = Callable[[Floats], tuple[float, float]]
 """Readings (n_rays,) [m] -> (v, omega) [m/s, rad/s]."""
@@ -37,8 +37,8 @@ CRUISE = 0.75  # of the largest speed
 class _Reactive:
     """What both controllers share: the way ahead, as the nearest reading in a sector."""
 
-    def __init__(self, robot: RobotFile, seed: int) -> None:
-        self.limits, self.radius = robot.robot.limits, robot.robot.footprint_radius
+    def __init__(self, robot: Robot, seed: int) -> None:
+        self.limits, self.radius = robot.limits, robot.footprint_radius
         self.bearings = robot.sensor.bearings + robot.sensor.mount[2]
         self.reach = float(np.hypot(*robot.sensor.mount[:2]))
         self.ahead = np.abs(self.bearings) < AHEAD
@@ -57,7 +57,7 @@ class _Reactive:
 class WallFollowing(_Reactive):
     """Keep the wall on the right at an even distance; turn left before what is ahead; where there is no wall, drive on."""
 
-    def __init__(self, robot: RobotFile, seed: int) -> None:
+    def __init__(self, robot: Robot, seed: int) -> None:
         super().__init__(robot, seed)
         self.period = 1.0 / robot.sensor.rate
         self.searched = np.inf  # [rad] turned to the right without a wall beside
@@ -79,7 +79,7 @@ class WallFollowing(_Reactive):
 class RandomBounce(_Reactive):
     """Drive straight; before an obstacle turn by a random angle, on until the way is open."""
 
-    def __init__(self, robot: RobotFile, seed: int) -> None:
+    def __init__(self, robot: Robot, seed: int) -> None:
         super().__init__(robot, seed)
         self.period = 1.0 / robot.sensor.rate
         self.left = 0.0  # [rad] still to turn
@@ -100,7 +100,7 @@ class RandomBounce(_Reactive):
         return CRUISE * self.limits.v, 0.0
 
 
-CONTROLLERS: dict[str, Callable[[RobotFile, int], Controller]] = {
+CONTROLLERS: dict[str, Callable[[Robot, int], Controller]] = {
     "wall_following": WallFollowing,
     "random_bounce": RandomBounce,
 }
@@ -117,7 +117,7 @@ class PolynomialController:
     Past outputs are the controller's own commands. A ray without return leaves the last command in force.
     """
 
-    def __init__(self, model: Narmax, facts: Mapping[str, Any], robot: RobotFile, *, name: str) -> None:
+    def __init__(self, model: Narmax, facts: Mapping[str, Any], robot: Robot, *, name: str) -> None:
         self.model, self.name = model.in_user_units(), name
         self.names: dict[str, str] = {
             v: facts.get("signals", {}).get(v, v) for v in self.model.terms.variables
@@ -145,7 +145,7 @@ class PolynomialController:
         self.count, self.command = 0, 0.0
 
     @classmethod
-    def load(cls, path: Path, robot: RobotFile) -> PolynomialController:
+    def load(cls, path: Path, robot: Robot) -> PolynomialController:
         """Read what `sensorgraph identify` wrote."""
         model = Narmax.load(path)
         try:
@@ -203,7 +203,7 @@ def _every(period: float | None, rate: float, name: str) -> int:
     return whole
 
 
-def controller_named(name: str, robot: RobotFile, seed: int) -> Controller:
+def controller_named(name: str, robot: Robot, seed: int) -> Controller:
     """Return a controller of the registry, or the polynomial in a `MODEL.json`."""
     if name in CONTROLLERS:
         return CONTROLLERS[name](robot, seed)

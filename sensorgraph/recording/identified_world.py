@@ -27,7 +27,7 @@ from sensorgraph.recording.record import silent
 from sensorgraph.types import Floats, ProgressBars
 from sensorgraph.world.drive import follow, react
 from sensorgraph.world.raycast import cast
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 from sensorgraph.world.scene import limited
 from sensorgraph.world.simulate import occupancy, simulate
 from sensorgraph.world.wall_distance import WallDistance
@@ -72,7 +72,7 @@ class Noise:
 class ArenaWorld:
     """Readings cast in an arena, with the sensor's noise and nothing else."""
 
-    def __init__(self, arena: Arena, robot: RobotFile, seed: int) -> None:
+    def __init__(self, arena: Arena, robot: Robot, seed: int) -> None:
         self.arena, self.sensor, self.seed = arena, robot.sensor, seed
         self._noise = Noise(seed, robot.sensor.n_rays)
 
@@ -91,7 +91,7 @@ class ArenaWorld:
 class IdentifiedWorld:
     """Readings drawn from a graph; `unanswered` of `n_rays` were drawn where the graph has no answer."""
 
-    def __init__(self, graph: Sensorgraph, robot: RobotFile, seed: int) -> None:
+    def __init__(self, graph: Sensorgraph, robot: Robot, seed: int) -> None:
         if not is_same_sensor(graph.sensor.bearings, robot.sensor.bearings):
             raise SensorgraphError(
                 f"the graph has {graph.sensor.n_rays} rays, the robot {robot.sensor.n_rays} or other bearings; "
@@ -131,7 +131,7 @@ def record_in(
     path: Path,
     world: World,
     arena: Arena,
-    robot: RobotFile,
+    robot: Robot,
     way: Trajectory,
     controller: str,
     *,

@@ -19,7 +19,7 @@ from sensorgraph.effects.effects_file import check_places, dumps
 from sensorgraph.types import Floats, ProgressBars
 from sensorgraph.world.drive import Driven, follow, replay
 from sensorgraph.world.drivetrain import Machine
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 from sensorgraph.world.simulate import occupancy, simulate
 from sensorgraph.world.wall_distance import WallDistance
 
@@ -44,7 +44,7 @@ def silent(label: str, unit: str) -> AbstractContextManager[Callable[[int, int],
 def record(
     path: Path,
     arena: Arena,
-    robot: RobotFile,
+    robot: Robot,
     way: Trajectory | Commands,
     *,
     effects: Sequence[Amendment] = (),

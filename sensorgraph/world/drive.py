@@ -19,7 +19,7 @@ from planners.arena import wrap
 from planners.trajectory import Trajectory
 from sensorgraph.types import Floats
 from sensorgraph.world.drivetrain import Machine
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 
 STEP = 0.01  # [s] of the simulated truth
 SETTLE = 0.5  # [s] that the robot is recorded standing after the last command
@@ -52,7 +52,7 @@ class Driven:
 
 def follow(
     trajectory: Trajectory,
-    robot: RobotFile,
+    robot: Robot,
     *,
     clearance: Clearance,
     rng: np.random.Generator,
@@ -90,7 +90,7 @@ def replay(
     cmd_stamps: Floats,
     commands: Floats,
     start: Floats,
-    robot: RobotFile,
+    robot: Robot,
     *,
     clearance: Clearance,
     machine: Machine | None = None,
@@ -123,7 +123,7 @@ def react(
     scan: Callable[[int, Floats], Floats],
     start: Floats,
     duration: float,
-    robot: RobotFile,
+    robot: Robot,
     *,
     clearance: Clearance,
     progress: Callable[[int, int], None] | None = None,
@@ -151,7 +151,7 @@ def react(
 
 
 def odometry(
-    driven: Driven, robot: RobotFile, rng: np.random.Generator, *, machine: Machine | None = None
+    driven: Driven, robot: Robot, rng: np.random.Generator, *, machine: Machine | None = None
 ) -> tuple[Floats, Floats, Floats]:
     """Return stamps (n,), poses (n, 3) in odom and twists (n, 2) as the wheels measure and integrate them."""
     machine = machine or Machine.of(robot)
@@ -172,7 +172,7 @@ def odometry(
     return stamps, np.concatenate([xy, wrap(phi)[:, None]], axis=1), twists
 
 
-def _n_commands(duration: float, robot: RobotFile) -> int:
+def _n_commands(duration: float, robot: Robot) -> int:
     return math.ceil(duration * robot.wheels.rate - 1e-9) + 1
 
 
@@ -180,15 +180,15 @@ def _drive(
     start: Floats,
     duration: float,
     command: Command,
-    robot: RobotFile,
+    robot: Robot,
     machine: Machine,
     *,
     clearance: Clearance,
     progress: Callable[[int, int], None] | None,
 ) -> Driven:
     """Integrate the robot; `command(k, x, y, phi)` is asked once per control period."""
-    limits, radius = robot.robot.limits, robot.robot.footprint_radius
-    backward = 0.0 if robot.robot.drive == "dubins" else -limits.v
+    limits, radius = robot.limits, robot.footprint_radius
+    backward = 0.0 if robot.drive == "dubins" else -limits.v
     n_commands, period = _n_commands(duration, robot), 1.0 / robot.wheels.rate
     n_steps = round(duration / STEP)
     keep = math.exp(-STEP / machine.tau) if machine.tau > 0 else 0.0

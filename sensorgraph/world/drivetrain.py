@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sensorgraph.types import Floats
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 from sensorgraph.world.scene import Transform
 
 
@@ -32,7 +32,7 @@ class Machine:
     """(x, y, radius, share of the motion that is lost) of slippery floor [m, m, m, 1]."""
 
     @classmethod
-    def of(cls, robot: RobotFile, effects: Iterable[Transform] = ()) -> Machine:
+    def of(cls, robot: Robot, effects: Iterable[Transform] = ()) -> Machine:
         """Return the machine that robot.yaml describes, changed by effects."""
         machine = cls(tau=robot.actuators.tau, delay=robot.actuators.delay, base=robot.wheels.base)
         for effect in sorted(effects, key=lambda effect: effect.key):

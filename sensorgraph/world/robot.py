@@ -1,4 +1,4 @@
-"""robot.yaml -> Robot, RangeSensor and the nominal noise of its reference, wheels and motors."""
+"""Robot: everything that robot.yaml says, read and checked."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from logs.run import RangeSensor
-from planners.robot import DRIVES, Limits, Robot
+from planners.vehicle import DRIVES, Limits, Vehicle
 from sensorgraph.errors import SensorgraphError
 
 
@@ -73,10 +73,9 @@ class Tolerances:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobotFile:
-    """All of robot.yaml."""
+class Robot(Vehicle):
+    """All of robot.yaml: the vehicle that planners drive, its range sensor, and the noise of its parts."""
 
-    robot: Robot
     sensor: RangeSensor
     pose: PoseReference = field(default_factory=PoseReference)
     wheels: Wheels = field(default_factory=Wheels)
@@ -106,7 +105,7 @@ SECTIONS: dict[str, dict[str, Any]] = {
     "actuators": asdict(Actuators()),
     "tolerances": asdict(Tolerances()),
 }
-TOP: dict[str, Any] = {f.name: f.default for f in fields(Robot) if f.name != "limits"}
+TOP: dict[str, Any] = {f.name: f.default for f in fields(Vehicle) if f.name != "limits"}
 MOST = {"n_rays": 100_000, "rate": 10_000.0}
 POSITIVE = {
     "v",
@@ -123,13 +122,18 @@ POSITIVE = {
 }
 
 
-def default() -> RobotFile:
+def default_robot() -> Robot:
     """Return the robot that an empty file describes."""
-    return loads("")
+    return parse_robot("")
 
 
-def read(path: Path | str) -> RobotFile:
-    """Read robot.yaml; raise SensorgraphError in one line for whatever is wrong with it."""
+def load_robot(path: Path | str) -> Robot:
+    """Read a robot.yaml.
+
+    Raises
+    ------
+    SensorgraphError : what is wrong with the file, in one line; OSError where it cannot be opened
+    """
     path = Path(path)
     if path.is_dir():
         raise SensorgraphError(f"{path} is a directory, expected a robot.yaml file")
@@ -137,11 +141,16 @@ def read(path: Path | str) -> RobotFile:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as exc:
         raise SensorgraphError(f"{path} is not a text file; expected a robot.yaml") from exc
-    return loads(text, name=str(path))
+    return parse_robot(text, name=str(path))
 
 
-def loads(text: str, *, name: str = "robot.yaml") -> RobotFile:
-    """Parse the text of a robot.yaml; missing keys take their defaults, an unknown key is refused."""
+def parse_robot(text: str, *, name: str = "robot.yaml") -> Robot:
+    """Parse the text of a robot.yaml; missing keys take their defaults.
+
+    Raises
+    ------
+    SensorgraphError : not YAML, an unknown key, or a value that cannot be; `name` stands in the message
+    """
     try:
         data = yaml.safe_load(text)
     except yaml.YAMLError as exc:
@@ -157,8 +166,9 @@ def loads(text: str, *, name: str = "robot.yaml") -> RobotFile:
     if top["drive"] not in DRIVES:
         raise SensorgraphError(f"{name}: drive is {top['drive']!r}, expected one of {', '.join(DRIVES)}")
     try:
-        return RobotFile(
-            robot=Robot(limits=Limits(**values["limits"]), **top),
+        return Robot(
+            **top,
+            limits=Limits(**values["limits"]),
             sensor=_sensor(values["sensor"]),
             pose=PoseReference(**values["pose"]),
             wheels=Wheels(**values["wheels"]),

@@ -15,7 +15,7 @@ from planners.arena import Arena, wrap
 from sensorgraph.types import Floats, Progress
 from sensorgraph.world.drive import Driven, odometry
 from sensorgraph.world.drivetrain import Machine
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 from sensorgraph.world.scene import Scene, Transform, draw
 
 EPOCH_NS = 1_704_067_200_000_000_000
@@ -31,7 +31,7 @@ def scan_stamps(driven: Driven, sensor: RangeSensor) -> Floats:
 def simulate(
     driven: Driven,
     arena: Arena,
-    robot: RobotFile,
+    robot: Robot,
     *,
     rng: np.random.Generator,
     effects: Sequence[Transform] = (),

@@ -33,7 +33,7 @@ from sensorgraph.diagnosis.motion.whitened_regression import (
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 
 STEP = 0.01
 """[s] of the simulated motors."""
@@ -70,7 +70,7 @@ class Motors:
     """[m/s]"""
 
 
-def diagnose_drive(run: Run, robot: RobotFile, *, seed: int = 0, use_clock: bool = True) -> ChannelResult:
+def diagnose_drive(run: Run, robot: Robot, *, seed: int = 0, use_clock: bool = True) -> ChannelResult:
     """Name what makes commands and odometry differ."""
     wheels = increments(run)
     if wheels is None:
@@ -102,7 +102,7 @@ class _Search:
         stamps: Floats,
         commands: Floats,
         wheels: Increments,
-        robot: RobotFile,
+        robot: Robot,
         clock: tuple[float, float] | None,
     ) -> None:
         self.robot, self.wheels = robot, wheels
@@ -114,7 +114,7 @@ class _Search:
         self.has_reference = clock is not None
         self.start, self.end = wheels.start - self.late, wheels.end - self.late
         self.rates = wheels.rates
-        limits = robot.robot.limits
+        limits = robot.limits
         self.t0 = stamps[0] - 1.0
         self.n_steps = int((min(stamps[-1] + 1.0, self.end[-1] + 0.1) - self.t0) / STEP) + 2
         self.grid = self.t0 + STEP * np.arange(self.n_steps)
@@ -569,7 +569,7 @@ class _Search:
                 out[name] = (
                     f"too few changes of the commands: it would bring {expected:.0f} nats at three times its materiality"
                 )
-        limit = self.robot.robot.limits.v
+        limit = self.robot.limits.v
         if "speed_saturation" not in names and self.top < 0.9 * limit:
             out["speed_saturation"] = (
                 f"no command asks for more than {self.top:.2f} of {limit:.2f} m/s: a cap above that cannot be seen"

@@ -16,7 +16,7 @@ from sensorgraph.diagnosis.motion.noise import HUBER, Limits, Noise, fit_noise
 from sensorgraph.diagnosis.motion.odometry_rows import Rows
 from sensorgraph.diagnosis.motion.whitened_regression import Increments, huber
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 
 ROOM = 1.5
 """[m] that a run must cover for its reference to be called distorted over the place: no camera bends within less."""
@@ -312,7 +312,7 @@ class LimitedNoise:
         return noise
 
 
-def limits_of(rows: Rows, wheels: Increments, robot: RobotFile) -> tuple[Limits, Limits]:
+def limits_of(rows: Rows, wheels: Increments, robot: Robot) -> tuple[Limits, Limits]:
     """Return the limits of the noise of ways and of turns."""
     step = float(np.median(wheels.end - wheels.start))
     period = float(np.median(np.diff(rows.stamps)))

@@ -39,7 +39,7 @@ from sensorgraph.diagnosis.motion.whitened_regression import (
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 
 ORDER = 24
 """Of the whitening filters."""
@@ -70,7 +70,7 @@ FURTHER = 0.005
 """Of the evidence of all names that a further patch must bring: less mends the rim of the others."""
 
 
-def diagnose_odometry(run: Run, robot: RobotFile, *, seed: int = 0) -> ChannelResult:
+def diagnose_odometry(run: Run, robot: Robot, *, seed: int = 0) -> ChannelResult:
     """Name what makes odometry and reference pose differ."""
     signals = signals_of(run)
     if isinstance(signals, str):
@@ -90,7 +90,7 @@ def diagnose_odometry(run: Run, robot: RobotFile, *, seed: int = 0) -> ChannelRe
     return search.result(notes)
 
 
-def clock_offset(run: Run, robot: RobotFile) -> tuple[float, float] | None:
+def clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:
     """Return how much older the odometry is than its stamp, and its standard error [s]; None if unknown."""
     signals = signals_of(run)
     if isinstance(signals, str):
@@ -140,7 +140,7 @@ def _grid_about(disc: Floats) -> Floats:
 class _Search:
     """One run's search for wheel effects: rows, noise, the model so far."""
 
-    def __init__(self, *, rows: Rows, wheels: Increments, robot: RobotFile, rng: np.random.Generator) -> None:
+    def __init__(self, *, rows: Rows, wheels: Increments, robot: Robot, rng: np.random.Generator) -> None:
         self.rows, self.wheels, self.robot, self.rng = rows, wheels, robot, rng
         self.base = robot.wheels.base
         self.A, self.y = stack(rows, wheels, self.base)

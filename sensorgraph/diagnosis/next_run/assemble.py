@@ -56,7 +56,7 @@ class Artist:
 
     def __init__(self, ground: Ground, seconds: float, start: Floats | None, seed: int) -> None:
         self.ground, self.seconds, self.start, self.seed = ground, seconds, start, seed
-        self.limits = ground.robot.robot.limits
+        self.limits = ground.robot.limits
         self.pen = CurveBuilder(np.zeros(3), self.limits)
 
     def draw(self, steps: Sequence[Step], share: Floats, rounds: int) -> list[Step]:
@@ -167,7 +167,7 @@ def _tour(places: Sequence[tuple[float, float]], start: Floats | None) -> list[i
 
 def random_run(ground: Ground, rng: np.random.Generator, seconds: float) -> Curve:
     """Drive between random places at random speeds, with a spin or a pause now and then: what one does without a plan."""
-    limits = ground.robot.robot.limits
+    limits = ground.robot.limits
     nodes = ground.nodes
     pen = CurveBuilder(np.array([*nodes[rng.integers(len(nodes))], rng.uniform(-np.pi, np.pi)]), limits)
     while pen.clock < seconds:

@@ -12,7 +12,7 @@ from planners.errors import PlanError
 from planners.planning import MARGIN
 from planners.reach import Reach, reach
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 
 PLACES = 14  # that motions start from
 PASSES = 16  # ways between them that are driven to and fro
@@ -47,21 +47,21 @@ class Ground:
     """Where the robot can go."""
 
     arena: Arena
-    robot: RobotFile
+    robot: Robot
     barriers: Barriers
     reach: Reach
     nodes: Floats
     """(n, 2) [m] places that can be reached, with room to spare where there is some."""
 
     @classmethod
-    def of(cls, arena: Arena, robot: RobotFile, *, start: Floats | None = None) -> Ground:
+    def of(cls, arena: Arena, robot: Robot, *, start: Floats | None = None) -> Ground:
         """Flood the reachable places."""
-        if robot.robot.drive != "diff":
+        if robot.drive != "diff":
             raise PlanError(
-                f"a next run is planned for robots that turn in place (drive: diff), not for {robot.robot.drive!r}"
+                f"a next run is planned for robots that turn in place (drive: diff), not for {robot.drive!r}"
             )
         barriers = Barriers(arena)
-        free = reach(arena, barriers, clearance=robot.robot.footprint_radius + MARGIN, cell=0.25, start=start)
+        free = reach(arena, barriers, clearance=robot.footprint_radius + MARGIN, cell=0.25, start=start)
         roomy = free.mask & (free.distance >= free.clearance + ROOM)
         index = np.nonzero(roomy if roomy.any() else free.mask)
         return cls(arena=arena, robot=robot, barriers=barriers, reach=free, nodes=free.nodes(index))

@@ -29,7 +29,7 @@ from sensorgraph.diagnosis.next_run.forecast import Forecast, Motion, Question, 
 from sensorgraph.diagnosis.next_run.questions import OPEN
 from sensorgraph.files import whole
 from sensorgraph.types import Floats
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 
 MOMENTS = 6  # looked at in a motion
 RANDOM = 9  # runs that nobody planned, for comparison
@@ -75,7 +75,7 @@ class NextRun:
             "candidates_nats": list(self.candidates),
         }
 
-    def save(self, folder: Path, arena: Arena, robot: RobotFile) -> None:
+    def save(self, folder: Path, arena: Arena, robot: Robot) -> None:
         """Write a folder that `sensorgraph record` drives: trajectory.csv, plan.json, arena and robot."""
         folder.mkdir(parents=True, exist_ok=True)
         self.trajectory.write_csv(folder / "trajectory.csv")
@@ -92,7 +92,7 @@ class NextRun:
 def next_run(
     questions: Sequence[Question],
     arena: Arena,
-    robot: RobotFile,
+    robot: Robot,
     *,
     seed: int = 0,
     minutes: float = 2.0,
@@ -130,7 +130,7 @@ def next_run(
     for k in np.argsort(-total[: len(drawn)]).tolist():
         curve, used = drawn[k]
         trajectory = curve.trajectory()
-        found = check(trajectory, arena, robot.robot)
+        found = check(trajectory, arena, robot)
         if found.count == 0:
             break
     else:
@@ -151,7 +151,7 @@ def expected(
     questions: Sequence[Question],
     runs: Sequence[Motion],
     arena: Arena,
-    robot: RobotFile,
+    robot: Robot,
     seconds: float,
 ) -> Floats:
     """Return the nats (n_questions, n_runs) that whole runs are expected to bring."""
@@ -164,9 +164,9 @@ def expected(
     return out
 
 
-def _moments(step: Step, robot: RobotFile, seconds: float) -> Motion:
+def _moments(step: Step, robot: Robot, seconds: float) -> Motion:
     """Return some moments of a motion, there and back."""
-    limits = robot.robot.limits
+    limits = robot.limits
     share = (np.arange(MOMENTS) + 0.5) / MOMENTS
     x, y = step.place
     if step.kind == "shuttle":
@@ -188,7 +188,7 @@ def _moments(step: Step, robot: RobotFile, seconds: float) -> Motion:
     return Motion(poses=poses, twists=twists, when=when, seconds=1.0)
 
 
-def _looks(curve: Curve, robot: RobotFile) -> Motion:
+def _looks(curve: Curve, robot: Robot) -> Motion:
     """Return moments of a whole run, evenly in time."""
     n = max(int(curve.duration / PAUSE), 40)
     stamps = (np.arange(n) + 0.5) / n * curve.duration
@@ -196,9 +196,9 @@ def _looks(curve: Curve, robot: RobotFile) -> Motion:
     return Motion(poses=poses, twists=twists, when=stamps, seconds=curve.duration)
 
 
-def _why(question: Question, steps: Sequence[Step], arena: Arena, robot: RobotFile) -> str:
+def _why(question: Question, steps: Sequence[Step], arena: Arena, robot: Robot) -> str:
     """Say what the run does and why."""
-    limits = robot.robot.limits
+    limits = robot.limits
     said = []
     for step in steps[:3]:
         at = f"({step.place[0]:.1f}, {step.place[1]:.1f})"

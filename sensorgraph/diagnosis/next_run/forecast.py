@@ -22,7 +22,7 @@ from sensorgraph.diagnosis.scan.nuisance import BOX
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot import RobotFile
+from sensorgraph.world.robot import Robot
 
 Model = tuple[Amendment, ...]
 
@@ -105,7 +105,7 @@ class Forecast:
     """The expected evidence of many motions between the two models of a question."""
 
     def __init__(
-        self, question: Question, motions: Sequence[Motion], arena: Arena, robot: RobotFile, span: float
+        self, question: Question, motions: Sequence[Motion], arena: Arena, robot: Robot, span: float
     ) -> None:
         self.motions, self.rate = motions, robot.sensor.rate
         data, every = _imagined(motions, arena, robot, span)
@@ -202,9 +202,7 @@ class _Stack:
         return np.asarray(self.sure + 0.5 * (self.square - 2 * self.right @ x + (self.matrix @ x) @ x))
 
 
-def _imagined(
-    motions: Sequence[Motion], arena: Arena, robot: RobotFile, span: float
-) -> tuple[Imagined, float]:
+def _imagined(motions: Sequence[Motion], arena: Arena, robot: Robot, span: float) -> tuple[Imagined, float]:
     """Return scans at all moments, with fewer rays, and how many rays each stands for."""
     poses = np.concatenate([m.poses for m in motions])
     v, omega = np.concatenate([m.twists for m in motions]).T

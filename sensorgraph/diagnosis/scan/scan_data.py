@@ -15,7 +15,7 @@ from planners.arena import Arena
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.robot import RobotFile, Tolerances
+from sensorgraph.world.robot import Robot, Tolerances
 from sensorgraph.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ class ScanData:
 
 
 def prepare_scans(
-    run: Run, arena: Arena, robot: RobotFile, known: Sequence[Amendment] = ()
+    run: Run, arena: Arena, robot: Robot, known: Sequence[Amendment] = ()
 ) -> tuple[ScanData, dict[str, object]]:
     """Pair scans with poses; return the evidence and what is worth saying about the pairing."""
     pairing = pair(run)
@@ -217,7 +217,7 @@ def _tolerances(told: Tolerances) -> Tolerances:
     return replace(told, **{name: max(getattr(told, name), value) for name, value in least.items()})
 
 
-def _sensor(run: Run, robot: RobotFile, laser_frame: bool) -> RangeSensor:
+def _sensor(run: Run, robot: Robot, laser_frame: bool) -> RangeSensor:
     """Return what robot.yaml says of the sensor, at the bearings that the run has."""
     told, seen = robot.sensor, run.sensor
     if seen.n_rays != told.n_rays or np.abs(seen.bearings - told.bearings).max() > 0.02:

@@ -1,9 +1,9 @@
-"""Robot: what a planner must know of it. The robot.yaml file is read in `sensorgraph.world.robot`."""
+"""Vehicle: what a planner must know of a robot; `sensorgraph.world.robot.Robot` is a Vehicle with a sensor."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal, get_args
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -43,8 +43,13 @@ class Limits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robot:
-    """A disc that turns in place, or a car."""
+class Vehicle:
+    """A disc that turns in place, or a car.
+
+    Raises
+    ------
+    ValueError : an unknown drive, a radius that is not positive, or a car without a turning radius
+    """
 
     name: str = "radix"
     drive: Drive = "diff"
@@ -62,3 +67,12 @@ class Robot:
                 f"drive {self.drive!r} is a car and needs limits.turning_radius > 0, "
                 f"got {self.limits.turning_radius}"
             )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return name, drive, radius and limits as plain data; what a subclass adds is left out."""
+        return {
+            "name": self.name,
+            "drive": self.drive,
+            "footprint_radius": self.footprint_radius,
+            "limits": asdict(self.limits),
+        }
