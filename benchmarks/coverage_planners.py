@@ -25,7 +25,7 @@ from planners.maps import geojson
 from planners.types import Floats
 from planners.vehicle import Drive, Limits, Vehicle
 from sensorgraph.cli.inputs import named_arena
-from sensorgraph.show import figures
+from sensorgraph.show.figures.drives import growth_picture
 
 FIRST = 1001
 """Seed of the first random office."""
@@ -117,7 +117,7 @@ def race(arenas: dict[str, Arena], path: Path) -> None:
         for planner, (stamps, share) in lines[name].items():
             marks = np.interp(np.array([0.25, 0.5, 0.75, 1.0]) * done, stamps, share)
             print(f"  {planner:16} " + " ".join(f"{100 * mark:6.1f} %" for mark in marks), flush=True)
-    figures.growth_picture(lines, path)
+    growth_picture(lines, path)
     print(f"wrote {path}")
 
 

@@ -31,7 +31,7 @@ from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.planning.priority import doubt
 from sensorgraph.planning.views import views_within
-from sensorgraph.show.figures import INK, SOLID, new_figure, quiet, save_figure
+from sensorgraph.show.figures.style import INK, SOLID, new_figure, reduce_frame, save_figure
 from sensorgraph.world.drive import follow
 from sensorgraph.world.robot import Robot, default_robot
 from sensorgraph.world.simulate import simulate
@@ -214,7 +214,7 @@ def picture(rows: list[Row], path: Path) -> None:
         axes.minorticks_off()
         axes.set_xlabel("driven [min]", color=INK)
         axes.grid(color=SOLID, lw=0.6)
-        quiet(axes)
+        reduce_frame(axes)
     figure.legend(loc="outside right center", frameon=False, fontsize=8, labelcolor=INK)
     save_figure(figure, path)
 

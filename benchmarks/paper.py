@@ -29,8 +29,18 @@ from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification.identify import Identified, Question, identify, score
 from sensorgraph.identification.signals import of_run, perceived, rays_of
-from sensorgraph.show.figures import ALARM, INK, SOLID, draw_floor, new_figure, quiet, save_figure
-from sensorgraph.show.figures_identify import AMBER, SEA, series
+from sensorgraph.show.figures.identified import series
+from sensorgraph.show.figures.style import (
+    ALARM,
+    AMBER,
+    INK,
+    SOLID,
+    TEAL,
+    draw_floor,
+    new_figure,
+    reduce_frame,
+    save_figure,
+)
 
 EVERY = 15
 RAY = "L67"
@@ -123,7 +133,7 @@ def _draw_environment(
     series(top.subplots(), few, most=150, unit="m")
     left, middle, right = bottom.subplots(1, 3)
     count = [len(m.model.terms) for m in path]
-    middle.plot(count, [m.scores["one_step"].r for m in path], "o-", ms=3, lw=1.2, color=SEA)
+    middle.plot(count, [m.scores["one_step"].r for m in path], "o-", ms=3, lw=1.2, color=TEAL)
     last = path[-1].scores["one_step"]
     middle.axhspan(last.r_low, last.r_high, color=SOLID, zorder=0, linewidth=0, label=f"interval of {FULL}")
     middle.axhline(PAPER_R, color=AMBER, lw=1.0, ls=(0, (4, 2)), label=f"the paper's {PAPER_R}")
@@ -133,11 +143,11 @@ def _draw_environment(
     middle.grid(color=SOLID, lw=0.6)
     draw_floor(left, arena)
     left.plot(*elsewhere.poses[::30, :2].T, ".", ms=2.0, color=AMBER, mew=0, zorder=2)
-    left.plot(*follow.poses[::10, :2].T, color=SEA, lw=1.0, zorder=3)
+    left.plot(*follow.poses[::10, :2].T, color=TEAL, lw=1.0, zorder=3)
     left.set_title("trained along the wall, asked at the dots", fontsize=9.5, color=INK, loc="left")
     right.plot([0, 5], [0, 5], color=INK, lw=0.6)
     names = list(guesses)
-    for name, colour, label in ((names[0], ALARM, "polynomial"), (names[1], SEA, "faces")):
+    for name, colour, label in ((names[0], ALARM, "polynomial"), (names[1], TEAL, "faces")):
         right.plot(measured, guesses[name][0], ".", ms=4, color=colour, alpha=0.5, mew=0, label=label)
     known = guesses[names[0]][0][np.isfinite(guesses[names[0]][0])]
     beyond = float(np.mean((known < LOWEST) | (known > HIGHEST)))
@@ -147,7 +157,7 @@ def _draw_environment(
     right.legend(loc="upper left", frameon=False, fontsize=8, markerscale=2, labelcolor=INK)
     right.set_title(f"asked elsewhere ({beyond:.0%} of red is off)", fontsize=9.5, color=INK, loc="left")
     for axes in (middle, right):
-        quiet(axes)
+        reduce_frame(axes)
         for label in (axes.xaxis.label, axes.yaxis.label):
             label.set(size=9, color=INK)
     save_figure(figure, file)

@@ -19,9 +19,8 @@ from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.planning.plan_folder import counted, save
 from sensorgraph.recording.record import record
-from sensorgraph.show import figures
-from sensorgraph.show import rerun_view as view
-from sensorgraph.show.review import review
+from sensorgraph.show.figures.drives import race_picture
+from sensorgraph.show.review.review import review
 from sensorgraph.types import Floats, ProgressBars
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot
@@ -68,7 +67,7 @@ def demo(folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: Progr
         label: (trip.growth[0] / 60, trip.growth[1], trip.coverage)
         for label, trip in zip(("planned", "random"), trips[:2], strict=True)
     }
-    figures.race_picture(races, arena, folder / "coverage.png")
+    race_picture(races, arena, folder / "coverage.png")
     return trips
 
 
@@ -136,15 +135,14 @@ def _trip(
     coverage = counted(planned.coverage, poses)
     if not before:
         save(planned, folder / "plan", arena, robot)
-        shown = review(
+        review(
             run,
+            path=folder / "review.rrd",
             graph=graph,
+            plan=folder / "plan",
             arena=arena,
             name=f"{planner}.mcap",
-            planned=planned.trajectory.poses[::25, :2],
-            plan=planned.report,
         )
-        view.write(shown, folder / "review.rrd")
     return Trip(
         planner=planner,
         model=graph.model.name,

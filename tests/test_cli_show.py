@@ -15,7 +15,7 @@ from sensorgraph.building.build import build
 from sensorgraph.cli import run as cli
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces.model import Faces
-from sensorgraph.show.figures_graph import _residuals, residual_pieces, stretches
+from sensorgraph.show.figures.face_pieces import predicted_ends, residual_pieces, visible_pieces
 from sensorgraph.world.raycast import cast
 
 
@@ -46,7 +46,7 @@ def files(run: Run, faces: Sensorgraph, tmp_path_factory: pytest.TempPathFactory
 
 def test_visible_stretches_lie_on_the_walls(room: Arena, faces: Sensorgraph) -> None:
     assert isinstance(faces.model, Faces)
-    pieces = stretches(faces.model)
+    pieces = visible_pieces(faces.model)
     a, d = room.walls[:, 0], room.walls[:, 1] - room.walls[:, 0]
     points = pieces.ends[pieces.values > 0.5].reshape(-1, 1, 2)
     share = np.clip(((points - a) * d).sum(-1) / (d * d).sum(-1), 0, 1)
@@ -68,7 +68,7 @@ def test_a_wall_that_moved_shows_as_the_residual_along_its_face(
     assert isinstance(faces.model, Faces)
     poses = run.poses
     seen = replace(run, ranges=cast(moved, poses, run.sensor).ranges)
-    pieces = residual_pieces(faces.model, *_residuals(faces, seen))
+    pieces = residual_pieces(faces.model, *predicted_ends(faces, seen))
     east = np.abs(pieces.normals[:, 0] + 1) < 0.01
     east &= pieces.ends[:, 0, 0] > 3.9
     assert np.isfinite(pieces.values[east]).mean() > 0.9

@@ -17,17 +17,13 @@ OWNERS = {
     "zstandard": {"logs/"},  # both come with mcap: recovery must decompress what is left of a cut chunk
     "lz4": {"logs/"},
     "rerun": {
-        "sensorgraph/show/rerun_view.py",
-        "sensorgraph/show/rerun_maps.py",
+        "sensorgraph/show/rerun_file.py",
+        "sensorgraph/show/review/",
         "sensorgraph/diagnosis/report/rerun_view.py",
     },
     "shapely": {"planners/", "sensorgraph/world/"},
     "matplotlib": {
-        "sensorgraph/show/figures.py",
-        "sensorgraph/show/figures_graph.py",
-        "sensorgraph/show/figures_headings.py",
-        "sensorgraph/show/figures_identify.py",
-        "sensorgraph/show/figures_plan.py",
+        "sensorgraph/show/figures/",
         "sensorgraph/diagnosis/report/figures.py",
     },
     "typer": {"sensorgraph/cli/"},

@@ -14,10 +14,11 @@ from planners.arena import Arena
 from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.show import rerun_maps as view_maps
-from sensorgraph.show import rerun_view as view
-from sensorgraph.show.review import RIGHT, UNANSWERED, UNSCORED, WRONG, Review, report, review
-from sensorgraph.show.review_cells import HEADINGS, Tally
+from sensorgraph.show.review import maps
+from sensorgraph.show.review.cells import N_HEADINGS, RayCounts
+from sensorgraph.show.review.contents import RayVerdict, Review, collect
+from sensorgraph.show.review.report import report
+from sensorgraph.show.review.views import write
 from sensorgraph.world.raycast import cast
 
 
@@ -45,7 +46,7 @@ def graph(run: Run) -> Sensorgraph:
 
 @pytest.fixture(scope="module")
 def seen(run: Run, graph: Sensorgraph, room: Arena) -> Review:
-    return review(run, graph=graph, arena=room)
+    return collect(run, graph=graph, arena=room)
 
 
 def test_every_paired_scan_falls_in_one_cell(run: Run, seen: Review) -> None:
@@ -58,21 +59,21 @@ def test_cells_are_those_of_a_plain_count(run: Run, seen: Review) -> None:
     width, (x0, y0) = seen.cells.cell, seen.cells.origin
     for pose in run.poses[:50]:
         i, j = int((pose[0] - x0) // width), int((pose[1] - y0) // width)
-        k = round(pose[2] / (2 * np.pi / HEADINGS)) % HEADINGS
+        k = round(pose[2] / (2 * np.pi / N_HEADINGS)) % N_HEADINGS
         assert seen.cells.counts[i, j, k] > 0
 
 
 def test_every_scored_ray_is_counted_once_and_shares_are_those_of_the_evaluation(seen: Review) -> None:
-    tally, found = seen.cells.tally, seen.evaluation
-    assert tally is not None and found is not None
-    assert tally.scored.sum() == found.n_rays
-    assert tally.answered.sum() / tally.scored.sum() == pytest.approx(found.answered)
-    assert tally.wrong.sum() / tally.answered.sum() == pytest.approx(found.answered_only["wrong_5cm"])
+    counts, found = seen.cells.ray_counts, seen.evaluation
+    assert counts is not None and found is not None
+    assert counts.scored.sum() == found.n_rays
+    assert counts.answered.sum() / counts.scored.sum() == pytest.approx(found.answered)
+    assert counts.wrong.sum() / counts.answered.sum() == pytest.approx(found.answered_only["wrong_5cm"])
     verdicts = seen.verdicts
-    assert (verdicts == UNANSWERED).sum() == (tally.scored - tally.answered).sum()
-    assert (verdicts == WRONG).sum() == tally.wrong.sum()
-    assert verdicts[3, 5] == UNSCORED  # no return there
-    assert (verdicts == RIGHT).any()
+    assert (verdicts == RayVerdict.UNANSWERED).sum() == (counts.scored - counts.answered).sum()
+    assert (verdicts == RayVerdict.WRONG).sum() == counts.wrong.sum()
+    assert verdicts[3, 5] == RayVerdict.UNSCORED  # no return there
+    assert (verdicts == RayVerdict.RIGHT).any()
 
 
 def test_where_nobody_looked_is_not_answered_and_where_walls_moved_is_wrong(room: Arena, run: Run) -> None:
@@ -80,33 +81,33 @@ def test_where_nobody_looked_is_not_answered_and_where_walls_moved_is_wrong(room
     known = build(
         [replace(run, stamps=run.stamps[west], ranges=run.ranges[west])], model="polynomial", degree=1
     )
-    cells = review(run, graph=known, arena=room).cells
-    assert cells.tally is not None and cells.next is not None
-    dark = cells.tally.flat.share_unanswered
+    cells = collect(run, graph=known, arena=room).cells
+    assert cells.ray_counts is not None and cells.doubt_map is not None
+    dark = cells.ray_counts.by_place.share_unanswered
     column = int((1.9 - cells.origin[0]) / cells.cell)
     assert np.nanmin(dark[column:]) == 1.0
     assert np.nanmin(dark[: int((0.8 - cells.origin[0]) / cells.cell)]) < 0.1
-    (x, _, area), *_ = cells.next.places()
+    (x, _, area), *_ = cells.doubt_map.places()
     assert x > 1.0
     assert area > 0.5
-    moved = review(replace(run, ranges=run.ranges + 1.0), graph=known, arena=room).cells.tally
+    moved = collect(replace(run, ranges=run.ranges + 1.0), graph=known, arena=room).cells.ray_counts
     assert moved is not None
-    assert np.array_equal(np.isnan(moved.share_wrong), np.isnan(cells.tally.share_wrong))
+    assert np.array_equal(np.isnan(moved.share_wrong), np.isnan(cells.ray_counts.share_wrong))
     assert moved.wrong.sum() > 0.5 * moved.answered.sum()
 
 
 def test_right_wrong_unanswered_free_and_unknown_cells_have_five_colours() -> None:
-    tally = Tally(
+    counts = RayCounts(
         scored=np.array([100, 100, 100, 0, 0]),
         answered=np.array([100, 100, 0, 0, 0]),
         wrong=np.array([0, 100, 0, 0, 0]),
     )
     free = np.array([True, True, True, True, False])
-    rgb = view_maps.verdicts(tally, tally.much_wrong, free & (tally.scored == 0))
+    rgb = maps.verdict_colours(counts, counts.saturating_wrong, free & (counts.scored == 0))
     named = [
-        *(view_maps.VERDICT[name] for name in ("right", "wrong", "not_answered")),
-        view_maps.FREE,
-        view_maps.EMPTY,
+        *(maps.VERDICT_COLOURS[v] for v in (RayVerdict.RIGHT, RayVerdict.WRONG, RayVerdict.UNANSWERED)),
+        maps.FREE,
+        maps.EMPTY,
     ]
     assert [tuple(colour) for colour in rgb.tolist()] == named
     apart = np.abs(np.diff(np.array(named)[:, None] - np.array(named), axis=1))
@@ -114,7 +115,7 @@ def test_right_wrong_unanswered_free_and_unknown_cells_have_five_colours() -> No
 
 
 def test_without_a_map_free_is_where_rays_went_through(room: Arena, run: Run, graph: Sensorgraph) -> None:
-    cells = review(run, graph=graph).cells
+    cells = collect(run, graph=graph).cells
     middles = cells.origin + (np.argwhere(cells.free) + 0.5) * cells.cell
     assert room.contains(middles).all()  # neither in the pillar nor beyond the walls
     assert len(middles) * cells.cell**2 == pytest.approx(4 * 3 - 0.5**2)  # all of the floor
@@ -138,16 +139,16 @@ def test_the_report_counts_on_held_out_scans(seen: Review) -> None:
 
 
 def test_the_report_says_when_a_graph_was_fitted_to_what_it_is_scored_on(run: Run) -> None:
-    own = review(run, graph=build([run], model="polynomial", degree=2, harmonics=2))
+    own = collect(run, graph=build([run], model="polynomial", degree=2, harmonics=2))
     assert "fitted to this run" in report(own)
     other = replace(run, ranges=run.ranges + 0.01)
     assert "has not seen" in report(
-        review(other, graph=build([run], model="polynomial", degree=2, harmonics=2))
+        collect(other, graph=build([run], model="polynomial", degree=2, harmonics=2))
     )
 
 
 def test_a_long_run_is_thinned_evenly_and_says_so(run: Run, graph: Sensorgraph) -> None:
-    few = review(run, graph=graph, most_scans=50)
+    few = collect(run, graph=graph, max_scans=50)
     assert len(few.shown) == 50
     assert np.ptp(np.diff(few.shown)) <= 1
     assert few.cells.counts.sum() == run.n_scans
@@ -156,7 +157,7 @@ def test_a_long_run_is_thinned_evenly_and_says_so(run: Run, graph: Sensorgraph) 
 
 def test_a_run_without_poses_is_refused(run: Run) -> None:
     with pytest.raises(SensorgraphError, match="0 of 400 scans paired"):
-        review(replace(run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3))))
+        collect(replace(run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3))))
 
 
 @pytest.mark.parametrize("with_graph", [True, False])
@@ -164,7 +165,7 @@ def test_the_recording_holds_scans_maps_cells_and_report(
     run: Run, seen: Review, room: Arena, tmp_path: Path, with_graph: bool
 ) -> None:
     path = tmp_path / "review.rrd"
-    view.write(seen if with_graph else review(run, arena=room), path)
+    write(seen if with_graph else collect(run, arena=room), path)
     store = rr.chunk.RrdReader(str(path)).store()
     columns = {str(c) for c in store.schema().component_columns()}
     expected = {"plan/measured", "plan/robot", "plan/coverage/image", "space/cells", "ray/measured", "report"}
@@ -185,5 +186,5 @@ def test_the_recording_holds_scans_maps_cells_and_report(
 
 
 def test_colours_span_the_scale_and_no_data_is_grey() -> None:
-    rgb = view_maps.colours(np.array([0.0, 1.0, 2.0, np.nan]))
-    assert rgb.tolist() == [[68, 1, 84], [253, 231, 37], [253, 231, 37], list(view_maps.EMPTY)]
+    rgb = maps.colours(np.array([0.0, 1.0, 2.0, np.nan]))
+    assert rgb.tolist() == [[68, 1, 84], [253, 231, 37], [253, 231, 37], list(maps.EMPTY)]

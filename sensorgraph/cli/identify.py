@@ -69,7 +69,7 @@ def identify(
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.identification.identify import Question
     from sensorgraph.identification.identify import identify as identify_model
-    from sensorgraph.show.figures_identify import identified_picture
+    from sensorgraph.show.figures.identified import identified_picture
 
     check_output(out, file)
     if out.suffix != ".json":

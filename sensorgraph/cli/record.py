@@ -129,7 +129,7 @@ def _record_closed_loop(
     from sensorgraph.identification.behaviour import behaviour, table
     from sensorgraph.recording.controllers import CONTROLLERS, controller_label
     from sensorgraph.recording.identified_world import PLAN, ArenaWorld, IdentifiedWorld, record_in
-    from sensorgraph.show.figures import tracks_picture
+    from sensorgraph.show.figures.drives import tracks_picture
     from sensorgraph.world.identified_arena import arena_of
     from sensorgraph.world.wall_distance import WallDistance
 

@@ -30,16 +30,12 @@ def review(
 
       sensorgraph review intel.log.gz --graph intel.sensorgraph -o intel.rrd && rerun intel.rrd
     """
-    import json
-
     from logs import parse_topics, read
-    from planners.trajectory import read_csv
     from sensorgraph.cli.inputs import check_output, kept_arena, named_arena
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
-    from sensorgraph.graph import Sensorgraph
-    from sensorgraph.show import rerun_view as view
-    from sensorgraph.show.review import review as collect
+    from sensorgraph.show.rerun_file import open_viewer
+    from sensorgraph.show.review.review import review as write_review
 
     check_output(out, run, *(path for path in (graph,) if path is not None))
     if out.suffix != ".rrd":
@@ -47,12 +43,8 @@ def review(
     with progress("reading", "messages") as tick:
         log = read(run, topics=parse_topics(topic or []), progress=tick)
     walls = named_arena(arena) if arena is not None else kept_arena(log)
-    planned = read_csv(plan / "trajectory.csv").poses[::10, :2] if plan is not None else None
-    facts = json.loads((plan / "plan.json").read_text()) if plan is not None else None
-    loaded = Sensorgraph.load(graph) if graph is not None else None
-    seen = collect(log, graph=loaded, arena=walls, name=run.name, planned=planned, plan=facts)
-    view.write(seen, out, ray=ray)
-    typer.echo(f"{seen.pairing}; {len(seen.shown):,} scans shown")
+    written = write_review(log, path=out, graph=graph, plan=plan, arena=walls, ray=ray, name=run.name)
+    typer.echo(f"{written.pairing}; {len(written.shown):,} scans shown")
     typer.echo(f"wrote {out}; open it with: rerun {out}")
     if show:
-        view.show(out)
+        open_viewer(out)

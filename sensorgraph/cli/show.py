@@ -87,7 +87,7 @@ def _draw(model: Sensorgraph, figure: Path, graph: Path, run: Path | None, topic
     from sensorgraph.cli.inputs import check_output
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
-    from sensorgraph.show.figures_graph import graph_picture
+    from sensorgraph.show.figures.sensorgraph import graph_picture
 
     check_output(figure, graph, *(path for path in (run,) if path is not None))
     if figure.suffix != ".png":

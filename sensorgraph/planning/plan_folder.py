@@ -22,8 +22,8 @@ from planners.export import commands_csv, stops_yaml
 from planners.holes import holes_csv
 from planners.maps import geojson
 from sensorgraph.files import whole
-from sensorgraph.show.figures_headings import headings_picture
-from sensorgraph.show.figures_plan import plan_picture, reach_picture
+from sensorgraph.show.figures.headings import headings_picture
+from sensorgraph.show.figures.plan import plan_picture, reach_picture
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
 from sensorgraph.world.simulate import EPOCH_NS, occupancy

@@ -15,7 +15,16 @@ from sensorgraph.diagnosis.report.phrases import place_words
 from sensorgraph.diagnosis.result import ChannelResult, Gap, Unknown
 from sensorgraph.diagnosis.scan.model_selection import THRESHOLD
 from sensorgraph.effects import Amendment
-from sensorgraph.show.figures import ALARM, INK, SOFT, SOLID, draw_floor, new_figure, quiet, save_figure
+from sensorgraph.show.figures.style import (
+    ALARM,
+    INK,
+    SOFT,
+    SOLID,
+    draw_floor,
+    new_figure,
+    reduce_frame,
+    save_figure,
+)
 from sensorgraph.types import Floats
 
 BEFORE, AFTER, PALE = ALARM, "#2a788e", "#eceef2"
@@ -352,7 +361,7 @@ def ranking_picture(finding: Finding, path: Path) -> None:
         fontsize=8,
         color=INK,
     )
-    quiet(axes)
+    reduce_frame(axes)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     save_figure(figure, path)
@@ -404,7 +413,7 @@ def residuals_picture(finding: Finding, compared: Compared, path: Path) -> None:
                 low, high = min(low, float(mean[seen].min())), max(high, float(mean[seen].max()))
             axes.axhline(0.0 if kind != "spread" else 1.0, color=SOFT, lw=0.7, zorder=0)
             axes.grid(color=PALE, lw=0.6)
-            quiet(axes)
+            reduce_frame(axes)
             axes.tick_params(labelsize=7)
             axes.set_xlim(edges[0], edges[-1])
             if row == 1:

@@ -10,12 +10,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from sensorgraph.diagnosis.report.comparison import CLIP, Compared, Side
-from sensorgraph.show.rerun_view import DIM, ORANGE, WALL, WHITE, recorded
+from sensorgraph.show.rerun_file import BACKGROUND, DIM, ORANGE, WALL, WHITE, folded, recorded
 from sensorgraph.types import Floats
 
 MOST_SCANS = 400
 MARK, BLUE, TEAL = (255, 90, 120), (110, 160, 255), (70, 220, 190)
-BACK = (18, 18, 22)
 
 
 def write(
@@ -145,7 +144,7 @@ def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
         origin="/",
         contents=["/plan/**", "- /plan/enlarged/**"],
         visual_bounds=bounds,
-        background=BACK,
+        background=BACKGROUND,
     )
     larger = f", {compared.enlarged} times as large" if compared.enlarged > 1 else ""
     off = rrb.Spatial2DView(
@@ -153,7 +152,7 @@ def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
         origin="/",
         contents=["/plan/arena", "/plan/enlarged/**", "/plan/marks/**", "/plan/robot"],
         visual_bounds=bounds,
-        background=BACK,
+        background=BACKGROUND,
     )
     words = rrb.TextDocumentView(name="report", origin="/report")
     top = 100 * float(np.quantile(compared.before.rms(compared.sigma), 0.99))
@@ -187,8 +186,6 @@ def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
             rrb.Horizontal(gap, one, bars),
             row_shares=[3, 2],
         ),
-        rrb.TimePanel(state="collapsed", timeline="time"),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
+        *folded(),
         auto_views=False,
     )

@@ -1,38 +1,37 @@
-"""Pictures of a plan: the drive with time as colour; what counts, and what is left out and why."""
+"""Pictures of a plan: the route with time as colour; which bins count, which are left out, and why."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from planners import Plan
 from planners.arena import Arena
-from sensorgraph.show.figures import (
+from planners.holes import WHY, cut_off, unmet
+from sensorgraph.show.figures.style import (
     ALARM,
+    AMBER,
     FLOOR,
     INK,
     SOFT,
     SOLID,
+    TEAL,
+    colour_bar,
     draw_floor,
     new_figure,
-    quiet,
+    reduce_frame,
     save_figure,
 )
 
-if TYPE_CHECKING:
-    from planners import Plan
-
-TEAL = "#2a788e"
-DETAIL = 400
-"""Steps that a drawn path takes along the longer side of the arena, ..."""
-MOST_POINTS = 60_000
-"""... unless they were more than so many."""
-MOST_LINES = 40
-"""Cells along the longer side up to which lines between them are drawn."""
+STEPS_PER_SIDE, MAX_ROUTE_POINTS = 400, 60_000
+"""Points of the drawn route: so many along the longer side of the arena, and in all no more than the second."""
+MAX_RULED_CELLS = 40
+"""Cells along the longer side, up to which lines are drawn between them."""
 REASONS = {
     "no_way_found": ALARM,
-    "not_driven": "#c9892b",
+    "not_driven": AMBER,
     "no_forward_drive_there_and_back": "#8a6fb5",
     "behind_narrow_gaps": "#5b6b8c",
 }
@@ -51,11 +50,11 @@ def plan_picture(plan: Plan, arena: Arena, path: Path, *, title: str = "") -> No
     _route(figure, left, plan)
     draw_floor(left, arena)
     _no_go(left, plan)
-    key(left)
+    legend_above(left)
     _coverage_curve(right, plan)
     report = plan.report
     lead = f"{title}:  " if title else ""
-    head(
+    title_flush_left(
         figure,
         f"{lead}{100 * report['coverage']:.2f} % of {report['reachable_cells']:,} (x, y, φ) bins in "
         f"{_hours(report['drive_time_s'])}, {report['ratio']:.2f} of the reference time",
@@ -65,8 +64,6 @@ def plan_picture(plan: Plan, arena: Arena, path: Path, *, title: str = "") -> No
 
 def reach_picture(plan: Plan, arena: Arena, path: Path) -> None:
     """Draw which bins count, cell by cell, and beside it what the plan leaves out, by reason."""
-    from planners.holes import cut_off, unmet
-
     left_out = unmet(plan.coverage, plan.reach, plan.lost)
     behind = cut_off(plan.reach)
     panels = 2 if behind.any() or any(where.any() for where in left_out.values()) else 1
@@ -87,7 +84,7 @@ def _route(figure: Any, axes: Any, plan: Plan) -> None:
     poses, stamps = plan.trajectory.poses, plan.trajectory.stamps
     extent = max(_side(plan), 1e-9)
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
-    step = max(extent / DETAIL, way[-1] / MOST_POINTS)
+    step = max(extent / STEPS_PER_SIDE, way[-1] / MAX_ROUTE_POINTS)
     shown = np.append(np.flatnonzero(np.diff(np.floor(way / step), prepend=-1.0)), len(way) - 1)
     line, when = poses[shown, :2], stamps[shown] / 60.0
     pieces = np.stack([line[:-1], line[1:]], axis=1)
@@ -105,10 +102,8 @@ def _route(figure: Any, axes: Any, plan: Plan) -> None:
     axes.scatter(spins[:, 0], spins[:, 1], s=size, color=INK, alpha=0.5, linewidths=0, zorder=3)
     _holes(axes, plan)
     _start(axes, plan)
-    bar = figure.colorbar(route, ax=axes, location="right", fraction=0.025, shrink=0.8, aspect=45, pad=0.015)
-    bar.set_label("time [min]", color=INK, fontsize=8)
-    bar.ax.tick_params(labelsize=8, colors=INK)
-    bar.outline.set_visible(False)
+    placing = {"location": "right", "fraction": 0.025, "shrink": 0.8, "aspect": 45, "pad": 0.015}
+    colour_bar(figure, route, axes, "time [min]", **placing)
 
 
 def _holes(axes: Any, plan: Plan) -> None:
@@ -147,19 +142,17 @@ def _coverage_curve(axes: Any, plan: Plan) -> None:
     axes.set_xlabel("time [min]", color=INK)
     axes.set_ylabel("bins covered [%]", color=INK)
     axes.grid(color=SOLID, lw=0.6)
-    quiet(axes)
+    reduce_frame(axes)
 
 
 def _what_counts(figure: Any, axes: Any, plan: Plan, arena: Arena) -> None:
     """Shade each cell by the share of its headings that count; the line is how far the robot's centre can go."""
-    from planners.holes import cut_off
-
     grid, free = plan.coverage, plan.reach
     share = 100 * grid.reachable.mean(axis=2)
     draw_floor(axes, arena, solid=2)
     x, y, _ = grid.edges
     shown = np.where(share > 0, share, np.nan).T
-    lines = {"edgecolors": FLOOR, "linewidth": 0.3} if max(share.shape) <= MOST_LINES else {}
+    lines = {"edgecolors": FLOOR, "linewidth": 0.3} if max(share.shape) <= MAX_RULED_CELLS else {}
     mesh = axes.pcolormesh(x, y, shown, cmap="GnBu", vmin=-30, vmax=170, zorder=1, **lines)
     mx, my = free.mask.shape
     nodes_x, nodes_y = (
@@ -168,13 +161,10 @@ def _what_counts(figure: Any, axes: Any, plan: Plan, arena: Arena) -> None:
     depth = np.where(cut_off(free), 0.0, free.distance)
     axes.contour(nodes_x, nodes_y, depth.T, levels=[free.clearance], colors=[TEAL], linewidths=0.8, zorder=3)
     if share[share > 0].min() < 100:
-        bar = figure.colorbar(
-            mesh, ax=axes, fraction=0.03, shrink=0.7, aspect=40, pad=0.02,
+        colour_bar(
+            figure, mesh, axes, "headings that count [%]", fraction=0.03, shrink=0.7, aspect=40, pad=0.02,
             boundaries=np.arange(101), ticks=[0, 25, 50, 75, 100],
         )  # fmt: skip
-        bar.set_label("headings that count [%]", color=INK, fontsize=8)
-        bar.ax.tick_params(labelsize=8, colors=INK)
-        bar.outline.set_visible(False)
     _start(axes, plan)
     _no_go(axes, plan)
     axes.plot([], [], color=TEAL, lw=0.9, label="how far the robot's centre can go")
@@ -185,8 +175,6 @@ def _what_counts(figure: Any, axes: Any, plan: Plan, arena: Arena) -> None:
 def _what_is_left(axes: Any, plan: Plan, arena: Arena) -> None:
     """Shade each cell by the share of its headings that the plan leaves out, one colour for each reason."""
     from matplotlib.colors import to_rgb
-
-    from planners.holes import WHY, cut_off, unmet
 
     free, grid = plan.reach, plan.coverage
     draw_floor(axes, arena, solid=3)
@@ -215,7 +203,7 @@ def _panel_title(axes: Any, text: str, columns: int) -> None:
     """Write a panel's title above its legend of so many columns."""
     rows = -(-len(axes.get_legend_handles_labels()[1]) // columns)
     axes.set_title(text, loc="left", fontsize=10.5, color=INK, pad=7 + 13 * rows)
-    key(axes, columns)
+    legend_above(axes, columns)
 
 
 def _start(axes: Any, plan: Plan) -> None:
@@ -243,7 +231,7 @@ def _no_go(axes: Any, plan: Plan) -> None:
         axes.add_patch(Polygon(np.array(corners), zorder=3.5, label=label, **style))
 
 
-def key(axes: Any, columns: int = 4) -> None:
+def legend_above(axes: Any, columns: int = 4) -> None:
     """Put the legend above the axes."""
     axes.legend(
         loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, fontsize=8, labelcolor=INK,
@@ -251,8 +239,8 @@ def key(axes: Any, columns: int = 4) -> None:
     )  # fmt: skip
 
 
-def head(figure: Any, text: str) -> None:
-    """Write the figure's title, flush left."""
+def title_flush_left(figure: Any, text: str) -> None:
+    """Write the title of the figure, flush left."""
     figure.suptitle(text, x=0.012, ha="left", fontsize=11.5, color=INK)
 
 

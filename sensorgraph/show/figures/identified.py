@@ -12,13 +12,22 @@ from robotmodic_ident.analysis import sobol, surface
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.records import lagged
 from sensorgraph.identification.identify import Identified
-from sensorgraph.show.figures import ALARM, INK, SOFT, SOLID, new_figure, quiet, save_figure
+from sensorgraph.show.figures.style import (
+    ALARM,
+    INK,
+    SOFT,
+    SOLID,
+    TEAL,
+    colour_bar,
+    new_figure,
+    reduce_frame,
+    save_figure,
+)
 from sensorgraph.types import Floats
 
-SEA, AMBER = "#2a788e", "#c9892b"
-MOST_SAMPLES = 400
+MAX_SAMPLES = 400
 """Of the series that is drawn."""
-MOST_LAGS = 25
+MAX_LAGS = 25
 
 
 def identified_picture(found: Identified, path: Path) -> None:
@@ -37,7 +46,7 @@ def identified_picture(found: Identified, path: Path) -> None:
     save_figure(figure, path)
 
 
-def series(axes: Any, found: Identified, *, most: int = MOST_SAMPLES, unit: str = "") -> None:
+def series(axes: Any, found: Identified, *, most: int = MAX_SAMPLES, unit: str = "") -> None:
     """Draw the longest record held out: measured, one step ahead and, where it differs, free run."""
     i = int(np.argmax([len(m) for m in found.measured]))
     shown = slice(0, most)
@@ -49,7 +58,7 @@ def series(axes: Any, found: Identified, *, most: int = MOST_SAMPLES, unit: str 
     axes.plot(
         when[shown],
         found.one_step[i][shown],
-        color=SEA,
+        color=TEAL,
         lw=1.2,
         label=_label(label, one.r, one.r_low, one.r_high),
     )
@@ -64,7 +73,7 @@ def series(axes: Any, found: Identified, *, most: int = MOST_SAMPLES, unit: str 
     axes.grid(color=SOLID, lw=0.6)
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False, fontsize=8, labelcolor=INK)
     axes.margins(x=0.01)
-    quiet(axes)
+    reduce_frame(axes)
 
 
 def _label(text: str, r: float, low: float, high: float) -> str:
@@ -79,27 +88,27 @@ def _scatter(axes: Any, found: Identified) -> None:
     if len(x):
         ends = [float(min(x.min(), y.min())), float(max(x.max(), y.max()))]
         axes.plot(ends, ends, color=SOFT, lw=0.8)
-    axes.plot(x, y, ".", ms=3, color=SEA, alpha=0.4, mew=0)
+    axes.plot(x, y, ".", ms=3, color=TEAL, alpha=0.4, mew=0)
     axes.set_xlabel(f"measured {found.question.output}", color=INK, fontsize=9)
     axes.set_ylabel(
         "free run" if found.free_run is not found.one_step else "predicted", color=INK, fontsize=9
     )
-    quiet(axes)
+    reduce_frame(axes)
 
 
 def _correlation(axes: Any, found: Identified) -> None:
     """Draw the autocorrelation of the one-step residual, and the p-values of the tests."""
-    total, n = np.zeros(MOST_LAGS + 1), 0
+    total, n = np.zeros(MAX_LAGS + 1), 0
     for m, p in zip(found.measured, found.one_step, strict=True):
         e = (m - p)[np.isfinite(m) & np.isfinite(p)]
         e = e - e.mean() if len(e) else e
         n += len(e)
-        for lag in range(min(MOST_LAGS + 1, len(e))):
+        for lag in range(min(MAX_LAGS + 1, len(e))):
             total[lag] += float(e[lag:] @ e[: len(e) - lag])
     rho = total / total[0] if total[0] > 0 else total
     bound = 1.96 / np.sqrt(max(n, 1))
     axes.axhspan(-bound, bound, color=SOLID, zorder=0, linewidth=0)
-    axes.vlines(np.arange(1, MOST_LAGS + 1), 0, rho[1:], color=SEA, lw=2)
+    axes.vlines(np.arange(1, MAX_LAGS + 1), 0, rho[1:], color=TEAL, lw=2)
     axes.axhline(0, color=SOFT, lw=0.8)
     axes.set(ylim=(-1.05, 1.05))
     axes.set_xlabel("lag [samples]", color=INK, fontsize=9)
@@ -108,7 +117,7 @@ def _correlation(axes: Any, found: Identified) -> None:
     axes.text(
         0.98, 0.98, "\n".join(lines), transform=axes.transAxes, ha="right", va="top", fontsize=7, color=INK
     )
-    quiet(axes)
+    reduce_frame(axes)
 
 
 def _p(value: float | None) -> str:
@@ -147,8 +156,5 @@ def surface_map(figure: Any, axes: Any, model: Narmax, columns: dict[str, Floats
     axes.plot(columns[a][::step], columns[b][::step], ".", ms=2, color="white", alpha=0.7, mew=0)
     axes.set_xlabel(a, color=INK, fontsize=9)
     axes.set_ylabel(b, color=INK, fontsize=9)
-    bar = figure.colorbar(mesh, ax=axes)
-    bar.set_label(model.output, color=INK, fontsize=8)
-    bar.ax.tick_params(labelsize=8, colors=INK)
-    bar.outline.set_visible(False)
-    quiet(axes)
+    colour_bar(figure, mesh, axes, model.output)
+    reduce_frame(axes)

@@ -20,23 +20,28 @@ from sensorgraph.models.faces.observed_space import Crossed
 from sensorgraph.planning.priority import doubt
 from sensorgraph.types import Bools, Floats, Ints
 
-CELL = 0.25  # [m] unless that would be too many
-MOST_CELLS = 40_000
-HEADINGS = 16
-LOOKED = 20  # rays through a cell of unknown walls that make it free
-FARTHEST = 10.0  # [m] a ray without a return counts so far
-NEXT_HEADINGS = 4  # in which a place is asked what would not be answered from there
-MUCH_UNANSWERED = 0.5
-"""Share of a cell's rays not answered at which its colour is that of not answered alone."""
-MUCH_WRONG = 0.1
-"""Share of a cell's answered rays that are wrong at which its colour is that of wrong alone, or more: see `Tally`."""
-OPEN = 0.2
+CELL_SIZE, MAX_CELLS = 0.25, 40_000
+"""[m] side of a cell, doubled until no more than so many are needed."""
+N_HEADINGS = 16
+"""Heading bins of a full turn."""
+DOUBT_HEADINGS = 4
+"""Headings in which the graph is asked what it would not answer from a place."""
+MIN_RAYS_THROUGH = 20
+"""Rays through a cell that make it free where there is no map."""
+MAX_REACH = 10.0
+"""[m] that a ray without a return is taken to be free."""
+SATURATING_UNANSWERED = 0.5
+"""Share of a cell's rays not answered, from which its colour is that of not answered alone."""
+SATURATING_WRONG = 0.1
+"""Share of a cell's answered rays that are wrong, from which its colour is that of wrong alone, or more: see
+`RayCounts.saturating_wrong`."""
+WORTH_A_VISIT = 0.2
 """Doubt of a place above which it is worth a visit: about the share of rays not answered from there."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Tally:
-    """What came of the rays scored in each cell; counts (nx, ny, n_phi), or (nx, ny) over all headings."""
+class RayCounts:
+    """How many rays were scored, answered and wrong in each cell: (nx, ny, n_phi), or (nx, ny) over all headings."""
 
     scored: Ints
     answered: Ints
@@ -44,20 +49,20 @@ class Tally:
     """Answered, and more than 5 cm off."""
 
     @classmethod
-    def of(cls, evaluation: Evaluation, poses: Floats, grid: Coverage) -> Tally:
+    def of(cls, evaluation: Evaluation, poses: Floats, grid: Coverage) -> RayCounts:
         """Count the rays of each scan in the cell of its pose (n_scans, 3), all on the grid."""
         scored = np.isfinite(evaluation.residual)
         answered = scored & evaluation.prediction.answered
         wrong = answered & (np.abs(np.nan_to_num(evaluation.residual)) > OFF)
         return cls(**{
-            name: spread(rays.sum(axis=1), poses, grid).astype(np.intp)
+            name: sum_in_cells(rays.sum(axis=1), poses, grid).astype(np.intp)
             for name, rays in (("scored", scored), ("answered", answered), ("wrong", wrong))
         })  # fmt: skip
 
     @property
-    def flat(self) -> Tally:
+    def by_place(self) -> RayCounts:
         """Over all headings."""
-        return Tally(
+        return RayCounts(
             scored=self.scored.sum(axis=2), answered=self.answered.sum(axis=2), wrong=self.wrong.sum(axis=2)
         )
 
@@ -72,23 +77,23 @@ class Tally:
         return _share(self.wrong, self.answered)
 
     @property
-    def much_wrong(self) -> float:
-        """Share wrong that counts as much: `MUCH_WRONG`, or what nine cells in ten stay under if that is more."""
+    def saturating_wrong(self) -> float:
+        """Share wrong from which colours saturate: SATURATING_WRONG, or the 90 % quantile of the cells if that is more."""
         share = self.share_wrong
         known = share[np.isfinite(share)]
-        return max(MUCH_WRONG, float(np.quantile(known, 0.9))) if len(known) else MUCH_WRONG
+        return max(SATURATING_WRONG, float(np.quantile(known, 0.9))) if len(known) else SATURATING_WRONG
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cells:
-    """(x, y, phi) cells: how often visited, and how well the graph knows what is seen from there."""
+class ReviewCells:
+    """(x, y, phi) cells: how often each was visited, and how well the graph predicts what is seen from there."""
 
     grid: Coverage
-    """Visits of all scans; `reachable` are cells that are free, by the arena or by the rays that went through."""
+    """Visits of all scans; `reachable` are the cells that are free by the arena, or by the rays that crossed them."""
     error: Floats | None
     """(nx, ny, n_phi) [m] mean over scans of the median |residual| of a scan; nan where nothing was scored."""
-    tally: Tally | None
-    next: Next | None
+    ray_counts: RayCounts | None
+    doubt_map: DoubtMap | None
     """Where the graph would not answer; None without a graph."""
 
     @property
@@ -108,20 +113,20 @@ class Cells:
 
     @property
     def error_top(self) -> float:
-        """[m] that 95 % of the cells stay under, where colours end."""
+        """[m] error at which colours end: the 95 % quantile of the cells."""
         if self.error is None or not np.isfinite(self.error).any():
             return 1.0
         return float(np.nanquantile(self.error, 0.95)) or 1e-3
 
     @property
     def free(self) -> Bools:
-        """(nx, ny) cells where a robot may be, for all that is known."""
+        """(nx, ny) cells that are free as far as is known."""
         return np.asarray(self.grid.reachable.any(axis=2))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Next:
-    """What `plan --priority GRAPH` goes by: how little the graph knows of each free place."""
+class DoubtMap:
+    """How little the graph knows of each free place: the priority by which a next plan would drive."""
 
     origin: Floats
     """(2,) [m]"""
@@ -131,8 +136,8 @@ class Next:
     """(nx, ny) mean over headings and rays, 1 where none would be answered; nan where not free."""
 
     def places(self, n: int = 3) -> list[tuple[float, float, float]]:
-        """Return the n largest stretches in doubt above `OPEN`: x, y [m] of the worst cell in each, area [m²]."""
-        is_open = np.nan_to_num(self.doubt) > OPEN
+        """Return the n largest areas of a doubt above WORTH_A_VISIT: x, y [m] of the worst cell, and the area [m²]."""
+        is_open = np.nan_to_num(self.doubt) > WORTH_A_VISIT
         parts, count = ndimage.label(is_open, structure=np.ones((3, 3)))
         sizes = np.bincount(parts.ravel(), minlength=count + 1)[1:]
         out = []
@@ -144,7 +149,7 @@ class Next:
         return out
 
 
-def cells_of(
+def count_cells(
     visited: Floats,
     shown: Floats,
     evaluation: Evaluation | None,
@@ -153,14 +158,14 @@ def cells_of(
     arena: Arena | None,
     graph: Sensorgraph | None,
     cell: float | None,
-) -> Cells:
-    """Count what happened in the cells.
+) -> ReviewCells:
+    """Count visits, errors and rays in the cells, and ask the graph what it does not know.
 
     Parameters
     ----------
     visited : (n, 3) poses of all scans; `shown`: those (m, 3) that were evaluated
     rays : lasers (m, 3) in map and bearings with ranges as (m, n_rays, 2): bearing in map [rad], range [m]
-    cell : [m]; None: `CELL`, or coarser where that would be too many
+    cell : [m]; None: CELL_SIZE, or coarser where that would be too many
     """
     ends = _ends(*rays)
     if arena is not None:
@@ -169,26 +174,28 @@ def cells_of(
         low, high = np.quantile(ends.reshape(-1, 2), [0.005, 0.995], axis=0)
     low = np.minimum(low, visited[:, :2].min(axis=0))
     high = np.maximum(high, visited[:, :2].max(axis=0))
-    side = cell or CELL
-    while cell is None and np.prod((high - low) / side + 2) > MOST_CELLS:
+    side = cell or CELL_SIZE
+    while cell is None and np.prod((high - low) / side + 2) > MAX_CELLS:
         side *= 2
     origin = np.floor(low / side) * side
     last = np.floor((visited[:, :2].max(axis=0) - origin) / side) + 1
     shape = np.maximum(np.ceil((high - origin) / side - 1e-9), last).astype(int)
     free = _free(origin, side, shape, arena, rays[0], ends)
-    grid = Coverage.empty(origin=origin, cell=side, cells=free, headings=HEADINGS)
+    grid = Coverage.empty(origin=origin, cell=side, cells=free, headings=N_HEADINGS)
     grid.add(visited)
     grid.reachable[:] |= np.any(grid.counts > 0, axis=2, keepdims=True)
-    return Cells(
+    return ReviewCells(
         grid=grid,
         error=None if evaluation is None else _error(evaluation, shown, grid),
-        tally=None if evaluation is None else Tally.of(evaluation, shown[evaluation.scan_indices], grid),
-        next=None if graph is None else _next(graph, grid),
+        ray_counts=None
+        if evaluation is None
+        else RayCounts.of(evaluation, shown[evaluation.scan_indices], grid),
+        doubt_map=None if graph is None else _doubt_map(graph, grid),
     )
 
 
-def spread(values: Floats, poses: Floats, grid: Coverage) -> Floats:
-    """Add values (n,) up in the cells (nx, ny, n_phi) of their poses (n, 3), all on the grid."""
+def sum_in_cells(values: Floats, poses: Floats, grid: Coverage) -> Floats:
+    """Add up values (n,) in the cells (nx, ny, n_phi) of their poses (n, 3), all of them on the grid."""
     bins, _ = grid.bins(poses)
     flat = np.ravel_multi_index(tuple(bins.T), grid.counts.shape)
     total = np.bincount(flat, weights=values, minlength=grid.counts.size)
@@ -207,13 +214,15 @@ def _error(evaluation: Evaluation, shown: Floats, grid: Coverage) -> Floats:
     of_scan = median_per_scan(evaluation.residual)
     scored = np.isfinite(of_scan)
     poses = shown[evaluation.scan_indices][scored]
-    return _share(spread(of_scan[scored], poses, grid), spread(np.ones(scored.sum()), poses, grid))
+    return _share(
+        sum_in_cells(of_scan[scored], poses, grid), sum_in_cells(np.ones(scored.sum()), poses, grid)
+    )
 
 
 def _ends(lasers: Floats, rays: Floats) -> Floats:
-    """Return the end points (n, 2) [m] in map of all rays that were not broken, those without a return cut off."""
+    """Return where rays end, (m, n_rays, 2) [m, map]; without a return MAX_REACH away, broken ones at the laser."""
     bearing, ranges = rays[..., 0], rays[..., 1]
-    reach = np.minimum(ranges, FARTHEST)[..., None]
+    reach = np.minimum(ranges, MAX_REACH)[..., None]
     ends = lasers[:, None, :2] + reach * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
     return np.asarray(np.where((ranges > 0)[..., None], ends, lasers[:, None, :2]))
 
@@ -221,7 +230,7 @@ def _ends(lasers: Floats, rays: Floats) -> Floats:
 def _free(
     origin: Floats, side: float, shape: NDArray[np.int_], arena: Arena | None, lasers: Floats, ends: Floats
 ) -> Bools:
-    """Tell which cells (nx, ny) are free: their middles by the arena; without one, where rays went through."""
+    """Tell which cells (nx, ny) are free: whose middle is in the arena; without one, which many rays crossed."""
     nx, ny = map(int, shape)
     if arena is not None:
         i, j = np.indices((nx, ny))
@@ -237,18 +246,18 @@ def _free(
     a, b = np.round((origin - crossed.origin) / crossed.cell).astype(int)
     free = np.zeros((nx, ny), dtype=np.bool_)
     part = crossed.counts[max(a, 0) : a + nx, max(b, 0) : b + ny]
-    free[max(-a, 0) :, max(-b, 0) :][: part.shape[0], : part.shape[1]] = part >= LOOKED
+    free[max(-a, 0) :, max(-b, 0) :][: part.shape[0], : part.shape[1]] = part >= MIN_RAYS_THROUGH
     return free
 
 
-def _next(graph: Sensorgraph, grid: Coverage) -> Next:
-    """Ask the graph from the middle of coarser cells, those whose four parts are all free."""
+def _doubt_map(graph: Sensorgraph, grid: Coverage) -> DoubtMap:
+    """Ask the graph from the middle of coarser cells, of which all four quarters are free."""
     free: Bools = np.asarray(grid.reachable.any(axis=2))
     nx, ny = np.array(free.shape) // 2
     whole: Bools = np.asarray(free[: 2 * nx, : 2 * ny].reshape(nx, 2, ny, 2).all(axis=(1, 3)))
-    coarse = Coverage.empty(origin=grid.origin, cell=2 * grid.cell, cells=whole, headings=NEXT_HEADINGS)
+    coarse = Coverage.empty(origin=grid.origin, cell=2 * grid.cell, cells=whole, headings=DOUBT_HEADINGS)
     value = doubt(graph, coarse).mean(axis=2)
-    return Next(origin=grid.origin, cell=coarse.cell, doubt=np.where(whole, value, np.nan))
+    return DoubtMap(origin=grid.origin, cell=coarse.cell, doubt=np.where(whole, value, np.nan))
 
 
 def _share(part: Floats | Ints, whole: Floats | Ints) -> Floats:

@@ -1,0 +1,102 @@
+"""Drives side by side: coverage over time, tracks on the floor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from planners.arena import Arena
+from planners.coverage import Coverage
+from sensorgraph.show.figures.style import (
+    ALARM,
+    AMBER,
+    INK,
+    SOLID,
+    TEAL,
+    colour_bar,
+    draw_floor,
+    new_figure,
+    reduce_frame,
+    save_figure,
+)
+from sensorgraph.types import Floats
+
+MAX_TRACK_POINTS = 60_000
+"""Points of a drawn track; a longer one is thinned."""
+
+
+def race_picture(races: dict[str, tuple[Floats, Floats, Coverage]], arena: Arena, path: Path) -> None:
+    """Draw drives side by side: bins visited over time, and where each has been.
+
+    Parameters
+    ----------
+    races : label -> (minutes (n,), share of the reachable bins (n,) by then, Coverage)
+    """
+    x0, y0, x1, y1 = arena.bounds
+    figure = new_figure(10.0, float(np.clip(3.4 * (y1 - y0) / max(x1 - x0, 1e-9), 2.2, 8.0)) + 0.7)
+    axes = figure.subplots(1, 1 + len(races), width_ratios=[1.25, *([1.0] * len(races))])
+    for (label, (minutes, share, coverage)), colour, chart in zip(
+        races.items(), (TEAL, AMBER, ALARM), axes[1:], strict=False
+    ):
+        axes[0].plot(minutes, 100 * share, color=colour, lw=1.9, label=f"{label}: {100 * share[-1]:.1f} %")
+        reachable = coverage.reachable.sum(axis=2)
+        seen = np.where(reachable > 0, coverage.covered.sum(axis=2) / np.maximum(reachable, 1), np.nan)
+        draw_floor(chart, arena)
+        edges_x, edges_y, _ = coverage.edges
+        mesh = chart.pcolormesh(edges_x, edges_y, 100 * seen.T, cmap="viridis", vmin=0, vmax=100, zorder=1)
+        chart.set_title(f"{label}: headings visited", fontsize=9, color=INK, loc="left")
+    axes[0].set(xlim=(0, None), ylim=(0, 103))
+    axes[0].set_xlabel("driven [min]", color=INK)
+    axes[0].set_ylabel("reachable (x, y, φ) bins visited [%]", color=INK)
+    axes[0].grid(color=SOLID, lw=0.6)
+    axes[0].legend(loc="upper left", frameon=False, fontsize=9, labelcolor=INK)
+    reduce_frame(axes[0])
+    colour_bar(figure, mesh, axes[1:].tolist(), "headings [%]", shrink=0.8, aspect=30, pad=0.02)
+    save_figure(figure, path)
+
+
+def tracks_picture(tracks: Mapping[str, Floats], arena: Arena, path: Path) -> None:
+    """Draw tracks (n, 2) [m] over the same floor, one panel each."""
+    x0, y0, x1, y1 = arena.bounds
+    width = 5.0
+    tall = float(np.clip(width * (y1 - y0) / max(x1 - x0, 1e-9), 2.0, 8.0))
+    figure = new_figure(width * len(tracks), tall + 0.6)
+    for axes, (name, track) in zip(
+        figure.subplots(1, len(tracks), squeeze=False)[0], tracks.items(), strict=True
+    ):
+        draw_floor(axes, arena)
+        every = max(len(track) // MAX_TRACK_POINTS, 1)
+        axes.plot(*track[::every].T, color=ALARM, lw=0.7, alpha=0.8, zorder=3)
+        axes.plot(*track[0], "o", ms=7, mfc="white", mec=INK, mew=1.5, zorder=6)
+        axes.set_title(name.replace("_", " "), loc="left", fontsize=10.5, color=INK)
+    save_figure(figure, path)
+
+
+def growth_picture(races: Mapping[str, Mapping[str, tuple[Floats, Floats]]], path: Path) -> None:
+    """Draw coverage over driving time, one panel for each arena and one line for each drive.
+
+    Parameters
+    ----------
+    races : arena -> label -> (seconds (n,), share of the reachable bins (n,) visited by then)
+    """
+    figure = new_figure(5.2 * len(races), 3.9)
+    for number, (arena, lines) in enumerate(races.items()):
+        axes = figure.add_subplot(1, len(races), number + 1)
+        longest = max(float(stamps[-1]) for stamps, _ in lines.values())
+        unit, seconds = ("h", 3600.0) if longest > 2 * 3600 else ("min", 60.0)
+        for (label, (stamps, share)), colour in zip(
+            lines.items(), (TEAL, "#7ad151", AMBER, ALARM), strict=False
+        ):
+            name = f"{label.replace('_', ' ')}: {100 * share[-1]:.0f} %"
+            axes.plot(stamps / seconds, 100 * share, color=colour, lw=1.9, label=name)
+        axes.set(xlim=(0, None), ylim=(0, 103))
+        axes.set_title(arena, loc="left", fontsize=10.5, color=INK)
+        axes.set_xlabel(f"driven [{unit}]", color=INK)
+        axes.grid(color=SOLID, lw=0.6)
+        axes.legend(loc="upper left", frameon=False, fontsize=8.5, labelcolor=INK)
+        reduce_frame(axes)
+        if number == 0:
+            axes.set_ylabel("reachable (x, y, φ) bins met [%]", color=INK)
+    save_figure(figure, path)

@@ -1,0 +1,119 @@
+"""Pieces of faces with a value each: how visible a piece is, or how far off its predictions are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from logs.run import Run, pair
+from sensorgraph.evaluation.evaluate import evaluate, poses_for
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.cells.model import Cells
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.faces.ray_march import FAINT
+from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.world.raycast import laser_poses
+
+PIECE_LENGTH = 0.10
+"""[m] of a face, over which residuals are averaged."""
+MAX_END_DISTANCE = 0.06
+"""[m] between a predicted end point and the face that it belongs to."""
+SIDE_OFFSET = 0.02
+"""[m] towards the side that is seen: faces back to back are two."""
+MIN_RAYS = 5
+"""Of a mean residual."""
+MAX_RESIDUAL = 0.2
+"""[m] of a mean residual; a larger one shows another surface."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FacePieces:
+    """Pieces of faces to colour."""
+
+    ends: Floats
+    """(n, 2, 2) [m] from, to."""
+    normals: Floats
+    """(n, 2) towards the side that is seen."""
+    values: Floats
+    """(n,) nan where nothing is known."""
+
+
+def visible_pieces(model: Faces) -> FacePieces:
+    """Return the visible pieces of all faces; the value of each is its visibility."""
+    owner, edge = visible_edges(model)
+    return pieces_of(
+        model, owner, model.faces.edges[edge], model.faces.edges[edge + 1], model.faces.levels[edge]
+    )
+
+
+def residual_pieces(model: Faces, ends: Floats, directions: Floats, residual: Floats) -> FacePieces:
+    """Average residuals over pieces of `PIECE_LENGTH` along the faces.
+
+    Parameters
+    ----------
+    ends : (n, 2) [m] predicted end points of rays with directions (n, 2) and residuals (n,) [m]
+    """
+    owner, edge = visible_edges(model)
+    starts, stops = model.faces.edges[edge], model.faces.edges[edge + 1]
+    parts = np.maximum(np.ceil((stops - starts) / PIECE_LENGTH - 1e-9).astype(int), 1)
+    first = np.cumsum(parts) - parts
+    step = np.arange(parts.sum()) - np.repeat(first, parts)
+    size = np.repeat((stops - starts) / parts, parts)
+    low = np.repeat(starts, parts) + step * size
+    pieces = pieces_of(model, np.repeat(owner, parts), low, low + size, np.full(len(low), np.nan))
+    if not len(low) or not len(ends):
+        return pieces
+    middles = pieces.ends.mean(axis=1) + SIDE_OFFSET * pieces.normals
+    off, found = cKDTree(middles).query(
+        ends - SIDE_OFFSET * directions, distance_upper_bound=MAX_END_DISTANCE + PIECE_LENGTH / 2
+    )
+    piece = np.asarray(found, dtype=np.intp)
+    return FacePieces(
+        ends=pieces.ends,
+        normals=pieces.normals,
+        values=mean_by_index(piece, residual, np.isfinite(off), len(low)),
+    )
+
+
+def mean_by_index(index: Ints, values: Floats, use: Bools, n: int) -> Floats:
+    """Average the values (m,) in `use` over equal indices 0 ... n - 1; nan where there are fewer than MIN_RAYS."""
+    count = np.bincount(index[use], minlength=n)
+    total = np.bincount(index[use], weights=values[use], minlength=n)
+    return np.asarray(np.where(count >= MIN_RAYS, total / np.maximum(count, 1), np.nan))
+
+
+def visible_edges(model: Faces) -> tuple[Ints, Ints]:
+    """Return the face (n,) and the first edge (n,) of every visible piece."""
+    owner = np.repeat(np.arange(model.faces.n_faces), np.diff(model.faces.first))
+    edge = np.flatnonzero(model.faces.levels > FAINT)
+    return owner[edge], edge
+
+
+def pieces_of(model: Faces, owner: Ints, low: Floats, high: Floats, values: Floats) -> FacePieces:
+    """Return pieces from `low` to `high` (n,) [m] along the faces `owner` (n,)."""
+    faces = model.faces
+    foot = faces.normals[owner] * faces.offsets[owner, None]
+    along = faces.tangents[owner]
+    ends = np.stack([foot + along * low[:, None], foot + along * high[:, None]], axis=1)
+    return FacePieces(ends=ends, normals=faces.normals[owner], values=values)
+
+
+def predicted_ends(graph: Sensorgraph, run: Run) -> tuple[Floats, Floats, Floats]:
+    """Return predicted end points (n, 2), directions (n, 2) and residuals (n,) [m] of the answered rays of a run.
+
+    Rays with a residual above MAX_RESIDUAL met another surface and are left out.
+    """
+    evaluation = evaluate(graph, run)
+    poses = poses_for(graph, run.pose_frame, run.sensor.mount, pair(run).poses[evaluation.scan_indices])
+    assert isinstance(graph.model, (Faces, Cells))
+    lasers = laser_poses(poses, graph.model.mount)
+    bearing = lasers[:, 2:] + graph.sensor.bearings
+    directions = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+    ends = lasers[:, None, :2] + evaluation.prediction.mode[..., None] * directions
+    use = (
+        np.abs(np.nan_to_num(evaluation.residual, nan=np.inf)) < MAX_RESIDUAL
+    ) & evaluation.prediction.answered
+    use &= evaluation.prediction.p_no_return < 0.5
+    return ends[use], directions[use], evaluation.residual[use]

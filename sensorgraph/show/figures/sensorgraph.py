@@ -1,0 +1,224 @@
+"""A picture of a sensorgraph: how likely each face or cell stops a ray, mean residuals, and space never looked through."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from logs.run import Run
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.cells.model import Cells
+from sensorgraph.models.cells.ray_march import RATES
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.show.figures.face_pieces import (
+    mean_by_index,
+    pieces_of,
+    predicted_ends,
+    residual_pieces,
+    visible_edges,
+    visible_pieces,
+)
+from sensorgraph.show.figures.style import (
+    ALARM,
+    FLOOR,
+    INK,
+    SOFT,
+    SOLID,
+    colour_bar,
+    new_figure,
+    reduce_frame,
+    save_figure,
+)
+from sensorgraph.types import Bools, Floats
+
+PATCH_SIZE = 0.2
+"""[m] side of the squares over which residuals are averaged where there are no faces."""
+SHOWN_CHANCE = 0.1
+"""Of a cell to stop a ray: below it, the cell is not drawn."""
+COLOUR_BAR: dict[str, Any] = {
+    "location": "right",
+    "fraction": 0.03,
+    "shrink": 0.8,
+    "aspect": 40,
+    "pad": 0.015,
+}
+
+
+def graph_picture(graph: Sensorgraph, path: Path, *, run: Run | None = None) -> None:
+    """Draw a sensorgraph of faces or cells as PNG.
+
+    On the left the chance that each face or cell stops a ray. On the right the mean residuals of a run; without a
+    run, the density of the training returns. White has been looked through, grey never.
+
+    Raises
+    ------
+    SensorgraphError : the model has no geometry to draw, or knows no surface
+    """
+    model = graph.model
+    if not isinstance(model, (Faces, Cells)):
+        raise SensorgraphError(
+            f"the model {model.name} has neither faces nor cells to draw; build one of faces, "
+            "or look at it with `sensorgraph review`"
+        )
+    residuals = None if run is None else predicted_ends(graph, run)
+    (x0, y0), (x1, y1) = _limits(model)
+    width = 12.0
+    tall = float(np.clip(0.46 * width * (y1 - y0) / (x1 - x0), 2.5, 10.0))
+    figure = new_figure(width, tall + 0.9)
+    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    for axes in (left, right):
+        _looked_through(axes, model)
+        axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
+        axes.set_xlabel("x [m]", color=INK)
+        reduce_frame(axes)
+    left.set_ylabel("y [m]", color=INK)
+    _visibility(figure, left, model)
+    if residuals is not None:
+        _mean_residuals(figure, right, model, *residuals)
+    elif isinstance(model, Faces):
+        _training_returns(figure, right, model)
+    else:
+        right.set_title("residuals: give a run", loc="left", fontsize=10, color=SOFT)
+    save_figure(figure, path)
+
+
+def _limits(model: Faces | Cells) -> tuple[Floats, Floats]:
+    """Return lower left and upper right corner (2,) [m] of the picture."""
+    corner, side, known = _crossed_cells(model)
+    index = np.argwhere(known)
+    if isinstance(model, Faces) and model.faces.n_faces:
+        ends = visible_pieces(model).ends.reshape(-1, 2)
+        low, high = ends.min(axis=0), ends.max(axis=0)
+    elif len(index):
+        low, high = corner + index.min(axis=0) * side, corner + (index.max(axis=0) + 1) * side
+    else:
+        raise SensorgraphError("the graph knows no surface; there is nothing to draw")
+    margin = 0.03 * float((high - low).max()) + 0.05
+    return low - margin, high + margin
+
+
+def _crossed_cells(model: Faces | Cells) -> tuple[Floats, float, Bools]:
+    """Return corner [m], side [m] and cells (nx, ny) that training rays have crossed."""
+    if isinstance(model, Faces):
+        return model.crossed.origin, model.crossed.cell, model.crossed.counts > 0
+    table = model.table
+    return table.low, table.cell, table.is_seen[table.rows] > 0
+
+
+def _image(axes: Any, corner: Floats, side: float, values: Any, **style: Any) -> Any:
+    nx, ny = values.shape[:2]
+    extent = (corner[0], corner[0] + nx * side, corner[1], corner[1] + ny * side)
+    turned = values.transpose(1, 0, *range(2, values.ndim))
+    return axes.imshow(turned, origin="lower", extent=extent, interpolation="nearest", **style)
+
+
+def _looked_through(axes: Any, model: Faces | Cells) -> None:
+    """Paint the space that training rays have crossed white, the rest grey."""
+    from matplotlib.colors import to_rgb
+
+    axes.set_facecolor(SOLID)
+    corner, side, known = _crossed_cells(model)
+    paint = np.where(known[..., None], to_rgb(FLOOR), to_rgb(SOLID))
+    _image(axes, corner, side, paint, zorder=0)
+
+
+def _cells_of(model: Faces | Cells) -> Cells | None:
+    return model if isinstance(model, Cells) else model.cells
+
+
+def _visibility(figure: Any, axes: Any, model: Faces | Cells) -> None:
+    """Draw how likely a ray that meets a face or a cell stops there."""
+    title = "chance that a ray stops"
+    cells, image = _cells_of(model), None
+    if cells is not None:
+        table = cells.table
+        per_direction = -np.expm1(-RATES[table.rate] * table.cell)
+        chance = per_direction.max(axis=1)  # from the direction that sees the cell best
+        value = np.where(table.rows >= 0, chance[table.rows], 0.0)
+        shown = np.ma.masked_less(value, SHOWN_CHANCE)
+        image = _image(axes, table.low, table.cell, shown, cmap="viridis_r", vmin=0, vmax=1, zorder=1)
+        title += f" in each cell of {100 * table.cell:.0f} cm"
+    else:
+        assert isinstance(model, Faces)
+        pieces = visible_pieces(model)
+        order = np.argsort(pieces.values, kind="stable")
+        image = _draw_pieces(axes, pieces.ends[order], pieces.values[order], "viridis_r", (0.0, 1.0))
+        title += f": {model.faces.n_faces} faces"
+    axes.set_title(title, loc="left", fontsize=10, color=INK)
+    colour_bar(figure, image, axes, "chance", **COLOUR_BAR)
+
+
+def _training_returns(figure: Any, axes: Any, model: Faces) -> None:
+    """Draw the training returns per metre of each visible piece, and the returns that no face explains."""
+    owner, edge = visible_edges(model)
+    length = np.maximum(model.faces.edges[edge + 1] - model.faces.edges[edge], 1e-3)
+    hits = model.hits[owner] if model.memory is None else model.memory.stops[edge]
+    pieces = pieces_of(model, owner, model.faces.edges[edge], model.faces.edges[edge + 1], hits / length)
+    value = np.log10(np.maximum(pieces.values, 1.0))
+    image = _draw_pieces(axes, pieces.ends, value, "magma_r", (0.0, max(float(value.max(initial=1.0)), 1.0)))
+    axes.set_title("identified from so many returns a metre", loc="left", fontsize=10, color=INK)
+    if model.memory is not None and len(model.memory.left.cells):
+        axes.plot(*model.memory.left.centres.T, ".", ms=1.2, color=ALARM, alpha=0.5, zorder=2)
+        axes.set_title(
+            "identified from so many returns a metre; red: explained by no face", loc="left", fontsize=10, color=INK
+        )  # fmt: skip
+    colour_bar(figure, image, axes, "log10 of returns a metre", **COLOUR_BAR)
+
+
+def _mean_residuals(
+    figure: Any, axes: Any, model: Faces | Cells, ends: Floats, directions: Floats, residual: Floats
+) -> None:
+    """Draw the mean residual along each face; where cells predict, in squares."""
+    if _cells_of(model) is None:
+        assert isinstance(model, Faces)
+        pieces = residual_pieces(model, ends, directions, residual)
+        order = np.argsort(np.nan_to_num(np.abs(pieces.values), nan=-1.0), kind="stable")
+        value = 100 * pieces.values[order]
+        top = _colour_limit(value)
+        image = _draw_pieces(axes, pieces.ends[order], value, "RdBu_r", (-top, top))
+    else:
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        corner = np.floor(low / PATCH_SIZE) * PATCH_SIZE
+        nx, ny = (np.floor((high - corner) / PATCH_SIZE).astype(int) + 1).tolist()
+        i, j = np.floor((ends - corner) / PATCH_SIZE).astype(int).T
+        flat = np.ravel_multi_index((i, j), (nx, ny))
+        value = 100 * mean_by_index(flat, residual, np.isfinite(residual), nx * ny).reshape(nx, ny)
+        top = _colour_limit(value)
+        image = _image(
+            axes,
+            corner,
+            PATCH_SIZE,
+            np.ma.masked_invalid(value),
+            cmap="RdBu_r",
+            vmin=-top,
+            vmax=top,
+            zorder=1,
+        )
+    axes.set_title(
+        f"mean residual of {len(residual):,} answered rays; red: measured farther", loc="left", fontsize=10, color=INK
+    )  # fmt: skip
+    colour_bar(figure, image, axes, "measured − predicted [cm]", **COLOUR_BAR)
+
+
+def _colour_limit(value: Floats) -> float:
+    """Return the size at which colours end: nine values in ten lie below."""
+    known = np.abs(value[np.isfinite(value)])
+    return max(float(np.quantile(known, 0.9)), 1e-3) if len(known) else 1.0
+
+
+def _draw_pieces(axes: Any, ends: Floats, value: Floats, colours: str, limits: tuple[float, float]) -> Any:
+    """Draw pieces (n, 2, 2) coloured by value (n,); nan is thin grey."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import Normalize
+
+    known = np.isfinite(value)
+    axes.add_collection(LineCollection(list(ends[~known]), colors=SOFT, linewidths=0.6, zorder=2))
+    lines = LineCollection(
+        list(ends[known]), array=value[known], cmap=colours, norm=Normalize(*limits), linewidths=2.2, zorder=3
+    )
+    lines.set_capstyle("butt")
+    axes.add_collection(lines)
+    return lines

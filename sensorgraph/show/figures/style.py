@@ -1,0 +1,91 @@
+"""What all pictures share: colours, an empty figure, the floor of an arena, a colour bar, the file.
+
+matplotlib is imported when the first figure is made.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planners.arena import Arena
+from sensorgraph.files import whole
+from sensorgraph.types import Floats
+
+INK, SOFT = "#23262f", "#8b90a0"
+"""Lines and text; what stands back."""
+FLOOR, SOLID = "#ffffff", "#d9dce4"
+"""Free space; what is solid, or was never seen."""
+TEAL, AMBER, ALARM = "#2a788e", "#c9892b", "#d1345b"
+"""Good or the main series; the second; bad, or what the eye shall find."""
+
+
+def new_figure(width: float, height: float, *, layout: Any = "constrained") -> Any:
+    """Return an empty figure, `width` x `height` [in], for a file and not for a window."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=150, layout=layout, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a figure as PNG; the file is complete or not there."""
+    with whole(path) as part:
+        figure.savefig(part, format="png", metadata={"Software": None})
+
+
+def draw_floor(axes: Any, arena: Arena, *, solid: int = -1) -> None:
+    """Draw free space, solid matter and walls; `solid` is the zorder of solid matter."""
+    from matplotlib.collections import LineCollection
+
+    x0, y0, x1, y1 = arena.bounds
+    pad = 0.02 * max(x1 - x0, y1 - y0)
+    axes.set_facecolor(FLOOR)
+    fill_solid(axes, arena, pad=pad, zorder=solid)
+    axes.add_collection(LineCollection(list(arena.walls), colors=INK, linewidths=1.3, zorder=4))
+    axes.set_xlabel("x [m]", color=INK)
+    axes.set_ylabel("y [m]", color=INK)
+    axes.set(xlim=(x0 - pad, x1 + pad), ylim=(y0 - pad, y1 + pad), aspect="equal")
+    reduce_frame(axes)
+
+
+def fill_solid(
+    axes: Any,
+    arena: Arena,
+    shift: Floats | tuple[float, float] = (0.0, 0.0),
+    *,
+    pad: float = 0.0,
+    zorder: int,
+) -> None:
+    """Fill what is not free within the bounds of the arena and `pad` [m] around them, moved by `shift` (2,) [m]."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+
+    frame = arena.free.envelope.buffer(pad, join_style="mitre") if pad else arena.free.envelope
+    solid = frame.difference(arena.free)
+    for polygon in getattr(solid, "geoms", [solid]):
+        rings = [np.asarray(ring.coords)[:, :2] + shift for ring in (polygon.exterior, *polygon.interiors)]
+        outline = Outline.make_compound_path(*(Outline(ring, closed=True) for ring in rings if len(ring)))
+        axes.add_patch(PathPatch(outline, facecolor=SOLID, edgecolor="none", zorder=zorder))
+
+
+def reduce_frame(axes: Any) -> None:
+    """Reduce the frame of the axes to two thin lines, left and below."""
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(SOFT)
+    axes.tick_params(colors=INK, labelsize=8, length=3)
+    axes.set_axisbelow(True)
+
+
+def colour_bar(figure: Any, mapped: Any, axes: Any, label: str, **placing: Any) -> None:
+    """Put a colour bar for what is `mapped` to colours beside one or several axes."""
+    bar = figure.colorbar(mapped, ax=axes, **placing)
+    bar.set_label(label, color=INK, fontsize=8)
+    bar.ax.tick_params(labelsize=8, colors=INK)
+    bar.outline.set_visible(False)

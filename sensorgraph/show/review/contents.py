@@ -1,0 +1,157 @@
+"""What a review shows, as plain arrays: scans in the map, coverage, error by place, heading and ray."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.run import Pairing, Run, pair
+from planners.arena import Arena
+from sensorgraph.building.build import training_scans
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.evaluation.evaluate import Evaluation, evaluate
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.base import OFF
+from sensorgraph.show.review.cells import ReviewCells, count_cells
+from sensorgraph.types import Floats
+from sensorgraph.world.raycast import laser_poses
+
+MAX_SCANS = 5000
+"""Scans that a review file holds: enough to look at, small enough to open at once."""
+
+
+class RayVerdict(IntEnum):
+    """What came of a measured ray."""
+
+    UNSCORED = 0
+    """Nothing to compare."""
+    RIGHT = 1
+    """Answered, and within 5 cm."""
+    WRONG = 2
+    """Answered, and farther off."""
+    UNANSWERED = 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Review:
+    """A run in the map, and what a sensorgraph predicts of it: everything that is drawn."""
+
+    run: Run
+    name: str
+    """What to call the run."""
+    pairing: Pairing
+    shown: NDArray[np.intp]
+    """(n_shown,) indices of the scans in the review."""
+    lasers: Floats
+    """(n_shown, 3) [m, m, rad] laser in map."""
+    measured: Floats
+    """(n_shown, n_rays) [m]"""
+    predicted: Floats | None
+    """(n_shown, n_rays) [m] where answered, else nan; +inf where no return is predicted."""
+    evaluation: Evaluation | None
+    """Of the shown scans."""
+    held_out: Evaluation | None
+    """Of the held-out scans, if the graph was built from this run with a split."""
+    cells: ReviewCells
+    arena: Arena | None
+    planned: Floats | None
+    """(n, 2) [m] the planned path."""
+    plan: Mapping[str, Any] | None
+    """plan.json"""
+    graph: Sensorgraph | None
+
+    def points(self, ranges: Floats, part: slice = slice(None)) -> list[Floats]:
+        """Return the end points (n, 2) [m, map] of each shown scan in `part`; `ranges` (n_shown, n_rays) [m]."""
+        lasers, ranges = self.lasers[part], ranges[part]
+        phi = lasers[:, 2:] + self.run.sensor.bearings
+        ends = lasers[:, None, :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+        return [scan[hit] for scan, hit in zip(ends, np.isfinite(ranges), strict=True)]
+
+    @property
+    def verdicts(self) -> NDArray[np.uint8]:
+        """(n_shown, n_rays) the RayVerdict of each measured ray."""
+        out = np.full(self.measured.shape, RayVerdict.UNSCORED, dtype=np.uint8)
+        if self.evaluation is not None:
+            residual = self.evaluation.residual
+            answered = np.where(np.abs(residual) > OFF, RayVerdict.WRONG, RayVerdict.RIGHT)
+            verdict = np.where(self.evaluation.prediction.answered, answered, RayVerdict.UNANSWERED)
+            out[self.evaluation.scan_indices] = np.where(np.isfinite(residual), verdict, RayVerdict.UNSCORED)
+        return out
+
+    def __repr__(self) -> str:
+        graph = "no graph" if self.graph is None else f"against a graph of {self.graph.model.name}"
+        return f"Review of {self.name}: {self.pairing}; {len(self.shown):,} scans shown, {graph}"
+
+
+def collect(
+    run: Run,
+    *,
+    graph: Sensorgraph | None = None,
+    arena: Arena | None = None,
+    name: str | None = None,
+    planned: Floats | None = None,
+    plan: Mapping[str, Any] | None = None,
+    cell: float | None = None,
+    max_scans: int = MAX_SCANS,
+) -> Review:
+    """Collect what there is to see of a run, and of a sensorgraph against it.
+
+    Parameters
+    ----------
+    arena : walls to draw; None: none
+    name : what to call the run; None: the file it says it came from
+    planned : (n, 2) [m] path of the plan
+    cell : [m] of the maps; None: 0.25, or coarser where that would be too many
+    max_scans : of a longer run, so many are shown, evenly chosen
+
+    Raises
+    ------
+    SensorgraphError : no scan has a pose, or the sensor of the run is not that of the graph
+    """
+    pairing = pair(run)
+    index = np.flatnonzero(pairing.paired)
+    if not len(index):
+        raise SensorgraphError(f"{pairing}; nothing to place in the map: record poses with the scans")
+    shown = index[np.linspace(0, len(index) - 1, min(len(index), max_scans)).round().astype(np.intp)]
+    part = replace(run, stamps=run.stamps[shown], ranges=run.ranges[shown])
+    poses = pairing.poses[shown]
+    evaluation = evaluate(graph, part) if graph is not None else None
+    held_out = predicted = None
+    if graph is not None and evaluation is not None:
+        split = graph.origin.get("split")
+        if split is not None and training_scans(graph, run) is not None:
+            held_out = evaluate(graph, run, split=split)
+        predicted = np.full(part.ranges.shape, np.nan)
+        prediction = evaluation.prediction
+        predicted[evaluation.scan_indices] = np.where(prediction.answered, prediction.ranges, np.nan)
+    lasers = poses if run.pose_frame == "laser" else laser_poses(poses, run.sensor.mount)
+    rays = np.stack([lasers[:, 2:] + run.sensor.bearings, part.ranges], axis=-1)
+    return Review(
+        run=run,
+        name=name or run.meta.get("source", "run").rsplit("/", 1)[-1],
+        pairing=pairing,
+        shown=shown,
+        lasers=lasers,
+        measured=part.ranges,
+        predicted=predicted,
+        evaluation=evaluation,
+        held_out=held_out,
+        cells=count_cells(
+            pairing.poses[index],
+            poses,
+            evaluation,
+            rays=(lasers, rays),
+            arena=arena,
+            graph=graph,
+            cell=cell,
+        ),
+        arena=arena,
+        planned=planned,
+        plan=plan,
+        graph=graph,
+    )

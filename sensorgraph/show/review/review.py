@@ -1,0 +1,73 @@
+"""`review`: one call from a run to a file for rerun's viewer."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import logs
+from logs.run import Run
+from planners.arena import Arena
+from planners.trajectory import read_csv
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.show.review.contents import Review, collect
+from sensorgraph.show.review.views import write
+
+PLAN_STEP = 10
+"""Every so many poses of a plan are drawn."""
+
+
+def review(
+    run: Run | Path | str,
+    *,
+    path: Path | str,
+    graph: Sensorgraph | Path | str | None = None,
+    plan: Path | str | None = None,
+    arena: Arena | None = None,
+    ray: int | None = None,
+    name: str | None = None,
+) -> Review:
+    """Write what there is to see of a run, and of a sensorgraph against it, as a file for rerun's viewer.
+
+    Scans in the map, coverage, error by place, heading and ray, and a report. No viewer is needed to write it; open
+    it with `rerun FILE`.
+
+    Parameters
+    ----------
+    run : a run, or a file that `logs.read` opens
+    path : the file to write, *.rrd
+    graph : a sensorgraph, or its file
+    plan : the folder of a plan, whose path is drawn, too
+    arena : walls to draw; None: those that the run keeps, if it keeps any
+    ray : index of the ray whose series is shown; None: the one that looks straight ahead
+    name : what to call the run; None: the file it says it came from
+
+    Returns
+    -------
+    Review with everything that is drawn, as arrays
+
+    Raises
+    ------
+    SensorgraphError : the file is not named *.rrd, no scan has a pose, the ray does not exist, or graph and run do not fit
+    LogError : the run cannot be read
+    """
+    path = Path(path)
+    if path.suffix != ".rrd":
+        raise SensorgraphError(
+            f"{path}: a review is written as *.rrd; name it {path.with_suffix('.rrd').name}"
+        )
+    if not isinstance(run, Run):
+        run = logs.read(Path(run))
+    if isinstance(graph, Path | str):
+        graph = Sensorgraph.load(Path(graph))
+    contents = collect(
+        run,
+        graph=graph,
+        arena=arena,
+        name=name,
+        planned=None if plan is None else read_csv(Path(plan) / "trajectory.csv").poses[::PLAN_STEP, :2],
+        plan=None if plan is None else json.loads((Path(plan) / "plan.json").read_text()),
+    )
+    write(contents, path, ray=ray)
+    return contents

@@ -1,0 +1,197 @@
+"""The .rrd file of a review: what is logged on which path, and the layout of the viewer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.show.rerun_file import BACKGROUND, DIM, ORANGE, WALL, WHITE, folded, recorded
+from sensorgraph.show.review.contents import RayVerdict, Review
+from sensorgraph.show.review.maps import VERDICT_COLOURS, log_maps, log_voxels, map_labels
+from sensorgraph.show.review.report import report
+from sensorgraph.types import Floats
+
+SCANS_PER_CHUNK = 500
+CLOUD_REACH, MAX_CLOUD_POINTS = 20.0, 60_000
+"""[m] and points of the cloud that stands in for the walls where there is no map."""
+ROBOT, PLANNED, CLOUD = (90, 220, 140), (60, 75, 110), (95, 95, 110)
+"""Colours. A negative radius below is in points of the screen, not in metres."""
+
+
+def write(review: Review, path: Path, *, ray: int | None = None) -> None:
+    """Write a review as `path` (.rrd) with the 2 x 3 layout as its default blueprint.
+
+    Parameters
+    ----------
+    ray : whose series is shown; None: the one that looks straight ahead
+    """
+    ray = int(np.abs(review.run.sensor.bearings).argmin()) if ray is None else ray
+    if not 0 <= ray < review.run.sensor.n_rays:
+        raise SensorgraphError(
+            f"ray {ray} does not exist; this sensor has rays 0 to {review.run.sensor.n_rays - 1}"
+        )
+    with recorded(path, "review", _layout(review, ray)) as recording:
+        _still(recording, review)
+        for start in range(0, len(review.shown), SCANS_PER_CHUNK):
+            _scans(recording, review, slice(start, start + SCANS_PER_CHUNK), ray)
+
+
+def _still(recording: rr.RecordingStream, review: Review) -> None:
+    """Log what does not change: walls, paths, maps, cells, bars, report."""
+    flip = rr.Transform3D(scale=[1, -1, 1])  # the 2-D view's y points down
+    recording.log("plan", flip, static=True)
+    if review.arena is not None:
+        recording.log(
+            "plan/arena", rr.LineStrips2D(list(review.arena.walls), colors=WALL, radii=-0.8), static=True
+        )
+        ends = np.concatenate([review.arena.walls, np.zeros((review.arena.n_walls, 2, 1))], axis=2)
+        recording.log("space/arena", rr.LineStrips3D(list(ends), colors=WALL, radii=-0.5), static=True)
+    else:
+        cloud = np.concatenate(
+            review.points(np.where(review.measured < CLOUD_REACH, review.measured, np.nan))
+        )
+        thin = cloud[:: max(1, len(cloud) // MAX_CLOUD_POINTS)]
+        recording.log("plan/arena", rr.Points2D(thin, colors=CLOUD, radii=-0.7), static=True)
+    if review.planned is not None:
+        recording.log(
+            "plan/planned", rr.LineStrips2D([review.planned], colors=PLANNED, radii=-0.4), static=True
+        )
+    path = review.pairing.poses[review.pairing.paired, :2]
+    recording.log("plan/path", rr.LineStrips2D([path], colors=DIM, radii=-0.4), static=True)
+    log_maps(recording, review.cells)
+    log_voxels(recording, review.cells)
+    recording.log("report", rr.TextDocument(report(review), media_type="text/markdown"), static=True)
+    if review.evaluation is not None:
+        rmse = np.nan_to_num(review.evaluation.rmse_per_ray) * 100
+        bars = rr.BarChart(rmse, abscissa=np.degrees(review.run.sensor.bearings), color=ORANGE)
+        recording.log("error_per_ray", bars, static=True)
+    for name, colour in (("measured", WHITE), ("predicted", ORANGE)):
+        style = rr.SeriesLines(colors=colour, names=name, widths=1.2)
+        recording.log(f"ray/{name}", style, static=True)
+
+
+def _scans(recording: rr.RecordingStream, review: Review, part: slice, ray: int) -> None:
+    """Send a block of scans, poses and the series of one ray."""
+    stamps = review.run.stamps[review.shown[part]]
+    time = [rr.TimeColumn("time", duration=stamps), rr.TimeColumn("scan", sequence=review.shown[part])]
+    lasers = review.lasers[part]
+    size = max(0.35, 0.03 * (_extent(review)[2] - _extent(review)[0]))
+    arrows = size * np.stack([np.cos(lasers[:, 2]), np.sin(lasers[:, 2])], axis=1)
+    recording.send_columns("plan/robot", time, rr.Arrows2D.columns(origins=lasers[:, :2], vectors=arrows))
+    for name, ranges, colour in _layers(review):
+        points = review.points(ranges, part)
+        if part.start == 0:
+            radius = -1.5 if name == "predicted" else -2.2
+            recording.log(f"plan/{name}", rr.Points2D.from_fields(colors=colour, radii=radius), static=True)
+        columns = rr.Points2D.columns(positions=np.concatenate(points)).partition([len(p) for p in points])
+        recording.send_columns(f"plan/{name}", time, columns)
+    for name, values in (("measured", review.measured), ("predicted", review.predicted)):
+        if values is not None:
+            series = np.where(np.isfinite(values[part, ray]), values[part, ray], np.nan)
+            recording.send_columns(f"ray/{name}", time, rr.Scalars.columns(scalars=series))
+    if part.start == 0:
+        recording.log("plan/robot", rr.Arrows2D.from_fields(colors=ROBOT, radii=-2.0), static=True)
+
+
+def _layers(review: Review) -> Iterator[tuple[str, Floats, tuple[int, int, int]]]:
+    """Yield name, ranges (n_shown, n_rays) and colour of the points: measured ones by verdict, then predicted."""
+    verdicts = review.verdicts
+    yield "measured", np.where(verdicts == RayVerdict.UNSCORED, review.measured, np.nan), WHITE
+    if review.predicted is not None:
+        for name, verdict in (
+            ("right", RayVerdict.RIGHT),
+            ("not_answered", RayVerdict.UNANSWERED),
+            ("wrong", RayVerdict.WRONG),
+        ):
+            yield name, np.where(verdicts == verdict, review.measured, np.nan), VERDICT_COLOURS[verdict]
+        yield "predicted", review.predicted, ORANGE
+
+
+def _layout(review: Review, ray: int) -> rrb.Blueprint:
+    """Two rows of three: scan on arena, maps, cells; one ray, error per ray, report."""
+    x0, y0, x1, y1 = _extent(review)
+    bounds = rrb.VisualBounds2D(x_range=[x0, x1], y_range=[-y1, -y0])
+    scan = rrb.Spatial2DView(
+        name="measured: teal right, pink wrong, violet not answered; orange predicted"
+        if review.predicted is not None
+        else "measured",
+        origin="/",
+        contents=[
+            f"/plan/{name}"
+            for name in ("arena", "planned", "path", *(name for name, _, _ in _layers(review)), "robot")
+        ],
+        visual_bounds=bounds,
+        background=BACKGROUND,
+    )
+    tabs = rrb.Tabs(
+        *[
+            rrb.Spatial2DView(
+                name=label,
+                origin="/",
+                contents=[f"/plan/{name}/**", "/plan/arena"],
+                visual_bounds=bounds,
+                background=BACKGROUND,
+            )
+            for name, label in map_labels(review.cells).items()
+        ],
+        name="maps",
+        active_tab=0,
+    )
+    coloured = "right, wrong, not answered" if review.cells.ray_counts is not None else "scans, 0 to 10"
+    nx, ny, _ = review.cells.counts.shape
+    width, depth = nx * review.cells.cell, ny * review.cells.cell
+    x, y = review.cells.origin
+    centre = [x + width / 2, y + depth / 2, 0.2 * max(width, depth)]
+    away = 1.25 * max(width, depth)
+    space = rrb.Spatial3DView(
+        name=f"(x, y, phi) cells: {coloured}",
+        origin="/space",
+        background=BACKGROUND,
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            position=[centre[0] - 0.55 * away, centre[1] - 0.95 * away, centre[2] + 0.8 * away],
+            look_target=centre,
+            eye_up=[0, 0, 1],
+        ),
+    )
+    returns = review.measured[:, ray][np.isfinite(review.measured[:, ray])]
+    far = float(np.quantile(returns, 0.98)) if len(returns) else review.run.sensor.range_max
+    degrees = np.degrees(review.run.sensor.bearings[ray])
+    series = rrb.TimeSeriesView(
+        name=f"ray {ray} at {degrees:.0f} degrees [m]",
+        origin="/ray",
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * far)),
+        plot_legend=rrb.Corner2D.LeftTop,
+    )
+    bars = rrb.BarChartView(
+        name="RMSE per ray [cm] over bearing [degrees]",
+        origin="/error_per_ray",
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
+    words = rrb.TextDocumentView(name="report", origin="/report")
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(scan, tabs, space),
+            rrb.Horizontal(series, bars, words),
+            row_shares=[3, 2],
+        ),
+        *folded(),
+        auto_views=False,
+    )
+
+
+def _extent(review: Review) -> tuple[float, float, float, float]:
+    if review.arena is not None:
+        x0, y0, x1, y1 = review.arena.bounds
+    else:
+        points = np.concatenate(
+            review.points(np.where(review.measured < CLOUD_REACH, review.measured, np.nan))
+        )
+        (x0, y0), (x1, y1) = np.quantile(points, 0.002, axis=0), np.quantile(points, 0.998, axis=0)
+    margin = 0.04 * max(x1 - x0, y1 - y0)
+    return float(x0 - margin), float(y0 - margin), float(x1 + margin), float(y1 + margin)
