@@ -5,7 +5,7 @@ from __future__ import annotations
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.black_surface import BLACK_SURFACE
 from sensorgraph.effects.dead_time import DEAD_TIME
-from sensorgraph.effects.effect import Amendment, Effect, Location, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Location, Parameter
 from sensorgraph.effects.glass import GLASS
 from sensorgraph.effects.incidence_dropout import INCIDENCE_DROPOUT
 from sensorgraph.effects.latency import LATENCY
@@ -39,7 +39,7 @@ from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 
-__all__ = ["EFFECTS", "Amendment", "Effect", "Location", "Parameter"]
+__all__ = ["EFFECTS", "Amendment", "Diagnostics", "Effect", "Location", "Parameter"]
 
 EFFECTS: dict[str, Effect] = {
     "range_bias": RANGE_BIAS,

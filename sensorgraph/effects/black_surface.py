@@ -6,8 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.places import part_of_wall
+from sensorgraph.effects.set_up import end_of_part_error
+from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
 from sensorgraph.world.scene import Beams, Scene
 
 
@@ -38,12 +40,28 @@ BLACK_SURFACE = Effect(
         "incidence_dropout": "another wall at the same incidence",
     },
     parameters=(
-        Parameter(name="a", unit="m", doc="where it begins, along the wall from its first end", neutral=None),
-        Parameter(name="b", unit="m", doc="where it ends", neutral=None),
         Parameter(
-            name="r0", unit="m", doc="a head-on return is sure up to this range", neutral=None, low=0.0
+            name="a",
+            unit="m",
+            doc="where it begins, along the wall from its first end",
+            neutral=None,
+            search_step=0.01,
+            hidden=end_of_part_error,
+        ),
+        Parameter(
+            name="b", unit="m", doc="where it ends", neutral=None, search_step=0.01, hidden=end_of_part_error
+        ),
+        Parameter(
+            name="r0",
+            unit="m",
+            doc="a head-on return is sure up to this range",
+            neutral=None,
+            low=0.0,
+            search_step=0.05,
+            typical=1.0,
         ),
     ),
     transform=transform,
     place="wall",
+    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS, misfit_share=0.012, telltale=LOST_BY_DIRECTION),
 )

@@ -6,8 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.places import part_of_wall, seen_without
+from sensorgraph.effects.set_up import end_of_part_error, third_of_map_error, wall_direction_error
+from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
 from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene
 
 
@@ -46,9 +48,16 @@ GLASS = Effect(
     },
     parameters=(
         Parameter(
-            name="a", unit="m", doc="where the pane begins, along the wall from its first end", neutral=None
+            name="a",
+            unit="m",
+            doc="where the pane begins, along the wall from its first end",
+            neutral=None,
+            search_step=0.01,
+            hidden=end_of_part_error,
         ),
-        Parameter(name="b", unit="m", doc="where it ends", neutral=None),
+        Parameter(
+            name="b", unit="m", doc="where it ends", neutral=None, search_step=0.01, hidden=end_of_part_error
+        ),
         Parameter(
             name="alpha_ret",
             unit="rad",
@@ -56,6 +65,9 @@ GLASS = Effect(
             neutral=RIGHT_ANGLE,
             low=0.0,
             high=RIGHT_ANGLE,
+            search_step=0.01,
+            typical=float(np.radians(20.0)),
+            hidden=wall_direction_error,
         ),
         Parameter(
             name="depth",
@@ -63,8 +75,13 @@ GLASS = Effect(
             doc="of a plane behind the pane; 0: what the map has there",
             neutral=None,
             low=0.0,
+            absent_at_zero=True,
+            step=1e-4,
+            typical=1.0,
+            hidden=third_of_map_error,
         ),
     ),
     transform=transform,
     place="wall",
+    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS, misfit_share=0.012, telltale=LOST_BY_DIRECTION),
 )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.set_up import wall_direction_error
+from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import RIGHT_ANGLE, Scene, fade
 
 BLUR = 0.003  # [rad] over which it sets in
@@ -40,7 +42,11 @@ INCIDENCE_DROPOUT = Effect(
             neutral=RIGHT_ANGLE,
             low=0.0,
             high=RIGHT_ANGLE,
+            search_step=0.01,
+            typical=float(np.radians(75.0)),
+            hidden=wall_direction_error,
         ),
     ),
     transform=transform,
+    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS),
 )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
 
 
@@ -26,7 +27,16 @@ LATENCY = Effect(
         "mount_xy": "vary the speed",
     },
     parameters=(
-        Parameter(name="tau", unit="s", doc="how much earlier the scan was taken", materiality=0.005),
+        Parameter(
+            name="tau",
+            unit="s",
+            doc="how much earlier the scan was taken",
+            materiality=0.005,
+            step=1e-4,
+            jump=300.0,
+            nuisance=Nuisance.DELAY,
+        ),
     ),
     transform=transform,
+    diagnostics=Diagnostics(tolerance="stamp", hidden_by_slam=True, question_rank=1),
 )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.shared import STRETCHED
 from sensorgraph.world.scene import Scene
 
 
@@ -27,9 +28,10 @@ MAP_SCALE = Effect(
     varies="how far a wall lies from the origin, not the range",
     rivals={"range_scale": "near and far views of the same wall", "moved_wall": "only one wall moves"},
     parameters=(
-        Parameter(name="s", unit="", doc="relative stretch", materiality=0.002),
-        Parameter(name="dx", unit="m", doc="shift of the middle of the arena", neutral=0.0),
-        Parameter(name="dy", unit="m", doc="shift of the middle of the arena", neutral=0.0),
+        Parameter(name="s", unit="", doc="relative stretch", materiality=0.002, step=1e-5, jump=300.0),
+        Parameter(name="dx", unit="m", doc="shift of the middle of the arena", neutral=0.0, step=1e-4),
+        Parameter(name="dy", unit="m", doc="shift of the middle of the arena", neutral=0.0, step=1e-4),
     ),
     transform=transform,
+    diagnostics=Diagnostics(telltale=STRETCHED),
 )

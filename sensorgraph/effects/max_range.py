@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.set_up import map_error
+from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import Scene, fade
 
 
@@ -30,6 +32,17 @@ MAX_RANGE = Effect(
         "incidence_dropout": "a long view at normal incidence",
         "tilt": "a tilted sensor returns from the floor",
     },
-    parameters=(Parameter(name="R", unit="m", doc="farthest return", neutral=None, low=0.0),),
+    parameters=(
+        Parameter(
+            name="R",
+            unit="m",
+            doc="farthest return",
+            neutral=None,
+            low=0.0,
+            search_step=0.02,
+            hidden=map_error,
+        ),
+    ),
     transform=transform,
+    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.set_up import map_error
 from sensorgraph.world.scene import Scene, fade
 
 
@@ -24,6 +25,16 @@ MIN_RANGE = Effect(
     source="Okubo, Ye and Borenstein (2009), characterization of the Hokuyo URG-04LX",
     varies="small ranges, whatever the bearing",
     rivals={"self_occlusion": "approach a wall with another bearing"},
-    parameters=(Parameter(name="r_min", unit="m", doc="nearest return", low=0.0),),
+    parameters=(
+        Parameter(
+            name="r_min",
+            unit="m",
+            doc="nearest return",
+            low=0.0,
+            search_step=0.01,
+            typical=0.3,
+            hidden=map_error,
+        ),
+    ),
     transform=transform,
 )

@@ -6,8 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.places import part_of_wall, reflected
+from sensorgraph.effects.set_up import end_of_part_error
+from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
 from sensorgraph.world.scene import Beams, Scene
 
 
@@ -40,10 +42,18 @@ MIRROR = Effect(
     rivals={"glass": "view it from two sides; the ghost moves with the room"},
     parameters=(
         Parameter(
-            name="a", unit="m", doc="where the mirror begins, along the wall from its first end", neutral=None
+            name="a",
+            unit="m",
+            doc="where the mirror begins, along the wall from its first end",
+            neutral=None,
+            search_step=0.01,
+            hidden=end_of_part_error,
         ),
-        Parameter(name="b", unit="m", doc="where it ends", neutral=None),
+        Parameter(
+            name="b", unit="m", doc="where it ends", neutral=None, search_step=0.01, hidden=end_of_part_error
+        ),
     ),
     transform=transform,
     place="wall",
+    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS, misfit_share=0.012, telltale=LOST_BY_DIRECTION),
 )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.set_up import depth_edge_error
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.scene import FAR, Scene, each
@@ -66,8 +67,21 @@ MIXED_PIXELS = Effect(
         "mount_yaw": "walls away from edges do not move",
     },
     parameters=(
-        Parameter(name="gamma", unit="rad", doc="half angle of the beam", materiality=0.0020944, low=0.0),
+        Parameter(
+            name="gamma",
+            unit="rad",
+            doc="half angle of the beam",
+            materiality=0.0020944,
+            low=0.0,
+            search_step=0.003,
+            hidden=depth_edge_error,
+        ),
     ),
     transform=transform,
     absorber=True,
+    diagnostics=Diagnostics(
+        leftover_share=0.03,
+        leftovers=dict.fromkeys(("people", "random_outliers", "range_noise", "glass", "black_surface"), 0.15),
+        misfit_share=0.06,
+    ),
 )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
 
 
@@ -22,8 +23,13 @@ MOUNT_XY = Effect(
     varies="-(dx cos theta + dy sin theta) / cos(incidence); turns with the robot",
     rivals={"range_bias": "the cosine over bearing", "latency": "vary the speed, and reverse"},
     parameters=(
-        Parameter(name="dx", unit="m", doc="forward", materiality=0.005),
-        Parameter(name="dy", unit="m", doc="to the left", materiality=0.005),
+        Parameter(
+            name="dx", unit="m", doc="forward", materiality=0.005, step=1e-4, nuisance=Nuisance.MOUNT_X
+        ),
+        Parameter(
+            name="dy", unit="m", doc="to the left", materiality=0.005, step=1e-4, nuisance=Nuisance.MOUNT_Y
+        ),
     ),
     transform=transform,
+    diagnostics=Diagnostics(tolerance="mount_xy"),
 )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
 
 
@@ -23,8 +24,15 @@ MOUNT_YAW = Effect(
     rivals={"latency": "turn left and right", "scan_skew": "turn left and right"},
     parameters=(
         Parameter(
-            name="delta", unit="rad", doc="turn of the laser, counter-clockwise", materiality=0.0017453
+            name="delta",
+            unit="rad",
+            doc="turn of the laser, counter-clockwise",
+            materiality=0.0017453,
+            step=1e-4,
+            jump=300.0,
+            nuisance=Nuisance.MOUNT_YAW,
         ),
     ),
     transform=transform,
+    diagnostics=Diagnostics(tolerance="mount_yaw", question_rank=2),
 )

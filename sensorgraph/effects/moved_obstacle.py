@@ -23,8 +23,8 @@ MOVED_OBSTACLE = Effect(
     varies="the walls of one obstacle, with opposite signs on opposite faces",
     rivals={"missing_obstacle": "it stands somewhere else", "mount_yaw": "circle it"},
     parameters=(
-        Parameter(name="dx", unit="m", doc="along x of the map", materiality=0.01),
-        Parameter(name="dy", unit="m", doc="along y of the map", materiality=0.01),
+        Parameter(name="dx", unit="m", doc="along x of the map", materiality=0.01, step=1e-4),
+        Parameter(name="dy", unit="m", doc="along y of the map", materiality=0.01, step=1e-4),
     ),
     transform=transform,
     place="obstacle",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter, Telltale
 from sensorgraph.effects.places import outward, walls_of
 from sensorgraph.world.scene import Scene
 
@@ -33,8 +33,18 @@ MOVED_WALL = Effect(
         "map_scale": "all walls move, in proportion to their place",
     },
     parameters=(
-        Parameter(name="d", unit="m", doc="along the outward normal, away from free space", materiality=0.01),
+        Parameter(
+            name="d",
+            unit="m",
+            doc="along the outward normal, away from free space",
+            materiality=0.01,
+            step=1e-4,
+        ),
     ),
     transform=transform,
     place="wall",
+    diagnostics=Diagnostics(
+        telltale=Telltale(least=3, statement="several walls seem moved: the error may not be the map's"),
+        tolerance="map",
+    ),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.walkers import walkers
 from sensorgraph.world.scene import Scene
 
@@ -32,9 +32,16 @@ PEOPLE = Effect(
     },
     parameters=(
         Parameter(
-            name="p", unit="", doc="share of rays that end at somebody", materiality=0.002, low=0.0, high=1.0
+            name="p",
+            unit="",
+            doc="share of rays that end at somebody",
+            materiality=0.002,
+            low=0.0,
+            high=1.0,
+            search_step=0.005,
         ),
     ),
     transform=transform,
     absorber=True,
+    diagnostics=Diagnostics(explains="short readings", misfit_share=0.06, is_forecast=False),
 )

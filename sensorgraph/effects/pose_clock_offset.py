@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.world.drivetrain import Machine
 
 
@@ -27,4 +27,5 @@ POSE_CLOCK_OFFSET = Effect(
         ),
     ),
     transform=transform,
+    diagnostics=Diagnostics(why_unseen="too little acceleration"),
 )

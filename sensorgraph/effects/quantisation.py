@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.world.scene import Scene
 
 
@@ -21,6 +21,7 @@ QUANTISATION = Effect(
     source="Widrow and Kollar (2008), quantization noise",
     varies="the lattice of the readings, nothing in the geometry",
     rivals={"range_noise": "a histogram at standstill"},
-    parameters=(Parameter(name="q", unit="m", doc="step of the lattice", low=0.0),),
+    parameters=(Parameter(name="q", unit="m", doc="step of the lattice", low=0.0, typical=0.01),),
     transform=transform,
+    diagnostics=Diagnostics(is_lattice=True, is_forecast=False),
 )

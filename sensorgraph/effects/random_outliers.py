@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.world.scene import Scene
 
 
@@ -22,8 +22,17 @@ RANDOM_OUTLIERS = Effect(
     varies="nothing: scattered single rays",
     rivals={"people": "clustered and moving", "range_noise": "standstill"},
     parameters=(
-        Parameter(name="p", unit="", doc="share of such readings", materiality=0.002, low=0.0, high=1.0),
+        Parameter(
+            name="p",
+            unit="",
+            doc="share of such readings",
+            materiality=0.002,
+            low=0.0,
+            high=1.0,
+            search_step=0.002,
+        ),
     ),
     transform=transform,
     absorber=True,
+    diagnostics=Diagnostics(explains="strays", is_forecast=False),
 )

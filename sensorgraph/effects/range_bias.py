@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
 
 
@@ -24,6 +25,16 @@ RANGE_BIAS = Effect(
         "range_scale": "very near and very far walls",
         "map_scale": "obstacles grow or shrink with a bias, not with the map",
     },
-    parameters=(Parameter(name="b", unit="m", doc="added to every return", materiality=0.005),),
+    parameters=(
+        Parameter(
+            name="b",
+            unit="m",
+            doc="added to every return",
+            materiality=0.005,
+            step=1e-3,
+            nuisance=Nuisance.BIAS,
+        ),
+    ),
     transform=transform,
+    diagnostics=Diagnostics(site_start={"b": 0.0}),
 )

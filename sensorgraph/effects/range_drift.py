@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
 
 
@@ -14,6 +15,11 @@ def transform(scene: Scene, a: Amendment) -> None:
     t = scene.stamps - scene.begin
     share = 1 - np.exp(-t / tau) if tau > 0 else t / max(scene.span, 1e-9)
     scene.beams.reading = scene.beams.reading + a["b1"] * share[:, None]
+
+
+def warm_up(span: float) -> dict[str, float]:
+    """Start a fit from a warm-up that is over after a part of the run [s]."""
+    return {"tau": 0.2 * span}
 
 
 RANGE_DRIFT = Effect(
@@ -27,8 +33,25 @@ RANGE_DRIFT = Effect(
     varies="time",
     rivals={"moved_wall": "the first pose again at the end", "range_bias": "the first pose again at the end"},
     parameters=(
-        Parameter(name="b1", unit="m", doc="bias at the end (linear) or after warm-up", materiality=0.006),
-        Parameter(name="tau", unit="s", doc="time constant of the warm-up; 0: linear", neutral=0.0, low=0.0),
+        Parameter(
+            name="b1",
+            unit="m",
+            doc="bias at the end (linear) or after warm-up",
+            materiality=0.006,
+            step=1e-3,
+            nuisance=Nuisance.DRIFT,
+        ),
+        Parameter(
+            name="tau",
+            unit="s",
+            doc="time constant of the warm-up; 0: linear",
+            neutral=0.0,
+            low=0.0,
+            search_step=3.0,
+            absent_at_zero=True,
+            refit=True,
+        ),
     ),
     transform=transform,
+    diagnostics=Diagnostics(second_start=warm_up, hidden_by_slam=True),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.world.scene import Scene
 
 
@@ -28,7 +28,12 @@ RANGE_NOISE = Effect(
         "random_outliers": "outliers are far off and rare at every range",
         "pose_clock_offset": "stand still before a far wall at normal incidence",
     },
-    parameters=(Parameter(name="k", unit="m/m", doc="growth of the noise", materiality=0.0025, low=0.0),),
+    parameters=(
+        Parameter(
+            name="k", unit="m/m", doc="growth of the noise", materiality=0.0025, low=0.0, search_step=0.002
+        ),
+    ),
     transform=transform,
     absorber=True,
+    diagnostics=Diagnostics(site_start={"k": 0.004}),
 )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.effects.shared import STRETCHED
 from sensorgraph.world.scene import Scene
 
 
@@ -26,6 +28,17 @@ RANGE_SCALE = Effect(
         "map_scale": "near and far views of the same wall from two sides",
         "range_bias": "very near and very far walls",
     },
-    parameters=(Parameter(name="s", unit="", doc="relative stretch", materiality=0.002),),
+    parameters=(
+        Parameter(
+            name="s",
+            unit="",
+            doc="relative stretch",
+            materiality=0.002,
+            step=1e-3,
+            jump=300.0,
+            nuisance=Nuisance.SCALE,
+        ),
+    ),
     transform=transform,
+    diagnostics=Diagnostics(site_start={"s": 0.0}, telltale=STRETCHED, question_rank=3),
 )

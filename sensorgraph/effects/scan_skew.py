@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
 
 
@@ -24,6 +25,16 @@ SCAN_SKEW = Effect(
     source="Zhang and Singh (2014), LOAM, section V",
     varies="turn rate times ray index; nothing at the first ray",
     rivals={"latency": "compare the first rays with the last at one turn rate"},
-    parameters=(Parameter(name="T", unit="s", doc="from the first ray to the last", materiality=0.01),),
+    parameters=(
+        Parameter(
+            name="T",
+            unit="s",
+            doc="from the first ray to the last",
+            materiality=0.01,
+            step=1e-4,
+            jump=300.0,
+            nuisance=Nuisance.SKEW,
+        ),
+    ),
     transform=transform,
 )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter, Telltale
 from sensorgraph.effects.places import in_sector
+from sensorgraph.effects.set_up import between_rays
 from sensorgraph.world.scene import Scene
 
 
@@ -26,10 +27,19 @@ SECTOR_BIAS = Effect(
         "moved_wall": "spin in place: the wall's offset leaves the sector",
     },
     parameters=(
-        Parameter(name="theta1", unit="rad", doc="first bearing, laser frame", neutral=None),
-        Parameter(name="theta2", unit="rad", doc="last bearing, laser frame", neutral=None),
-        Parameter(name="b", unit="m", doc="added inside the sector", materiality=0.006),
+        Parameter(
+            name="theta1", unit="rad", doc="first bearing, laser frame", neutral=None, hidden=between_rays
+        ),
+        Parameter(
+            name="theta2", unit="rad", doc="last bearing, laser frame", neutral=None, hidden=between_rays
+        ),
+        Parameter(name="b", unit="m", doc="added inside the sector", materiality=0.006, step=1e-3),
     ),
     transform=transform,
     place="sector",
+    diagnostics=Diagnostics(
+        telltale=Telltale(
+            least=2, statement="the bias varies with the bearing in a way that no single sector describes"
+        )
+    ),
 )

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.places import in_sector
+from sensorgraph.effects.set_up import between_rays
+from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import Scene
 
 
@@ -30,10 +32,23 @@ SELF_OCCLUSION = Effect(
     varies="bearing, whatever the pose",
     rivals={"min_range": "turn in free space"},
     parameters=(
-        Parameter(name="r0", unit="m", doc="range of the robot's own part", neutral=None, low=0.0),
-        Parameter(name="theta1", unit="rad", doc="first bearing, laser frame", neutral=None),
-        Parameter(name="theta2", unit="rad", doc="last bearing, laser frame", neutral=None),
+        Parameter(
+            name="r0",
+            unit="m",
+            doc="range of the robot's own part",
+            neutral=None,
+            low=0.0,
+            step=1e-4,
+            typical=0.25,
+        ),
+        Parameter(
+            name="theta1", unit="rad", doc="first bearing, laser frame", neutral=None, hidden=between_rays
+        ),
+        Parameter(
+            name="theta2", unit="rad", doc="last bearing, laser frame", neutral=None, hidden=between_rays
+        ),
     ),
     transform=transform,
     place="sector",
+    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene
 
@@ -72,7 +72,16 @@ SONAR_CONE = Effect(
         "incidence_dropout": "turn in place before a wall",
     },
     parameters=(
-        Parameter(name="gamma", unit="rad", doc="half angle of the cone", low=0.0, high=1.5),
+        Parameter(
+            name="gamma",
+            unit="rad",
+            doc="half angle of the cone",
+            low=0.0,
+            high=1.5,
+            search_step=0.02,
+            typical=float(np.radians(10.0)),
+            hidden=lambda _: float(RAY / np.sqrt(12)),
+        ),
         Parameter(
             name="alpha_max",
             unit="rad",
@@ -80,7 +89,9 @@ SONAR_CONE = Effect(
             neutral=RIGHT_ANGLE,
             low=0.0,
             high=RIGHT_ANGLE,
+            search_step=0.05,
         ),
     ),
     transform=transform,
+    diagnostics=Diagnostics(wide_beam=True, leftover_share=0.06, misfit_share=0.06, is_forecast=False),
 )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import Scene
 
 
@@ -35,8 +36,29 @@ TILT = Effect(
         "unmapped_obstacle": "it moves with the robot: a long open view, and a spin",
     },
     parameters=(
-        Parameter(name="beta", unit="rad", doc="dip", low=0.0, high=0.5),
-        Parameter(name="theta0", unit="rad", doc="bearing of the deepest dip, laser frame", neutral=0.0),
+        Parameter(
+            name="beta",
+            unit="rad",
+            doc="dip",
+            low=0.0,
+            high=0.5,
+            step=1e-5,
+            search_step=0.003,
+            jump=5e3,
+            typical=float(np.radians(3.0)),
+            hidden=lambda _: 1e-5,
+        ),
+        Parameter(
+            name="theta0",
+            unit="rad",
+            doc="bearing of the deepest dip, laser frame",
+            neutral=0.0,
+            step=1e-5,
+            search_step=0.05,
+            jump=5e3,
+            hidden=lambda _: 5e-4,
+        ),
     ),
     transform=transform,
+    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS),
 )

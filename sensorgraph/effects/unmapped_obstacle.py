@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.set_up import half_map_error
 from sensorgraph.world.scene import Scene
 
 
@@ -25,9 +26,11 @@ UNMAPPED_OBSTACLE = Effect(
     varies="short readings that end at one place, at all times",
     rivals={"people": "come back later", "moved_obstacle": "a moved obstacle leaves a hole as well"},
     parameters=(
-        Parameter(name="x", unit="m", doc="centre", neutral=None),
-        Parameter(name="y", unit="m", doc="centre", neutral=None),
-        Parameter(name="r", unit="m", doc="radius", materiality=0.02, low=0.0),
+        Parameter(name="x", unit="m", doc="centre", neutral=None, step=1e-4, hidden=half_map_error),
+        Parameter(name="y", unit="m", doc="centre", neutral=None, step=1e-4, hidden=half_map_error),
+        Parameter(
+            name="r", unit="m", doc="radius", materiality=0.02, low=0.0, step=1e-4, hidden=half_map_error
+        ),
     ),
     transform=transform,
     place="spot",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.world.drivetrain import Machine
 
 
@@ -25,4 +25,5 @@ WHEEL_BASE = Effect(
     rivals={"wheel_radius": "a straight run", "wheel_slip": "another place"},
     parameters=(Parameter(name="s", unit="", doc="relative error of the wheelbase", materiality=0.006),),
     transform=transform,
+    diagnostics=Diagnostics(why_unseen="too little turning"),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.world.drivetrain import Machine
 
 
@@ -25,4 +25,5 @@ WHEEL_RADIUS = Effect(
         Parameter(name="s", unit="", doc="odometry reads (1 + s) times the motion", materiality=0.005),
     ),
     transform=transform,
+    diagnostics=Diagnostics(why_unseen="too little driving"),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.world.drivetrain import Machine
 
 
@@ -25,4 +25,5 @@ WHEEL_RADIUS_DIFF = Effect(
     rivals={"wheel_base": "a long straight"},
     parameters=(Parameter(name="s", unit="", doc="relative difference of the radii", materiality=0.003),),
     transform=transform,
+    diagnostics=Diagnostics(why_unseen="too little straight driving"),
 )
