@@ -14,6 +14,7 @@ from scipy.linalg import solve_toeplitz
 
 from logs.run import Run
 from planners.arena import wrap
+from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
 from sensorgraph.types import Bools, Floats
 
 PENALTY = 4.0
@@ -163,28 +164,17 @@ class Normal:
         return cls(A=A, y=y, G=A.T @ A, b=A.T @ y)
 
     def solve(self, prior: Prior) -> Solution:
-        """Return the boxed penalised optimum (active set)."""
+        """Return the penalised optimum within the bounds of the prior."""
         k = len(self.b)
         weight = np.where(np.isinf(prior.sigma), 0.0, 1 / np.maximum(prior.sigma, 1e-12) ** 2)
         H = self.G + np.diag(weight + 1e-12 * np.diag(self.G) + 1e-30)
         c = self.b + weight * prior.mean
         low, high = prior.mean - prior.box, prior.mean + prior.box
-        theta, held = np.zeros(k), np.zeros(k, dtype=np.bool_)
-        for _ in range(k + 1):
-            free = ~held
-            if free.any():
-                theta[free] = np.linalg.solve(
-                    H[np.ix_(free, free)], c[free] - H[np.ix_(free, held)] @ theta[held]
-                )
-            out = free & ((theta < low) | (theta > high))
-            if not out.any():
-                break
-            theta[out] = np.clip(theta[out], low[out], high[out])
-            held |= out
+        optimum = solve_bounded(H, c, low, high)
+        theta, free = optimum.x, optimum.is_free
         off = np.where(weight > 0, theta - prior.mean, 0.0)
         misfit = float(self.y @ self.y - 2 * self.b @ theta + theta @ self.G @ theta)
         covariance = np.zeros((k, k))
-        free = ~held
         covariance[np.ix_(free, free)] = np.linalg.inv(H[np.ix_(free, free)]) if free.any() else 0.0
         return Solution(theta=theta, J=-0.5 * misfit - 0.5 * float(weight @ off**2), covariance=covariance)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, e_step
 from sensorgraph.diagnosis.scan.nuisance import (
     BOX,
@@ -223,17 +224,9 @@ def boxed(matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools
     a = matrix.copy()
     a[np.arange(n), np.arange(n)] += 1 / tau**2
     a[np.arange(n, k), np.arange(n, k)] += 1e-9 + 1e-9 * np.diag(a)[n:]
-    x = np.zeros(k)
-    fixed = np.concatenate([locked, np.zeros(k - n, dtype=np.bool_)])
-    for _ in range(8):
-        free = ~fixed
-        x[free] = np.linalg.solve(a[np.ix_(free, free)], right[free] - a[np.ix_(free, fixed)] @ x[fixed])
-        beyond = np.abs(x[:n]) > box * (1 + 1e-9)
-        beyond &= ~fixed[:n]
-        if not beyond.any():
-            break
-        x[:n][beyond] = np.sign(x[:n][beyond]) * box[beyond]
-        fixed[:n] |= beyond
+    limit = np.full(k, np.inf)
+    limit[:n] = np.where(locked, 0.0, box)
+    x = solve_bounded(a, right, -limit, limit).x
     return x[:n], x[n:]
 
 
