@@ -24,7 +24,7 @@ from planners.arena import Arena
 from planners.maps import geojson
 from planners.types import Floats
 from planners.vehicle import Drive, Limits, Vehicle
-from sensorgraph.cli.inputs import named_arena
+from sensorgraph.loading import load_arena
 from sensorgraph.show.figures.drives import growth_picture
 
 FIRST = 1001
@@ -45,9 +45,9 @@ def main() -> None:
     options = parser.parse_args()
     warm_up(options.drive)
     if options.race:
-        race({name: named_arena(name) for name in options.race}, options.out)
+        race({name: load_arena(name) for name in options.race}, options.out)
         return
-    arenas = {name: named_arena(name) for name in options.arena}
+    arenas = {name: load_arena(name) for name in options.arena}
     arenas |= {
         f"office {k}": geojson.loads(office(k)) for k in range(options.first, options.first + options.random)
     }
@@ -66,7 +66,7 @@ def vehicle(drive: Drive) -> Vehicle:
 
 def warm_up(drive: Drive) -> None:
     """Compile, so that planning times leave that out."""
-    plan(named_arena("square"), vehicle(drive), cell=0.5, headings=4)
+    plan(load_arena("square"), vehicle(drive), cell=0.5, headings=4)
 
 
 def row(name: str, arena: Arena, planner: str, drive: Drive) -> tuple[float, ...]:

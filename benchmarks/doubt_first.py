@@ -17,8 +17,8 @@ from planners.planning import Plan
 from planners.types import Floats
 from planners.vehicle import Drive, Limits, Vehicle
 from sensorgraph.building.build import build
-from sensorgraph.cli.inputs import named_arena
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.loading import load_arena
 from sensorgraph.planning.priority import doubt
 from sensorgraph.world.drive import follow
 from sensorgraph.world.robot import default_robot
@@ -42,7 +42,7 @@ def main() -> None:
     print("| arena, drive | T / T_ref | " + " | ".join(f"{share:g}" for share in SHARES) + " |")
     print("|---|---|" + "---|" * len(SHARES))
     for name in options.arena:
-        arena = named_arena(name)
+        arena = load_arena(name)
         graph = bounced(arena, options.minutes, options.seed)
         for drive in options.drive:
             robot = Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))

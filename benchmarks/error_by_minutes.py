@@ -18,6 +18,7 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
+from sensorgraph.evaluation.evaluate.evaluate import Evaluation, evaluate
 
 from logs.run import Run, pair
 from planners import plan
@@ -25,10 +26,9 @@ from planners.arena import Arena
 from planners.trajectory import Trajectory
 from planners.types import Floats
 from sensorgraph.building.build import build
-from sensorgraph.cli.inputs import named_arena
 from sensorgraph.demo import check_run
-from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.loading import load_arena
 from sensorgraph.planning.priority import doubt
 from sensorgraph.planning.views import views_within
 from sensorgraph.show.figures.style import INK, SOLID, new_figure, reduce_frame, save_figure
@@ -227,7 +227,7 @@ def main() -> None:
     parser.add_argument("--thin", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("docs/error_by_minutes.png"))
     options = parser.parse_args()
-    arena, robot = named_arena(options.arena), default_robot()
+    arena, robot = load_arena(options.arena), default_robot()
     check = check_run(arena, robot, np.random.default_rng([options.seed, 99]))
     rows: list[Row] = []
     print("| driven by | minutes | scans | wrong by > 5 cm | answered | of these wrong | median error |")

@@ -18,7 +18,7 @@ from ompl import geometric, tools, util  # type: ignore[import-untyped]
 
 from planners.ompl_planner import CoveragePlanner, problem
 from planners.vehicle import Limits, Vehicle
-from sensorgraph.cli.inputs import named_arena
+from sensorgraph.loading import load_arena
 
 COLUMNS = {
     "solved BOOLEAN": "solved",
@@ -43,7 +43,7 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, default=Path("ompl_benchmark.log"))
     options = parser.parse_args()
     util.setLogLevel(util.LOG_ERROR)
-    arena = named_arena(options.arena)
+    arena = load_arena(options.arena)
     vehicle = Vehicle(
         drive=options.drive, limits=Limits(turning_radius=0.0 if options.drive == "diff" else 0.4)
     )

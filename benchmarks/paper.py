@@ -24,11 +24,11 @@ from planners.arena import Arena
 from planners.types import Floats
 from robotmodic_ident.score import Score
 from sensorgraph.building.build import build
-from sensorgraph.cli.inputs import named_arena
 from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification.identify import Identified, Question, identify, score
 from sensorgraph.identification.signals import of_run, perceived, rays_of
+from sensorgraph.loading import load_arena
 from sensorgraph.show.figures.identified import series
 from sensorgraph.show.figures.style import (
     ALARM,
@@ -60,7 +60,7 @@ def said(s: Score) -> str:
 
 def environment(folder: Path) -> None:
     """Print and draw the first experiment."""
-    arena, robot = named_arena("square"), robot_of_the_paper()
+    arena, robot = load_arena("square"), robot_of_the_paper()
     follow = closed_loop("wall_following", arena, robot, START, MINUTES * 60, SEED)
     elsewhere = closed_loop("random_bounce", arena, robot, START, MINUTES * 60, SEED + 1)
     data = of_run(follow, [RAY, "x", "y"], every=EVERY)
@@ -172,7 +172,7 @@ FORMS: dict[str, dict[str, Any]] = {
 
 def task(folder: Path) -> None:
     """Print and draw the second experiment."""
-    arena, robot = named_arena("square"), robot_of_the_paper()
+    arena, robot = load_arena("square"), robot_of_the_paper()
     follow = closed_loop("wall_following", arena, robot, START, MINUTES * 60, SEED)
     print("| turn rate from the mean of L45 to L90 | terms | r on the second half (95 %) | RMSE [rad/s] |")
     print("|---|---:|---|---:|")

@@ -21,9 +21,10 @@ from planners import Plan, plan
 from planners.arena import Arena, wrap
 from planners.search.search import search
 from planners.types import Bools, Floats
-from sensorgraph.cli.inputs import named_arena, named_robot
+from sensorgraph.loading import load_arena
 from sensorgraph.planning.plan_folder import counted
 from sensorgraph.world.drive import follow
+from sensorgraph.world.robot import load_robot
 from sensorgraph.world.wall_distance import WallDistance
 
 ERRORS = (0.0, 0.01, 0.02, 0.035, 0.05, 0.07)
@@ -40,11 +41,11 @@ def main() -> None:
     parser.add_argument("--arena", default="square")
     parser.add_argument("--memory", type=float, default=2.0, help="[s] that an error lasts")
     options = parser.parse_args()
-    arena = named_arena(options.arena)
-    plans = {"inner half": plan(arena, named_robot(None))}
+    arena = load_arena(options.arena)
+    plans = {"inner half": plan(arena, load_robot(None))}
     roomy = search.scene(plans["inner half"].reach).inner
     with mock.patch.object(search, "INNER", np.inf):
-        plans["anywhere"] = plan(arena, named_robot(None))
+        plans["anywhere"] = plan(arena, load_robot(None))
     for name, made in plans.items():
         print(f"{name:10}: T / T_ref {made.report['ratio']:.3f}")
     print(f"{'rms error':>14}" + "".join(f"{name + ': all':>20} {'roomy':>9} {'core':>6}" for name in plans))
@@ -85,7 +86,7 @@ def wander(n: int, dt: float, memory: float, rng: np.random.Generator) -> Floats
 
 def simulated(made: Plan, arena: Arena) -> Floats:
     """Return the true poses (n, 3) at which the shipped robot scans when it drives the plan."""
-    robot = named_robot(None)
+    robot = load_robot(None)
     driven = follow(made.trajectory, robot, clearance=WallDistance(arena), rng=np.random.default_rng(0))
     poses = driven.at(np.arange(0.0, driven.stamps[-1], 1.0 / robot.sensor.rate))
     return np.column_stack([poses[:, :2], wrap(poses[:, 2])])

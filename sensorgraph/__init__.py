@@ -1,7 +1,82 @@
-"""Sensorgraph: transparent equations of what a range sensor perceives at every (x, y, phi) of an arena."""
+"""Sensorgraph: transparent equations of what a range sensor perceives at every (x, y, phi) of an arena.
+
+The whole loop in Python, with objects or the paths of their files:
+
+    import sensorgraph as sg
+
+    plan = sg.plan("square")
+    run = sg.record(plan)
+    graph = sg.build(run)
+    print(sg.evaluate(graph, sg.read("other.mcap")))
+
+Nothing heavy is imported until a name is used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from sensorgraph.packages import check_packages
 
+if TYPE_CHECKING:
+    from planners.arena import Arena
+    from sensorgraph import errors
+    from sensorgraph.api import build, diagnose, evaluate, identify, plan, predict, read, record, review
+    from sensorgraph.effects import EFFECTS
+    from sensorgraph.graph import Sensorgraph
+    from sensorgraph.loading import load_arena
+    from sensorgraph.world.robot import Robot, load_robot
+
+
 __version__ = "0.1.0.dev0"
 
+__all__ = [
+    "EFFECTS",
+    "Arena",
+    "Robot",
+    "Sensorgraph",
+    "build",
+    "diagnose",
+    "errors",
+    "evaluate",
+    "identify",
+    "load_arena",
+    "load_robot",
+    "plan",
+    "predict",
+    "read",
+    "record",
+    "review",
+]
+
+_HOMES = {
+    "EFFECTS": "sensorgraph.effects",
+    "Arena": "planners.arena",
+    "Robot": "sensorgraph.world.robot",
+    "Sensorgraph": "sensorgraph.graph",
+    "load_arena": "sensorgraph.loading",
+    "load_robot": "sensorgraph.world.robot",
+} | dict.fromkeys(
+    ("build", "diagnose", "evaluate", "identify", "plan", "predict", "read", "record", "review"),
+    "sensorgraph.api",
+)
+
+
 check_packages()  # before anything else can fail on a package of the same name
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its home when it is first used."""
+    if name == "errors":
+        return import_module("sensorgraph.errors")
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, attribute = _HOMES[name].partition(":")
+    found = getattr(import_module(module), attribute or name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -18,12 +18,12 @@ import logs
 from logs.run import Run
 from planners.maps import geojson
 from sensorgraph.cli import run as cli
-from sensorgraph.cli.inputs import named_arena, named_robot
 from sensorgraph.diagnosis.report import figures
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effects_file import write as write_effects
+from sensorgraph.loading import load_arena
 from sensorgraph.world.drive import Driven
-from sensorgraph.world.robot import parse_robot
+from sensorgraph.world.robot import load_robot, parse_robot
 from sensorgraph.world.simulate import simulate
 
 ROBOT = "sensor: {n_rays: 61, rate: 5.0}\n"
@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def driven_run(seed: int) -> Run:
     """Turn to and fro on the spot at a few places of the shipped square."""
-    arena, robot = named_arena("square"), parse_robot(ROBOT)
+    arena, robot = load_arena("square"), parse_robot(ROBOT)
     t = np.arange(0, 30.0, 0.01)
     x0, y0, x1, y1 = arena.bounds
     path = np.column_stack(
@@ -141,7 +141,7 @@ def test_an_arena_of_another_place_is_said_first(folder: Path, tmp_path: Path) -
 def test_an_arena_of_another_scale_is_said_first(
     scale: float, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arena = json.loads(geojson.dumps(named_arena("square")))
+    arena = json.loads(geojson.dumps(load_arena("square")))
     for feature in arena["features"]:
         rings = feature["geometry"]["coordinates"]
         feature["geometry"]["coordinates"] = [[[scale * x, scale * y] for x, y in ring] for ring in rings]
@@ -158,7 +158,7 @@ def test_an_arena_of_another_scale_is_said_first(
 
 
 def test_an_arena_that_lacks_obstacles_is_said_first(tmp_path: Path, folder: Path) -> None:
-    arena = json.loads(geojson.dumps(named_arena("square")))
+    arena = json.loads(geojson.dumps(load_arena("square")))
     arena["features"] = [f for f in arena["features"] if f["properties"]["kind"] == "arena"]
     (tmp_path / "bare.geojson").write_text(json.dumps(arena))
     options = ["--arena", str(tmp_path / "bare.geojson"), "-o", str(tmp_path / "out")]
@@ -232,7 +232,7 @@ def test_effects_that_are_known_may_name_no_other_place(
     said = capsys.readouterr().err
     assert "kitchen/edge_0" in said
     assert f"{tmp_path / 'e.yaml'}: effect 1 (moved_wall)" in said
-    assert named_robot(None).name == "radix"
+    assert load_robot(None).name == "radix"
 
 
 @pytest.mark.parametrize("where", ["residuals_picture", "next_run_picture"])

@@ -9,13 +9,13 @@ import pytest
 import shapely
 from planners_samples import outlined, shipped
 
-from logs import RangeSensor, Recorder, Run
+from logs import RangeSensor, Recorder, Run, read
 from planners.arena import Arena
 from planners.errors import PlanError
 from planners.maps import geojson
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as cli
-from sensorgraph.planning.resume import doubts, driven_poses, shared_walls
+from sensorgraph.planning.resume import driven_poses, other_place_warnings, shared_walls
 from sensorgraph.world.raycast import cast
 
 
@@ -37,14 +37,14 @@ DRIVE = np.column_stack([np.linspace(0.5, 3.5, 20), np.full(20, 0.5), np.zeros(2
 def test_the_poses_of_the_scans_come_back(tmp_path: Path) -> None:
     for arena in (None, shipped("square")):
         run = recorded(tmp_path / "run.mcap", DRIVE, arena)
-        np.testing.assert_allclose(driven_poses(run, shipped("square")), DRIVE, atol=1e-6)
+        np.testing.assert_allclose(driven_poses(read(run), shipped("square")), DRIVE, atol=1e-6)
 
 
 def test_a_run_of_another_arena_is_refused_by_its_walls(tmp_path: Path) -> None:
     """All its poses lie in free space of the office; its walls do not stand there."""
     run = recorded(tmp_path / "run.mcap", DRIVE, shipped("square"))
     with pytest.raises(PlanError, match=r"driven in another arena, of x 0 to 4.* of its walls .* x 0 to 15"):
-        driven_poses(run, shipped("office"))
+        driven_poses(read(run), shipped("office"))
 
 
 def test_an_arena_that_has_grown_or_lost_an_obstacle_is_the_same(tmp_path: Path) -> None:
@@ -52,13 +52,13 @@ def test_an_arena_that_has_grown_or_lost_an_obstacle_is_the_same(tmp_path: Path)
     larger = outlined(shapely.box(0, 0, 4, 1).union(shapely.box(4, 0, 8, 1)))
     assert shared_walls(room, room) == 1.0
     assert 0.7 < shared_walls(room, larger) < 1.0
-    assert len(driven_poses(recorded(tmp_path / "run.mcap", DRIVE, room), larger)) == len(DRIVE)
+    assert len(driven_poses(read(recorded(tmp_path / "run.mcap", DRIVE, room)), larger)) == len(DRIVE)
 
 
 def test_a_run_whose_poses_lie_elsewhere_is_refused(tmp_path: Path) -> None:
     run = recorded(tmp_path / "run.mcap", DRIVE + [20.0, 0.0, 0.0])
     with pytest.raises(PlanError, match="0 % of its poses lie in the free space of this arena"):
-        driven_poses(run, shipped("square"))
+        driven_poses(read(run), shipped("square"))
 
 
 def test_an_empty_run_is_one_line_and_leaves_nothing(
@@ -80,6 +80,6 @@ def test_a_graph_of_another_place_is_doubted(room: Arena, sensor: RangeSensor) -
     stamps = np.arange(len(poses)) / 10
     ranges = cast(room, poses, sensor).ranges + 0.01 * rng.normal(size=(len(poses), sensor.n_rays))
     graph = build([Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)])
-    assert doubts(graph, "g", room) == []
-    (line,) = doubts(graph, "g", outlined(shapely.box(10, 10, 14, 13)))
-    assert line.startswith("0 % of the walls that g knows")
+    assert other_place_warnings(graph, room) == []
+    (line,) = other_place_warnings(graph, outlined(shapely.box(10, 10, 14, 13)))
+    assert line.startswith("0 % of the walls that the sensorgraph knows")

@@ -25,6 +25,10 @@ from planners.errors import PlanError
 KIND = "no_go"
 
 
+Zone = Polygon
+"""Where the robot may not go [m, map]."""
+
+
 def zones(given: str) -> list[Polygon]:
     """Return the polygons of a GeoJSON file (features of kind no_go), or the one of corners x,y,x,y,... [m]."""
     if Path(given).is_file():

@@ -67,9 +67,10 @@ def build(
     from logs.stream import open_log
     from sensorgraph.building.build import build as build_graph
     from sensorgraph.building.dask_cluster import cluster
-    from sensorgraph.cli.inputs import check_output, named_arena, read_robot_sensor
+    from sensorgraph.cli.inputs import check_output, read_robot_sensor
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
+    from sensorgraph.loading import load_arena
     from sensorgraph.models import MODELS
 
     check_output(output, *runs)
@@ -86,7 +87,7 @@ def build(
     }
     if calibrate is not None:
         options["calibrate"] = calibrate
-    space = None if arena is None else named_arena(arena)
+    space = None if arena is None else load_arena(arena)
     names = parse_topics(topic or [])
     known = None if update is None else Sensorgraph.load(update)
     loaded = []

@@ -32,16 +32,17 @@ def demo(
     import time
 
     from sensorgraph import __version__
-    from sensorgraph.cli.inputs import named_arena, named_robot
     from sensorgraph.cli.progress import progress
     from sensorgraph.demo import demo as run_demo
     from sensorgraph.demo import to_dict
     from sensorgraph.demo_effect import hide_and_find
     from sensorgraph.demo_effect import to_dict as hidden_dict
+    from sensorgraph.loading import load_arena
+    from sensorgraph.world.robot import load_robot
 
     began = time.monotonic()
     folder = out or Path("runs") / time.strftime("demo-%Y%m%d-%H%M%S")
-    walls, machine = named_arena(arena), named_robot(robot)
+    walls, machine = load_arena(arena), load_robot(robot)
     folder.mkdir(parents=True, exist_ok=True)
     config = {
         "version": __version__,

@@ -122,13 +122,13 @@ def _read(path: Path, topic: list[str] | None) -> Run:
 
 def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple[Arena, Robot]:
     """Read arena and robot, or take those kept in the run."""
-    from sensorgraph.cli.inputs import kept_arena, kept_robot, named_arena, robot_for
     from sensorgraph.errors import SensorgraphError
+    from sensorgraph.loading import arena_in, load_arena, robot_for, robot_in
 
-    walls = named_arena(arena) if arena is not None else kept_arena(run)
+    walls = load_arena(arena) if arena is not None else arena_in(run)
     if walls is None:
         raise SensorgraphError(f"{name} keeps no arena; give one with --arena")
-    machine = kept_robot(run) if robot is None else None
+    machine = robot_in(run) if robot is None else None
     return walls, robot_for(run, robot) if machine is None else machine
 
 

@@ -97,12 +97,12 @@ def evaluate(
 
 def _simulator(result: Evaluation, run: Run, effects: Path, point: Point | None) -> dict[str, Metrics]:
     """Score the simulator of the arena and the robot that the run keeps."""
-    from sensorgraph.cli.inputs import kept_arena, kept_robot
     from sensorgraph.effects.effects_file import read
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.evaluation.raycast_baseline import compare
+    from sensorgraph.loading import arena_in, robot_in
 
-    arena, robot = kept_arena(run), kept_robot(run)
+    arena, robot = arena_in(run), robot_in(run)
     if arena is None or robot is None:
         raise SensorgraphError(
             "--effects needs a run that keeps arena and robot, as `record` writes; this one does not"

@@ -11,10 +11,8 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import whole
 
 if TYPE_CHECKING:
-    from logs.run import RangeSensor, Run
-    from planners.arena import Arena
+    from logs.run import RangeSensor
     from sensorgraph.types import Floats
-    from sensorgraph.world.robot import Robot
 
 
 def check_output(path: Path, *inputs: Path) -> None:
@@ -109,77 +107,3 @@ def parse_pose(text: str, option: str = "--start") -> Floats:
     if pose.shape != (3,) or not np.isfinite(pose).all():
         raise SensorgraphError(f"{option} is {text!r}, expected X,Y,PHI such as 1.0,2.0,0.5")
     return pose
-
-
-def named_arena(name: str) -> Arena:
-    """Read an arena from a file, a shipped one by its name, or the one that a sensorgraph of faces holds."""
-    from importlib.resources import as_file, files
-
-    from planners import maps
-
-    shipped = sorted(
-        p.name.removesuffix(".geojson")
-        for p in files("sensorgraph.data").iterdir()
-        if p.name.endswith(".geojson")
-    )
-    if name in shipped:
-        with as_file(files("sensorgraph.data") / f"{name}.geojson") as path:
-            return maps.load(path)
-    if not Path(name).exists():
-        raise SensorgraphError(
-            f"{name} does not exist; give a *.geojson, a map_server *.yaml, a *.sensorgraph, "
-            f"or one of {', '.join(shipped)}"
-        )
-    if name.endswith(".sensorgraph"):
-        from sensorgraph.graph import Sensorgraph
-        from sensorgraph.world.identified_arena import arena_of
-
-        return arena_of(Sensorgraph.load(Path(name)))
-    return maps.load(Path(name))
-
-
-def named_robot(path: Path | None) -> Robot:
-    """Read robot.yaml, or the shipped robot where none is named."""
-    from importlib.resources import files
-
-    from sensorgraph.world.robot import load_robot, parse_robot
-
-    if path is None:
-        return parse_robot((files("sensorgraph.data") / "radix.yaml").read_text(), name="radix.yaml")
-    return load_robot(path)
-
-
-def kept_robot(run: Run) -> Robot | None:
-    """Return the robot kept in a run, if there is one."""
-    from sensorgraph.world.robot import parse_robot
-
-    text = run.attachments.get("robot.yaml")
-    return None if text is None else parse_robot(text.decode(errors="replace"), name="robot.yaml in the run")
-
-
-def robot_for(run: Run, path: Path | None) -> Robot:
-    """Read robot.yaml; where none is named, the shipped robot with the sensor that the run itself describes."""
-    from dataclasses import replace
-
-    from sensorgraph.building.build import is_same_sensor
-
-    robot = named_robot(path)
-    if path is None and not is_same_sensor(run.sensor.bearings, robot.sensor.bearings):
-        return replace(robot, sensor=replace(run.sensor, height=robot.sensor.height))
-    return robot
-
-
-def kept_arena(run: Run) -> Arena | None:
-    """Return the arena kept in a run, if there is one."""
-    from planners.errors import PlanError
-    from planners.maps import geojson
-
-    text = run.attachments.get("arena.geojson")
-    if text is None:
-        return None
-    try:
-        return geojson.loads(text.decode(errors="replace"))
-    except PlanError as exc:
-        raise SensorgraphError(
-            f"the arena kept in the run cannot be used ({exc}); give another with --arena"
-        ) from exc

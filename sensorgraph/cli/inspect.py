@@ -31,9 +31,10 @@ def inspect(
     """
     from logs import parse_topics
     from logs.inspect import inspect as look
-    from sensorgraph.cli.inputs import check_output, kept_arena, named_arena, write_json
+    from sensorgraph.cli.inputs import check_output, write_json
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
+    from sensorgraph.loading import arena_in, load_arena
     from sensorgraph.world.orientation import orientation
 
     if json is not None:
@@ -43,10 +44,10 @@ def inspect(
     lines = found.lines()
     oriented = None
     if found.run is not None:
-        walls = named_arena(arena) if arena is not None else None
+        walls = load_arena(arena) if arena is not None else None
         if walls is None:
             try:
-                walls = kept_arena(found.run)
+                walls = arena_in(found.run)
             except SensorgraphError as exc:
                 lines += [f"WARNING: {exc}"]
         oriented = orientation(found.run, walls)

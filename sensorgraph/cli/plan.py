@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import typer
@@ -85,88 +84,64 @@ def plan(
 
     Ctrl-C keeps what is planned so far as a shorter plan.
     """
-    from functools import partial
-
-    from planners import plan as make_plan
     from planners.errors import PlanError
-    from planners.maps.no_go import without, zones
-    from sensorgraph.cli.inputs import named_arena, named_robot, parse_pose
+    from planners.maps.no_go import zones
+    from sensorgraph.cli.inputs import parse_pose
     from sensorgraph.cli.progress import progress
     from sensorgraph.graph import Sensorgraph
-    from sensorgraph.planning.plan_folder import drop_runs, save
-    from sensorgraph.planning.priority import doubt
-    from sensorgraph.planning.resume import doubts, driven_poses
-    from sensorgraph.planning.views import views_within
+    from sensorgraph.planning.plan import plan as make_plan
 
     if not (log := logging.getLogger("planners")).hasHandlers():
         log.addHandler(logging.NullHandler())  # its warnings are said below
     if out.exists() and not out.is_dir():
         raise PlanError(f"{out} is a file; give a folder to write the plan to")
-    world, machine = named_arena(arena), named_robot(robot)
-    shut = [zone for given in no_go or [] for zone in zones(given)]
-    visited = None if resume is None else driven_poses(resume, world)
-    graph = None if priority is None else Sensorgraph.load(priority)
-    targets = None
-    if views is not None:
-        planner = _planner_of_views(planner, resume)
-        targets = partial(views_within, n=views, arena=world, sensor=machine.sensor, graph=graph, seed=seed)
-    elif planner == "views":
-        raise PlanError("the planner views needs to know how many; give --views N")
-    with progress("planning", "bins" if planner == "coverage" else "stops") as tick:
+    _check_views(planner, views, resume)
+    with progress("planning", "bins" if planner == "coverage" and views is None else "stops") as tick:
         made = make_plan(
-            without(world, shut),
-            machine,
+            arena,
+            robot,
             planner=planner,
             cell=cell,
             headings=headings,
-            seed=seed,
             start=None if start is None else parse_pose(start),
             end=None if end is None else parse_pose(end, "--end"),
-            dock=None if dock is None else parse_pose(dock, "--dock"),
+            views=views,
+            no_go=[zone for given in no_go or [] for zone in zones(given)],
+            resume=resume,
+            priority=None if priority is None else Sensorgraph.load(priority),
             budget=_seconds("--budget", budget),
             battery=_seconds("--battery", battery),
-            sweep_time=machine.sensor.sweep_time,
-            rate=machine.sensor.rate,
+            dock=None if dock is None else parse_pose(dock, "--dock"),
             duration=duration,
-            visited=visited,
-            priority=None if graph is None or targets is not None else partial(doubt, graph),
-            targets=targets,
+            seed=seed,
             progress=tick,
         )
-    made.report["arena"] = Path(arena).name
-    if graph is not None:
-        made.report["warnings"] += doubts(graph, str(priority), world)
-    if shut:
-        made.report["no_go"] = [[list(corner) for corner in zone.exterior.coords[:-1]] for zone in shut]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as part:
-        save(made, Path(part), world, machine)
-        drop_runs(out)
-        for file in (file for file in Path(part).rglob("*") if file.is_file()):
-            target = out / file.relative_to(part)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            file.replace(target)
-    for line in made.report["warnings"]:
+    report = made.drive.report
+    made.save(out)
+    for line in report["warnings"]:
         typer.echo(f"warning: {line}", err=True)
-    typer.echo(_summary(made.report))
-    for line in _runs(made.report):
+    typer.echo(_summary(report))
+    for line in _runs(report):
         typer.echo(line)
     typer.echo(f"wrote {out}")
-    if made.report.get("interrupted"):
+    if report.get("interrupted"):
         raise typer.Exit(INTERRUPTED)
 
 
-def _planner_of_views(planner: str, resume: Path | None) -> str:
-    """Return the planner that --views means; refuse what does not go with it."""
+def _check_views(planner: str, views: int | None, resume: Path | None) -> None:
+    """Refuse what does not go with --views."""
     from planners.errors import PlanError
 
+    if views is None:
+        if planner == "views":
+            raise PlanError("the planner views needs to know how many; give --views N")
+        return
     if planner not in ("coverage", "views"):
         raise PlanError(f"--views has its own planner; leave out --planner {planner}")
     if resume is not None:
         raise PlanError(
             "--resume is for coverage; build a graph from that run, and give it with --priority GRAPH --views N"
         )
-    return "views"
 
 
 def _summary(report: dict[str, Any]) -> str:

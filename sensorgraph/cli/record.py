@@ -58,12 +58,14 @@ def record(
 
       sensorgraph record runs/plan --arena square --controller wall_following --controller turn.json -o copy.mcap
     """
-    from sensorgraph.cli.inputs import check_output, named_arena, named_robot
+    from sensorgraph.cli.inputs import check_output
     from sensorgraph.cli.progress import progress
     from sensorgraph.effects.effects_file import read as read_effects
     from sensorgraph.errors import SensorgraphError
+    from sensorgraph.loading import load_arena
     from sensorgraph.recording.record import Commands
     from sensorgraph.recording.record import record as record_run
+    from sensorgraph.world.robot import load_robot
     from sensorgraph.world.wall_distance import WallDistance
 
     check_output(out, plan, *([effects] if effects is not None else []))
@@ -83,7 +85,7 @@ def record(
         return
     if arena is None:
         raise SensorgraphError("nowhere to drive; give --arena NAME or --graph GRAPH")
-    walls, machine = named_arena(arena), named_robot(robot)
+    walls, machine = load_arena(arena), load_robot(robot)
     amendments = () if effects is None else read_effects(effects, walls)
     trajectory, commands = _read(plan)
     if trajectory is not None and start is not None:
@@ -122,15 +124,17 @@ def _record_closed_loop(
     seed: int,
 ) -> None:
     """Drive in an arena or an identified world, once for each controller, and say how the drives compare."""
-    from sensorgraph.cli.inputs import check_output, named_arena, named_robot
+    from sensorgraph.cli.inputs import check_output
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.identification.behaviour import behaviour, table
+    from sensorgraph.loading import load_arena
     from sensorgraph.recording.controllers import CONTROLLERS, controller_label
     from sensorgraph.recording.identified_world import PLAN, ArenaWorld, IdentifiedWorld, record_in
     from sensorgraph.show.figures.drives import tracks_picture
     from sensorgraph.world.identified_arena import arena_of
+    from sensorgraph.world.robot import load_robot
     from sensorgraph.world.wall_distance import WallDistance
 
     known = (PLAN, *CONTROLLERS)
@@ -142,9 +146,9 @@ def _record_closed_loop(
     trajectory, _ = _read(plan)
     if trajectory is None:
         raise SensorgraphError(f"{plan} is a run; a controller needs a plan: its start and its time count")
-    graph, machine = None if path is None else Sensorgraph.load(path), named_robot(robot)
+    graph, machine = None if path is None else Sensorgraph.load(path), load_robot(robot)
     if arena is not None:
-        walls = named_arena(arena)
+        walls = load_arena(arena)
     else:
         assert graph is not None
         walls = arena_of(graph)

@@ -31,9 +31,10 @@ def review(
       sensorgraph review intel.log.gz --graph intel.sensorgraph -o intel.rrd && rerun intel.rrd
     """
     from logs import parse_topics, read
-    from sensorgraph.cli.inputs import check_output, kept_arena, named_arena
+    from sensorgraph.cli.inputs import check_output
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
+    from sensorgraph.loading import arena_in, load_arena
     from sensorgraph.show.rerun_file import open_viewer
     from sensorgraph.show.review.review import review as write_review
 
@@ -42,7 +43,7 @@ def review(
         raise SensorgraphError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
     with progress("reading", "messages") as tick:
         log = read(run, topics=parse_topics(topic or []), progress=tick)
-    walls = named_arena(arena) if arena is not None else kept_arena(log)
+    walls = load_arena(arena) if arena is not None else arena_in(log)
     written = write_review(log, path=out, graph=graph, plan=plan, arena=walls, ray=ray, name=run.name)
     typer.echo(f"{written.pairing}; {len(written.shown):,} scans shown")
     typer.echo(f"wrote {out}; open it with: rerun {out}")

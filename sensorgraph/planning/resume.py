@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-import logs
+from logs.run import Run, pair
 from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
@@ -22,34 +20,38 @@ SAME = 0.5
 """Of the walls of a run's own arena, and of its poses: fewer in this arena, and the run is of another."""
 
 
-def driven_poses(path: Path, arena: Arena) -> Floats:
-    """Return the poses (n, 3) [m, m, rad] of a run's scans; refuse a run of another arena."""
-    run = logs.read(path)
+def driven_poses(run: Run, arena: Arena, *, name: str = "the run") -> Floats:
+    """Return the poses (n, 3) [m, m, rad] of a run's scans.
+
+    Raises
+    ------
+    PlanError : the run has no poses of base_link, or was driven in another arena
+    """
     if run.pose_frame != "base_link":
         raise PlanError(
-            f"{path}: its poses are of the {run.pose_frame}, expected base_link; resume from another run"
+            f"{name}: its poses are of the {run.pose_frame}, expected base_link; resume from another run"
         )
-    pairing = logs.pair(run)
+    pairing = pair(run)
     if not pairing.paired.any():
-        raise PlanError(f"{path}: {pairing}; nothing to resume from")
+        raise PlanError(f"{name}: {pairing}; nothing to resume from")
     own = _own_arena(run)
     if own is not None and (share := shared_walls(own, arena)) < SAME:
         raise PlanError(
-            f"{path} was driven in another arena, of {_extent(own)}: {100 * share:.0f} % of its walls stand in this "
+            f"{name} was driven in another arena, of {_extent(own)}: {100 * share:.0f} % of its walls stand in this "
             f"one, of {_extent(arena)}; give the arena of that run, or a run of this one"
         )
     poses = pairing.poses[pairing.paired]
     share = float(arena.contains(poses[:, :2]).mean())
     if share < SAME:
         raise PlanError(
-            f"{path}: {100 * share:.0f} % of its poses lie in the free space of this arena, of {_extent(arena)}; "
+            f"{name}: {100 * share:.0f} % of its poses lie in the free space of this arena, of {_extent(arena)}; "
             "give the arena of that run, in the frame of its poses"
         )
     return poses
 
 
-def doubts(graph: Sensorgraph, name: str, arena: Arena) -> list[str]:
-    """Return a line if the walls that a sensorgraph has identified do not stand in an arena; none if it has none."""
+def other_place_warnings(graph: Sensorgraph, arena: Arena) -> list[str]:
+    """Return a warning if the walls that a sensorgraph has identified do not stand in an arena, else nothing."""
     try:
         own = arena_of(graph)
     except SensorgraphError:
@@ -57,11 +59,11 @@ def doubts(graph: Sensorgraph, name: str, arena: Arena) -> list[str]:
     if (share := shared_walls(own, arena)) >= SAME:
         return []
     return [
-        f"{100 * share:.0f} % of the walls that {name} knows stand in this arena; is it of another place?"
+        f"{100 * share:.0f} % of the walls that the sensorgraph knows stand in this arena; is it of another place?"
     ]
 
 
-def _own_arena(run: logs.Run) -> Arena | None:
+def _own_arena(run: Run) -> Arena | None:
     text = run.attachments.get("arena.geojson")
     if text is None:
         return None

@@ -42,7 +42,7 @@ def silent(label: str, unit: str) -> AbstractContextManager[Callable[[int, int],
 
 
 def record(
-    path: Path,
+    path: Path | None,
     arena: Arena,
     robot: Robot,
     way: Trajectory | Commands,
@@ -52,10 +52,13 @@ def record(
     attachments: Mapping[str, bytes] | None = None,
     progress: ProgressBars = silent,
 ) -> Run:
-    """Drive along a trajectory, or by commands, and write what the robot perceives; same seed, same bytes.
+    """Drive along a trajectory, or by commands, and return what the robot perceives; same seed, same bytes.
 
-    `effects` are what robot, sensor and room have beyond robot.yaml and the map; the run keeps them as
-    `effects.yaml`, beside arena and robot.
+    Parameters
+    ----------
+    path : where to write the run as MCAP; None: nowhere
+    effects : what robot, sensor and room have beyond robot.yaml and the map; the run keeps them as `effects.yaml`,
+        beside arena and robot
     """
     check_places(effects, arena)
     rng = np.random.default_rng(seed)
@@ -87,6 +90,7 @@ def record(
             attachments={**kept, **(attachments or {})},
             progress=tick,
         )
-    with progress("writing", "messages") as tick:
-        logs.write(run, path, occupancy=occupancy(arena), progress=tick)
+    if path is not None:
+        with progress("writing", "messages") as tick:
+            logs.write(run, path, occupancy=occupancy(arena), progress=tick)
     return run

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -127,13 +128,15 @@ def default_robot() -> Robot:
     return parse_robot("")
 
 
-def load_robot(path: Path | str) -> Robot:
-    """Read a robot.yaml.
+def load_robot(path: Path | str | None = None) -> Robot:
+    """Read a robot.yaml; without a path, the one of the shipped robot.
 
     Raises
     ------
     SensorgraphError : what is wrong with the file, in one line; OSError where it cannot be opened
     """
+    if path is None:
+        return parse_robot((files("sensorgraph.data") / "radix.yaml").read_text(), name="radix.yaml")
     path = Path(path)
     if path.is_dir():
         raise SensorgraphError(f"{path} is a directory, expected a robot.yaml file")

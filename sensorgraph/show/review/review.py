@@ -11,6 +11,7 @@ from planners.arena import Arena
 from planners.trajectory import read_csv
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.planning.plan import CoveragePlan
 from sensorgraph.show.review.contents import Review, collect
 from sensorgraph.show.review.views import write
 
@@ -23,7 +24,7 @@ def review(
     *,
     path: Path | str,
     graph: Sensorgraph | Path | str | None = None,
-    plan: Path | str | None = None,
+    plan: CoveragePlan | Path | str | None = None,
     arena: Arena | None = None,
     ray: int | None = None,
     name: str | None = None,
@@ -38,7 +39,7 @@ def review(
     run : a run, or a file that `logs.read` opens
     path : the file to write, *.rrd
     graph : a sensorgraph, or its file
-    plan : the folder of a plan, whose path is drawn, too
+    plan : a plan or its folder, whose path is drawn, too
     arena : walls to draw; None: those that the run keeps, if it keeps any
     ray : index of the ray whose series is shown; None: the one that looks straight ahead
     name : what to call the run; None: the file it says it came from
@@ -61,13 +62,19 @@ def review(
         run = logs.read(Path(run))
     if isinstance(graph, Path | str):
         graph = Sensorgraph.load(Path(graph))
+    planned, facts = None, None
+    if isinstance(plan, CoveragePlan):
+        planned, facts = plan.trajectory.poses[::PLAN_STEP, :2], plan.to_dict()
+    elif plan is not None:
+        planned = read_csv(Path(plan) / "trajectory.csv").poses[::PLAN_STEP, :2]
+        facts = json.loads((Path(plan) / "plan.json").read_text())
     contents = collect(
         run,
         graph=graph,
         arena=arena,
         name=name,
-        planned=None if plan is None else read_csv(Path(plan) / "trajectory.csv").poses[::PLAN_STEP, :2],
-        plan=None if plan is None else json.loads((Path(plan) / "plan.json").read_text()),
+        planned=planned,
+        plan=facts,
     )
     write(contents, path, ray=ray)
     return contents

@@ -1,0 +1,285 @@
+"""What `import sensorgraph` offers: one function for each step, taking objects or the paths of their files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+import logs
+from logs.run import Run
+from planners.arena import Arena
+from planners.trajectory import Trajectory, read_csv
+from sensorgraph.building import build as building
+from sensorgraph.diagnosis import diagnose as diagnosing
+from sensorgraph.diagnosis.commissioning import commission_all
+from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.effects import Amendment, effects_file
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.evaluation.evaluate import Evaluation
+from sensorgraph.evaluation.evaluate import evaluate as evaluate_run
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.identification import identify as identifying
+from sensorgraph.identification.signals import Data, is_table, of_run, of_table
+from sensorgraph.loading import arena_in, load_arena, robot_for, robot_in
+from sensorgraph.models.base import Point, Prediction
+from sensorgraph.planning.plan import CoveragePlan, plan
+from sensorgraph.recording.record import record as record_drive
+from sensorgraph.show.review.contents import Review
+from sensorgraph.show.review.review import review as write_review
+from sensorgraph.world.robot import Robot, load_robot
+
+__all__ = ["build", "diagnose", "evaluate", "identify", "plan", "predict", "read", "record", "review"]
+
+RunLike = Run | Path | str
+"""A run, or a file of one."""
+GraphLike = Sensorgraph | Path | str
+"""A sensorgraph, or its file."""
+ArenaLike = Arena | Path | str
+"""An arena, its file, or the name of a shipped one."""
+RobotLike = Robot | Path | str
+"""A robot, or its robot.yaml."""
+
+
+def read(path: Path | str, *, topics: Mapping[str, str] | None = None) -> Run:
+    """Read a run: MCAP, a rosbag2 folder, a ROS 1 bag, a CARMEN log or a CSV table.
+
+    Parameters
+    ----------
+    topics : role (`scan`, `pose`, `odom`, `cmd`) -> topic, where a log names them otherwise
+
+    Raises
+    ------
+    LogError : the file is no log, or is damaged
+    """
+    return logs.read(path, topics=topics)
+
+
+def record(
+    drive: CoveragePlan | Trajectory | Path | str,
+    arena: ArenaLike | None = None,
+    robot: RobotLike | None = None,
+    *,
+    effects: Sequence[Amendment] | Path | str = (),
+    seed: int = 0,
+    path: Path | str | None = None,
+) -> Run:
+    """Let the embedded robot drive a plan, and record what it perceives.
+
+    Parameters
+    ----------
+    drive : a plan, its folder, a trajectory or its CSV
+    arena, robot : None: those of the plan
+    effects : what robot, sensor and room have beyond robot.yaml and the map; or an effects.yaml
+    seed : of all noise; the same seed gives the same run, byte for byte
+    path : also write the run there, as MCAP
+
+    Raises
+    ------
+    SensorgraphError : no arena is known, or an effect names a place that the arena does not have
+    """
+    trajectory, plan_arena, plan_robot = _drive(drive)
+    walls = plan_arena if arena is None else _arena(arena)
+    if walls is None:
+        raise SensorgraphError("a trajectory alone names no arena; give the arena to drive in")
+    machine = (plan_robot or load_robot()) if robot is None else _robot(robot)
+    amendments = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else effects
+    return record_drive(
+        None if path is None else Path(path), walls, machine, trajectory, effects=amendments, seed=seed
+    )
+
+
+def build(
+    runs: RunLike | Sequence[RunLike], *, arena: ArenaLike | None = None, **options: Any
+) -> Sensorgraph:
+    """Fit a sensorgraph to one run or several of the same sensor.
+
+    Parameters
+    ----------
+    arena : its bounds scale x and y, so that graphs of several runs share them
+    options : of `sensorgraph.building.build.build`: `model`, `split`, `calibrate`, `degree`, `update`, ...
+
+    Raises
+    ------
+    SensorgraphError : too few scans have a pose, or the runs are of different sensors
+    """
+    several = [runs] if isinstance(runs, Run | Path | str) else list(runs)
+    walls = None if arena is None else _arena(arena)
+    return building.build([_run(run) for run in several], arena=walls, **options)
+
+
+def evaluate(
+    graph: GraphLike,
+    run: RunLike,
+    *,
+    split: str | None = None,
+    point: Point | None = None,
+    cap: float | None = None,
+) -> Evaluation:
+    """Compare what a sensorgraph predicts with what a run measured.
+
+    Parameters
+    ----------
+    split : `every10` or `block`: score only the scans that this split held out of the fit
+    point : `mode`, `median` or `mean`; None: to each number its own
+    cap : [m] longest return that counts; None: 10, or the sensor's range
+
+    Raises
+    ------
+    SensorgraphError : the run is of another sensor, or has no scan with a pose to score
+    """
+    return evaluate_run(_graph(graph), _run(run), split=split, point=point, cap=cap)
+
+
+def predict(graph: GraphLike, poses: ArrayLike, *, point: Point = "mode") -> Prediction:
+    """Predict every ray at given poses.
+
+    Parameters
+    ----------
+    poses : (n_poses, 3) or (3,) [m, m, rad] x, y, phi of the graph's `pose_frame` in map
+    point : which value of the mixture `ranges` is
+
+    Returns
+    -------
+    Prediction with arrays (n_poses, n_rays)
+
+    Raises
+    ------
+    SensorgraphError : a pose is not finite, or is far from any arena
+    """
+    return _graph(graph).predict(np.atleast_2d(np.asarray(poses, dtype=np.float64)), point=point)
+
+
+def diagnose(
+    run: RunLike,
+    second: RunLike | None = None,
+    *,
+    arena: ArenaLike | None = None,
+    robot: RobotLike | None = None,
+    effects: Sequence[Amendment] | Path | str = (),
+    commissioning: Sequence[RunLike] = (),
+    seed: int = 0,
+) -> Finding:
+    """Find where simulation and measurement disagree, and name the missing physical effect.
+
+    Parameters
+    ----------
+    second : a further run of the same place, used for nothing but the proof
+    arena, robot : None: those that the run keeps
+    effects : what is part of the model already; or an effects.yaml
+    commissioning : runs known to be good; what differs from them is found
+    seed : of the replicates; the same seed gives the same report
+
+    Raises
+    ------
+    SensorgraphError : the run keeps no arena and none is given, or the second run is of another place
+    """
+    log = _run(run)
+    walls = arena_in(log) if arena is None else _arena(arena)
+    if walls is None:
+        raise SensorgraphError("the run keeps no arena; give the arena it was driven in")
+    machine = (robot_in(log) or robot_for(log)) if robot is None else _robot(robot)
+    known = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else effects
+    effects_file.check_places(known, walls)
+    good = [_run(one) for one in commissioning]
+    return diagnosing.diagnose(
+        log,
+        walls,
+        machine,
+        second=None if second is None else _run(second),
+        known=known,
+        commissioned=commission_all(good, walls, machine, seed=seed) if good else None,
+        seed=seed,
+    )
+
+
+def identify(
+    data: RunLike | Data, *, output: str, inputs: Sequence[str] = (), every: int = 1, **options: Any
+) -> identifying.Identified:
+    """Identify one signal of a run or a table as a polynomial of others.
+
+    Parameters
+    ----------
+    data : a run, the file of one, or a CSV with a header line
+    output, inputs : `x y phi v omega cmd_v cmd_omega`, `L67`, `L45-90`, or the columns of the CSV
+    every : take each so-manieth sample
+    options : of `sensorgraph.identification.identify.Question`: `lags`, `output_lags`, `degree`, `noise_lags`, ...
+
+    Raises
+    ------
+    SensorgraphError : a signal is unknown, or the data are too few for what is asked
+    IdentError : the data do not determine a model
+    """
+    question = identifying.Question(output=output, inputs=tuple(inputs), **options)
+    names = [output, *question.inputs]
+    if isinstance(data, Data):
+        return identifying.identify(data, question)
+    if isinstance(data, str | Path) and is_table(Path(data)):
+        return identifying.identify(of_table(Path(data), names, every=every), question)
+    return identifying.identify(of_run(_run(data), names, every=every), question)
+
+
+def review(
+    run: RunLike,
+    path: Path | str,
+    *,
+    graph: GraphLike | None = None,
+    plan: CoveragePlan | Path | str | None = None,
+    arena: ArenaLike | None = None,
+    ray: int | None = None,
+) -> Review:
+    """Write a rerun recording of a run: coverage, and errors of a sensorgraph by place, heading and ray.
+
+    Parameters
+    ----------
+    path : the recording to write, `*.rrd`
+    graph : a sensorgraph to compare with the run
+    plan : a plan, or its folder, whose path is drawn
+    arena : walls to draw; None: those that the run keeps
+    ray : index of the ray whose series is shown; None: the one straight ahead
+
+    Raises
+    ------
+    SensorgraphError : the path does not end in `.rrd`
+    """
+    log = _run(run)
+    walls = arena_in(log) if arena is None else _arena(arena)
+    return write_review(log, path=path, graph=graph, plan=plan, arena=walls, ray=ray)
+
+
+def _run(run: RunLike) -> Run:
+    return run if isinstance(run, Run) else logs.read(run)
+
+
+def _graph(graph: GraphLike) -> Sensorgraph:
+    return graph if isinstance(graph, Sensorgraph) else Sensorgraph.load(Path(graph))
+
+
+def _arena(arena: ArenaLike) -> Arena:
+    return arena if isinstance(arena, Arena) else load_arena(arena)
+
+
+def _robot(robot: RobotLike) -> Robot:
+    return robot if isinstance(robot, Robot) else load_robot(robot)
+
+
+def _drive(
+    drive: CoveragePlan | Trajectory | Path | str,
+) -> tuple[Trajectory, Arena | None, Robot | None]:
+    """Return a trajectory with the arena and the robot that it was planned for, where they are known."""
+    if isinstance(drive, CoveragePlan):
+        return drive.trajectory, drive.arena, drive.robot
+    if isinstance(drive, Trajectory):
+        return drive, None, None
+    folder = Path(drive)
+    if not folder.is_dir():
+        return read_csv(folder), None, None
+    arena, robot = folder / "arena.geojson", folder / "robot.yaml"
+    return (
+        read_csv(folder / "trajectory.csv"),
+        load_arena(arena) if arena.is_file() else None,
+        load_robot(robot) if robot.is_file() else None,
+    )

@@ -1,0 +1,160 @@
+"""Plan a drive for a robot in an arena: what the `plan` command and `sensorgraph.plan` share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import logs
+import planners
+from logs.run import Run
+from planners.arena import Arena
+from planners.errors import PlanError
+from planners.maps.no_go import Zone, without
+from planners.trajectory import Trajectory
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.loading import load_arena
+from sensorgraph.planning import plan_folder
+from sensorgraph.planning.priority import doubt
+from sensorgraph.planning.resume import driven_poses, other_place_warnings
+from sensorgraph.planning.views import views_within
+from sensorgraph.types import Floats, Progress
+from sensorgraph.world.robot import Robot, load_robot
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CoveragePlan:
+    """A planned drive with the arena and the robot that it was planned for."""
+
+    drive: planners.Plan
+    arena: Arena
+    robot: Robot
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Stamps (n,) [s], poses (n, 3) [m, m, rad] and twists (n, 2) [m/s, rad/s]."""
+        return self.drive.trajectory
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what `plan.json` holds: coverage, time, clearance, settings; plain data."""
+        return dict(self.drive.report)
+
+    def save(self, folder: Path | str) -> Path:
+        """Write trajectory, waypoints, MCAP, report and pictures into a folder; all of it or nothing."""
+        folder = Path(folder)
+        if folder.exists() and not folder.is_dir():
+            raise PlanError(f"{folder} is a file; give a folder to write the plan to")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as part:
+            plan_folder.save(self.drive, Path(part), self.arena, self.robot)
+            plan_folder.drop_runs(folder)
+            for file in (file for file in Path(part).rglob("*") if file.is_file()):
+                target = folder / file.relative_to(part)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                file.replace(target)
+        return folder
+
+    def __repr__(self) -> str:
+        report = self.drive.report
+        return (
+            f"CoveragePlan({report['planner']}): {100 * report['coverage']:.2f} % of "
+            f"{report['reachable_cells']:,} reachable (x, y, phi) bins\n"
+            f"  {report['drive_time_s'] / 60:.1f} min, {report['path_m']:.0f} m, "
+            f"clearance {report['min_clearance_m']:.3f} m"
+        )
+
+
+def plan(
+    arena: Arena | Path | str,
+    robot: Robot | Path | str | None = None,
+    *,
+    planner: str = "coverage",
+    cell: float = 0.25,
+    headings: int = 16,
+    start: Floats | None = None,
+    end: Floats | None = None,
+    views: int | None = None,
+    no_go: Sequence[Zone] = (),
+    resume: Run | Path | str | None = None,
+    priority: Sensorgraph | None = None,
+    budget: float | None = None,
+    battery: float | None = None,
+    dock: Floats | None = None,
+    duration: float | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> CoveragePlan:
+    """Plan a drive that fills (x, y, phi): every reachable place, in every heading.
+
+    Parameters
+    ----------
+    arena : an arena, its file, or the name of a shipped one
+    robot : a robot or its robot.yaml; None: the shipped robot
+    planner : `coverage`, `stop_and_spin`, or one of the baselines `random_bounce` and `wall_following`
+    cell : [m] side of a position cell
+    headings : count of heading bins of a full turn
+    start, end : (3,) [m, m, rad] pose of base_link; None: where it suits the planner
+    views : visit only so many poses, those that show most surface, instead of filling (x, y, phi)
+    no_go : polygons [m, map] that the robot may not enter and its laser sees through
+    resume : a run already driven, or its file; its bins need no visit
+    priority : first the places that this sensorgraph does not know, then those where it is unsure
+    budget : [s] within which the drive ends
+    battery : [s] of one run; the drive is parted into runs from `dock` (3,) [m, m, rad] and back to it
+    duration : [s] of the baselines; None: the reference time of the coverage planner
+    seed : the same seed gives the same plan, byte for byte
+
+    Raises
+    ------
+    PlanError : the robot does not fit, a pose is in a wall, nothing is within reach, or two arguments contradict
+    """
+    world = arena if isinstance(arena, Arena) else load_arena(arena)
+    machine = robot if isinstance(robot, Robot) else load_robot(robot)
+    targets = None
+    if views is not None:
+        if planner not in ("coverage", "views"):
+            raise PlanError(f"views have a planner of their own; leave out the planner {planner}")
+        if resume is not None:
+            raise PlanError(
+                "views cannot resume a run; build a graph from that run, and give it as the priority"
+            )
+        planner = "views"
+        targets = partial(
+            views_within, n=views, arena=world, sensor=machine.sensor, graph=priority, seed=seed
+        )
+    elif planner == "views":
+        raise PlanError("the planner views needs to know how many")
+    visited = None
+    if resume is not None:
+        driven, name = (resume, "the run") if isinstance(resume, Run) else (logs.read(resume), str(resume))
+        visited = driven_poses(driven, world, name=name)
+    drive = planners.plan(
+        without(world, no_go),
+        machine,
+        planner=planner,
+        cell=cell,
+        headings=headings,
+        seed=seed,
+        start=start,
+        end=end,
+        dock=dock,
+        budget=budget,
+        battery=battery,
+        sweep_time=machine.sensor.sweep_time,
+        rate=machine.sensor.rate,
+        duration=duration,
+        visited=visited,
+        priority=None if priority is None or targets is not None else partial(doubt, priority),
+        targets=targets,
+        progress=progress,
+    )
+    if not isinstance(arena, Arena):
+        drive.report["arena"] = Path(arena).name
+    if priority is not None:
+        drive.report["warnings"] += other_place_warnings(priority, world)
+    if no_go:
+        drive.report["no_go"] = [[list(corner) for corner in zone.exterior.coords[:-1]] for zone in no_go]
+    return CoveragePlan(drive=drive, arena=world, robot=machine)
