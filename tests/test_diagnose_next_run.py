@@ -13,11 +13,11 @@ from planners.arena import Arena
 from planners.check import check
 from planners.errors import PlanError
 from planners.trajectory import read_csv
-from sensorgraph.diagnosis.next_run.assemble import random_run
-from sensorgraph.diagnosis.next_run.candidate_motions import Ground
+from sensorgraph.diagnosis.next_run.candidate_motions import DrivableSpace
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
-from sensorgraph.diagnosis.next_run.forecast import Forecast, Motion, Question
-from sensorgraph.diagnosis.next_run.questions import ask, between, typical
+from sensorgraph.diagnosis.next_run.drives import random_drive
+from sensorgraph.diagnosis.next_run.forecast import EvidenceForecast, MotionSamples, OpenQuestion
+from sensorgraph.diagnosis.next_run.questions import between, open_questions, typical_effect
 from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import Robot, default_robot
@@ -30,8 +30,8 @@ def effect(name: str, place: str = "", **values: float) -> Amendment:
     return EFFECTS[name](**values).at(place) if place else EFFECTS[name](**values)
 
 
-QUESTIONS: dict[str, Question] = {
-    q.words: q
+QUESTIONS: dict[str, OpenQuestion] = {
+    q.text: q
     for q in (
         between([effect("latency", tau=0.015)], [effect("mount_xy", dx=0.0, dy=0.0)]),
         between([effect("latency", tau=0.015)], [effect("scan_skew", T=0.03)]),
@@ -72,7 +72,7 @@ def test_the_run_is_expected_to_bring_more_than_random_driving(
     words: str, chosen: dict[str, NextRun]
 ) -> None:
     run = chosen[words]
-    assert run.evidence >= run.median > 0
+    assert run.evidence >= run.median_random_evidence > 0
 
 
 @pytest.mark.parametrize("words", QUESTIONS)
@@ -108,33 +108,37 @@ def test_a_question_of_latency_is_answered_by_motion(chosen: dict[str, NextRun])
 
 
 def test_standing_still_brings_nothing_for_latency_and_driving_does(arena: Arena, robot: Robot) -> None:
-    question = Question(a=(effect("latency", tau=0.015),), b=(), words="")
+    question = OpenQuestion(truth=(effect("latency", tau=0.015),), alternative=(), text="")
     poses = np.tile([2.0, 2.0, 0.3], (10, 1))
     when = np.linspace(0.0, 60.0, 10)
     still, turning = (
-        Motion(poses=poses, twists=np.tile([0.0, omega], (10, 1)), when=when, seconds=60.0)
+        MotionSamples(poses=poses, twists=np.tile([0.0, omega], (10, 1)), times=when, duration=60.0)
         for omega in (0.0, 1.0)
     )
-    forecast = Forecast(question, [still, turning], arena, robot, 60.0)
-    nothing, much = (forecast.nats(share * 60.0) for share in forecast.shares())
+    forecast = EvidenceForecast(question, [still, turning], arena, robot, 60.0)
+    nothing, much = (forecast.nats(one * 60.0) for one in forecast.per_second())
     assert nothing < 1e-6 < 100.0 < much
 
 
 def test_evidence_grows_with_the_size_of_the_effect_and_with_time(arena: Arena, robot: Robot) -> None:
-    motion = Motion(
+    motion = MotionSamples(
         poses=np.tile([2.0, 2.0, 0.3], (10, 1)),
         twists=np.tile([0.0, 1.0], (10, 1)),
-        when=np.linspace(0.0, 60.0, 10),
-        seconds=60.0,
+        times=np.linspace(0.0, 60.0, 10),
+        duration=60.0,
     )
     got = []
     for tau in (0.01, 0.02):
-        forecast = Forecast(
-            Question(a=(effect("latency", tau=tau),), b=(), words=""), [motion], arena, robot, 60.0
+        forecast = EvidenceForecast(
+            OpenQuestion(truth=(effect("latency", tau=tau),), alternative=(), text=""),
+            [motion],
+            arena,
+            robot,
+            60.0,
         )
-        (share,) = forecast.shares()
-        assert forecast.nats(share * 120.0) > forecast.nats(share * 60.0)
-        got.append(forecast.nats(share * 60.0))
+        (one,) = forecast.per_second()
+        assert forecast.nats(one * 120.0) > forecast.nats(one * 60.0)
+        got.append(forecast.nats(one * 60.0))
     assert got[1] > 3 * got[0]  # at least quadratic: nuisances in their boxes take a constant part
 
 
@@ -156,8 +160,8 @@ def test_the_rival_is_asked_about_first(arena: Arena) -> None:
     result = ChannelResult(
         channel="scan", effects=(own,), rivals=(rival,), not_observable={"min_range": "too far"}
     )
-    (question,) = ask(result, [own], [other])
-    assert question.words == "latency between pose and scan or mounting offset"
+    (question,) = open_questions(result, [own], [other])
+    assert question.text == "latency between pose and scan or mounting offset"
 
 
 def test_a_rival_far_behind_is_asked_about_no_more() -> None:
@@ -166,28 +170,28 @@ def test_a_rival_far_behind_is_asked_about_no_more() -> None:
     rival = Rival(name="mount_xy", instead_of="latency", evidence_nats=20.0, separates="")
     hidden = {"mirror": "box/edge_2: hardly met by a ray", "min_range": "no return from nearer than 0.40 m"}
     result = ChannelResult(channel="scan", effects=(sure,), rivals=(rival,), not_observable=hidden)
-    assert [q.a[-1].name for q in ask(result, [own], [other])] == ["min_range"]
+    assert [q.truth[-1].name for q in open_questions(result, [own], [other])] == ["min_range"]
     result = replace(
         result, not_observable={"mirror": hidden["mirror"]}
     )  # a little wall is little to ask for
-    assert ask(result, [own], [other])[0].words.startswith("how large is the effect of latency")
+    assert open_questions(result, [own], [other])[0].text.startswith("how large is the effect of latency")
     near = replace(result, effects=(replace(own, evidence=40.0),))
-    assert ask(near, [own], [other])[0].words == "latency between pose and scan or mounting offset"
+    assert open_questions(near, [own], [other])[0].text == "latency between pose and scan or mounting offset"
 
 
 def test_without_a_rival_what_was_not_observable_is_asked_for() -> None:
     hidden = {"glass": "room/edge_2, room/edge_3: hardly met", "latency": "the robot stood still"}
-    (question,) = ask(ChannelResult(channel="scan", not_observable=hidden), [], [])
-    assert question.a[-1].name == "latency"
+    (question,) = open_questions(ChannelResult(channel="scan", not_observable=hidden), [], [])
+    assert question.truth[-1].name == "latency"
     del hidden["latency"]
-    (question,) = ask(ChannelResult(channel="scan", not_observable=hidden), [], [])
-    assert (question.a[-1].name, question.a[-1].place) == ("glass", "room/edge_2")
+    (question,) = open_questions(ChannelResult(channel="scan", not_observable=hidden), [], [])
+    assert (question.truth[-1].name, question.truth[-1].place) == ("glass", "room/edge_2")
 
 
 def test_there_is_always_a_question() -> None:
-    assert ask(ChannelResult(channel="scan"), [], [])
+    assert open_questions(ChannelResult(channel="scan"), [], [])
     assert (
-        ask(ChannelResult(channel="scan"), [effect("range_bias", b=0.02)], [])[0].words
+        open_questions(ChannelResult(channel="scan"), [effect("range_bias", b=0.02)], [])[0].text
         == "how large is the effect of range bias"
     )
 
@@ -197,7 +201,7 @@ def test_a_typical_effect_can_be_simulated(name: str) -> None:
     from tests.effects_samples import scene
 
     why = {"wall": "room/edge_1: unseen", "obstacle": "box: unseen"}.get(EFFECTS[name].place or "", "")
-    found = typical(name, why)
+    found = typical_effect(name, why)
     if found is not None:
         scene(box=True).run([found])
 
@@ -212,6 +216,6 @@ def test_a_car_is_refused_in_one_line(arena: Arena) -> None:
 
 
 def test_random_runs_keep_clear_too(arena: Arena, robot: Robot) -> None:
-    ground = Ground.of(arena, robot)
-    curve = random_run(ground, np.random.default_rng(1), 60.0)
+    space = DrivableSpace.of(arena, robot)
+    curve = random_drive(space, np.random.default_rng(1), 60.0)
     assert check(curve.trajectory(), arena, robot).count == 0

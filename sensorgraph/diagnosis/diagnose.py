@@ -19,7 +19,7 @@ from sensorgraph.diagnosis.commissioning import Commissioned
 from sensorgraph.diagnosis.motion.motors import diagnose_drive
 from sensorgraph.diagnosis.motion.wheels import diagnose_odometry
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
-from sensorgraph.diagnosis.next_run.questions import ask
+from sensorgraph.diagnosis.next_run.questions import open_questions
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Gap, Rival, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, deviations
@@ -217,7 +217,7 @@ def _next(
 ) -> NextRun | None:
     """Plan the next run; None where the room or the robot does not allow one."""
     try:
-        return next_run(ask(scan, named, rivals), arena, robot, seed=seed)
+        return next_run(open_questions(scan, named, rivals), arena, robot, seed=seed)
     except PlanError as exc:
         logger.info("no next run: %s", exc)
         return None

@@ -1,9 +1,9 @@
 """The next run: a drive made to tell apart what this run could not, chosen by the evidence it is expected to bring.
 
-Motions that may tell something (spins, sweeps and shuttles at places all over the room, at the limits of speed) are
-asked what they would bring per second; the time is divided among them so that they bring most together; the best are
-drawn as one closed-form curve, with the planner's moves, turns and connections, in several versions. The version that
-is expected to bring most is the next run, and random driving is what it is compared with.
+1. `candidate_motions` lists motions that may separate two models: spins, sweeps and shuttles all over the room.
+2. `forecast` predicts how much evidence each brings per second; `time_allocation` divides the time among them.
+3. `drives` joins those with most time to closed-form curves, with the planner's moves and turns, in several versions.
+4. The version with the most expected evidence is the next run; random driving is what it is compared with.
 """
 
 from __future__ import annotations
@@ -22,20 +22,25 @@ from planners.curve import Curve
 from planners.errors import PlanError
 from planners.maps import geojson
 from planners.trajectory import Trajectory
-from sensorgraph.diagnosis.next_run.assemble import drawn as draw_all
-from sensorgraph.diagnosis.next_run.assemble import random_run
-from sensorgraph.diagnosis.next_run.candidate_motions import SWEEP, Ground, Step, motions
-from sensorgraph.diagnosis.next_run.forecast import Forecast, Motion, Question, divide
-from sensorgraph.diagnosis.next_run.questions import OPEN
+from sensorgraph.diagnosis.next_run.candidate_motions import (
+    CandidateMotion,
+    DrivableSpace,
+    MotionKind,
+    candidate_motions,
+)
+from sensorgraph.diagnosis.next_run.drives import build_drives, random_drive
+from sensorgraph.diagnosis.next_run.forecast import EvidenceForecast, MotionSamples, OpenQuestion
+from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
+from sensorgraph.diagnosis.next_run.time_allocation import allocate_time
 from sensorgraph.files import whole
 from sensorgraph.types import Floats
+from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.robot import Robot
 
-MOMENTS = 6  # looked at in a motion
-RANDOM = 9  # runs that nobody planned, for comparison
-PAUSE = 1.0  # [s] of looks at a whole run, at least
-MIXES = (("spin", "sweep", "shuttle"), ("spin",), ("sweep",), ("shuttle",))  # kinds of them
-LONGER = 1.05  # times the length asked for, that a run may take
+MIXES = (tuple(MotionKind), *((kind,) for kind in MotionKind))
+"""Kinds of motions among which the time is allocated: all of them, and each alone."""
+MAX_DESCRIBED = 3
+"""Motions that the explanation of a run describes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,32 +52,34 @@ class NextRun:
     """What it should answer."""
     evidence: float
     """[nats] that it is expected to bring."""
-    median: float
-    """[nats] that the median of random runs of the same length is expected to bring."""
+    median_random_evidence: float
+    """[nats] that the median of random drives of the same duration is expected to bring."""
     why: str
-    steps: tuple[Step, ...]
+    motions: tuple[CandidateMotion, ...]
     min_clearance: float
     """[m]"""
-    candidates: tuple[float, ...]
-    """[nats] of all that were drawn."""
+    candidate_evidence: tuple[float, ...]
+    """[nats] of all versions that were built."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, for report.json."""
+        median = self.median_random_evidence
+        times_median = self.evidence / median if median >= 1 else None
         return {
             "questions": list(self.questions),
             "why": self.why,
             "expected_nats": self.evidence,
-            "median_random_run_nats": self.median,
-            "times_a_median_run": self.evidence / self.median if self.median >= 1 else None,
+            "median_random_run_nats": self.median_random_evidence,
+            "times_a_median_run": times_median,
             "duration_s": self.trajectory.duration,
             "path_m": self.trajectory.length,
             "min_clearance_m": self.min_clearance,
             "start": [float(v) for v in self.trajectory.poses[0]],
             "steps": [
-                {"kind": s.kind, "place": list(s.place), "heading": s.heading, "way_m": s.way}
-                for s in self.steps
+                {"kind": m.kind.value, "place": list(m.place), "heading": m.heading, "way_m": m.length}
+                for m in self.motions
             ],
-            "candidates_nats": list(self.candidates),
+            "candidates_nats": list(self.candidate_evidence),
         }
 
     def save(self, folder: Path, arena: Arena, robot: Robot) -> None:
@@ -90,7 +97,7 @@ class NextRun:
 
 
 def next_run(
-    questions: Sequence[Question],
+    questions: Sequence[OpenQuestion],
     arena: Arena,
     robot: Robot,
     *,
@@ -102,133 +109,147 @@ def next_run(
 
     Parameters
     ----------
-    questions : pairs of models to tell apart (see `ask`); the first counts most where they compete
-    start : (3,) [m, m, rad] where the robot stands; None: where the plan likes
+    questions : pairs of models to tell apart (see `open_questions`); the first counts most where they compete
+    start : (3,) [m, m, rad] where the robot stands; None: where it suits the plan
+
+    Raises
+    ------
+    PlanError : there is no question, the robot cannot turn in place, or no motion can be reached
     """
     if not questions:
         raise PlanError("there is no question for a next run; give at least one pair of models")
     if not (np.isfinite(minutes) and minutes > 0):
         raise PlanError(f"minutes is {minutes}, expected a positive number")
-    ground = Ground.of(arena, robot, start=start)
+    space = DrivableSpace.of(arena, robot, start=start)
     rng = np.random.default_rng(seed)
-    seconds = 60.0 * minutes
-    steps = motions(ground, rng)
-    looks = [_moments(step, robot, seconds) for step in steps]
-    forecasts = [Forecast(q, looks, arena, robot, seconds) for q in questions]
-    shares = [f.shares() for f in forecasts]
-    times = [
-        divide(forecasts, shares, seconds, np.array([s.kind in kinds for s in steps])) for kinds in MIXES
+    duration = 60.0 * minutes
+    motions = candidate_motions(space, rng)
+    samples = [_motion_samples(motion, robot, duration) for motion in motions]
+    forecasts = [EvidenceForecast(q, samples, arena, robot, duration) for q in questions]
+    per_second = [forecast.per_second() for forecast in forecasts]
+    allocations = [
+        allocate_time(forecasts, per_second, duration, np.array([m.kind in kinds for m in motions]))
+        for kinds in MIXES
     ]
-    drawn = draw_all(ground, steps, times, seconds, start, seed)
-    others = [random_run(ground, rng, seconds) for _ in range(RANDOM)]
-    runs = [*(d[0] for d in drawn), *others]
-    nats = expected(questions, [_looks(c, robot) for c in runs], arena, robot, seconds)
-    length = np.array([c.duration for c in runs])
-    nats = nats * np.minimum(seconds / length, 1.0)  # what is too long brings no more for that
-    total = np.log1p(nats / 10.0).sum(axis=0)  # (n_runs,) no question is forgotten for another
-    total -= 1e3 * (length > LONGER * seconds)
-    for k in np.argsort(-total[: len(drawn)]).tolist():
-        curve, used = drawn[k]
+    drives = build_drives(space, motions, allocations, duration, start, seed)
+    random = [random_drive(space, rng, duration) for _ in range(NEXT_RUN.drives.n_random)]
+    curves = [*(curve for curve, _ in drives), *random]
+    nats, score = _rate(questions, curves, arena, robot, duration)
+    for k in np.argsort(-score[: len(drives)]).tolist():
+        curve, used = drives[k]
         trajectory = curve.trajectory()
         found = check(trajectory, arena, robot)
         if found.count == 0:
             break
     else:
         raise PlanError("every plan breaks a limit of the robot; please report the arena and the robot")
+    median = float(np.median(nats[0, len(drives) :]))
     return NextRun(
         trajectory=trajectory,
-        questions=tuple(q.words for q in questions),
+        questions=tuple(q.text for q in questions),
         evidence=float(nats[0, k]),
-        median=float(np.median(nats[0, len(drawn) :])),
-        why=_why(questions[0], used, arena, robot) + _easily(float(np.median(nats[0, len(drawn) :]))),
-        steps=tuple(used),
+        median_random_evidence=median,
+        why=_explanation(questions[0], used, arena, robot) + _remark_if_easy(median),
+        motions=tuple(used),
         min_clearance=found.min_clearance,
-        candidates=tuple(float(v) for v in nats[0, : len(drawn)]),
+        candidate_evidence=tuple(float(v) for v in nats[0, : len(drives)]),
     )
 
 
-def expected(
-    questions: Sequence[Question],
-    runs: Sequence[Motion],
+def _rate(
+    questions: Sequence[OpenQuestion], curves: Sequence[Curve], arena: Arena, robot: Robot, duration: float
+) -> tuple[Floats, Floats]:
+    """Return the expected nats (n_questions, n_curves) of drives, and their scores (n_curves,) over all questions."""
+    nats = expected_evidence(questions, [_drive_samples(c) for c in curves], arena, robot, duration)
+    length = np.array([c.duration for c in curves])
+    nats = nats * np.minimum(duration / length, 1.0)  # a drive that takes longer counts no more for that
+    score = np.log1p(nats / NEXT_RUN.forecast.half_weight_nats).sum(axis=0)  # no question is forgotten
+    score -= 1e3 * (length > NEXT_RUN.drives.max_overtime * duration)  # only if no other is left
+    return nats, score
+
+
+def expected_evidence(
+    questions: Sequence[OpenQuestion],
+    drives: Sequence[MotionSamples],
     arena: Arena,
     robot: Robot,
-    seconds: float,
+    duration: float,
 ) -> Floats:
-    """Return the nats (n_questions, n_runs) that whole runs are expected to bring."""
-    out = np.zeros((len(questions), len(runs)))
+    """Return the nats (n_questions, n_drives) that whole drives are expected to bring."""
+    out = np.zeros((len(questions), len(drives)))
     for i, question in enumerate(questions):
-        forecast = Forecast(question, runs, arena, robot, seconds)
+        forecast = EvidenceForecast(question, drives, arena, robot, duration)
         out[i] = [
-            forecast.nats(share * run.seconds) for share, run in zip(forecast.shares(), runs, strict=True)
+            forecast.nats(quadratic * drive.duration)
+            for quadratic, drive in zip(forecast.per_second(), drives, strict=True)
         ]
     return out
 
 
-def _moments(step: Step, robot: Robot, seconds: float) -> Motion:
-    """Return some moments of a motion, there and back."""
-    limits = robot.limits
-    share = (np.arange(MOMENTS) + 0.5) / MOMENTS
-    x, y = step.place
-    if step.kind == "shuttle":
-        c, s = np.cos(step.heading), np.sin(step.heading)
-        along = step.way * np.repeat(share[::2] + 0.5 / MOMENTS, 2)
-        poses = np.stack([x + along * c, y + along * s, np.full(len(along), step.heading)], axis=1)
+def _motion_samples(motion: CandidateMotion, robot: Robot, duration: float) -> MotionSamples:
+    """Return some moments of a motion, there and back, spread over the run."""
+    limits, settings = robot.limits, NEXT_RUN.candidates
+    n_samples = settings.n_samples
+    x, y = motion.place
+    if motion.kind is MotionKind.SHUTTLE:
+        share = (np.arange(n_samples) + 0.5) / n_samples
+        c, s = np.cos(motion.heading), np.sin(motion.heading)
+        along = motion.length * np.repeat(share[::2] + 0.5 / n_samples, 2)
+        poses = np.stack([x + along * c, y + along * s, np.full(len(along), motion.heading)], axis=1)
         v = np.where(np.arange(len(along)) % 2, -1.0, 1.0) * limits.v
         twists = np.stack([v, np.zeros(len(along))], axis=1)
     else:
-        n = 2 * MOMENTS if step.kind == "spin" else MOMENTS
-        wide = np.pi if step.kind == "spin" else SWEEP
-        phi = step.heading + wide * (2 * (np.arange(n) + 0.5) / n - 1)
+        is_spin = motion.kind is MotionKind.SPIN
+        n, angle = (2 * n_samples, np.pi) if is_spin else (n_samples, settings.sweep_angle)
+        phi = motion.heading + angle * (2 * (np.arange(n) + 0.5) / n - 1)
         poses = np.stack([np.full(n, x), np.full(n, y), phi], axis=1)
         omega = np.where(np.arange(n) % 2, -1.0, 1.0) * limits.omega
         twists = np.stack([np.zeros(n), omega], axis=1)
-    when: Floats = np.asarray(
-        seconds * ((np.arange(len(poses)) * 0.618) % 1.0)
-    )  # a motion comes early and late
-    return Motion(poses=poses, twists=twists, when=when, seconds=1.0)
+    golden = 0.618  # multiples of it modulo 1 fill 0 ... 1 evenly: a motion comes early and late in the run
+    times: Floats = np.asarray(duration * ((np.arange(len(poses)) * golden) % 1.0))
+    return MotionSamples(poses=poses, twists=twists, times=times, duration=1.0)
 
 
-def _looks(curve: Curve, robot: Robot) -> Motion:
-    """Return moments of a whole run, evenly in time."""
-    n = max(int(curve.duration / PAUSE), 40)
+def _drive_samples(curve: Curve) -> MotionSamples:
+    """Return moments of a whole drive, evenly in time."""
+    n = max(int(curve.duration / NEXT_RUN.drives.sample_interval), NEXT_RUN.drives.min_samples)
     stamps = (np.arange(n) + 0.5) / n * curve.duration
     poses, twists, _ = curve.sample(stamps)
-    return Motion(poses=poses, twists=twists, when=stamps, seconds=curve.duration)
+    return MotionSamples(poses=poses, twists=twists, times=stamps, duration=curve.duration)
 
 
-def _why(question: Question, steps: Sequence[Step], arena: Arena, robot: Robot) -> str:
+def _explanation(
+    question: OpenQuestion, motions: Sequence[CandidateMotion], arena: Arena, robot: Robot
+) -> str:
     """Say what the run does and why."""
-    limits = robot.limits
-    said = []
-    for step in steps[:3]:
-        at = f"({step.place[0]:.1f}, {step.place[1]:.1f})"
-        if step.kind == "spin":
-            said.append(f"spins both ways at {at}")
-        elif step.kind == "sweep":
-            degrees = np.degrees(SWEEP)
-            facing = _facing(arena, step)
-            said.append(f"turns fast {degrees:.0f} degrees to either side at {at}, facing {facing}")
-        else:
-            x, y = step.end
-            said.append(
-                f"drives to and fro at {limits.v:g} m/s between {at} and ({x:.1f}, {y:.1f}), facing {_facing(arena, step)}"
-            )
-    more = f" and {len(steps) - 3} more" if len(steps) > 3 else ""
-    return f"{'; '.join(said)}{more}: {question.words}? {question.hint}"
+    phrases = [_phrase(motion, arena, robot) for motion in motions[:MAX_DESCRIBED]]
+    more = f" and {len(motions) - MAX_DESCRIBED} more" if len(motions) > MAX_DESCRIBED else ""
+    return f"{'; '.join(phrases)}{more}: {question.text}? {question.hint}"
 
 
-def _easily(median: float) -> str:
-    """Say that any run would tell, where that is so."""
-    if median < OPEN:
+def _phrase(motion: CandidateMotion, arena: Arena, robot: Robot) -> str:
+    """Say what one motion does."""
+    at = f"({motion.place[0]:.1f}, {motion.place[1]:.1f})"
+    if motion.kind is MotionKind.SPIN:
+        return f"spins both ways at {at}"
+    facing = _faced_wall(arena, motion)
+    if motion.kind is MotionKind.SWEEP:
+        degrees = np.degrees(NEXT_RUN.candidates.sweep_angle)
+        return f"turns fast {degrees:.0f} degrees to either side at {at}, facing {facing}"
+    x, y = motion.end
+    return f"drives to and fro at {robot.limits.v:g} m/s between {at} and ({x:.1f}, {y:.1f}), facing {facing}"
+
+
+def _remark_if_easy(median: float) -> str:
+    """Say so if any run would decide the question."""
+    if median < NEXT_RUN.forecast.decided_nats:
         return ""
     return f" (any lively run would tell: a median random one is expected to bring {median:,.0f} nats)"
 
 
-def _facing(arena: Arena, step: Step) -> str:
-    """Return the wall that the robot looks at."""
-    from sensorgraph.world.raycast import cast_laser
-
-    pose = np.array([[*step.place, step.heading]])
+def _faced_wall(arena: Arena, motion: CandidateMotion) -> str:
+    """Return the name of the wall that the robot looks at."""
+    pose = np.array([[*motion.place, motion.heading]])
     _, wall = cast_laser(arena.walls, pose, np.zeros(1), 1e4)
     index = int(wall[0, 0])
     return arena.names[index] if index >= 0 else "nothing"

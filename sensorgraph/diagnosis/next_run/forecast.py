@@ -1,8 +1,9 @@
-"""How much evidence between two hypotheses a drive is expected to bring, before anybody has driven it.
+"""How much evidence between two models a drive is expected to bring, before it is driven.
 
-Per ray half the squared difference of what both expect, over the variance, with poses, nuisances and the smooth
-parameters of the wrong one refitted; plus the Kullback-Leibler divergence of the chance of a return. Given what was
-refitted the sum over scans is linear in them, so that the best division of time among motions is a concave problem.
+Per ray: half the squared difference of what both models expect, over the variance, after poses, nuisances and the
+smooth parameters of the wrong model are refitted; plus the Kullback-Leibler divergence of the chances of a return.
+For given refitted values the sum over scans is linear in time, so that the best allocation of time among motions is a
+concave problem (`time_allocation`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from planners.arena import Arena
+from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.diagnosis.scan.fit import cast, solver_for
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings
@@ -26,69 +28,62 @@ from sensorgraph.world.robot import Robot
 
 Model = tuple[Amendment, ...]
 
-MOST_RAYS = 46  # of a scan, that are looked at; the others count as much
-CAP = 5.0  # [nats] that a single ray may bring
-FAR = 4.0  # standard deviations, up to which a ray tells little by little whatever it met
-LOSS = 2e-3  # chance of a lost or stray ray under any hypothesis
-EDGE = 2e-3  # chance of being on the other side of an edge, above which a ray is not asked
-GROWTH = 10.0  # [nats] after which more evidence on one question counts half
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Question:
-    """Two models that the next run should tell apart; the first is taken for true."""
+class OpenQuestion:
+    """Two models that the next run should tell apart."""
 
-    a: Model
-    b: Model
-    words: str
-    """What is asked: `latency or mount_xy`."""
+    truth: Model
+    """The model that is taken for true."""
+    alternative: Model
+    text: str
+    """What is asked: `latency or mounting offset`."""
     hint: str = ""
-    """What tells them apart, in words."""
+    """What tells them apart."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
-    """Where the robot is at some moments, and how it moves."""
+class MotionSamples:
+    """Some moments of a motion."""
 
     poses: Floats
-    """(n, 3)"""
+    """(n, 3) [m, m, rad]"""
     twists: Floats
     """(n, 2) [m/s, rad/s] v and omega."""
-    when: Floats
+    times: Floats
     """(n,) [s] since the start of the run."""
-    seconds: float
+    duration: float
     """[s] that these moments stand for."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Share:
-    """What one motion brings, per second: normal equations of what is refitted, and what cannot be refitted."""
+class EvidenceQuadratic:
+    """Evidence [nats] as a quadratic function of the refitted values x (k,): of a second of a motion, or of a drive."""
 
     matrix: Floats
+    """(k, k) normal matrix."""
     right: Floats
-    square: float
-    sure: float
-    """[nats/s]"""
+    """(k,) right-hand side of the normal equations."""
+    squares: float
+    """Sum of the weighted squared residuals at x = 0."""
+    constant: float
+    """[nats] that no refit takes away."""
 
-    def __mul__(self, seconds: float) -> Share:
-        return Share(
-            matrix=self.matrix * seconds,
-            right=self.right * seconds,
-            square=self.square * seconds,
-            sure=self.sure * seconds,
+    def __mul__(self, factor: float) -> EvidenceQuadratic:
+        return EvidenceQuadratic(
+            matrix=self.matrix * factor,
+            right=self.right * factor,
+            squares=self.squares * factor,
+            constant=self.constant * factor,
         )
 
-    def __add__(self, other: Share) -> Share:
-        return Share(
-            matrix=self.matrix + other.matrix,
-            right=self.right + other.right,
-            square=self.square + other.square,
-            sure=self.sure + other.sure,
-        )
+    def at(self, x: Floats) -> float:
+        """Return the nats that remain at refitted values x (k,)."""
+        return self.constant + 0.5 * float(self.squares - 2 * self.right @ x + x @ self.matrix @ x)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Imagined(ScanData):
+class PlannedScans(ScanData):
     """Scans that nobody has taken: each at its own pose, with its own twist."""
 
     def motion(self, times: Floats) -> Floats:
@@ -101,174 +96,143 @@ class Imagined(ScanData):
         )
 
 
-class Forecast:
-    """The expected evidence of many motions between the two models of a question."""
+class EvidenceForecast:
+    """The expected evidence of many motions between the two models of a question.
+
+    Parameters
+    ----------
+    run_duration : [s] of the whole run, over which effects that change with time change
+    """
 
     def __init__(
-        self, question: Question, motions: Sequence[Motion], arena: Arena, robot: Robot, span: float
+        self,
+        question: OpenQuestion,
+        motions: Sequence[MotionSamples],
+        arena: Arena,
+        robot: Robot,
+        run_duration: float,
     ) -> None:
         self.motions, self.rate = motions, robot.sensor.rate
-        data, every = _imagined(motions, arena, robot, span)
-        first = cast(data, question.a)
-        truth = first.expected
-        data = replace(data, ranges=_readings(truth, data))
-        self.solver, at = solver_for(data, question.b)
-        self.walls = at.scene.walls
+        data, rays_per_cast = _planned_scans(motions, arena, robot, run_duration)
+        true_cast = cast(data, question.truth)
+        truth = true_cast.expected
+        data = replace(data, ranges=_noise_free_readings(truth, data))
+        self.solver, alternative_cast = solver_for(data, question.alternative)
+        self.walls = alternative_cast.scene.walls
         self.tau = self.solver.tau
         self.locked = self.solver.locked
-        bent = [~b.straight for b in (first.beams, at.beams) if b.straight is not None]
-        same = np.asarray((first.beams.wall == at.beams.wall) & ~sum(bent, np.zeros(1, dtype=np.bool_)))
-        noisier = np.clip(
-            np.square(first.beams.sigma) / np.maximum(np.square(at.beams.sigma), 1e-12), 0.01, 100.0
+        true_beams, beams = true_cast.beams, alternative_cast.beams
+        bent = [~b.straight for b in (true_beams, beams) if b.straight is not None]
+        same_wall = np.asarray((true_beams.wall == beams.wall) & ~sum(bent, np.zeros(1, dtype=np.bool_)))
+        variance_ratio = np.clip(
+            np.square(true_beams.sigma) / np.maximum(np.square(beams.sigma), 1e-12),
+            *NEXT_RUN.forecast.variance_ratio,
         )
-        weight, self.sure = _weights(self.solver, truth, data, same, noisier)
-        self.weight, self.sure = every * weight, every * self.sure
+        weight, self.constant = _weights(self.solver, truth, data, same_wall, variance_ratio)
+        self.weight, self.constant = rays_per_cast * weight, rays_per_cast * self.constant
 
-    def shares(self) -> list[Share]:
-        """Return what each motion brings per second."""
-        out, at = [], 0
+    def per_second(self) -> list[EvidenceQuadratic]:
+        """Return the evidence of one second of each motion."""
+        out, begin = [], 0
         for motion in self.motions:
-            rows = slice(at, at + len(motion.poses))
-            at = rows.stop
-            solver = _part(self.solver, self.walls, rows)
+            rows = slice(begin, begin + len(motion.poses))
+            begin = rows.stop
+            solver = _solver_of(self.solver, self.walls, rows)
             system = solver.assemble(self.weight[rows], 1.0)
             w = np.where(solver.jacobian.valid, self.weight[rows], 0.0)
             poses = np.einsum("ni,nij,nj->", system.start, system.poses, system.start)
-            share = Share(
+            quadratic = EvidenceQuadratic(
                 matrix=system.matrix,
                 right=system.right,
-                square=float((w * solver.y**2).sum() - poses),
-                sure=float(self.sure[rows].sum()),
+                squares=float((w * solver.y**2).sum() - poses),
+                constant=float(self.constant[rows].sum()),
             )
-            out.append(share * (self.rate / len(motion.poses)))
+            out.append(quadratic * (self.rate / len(motion.poses)))
         return out
 
-    def refitted(self, share: Share) -> Floats:
-        """Return the nuisances and parameters (k,) with which the wrong model does best."""
-        g, p = boxed(share.matrix, share.right, self.tau, BOX * self.tau, self.locked)
+    def refitted(self, quadratic: EvidenceQuadratic) -> Floats:
+        """Return the nuisances and parameters (k,) with which the alternative does best."""
+        g, p = boxed(quadratic.matrix, quadratic.right, self.tau, BOX * self.tau, self.locked)
         return np.concatenate([g, p])
 
-    def nats(self, share: Share) -> float:
-        """Return the evidence of a whole run."""
-        x = self.refitted(share)
+    def nats(self, quadratic: EvidenceQuadratic) -> float:
+        """Return the expected evidence [nats] of a whole run."""
+        x = self.refitted(quadratic)
         prior = 0.5 * float(np.sum((x[: len(self.tau)] / self.tau) ** 2))
-        return max(left(share, x) + prior, 0.0)
+        return max(quadratic.at(x) + prior, 0.0)
 
 
-def left(share: Share, x: Floats) -> float:
-    """Return the nats that remain where the wrong model has taken x."""
-    return share.sure + 0.5 * float(share.square - 2 * share.right @ x + x @ share.matrix @ x)
-
-
-def divide(
-    forecasts: Sequence[Forecast], shares: Sequence[list[Share]], seconds: float, some: Bools
-) -> Floats:
-    """Divide the time among `some` motions (n,) [s] so that they bring most together (Frank and Wolfe 1956)."""
-    n = len(some)
-    if not some.any():
-        some = np.ones(n, dtype=np.bool_)
-    stacks = [_Stack(s) for s in shares]
-    time: Floats = np.where(some, seconds / some.sum(), 0.0)
-    for step in range(24):
-        slope = np.zeros(n)
-        for forecast, stack in zip(forecasts, stacks, strict=True):
-            total = stack.total(time)
-            x = forecast.refitted(total)
-            slope += stack.left(x) / (GROWTH + max(left(total, x), 0.0))
-        size = 2.0 / (step + 3.0)
-        time *= 1 - size
-        time[int(np.where(some, slope, -np.inf).argmax())] += size * seconds
-    return time
-
-
-class _Stack:
-    """Shares side by side."""
-
-    def __init__(self, shares: Sequence[Share]) -> None:
-        self.matrix = np.stack([s.matrix for s in shares])
-        self.right = np.stack([s.right for s in shares])
-        self.square = np.array([s.square for s in shares])
-        self.sure = np.array([s.sure for s in shares])
-
-    def total(self, time: Floats) -> Share:
-        return Share(
-            matrix=np.tensordot(time, self.matrix, 1),
-            right=time @ self.right,
-            square=float(time @ self.square),
-            sure=float(time @ self.sure),
-        )
-
-    def left(self, x: Floats) -> Floats:
-        return np.asarray(self.sure + 0.5 * (self.square - 2 * self.right @ x + (self.matrix @ x) @ x))
-
-
-def _imagined(motions: Sequence[Motion], arena: Arena, robot: Robot, span: float) -> tuple[Imagined, float]:
+def _planned_scans(
+    motions: Sequence[MotionSamples], arena: Arena, robot: Robot, run_duration: float
+) -> tuple[PlannedScans, float]:
     """Return scans at all moments, with fewer rays, and how many rays each stands for."""
     poses = np.concatenate([m.poses for m in motions])
     v, omega = np.concatenate([m.twists for m in motions]).T
-    when = np.concatenate([m.when for m in motions])
+    times = np.concatenate([m.times for m in motions])
     sensor = robot.sensor
-    every = max(1, -(-sensor.n_rays // MOST_RAYS))
-    rays = np.arange(every // 2, sensor.n_rays, every)
+    step = max(1, -(-sensor.n_rays // NEXT_RUN.forecast.max_rays))
+    rays = np.arange(step // 2, sensor.n_rays, step)
     phi = poses[:, 2]
-    data = Imagined(
+    data = PlannedScans(
         arena=arena,
         sensor=replace(sensor, bearings=sensor.bearings[rays]),
         tolerances=robot.tolerances,
-        stamps=when,
+        stamps=times,
         ranges=np.zeros((len(poses), len(rays))),
         poses=poses,
         twists=np.stack([v * np.cos(phi), v * np.sin(phi), omega], axis=1),
-        track=(when, poses),
+        track=(times, poses),
         begin=0.0,
-        span=span,
+        span=run_duration,
         laser_frame=False,
     )
     return data, sensor.n_rays / len(rays)
 
 
-def _readings(expected: ExpectedReadings, data: ScanData) -> Floats:
-    """Return what the first model reads without noise; inf where the ray rather does not return."""
+def _noise_free_readings(expected: ExpectedReadings, data: ScanData) -> Floats:
+    """Return the readings (n_scans, n_rays) [m] without noise; inf where no return is the likelier outcome."""
     with np.errstate(invalid="ignore"):
         seen = (expected.reading < data.sensor.range_max) & (expected.p_return > 0.5)
     return np.where(seen, expected.reading, np.inf)
 
 
 def _weights(
-    solver: Solver, truth: ExpectedReadings, data: ScanData, same: Bools, noisier: Floats
+    solver: Solver, truth: ExpectedReadings, data: ScanData, same_wall: Bools, variance_ratio: Floats
 ) -> tuple[Floats, Floats]:
-    """Return weights [1/m²] of the rays that tell little by little, and the nats of those that tell at once.
+    """Return weights [1/m²] of the rays with a small difference, and the nats of those with a large one.
 
     Parameters
     ----------
-    same : (n_scans, n_rays) both models see the same wall, along a straight ray
-    noisier : variance of the readings under the first model over that under the second
+    same_wall : (n_scans, n_rays) both models see the same wall, along a straight ray
+    variance_ratio : variance of the readings under the true model over that under the alternative
     """
-    expected = solver.expected
+    settings, expected = NEXT_RUN.forecast, solver.expected
     sigma = expected.sigma
     both = np.isfinite(truth.reading) & np.isfinite(expected.reading)
     off = np.where(both, np.where(both, truth.reading, 0.0) - np.where(both, expected.reading, 0.0), 0.0)
-    back_a, back_b = _back(truth, data), _back(expected, data)
-    asked = expected.p_alternative <= EDGE
-    asked &= truth.p_alternative <= EDGE
-    near: Bools = solver.jacobian.valid & (same | (np.abs(off) <= FAR * sigma)) & data.returned
-    weight = np.where(near & asked, back_a / sigma**2, 0.0)
-    spread = 0.5 * (noisier - 1 - np.log(noisier))
-    at_once = np.minimum(np.where(near, 0.0, 0.5 * (off / sigma) ** 2) + spread, CAP)
-    returns = back_a * np.log(back_a / back_b) + (1 - back_a) * np.log((1 - back_a) / (1 - back_b))
-    sure = np.where(asked, returns + back_a * back_b * at_once, 0.0)
-    return weight, sure
+    p, q = _return_probability(truth, data), _return_probability(expected, data)
+    counts = expected.p_alternative <= settings.max_p_alternative
+    counts &= truth.p_alternative <= settings.max_p_alternative
+    near = same_wall | (np.abs(off) <= settings.linear_sigmas * sigma)
+    small: Bools = solver.jacobian.valid & near & data.returned
+    weight = np.where(small & counts, p / sigma**2, 0.0)
+    of_variance = 0.5 * (variance_ratio - 1 - np.log(variance_ratio))
+    of_difference = np.where(small, 0.0, 0.5 * (off / sigma) ** 2)
+    per_return = np.minimum(of_difference + of_variance, settings.max_nats_per_ray)
+    of_returning = p * np.log(p / q) + (1 - p) * np.log((1 - p) / (1 - q))
+    return weight, np.where(counts, of_returning + p * q * per_return, 0.0)
 
 
-def _back(expected: ExpectedReadings, data: ScanData) -> Floats:
-    """Return the chance of a return, never quite 0 or 1."""
+def _return_probability(expected: ExpectedReadings, data: ScanData) -> Floats:
+    """Return the chance of a return (n_scans, n_rays), never quite 0 or 1."""
+    p_lost = NEXT_RUN.forecast.p_lost
     aimed = np.isfinite(expected.reading)
     margin = data.sensor.range_max - np.where(aimed, expected.reading, 1e9)
     chance = expected.p_return * ndtr(margin / expected.sigma)
-    return np.clip(np.where(aimed, chance, 0.0), LOSS, 1 - LOSS)
+    return np.clip(np.where(aimed, chance, 0.0), p_lost, 1 - p_lost)
 
 
-def _part(solver: Solver, walls: Floats, rows: slice) -> Solver:
+def _solver_of(solver: Solver, walls: Floats, rows: slice) -> Solver:
     """Return the solver of some scans."""
     n = solver.shape[0]
 

@@ -1,0 +1,217 @@
+"""Motions become one closed-form curve, with the ways between them; and random driving, to compare with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse.csgraph import shortest_path
+
+from planners.arena import wrap
+from planners.curve import Curve, CurveBuilder
+from planners.errors import PlanError
+from planners.joins.paths import connect
+from sensorgraph.diagnosis.next_run.candidate_motions import CandidateMotion, DrivableSpace, MotionKind
+from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
+from sensorgraph.types import Floats
+
+Drive = tuple[Curve, list[CandidateMotion]]
+"""A curve, and the motions in it."""
+
+
+def build_drives(
+    space: DrivableSpace,
+    motions: Sequence[CandidateMotion],
+    allocations: Sequence[Floats],
+    duration: float,
+    start: Floats | None,
+    seed: int,
+) -> list[Drive]:
+    """Build drives of the motions with most time, in versions that differ in how many motions and rounds they have.
+
+    Parameters
+    ----------
+    allocations : each (n_motions,) [s], one way of dividing the time among the motions
+    duration : [s] of a drive
+    start : (3,) [m, m, rad] where the robot stands; None: at the first motion
+
+    Raises
+    ------
+    PlanError : no motion can be reached from the start
+    """
+    settings = NEXT_RUN.drives
+    out: list[Drive] = []
+    seen = set()
+    for time in allocations:
+        order = np.argsort(-time)
+        order = order[time[order] > settings.min_time_share * time.max()]
+        for count in settings.counts:
+            for rounds in settings.rounds:
+                some = order[:count]
+                version = (tuple(sorted(some.tolist())), rounds if len(some) > 1 else 1)
+                if version in seen:
+                    continue
+                seen.add(version)
+                builder = DriveBuilder(space, duration, start, seed)
+                used = builder.add([motions[k] for k in some], time[some] / time[some].sum(), rounds)
+                if used:
+                    out.append((builder.curve_builder.curve(), used))
+    if not out:
+        raise PlanError("no motion can be reached from the start; choose another start")
+    return out
+
+
+class DriveBuilder:
+    """Builds a drive of motions one after another, with the ways between them."""
+
+    def __init__(self, space: DrivableSpace, duration: float, start: Floats | None, seed: int) -> None:
+        self.space, self.duration, self.start, self.seed = space, duration, start, seed
+        self.limits = space.robot.limits
+        self.curve_builder = CurveBuilder(np.zeros(3), self.limits)
+
+    def add(self, motions: Sequence[CandidateMotion], share: Floats, rounds: int) -> list[CandidateMotion]:
+        """Add the motions by their shares (n,) of the time, as long as time is left; return those that were added."""
+        tour = _nearest_neighbour_tour([m.place for m in motions], self.start)
+        first = motions[tour[0]]
+        begin = np.array([*first.place, first.heading]) if self.start is None else self.start
+        self.curve_builder = CurveBuilder(begin, self.limits)
+        visits = [k for turn in range(rounds) for k in (tour if turn % 2 == 0 else tour[::-1])]
+        used: list[CandidateMotion] = []
+        shares_left = float(rounds)
+        for k in visits:
+            place = np.array(motions[k].place)
+            distance = float(np.hypot(*(place - self.curve_builder.pose[:2])))
+            arrival = self.curve_builder.clock + distance / self.limits.v
+            if used and arrival > self.duration - NEXT_RUN.drives.min_time_left:
+                break
+            if self._drive_to(place):
+                clock = self.curve_builder.clock
+                self._move(motions[k], clock + (self.duration - clock) * float(share[k]) / shares_left)
+                used += [] if motions[k] in used else [motions[k]]
+            shares_left -= float(share[k])
+        self.curve_builder.wait(NEXT_RUN.drives.end_pause)
+        return used
+
+    def _move(self, motion: CandidateMotion, until: float) -> None:
+        """Repeat a motion until a time [s], at least once."""
+        if motion.kind is MotionKind.SPIN:
+            self._spin(until)
+        elif motion.kind is MotionKind.SWEEP:
+            self._sweep(motion, until)
+        else:
+            self._shuttle(motion, until)
+
+    def _spin(self, until: float) -> None:
+        sign = 1.0
+        while True:
+            angle = min(2 * np.pi, self._reach(self.limits.omega, self.limits.alpha))
+            self.curve_builder.turn(sign * angle, "spin")
+            sign = -sign
+            if self.curve_builder.clock + np.pi / self.limits.omega > until:
+                return
+
+    def _sweep(self, motion: CandidateMotion, until: float) -> None:
+        builder, angle = self.curve_builder, NEXT_RUN.candidates.sweep_angle
+        builder.turn(float(wrap(motion.heading - angle - builder.pose[2])))
+        sign = 1.0
+        while True:
+            builder.turn(sign * 2 * angle, "sweep")
+            sign = -sign
+            if builder.clock + angle / self.limits.omega > until:
+                return
+
+    def _shuttle(self, motion: CandidateMotion, until: float) -> None:
+        builder = self.curve_builder
+        builder.turn(float(wrap(motion.heading - builder.pose[2])))
+        while True:
+            distance = min(motion.length, self._reach(self.limits.v, self.limits.a))
+            builder.move(distance, "pass")
+            if self.duration - builder.clock > NEXT_RUN.drives.min_time_left / 2:
+                builder.move(-min(distance, self._reach(self.limits.v, self.limits.a)), "pass")
+            if builder.clock + motion.length / self.limits.v > until:
+                return
+
+    def _reach(self, speed: float, acceleration: float) -> float:
+        """Return how far [m, rad] a motion may go in the time that is left; a little, if there is none."""
+        return max(
+            speed * (self.duration - self.curve_builder.clock - speed / acceleration),
+            0.2 * speed,  # [s] times speed
+        )
+
+    def _drive_to(self, place: Floats) -> bool:
+        """Drive to a place (2,) [m]; False if there is no way."""
+        builder = self.curve_builder
+        if np.hypot(*(place - builder.pose[:2])) < 1e-6:
+            return True
+        path = self._path(builder.pose[:2].copy(), place)
+        if path is None:
+            return False
+        for corner in path[1:]:
+            step = corner - builder.pose[:2]
+            distance = float(np.hypot(*step))
+            if distance > 1e-9:
+                builder.turn(float(wrap(np.arctan2(step[1], step[0]) - builder.pose[2])))
+                builder.move(distance)
+        return True
+
+    def _path(self, here: Floats, there: Floats) -> Floats | None:
+        """Return the shortest path (n, 2) over places that see each other; by OMPL if there is none."""
+        space, settings = self.space, NEXT_RUN.drives
+        if space.are_clear(here[None], there[None])[0]:
+            return np.array([here, there])
+        via = space.spread_places(settings.n_via_places, np.random.default_rng(self.seed))
+        points = np.concatenate([here[None], there[None], via])
+        i, j = np.triu_indices(len(points), 1)
+        cost = np.hypot(*(points[j] - points[i]).T) + settings.corner_cost
+        graph = np.zeros((len(points), len(points)))
+        free = space.are_clear(points[i], points[j])
+        graph[i[free], j[free]] = cost[free]
+        total, before = shortest_path(graph, directed=False, indices=0, return_predecessors=True)
+        if np.isfinite(total[1]):
+            route = [1]
+            while route[-1] != 0:
+                route.append(int(before[route[-1]]))
+            return points[route[::-1]]
+        paths, _ = connect(
+            here[None], there[None], reach=space.reach, barriers=space.barriers, seed=self.seed
+        )
+        return paths[0]
+
+
+def _nearest_neighbour_tour(places: Sequence[tuple[float, float]], start: Floats | None) -> list[int]:
+    """Order places by going to the nearest one next."""
+    here = np.array(places[0] if start is None else start[:2])
+    left, out = list(range(len(places))), []
+    while left:
+        nearest = min(left, key=lambda k, h=here: float(np.hypot(*(np.array(places[k]) - h))))  # type: ignore[misc]
+        out.append(nearest)
+        left.remove(nearest)
+        here = np.array(places[nearest])
+    return out
+
+
+def random_drive(space: DrivableSpace, rng: np.random.Generator, duration: float) -> Curve:
+    """Drive between random places at random speeds for `duration` [s], with a spin or a pause now and then."""
+    settings, limits, nodes = NEXT_RUN.random, space.robot.limits, space.nodes
+    builder = CurveBuilder(np.array([*nodes[rng.integers(len(nodes))], rng.uniform(-np.pi, np.pi)]), limits)
+    while builder.clock < duration:
+        pace = float(rng.uniform(*settings.pace))
+        builder.limits = replace(limits, v=pace * limits.v)
+        builder.spin = pace * limits.omega
+        chance = rng.random()
+        if chance < settings.p_spin:
+            builder.turn(float(rng.choice([-1.0, 1.0]) * rng.uniform(*settings.spin)), "spin")
+        elif chance < settings.p_spin + settings.p_pause:
+            builder.wait(float(rng.uniform(*settings.pause)))
+        else:
+            places = nodes[rng.integers(len(nodes), size=settings.n_places)]
+            here = np.repeat(builder.pose[None, :2], settings.n_places, axis=0)
+            straight = np.flatnonzero(space.are_clear(here, places))
+            if len(straight):
+                step = places[straight[0]] - builder.pose[:2]
+                builder.turn(float(wrap(np.arctan2(step[1], step[0]) - builder.pose[2])))
+                builder.move(float(np.hypot(*step)))
+            else:
+                builder.turn(float(rng.uniform(-np.pi, np.pi)))
+    return builder.curve()
