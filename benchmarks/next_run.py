@@ -26,7 +26,7 @@ from sensorgraph.diagnosis.next_run.design import next_run
 from sensorgraph.diagnosis.next_run.drives import random_drive
 from sensorgraph.diagnosis.next_run.questions import between
 from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
-from sensorgraph.diagnosis.scan.fit import ROUGH, Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS, Amendment
@@ -93,9 +93,7 @@ def fitted(data: ScanData, effect: Amendment) -> Fitted:
     noise_bounds = NoiseBounds()
     best = fit(data, (effect,), start_state(data, noise_bounds), noise_bounds, outer=4, inner=4)
     for scale in (4.0, 1.0):
-        for name, step in ROUGH.get(effect.name, {}).items():
-            if name not in effect.parameters:
-                continue
+        for name, step in effect.search_steps.items():
             for sign in (1.0, -1.0):
                 value = best.model[0][name] + sign * scale * step
                 moved = best.model[0].moved_to({name: value})

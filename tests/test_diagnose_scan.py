@@ -12,19 +12,20 @@ from logs.run import Run
 from planners.arena import Arena, wrap
 from planners.types import Floats
 from sensorgraph.diagnosis.diagnose import diagnose, is_material
-from sensorgraph.diagnosis.scan.fit import SMOOTH, Fitted, cast, fit, solver_for, start_state
+from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.gauss_newton import boxed
 from sensorgraph.diagnosis.scan.goodness_of_fit import check, dispersion, replicate
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings, plain_e_step
 from sensorgraph.diagnosis.scan.map_alignment import placement
-from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, BeamNoise, pose_prior
+from sensorgraph.diagnosis.scan.nuisance import BOX, BeamNoise, pose_prior
 from sensorgraph.diagnosis.scan.residuals import View, best_run
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
 from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.world.robot import default_robot, parse_robot
 from sensorgraph.world.scene import Scene, draw
@@ -107,27 +108,27 @@ def test_columns_by_the_pose_are_difference_quotients(quiet: ScanData, axis: int
 @pytest.mark.parametrize(
     ("name", "values", "column"),
     [
-        ("mount_xy", {"dx": 1e-6, "dy": 0.0}, "mount_x"),
-        ("mount_xy", {"dx": 0.0, "dy": 1e-6}, "mount_y"),
-        ("mount_yaw", {"delta": 1e-6}, "mount_yaw"),
-        ("range_bias", {"b": 1e-6}, "bias"),
-        ("range_scale", {"s": 1e-6}, "scale"),
-        ("range_drift", {"b1": 1e-6}, "drift"),
-        ("latency", {"tau": 1e-6}, "latency"),
-        ("scan_skew", {"T": 1e-6}, "skew"),
+        ("mount_xy", {"dx": 1e-6, "dy": 0.0}, Nuisance.MOUNT_X),
+        ("mount_xy", {"dx": 0.0, "dy": 1e-6}, Nuisance.MOUNT_Y),
+        ("mount_yaw", {"delta": 1e-6}, Nuisance.MOUNT_YAW),
+        ("range_bias", {"b": 1e-6}, Nuisance.BIAS),
+        ("range_scale", {"s": 1e-6}, Nuisance.SCALE),
+        ("range_drift", {"b1": 1e-6}, Nuisance.DRIFT),
+        ("latency", {"tau": 1e-6}, Nuisance.DELAY),
+        ("scan_skew", {"T": 1e-6}, Nuisance.SKEW),
     ],
 )
 def test_a_nuisance_does_what_its_effect_does(
-    quiet: ScanData, name: str, values: dict[str, float], column: str
+    quiet: ScanData, name: str, values: dict[str, float], column: Nuisance
 ) -> None:
     at = cast(quiet, ())
     moved = cast(quiet, (EFFECTS[name](**values),))
     same = at.jacobian.valid & (moved.beams.wall == at.beams.wall)
     quotient = (moved.expected.reading - at.expected.reading)[same] / 1e-6
-    got = at.jacobian.dense[:, DENSE.index(column)][same]
+    got = at.jacobian.dense[:, column][same]
     if column in (
-        "latency",
-        "skew",
+        Nuisance.DELAY,
+        Nuisance.SKEW,
     ):  # the velocity is smoothed over 0.4 s, the quotient has the reference's noise
         assert 0.85 < (got @ quotient) / (got @ got) < 1.15
     else:
@@ -300,10 +301,12 @@ def test_a_fit_recovers_what_was_planted(
     planted = EFFECTS[name](**values)
     planted = planted.at(place) if place else planted
     data = evidence_of(hall, (planted,))
-    start = planted.moved_to({k: 0.8 * v for k, v in values.items() if k in SMOOTH[name] and k not in "xy"})
+    start = planted.moved_to(
+        {k: 0.8 * v for k, v in values.items() if k in planted.effect.steps and k not in "xy"}
+    )
     got = fit(data, (start,), start_state(data, NoiseBounds()), NoiseBounds(), outer=6, inner=4)
     sd = np.sqrt(np.diag(got.solution.covariance))
-    for k, (parameter, deviation) in enumerate(zip(SMOOTH[name], sd, strict=True)):
+    for k, (parameter, deviation) in enumerate(zip(planted.effect.steps, sd, strict=True)):
         assert abs(got.model[0][parameter] - values[parameter]) < 4 * deviation + 1e-4, (k, parameter)
 
 

@@ -24,7 +24,6 @@ from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check
 from sensorgraph.diagnosis.scan.likelihood import e_step
 from sensorgraph.diagnosis.scan.model_selection import THRESHOLD, is_rough, price, searched, shortlist
-from sensorgraph.diagnosis.scan.nuisance import OWN
 from sensorgraph.diagnosis.scan.propose import lattice
 from sensorgraph.diagnosis.scan.residuals import View
 from sensorgraph.diagnosis.scan.scan_data import LEAST_SCANS, ScanData, prepare_scans
@@ -133,7 +132,7 @@ class Commissioned:
         for s in seen:
             size = float(np.sqrt(n_readings / s.n_readings))
             for name, gain in s.gains.items():
-                if not (name in usual and name in OWN):
+                if not (name in usual and EFFECTS[name].nuisances):
                     gained.setdefault(name, []).append(gain if is_local(name) else gain * size)
         return {name: max(values) * self._times(name, np.array(values)) for name, values in gained.items()}
 

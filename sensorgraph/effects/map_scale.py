@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from planners.arena import Arena
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import CornerShift
 from sensorgraph.effects.shared import STRETCHED
+from sensorgraph.types import Floats, Ints
 from sensorgraph.world.scene import Scene
 
 
@@ -15,6 +18,15 @@ def transform(scene: Scene, a: Amendment) -> None:
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
     shift = [a.parameters.get("dx", 0.0), a.parameters.get("dy", 0.0)]
     scene.walls = scene.walls + a["s"] * (scene.walls - middle) + shift
+
+
+def corner_shifts(arena: Arena, walls: Floats, ends: Ints) -> list[CornerShift]:
+    """Stretch all corners about the middle of the arena, and shift them along x and y of the map."""
+    x0, y0, x1, y1 = arena.bounds
+    shift = np.zeros((int(ends.max()) + 1, 2, 3))
+    shift[ends, :, 0] = arena.walls - [(x0 + x1) / 2, (y0 + y1) / 2]
+    shift[:, 0, 1] = shift[:, 1, 2] = 1.0
+    return [CornerShift(shift=shift)]
 
 
 MAP_SCALE = Effect(
@@ -33,5 +45,5 @@ MAP_SCALE = Effect(
         Parameter(name="dy", unit="m", doc="shift of the middle of the arena", neutral=0.0, step=1e-4),
     ),
     transform=transform,
-    diagnostics=Diagnostics(telltale=STRETCHED),
+    diagnostics=Diagnostics(corner_shifts=corner_shifts, telltale=STRETCHED),
 )

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from planners.arena import Arena
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter, Telltale
+from sensorgraph.effects.interfaces import CornerShift
 from sensorgraph.effects.places import outward, walls_of
+from sensorgraph.types import Floats, Ints
 from sensorgraph.world.scene import Scene
 
 SAME = 1e-6  # [m] ends nearer than this are one corner
@@ -17,6 +20,19 @@ def transform(scene: Scene, a: Amendment) -> None:
     shift = a["d"] * outward(scene.arena, index)
     for end in scene.walls[index].copy():
         scene.walls[(np.abs(scene.walls - end) < SAME).all(axis=2)] += shift
+
+
+def corner_shifts(arena: Arena, walls: Floats, ends: Ints) -> list[CornerShift]:
+    """Shift the two corners of each outer wall along its normal."""
+    out = []
+    outline = arena.names[0].split("/")[0]
+    for index, name in enumerate(arena.names):
+        if name.split("/")[0] != outline:
+            continue
+        shift = np.zeros((int(ends.max()) + 1, 2, 1))
+        shift[ends[index], :, 0] = outward(arena, index)
+        out.append(CornerShift(shift=shift, place=name, xy=arena.walls[index].mean(axis=0)))
+    return out
 
 
 MOVED_WALL = Effect(
@@ -44,6 +60,7 @@ MOVED_WALL = Effect(
     transform=transform,
     place="wall",
     diagnostics=Diagnostics(
+        corner_shifts=corner_shifts,
         telltale=Telltale(least=3, statement="several walls seem moved: the error may not be the map's"),
         tolerance="map",
     ),

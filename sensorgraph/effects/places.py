@@ -29,6 +29,13 @@ def named_walls(arena: Arena, name: str) -> Ints:
     return np.array(found, dtype=np.intp)
 
 
+def obstacles(arena: Arena) -> list[str]:
+    """Return the names of the arena's features, the outline left out."""
+    outline = arena.names[0].rsplit("/", 1)[0]
+    features = dict.fromkeys(name.rsplit("/", 1)[0] for name in arena.names)
+    return [name for name in features if name != outline]
+
+
 def walls_of(scene: Scene, name: str) -> Ints:
     """Return the indices of the walls with this name in a scene."""
     return named_walls(scene.arena, name)

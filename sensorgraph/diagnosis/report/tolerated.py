@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from sensorgraph.diagnosis.diagnose import Finding
-from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, widths
-from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.effects.effect import size_ratio
+from sensorgraph.diagnosis.scan.nuisance import BOX, widths
+from sensorgraph.effects import EFFECTS, Amendment, Effect
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.robot import Tolerances
 
 WIDE = 2.0
@@ -34,36 +33,41 @@ def tolerated(finding: Finding) -> list[Tolerated]:
     """List what the tolerances of this run are too wide to show."""
     tolerances = finding.data.tolerances
     present = {a.name for a in finding.effects}
-    here = _here(finding)
     out = []
-    for key, most in _reach(tolerances):
-        if most.name in present or most.ratio <= WIDE:
+    for effect in _tolerated_effects():
+        most = _largest(effect, tolerances)
+        if effect.name in present or most.ratio <= WIDE:
             continue
-        taken = here.get(most.name)
-        is_material = taken is not None and size_ratio(taken.effect, taken.parameters) >= 1.0
-        out.append(Tolerated(tolerance=key, most=most, taken=taken if is_material else None))
+        taken = _taken(effect, finding)
+        is_material = taken is not None and taken.ratio >= 1.0
+        out.append(
+            Tolerated(tolerance=effect.diagnostics.tolerance, most=most, taken=taken if is_material else None)
+        )
     return out
 
 
-def _reach(tolerances: Tolerances) -> Iterator[tuple[str, Amendment]]:
-    """Yield robot.yaml's keys and the largest effect that each box takes."""
-    own = dict(zip(DENSE, BOX * widths(tolerances), strict=True))
-    yield "map", EFFECTS["moved_wall"](d=BOX * tolerances.map)
-    yield "mount_xy", EFFECTS["mount_xy"](dx=own["mount_x"], dy=0.0)
-    yield "mount_yaw", EFFECTS["mount_yaw"](delta=own["mount_yaw"])
-    yield "stamp", EFFECTS["latency"](tau=own["latency"])
+def _tolerated_effects() -> list[Effect]:
+    """Return the effects that a tolerance takes along, in the order of robot.yaml's keys."""
+    keys = [f.name for f in fields(Tolerances)]
+    own = [effect for effect in EFFECTS.values() if effect.diagnostics.tolerance]
+    return sorted(own, key=lambda effect: keys.index(effect.diagnostics.tolerance))
 
 
-def _here(finding: Finding) -> dict[str, Amendment]:
-    """Return what the tolerances took in this run, by the effect it would have been."""
+def _largest(effect: Effect, tolerances: Tolerances) -> Amendment:
+    """Return the largest size of an effect that a tolerance takes along, along its first parameter."""
+    first, *others = effect.steps
+    if effect.nuisances:
+        bound = BOX * widths(tolerances)[effect.nuisances[0]]
+    else:
+        bound = BOX * getattr(tolerances, effect.diagnostics.tolerance)
+    return effect(**{first: float(bound)}, **dict.fromkeys(others, 0.0))
+
+
+def _taken(effect: Effect, finding: Finding) -> Amendment | None:
+    """Return what a tolerance took in this run, as the effect it would have been."""
     if finding.explained is None:
-        return {}
+        return None
     g = finding.explained.final.state.g
-    own = dict(zip(DENSE, g, strict=False))
-    corners = g[len(DENSE) :]
-    return {
-        "moved_wall": EFFECTS["moved_wall"](d=float(np.abs(corners).max(initial=0.0))),
-        "mount_xy": EFFECTS["mount_xy"](dx=float(own["mount_x"]), dy=float(own["mount_y"])),
-        "mount_yaw": EFFECTS["mount_yaw"](delta=float(own["mount_yaw"])),
-        "latency": EFFECTS["latency"](tau=float(own["latency"])),
-    }
+    corners = g[len(Nuisance) :]
+    values = g[list(effect.nuisances)] if effect.nuisances else [np.abs(corners).max(initial=0.0)]
+    return effect(**dict(zip(effect.steps, map(float, values), strict=True)))

@@ -23,52 +23,13 @@ from sensorgraph.diagnosis.scan.likelihood import (
     expected_readings,
     find_edges,
 )
-from sensorgraph.diagnosis.scan.nuisance import DENSE, OWN, Corners, Jacobian, linearise
+from sensorgraph.diagnosis.scan.nuisance import Corners, Jacobian, linearise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.scene import Beams, Scene
-
-SMOOTH: dict[str, dict[str, float]] = {  # effect -> parameter -> step of the difference quotient
-    "range_bias": {"b": 1e-3},
-    "range_scale": {"s": 1e-3},
-    "sector_bias": {"b": 1e-3},
-    "mount_yaw": {"delta": 1e-4},
-    "mount_xy": {"dx": 1e-4, "dy": 1e-4},
-    "latency": {"tau": 1e-4},
-    "scan_skew": {"T": 1e-4},
-    "moved_wall": {"d": 1e-4},
-    "moved_obstacle": {"dx": 1e-4, "dy": 1e-4},
-    "map_scale": {"s": 1e-5, "dx": 1e-4, "dy": 1e-4},
-    "range_drift": {"b1": 1e-3},
-    "unmapped_obstacle": {"x": 1e-4, "y": 1e-4, "r": 1e-4},
-    "tilt": {"beta": 1e-5, "theta0": 1e-5},
-    "self_occlusion": {"r0": 1e-4},
-    "glass": {"depth": 1e-4},
-}
-ROUGH: dict[str, dict[str, float]] = {  # effect -> parameter -> first step of the search
-    "range_noise": {"k": 0.002},
-    "mixed_pixels": {"gamma": 0.003},
-    "glass": {"a": 0.01, "b": 0.01, "alpha_ret": 0.01},
-    "mirror": {"a": 0.01, "b": 0.01},
-    "black_surface": {"a": 0.01, "b": 0.01, "r0": 0.05},
-    "incidence_dropout": {"alpha_max": 0.01},
-    "max_range": {"R": 0.02},
-    "min_range": {"r_min": 0.01},
-    "people": {"p": 0.005},
-    "range_drift": {"tau": 3.0},
-    "sonar_cone": {"gamma": 0.02, "alpha_max": 0.05},
-    "tilt": {"beta": 0.003, "theta0": 0.05},
-    "random_outliers": {"p": 0.002},
-}
-
-
-def smooth_parameters(amendment: Amendment) -> dict[str, float]:
-    """Return the parameters that are fitted by Gauss-Newton, with the steps of their difference quotients."""
-    if amendment.name == "glass" and amendment["depth"] <= 0:
-        return {}
-    return SMOOTH.get(amendment.name, {})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,7 +72,7 @@ def cast(data: ScanData, model: Sequence[Amendment]) -> Cast:
     scene = data.scene()
     beams = scene.run((*data.known, *model))
     jacobian = linearise(data, beams, scene.walls, scene.mount, _bent(data, model, beams))
-    edges = None if any(a.name == "sonar_cone" for a in model) else _edges(data, scene)
+    edges = None if any(a.effect.diagnostics.wide_beam for a in model) else _edges(data, scene)
     expected = expected_readings(beams, jacobian.steep, edges, scene.outliers, scene.shorts, scene.lattice)
     return Cast(scene=scene, beams=beams, jacobian=jacobian, expected=expected, edges=edges)
 
@@ -119,9 +80,6 @@ def cast(data: ScanData, model: Sequence[Amendment]) -> Cast:
 FINE = 0.02  # relative step at which the search for a share or a width ends
 MOST_PEAKED = 9  # casts of it
 NOISE_ROUNDS = 3  # of the noise, where it is estimated again at a step of a rough parameter
-STIFF = {"beta": 5e3, "theta0": 5e3, "delta": 300.0, "tau": 300.0, "T": 300.0, "s": 300.0}
-"""By parameter: a larger quotient is a jump to another surface."""
-STIFF_ELSE = 25.0
 NUDGE = (5e-4, 5e-4, 3e-4)  # [m, m, rad] of the difference quotients by the pose
 RIGID = 60.0  # [1, 1, m/rad] a larger quotient is a jump to another surface
 
@@ -187,7 +145,7 @@ def bare_cast(scene: Scene) -> Beams:
 def start_state(data: ScanData, noise_bounds: NoiseBounds) -> State:
     """Return nuisances at zero."""
     corners = corners_of(data)
-    state = State(g=np.zeros(len(DENSE) + 2 * corners.count), delta=np.zeros((data.n_scans, 3)))
+    state = State(g=np.zeros(len(Nuisance) + 2 * corners.count), delta=np.zeros((data.n_scans, 3)))
     state.pose_scale = noise_bounds.min_pose_scale
     noise = state.noise
     noise.core = float(np.clip(noise.core, *noise_bounds.core))
@@ -207,12 +165,11 @@ def corners_of(data: ScanData) -> Corners:
 
 def locked(data: ScanData, model: Sequence[Amendment], corners: Corners) -> Bools:
     """Return which nuisances are held at 0: the copies of effects in the model, and the mount of a bare laser."""
-    out = np.zeros(len(DENSE) + 2 * corners.count, dtype=np.bool_)
-    names = [name for a in model for name in OWN.get(a.name, ())]
+    out = np.zeros(len(Nuisance) + 2 * corners.count, dtype=np.bool_)
+    held = [nuisance for a in model for nuisance in a.effect.nuisances]
     if data.laser_frame:
-        names += ["mount_x", "mount_y", "mount_yaw"]
-    for name in names:
-        out[DENSE.index(name)] = True
+        held += [Nuisance.MOUNT_X, Nuisance.MOUNT_Y, Nuisance.MOUNT_YAW]
+    out[held] = True
     return out
 
 
@@ -222,7 +179,7 @@ def solver_for(data: ScanData, model: Sequence[Amendment], at: Cast | None = Non
     corners = corners_of(data)
     quotients = []
     for index, amendment in enumerate(model):
-        for name, step in smooth_parameters(amendment).items():
+        for name, step in amendment.steps.items():
             moved = [*model]
             moved[index] = amendment.moved_to({name: amendment.parameters.get(name, 0.0) + step})
             scene = data.scene()
@@ -233,7 +190,7 @@ def solver_for(data: ScanData, model: Sequence[Amendment], at: Cast | None = Non
                 (beams.wall == at.beams.wall)
                 & at.jacobian.valid
                 & np.isfinite(slope)
-                & (np.abs(slope) < STIFF.get(name, STIFF_ELSE))
+                & (np.abs(slope) < amendment.effect.parameter(name).jump)
             )
             quotients.append(np.where(same, slope, 0.0))
     shape = at.expected.reading.shape
@@ -247,10 +204,10 @@ def with_increments(model: Sequence[Amendment], p: Floats) -> tuple[Amendment, .
     """Add increments to the smooth parameters."""
     out, k = [], 0
     for amendment in model:
-        names = list(smooth_parameters(amendment))
+        names = list(amendment.steps)
         values = {}
         for name in names:
-            spec = next(q for q in amendment.effect.parameters if q.name == name)
+            spec = amendment.effect.parameter(name)
             values[name] = float(np.clip(amendment.parameters.get(name, 0.0) + p[k], spec.low, spec.high))
             k += 1
         out.append(amendment.moved_to(values) if values else amendment)
@@ -333,7 +290,7 @@ def log_likelihood(
 
 def strays_taken(model: Sequence[Amendment], noise_bounds: NoiseBounds) -> NoiseBounds:
     """Leave no strays to the noise where random_outliers is in the model: its share is all of them."""
-    if not any(a.name == "random_outliers" for a in model):
+    if not any(a.effect.diagnostics.explains == "strays" for a in model):
         return noise_bounds
     low = noise_bounds.stray[0]
     return replace(noise_bounds, stray=(low, low))
@@ -360,7 +317,7 @@ def polish(
     first : scale of the first steps
     """
     amendment = model[index]
-    steps = {k: first * v for k, v in ROUGH.get(amendment.name, {}).items() if k in amendment.parameters}
+    steps = {k: first * step for k, step in amendment.search_steps.items()}
     if not steps:
         return model
     if amendment.effect.absorber:
@@ -382,7 +339,7 @@ def polish(
                     break
             else:
                 steps[name] *= 0.4
-        if not moved and all(s < 0.2 * ROUGH[amendment.name][k] for k, s in steps.items()):
+        if not moved and all(s < 0.2 * amendment.search_steps[k] for k, s in steps.items()):
             break
     return tuple(current)
 
@@ -397,7 +354,7 @@ def _peaked(
     factor: float,
 ) -> tuple[Amendment, ...]:
     """Move the one rough parameter of an effect to its most likely value, at most `factor` times up or down."""
-    (name,) = ROUGH[model[index].name]
+    (name,) = model[index].search_steps
     start = model[index][name]
 
     def at(u: float) -> tuple[Amendment, ...]:

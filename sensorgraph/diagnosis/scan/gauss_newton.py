@@ -15,7 +15,6 @@ from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, e_step
 from sensorgraph.diagnosis.scan.nuisance import (
     BOX,
-    DENSE,
     TAIL,
     BeamNoise,
     Corners,
@@ -26,6 +25,7 @@ from sensorgraph.diagnosis.scan.nuisance import (
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.wall_sums import wall_sums
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
 
 MOST_CORNERS = 400  # a map with more is taken as it is
@@ -37,7 +37,7 @@ class State:
     """Where nuisances stand."""
 
     g: Floats
-    """(8 + 2 n_corners,) DENSE, then x and y of each corner."""
+    """(8 + 2 n_corners,) every Nuisance, then x and y of each corner."""
     delta: Floats
     """(n_scans, 3) [m, m, rad] pose errors."""
     noise: BeamNoise = field(default_factory=BeamNoise)
@@ -53,7 +53,7 @@ class State:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class System:
-    """The normal equations with the poses eliminated: unknowns are DENSE, corners, effects."""
+    """The normal equations with the poses eliminated: unknowns are nuisances, corners, effects."""
 
     matrix: Floats
     """(k, k)"""
@@ -119,9 +119,9 @@ class Solver:
     def shift(self, state: State, p: Floats) -> Floats:
         """Return what nuisances, poses and effect increments add to the readings, (n_scans, n_rays)."""
         out = np.matmul(state.delta[:, None, :], self.jacobian.pose)[:, 0]
-        out += np.matmul(np.concatenate([state.g[: len(DENSE)], p]), self.stack)
+        out += np.matmul(np.concatenate([state.g[: len(Nuisance)], p]), self.stack)
         if self.map is not None:
-            ends = (self.map @ state.g[len(DENSE) :]).reshape(2, self.n_walls)
+            ends = (self.map @ state.g[len(Nuisance) :]).reshape(2, self.n_walls)
             out += self.ends[0] * ends[0][self.jacobian.wall] + self.ends[1] * ends[1][self.jacobian.wall]
         return np.asarray(out)
 
@@ -158,10 +158,10 @@ class Solver:
         )
 
     def _with_corners(self, w: Floats, c: Floats, g: Floats, r: Floats) -> tuple[Floats, Floats, Floats]:
-        """Insert the corners between DENSE and the effects."""
+        """Insert the corners between the nuisances and the effects."""
         assert self.map is not None
         n_scans, _ = self.shape
-        k, n_walls = len(DENSE), self.n_walls
+        k, n_walls = len(Nuisance), self.n_walls
         cl, gl, rl, square = wall_sums(
             w, self.jacobian.pose, self.stack, self.ends, self.jacobian.wall, self.y, n_walls
         )
@@ -191,8 +191,8 @@ class Solver:
     def scaled(self, state: State) -> Floats:
         """Return the prior widths, widened where tolerances are too tight."""
         tau = self.tau.copy()
-        tau[len(DENSE) :] *= state.map_scale
-        tau[: len(DENSE)] *= max(1.0, np.sqrt(state.map_scale * state.pose_scale))
+        tau[len(Nuisance) :] *= state.map_scale
+        tau[: len(Nuisance)] *= max(1.0, np.sqrt(state.map_scale * state.pose_scale))
         return tau
 
     def poses_at(self, system: System, x: Floats) -> Floats:
@@ -332,7 +332,7 @@ def _scales(solver: Solver, system: System, state: State, noise_bounds: NoiseBou
     q = np.einsum("ni,nij,nj->n", state.delta, np.linalg.inv(spread), state.delta)
     pose = state.pose_scale * float(np.sqrt(np.median(q) / 2.366))
     n = solver.n_g
-    corners = np.arange(len(DENSE), n)
+    corners = np.arange(len(Nuisance), n)
     scale = state.map_scale
     if len(corners) >= 6:
         tau = solver.scaled(state)

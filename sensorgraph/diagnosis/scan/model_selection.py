@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import (
-    ROUGH,
     Fitted,
     bare_cast,
     fit,
@@ -32,19 +31,6 @@ logger = logging.getLogger(__name__)
 
 THRESHOLD = 12.0  # [nats] of evidence, beyond the price of the parameters
 PRICE = 4.0  # [nats] per parameter
-CRUDE: tuple[tuple[tuple[str, ...], tuple[str, ...], float], ...] = (
-    (("sonar_cone",), (), 0.06),
-    (("mixed_pixels",), (), 0.03),
-    (("mixed_pixels",), ("people", "random_outliers", "range_noise", "glass", "black_surface"), 0.15),
-    (
-        ("glass", "mirror", "black_surface", "incidence_dropout", "max_range", "tilt", "self_occlusion"),
-        ("glass", "mirror", "black_surface", "incidence_dropout", "people", "random_outliers"),
-        0.03,
-    ),
-)
-"""(Effects in the model, further candidates (none: all), share of the gain): less proves only that the model of the
-former is coarse at its rim."""
-PARTS = ("glass", "mirror", "black_surface")
 END = 2.0  # standard deviations of where a ray meets its wall
 MOST = 5  # effects in one model
 FEW = (
@@ -83,9 +69,10 @@ class Explained:
 def price(amendment: Amendment, data: ScanData) -> float:
     """Return what an effect must pay for its parameters and for the choice of its place [nats]."""
     places = {"wall": data.arena.n_walls, "obstacle": 6}.get(amendment.effect.place or "", 1)
-    unused = {("glass", "depth"), ("range_drift", "tau")}  # 0 says: no such plane, no such time
-    n = sum(1 for k, v in amendment.parameters.items() if v != 0.0 or (amendment.name, k) not in unused)
-    paid = PRICE * max(n, 1) + float(np.log(max(places, 1)))
+    counted = [
+        v != 0.0 or not amendment.effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items()
+    ]
+    paid = PRICE * max(sum(counted), 1) + float(np.log(max(places, 1)))
     return paid + data.floors.get(amendment.name, 0.0)
 
 
@@ -157,12 +144,8 @@ def _key(a: Amendment) -> str:
 
 def _least(model: Sequence[Amendment], candidate: Amendment, gained: float) -> float:
     """Return the gain [nats] below which a candidate only mends the rim of what the model has."""
-    names = {a.name for a in model}
-    shares = [
-        share
-        for inside, further, share in CRUDE
-        if names & set(inside) and (not further or candidate.name in further)
-    ]
+    known = [a.effect.diagnostics for a in model]
+    shares = [max(d.leftover_share, d.leftovers.get(candidate.name, 0.0)) for d in known]
     return max(shares, default=0.0) * gained
 
 
@@ -232,7 +215,7 @@ def _try(
 
 def is_rough(amendment: Amendment) -> bool:
     """Tell whether an effect has parameters that are searched, not solved for."""
-    return any(k in amendment.parameters for k in ROUGH.get(amendment.name, ()))
+    return bool(amendment.search_steps)
 
 
 def searched(
@@ -275,9 +258,10 @@ def shortlist(
                 continue
             if any(_same(c.amendment, o.amendment) for o in out) or seen.get(c.amendment.name, 0) >= 3:
                 continue
-            if c.amendment.name == "range_drift":  # it may also be a warm-up
-                warm = c.amendment.moved_to({"tau": 0.2 * data.span})
-                out.append(Candidate(amendment=warm, gain=c.gain))
+            second_start = c.amendment.effect.diagnostics.second_start
+            if second_start is not None:
+                other = c.amendment.moved_to(second_start(data.span))
+                out.append(Candidate(amendment=other, gain=c.gain))
             out.append(c)
             seen[c.amendment.name] = seen.get(c.amendment.name, 0) + 1
             taken += 1
@@ -293,7 +277,7 @@ def _same(a: Amendment, b: Amendment) -> bool:
         return False
     sizes = a.effect.sizes
     if not sizes:
-        return a.name not in ("unmapped_obstacle",)
+        return True
     apart = sum(((a[k] - b[k]) / m) ** 2 for k, m in sizes.items()) ** 0.5
     return bool(apart < 3.0) and a.effect.place not in ("spot", "sector")
 
@@ -324,12 +308,12 @@ def without_ends(data: ScanData, tried: list[tuple[Fitted, float]]) -> list[tupl
     """
     order = sorted(tried, key=lambda pair: -pair[1])
     best, gain = order[0]
-    if best.model[-1].name not in PARTS:
+    if not best.model[-1].effect.on_part_of_wall:
         return tried
     out = [order[0]]
     for got, nats in order[1:]:
         a = got.model[-1]
-        if a.name in PARTS and a.place == best.model[-1].place:
+        if a.effect.on_part_of_wall and a.place == best.model[-1].place:
             clear = ~(_near_ends(data, best) | _near_ends(data, got))
             nats = gain - float(
                 (best.solution.responsibilities.log_p - got.solution.responsibilities.log_p)[clear].sum()

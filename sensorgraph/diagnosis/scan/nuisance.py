@@ -11,27 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.effects import EFFECTS, Effect
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.robot import Tolerances
 from sensorgraph.world.scene import Beams
 
 BOX = 2.5
-DENSE = ("mount_x", "mount_y", "mount_yaw", "bias", "scale", "drift", "latency", "skew")
-OWN = {  # effect -> its tolerance-sized copy among the nuisances, locked at 0 when the effect is in the model
-    "mount_xy": ("mount_x", "mount_y"),
-    "mount_yaw": ("mount_yaw",),
-    "range_bias": ("bias",),
-    "range_scale": ("scale",),
-    "range_drift": ("drift",),
-    "latency": ("latency",),
-    "scan_skew": ("skew",),
-}
 STEEP = 0.12  # cosine of the incidence below which a ray tells little: 83 degrees
 TAIL = 3.0  # the tail's width over the core's
 
 
 def widths(tolerances: Tolerances) -> Floats:
-    """Return the prior standard deviations of DENSE, (8,) [m, m, rad, m, 1, m, s, s]."""
+    """Return the prior standard deviations of each Nuisance, (8,) [m, m, rad, m, 1, m, s, s]."""
     return np.array(
         [
             tolerances.mount_xy,
@@ -44,6 +36,12 @@ def widths(tolerances: Tolerances) -> Floats:
             0.7 * tolerances.stamp,
         ]
     )
+
+
+def effects_with_nuisances() -> list[Effect]:
+    """Return the effects whose parameters have a tolerance-sized copy among the nuisances, in their order."""
+    own = [effect for effect in EFFECTS.values() if effect.nuisances]
+    return sorted(own, key=lambda effect: effect.nuisances[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +68,7 @@ class Jacobian:
     pose: Floats
     """(n_scans, 3, n_rays) by x, y, phi of the scan's pose."""
     dense: Floats
-    """(n_scans, 8, n_rays) by DENSE."""
+    """(n_scans, 8, n_rays) by Nuisance."""
     ends: Floats
     """(2, n_scans, n_rays) by a shift of the first and second end of the wall along the ray's normal."""
     wall: Ints
@@ -129,7 +127,7 @@ def linearise(
     n_rays = beams.ranges.shape[1]
     carried = np.einsum("nkm,nk->nm", pose, data.twists)
     late = (data.stamps - data.begin) / data.span
-    dense = np.empty((len(phi), len(DENSE), n_rays))
+    dense = np.empty((len(phi), len(Nuisance), n_rays))
     dense[:, 0] = c * dx + s * dy
     dense[:, 1] = c * dy - s * dx
     dense[:, 2] = turn

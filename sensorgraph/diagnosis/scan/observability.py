@@ -17,12 +17,13 @@ import numpy as np
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
 from sensorgraph.diagnosis.scan.model_selection import THRESHOLD, price
-from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE
+from sensorgraph.diagnosis.scan.nuisance import BOX
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.score_test import START, hypotheses, obstacles
+from sensorgraph.diagnosis.scan.score_test import Hypothesis, hypotheses
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.effects.places import in_sector, named_walls
+from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.effects.places import in_sector, named_walls, obstacles
 from sensorgraph.types import Bools, Floats
 
 TIMES = 3.0  # materialities: an effect of this size should show
@@ -107,24 +108,24 @@ class _View:
         self.incidence = np.where(self.seen, np.nan_to_num(beams.incidence), 0.0)
         self.range = np.where(self.seen, self.reading, 0.0)
         self.n_seen = int(self.seen.sum())
-        self._projected: dict[frozenset[str], Floats] = {}
+        self._projected: dict[frozenset[Nuisance], Floats] = {}
 
     def need(self, amendment: Amendment) -> float:
         """Return the nats that the name takes."""
         return self.threshold + price(amendment, self.data)
 
     @cached_property
-    def hypotheses(self) -> list[tuple[Amendment, Floats, Sequence[str]]]:
+    def hypotheses(self) -> list[Hypothesis]:
         """Smooth effects as directions among the nuisances."""
         return hypotheses(self.data, self.fitted)
 
-    def locked(self, own: Sequence[str]) -> Bools:
+    def locked(self, own: Sequence[Nuisance]) -> Bools:
         """Return which nuisances are held when these copies are, (n_g,)."""
         held = self.solver.locked.copy()
-        held[[DENSE.index(name) for name in own]] = True
+        held[list(own)] = True
         return held
 
-    def projected(self, own: Sequence[str]) -> Floats:
+    def projected(self, own: Sequence[Nuisance]) -> Floats:
         """Return the information (n_g, n_g) that is left when the nuisances took their share, copies `own` held."""
         key = frozenset(own)
         if key not in self._projected:
@@ -140,7 +141,7 @@ class _View:
             self._projected[key] = matrix[: self.n, : self.n] - across.T @ np.linalg.solve(inner, across)
         return self._projected[key]
 
-    def nats(self, shift: Floats, free: Floats | None = None, own: Sequence[str] = ()) -> float:
+    def nats(self, shift: Floats, free: Floats | None = None, own: Sequence[Nuisance] = ()) -> float:
         """Return the evidence expected if the truth is off by `shift` (n_g,) and a model lacks it.
 
         Parameters
@@ -199,7 +200,7 @@ def _hidden_by_poses(data: ScanData, from_scans: bool) -> dict[str, str]:
 
 def _sizes(amendment: Amendment) -> Floats:
     """Return shifts (m, k) by TIMES the materiality; of a plane, in four directions."""
-    names = START[amendment.name]
+    names = amendment.effect.steps
     sizes = np.array([TIMES * amendment.effect.sizes.get(name, 0.0) for name in names])
     if amendment.name in ("mount_xy", "moved_obstacle"):
         angle = np.arange(4) * np.pi / 4
@@ -212,7 +213,8 @@ def _smooth(view: _View) -> dict[str, str]:
     out: dict[str, str] = {}
     blind: dict[str, list[str]] = {}
     partly: dict[str, list[str]] = {}
-    for amendment, directions, _ in view.hypotheses:
+    for hypothesis in view.hypotheses:
+        amendment, directions = hypothesis.amendment, hypothesis.directions
         need = view.need(amendment)
         nats = [view.nats(directions @ size) for size in _sizes(amendment)]
         if min(nats) >= need:
@@ -480,7 +482,7 @@ def _black(view: _View) -> str:
 def _missing_obstacle(view: _View) -> str:
     need = view.need(EFFECTS["missing_obstacle"]())
     blind = []
-    for name in obstacles(view.data):
+    for name in obstacles(view.data.arena):
         walls = named_walls(view.data.arena, name)
         if STRANGE * (np.isin(view.wall, walls) & view.seen).sum() < need:
             blind.append(name)
@@ -524,7 +526,8 @@ def _unmapped(view: _View) -> str:
 def _alike_smooth(view: _View) -> list[Alike]:
     """Compare what smooth effects do to the readings, once nuisances have taken their share."""
     rows = []
-    for amendment, directions, own in view.hypotheses:
+    for hypothesis in view.hypotheses:
+        amendment, directions, own = hypothesis.amendment, hypothesis.directions, hypothesis.nuisances
         shifts = [directions @ size for size in _sizes(amendment)]
         nats = [view.nats(shift) for shift in shifts]
         best = int(np.argmax(nats))
@@ -544,7 +547,7 @@ def _alike_smooth(view: _View) -> list[Alike]:
 
 
 def _compare(
-    view: _View, shift: Floats, others: Floats, own: Sequence[str], shown: bool
+    view: _View, shift: Floats, others: Floats, own: Sequence[Nuisance], shown: bool
 ) -> tuple[float, float] | None:
     """Return correlation and expected nats if an effect (its shift, whether it shows at all) could be another."""
     correlation, strength = _correlation(view, shift, others, own)
@@ -556,7 +559,7 @@ def _compare(
     return (correlation, nats) if correlation >= ALIKE or nats < view.threshold else None
 
 
-def _correlation(view: _View, x: Floats, others: Floats, own: Sequence[str]) -> tuple[float, float]:
+def _correlation(view: _View, x: Floats, others: Floats, own: Sequence[Nuisance]) -> tuple[float, float]:
     """Return how one column correlates with the span of others, nuisances projected out, and its own nats."""
     columns = np.column_stack([x, others])
     f = columns.T @ view.projected(own) @ columns

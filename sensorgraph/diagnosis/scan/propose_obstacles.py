@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.diagnosis.scan.residuals import FEW, LEAST_GAIN, View
-from sensorgraph.diagnosis.scan.score_test import Candidate, obstacles
+from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.effects import EFFECTS
-from sensorgraph.effects.places import named_walls
+from sensorgraph.effects.places import named_walls, obstacles
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.ray_intersection import nearest
 from sensorgraph.world.scene import each
@@ -26,7 +26,7 @@ def missing_or_moved(view: View) -> list[Candidate]:
     present = {(a.name, a.place) for a in view.fitted.model}
     walls = view.fitted.cast.scene.walls
     odd_end = view.ends(view.strange) if view.strange.sum() else np.zeros((0, 2))
-    for feature in obstacles(view.data):
+    for feature in obstacles(view.data.arena):
         if ("missing_obstacle", feature) in present or ("moved_obstacle", feature) in present:
             continue
         members = named_walls(view.data.arena, feature)
@@ -140,7 +140,7 @@ def nudged(view: View) -> list[Candidate]:
     ends, walls = view.ends(view.strange), view.fitted.cast.scene.walls
     present = {(a.name, a.place) for a in view.fitted.model}
     found = []
-    for feature in obstacles(view.data):
+    for feature in obstacles(view.data.arena):
         if ("missing_obstacle", feature) in present or ("moved_obstacle", feature) in present:
             continue
         members = named_walls(view.data.arena, feature)

@@ -7,18 +7,20 @@ gives the expected gain of each effect, with its own prior opened and the nuisan
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import Fitted, corners_of
 from sensorgraph.diagnosis.scan.gauss_newton import boxed
-from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, OWN
+from sensorgraph.diagnosis.scan.nuisance import BOX, effects_with_nuisances
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.effects.places import named_walls, outward
+from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
+
+MAP_PLACES = ("wall", "obstacle", None, "spot", "sector")
+"""Order in which effects of the map are tested: of equal ones, the first counts."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,6 +30,17 @@ class Candidate:
     amendment: Amendment
     gain: float
     """[nats] expected over the fit without it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hypothesis:
+    """An effect at zero that the columns of the nuisances span."""
+
+    amendment: Amendment
+    directions: Floats
+    """(n_g, k) change of the nuisances by each of the effect's smooth parameters."""
+    nuisances: tuple[Nuisance, ...] = ()
+    """Its tolerance-sized copies, held at 0 while it is tested."""
 
 
 def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) -> list[Candidate]:
@@ -51,15 +64,15 @@ def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) ->
     held = solver.locked
     reference, _ = _solved(system.matrix, system.right, tau, held, n)
     found = []
-    for amendment, directions, own in hypotheses(data, fitted):
+    for hypothesis in hypotheses(data, fitted):
+        amendment, directions = hypothesis.amendment, hypothesis.directions
         big = np.concatenate([np.eye(len(system.right)), _padded(directions, len(system.right))], axis=1)
         matrix, right = big.T @ system.matrix @ big, big.T @ system.right
         locked = held.copy()
-        for name in own:
-            locked[DENSE.index(name)] = True
+        locked[list(hypothesis.nuisances)] = True
         value, x = _solved(matrix, right, tau, locked, n)
         size = x[-directions.shape[1] :]
-        names = list(START[amendment.name])
+        names = amendment.effect.steps
         moved = amendment.moved_to(
             {k: amendment.parameters.get(k, 0.0) + float(v) for k, v in zip(names, size, strict=True)}
         )
@@ -67,82 +80,43 @@ def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) ->
     return sorted(found, key=lambda c: -c.gain)
 
 
-START: dict[str, tuple[str, ...]] = {
-    "range_bias": ("b",),
-    "range_scale": ("s",),
-    "range_drift": ("b1",),
-    "mount_yaw": ("delta",),
-    "mount_xy": ("dx", "dy"),
-    "latency": ("tau",),
-    "scan_skew": ("T",),
-    "moved_wall": ("d",),
-    "moved_obstacle": ("dx", "dy"),
-    "map_scale": ("s", "dx", "dy"),
-}
-
-
-def hypotheses(data: ScanData, fitted: Fitted) -> list[tuple[Amendment, Floats, Sequence[str]]]:
-    """List (effect at zero, its directions among the nuisances (n_g, k), its own copies)."""
+def hypotheses(data: ScanData, fitted: Fitted) -> list[Hypothesis]:
+    """List the smooth effects that the model lacks and that the nuisances' columns span."""
     n = fitted.solver.n_g
     present = {(a.name, a.place) for a in fitted.model}
-    out: list[tuple[Amendment, Floats, Sequence[str]]] = []
-    for name, copies in OWN.items():
-        held = [fitted.solver.locked[DENSE.index(copy)] for copy in copies]
-        if (name, "") in present or all(held):
+    out = []
+    for effect in effects_with_nuisances():
+        copies = effect.nuisances
+        if (effect.name, "") in present or fitted.solver.locked[list(copies)].all():
             continue
         directions = np.zeros((n, len(copies)))
-        for k, copy in enumerate(copies):
-            directions[DENSE.index(copy), k] = 1.0
-        out.append((EFFECTS[name](**dict.fromkeys(START[name], 0.0)), directions, copies))
+        directions[copies, np.arange(len(copies))] = 1.0
+        at_zero = effect(**dict.fromkeys(effect.steps, 0.0))
+        out.append(Hypothesis(amendment=at_zero, directions=directions, nuisances=copies))
     return [*out, *_of_the_map(data, fitted, present)]
 
 
-def _of_the_map(
-    data: ScanData, fitted: Fitted, present: set[tuple[str, str]]
-) -> list[tuple[Amendment, Floats, Sequence[str]]]:
-    """List moved walls, moved obstacles and the scaled map, as shifts of the corners."""
-    corners, n = corners_of(data), fitted.solver.n_g
-    out: list[tuple[Amendment, Floats, Sequence[str]]] = []
+def _of_the_map(data: ScanData, fitted: Fitted, present: set[tuple[str, str]]) -> list[Hypothesis]:
+    """List effects of the map's geometry, as shifts of its corners: walls first, then obstacles, then the whole map."""
+    corners = corners_of(data)
     if corners.count == 0:
-        return out
-    arena = data.arena
-    walls = fitted.cast.scene.walls
-    for index, name in enumerate(arena.names):
-        if name.split("/")[0] != arena.names[0].split("/")[0] or ("moved_wall", name) in present:
+        return []
+    changed = {a.place for a in fitted.model if a.effect.place == "obstacle"}
+    out = []
+    for effect in sorted(EFFECTS.values(), key=lambda e: MAP_PLACES.index(e.place)):
+        if effect.diagnostics.corner_shifts is None:
             continue
-        normal = outward(arena, index)
-        directions = np.zeros((n, 1))
-        for corner in set(corners.ends[index]):
-            directions[len(DENSE) + 2 * corner : len(DENSE) + 2 * corner + 2, 0] = normal
-        out.append((EFFECTS["moved_wall"](d=0.0).at(name, arena.walls[index].mean(axis=0)), directions, ()))
-    for feature in obstacles(data):
-        if ("moved_obstacle", feature) in present or ("missing_obstacle", feature) in present:
-            continue
-        directions = np.zeros((n, 2))
-        members = named_walls(arena, feature)
-        for corner in set(corners.ends[members].ravel()):
-            for axis in (0, 1):
-                directions[len(DENSE) + 2 * corner + axis, axis] = 1.0
-        centre = walls[members].reshape(-1, 2).mean(axis=0)
-        out.append((EFFECTS["moved_obstacle"](dx=0.0, dy=0.0).at(feature, centre), directions, ()))
-    if ("map_scale", "") not in present:
-        x0, y0, x1, y1 = arena.bounds
-        directions = np.zeros((n, 3))
-        for index, ends in enumerate(corners.ends):
-            for end, corner in enumerate(ends):
-                at = len(DENSE) + 2 * corner
-                place = arena.walls[index, end] - [(x0 + x1) / 2, (y0 + y1) / 2]
-                directions[at : at + 2, 0] = place
-                directions[at, 1] = directions[at + 1, 2] = 1.0
-        out.append((EFFECTS["map_scale"](s=0.0, dx=0.0, dy=0.0), directions, ()))
+        for found in effect.diagnostics.corner_shifts(data.arena, fitted.cast.scene.walls, corners.ends):
+            if (effect.name, found.place) in present or found.place in changed:
+                continue
+            k = found.shift.shape[2]
+            directions = np.zeros((fitted.solver.n_g, k))
+            directions[len(Nuisance) :] = found.shift.reshape(-1, k)
+            at_zero = effect(**dict.fromkeys(effect.steps, 0.0))
+            if found.place:
+                at_zero = at_zero.at(found.place, found.xy)
+            out.append(Hypothesis(amendment=at_zero, directions=directions))
     return out
-
-
-def obstacles(data: ScanData) -> list[str]:
-    """Return the names of the arena's features, the outline left out."""
-    names = data.arena.names
-    outline = names[0].rsplit("/", 1)[0]
-    return [f for f in dict.fromkeys(name.rsplit("/", 1)[0] for name in names) if f != outline]
 
 
 def _padded(directions: Floats, size: int) -> Floats:

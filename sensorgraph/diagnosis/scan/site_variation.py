@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtri, stdtrit
 
-from sensorgraph.diagnosis.scan.fit import Fitted, smooth_parameters
+from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
-from sensorgraph.diagnosis.scan.nuisance import BOX, DENSE, OWN
-from sensorgraph.diagnosis.scan.score_test import START
+from sensorgraph.diagnosis.scan.nuisance import BOX, effects_with_nuisances
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -116,10 +115,10 @@ def wobble(fitted: Fitted, amendment: Amendment) -> float:
     """Return the standard error of an effect of a fit, by leaving out parts [materialities]."""
     solver, names, place = fitted.solver, list[str](), 0
     for index, other in enumerate(fitted.model):
-        smooth = list(smooth_parameters(other))
+        smooth = list(other.steps)
         if other.name == amendment.name:
             names = smooth
-            place = solver.n_g + sum(len(smooth_parameters(a)) for a in fitted.model[:index])
+            place = solver.n_g + sum(len(a.steps) for a in fitted.model[:index])
     chosen = np.arange(place, place + len(names))
     tau = solver.scaled(fitted.state)
     error = left_out(systems(fitted), tau, BOX * tau, solver.locked, chosen)
@@ -130,13 +129,13 @@ def alone(fitted: Fitted) -> tuple[dict[str, dict[str, float]], dict[str, float]
     """Return, per smooth effect of the whole sensor, its size and wobble were it added to a fit, alone."""
     solver, parts = fitted.solver, systems(fitted)
     sizes, wobbles = {}, {}
-    for name, copies in OWN.items():
-        chosen = np.array([DENSE.index(copy) for copy in copies])
+    for effect in effects_with_nuisances():
+        name, names = effect.name, effect.steps
+        chosen = np.array(effect.nuisances)
         if solver.locked[chosen].any():
             continue
         tau = solver.scaled(fitted.state)
         tau[chosen] = OPEN
-        names = START[name]
         size = solved(parts, tau, BOX * tau, solver.locked)[chosen]
         error = left_out(parts, tau, BOX * tau, solver.locked, chosen)
         sizes[name] = dict(zip(names, map(float, size), strict=True))
@@ -179,7 +178,7 @@ def usual_sizes(seen: Sequence[WindowEstimate], n_scans: int) -> dict[str, Basel
     for name in sorted({name for s in seen for name in s.sizes}):
         having = [s for s in seen if name in s.sizes]
         pooled = None
-        if name in OWN:
+        if EFFECTS[name].nuisances:
             having = steady(having, name, n_scans)
             pooled = _pooled([s.wobble(name, n_scans) for s in having])
         if len(having) < FEW:
@@ -188,7 +187,7 @@ def usual_sizes(seen: Sequence[WindowEstimate], n_scans: int) -> dict[str, Basel
         for k in having[0].sizes[name]:
             values = np.array([scaled(name, s.sizes[name])[k] for s in having])
             middle[k] = float(values.mean())
-            reach[k] = _reach(values, EFFECTS[name].sizes[k] / 3 if name in OWN else None)
+            reach[k] = _reach(values, EFFECTS[name].sizes[k] / 3 if EFFECTS[name].nuisances else None)
         out[name] = BaselineInterval(middle=middle, reach=reach, wobble=pooled, n_windows=len(having))
     return out
 

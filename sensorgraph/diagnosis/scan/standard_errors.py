@@ -14,14 +14,14 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy.special import ndtr
 
-from sensorgraph.diagnosis.scan.fit import ROUGH, Fitted, fit, log_p_at, smooth_parameters
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, log_p_at
 from sensorgraph.diagnosis.scan.likelihood import FINEST
-from sensorgraph.diagnosis.scan.nuisance import DENSE, widths
+from sensorgraph.diagnosis.scan.nuisance import widths
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
-from sensorgraph.effects.sonar_cone import RAY
+from sensorgraph.effects.set_up import SetUp
 from sensorgraph.types import Floats
 
 BLOCK = 1.0  # [s] of scans that share their errors
@@ -32,37 +32,9 @@ BROAD = (
     12.0,
 )  # [nats] the same for what acts on single readings, whose likelihood is jagged in the small
 LOOKS = 7  # casts per side, at most
-REFITTED = ("range_drift",)  # whose rough parameter changes little that its smooth one cannot
 NUDGED = 0.02  # [m] first step along which an obstacle is moved
 FIRST = 0.1  # of the search's first step
 FARTHEST = 20.0  # times the search's first step; beyond, a parameter is not known
-OWN_TOLERANCE: dict[str, dict[str, str]] = {
-    "mount_xy": {"dx": "mount_x", "dy": "mount_y"},
-    "mount_yaw": {"delta": "mount_yaw"},
-    "range_bias": {"b": "bias"},
-    "range_scale": {"s": "scale"},
-    "range_drift": {"b1": "drift"},
-    "latency": {"tau": "latency"},
-    "scan_skew": {"T": "skew"},
-    "glass": {
-        "depth": "third of the map",
-        "a": "end of a part",
-        "b": "end of a part",
-        "alpha_ret": "wall direction",
-    },
-    "mirror": {"a": "end of a part", "b": "end of a part"},
-    "black_surface": {"a": "end of a part", "b": "end of a part"},
-    "incidence_dropout": {"alpha_max": "wall direction"},
-    "unmapped_obstacle": {"x": "half of the map", "y": "half of the map", "r": "half of the map"},
-    "tilt": {"theta0": "half a mrad", "beta": "a hundredth of a mrad"},
-    "sector_bias": {"theta1": "between rays", "theta2": "between rays"},
-    "self_occlusion": {"theta1": "between rays", "theta2": "between rays"},
-    "mixed_pixels": {"gamma": "edges"},
-    "sonar_cone": {"gamma": "between rays of the cone"},
-    "max_range": {"R": "map"},
-    "min_range": {"r_min": "map"},
-}
-"""Effect -> parameter -> what a careful set-up, or the spacing of the rays, hides of it."""
 
 
 def standard_errors(fitted: Fitted, noise_bounds: NoiseBounds) -> tuple[dict[str, float], ...]:
@@ -72,7 +44,7 @@ def standard_errors(fitted: Fitted, noise_bounds: NoiseBounds) -> tuple[dict[str
     for index, amendment in enumerate(fitted.model):
         errors = {**_rough_errors(fitted, index, noise_bounds), **smooth[index]}
         errors |= _silhouette_errors(fitted, index, noise_bounds, errors)
-        hidden = widths_of(fitted, amendment)
+        hidden = hidden_widths(fitted, amendment)
         out.append({k: float(np.hypot(v, hidden.get(k, 0.0))) for k, v in errors.items() if np.isfinite(v)})
     return tuple(out)
 
@@ -81,7 +53,7 @@ def _smooth_errors(fitted: Fitted) -> list[dict[str, float]]:
     """Return standard errors of smooth parameters, from the curvature with all nuisances free."""
     variance = iter(np.diag(fitted.solution.covariance))
     return [
-        {name: float(np.sqrt(max(next(variance), 0.0))) for name in smooth_parameters(amendment)}
+        {name: float(np.sqrt(max(next(variance), 0.0))) for name in amendment.steps}
         for amendment in fitted.model
     ]
 
@@ -89,12 +61,12 @@ def _smooth_errors(fitted: Fitted) -> list[dict[str, float]]:
 def _rough_errors(fitted: Fitted, index: int, noise_bounds: NoiseBounds) -> dict[str, float]:
     """Return standard errors of the parameters that are searched or read off the rays."""
     amendment, data = fitted.model[index], fitted.solver.data
-    if amendment.name == "quantisation":
-        return {"q": lattice_error(data, amendment["q"])}
-    steps = {k: v for k, v in ROUGH.get(amendment.name, {}).items() if k in amendment.parameters}
+    if amendment.effect.diagnostics.is_lattice:
+        return {name: lattice_error(data, step) for name, step in amendment.parameters.items()}
+    steps = amendment.search_steps
     if amendment.effect.place == "sector":
         steps |= dict.fromkeys(("theta1", "theta2"), spacing(data))
-    smooth = smooth_parameters(amendment)
+    smooth = amendment.steps
     return {k: _profiled(fitted, index, noise_bounds, k, v) for k, v in steps.items() if k not in smooth}
 
 
@@ -103,7 +75,7 @@ def _silhouette_errors(
 ) -> dict[str, float]:
     """Return standard errors of a move that no ray met head-on: the ends of the silhouette alone tell of it."""
     amendment = fitted.model[index]
-    if amendment.name != "moved_obstacle":
+    if amendment.effect.place != "obstacle":
         return {}
     unseen = [k for k, m in amendment.effect.sizes.items() if errors.get(k, 0.0) > m]
     map_ = fitted.solver.data.tolerances.map
@@ -126,7 +98,7 @@ def spacing(data: ScanData) -> float:
 def _profiled(fitted: Fitted, index: int, noise_bounds: NoiseBounds, name: str, step: float) -> float:
     """Return the standard error of one rough parameter from how the likelihood falls on both sides."""
     data, amendment = fitted.solver.data, fitted.model[index]
-    spec = next(q for q in amendment.effect.parameters if q.name == name)
+    spec = amendment.effect.parameter(name)
     shares_noise = noise_bounds if amendment.effect.absorber else None
     at = amendment[name]
 
@@ -137,7 +109,7 @@ def _profiled(fitted: Fitted, index: int, noise_bounds: NoiseBounds, name: str, 
             amendment.moved_to({name: float(np.clip(value, spec.low, spec.high))}),
             *fitted.model[index + 1 :],
         )
-        if amendment.name in REFITTED:
+        if spec.refit:
             j = fit(data, moved, fitted.state, noise_bounds, outer=1, inner=1).j
             return np.full(data.n_scans, j / data.n_scans)
         return np.asarray(log_p_at(data, moved, fitted.state, shares_noise).sum(axis=1))
@@ -187,22 +159,29 @@ def _by_block(data: ScanData, slope: Floats) -> float:
     return float(np.square(sums - sums.mean()).sum())
 
 
-def widths_of(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
+def hidden_widths(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
     """Return what a careful set-up may hide of an effect, by parameter."""
     data = fitted.solver.data
-    t = data.tolerances
-    tau = dict(zip(DENSE, widths(t), strict=True))
-    tau |= {"map": t.map, "third of the map": t.map / 3, "half of the map": t.map / 2}
-    tau |= {"half a mrad": 5e-4, "a hundredth of a mrad": 1e-5}
-    middle = float(np.median(data.ranges[data.returned])) if data.returned.any() else 1.0
-    tau |= {"edges": 0.5 * t.map / max(middle, 0.1)}  # a few corners, each off by the map's tolerance
-    tau |= {"between rays of the cone": RAY / np.sqrt(12)}
-    tau |= {"end of a part": float(np.hypot(t.map, t.pose_xy + t.pose_yaw * middle))}  # told by single rays
-    tau |= {"between rays": spacing(data) / np.sqrt(12)}
+    nuisances = widths(data.tolerances)
+    set_up = set_up_of(data)
+    out = {}
+    for p in amendment.effect.parameters:
+        if p.hidden is not None:
+            out[p.name] = p.hidden(set_up)
+        elif p.nuisance is not None:
+            out[p.name] = float(nuisances[p.nuisance])
+    return out
+
+
+def set_up_of(data: ScanData) -> SetUp:
+    """Return how exact the set-up of a run is."""
     walls = np.diff(data.arena.walls, axis=1)[:, 0]
-    tau |= {"wall direction": t.map / float(np.median(np.hypot(*walls.T)))} if len(walls) else {}
-    own = OWN_TOLERANCE.get(amendment.name, {})
-    return {parameter: float(tau.get(copy, 0.0)) for parameter, copy in own.items()}
+    return SetUp(
+        tolerances=data.tolerances,
+        median_range=float(np.median(data.ranges[data.returned])) if data.returned.any() else 1.0,
+        ray_spacing=spacing(data),
+        wall_length=float(np.median(np.hypot(*walls.T))) if len(walls) else np.inf,
+    )
 
 
 def material_probability(amendment: Amendment, stderr: Mapping[str, float], slack: float = 1.0) -> float:
