@@ -19,7 +19,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from robotmodic_ident import Moments, Scale, Terms, fit, lagged, lags, polynomial, select, validate
-from robotmodic_ident.sizes import Search
+from robotmodic_ident.selection.model_size import Search
 
 SEED = 800_000
 CUBIC = polynomial(lags("y", 1, 2) + lags("u", 0, 2), 3)

@@ -20,7 +20,7 @@ from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer
 
 import logs
-from logs.ros_types import definition
+from logs.ros.definitions import definition
 
 RAYS = (181, 1081)
 

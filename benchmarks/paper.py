@@ -22,7 +22,7 @@ from benchmarks.drives import closed_loop, covered, robot_of_the_paper
 from logs.run import Run, pair
 from planners.arena import Arena
 from planners.types import Floats
-from robotmodic_ident.score import Score
+from robotmodic_ident.validation.score import Score
 from sensorgraph.building.build import build
 from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph

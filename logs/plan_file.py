@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from logs.mcap_file import RosFile
-from logs.ros_messages import map_message
+from logs.formats.mcap_file import RosFile
+from logs.ros.definitions import typestore
+from logs.ros.messages import map_message
 from logs.run import OccupancyMap
 from logs.types import Floats
 
@@ -43,9 +44,7 @@ def write_plan(
     stamps : (n,) [s]
     poses : (n, 3) [m, m, rad] base_link in map
     """
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    store = typestore()
     types = store.types
     with RosFile(Path(path)) as file:
         for topic, grid in (("/map", occupancy), ("/coverage", coverage)):

@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from logs.errors import LogError
-from logs.mcap_file import RosFile, latch
-from logs.own_run import RECORD, facts
-from logs.recording import ODOMETRY, POSE, SCAN, TF, TWIST_STAMPED
-from logs.ros_messages import (
+from logs.formats.mcap_file import RosFile, latch
+from logs.ros.messages import (
     command_messages,
     odometry_messages,
     pose_messages,
@@ -22,6 +20,8 @@ from logs.ros_messages import (
     to_ns,
     transform_messages,
 )
+from logs.ros.own_record import RECORD, facts
+from logs.ros.recording import ODOMETRY, POSE, SCAN, TF, TWIST_STAMPED
 from logs.run import OccupancyMap, PoseFrame, RangeSensor
 from logs.transforms import Stamps, compose, invert
 from logs.types import Floats

@@ -15,11 +15,12 @@ from typing import Protocol
 
 import numpy as np
 
-from logs import mcap_file, ros_run
 from logs.errors import LogError
-from logs.mcap_records import Contents, Loss
-from logs.mcap_walk import Walk
-from logs.recording import ENCODINGS, KNOWN, SCAN, Recording, Topic, check_roles, choose
+from logs.formats import format_of, mcap_file, read
+from logs.mcap.records import Contents, Loss
+from logs.mcap.walk import Walk
+from logs.ros import interpret
+from logs.ros.recording import ENCODINGS, KNOWN, SCAN, Recording, Topic, check_roles, choose
 from logs.run import Run
 from logs.types import Progress
 
@@ -33,7 +34,7 @@ LOOKED_AT = 500
 """Messages of each topic that the first look keeps, to tell which topic plays which role."""
 
 
-class Log(Protocol):
+class LogStream(Protocol):
     """A recording that is read piece by piece."""
 
     @property
@@ -52,7 +53,7 @@ class Log(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Whole:
+class WholeRun:
     """A run in memory, as a log of one piece."""
 
     head: Run
@@ -67,19 +68,17 @@ class Whole:
 
 def open_log(
     path: Path | str, *, topics: Mapping[str, str] | None = None, progress: Progress | None = None
-) -> Log:
+) -> LogStream:
     """Look through a file; a damaged one is refused before anything is made of it."""
-    from logs import format_of, read
-
     path = Path(path)
     check_roles(topics)
     if format_of(path) == "mcap" and path.stat().st_size > 0:
-        return McapLog.open(path, topics, progress)
-    return Whole(head=read(path, topics=topics, progress=progress))
+        return McapStream.open(path, topics, progress)
+    return WholeRun(head=read(path, topics=topics, progress=progress))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class McapLog:
+class McapStream:
     """An MCAP file; memory holds a piece at a time, and the file itself is mapped."""
 
     path: Path
@@ -90,7 +89,7 @@ class McapLog:
     _contents: Contents = field(repr=False)
 
     @classmethod
-    def open(cls, path: Path, topics: Mapping[str, str] | None, progress: Progress | None) -> McapLog:
+    def open(cls, path: Path, topics: Mapping[str, str] | None, progress: Progress | None) -> McapStream:
         """Check every record, count scans, and tell from the first messages what plays which role."""
         counts: dict[int, int] = {}
         look: dict[int, Topic] = {}
@@ -113,7 +112,7 @@ class McapLog:
             if key in look and topic.type in KNOWN and topic.encoding in ENCODINGS:
                 topic.log_times += look[key].log_times
                 topic.payloads += look[key].payloads
-        head = ros_run.to_run(recording, path.name, topics)
+        head = interpret.to_run(recording, path.name, topics)
         name = head.meta.get("scan_topic") or choose(recording, "scan", topics) or "/scan"
         name = name if name in recording.topics else "/scan"
         n_scans = recording.topics[name].n_messages if name in recording.topics else 0
@@ -138,7 +137,7 @@ class McapLog:
 
     def _run(self, recording: Recording) -> Run:
         """Interpret a piece; poses of another source than the log's are none."""
-        run = ros_run.to_run(recording, self.path.name, self.roles)
+        run = interpret.to_run(recording, self.path.name, self.roles)
         if run.meta.get("pose_source") != self.head.meta.get("pose_source"):
             run = replace(
                 run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3)), pose_frame=self.head.pose_frame

@@ -1,36 +1,65 @@
-"""Which law the numbers follow: polynomial, ARMAX and NARMAX identification; knows no robot."""
+"""Which law the numbers follow: polynomial, ARMAX and NARMAX identification; knows no robot.
 
-from robotmodic_ident.bases import BASES, bspline, chebyshev, fourier, legendre, polynomial, wavelet
-from robotmodic_ident.dependence import Dependence, independent
-from robotmodic_ident.errors import IdentError
-from robotmodic_ident.fit import fit
-from robotmodic_ident.model import Narmax
-from robotmodic_ident.moments import Moments
-from robotmodic_ident.records import Lagged, Record, blocks, halves, lagged, lags
-from robotmodic_ident.scale import Scale
-from robotmodic_ident.score import Outside, Score, Scored, outside, score, scores
-from robotmodic_ident.select import Selection, select
-from robotmodic_ident.terms import Terms
-from robotmodic_ident.validate import Check, false_discoveries, validate
+`fit(records, output, terms)` chooses terms, estimates their coefficients and returns a `Narmax`; `validate` and
+`scores` tell how good it is. `robotmodic_ident.analysis` asks the model questions, `robotmodic_ident.export` writes
+it as C and LaTeX. Nothing heavy is imported until a name is used.
+
+| room | what happens there |
+|---|---|
+| `terms`, `basis_functions`, `bases/` | candidate terms: products of lagged signals, and families of them |
+| `records`, `scale`, `moments` | the data: signals over time, their scaling, and the sums that a fit needs |
+| `selection/` | which terms, and how many |
+| `estimation/` | coefficients where least squares is not enough |
+| `fitting` | `fit`: the two together |
+| `model`, `prediction/`, `notation/`, `export` | the result, how it runs, how it is written |
+| `validation/`, `analysis/` | how good it is, and what it says |
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from robotmodic_ident.bases import BASES, bspline, chebyshev, fourier, legendre, polynomial, wavelet
+    from robotmodic_ident.errors import IdentError
+    from robotmodic_ident.fitting import fit
+    from robotmodic_ident.model import Narmax
+    from robotmodic_ident.moments import Moments
+    from robotmodic_ident.records import LaggedData, Record, blocks, halves, lagged, lags
+    from robotmodic_ident.scale import Scale
+    from robotmodic_ident.selection.exact_dependence import Dependence, independent
+    from robotmodic_ident.selection.select import Selection, select
+    from robotmodic_ident.terms import Terms
+    from robotmodic_ident.validation.residual_tests import ResidualTest, false_discoveries, validate
+    from robotmodic_ident.validation.score import (
+        Extrapolation,
+        HorizonScore,
+        Score,
+        extrapolation,
+        score,
+        scores,
+    )
 
 __all__ = [
     "BASES",
-    "Check",
     "Dependence",
+    "Extrapolation",
+    "HorizonScore",
     "IdentError",
-    "Lagged",
+    "LaggedData",
     "Moments",
     "Narmax",
-    "Outside",
     "Record",
+    "ResidualTest",
     "Scale",
     "Score",
-    "Scored",
     "Selection",
     "Terms",
     "blocks",
     "bspline",
     "chebyshev",
+    "extrapolation",
     "false_discoveries",
     "fit",
     "fourier",
@@ -39,7 +68,6 @@ __all__ = [
     "lagged",
     "lags",
     "legendre",
-    "outside",
     "polynomial",
     "score",
     "scores",
@@ -47,3 +75,51 @@ __all__ = [
     "validate",
     "wavelet",
 ]
+
+_HOMES = {
+    "BASES": "robotmodic_ident.bases",
+    "bspline": "robotmodic_ident.bases",
+    "chebyshev": "robotmodic_ident.bases",
+    "fourier": "robotmodic_ident.bases",
+    "legendre": "robotmodic_ident.bases",
+    "polynomial": "robotmodic_ident.bases",
+    "wavelet": "robotmodic_ident.bases",
+    "IdentError": "robotmodic_ident.errors",
+    "fit": "robotmodic_ident.fitting",
+    "Narmax": "robotmodic_ident.model",
+    "Moments": "robotmodic_ident.moments",
+    "LaggedData": "robotmodic_ident.records",
+    "Record": "robotmodic_ident.records",
+    "blocks": "robotmodic_ident.records",
+    "halves": "robotmodic_ident.records",
+    "lagged": "robotmodic_ident.records",
+    "lags": "robotmodic_ident.records",
+    "Scale": "robotmodic_ident.scale",
+    "Dependence": "robotmodic_ident.selection.exact_dependence",
+    "independent": "robotmodic_ident.selection.exact_dependence",
+    "Selection": "robotmodic_ident.selection.select",
+    "select": "robotmodic_ident.selection.select",
+    "Terms": "robotmodic_ident.terms",
+    "ResidualTest": "robotmodic_ident.validation.residual_tests",
+    "false_discoveries": "robotmodic_ident.validation.residual_tests",
+    "validate": "robotmodic_ident.validation.residual_tests",
+    "Extrapolation": "robotmodic_ident.validation.score",
+    "Score": "robotmodic_ident.validation.score",
+    "HorizonScore": "robotmodic_ident.validation.score",
+    "extrapolation": "robotmodic_ident.validation.score",
+    "score": "robotmodic_ident.validation.score",
+    "scores": "robotmodic_ident.validation.score",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its home when it is first used."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -8,12 +8,12 @@ import re
 from robotmodic_ident.analysis.algebra import polynomial_part
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
-from robotmodic_ident.printing import digits_of, legible, most_of
+from robotmodic_ident.notation.printing import max_cancellation, significant_digits
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.terms import Factor, Term
 
-CANCELS = 1e3
-"""How much larger than the result the terms of C may be that cancel in it: 13 digits stay."""
+MAX_CANCELLATION_IN_C = 1e3
+"""How many times larger than the result the terms of the C code may be that cancel in it: 13 digits stay."""
 GREEK = ("alpha", "beta", "gamma", "omega", "phi", "psi", "theta", "sigma")
 
 
@@ -38,7 +38,7 @@ def to_c(model: Narmax, *, name: str | None = None) -> str:
     Past outputs are signals as any other: fed with measurements it predicts one step ahead, fed with its own
     results it runs free. Noise terms are left out (their expectation is 0). Variables far from 0 stay centred.
     """
-    plain = polynomial_part(legible(model, CANCELS))
+    plain = polynomial_part(model.readable(MAX_CANCELLATION_IN_C))
     function = name or f"{model.output}_step"
     if not re.fullmatch(r"[A-Za-z_]\w*", function):
         raise ValueError(f"{function!r} is no name of a C function")
@@ -83,14 +83,13 @@ def _c_factors(term: Term, place: dict[str, int], scale: Scale) -> str:
 
 def to_latex(model: Narmax, *, digits: int = 4, per_line: int = 3) -> str:
     r"""Return the equation as LaTeX, in an `aligned` block where it needs more than one line."""
-    plain = polynomial_part(legible(model, most_of(digits)))
+    plain = polynomial_part(model.readable(max_cancellation(digits)))
     left = _latex_name(model.output) + ("(k)" if model.is_dynamic else "")
     parts = []
     theta = plain.theta.tolist()
-    for term, c, some in zip(
-        plain.terms, theta, digits_of(plain.terms, theta, digits, plain.spans), strict=True
-    ):
-        size = _latex_number(abs(c), some)
+    needed = significant_digits(plain.terms, theta, digits, plain.spans)
+    for term, c, n_digits in zip(plain.terms, theta, needed, strict=True):
+        size = _latex_number(abs(c), n_digits)
         factors = r"\,".join(_latex_factor(f, plain.scale) for f in term)
         body = size if not factors else (factors if size == "1" else rf"{size}\,{factors}")
         parts.append(("- " if c < 0 else "+ ") + body)

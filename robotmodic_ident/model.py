@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from robotmodic_ident import printing
 from robotmodic_ident.errors import IdentError
-from robotmodic_ident.expand import expand
-from robotmodic_ident.model_file import fields_of, written
+from robotmodic_ident.notation.expand import expand
+from robotmodic_ident.notation.model_file import from_plain, to_plain
+from robotmodic_ident.notation.printing import max_cancellation, ratio_text, sum_text, total_size
+from robotmodic_ident.prediction.recursion import Recursion, Segment
 from robotmodic_ident.records import Record, as_records
-from robotmodic_ident.recursion import Recursion, Stretch
 from robotmodic_ident.scale import UNSCALED, Scale
-from robotmodic_ident.select import Selection
+from robotmodic_ident.selection.select import Selection
 from robotmodic_ident.terms import CONSTANT, Terms
 from robotmodic_ident.types import Floats
 
@@ -173,30 +173,52 @@ class Narmax:
             noise_theta=self.noise_theta * noise_factor,
         )
 
+    def readable(self, most: float) -> Narmax:
+        """Return the form to print: in the user's units, or in (x - centre) where multiplying out would lose digits.
+
+        `most`: how many times larger than the model itself the terms that cancel may be.
+        """
+        if not any(self.scale.centres):
+            return self.in_user_units()
+        centred = self.without_widths()
+        if len(self.denominator):  # multiplied out it would have a constant below the line
+            return centred
+        plain = self.in_user_units()
+        own = total_size(centred.terms, centred.theta, self.scale, self.spans, around_zero=False)
+        multiplied = total_size(plain.terms, plain.theta, self.scale, self.spans, around_zero=True)
+        return centred if multiplied > most * own else plain
+
     def equation(self, *, digits: int = 6, scaled: bool = False) -> str:
         """Print the model in the user's units, so that it holds to 1 %; in the scaled variables if `scaled`.
 
         Far from 0 powers of x cancel, and their coefficients would need more digits: there (x - centre) is printed.
         """
-        return printing.equation(self, digits, scaled=scaled)
+        form = self if scaled else self.readable(max_cancellation(digits))
+        scale = UNSCALED if scaled else form.scale
+        text = sum_text(form.terms, form.theta, digits=digits, scale=scale, spans=form.spans)
+        text = ratio_text(text, form.denominator, form.denominator_theta, digits=digits, scale=scale)
+        if len(form.noise_terms):
+            tail = sum_text(form.noise_terms, form.noise_theta, digits=digits, scale=scale)
+            text += f" - {tail[1:]}" if tail.startswith("-") else f" + {tail}"
+        return f"{form.output}(k) = {text}" if form.is_dynamic else f"{form.output} = {text}"
 
     def predict_osa(self, record: Record | Mapping[str, Floats]) -> Floats:
         """Predict each sample from the measured past and the noise found in it (n,); nan where not known."""
-        return self._predict(record, lambda recursion, stretch: recursion.run(stretch, free=False)[0])
+        return self._predict(record, lambda recursion, segment: recursion.run(segment, free=False)[0])
 
     def predict_mpo(self, record: Record | Mapping[str, Floats]) -> Floats:
-        """Predict in free run (n,): past outputs are predictions, measured ones only start each stretch.
+        """Predict in free run (n,): past outputs are predictions, measured ones only start each segment.
 
-        The first `max_lag` samples of a stretch are nan; noise terms count as 0. Where an input is not known there is
+        The first `max_lag` samples of a segment are nan; noise terms count as 0. Where an input is not known there is
         no prediction, and the measured output stands in for it in what follows.
         """
-        return self._predict(record, lambda recursion, stretch: recursion.run(stretch, free=True)[0])
+        return self._predict(record, lambda recursion, segment: recursion.run(segment, free=True)[0])
 
     def predict_k(self, record: Record | Mapping[str, Floats], steps: int) -> Floats:
         """Predict each sample from what was measured up to `steps` samples before it (n,); inputs are known."""
         if steps < 1:
             raise ValueError(f"steps is {steps}, expected 1 or more")
-        return self._predict(record, lambda recursion, stretch: recursion.run_ahead(stretch, steps))
+        return self._predict(record, lambda recursion, segment: recursion.run_ahead(segment, steps))
 
     def residuals(self, record: Record | Mapping[str, Floats]) -> Floats:
         """Return measured - predict_osa (n,)."""
@@ -214,25 +236,26 @@ class Narmax:
             return np.full(len(as_records(record)[0]), np.nan)
         shape = self.covariance / self.sigma**2
 
-        def hat(recursion: Recursion, stretch: Stretch) -> Floats:
-            out, _, slopes = recursion.run(stretch, free=False, gradient=True)
+        def hat(recursion: Recursion, segment: Segment) -> Floats:
+            out, _, slopes = recursion.run(segment, free=False, gradient=True)
             return np.where(np.isfinite(out), ((slopes @ shape) * slopes).sum(axis=1), np.nan)
 
         return self._predict(record, hat)
 
     def _predict(
-        self, record: Record | Mapping[str, Floats], run: Callable[[Recursion, Stretch], Floats]
+        self, record: Record | Mapping[str, Floats], run: Callable[[Recursion, Segment], Floats]
     ) -> Floats:
         (record,) = as_records(record)
         out = np.full(len(record), np.nan)
         recursion = self.recursion()
-        for stretch in recursion.stretches(record):
-            out[stretch.piece] = run(recursion, stretch)
+        for segment in recursion.segments(record):
+            out[segment.piece] = run(recursion, segment)
         return out
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain data."""
-        return written(self)
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return to_plain(values, np.sqrt(np.diagonal(self.covariance)))
 
     def save(self, path: Path) -> None:
         """Write JSON."""
@@ -254,7 +277,7 @@ class Narmax:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Narmax:
         """Restore what `to_dict` gave."""
-        return cls(**fields_of(data))
+        return cls(**from_plain(data))
 
 
 def _unscaled(terms: Terms, scale: Scale) -> tuple[Terms, Floats]:

@@ -18,14 +18,14 @@ from robotmodic_ident.scale import Scale
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
-BLOCK = 4096
+ROWS_PER_BLOCK = 4096
 """Rows taken at a time: Φ of a block stays in the cache and memory stays bounded."""
-FEW = 128
+ROWS_IN_CACHE = 128
 """Rows of Y that are multiplied while they are in the cache."""
-SMALL = 1_000_000
+MAX_UNPACKED_PRODUCTS = 1_000_000
 """Multiplications up to which BLAS multiplies matrices as they lie, without packing them first."""
-FORMAT = "robotmodic-moments-1"
-LARGEST = 1e150
+MOMENTS_FORMAT = "robotmodic-moments-1"
+MAX_OUTPUT = 1e150
 """Of an output: squares of larger values overflow."""
 
 
@@ -69,8 +69,8 @@ class Moments:
             raise ValueError(f"columns have shapes {wrong}, expected ({len(y)},) as y has rows")
         if self.scale is None:
             self.scale = _scale_of(self.terms, data)
-        for start in range(0, len(y), BLOCK):
-            rows = slice(start, start + BLOCK)
+        for start in range(0, len(y), ROWS_PER_BLOCK):
+            rows = slice(start, start + ROWS_PER_BLOCK)
             block = {name: values[rows] for name, values in data.items()}
             self.add_rows(self.terms.matrix(block, self.scale, n=len(y[rows])), y[rows])
         return self
@@ -96,7 +96,7 @@ class Moments:
         Where Y'Y comes out as not finite, Y holds what is not known, and Φ'Y is not complete.
         """
         cross, power, part = np.zeros(self.cross.shape), np.zeros(len(self.power)), np.empty(self.cross.shape)
-        step = max(FEW, SMALL // cross.size // FEW * FEW)
+        step = max(ROWS_IN_CACHE, MAX_UNPACKED_PRODUCTS // cross.size // ROWS_IN_CACHE * ROWS_IN_CACHE)
         for start in range(0, len(y), step):
             rows, some = phi[start : start + step], y[start : start + step]
             power += np.einsum("ij,ij->j", some, some)
@@ -112,7 +112,7 @@ class Moments:
             raise IdentError("y holds an infinite value; replace what was not measured by nan")
         use = known.any(axis=1) & np.isfinite(phi).all(axis=1)
         phi, y, known = phi[use], np.where(known, y, 0.0)[use], known[use]
-        if len(y) and np.abs(y).max() > LARGEST:
+        if len(y) and np.abs(y).max() > MAX_OUTPUT:
             raise IdentError(
                 f"y reaches {np.abs(y).max():.3g}, whose square cannot be held; use larger units"
             )
@@ -171,7 +171,7 @@ class Moments:
         return self._combined(other, 1.0)
 
     def __sub__(self, other: Moments) -> Moments:
-        """Take away moments of data that these contain: a fold, an old stretch."""
+        """Take away moments of data that these contain: a fold, an old segment."""
         out = self._combined(other, -1.0)
         if (out.count < 0).any():
             raise IdentError(
@@ -203,7 +203,7 @@ class Moments:
     def save(self, path: Path) -> None:
         """Write one .npz file, without pickle."""
         header = {
-            "format": FORMAT,
+            "format": MOMENTS_FORMAT,
             "terms": self.terms.names,
             "scale": None if self.scale is None else self.scale.to_dict(),
         }
@@ -228,8 +228,8 @@ class Moments:
         try:
             with np.load(path, allow_pickle=False) as data:
                 header = json.loads(bytes(data["header"]))
-                if header["format"] != FORMAT:
-                    raise IdentError(f"{path}: format {header['format']!r}, expected {FORMAT!r}")
+                if header["format"] != MOMENTS_FORMAT:
+                    raise IdentError(f"{path}: format {header['format']!r}, expected {MOMENTS_FORMAT!r}")
                 scale = None if header["scale"] is None else Scale.from_dict(header["scale"])
                 out = cls(Terms.parse(*header["terms"]), len(data["power"]), scale=scale)
                 out.gram, out.cross = data["gram"], data["cross"]

@@ -43,7 +43,7 @@ class Record:
         return len(next(iter(self.signals.values())))
 
     def segments(self) -> list[slice]:
-        """Return the stretches without a time gap."""
+        """Return the segments without a time gap."""
         n = len(self)
         if self.stamps is None or n < 2:
             return [slice(0, n)]
@@ -58,7 +58,7 @@ Records: TypeAlias = Record | Mapping[str, Floats] | Iterable[Record | Mapping[s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Lagged:
+class LaggedData:
     """Rows of lagged signals with what is to be explained."""
 
     columns: dict[str, Floats]
@@ -112,10 +112,10 @@ def lagged(
     outputs: Sequence[str],
     *,
     skip: int | None = None,
-) -> Lagged:
+) -> LaggedData:
     """Collect the lagged columns that `terms` read; rows with an unknown regressor are left out.
 
-    `skip` [samples] leaves out the start of every stretch (default: the largest lag, the least possible),
+    `skip` [samples] leaves out the start of every segment (default: the largest lag, the least possible),
     so that models of different lags can be judged on the same rows.
     """
     look_back = terms.max_lag if skip is None else skip
@@ -146,7 +146,7 @@ def lagged(
             sample.append(k[known])
     if not targets or sum(map(len, targets)) == 0:
         raise IdentError(f"no row is left after a look back of {look_back} samples; give longer records")
-    return Lagged(
+    return LaggedData(
         columns={name: np.concatenate(values) for name, values in parts.items()},
         targets=np.concatenate(targets),
         record=np.concatenate(owner),

@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from robotmodic_ident.basis_functions import SHAPES, check_shape, evaluate, shape_name
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.scale import UNSCALED, Scale
-from robotmodic_ident.shapes import SHAPES, check_shape, evaluate, shape_name
 from robotmodic_ident.types import Floats
 
 CONSTANT = "1"

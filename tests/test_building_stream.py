@@ -12,7 +12,7 @@ import pytest
 import logs
 from logs import stream
 from logs.run import RangeSensor, Run
-from logs.stream import McapLog, open_log
+from logs.stream import McapStream, open_log
 from planners.arena import Arena
 from sensorgraph.building import training_data
 from sensorgraph.building.build import build
@@ -66,7 +66,7 @@ def bytes_of(graph, path: Path) -> bytes:
 @pytest.mark.usefixtures("small")
 def test_pieces_are_the_run(path: Path) -> None:
     whole, log = logs.read(path), open_log(path)
-    assert isinstance(log, McapLog)
+    assert isinstance(log, McapStream)
     assert log.n_scans == whole.n_scans
     pieces = list(log.pieces())
     assert len(pieces) > 5

@@ -13,7 +13,7 @@ from test_logs_ros import odometry, pose, scan, transform, trip, write_bag2
 
 import logs
 from logs import Run
-from logs.inspect import inspect
+from logs.inspection import inspect
 from sensorgraph.cli import run as command
 
 

@@ -32,7 +32,7 @@ def test_interruption_is_said_and_has_its_own_code(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("logs.inspect.inspect", interrupted)
+    monkeypatch.setattr("logs.inspection.inspect", interrupted)
     assert run(["inspect", str(tmp_path)]) == 130
     assert capsys.readouterr().err.strip() == "interrupted"
 
@@ -43,7 +43,7 @@ def test_a_fault_of_ours_is_one_line_and_code_1(
     def broken(*_: object, **__: object) -> None:
         raise IndexError("list index out of range")
 
-    monkeypatch.setattr("logs.inspect.inspect", broken)
+    monkeypatch.setattr("logs.inspection.inspect", broken)
     monkeypatch.delenv("SENSORGRAPH_DEBUG", raising=False)
     assert run(["inspect", str(tmp_path)]) == 1
     (line,) = capsys.readouterr().err.strip().splitlines()

@@ -7,7 +7,7 @@ import pytest
 from ident_samples import simulate
 
 from robotmodic_ident import IdentError, Narmax, Record, Terms, fit, lags, polynomial
-from robotmodic_ident.estimate import Descent
+from robotmodic_ident.estimation.prediction_error import NonlinearLeastSquares
 
 TRUTH = {"1": 0.5, "y(k-1)": 0.6, "y(k-1)*u(k-1)": -0.15, "u(k-2)": 0.9}
 
@@ -106,13 +106,13 @@ def test_gradient_of_a_run_equals_finite_differences(names: list[str], free: boo
         noise_terms=noise,
         noise_theta=theta[len(process) + 2 :],
     )
-    descent = Descent(model.recursion(), [Record(signals=record)], free=free)
-    _, residual, (gradient,) = descent.at(model.parameters, gradient=True)
+    problem = NonlinearLeastSquares(model.recursion(), [Record(signals=record)], free=free)
+    _, residual, (gradient,) = problem.evaluate(model.parameters, gradient=True)
     for i in range(len(theta)):
         step = np.zeros(len(theta))
         step[i] = 1e-6
-        _, (up,), _ = descent.at(model.parameters + step)
-        _, (down,), _ = descent.at(model.parameters - step)
+        _, (up,), _ = problem.evaluate(model.parameters + step)
+        _, (down,), _ = problem.evaluate(model.parameters - step)
         np.testing.assert_allclose(gradient[:, i], (down - up) / 2e-6, atol=2e-8, rtol=1e-6)
     assert np.abs(gradient).max() > 0.1 and len(residual) == 1
 

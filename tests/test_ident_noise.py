@@ -7,7 +7,7 @@ import pytest
 from ident_samples import simulate
 
 from robotmodic_ident import IdentError, Narmax, Terms, fit, lags, polynomial
-from robotmodic_ident.estimate import Descent
+from robotmodic_ident.estimation.prediction_error import NonlinearLeastSquares
 from robotmodic_ident.records import as_records
 
 TRUTH = {"1": 0.5, "y(k-1)": 0.6, "y(k-1)*u(k-1)": -0.15, "u(k-2)": 0.9}
@@ -69,11 +69,11 @@ def test_coloured_noise_does_not_add_past_outputs(coefficients: tuple[float, ...
 def test_the_prediction_error_is_linear_in_the_process_coefficients() -> None:
     record = moving_average(2, (0.5,))
     model = fit(record, "y", Terms.parse(*TRUTH), n_terms=4, noise=1)
-    descent = Descent(model.recursion(), as_records(record), free=False)
+    problem = NonlinearLeastSquares(model.recursion(), as_records(record), free=False)
     start = np.array([0.0, 0.0, 0.0, 0.0, 0.4])
-    phi, target = descent.linearised(start)
+    phi, target = problem.linearised(start)
     theta = np.linalg.lstsq(phi[:, :4], target - 0.4 * phi[:, 4], rcond=None)[0]
-    _, (residual,), (gradient,) = descent.at(np.r_[theta, 0.4], gradient=True)
+    _, (residual,), (gradient,) = problem.evaluate(np.r_[theta, 0.4], gradient=True)
     np.testing.assert_allclose(
         gradient[:, :4].T @ residual, 0.0, atol=1e-9
     )  # the minimum, from far, in one step

@@ -115,7 +115,7 @@ def test_every_stretch_runs_as_if_it_were_alone(run) -> None:
     y, u = rng.uniform(-1, 1, (2, 40))
     u[33] = np.nan
     stamps = np.arange(40.0)
-    for start in (12, 13, 15, 25):  # stretches of 12, 1, 2, 10 and 15 samples
+    for start in (12, 13, 15, 25):  # segments of 12, 1, 2, 10 and 15 samples
         stamps[start:] += 10.0
     whole = run(model(), Record(signals={"y": y, "u": u}, stamps=stamps))
     for a, b in ((0, 12), (12, 13), (13, 15), (15, 25), (25, 40)):

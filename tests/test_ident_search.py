@@ -18,7 +18,7 @@ from ident_samples import (
 )
 
 from robotmodic_ident import IdentError, Moments, Scale, Terms, fit, lagged, lags, polynomial, select
-from robotmodic_ident.criteria import penalties
+from robotmodic_ident.selection.criteria import penalties
 
 
 def rss_of(phi: np.ndarray, y: np.ndarray, chosen) -> float:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotmodic_ident import BASES, IdentError, Record, Scale, Terms, fourier, lagged, lags, polynomial
-from robotmodic_ident.expand import expand
+from robotmodic_ident.notation.expand import expand
 
 
 @pytest.fixture

@@ -14,17 +14,17 @@ from robotmodic_ident import (
     Record,
     Terms,
     blocks,
+    extrapolation,
     false_discoveries,
     fit,
     halves,
     lags,
-    outside,
     polynomial,
     score,
     scores,
     validate,
 )
-from robotmodic_ident.score import effective_samples
+from robotmodic_ident.validation.score import effective_samples
 
 TRUTH = {"1": 0.5, "y(k-1)": 0.6, "y(k-1)*u(k-1)": -0.15, "u(k-2)": 0.9}
 
@@ -201,18 +201,18 @@ def test_what_lies_outside_the_fit_is_told_and_is_worse_there() -> None:
     y = np.sin(2 * u) + 0.01 * rng.normal(size=800)
     near, test = {"u": u[:400], "y": y[:400]}, {"u": u[400:], "y": y[400:]}
     model = fit(near, "y", polynomial(lags("u", 0, 0), 4))
-    told = outside(model, near, test)
+    told = extrapolation(model, near, test)
     assert told.share == pytest.approx(100 / 400)
     assert told.rmse_inside == pytest.approx(0.01, rel=0.2)
     assert told.rmse_outside > 10 * told.rmse_inside
-    assert outside(model, near, near).share == 0
-    assert np.isnan(outside(model, near, near).rmse_outside)
+    assert extrapolation(model, near, near).share == 0
+    assert np.isnan(extrapolation(model, near, near).rmse_outside)
 
 
 def test_exact_data_have_no_leverage() -> None:
     u = np.linspace(0, 1, 20)
     exact = {"u": u, "y": 0.5 * u}
-    told = outside(replace(fit(exact, "y", Terms.parse("u(k)")), sigma=0.0), exact, exact)
+    told = extrapolation(replace(fit(exact, "y", Terms.parse("u(k)")), sigma=0.0), exact, exact)
     assert np.isnan(told.share)
     assert np.isnan(told.largest)
 

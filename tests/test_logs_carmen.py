@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from logs_samples import DATA
 
 import logs
-from logs.no_return import find_code
+from logs.formats.no_return import find_code
 
 
 def flaser(

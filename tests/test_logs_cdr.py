@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
-from logs import LogError, cdr
+from logs import LogError
+from logs.ros import cdr
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\x00"), max_size=9)

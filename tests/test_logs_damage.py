@@ -17,9 +17,9 @@ from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
 import logs
-from logs.mcap_records import MAGIC
-from logs.recover import recover
-from logs.ros_messages import scan_messages
+from logs.mcap.records import MAGIC
+from logs.recovery import recover
+from logs.ros.messages import scan_messages
 from sensorgraph.cli import run as command
 
 N_SCANS = 60

@@ -149,8 +149,8 @@ def test_transform_tree_agrees_with_the_reference(
 ) -> None:
     run = some_run(pose_frame=pose_frame, with_odometry=with_odometry)
     logs.write(run, tmp_path / "run.mcap")
-    recording = logs.mcap_file.load(tmp_path / "run.mcap")
-    from logs.recording import transform_tree
+    recording = logs.formats.mcap_file.load(tmp_path / "run.mcap")
+    from logs.ros.recording import transform_tree
 
     tree = transform_tree(recording)
     found = tree.place("map", "base_link" if pose_frame == "base_link" else "laser")

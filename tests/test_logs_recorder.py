@@ -15,8 +15,8 @@ from logs_samples import assert_same_run, some_run
 
 import logs
 from logs import RangeSensor, Recorder, Run
-from logs.mcap_file import CHUNK_SIZE
-from logs.recover import recover
+from logs.formats.mcap_file import CHUNK_SIZE
+from logs.recovery import recover
 
 
 def record(run: Run, path: Path) -> None:
@@ -50,11 +50,11 @@ def test_run_recorded_is_run_read(tmp_path: Path, pose_frame: str) -> None:
 
 
 def test_recorded_transforms_agree_with_the_reference_at_every_pose(tmp_path: Path) -> None:
-    from logs.recording import transform_tree
+    from logs.ros.recording import transform_tree
 
     run = some_run()
     record(run, tmp_path / "run.mcap")
-    found = transform_tree(logs.mcap_file.load(tmp_path / "run.mcap")).place("map", "base_link")
+    found = transform_tree(logs.formats.mcap_file.load(tmp_path / "run.mcap")).place("map", "base_link")
     assert found is not None
     np.testing.assert_allclose(found.poses[:, :2], run.poses[:, :2], atol=1e-9)
     np.testing.assert_allclose(np.cos(found.poses[:, 2] - run.poses[:, 2]), 1, atol=1e-12)
@@ -77,7 +77,7 @@ def test_exception_keeps_what_was_written_under_a_name_that_says_so(
     np.testing.assert_array_equal(
         logs.read(tmp_path / "run.interrupted.mcap").ranges, run.ranges[:5].astype(np.float32)
     )
-    recording = logs.mcap_file.load(tmp_path / "run.interrupted.mcap")
+    recording = logs.formats.mcap_file.load(tmp_path / "run.interrupted.mcap")
     assert recording.metadata["sensorgraph.interrupted"] == {"reason": "RuntimeError: motor off"}
 
 

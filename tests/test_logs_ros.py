@@ -15,8 +15,8 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import logs
-from logs import cdr
-from logs.recording import ODOMETRY, POSE, POSE_COV, SCAN, TF, TWIST
+from logs.ros import cdr
+from logs.ros.recording import ODOMETRY, POSE, POSE_COV, SCAN, TF, TWIST
 
 EPOCH = 1_600_000_000_000_000_000
 Message = tuple[str, str, int, bytes]

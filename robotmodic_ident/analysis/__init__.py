@@ -9,26 +9,26 @@ from robotmodic_ident.analysis.calculus import (
     sensitivity,
     surface,
 )
-from robotmodic_ident.analysis.dimension import Dimension, correlation_dimension
+from robotmodic_ident.analysis.dimension import CorrelationDimension, correlation_dimension
 from robotmodic_ident.analysis.gfrf import gfrf, rest_point
 from robotmodic_ident.analysis.lyapunov import (
-    Exponents,
-    Parting,
+    LyapunovExponents,
+    NeighbourDivergence,
     lyapunov,
     lyapunov_along,
     lyapunov_of_series,
     states_of,
 )
-from robotmodic_ident.analysis.noise_reduction import Cleaned, without_noise
-from robotmodic_ident.analysis.sobol import Distribution, Sobol, sobol
+from robotmodic_ident.analysis.noise_reduction import DenoisedOrbit, without_noise
+from robotmodic_ident.analysis.sobol import Distribution, SobolIndices, sobol
 
 __all__ = [
-    "Cleaned",
-    "Dimension",
+    "CorrelationDimension",
+    "DenoisedOrbit",
     "Distribution",
-    "Exponents",
-    "Parting",
-    "Sobol",
+    "LyapunovExponents",
+    "NeighbourDivergence",
+    "SobolIndices",
     "antiderivative_model",
     "correlation_dimension",
     "derivative",

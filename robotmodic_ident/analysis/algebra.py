@@ -16,7 +16,7 @@ from robotmodic_ident.terms import Factor, Term, Terms, canonical_key, term_name
 from robotmodic_ident.types import Floats
 
 Sum = dict[Term, float]
-KNOWN = ("", "cos", "sin")
+ANALYSED_FUNCTIONS = ("", "cos", "sin")
 
 
 def ordered(factors: Iterable[Factor]) -> Term:
@@ -49,7 +49,7 @@ def polynomial_part(plain: Narmax) -> Narmax:
     k = len(plain.terms)
     for term in plain.terms:
         for f in term:
-            if f.function not in KNOWN:
+            if f.function not in ANALYSED_FUNCTIONS:
                 raise IdentError(
                     f"term {term_name(term)!r} has the function {f.function!r}; the analysis knows powers, cos and sin"
                 )

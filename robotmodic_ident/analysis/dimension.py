@@ -25,7 +25,7 @@ BLOCKS = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Dimension:
+class CorrelationDimension:
     """A correlation dimension, how sure it is, and what linear noise of the same spectrum gives."""
 
     value: float
@@ -51,7 +51,7 @@ def correlation_dimension(
     n_reference: int = MOST,
     region: tuple[float, float] = (LOW, HIGH),
     rng: np.random.Generator,
-) -> Dimension:
+) -> CorrelationDimension:
     """Return the correlation dimension of a series (n,) or (n, n_signals).
 
     Parameters
@@ -82,7 +82,7 @@ def correlation_dimension(
     p_value = (
         float((1 + (surrogates <= value).sum()) / (n_surrogates + 1)) if n_surrogates else None
     )  # one-sided: structure has a lower dimension than noise
-    return Dimension(
+    return CorrelationDimension(
         value=value,
         interval=(float(min(low, *ends)), float(max(high, *ends))),
         surrogates=surrogates,

@@ -20,7 +20,7 @@ def embed(series: ArrayLike, dimension: int, lag: int = 1) -> Floats:
     if dimension < 1 or lag < 1:
         raise ValueError(f"dimension and lag are {dimension}, {lag}, expected 1 or more")
     if not np.isfinite(table).all():
-        raise IdentError("the series has samples that are not known; take a stretch without")
+        raise IdentError("the series has samples that are not known; take a segment without")
     n = len(table) - (dimension - 1) * lag
     if n < 2:
         raise IdentError(f"{len(table)} samples are too few for {dimension} delays of {lag}")

@@ -26,7 +26,7 @@ FAR = 1e6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Exponents:
+class LyapunovExponents:
     """The spectrum of exponents, largest first."""
 
     values: Floats
@@ -55,7 +55,7 @@ def lyapunov(
     n_steps: int = 2000,
     transient: int = 500,
     period: float = 1.0,
-) -> Exponents:
+) -> LyapunovExponents:
     """Return the Lyapunov exponents of autonomous models, by QR of the tangent map along free runs.
 
     Parameters
@@ -86,11 +86,11 @@ def lyapunov(
         state[~alive], tangent[~alive] = 0.0, np.eye(d)
         frame, upper = np.linalg.qr(tangent @ frame)
         if k >= transient:
-            stretch = np.abs(np.diagonal(upper, axis1=1, axis2=2))
-            growth += np.log(np.maximum(stretch, 1e-300))
+            stretching = np.abs(np.diagonal(upper, axis1=1, axis2=2))
+            growth += np.log(np.maximum(stretching, 1e-300))
     rates = np.sort(growth[alive] / (n_steps * period), axis=1)[:, ::-1]
     spread = rates.std(axis=0, ddof=1) if len(rates) > 1 else np.full(d, np.nan)
-    return Exponents(
+    return LyapunovExponents(
         values=rates.mean(axis=0), stderr=spread / np.sqrt(len(rates)), lost=float(1.0 - alive.mean())
     )
 
@@ -145,11 +145,13 @@ def _slope(total: Sum, signal: str) -> Sum:
     return out
 
 
-def lyapunov_along(model: Narmax, record: Record | Mapping[str, Floats], *, period: float = 1.0) -> Exponents:
+def lyapunov_along(
+    model: Narmax, record: Record | Mapping[str, Floats], *, period: float = 1.0
+) -> LyapunovExponents:
     """Return the exponents of one model along a recorded orbit instead of a free run; it may read inputs.
 
     For a driven model these are the conditional exponents. Noise of the orbit counts: clean it by `without_noise`.
-    The stderr is that of ten stretches.
+    The stderr is that of ten segments.
     """
     rows = lagged(record, model.terms, [model.output])
     total = sum_of(model)
@@ -164,13 +166,13 @@ def lyapunov_along(model: Narmax, record: Record | Mapping[str, Floats], *, peri
     for j, slope in enumerate(slopes):
         tangent[:, 0, j] = slope
     tangent[:, np.arange(1, d), np.arange(d - 1)] = 1.0
-    frame, stretch = np.eye(d), np.empty((n, d))
+    frame, stretching = np.eye(d), np.empty((n, d))
     for k in range(n):
         frame, upper = np.linalg.qr(tangent[k] @ frame)
-        stretch[k] = np.log(np.maximum(np.abs(np.diagonal(upper)), 1e-300))
-    parts = np.array([part.mean(axis=0) for part in np.array_split(stretch, STRETCHES)]) / period
-    return Exponents(
-        values=stretch.mean(axis=0) / period,
+        stretching[k] = np.log(np.maximum(np.abs(np.diagonal(upper)), 1e-300))
+    parts = np.array([part.mean(axis=0) for part in np.array_split(stretching, STRETCHES)]) / period
+    return LyapunovExponents(
+        values=stretching.mean(axis=0) / period,
         stderr=parts.std(axis=0, ddof=1) / np.sqrt(STRETCHES),
         lost=0.0,
     )
@@ -195,7 +197,7 @@ def states_of(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Parting:
+class NeighbourDivergence:
     """How neighbours part on average."""
 
     exponent: float
@@ -215,7 +217,7 @@ def lyapunov_of_series(
     theiler: int,
     fit: tuple[int, int],
     period: float = 1.0,
-) -> Parting:
+) -> NeighbourDivergence:
     """Return the largest exponent of a measured series, after Rosenstein.
 
     Parameters
@@ -240,4 +242,4 @@ def lyapunov_of_series(
         apart[i] = np.log(gap[gap > 0]).mean() if (gap > 0).any() else np.nan
     used = slice(first, last + 1)
     exponent = float(np.polyfit(seconds[used], apart[used], 1)[0])
-    return Parting(exponent=exponent, seconds=seconds, log_distance=apart, n_pairs=len(mine))
+    return NeighbourDivergence(exponent=exponent, seconds=seconds, log_distance=apart, n_pairs=len(mine))

@@ -29,7 +29,7 @@ ENOUGH = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cleaned:
+class DenoisedOrbit:
     """A model freed of the bias of measurement noise, and the orbit that it fits."""
 
     model: Narmax
@@ -39,7 +39,7 @@ class Cleaned:
     """Standard deviation of the noise that was taken away."""
 
 
-def without_noise(model: Narmax, record: Record | Mapping[str, Floats]) -> Cleaned:
+def without_noise(model: Narmax, record: Record | Mapping[str, Floats]) -> DenoisedOrbit:
     """Estimate the orbit and the coefficients of a model together; its terms stay as they are.
 
     For a series whose own dynamics are (nearly) free of noise and whose measurement is not. One record without
@@ -47,9 +47,9 @@ def without_noise(model: Narmax, record: Record | Mapping[str, Floats]) -> Clean
     """
     (record,) = as_records(record)
     if len(record.segments()) > 1:
-        raise IdentError("the record has gaps; take a stretch without")
+        raise IdentError("the record has gaps; take a segment without")
     plain = deterministic(model)
-    problem = _Problem(plain, record)
+    problem = _OrbitProblem(plain, record)
     x, theta = problem.measured.copy(), plain.theta.copy()
     covariance = plain.covariance
     for tau in TIGHTER:
@@ -58,14 +58,14 @@ def without_noise(model: Narmax, record: Record | Mapping[str, Floats]) -> Clean
             if moved < ENOUGH:
                 break
     noise = float(np.std(problem.measured - x))
-    return Cleaned(
+    return DenoisedOrbit(
         model=replace(plain, theta=theta, covariance=noise**2 * covariance, estimator="orbit"),
         series=x,
         sigma=noise,
     )
 
 
-class _Problem:
+class _OrbitProblem:
     """The normal equations of orbit and coefficients: banded in the orbit, bordered by the coefficients."""
 
     def __init__(self, model: Narmax, record: Record) -> None:
@@ -84,7 +84,7 @@ class _Problem:
             raise IdentError("the model reads no past output, so noise on the output does not bias it")
         known = [self.measured, *self.inputs.values()]
         if not all(np.isfinite(values).all() for values in known) or self.n < 3 * (len(model.terms) + 1):
-            raise IdentError("the record has unknown samples, or too few; take a whole stretch")
+            raise IdentError("the record has unknown samples, or too few; take a whole segment")
         self.slopes = {
             lag: [partial(term, f"{self.output}(k-{lag})") for term in model.terms] for lag in self.own
         }

@@ -1,7 +1,7 @@
-"""Sobol indices of a model in closed form: which signal, alone and with others, makes the output vary.
+"""SobolIndices indices of a model in closed form: which signal, alone and with others, makes the output vary.
 
 For independent signals, a sum of products is a finite expansion in an orthonormal product basis, and the
-indices are sums of squared coefficients (Sudret, Reliability Engineering & System Safety 93, 2008). Lagged
+indices are sums of squared coefficients (Sudret, Reliability Engineering & System Safety 93, 2008). LaggedData
 signals of a robot are not independent: the indices then answer the question "if they were", and `dependence`
 says how far from it the data are.
 """
@@ -21,7 +21,7 @@ from robotmodic_ident.model import Narmax
 from robotmodic_ident.terms import Term
 from robotmodic_ident.types import Floats
 
-NODES = 64
+N_GAUSS_NODES = 64
 """Of the Gauss rule: exact for polynomials up to degree 127, so for powers up to 63."""
 
 
@@ -36,14 +36,14 @@ class Distribution:
     def nodes(self) -> tuple[Floats, Floats]:
         """Return nodes and weights (n,) whose sum is an expectation."""
         if self.kind == "uniform":
-            x, w = np.polynomial.legendre.leggauss(NODES)
+            x, w = np.polynomial.legendre.leggauss(N_GAUSS_NODES)
             return self.a + (self.b - self.a) * (x + 1) / 2, w / w.sum()
-        x, w = np.polynomial.hermite_e.hermegauss(NODES)
+        x, w = np.polynomial.hermite_e.hermegauss(N_GAUSS_NODES)
         return self.a + self.b * x, w / w.sum()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Sobol:
+class SobolIndices:
     """Shares of the output's variance."""
 
     variance: float
@@ -64,8 +64,8 @@ class Sobol:
         return "; ".join(lines)
 
 
-def sobol(model: Narmax, signals: Mapping[str, Distribution] | Mapping[str, Floats]) -> Sobol:
-    """Return the Sobol indices of one step of a model.
+def sobol(model: Narmax, signals: Mapping[str, Distribution] | Mapping[str, Floats]) -> SobolIndices:
+    """Return the SobolIndices indices of one step of a model.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def sobol(model: Narmax, signals: Mapping[str, Distribution] | Mapping[str, Floa
             shares[key] = shares.get(key, 0.0) + value**2
     variance = sum(shares.values())
     whole = variance if variance > 0 else 1.0
-    return Sobol(
+    return SobolIndices(
         variance=variance,
         first={s: shares.get(frozenset((s,)), 0.0) / whole for s in names},
         total={s: sum(v for key, v in shares.items() if s in key) / whole for s in names},

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from robotmodic_ident.terms import Terms
 
-CUBIC = 3
+SPLINE_DEGREE = 3
 
 
 def bspline(signals: Sequence[str], degree: int) -> Terms:
@@ -19,8 +19,8 @@ def bspline(signals: Sequence[str], degree: int) -> Terms:
     """
     if degree < 0:
         raise ValueError(f"number of intervals is {degree}, expected 0 or more")
-    count = degree + CUBIC if degree else 1
-    names = [f"B{CUBIC}_{i}of{count}({signal})" for signal in signals for i in range(count - 1)]
+    count = degree + SPLINE_DEGREE if degree else 1
+    names = [f"B{SPLINE_DEGREE}_{i}of{count}({signal})" for signal in signals for i in range(count - 1)]
     return Terms.parse("1", *names)
 
 

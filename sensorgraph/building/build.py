@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from logs.run import Run, pair
-from logs.stream import Log, Whole
+from logs.stream import LogStream, WholeRun
 from planners.arena import Arena
 from sensorgraph import __version__
 from sensorgraph.building.split import held_out
@@ -26,7 +26,7 @@ MIN_SCANS = 10
 
 
 def build(
-    runs: Sequence[Run | Log],
+    runs: Sequence[Run | LogStream],
     *,
     arena: Arena | None = None,
     model: str = "faces",
@@ -41,7 +41,7 @@ def build(
 
     Parameters
     ----------
-    runs : recordings of one sensor, with poses of one frame; a `Log` is read piece by piece
+    runs : recordings of one sensor, with poses of one frame; a `LogStream` is read piece by piece
     arena : its bounds give the scale of x and y, so that graphs of several runs share it
     model : a name in MODELS
     names : what to call each run in messages and in the graph; None: the file it says it came from
@@ -53,7 +53,7 @@ def build(
     if model not in MODELS:
         raise SensorgraphError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
     names = [_name(run, i) for i, run in enumerate(runs)] if names is None else names
-    sources = [Whole(head=run) if isinstance(run, Run) else run for run in runs]
+    sources = [WholeRun(head=run) if isinstance(run, Run) else run for run in runs]
     _check_alike([source.head for source in sources], names)
     feed = Feed(sources, names, split=split, bounds=None if arena is None else arena.bounds)
     if update is not None:
@@ -179,7 +179,7 @@ def _check_alike(runs: Sequence[Run], names: Sequence[str]) -> None:
             )
 
 
-def _name(run: Run | Log, i: int) -> str:
+def _name(run: Run | LogStream, i: int) -> str:
     """Return the file's name without its folder, so that a graph does not depend on where the log lay."""
     run = run if isinstance(run, Run) else run.head
     return PurePath(run.meta["source"]).name if "source" in run.meta else f"run {i}"

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from logs.inspect import warnings_of
+from logs.inspection import warnings_of
 from logs.run import PoseFrame, RangeSensor, Run, pair
-from logs.stream import Log
+from logs.stream import LogStream
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Scans
@@ -32,7 +32,7 @@ class Feed:
 
     def __init__(
         self,
-        logs: Sequence[Log],
+        logs: Sequence[LogStream],
         names: Sequence[str],
         *,
         split: str | None,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 if TYPE_CHECKING:
-    from robotmodic_ident.score import Outside, Score
+    from robotmodic_ident.validation.score import Extrapolation, Score
     from sensorgraph.identification.identify import Identified
     from sensorgraph.identification.signals import Data
 
@@ -186,7 +186,7 @@ def _doubted(found: Identified) -> list[str]:
     return [f"what is left is correlated (e-e): the standard errors are too small; {hint}"]
 
 
-def _reach(outside: Outside) -> list[str]:
+def _reach(outside: Extrapolation) -> list[str]:
     """Say how much of what is scored lies where the model was not fitted."""
     if math.isnan(outside.share):
         return []

@@ -30,7 +30,7 @@ def inspect(
         sensorgraph inspect others.bag --topic scan=/front/scan --topic pose=/ground_truth
     """
     from logs import parse_topics
-    from logs.inspect import inspect as look
+    from logs.inspection import inspect as look
     from sensorgraph.cli.inputs import check_output, write_json
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError

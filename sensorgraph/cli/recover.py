@@ -20,7 +20,7 @@ def recover(
 
         sensorgraph recover run.mcap.part -o run.mcap
     """
-    from logs.recover import recover as save
+    from logs.recovery import recover as save
     from sensorgraph.cli.progress import progress
 
     with progress("recovering") as tick:

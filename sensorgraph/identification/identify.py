@@ -10,11 +10,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from robotmodic_ident import Narmax, Record, Terms, fit, lags, polynomial
-from robotmodic_ident.criteria import Criterion
 from robotmodic_ident.errors import IdentError
-from robotmodic_ident.score import Outside, Score, outside
-from robotmodic_ident.score import score as score_series
-from robotmodic_ident.validate import validate
+from robotmodic_ident.selection.criteria import Criterion
+from robotmodic_ident.validation.residual_tests import validate
+from robotmodic_ident.validation.score import Extrapolation, Score, extrapolation
+from robotmodic_ident.validation.score import score as score_series
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.identification.signals import Data, variable
 from sensorgraph.types import Floats
@@ -103,7 +103,7 @@ class Identified:
     scores: dict[str, Score]
     """`one_step`, `free_run`, `persistence` (the last measured value), `constant` (the mean of the training)."""
     validation: list[dict[str, Any]]
-    outside: Outside
+    outside: Extrapolation
     """What of the part that is scored lies where the model was not fitted."""
     n_train: int
     unknown: dict[str, float]
@@ -161,7 +161,7 @@ def identify(data: Data, question: Question) -> Identified:
     return Identified(
         model=model, question=question, data=data, test=test, measured=measured, one_step=one_step,
         free_run=free_run, scores=scores, validation=_validated(model, test, question),
-        outside=outside(model, train, test), n_train=model.n_samples,
+        outside=extrapolation(model, train, test), n_train=model.n_samples,
         unknown=unknown,
     )  # fmt: skip
 
@@ -298,6 +298,6 @@ def score(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Score:
         return score_series(x, y)
 
 
-def plain(s: Score | Outside) -> dict[str, float | None]:
+def plain(s: Score | Extrapolation) -> dict[str, float | None]:
     """Return scores as plain data; what is not defined is None."""
     return {k: v if math.isfinite(v) else None for k, v in vars(s).items()}

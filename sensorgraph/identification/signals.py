@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from logs import table
 from logs.errors import LogError
+from logs.formats import table
+from logs.formats.text import first_bytes, read_lines
 from logs.run import RangeSensor, Run, pair
-from logs.text import first_bytes, read_lines
 from planners.arena import wrap
 from robotmodic_ident import Record
 from sensorgraph.errors import SensorgraphError

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from logs.run import RangeSensor
 from robotmodic_ident import Moments, Scale, Selection, Terms, fourier, polynomial, select
-from robotmodic_ident.expand import expand
-from robotmodic_ident.printing import sum_text
+from robotmodic_ident.notation.expand import expand
+from robotmodic_ident.notation.printing import sum_text
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF, Point, Prediction, Scans
 from sensorgraph.models.polynomial.complexity import Auto, Choice, choose

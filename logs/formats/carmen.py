@@ -1,0 +1,331 @@
+"""CARMEN logs: FLASER, RLASER, ROBOTLASER1, RAWLASER1, ODOM, TRUEPOS and PARAM lines; plain or gzip.
+
+These logs say neither what "nothing seen" is coded as, nor whether their poses were corrected by SLAM; both are
+told from the numbers, and said in the run's meta.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.errors import LogError
+from logs.formats.no_return import find_code, mask
+from logs.formats.text import read_lines
+from logs.run import PoseFrame, RangeSensor, Run
+from logs.transforms import compose, invert, twists_of, wrap
+from logs.types import Floats, Progress
+
+SCANS = ("FLASER", "ROBOTLASER1", "RAWLASER1", "RLASER", "ROBOTLASER2", "RAWLASER2")
+"""Kinds of scan lines; the first kind that a log holds is read unless `--topic scan=RLASER` says otherwise."""
+KEYWORDS = frozenset({*SCANS, "ODOM", "TRUEPOS", "PARAM", "SYNC", "NEFF", "POSITION", "GPGGA", "IMU"})
+# readings -> (first bearing [°], step [°]): the configurations of SICK and Hokuyo that CARMEN knew
+LAYOUTS = {
+    101: (-50.0, 1.0), 180: (-90.0, 1.0), 181: (-90.0, 1.0), 201: (-50.0, 0.5), 360: (-90.0, 0.5),
+    361: (-90.0, 0.5), 401: (-50.0, 0.25), 541: (-135.0, 0.5), 682: (-120.0, 0.3515625), 720: (-90.0, 0.25),
+    721: (-90.0, 0.25), 1081: (-135.0, 0.25),
+}  # fmt: skip
+ABSOLUTE = 1e8  # [s] larger times count from 1970
+PLAIN_STEP = 0.1  # [s] between scans of a log whose clock stands still
+SAME = 0.02  # [m, rad] how far a rigid mount may seem to move
+
+
+def matches(path: Path, head: bytes) -> bool:
+    """Tell whether the first line that says something is CARMEN's."""
+    for line in head.splitlines():
+        words = line.split(maxsplit=1)
+        if words and not words[0].startswith(b"#"):
+            return words[0].decode("ascii", errors="replace") in KEYWORDS
+    return b"message formats defined" in head
+
+
+@dataclass
+class _Lines:
+    """The numbers of a log, kind by kind."""
+
+    scans: dict[str, list[_Scan]] = field(default_factory=dict)
+    odom: list[list[float]] = field(default_factory=list)
+    true: list[list[float]] = field(default_factory=list)
+    params: dict[str, str] = field(default_factory=dict)
+    is_filtered: bool = False
+    """A particle filter has left its NEFF lines."""
+    broken: list[int] = field(default_factory=list)
+    """Numbers of lines that could not be read."""
+    others: Counter[str] = field(default_factory=Counter)
+
+
+@dataclass(frozen=True)
+class _Scan:
+    ranges: Floats
+    geometry: tuple[float, float, float, float]
+    """First bearing, step [rad], largest range and accuracy [m]; nan where the line does not say."""
+    laser: tuple[float, ...]
+    robot: tuple[float, ...]
+    """Poses (x, y, phi), or nothing."""
+    times: tuple[float, float]
+    """[s] of the sensor, of the logger."""
+
+
+def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
+    """Read a run; in corrected logs its poses are the laser's."""
+    lines = _parse(read_lines(path), progress)
+    kind = _choose(path, lines, topics)
+    scans = _same_geometry(lines.scans[kind])
+    notes = [f"{len(lines.scans[kind]) - len(scans)} scans of another geometry dropped"]
+    notes = notes if len(scans) < len(lines.scans[kind]) else []
+    if lines.broken:
+        share = len(lines.broken) / (len(lines.broken) + len(lines.scans[kind]) + len(lines.odom))
+        if share > 0.5:
+            raise LogError(
+                f"{path}: {len(lines.broken)} lines are broken, the first is line {lines.broken[0]}"
+            )
+        notes.append(f"{len(lines.broken)} broken lines left out, the first is line {lines.broken[0]}")
+    others = [f"{len(found)} {name}" for name, found in lines.scans.items() if name != kind]
+    if others:
+        notes.append(f"other scans in the log: {', '.join(others)}; choose with --topic scan=NAME")
+    stamps, order, epoch = _times(scans, notes)
+    laser = np.array([scan.laser or (np.nan,) * 3 for scan in scans])
+    robot = np.array([scan.robot or (np.nan,) * 3 for scan in scans])
+    ranges, bearings, limits = _ranges(scans, notes)
+    source = _pose_source(path.name, lines, laser, robot)
+    mount = _mount(kind, lines, laser, robot, source)
+    found = _signals(lines, source, stamps, laser, robot, epoch, mount)
+    return Run(
+        sensor=RangeSensor(
+            bearings=bearings,
+            range_min=0.0,
+            range_max=limits,
+            mount=mount,
+            resolution=_resolution(ranges),
+            rate=_rate(stamps[order]),
+        ),
+        stamps=stamps[order],
+        ranges=ranges[order],
+        pose_stamps=found.pose_stamps,
+        poses=found.poses,
+        odom_stamps=found.odom_stamps,
+        odometry=found.odometry,
+        odom_twists=found.twists,
+        pose_frame=found.frame,
+        epoch_ns=epoch,
+        meta={
+            "source": path.name,
+            "format": "carmen",
+            "scan_topic": kind,
+            "pose_source": source,
+            **({"notes": "; ".join(notes + found.notes)} if notes or found.notes else {}),
+        },
+    )
+
+
+def _parse(text: list[str], progress: Progress | None) -> _Lines:
+    lines = _Lines()
+    for number, line in enumerate(text, 1):
+        if progress is not None and number % 1000 == 0:
+            progress(number, len(text))
+        word, _, rest = line.partition(" ")
+        if not word or word.startswith("#"):
+            continue
+        try:
+            if word in SCANS:
+                scan = _scan(word, rest.split())
+                lines.scans.setdefault(word, []).append(scan)
+            elif word == "ODOM":
+                values = rest.split()
+                lines.odom.append([float(value) for value in (*values[:5], values[6])])
+            elif word == "TRUEPOS":
+                values = rest.split()
+                lines.true.append([float(value) for value in (*values[:6], values[6])])
+            elif word == "PARAM":
+                name, value = rest.split()[:2]
+                lines.params[name] = value
+            elif word == "NEFF":
+                lines.is_filtered = True
+            else:
+                lines.others[word] += 1
+        except (ValueError, IndexError):
+            lines.broken.append(number)
+    return lines
+
+
+def _scan(word: str, values: list[str]) -> _Scan:
+    """Read the words after the keyword of a scan line."""
+    at, geometry = 0, (np.nan, np.nan, np.nan, np.nan)
+    if not word.endswith("LASER"):  # laser_type start_angle fov resolution range_max accuracy remission_mode
+        geometry = (float(values[1]), float(values[3]), float(values[4]), float(values[5]))
+        at = 7
+    n = int(values[at])
+    end = at + 1 + n
+    if n < 1 or len(values) < end:
+        raise ValueError(f"{n} ranges")
+    ranges = np.array(values[at + 1 : end], dtype=np.float64)
+    if not word.endswith("LASER"):
+        end += 1 + int(values[end])  # remissions
+    n_poses = 0 if word.startswith("RAW") else 6
+    poses = tuple(float(value) for value in values[end : end + n_poses])
+    end += n_poses
+    if word.startswith("ROBOT"):
+        end += 5  # laser_tv laser_rv forward_safety_dist side_safety_dist turn_axis
+    if len(values) < end + 3:
+        raise ValueError("no stamp")
+    times = float(values[end]), float(values[end + 2])
+    if not np.isfinite(times).all():
+        raise ValueError("a stamp that is no number")
+    return _Scan(ranges, geometry, poses[:3], poses[3:], times)
+
+
+def _choose(path: Path, lines: _Lines, topics: Mapping[str, str] | None) -> str:
+    named = (topics or {}).get("scan")
+    there = [kind for kind in SCANS if kind in lines.scans]
+    if named is not None and named.lstrip("/") not in there:
+        raise LogError(f"scan={named} is not in {path}; it has {', '.join(there) or 'no scans'}")
+    if not there:
+        kinds = {"ODOM": len(lines.odom), "TRUEPOS": len(lines.true), **lines.others}
+        seen = ", ".join(f"{count} {name}" for name, count in kinds.items() if count) or "nothing"
+        broken = f" and {len(lines.broken)} broken lines" if lines.broken else ""
+        raise LogError(f"{path} has no scans; it has {seen}{broken}; expected FLASER or ROBOTLASER1 lines")
+    return named.lstrip("/") if named is not None else there[0]
+
+
+def _same_geometry(scans: list[_Scan]) -> list[_Scan]:
+    """Keep the scans whose geometry is the commonest."""
+    keys = [(len(scan.ranges), np.round(scan.geometry, 6).tobytes()) for scan in scans]
+    best = Counter(keys).most_common(1)[0][0]
+    return [scan for scan, key in zip(scans, keys, strict=True) if key == best]
+
+
+def _times(scans: list[_Scan], notes: list[str]) -> tuple[Floats, NDArray[np.intp], int]:
+    """Return stamps [s] in the order of the file, the order that sorts them, and the epoch [ns]."""
+    clocks = np.array([scan.times for scan in scans], dtype=np.float64)
+    n_levels = [len(np.unique(clock)) for clock in clocks.T]
+    stamps = clocks[:, 0]
+    if n_levels[1] > 2 * n_levels[0]:
+        stamps = clocks[:, 1]
+        notes.append(f"the sensor's clock shows {n_levels[0]} times only, the logger's was taken")
+    if len(stamps) > 1 and max(n_levels) == 1:
+        stamps = PLAIN_STEP * np.arange(len(stamps), dtype=np.float64)
+        notes.append(f"no clock runs: scans were taken to be {PLAIN_STEP:g} s apart")
+    back, same = int((np.diff(stamps) < 0).sum()), int((np.diff(np.sort(stamps)) == 0).sum())
+    if back:
+        notes.append(f"scan stamps go back {back} times, sorted")
+    if same:
+        notes.append(f"{same} scan stamps are duplicates, kept")
+    epoch = int(np.floor(stamps.min())) if stamps.min() > ABSOLUTE else 0
+    return stamps - epoch, np.argsort(stamps, kind="stable"), epoch * 1_000_000_000
+
+
+def _ranges(scans: list[_Scan], notes: list[str]) -> tuple[Floats, Floats, float]:
+    """Return ranges with missing returns as +inf, the bearings, and range_max."""
+    ranges = np.stack([scan.ranges for scan in scans])  # (n_scans, n_rays)
+    first, step, said, _ = scans[0].geometry
+    n = ranges.shape[1]
+    if np.isfinite(first) and step > 0:
+        bearings: Floats = first + step * np.arange(n, dtype=np.float64)
+    elif n in LAYOUTS:
+        bearings = np.radians(LAYOUTS[n][0] + LAYOUTS[n][1] * np.arange(n, dtype=np.float64))
+    else:
+        bearings = np.linspace(-np.pi / 2, np.pi / 2, n) if n > 1 else np.zeros(1)
+        notes.append(f"{n} rays is no count with a known layout: spread evenly from -90° to 90°")
+    code = find_code(ranges, said if np.isfinite(said) and said > 0 else None)
+    notes += mask(ranges, code)
+    finite = np.isfinite(ranges)
+    largest = float(ranges[finite].max()) if finite.any() else 1.0
+    limit = code if code is not None else float(said) if said > largest else largest
+    return ranges, bearings, max(limit, 1e-3)
+
+
+def _pose_source(name: str, lines: _Lines, laser: Floats, robot: Floats) -> str:
+    """Tell whether the laser's poses are SLAM's, an outer reference's, or odometry's."""
+    if lines.true:
+        return "TRUEPOS"
+    whole = np.isfinite(laser).all(axis=1)
+    if not whole.any():
+        return "none"
+    mount = compose(invert(robot[whole]), laser[whole])
+    middle = np.median(mount, axis=0)
+    moved = np.abs(mount - middle)
+    moved[:, 2] = np.abs(wrap(mount[:, 2] - middle[2]))
+    is_rigid = bool((moved < SAME).all())
+    return "slam" if lines.is_filtered or "corrected" in name or not is_rigid else "odometry"
+
+
+def _mount(kind: str, lines: _Lines, laser: Floats, robot: Floats, source: str) -> Floats:
+    """Return the laser in base_link, from a raw log's own poses or its PARAM lines."""
+    rear = kind in ("RLASER", "ROBOTLASER2", "RAWLASER2")
+    said = float(lines.params.get(f"robot_{'rear' if rear else 'front'}laser_offset", 0.0))
+    whole = np.isfinite(laser).all(axis=1)
+    if source in ("odometry", "TRUEPOS") and whole.any():
+        return np.asarray(np.median(compose(invert(robot[whole]), laser[whole]), axis=0))
+    return np.array([said, 0.0, np.pi if rear else 0.0])
+
+
+@dataclass(frozen=True)
+class _Signals:
+    pose_stamps: Floats
+    poses: Floats
+    frame: PoseFrame
+    odom_stamps: Floats
+    odometry: Floats
+    twists: Floats
+    notes: list[str]
+
+
+def _signals(
+    lines: _Lines, source: str, stamps: Floats, laser: Floats, robot: Floats, epoch: int, mount: Floats
+) -> _Signals:
+    """Return the reference poses and the wheel odometry.
+
+    The ODOM lines of a log that a particle filter corrected (GFS; it leaves NEFF lines) restart at the corrected
+    pose with every scan and carry stamps of 0 or below: they are not what the wheels said, and are left out.
+    """
+    notes = []
+    whole = np.isfinite(laser).all(axis=1)
+    order = np.argsort(stamps[whole], kind="stable")
+    at, lasers, robots = stamps[whole][order], laser[whole][order], robot[whole][order]
+    odom = np.array(lines.odom, dtype=np.float64).reshape(-1, 6)
+    odom[:, 5] -= epoch / 1e9
+    if source == "slam":
+        raw = bool(len(at)) and not lines.is_filtered and np.abs(lasers - robots).max() > SAME
+        if len(odom) and not raw:
+            notes.append(f"{len(odom)} ODOM lines follow the corrected poses, not the wheels: left out")
+            odom = odom[:0]
+    if len(odom) == 0 and source != "slam" and len(at):  # a log of scans alone: each carries its odometry
+        odom = np.column_stack([robots, twists_of(at, robots), at])
+    odom = odom[np.isfinite(odom[:, 5])]
+    odom = odom[np.argsort(odom[:, 5], kind="stable")]
+    odom_stamps, odometry, twists = odom[:, 5], odom[:, :3].copy(), odom[:, 3:5]
+    odometry[:, 2] = wrap(odometry[:, 2])
+    frame: PoseFrame = "base_link"
+    if source == "slam":
+        frame, pose_stamps, poses = "laser", at, lasers
+    elif source == "TRUEPOS":
+        true = np.array(lines.true, dtype=np.float64)
+        true = true[np.argsort(true[:, 6], kind="stable")]
+        pose_stamps, poses = true[:, 6] - epoch / 1e9, true[:, :3]
+    elif source == "odometry":
+        pose_stamps, poses = at, robots
+    else:
+        pose_stamps, poses = odom_stamps, odometry
+    poses = poses.copy()
+    poses[:, 2] = wrap(poses[:, 2])
+    return _Signals(pose_stamps, poses, frame, odom_stamps, odometry, twists, notes)
+
+
+def _resolution(ranges: Floats) -> float:
+    """Return the step [m] that all ranges are multiples of: 1 mm, 5 mm, 1 cm, 5 cm, or 0."""
+    values = ranges[np.isfinite(ranges)][:20000]
+    for step in (0.05, 0.01, 0.005, 0.001):
+        if len(values) and np.abs(values / step - np.rint(values / step)).max() < 1e-6 / step:
+            return step
+    return 0.0
+
+
+def _rate(stamps: Floats) -> float:
+    steps = np.diff(stamps)
+    steps = steps[steps > 0]
+    return float(1.0 / np.median(steps)) if len(steps) else 10.0

@@ -1,0 +1,339 @@
+"""Run <-> MCAP (profile ros2): topics, frames, order and times as ROS tools expect them, unconfigured."""
+
+from __future__ import annotations
+
+import logging
+import mmap
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.mcap.records import MAGIC, Contents, Loss
+from logs.mcap.walk import Walk
+from logs.ros import cdr
+from logs.ros.definitions import definition, quality
+from logs.ros.interpret import to_run
+from logs.ros.messages import (
+    GRID,
+    command_messages,
+    map_message,
+    odometry_messages,
+    pose_messages,
+    scan_messages,
+    to_ns,
+    transform_messages,
+    zero_time,
+)
+from logs.ros.own_record import RECORD, facts
+from logs.ros.recording import (
+    ENCODINGS,
+    KNOWN,
+    ODOMETRY,
+    POSE,
+    SCAN,
+    TF,
+    TWIST_STAMPED,
+    Recording,
+    Topic,
+    full_type,
+)
+from logs.run import OccupancyMap, RangeSensor, Run, pair
+from logs.transforms import Stamps, compose, interpolate, invert
+from logs.types import Progress
+
+logger = logging.getLogger(__name__)
+
+
+CHUNK_SIZE = (
+    64 * 1024
+)  # [bytes] what a crash can lose; 1 MiB would make files 7 % smaller (benchmarks/mcap_speed.py)
+MAPPED = 1 << 30  # [bytes] larger files are mapped into memory, not read
+MEDIA_TYPES = {
+    ".geojson": "application/geo+json",
+    ".json": "application/json",
+    ".yaml": "application/yaml",
+    ".csv": "text/csv",
+    ".pgm": "image/x-portable-graymap",
+    ".png": "image/png",
+}
+
+
+class RosFile:
+    """An MCAP file in the making: written to `NAME.part`, renamed when it is whole."""
+
+    def __init__(self, path: Path) -> None:
+        from mcap.writer import Writer
+
+        self.path = path
+        self.part = path.with_name(path.name + ".part")
+        self._stream: BinaryIO = self.part.open("wb")
+        self._writer = Writer(_Flushed(self._stream), chunk_size=CHUNK_SIZE, enable_data_crcs=True)  # type: ignore[arg-type]
+        self._writer.start(profile="ros2", library="sensorgraph")
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._counts: dict[int, int] = {}
+
+    def channel(self, topic: str, msgtype: str) -> int:
+        """Return the channel of a topic, registering it at first sight."""
+        if topic not in self._channels:
+            if msgtype not in self._schemas:
+                self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", definition(msgtype))
+            metadata = {"offered_qos_profiles": quality(topic)}
+            self._channels[topic] = self._writer.register_channel(
+                topic, "cdr", self._schemas[msgtype], metadata
+            )
+            self._counts[self._channels[topic]] = 0
+        return self._channels[topic]
+
+    def put(self, channel: int, ns: int, message: bytes) -> None:
+        """Add one message, logged and published at `ns`."""
+        sequence = self._counts[channel]
+        self._counts[channel] = sequence + 1
+        self._writer.add_message(channel, ns, message, ns, sequence)
+
+    def describe(self, name: str, pairs: Mapping[str, str]) -> None:
+        """Add a metadata record."""
+        self._writer.add_metadata(name, dict(pairs))
+
+    def attach(self, name: str, data: bytes, ns: int) -> None:
+        """Add a file inside the file."""
+        media_type = MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+        self._writer.add_attachment(0, ns, name, media_type, data)
+
+    def finish(self, path: Path | None = None) -> Path:
+        """Write the index and give the file its name (or another)."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._stream.close()
+        return self.part.replace(path or self.path)
+
+    def abandon(self) -> None:
+        """Remove what was begun."""
+        self._stream.close()
+        self.part.unlink(missing_ok=True)
+
+    def __enter__(self) -> RosFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if exc is None:
+            self.finish()
+        else:
+            self.abandon()
+
+
+class _Flushed:
+    """A stream that hands every write to the operating system, so that a killed process loses none of it."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+
+    def write(self, data: bytes) -> int:
+        count = self._stream.write(data)
+        self._stream.flush()
+        return count
+
+    def tell(self) -> int:
+        return self._stream.tell()
+
+
+def latch(file: RosFile, ns: int, sensor: RangeSensor, occupancy: OccupancyMap | None) -> None:
+    """Write what a listener must know first: where the laser sits, and the map."""
+    at = np.array([ns], dtype=np.int64)
+    mount = transform_messages(at, ("base_link", "laser", sensor.mount[None]), z=sensor.height)
+    file.put(file.channel("/tf_static", TF), ns, mount.tobytes())
+    if occupancy is not None:
+        file.put(file.channel("/map", GRID), ns, map_message(at, occupancy).tobytes())
+
+
+def write(
+    run: Run, path: Path | str, *, occupancy: OccupancyMap | None = None, progress: Progress | None = None
+) -> None:
+    """Write a run as MCAP; the same run gives the same bytes."""
+    stamps = (run.stamps, run.pose_stamps, run.odom_stamps, run.cmd_stamps)
+    first = min((float(part[0]) for part in stamps if len(part)), default=0.0)
+    zero = zero_time(run.epoch_ns, first)
+    start = zero + round(first * 1e9)
+    if not run.sensor.is_evenly_spaced:
+        logger.warning(
+            "bearings are not evenly spaced: LaserScan holds their mean step, our metadata holds them"
+        )
+    said = facts(run.sensor, pose_frame=run.pose_frame, epoch_ns=run.epoch_ns, zero_ns=zero, meta=run.meta)
+    with RosFile(Path(path)) as file:
+        file.describe(RECORD, said)
+        for name, data in run.attachments.items():
+            file.attach(name, data, start)
+        latch(file, start, run.sensor, occupancy)
+        parts = [part for part in _messages(run, zero) if len(part.ns)]
+        _interleave(file, parts, progress)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """All messages of one topic and layout."""
+
+    topic: str
+    msgtype: str
+    ns: Stamps
+    rows: cdr.Bytes
+
+
+def _interleave(file: RosFile, parts: list[_Part], progress: Progress | None) -> None:
+    """Write the messages of all parts by time; at equal times in the order of the parts."""
+    if not parts:
+        return
+    ns = np.concatenate([part.ns for part in parts])
+    which = np.repeat(np.arange(len(parts)), [len(part.ns) for part in parts])
+    row = np.concatenate([np.arange(len(part.ns)) for part in parts])
+    order = np.lexsort((which, ns))
+    channels = [file.channel(part.topic, part.msgtype) for part in parts]
+    sizes, blobs = [part.rows.shape[1] for part in parts], [part.rows.tobytes() for part in parts]
+    total = len(order)
+    turns = zip(which[order].tolist(), row[order].tolist(), ns[order].tolist(), strict=True)
+    for done, (k, i, at) in enumerate(turns):
+        file.put(channels[k], at, blobs[k][i * sizes[k] : (i + 1) * sizes[k]])
+        if progress is not None and done % 512 == 0:
+            progress(done, total)
+    if progress is not None:
+        progress(total, total)
+
+
+def _messages(run: Run, zero: int) -> Iterator[_Part]:
+    """Yield the messages of each topic, in the order in which equal times are written."""
+    ns = to_ns(run.stamps, zero)
+    yield from _transforms(run, ns)
+    at = to_ns(run.pose_stamps, zero)
+    yield _Part("/pose", POSE, at, pose_messages(at, run.poses))
+    at = to_ns(run.odom_stamps, zero)
+    yield _Part("/odom", ODOMETRY, at, odometry_messages(at, run.odometry, run.odom_twists))
+    at = to_ns(run.cmd_stamps, zero)
+    yield _Part("/cmd_vel", TWIST_STAMPED, at, command_messages(at, run.commands))
+    yield _Part("/scan", SCAN, ns, scan_messages(run.sensor, ns, run.ranges))
+
+
+def _transforms(run: Run, ns: Stamps) -> Iterator[_Part]:
+    """Yield the tree at every scan: map -> odom -> base_link equals the reference where there is one.
+
+    Without odometry it is map -> base_link. When the poses are the laser's, the base follows from the mount,
+    so that every listener sees one tree; /pose keeps the laser's poses, and the metadata says whose they are.
+    """
+    pairing = pair(run)
+    poses, paired = pairing.poses[pairing.paired], pairing.paired
+    if run.pose_frame == "laser":
+        poses = compose(poses, invert(run.sensor.mount))
+    if len(run.odom_stamps) == 0:
+        if paired.any():
+            yield _Part("/tf", TF, ns[paired], transform_messages(ns[paired], ("map", "base_link", poses)))
+        return
+    driven = interpolate(run.stamps, run.odom_stamps, run.odometry)
+    if paired.any():
+        T_map_odom = compose(poses, invert(driven[paired]))
+        both = (("map", "odom", T_map_odom), ("odom", "base_link", driven[paired]))
+        yield _Part("/tf", TF, ns[paired], transform_messages(ns[paired], *both))
+    if not paired.all():
+        alone = ("odom", "base_link", driven[~paired])
+        yield _Part("/tf", TF, ns[~paired], transform_messages(ns[~paired], alone))
+
+
+def matches(path: Path, head: bytes) -> bool:
+    """Tell whether a file is MCAP."""
+    return head.startswith(MAGIC)
+
+
+def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
+    """Read a run from MCAP; a damaged file is refused, never read in part."""
+    return to_run(load(path, progress), path.name, topics)
+
+
+def load(path: Path, progress: Progress | None = None) -> Recording:
+    """Read the messages of an MCAP file, every checksum checked."""
+
+    def refuse(loss: Loss) -> None:
+        raise LogError(damage_text(path, loss))
+
+    recording, contents = collect(path, refuse, progress)
+    if contents.n_claimed is not None and contents.n_claimed != contents.n_messages:
+        raise LogError(
+            f"{path} holds {contents.n_messages} messages but says {contents.n_claimed}; "
+            f"save what is whole: sensorgraph recover {path} -o {recovered_name(path)}"
+        )
+    return recording
+
+
+def damage_text(path: Path, loss: Loss) -> str:
+    """Say what is wrong with a file and how to save it."""
+    return (
+        f"{path} is damaged at byte {loss.start}: {loss.why}; "
+        f"save what is whole: sensorgraph recover {path} -o {recovered_name(path)}"
+    )
+
+
+def recovered_name(path: Path) -> str:
+    """Suggest a name for what is recovered from a file."""
+    name = path.name.removesuffix(".part").removesuffix(".mcap")
+    return str(path.with_name(f"{name}.recovered.mcap"))
+
+
+def open_bytes(path: Path) -> bytes | mmap.mmap:
+    """Return a file's bytes; a large file is mapped, and must not be cut by others while it is read."""
+    with path.open("rb") as file:
+        if path.stat().st_size < MAPPED:
+            return file.read()
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+
+def collect(
+    path: Path, on_damage: Callable[[Loss], None], progress: Progress | None = None
+) -> tuple[Recording, Contents]:
+    """Walk a file and sort its messages by topic; only types that we understand are kept in memory."""
+    logged: dict[int, list[int]] = {}
+    payloads: dict[int, list[bytes]] = {}
+    counts: dict[int, int] = {}
+    ignored: set[int] = set()
+
+    def take(channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
+        if channel not in logged:
+            logged[channel], payloads[channel], counts[channel] = [], [], 0
+            if channel in walk.contents.channels and type_of(walk.contents, channel) not in KNOWN:
+                ignored.add(channel)
+        counts[channel] += 1
+        logged[channel].append(log_time)
+        if channel not in ignored:
+            payloads[channel].append(payload)
+
+    data = open_bytes(path)
+    walk = Walk(data, take, on_damage)
+    for done, pos in enumerate(walk.steps()):
+        if progress is not None and done % 64 == 0:
+            progress(pos, len(data))
+    contents = walk.contents
+    unknown = sum(count for key, count in counts.items() if key not in contents.channels)
+    if unknown:
+        on_damage(Loss(len(data), len(data), f"{unknown} messages belong to no channel of the file"))
+    recording = Recording(format="mcap")
+    for name, pairs in contents.metadata:
+        recording.metadata.setdefault(name, {}).update(pairs)
+    recording.attachments = {attachment.name: attachment.data for attachment in contents.attachments}
+    for key, channel in contents.channels.items():
+        kind = type_of(contents, key)
+        topic = recording.topics.setdefault(channel.topic, Topic(channel.topic, kind, channel.encoding))
+        if topic.type != kind or topic.encoding != channel.encoding:
+            topic = recording.topics.setdefault(f"{channel.topic}#{key}", Topic(channel.topic, kind))
+        topic.n_messages += counts.get(key, 0)
+        topic.log_times += logged.get(key, [])
+        if kind in KNOWN and channel.encoding in ENCODINGS:
+            topic.payloads += payloads.get(key, [])
+    if progress is not None:
+        progress(len(data), len(data))
+    return recording, contents
+
+
+def type_of(contents: Contents, channel: int) -> str:
+    schema = contents.schemas.get(contents.channels[channel].schema_id)
+    return full_type(schema.name) if schema is not None else "without schema"

@@ -1,0 +1,169 @@
+"""What others record: rosbag2 folders (mcap, sqlite3, compressed), a bare .db3, and ROS 1 bags."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from logs.errors import LogError
+from logs.formats import mcap_file
+from logs.ros.definitions import typestore
+from logs.ros.interpret import to_run
+from logs.ros.recording import ENCODINGS, KNOWN, Recording, Topic, full_type
+from logs.run import Run
+from logs.types import Progress
+
+SQLITE, ROS1 = b"SQLite format 3\x00", b"#ROSBAG V"
+
+
+def matches(path: Path, head: bytes) -> bool:
+    """Tell whether a path is a rosbag2 folder, a .db3 or a ROS 1 bag."""
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file()
+    return head.startswith((SQLITE, ROS1))
+
+
+def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
+    """Read a run from a bag."""
+    return to_run(load(path, progress), path.name, topics)
+
+
+def load(path: Path, progress: Progress | None = None) -> Recording:
+    """Read the messages of a bag of any kind."""
+    if path.is_dir():
+        return _folder(path, progress)
+    with path.open("rb") as file:
+        is_sqlite = file.read(len(SQLITE)) == SQLITE
+    return _sqlite([path], progress) if is_sqlite else _by_rosbags(path, "rosbag1", progress)
+
+
+def _folder(path: Path, progress: Progress | None) -> Recording:
+    """Read a rosbag2 folder: the files that its metadata.yaml lists, in order."""
+    about = _metadata(path)
+    files = [path / str(name) for name in about.get("relative_file_paths") or []]
+    absent = [file.name for file in files if not file.is_file()]
+    if absent or not files:
+        what = f"lists {', '.join(absent)}, which {'is' if len(absent) == 1 else 'are'} not there"
+        raise LogError(
+            f"{path / 'metadata.yaml'} {what if absent else 'lists no files'}; copy the folder whole"
+        )
+    if about.get("compression_mode") not in (None, "", "NONE", "none"):
+        return _by_rosbags(path, "rosbag2, compressed", progress)
+    storage = about.get("storage_identifier")
+    if storage == "sqlite3":
+        recording = _sqlite(files, progress)
+    elif storage == "mcap":
+        recording = Recording(format="rosbag2, mcap")
+        for file in files:
+            _merge(recording, mcap_file.load(file, progress))
+    else:
+        raise LogError(
+            f"{path} is stored as {storage}; expected mcap or sqlite3, convert it with `ros2 bag convert`"
+        )
+    claimed = about.get("message_count")
+    found = sum(topic.n_messages for topic in recording.topics.values())
+    if isinstance(claimed, int) and claimed != found:
+        raise LogError(f"{path} holds {found} messages, its metadata.yaml says {claimed}; is the copy whole?")
+    return recording
+
+
+def _metadata(path: Path) -> dict[str, Any]:
+    import yaml
+
+    try:
+        about = yaml.safe_load((path / "metadata.yaml").read_text(errors="replace"))
+        about = about["rosbag2_bagfile_information"]
+        if not isinstance(about, dict):
+            raise TypeError("not a mapping")
+    except (yaml.YAMLError, KeyError, TypeError) as exc:
+        raise LogError(
+            f"{path / 'metadata.yaml'} is not rosbag2's ({' '.join(str(exc).split())[:80]}); "
+            "expected rosbag2_bagfile_information, rebuild it with `ros2 bag reindex`"
+        ) from exc
+    return about
+
+
+def _merge(recording: Recording, more: Recording) -> None:
+    recording.attachments |= more.attachments
+    recording.metadata |= more.metadata
+    for name, topic in more.topics.items():
+        known = recording.topics.setdefault(name, Topic(name, topic.type, topic.encoding))
+        known.n_messages += topic.n_messages
+        known.log_times += topic.log_times
+        known.payloads += topic.payloads
+
+
+def _sqlite(files: list[Path], progress: Progress | None) -> Recording:
+    """Read rosbag2's sqlite3 files."""
+    recording = Recording(format="rosbag2, sqlite3")
+    for file in files:
+        try:
+            with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as base:
+                _sqlite_file(base, recording, progress)
+        except sqlite3.Error as exc:
+            raise LogError(
+                f"{file} is damaged or no rosbag2 ({exc}); save what is whole: "
+                f"sqlite3 {file} .recover | sqlite3 {file.with_name(file.stem + '.recovered.db3')}"
+            ) from exc
+    return recording
+
+
+def _sqlite_file(base: sqlite3.Connection, recording: Recording, progress: Progress | None) -> None:
+    damage = base.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if damage != "ok":
+        raise sqlite3.DatabaseError(" ".join(str(damage).split()))
+    topics: dict[int, Topic] = {}
+    for key, name, kind, encoding in base.execute("SELECT id, name, type, serialization_format FROM topics"):
+        topics[key] = recording.topics.setdefault(name, Topic(name, full_type(kind), encoding))
+    (total,) = base.execute("SELECT count(*) FROM messages").fetchone()
+    kept = [key for key, topic in topics.items() if topic.type in KNOWN and topic.encoding in ENCODINGS]
+    marks = ",".join("?" * len(kept))
+    query = f"SELECT topic_id, timestamp, CASE WHEN topic_id IN ({marks}) THEN data END FROM messages ORDER BY timestamp, id"
+    for done, (key, stamp, data) in enumerate(base.execute(query, kept)):
+        topic = topics[key]
+        topic.n_messages += 1
+        topic.log_times.append(stamp)
+        if data is not None:
+            topic.payloads.append(data)
+        if progress is not None and done % 512 == 0:
+            progress(done, total)
+
+
+def _by_rosbags(path: Path, kind: str, progress: Progress | None) -> Recording:
+    """Read by rosbags, which knows ROS 1 and compressed bags."""
+    from rosbags.highlevel import AnyReader
+
+    recording = Recording(format=kind)
+    encoding = "ros1" if kind == "rosbag1" else "cdr"
+    try:
+        with AnyReader([path], default_typestore=typestore()) as reader:
+            for connection in reader.connections:
+                name = connection.topic
+                topic = recording.topics.setdefault(
+                    name, Topic(name, full_type(connection.msgtype), encoding)
+                )
+                topic.n_messages += connection.msgcount
+            total = reader.message_count
+            kept = [c for c in reader.connections if full_type(c.msgtype) in KNOWN]
+            for done, (connection, stamp, raw) in enumerate(reader.messages(kept) if kept else ()):
+                topic = recording.topics[connection.topic]
+                topic.log_times.append(stamp)
+                topic.payloads.append(bytes(raw))
+                if progress is not None and done % 512 == 0:
+                    progress(done, total)
+    except OSError:
+        raise
+    except Exception as exc:  # rosbags meets a damaged file with errors of many kinds, also its own asserts
+        why = " ".join(str(exc).split()) or type(exc).__name__
+        cure = f"`rosbag reindex {path}`" if kind == "rosbag1" else f"`ros2 bag reindex {path}`"
+        raise LogError(f"{path} is damaged ({why[:120]}); try {cure}, or copy it again") from exc
+    for topic in recording.topics.values():
+        if topic.payloads and len(topic.payloads) != topic.n_messages:
+            raise LogError(
+                f"{path}: {topic.name} holds {len(topic.payloads)} messages, its index says {topic.n_messages}; "
+                "the bag is damaged, copy it again or `rosbag reindex` it"
+            )
+    return recording

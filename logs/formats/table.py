@@ -1,0 +1,193 @@
+"""Tables: one CSV row for each scan, for people with a spreadsheet and for sensors with a logger of their own.
+
+    # bearings: -1.5707963267948966 to 1.5707963267948966 in 181
+    # range_max: 8.0
+    t,x,y,phi,v,omega,r0,r1,...,r180
+
+`t` [s] and `r0` ... (or `ray_0` ...) [m] must be there, and the bearings [rad], in a comment above the header,
+either as above or one by one. Optional columns: `x,y,phi` the reference pose, `odom_x,odom_y,odom_phi` and
+`v,omega` the odometry, `cmd_v,cmd_omega` the command. `inf`, `-inf` and `nan` (or an empty cell) are REP-117's.
+Other comments `# NAME: VALUE` are those of the metadata record in our MCAP files (`own_run`), all optional.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.formats.no_return import find_code
+from logs.formats.text import read_lines
+from logs.ros.own_record import SCALARS, facts, parse_bearings
+from logs.run import RangeSensor, Run, pair
+from logs.transforms import interpolate, twists_of, wrap
+from logs.types import Floats, Progress
+
+POSE, ODOM, TWIST, COMMAND = (
+    ("x", "y", "phi"),
+    ("odom_x", "odom_y", "odom_phi"),
+    ("v", "omega"),
+    ("cmd_v", "cmd_omega"),
+)
+_RAY = re.compile(r"r(?:ay_)?(\d+)")
+_COMMENT = re.compile(r"#\s*([\w.]+)\s*:\s*(.*)")
+
+
+def matches(path: Path, head: bytes) -> bool:
+    """Tell whether the first line that is no comment names t and r0."""
+    for line in head.decode("utf-8", errors="replace").splitlines():
+        if line.strip() and not line.startswith("#"):
+            names = [name.strip() for name in line.split(",")]
+            return "t" in names and ("r0" in names or "ray_0" in names)
+    return False
+
+
+def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
+    """Read a run from a table."""
+    lines = read_lines(path)
+    said = {found[1]: found[2].strip() for line in lines if (found := _COMMENT.match(line))}
+    rows = [line for line in lines if line.strip() and not line.startswith("#")]
+    names = [name.strip() for name in rows[0].split(",")]
+    values = _values(path, rows[1:], len(names), progress)
+    claimed = said.get("rows")
+    if claimed is not None and claimed != str(len(values)):
+        raise LogError(f"{path} has {len(values)} rows, its header says {claimed}; is the copy whole?")
+    if len(values) == 0 and claimed is None:
+        raise LogError(f"{path} has a header but no rows; expected one for each scan")
+    values = values[np.argsort(values[:, names.index("t")], kind="stable")]
+    rays = sorted((int(found[1]), i) for i, name in enumerate(names) if (found := _RAY.fullmatch(name)))
+    if [number for number, _ in rays] != list(range(len(rays))):
+        raise LogError(f"{path}: ray columns are not r0 to r{len(rays) - 1} without a gap")
+    ranges, stamps = values[:, [i for _, i in rays]], values[:, names.index("t")]
+    if not np.isfinite(stamps).all():
+        raise LogError(f"{path}: column t has a value that is not finite")
+    try:
+        sensor = _sensor(path, said, ranges)
+        epoch = int(said.get("epoch_ns", "0"))
+    except ValueError as exc:
+        raise LogError(f"{path}: {exc}; see the comments above its header") from exc
+    parts = {key: _part(names, values, key) for key in (POSE, ODOM, TWIST, COMMAND)}
+    odometry, twists = parts[ODOM], parts[TWIST]
+    if odometry is None and twists is not None:
+        odometry = dead_reckoning(stamps, twists)
+    if odometry is not None:
+        odometry = np.column_stack([odometry, twists_of(stamps, odometry) if twists is None else twists])
+    pose_stamps, poses = _whole(stamps, parts[POSE], 3)
+    odom_stamps, driven = _whole(stamps, odometry, 5)
+    cmd_stamps, commands = _whole(stamps, parts[COMMAND], 2)
+    meta = {k.removeprefix("meta."): v for k, v in said.items() if k.startswith("meta.")}
+    source = {"source": path.name, "format": "table", "pose_source": "table" if len(poses) else "none"}
+    return Run(
+        sensor=sensor,
+        stamps=stamps,
+        ranges=ranges,
+        pose_stamps=pose_stamps,
+        poses=poses,
+        odom_stamps=odom_stamps,
+        odometry=driven[:, :3],
+        odom_twists=driven[:, 3:],
+        cmd_stamps=cmd_stamps,
+        commands=commands,
+        pose_frame="laser" if said.get("pose_frame") == "laser" else "base_link",
+        epoch_ns=epoch,
+        meta=meta if "version" in said else source,
+    )
+
+
+def write(run: Run, path: Path) -> None:
+    """Write a run as a table; poses, odometry and commands are interpolated at the scans, attachments left out."""
+    said = facts(run.sensor, pose_frame=run.pose_frame, epoch_ns=run.epoch_ns, zero_ns=0, meta=run.meta)
+    names, columns = ["t"], [run.stamps[:, None]]
+    if len(run.pose_stamps):
+        names += POSE
+        columns.append(pair(run).poses)
+    if len(run.odom_stamps):
+        names += (*ODOM, *TWIST)
+        columns.append(interpolate(run.stamps, run.odom_stamps, run.odometry))
+        columns.append(_linear(run.stamps, run.odom_stamps, run.odom_twists))
+    if len(run.cmd_stamps):
+        names += COMMAND
+        columns.append(_linear(run.stamps, run.cmd_stamps, run.commands))
+    names += [f"r{i}" for i in range(run.sensor.n_rays)]
+    table = np.column_stack([*columns, run.ranges])
+    part = path.with_name(path.name + ".part")
+    with part.open("w", newline="", encoding="utf-8") as file:
+        for key, value in {**said, "rows": str(run.n_scans)}.items():
+            if key == "crc32":  # a table may be edited by hand
+                continue
+            file.write(f"# {key}: {' '.join(value.split())}\n")
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(table.tolist())
+    part.replace(path)
+
+
+def dead_reckoning(stamps: Floats, twists: Floats) -> Floats:
+    """Integrate twists (n, 2) held from each stamp to the next, from the origin; returns poses (n, 3)."""
+    steps = np.diff(stamps)
+    phi = np.concatenate([[0.0], np.cumsum(twists[:-1, 1] * steps)])
+    turn = twists[:-1, 1] * steps
+    chord = twists[:-1, 0] * steps * np.sinc(turn / (2 * np.pi))  # of an arc: exact
+    along = phi[:-1] + turn / 2
+    x, y = (np.concatenate([[0.0], np.cumsum(chord * f(along))]) for f in (np.cos, np.sin))
+    return np.column_stack([x, y, wrap(phi)])
+
+
+def _values(path: Path, rows: Sequence[str], width: int, progress: Progress | None) -> Floats:
+    out = np.empty((len(rows), width))
+    for i, line in enumerate(rows):
+        cells = line.split(",")
+        try:
+            if len(cells) != width:
+                raise ValueError(f"it has {len(cells)} cells, expected {width}")
+            out[i] = [float(cell) if cell.strip() else np.nan for cell in cells]
+        except ValueError as exc:
+            raise LogError(f"{path}: row {i + 1} cannot be read: {exc}; is the copy whole?") from exc
+        if progress is not None and i % 500 == 0:
+            progress(i, len(rows))
+    return out
+
+
+def _sensor(path: Path, said: Mapping[str, str], ranges: Floats) -> RangeSensor:
+    if "bearings" not in said:
+        n = ranges.shape[1]
+        raise LogError(
+            f"{path} does not say its bearings; add a first line `# bearings: -1.5708 to 1.5708 in {n}`"
+        )
+    bearings = parse_bearings(said["bearings"])
+    if len(bearings) != ranges.shape[1]:
+        raise LogError(
+            f"{path} has {ranges.shape[1]} ray columns and {len(bearings)} bearings; expected as many"
+        )
+    scalars = {name: float(said[name]) for name in SCALARS if name in said}
+    finite = ranges[np.isfinite(ranges)]
+    if "range_max" not in scalars and len(finite):
+        code = find_code(ranges)
+        scalars["range_max"] = code if code is not None else float(finite.max())
+        if code is not None:
+            ranges[np.isfinite(ranges) & (ranges >= code)] = np.inf
+    scalars.setdefault("range_min", 0.0)
+    mount = np.array([float(word) for word in said.get("mount", "0 0 0").split()])
+    return RangeSensor(bearings=bearings, mount=mount, **scalars)
+
+
+def _part(names: Sequence[str], values: Floats, wanted: Sequence[str]) -> Floats | None:
+    if not all(name in names for name in wanted):
+        return None
+    return values[:, [names.index(name) for name in wanted]]
+
+
+def _whole(stamps: Floats, part: Floats | None, width: int) -> tuple[Floats, Floats]:
+    """Leave out rows whose cells are all empty."""
+    if part is None:
+        return np.zeros(0), np.zeros((0, width))
+    there = ~np.isnan(part).all(axis=1)
+    return stamps[there], part[there]
+
+
+def _linear(at: Floats, stamps: Floats, values: Floats) -> Floats:
+    return np.stack([np.interp(at, stamps, column) for column in values.T], axis=-1)

@@ -1,0 +1,87 @@
+"""The logs of CMU's Wean Hall: `O x y theta t` and `L x y theta xl yl thetal r1 .. r180 t` lines in cm and rad."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.formats.no_return import mask
+from logs.formats.text import read_lines
+from logs.run import RangeSensor, Run
+from logs.transforms import compose, invert, twists_of, wrap
+
+N_RAYS = 180
+NOTHING = 81.83  # [m] 8183 cm and above are codes of the SICK scanner
+O_WORDS, L_WORDS = 5, 8 + N_RAYS
+
+
+def matches(path: Path, head: bytes) -> bool:
+    """Tell whether the first line has the words of an O or an L line."""
+    words = next((line.split() for line in head.splitlines() if line.strip()), [b""])
+    return (words[0], len(words)) in ((b"O", O_WORDS), (b"L", L_WORDS))
+
+
+def read(
+    path: Path,
+    topics: Mapping[str, str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Run:
+    """Read a run; its only poses are wheel odometry."""
+    odom, scans, broken = [], [], []
+    lines = read_lines(path)
+    for number, line in enumerate(lines, 1):
+        words = line.split()
+        try:
+            if words[:1] == ["O"] and len(words) == O_WORDS:
+                odom.append([float(word) for word in words[1:]])
+            elif words[:1] == ["L"] and len(words) == L_WORDS:
+                scans.append(np.array(words[1:], dtype=np.float64))
+            elif words:
+                broken.append(number)
+        except ValueError:
+            broken.append(number)
+        if progress is not None and number % 1000 == 0:
+            progress(number, len(lines))
+    if not scans or len(broken) > len(scans):
+        raise LogError(
+            f"{path} has {len(scans)} whole L lines and {len(broken)} broken lines; is the copy whole?"
+        )
+    table = np.stack(scans)
+    table = table[np.argsort(table[:, -1], kind="stable")]
+    robot, laser = table[:, :3].copy(), table[:, 3:6].copy()
+    robot[:, :2] /= 100.0
+    laser[:, :2] /= 100.0
+    robot[:, 2] = wrap(robot[:, 2])
+    ranges, stamps = table[:, 6:-1] / 100.0, table[:, -1]
+    notes = mask(ranges, NOTHING)
+    if broken:
+        notes.append(f"{len(broken)} broken lines left out, the first is line {broken[0]}")
+    wheel = np.array([*odom, *np.column_stack([table[:, :3], stamps])], dtype=np.float64)
+    wheel = wheel[np.argsort(wheel[:, 3], kind="stable")]
+    wheel[:, :2] /= 100.0
+    return Run(
+        sensor=RangeSensor(
+            bearings=np.radians(-90.0 + np.arange(N_RAYS)),
+            range_min=0.0,
+            range_max=NOTHING,
+            mount=np.asarray(np.median(compose(invert(robot), laser), axis=0)),
+            resolution=0.01,
+            rate=float(1.0 / np.median(np.diff(stamps))) if len(stamps) > 1 else 10.0,
+        ),
+        stamps=stamps,
+        ranges=ranges,
+        pose_stamps=stamps,
+        poses=robot,
+        odom_stamps=wheel[:, 3],
+        odometry=np.column_stack([wheel[:, :2], wrap(wheel[:, 2])]),
+        odom_twists=twists_of(wheel[:, 3], wheel[:, :3]),
+        meta={
+            "source": path.name,
+            "format": "wean",
+            "pose_source": "odometry",
+            "notes": "; ".join(notes),
+        },
+    )

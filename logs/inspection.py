@@ -1,0 +1,321 @@
+"""What is in a file: topics, frames, what can be used, what is missing, and what looks wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.formats import FORMATS, format_of, mcap_file, rosbag
+from logs.ros import cdr
+from logs.ros.interpret import to_run
+from logs.ros.recording import ENCODINGS, KNOWN, TF, Recording, Topic, check_roles, choices, transform_tree
+from logs.run import Run, pair
+from logs.types import Floats, Progress
+
+LOADERS: dict[str, Callable[[Path, Progress | None], Recording]] = {
+    "mcap": mcap_file.load,
+    "rosbag": rosbag.load,
+}
+"""Formats that have topics."""
+CLOCK_OFFSET = 0.5  # [s] between header and log time that is worth a word
+GAP = 5.0  # a gap is this many periods, and at least GAP_LEAST
+GAP_LEAST = 0.5  # [s]
+JUMP = 5.0  # [m/s] no robot here drives faster
+MILLI, CENTI = 1000.0, 60.0  # a median range [m] above this means other units
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopicInfo:
+    """One topic, or one signal of a file that has no topics."""
+
+    name: str
+    type: str
+    n_messages: int
+    rate: float | None
+    """[Hz] median, where there are two stamps or more."""
+    frame: str
+    first: float | None
+    """[s] of the first message, from the start of the file."""
+    last: float | None
+    offset: float | None
+    """[s] median of log time minus header stamp."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inspection:
+    """What a file holds and what it is good for."""
+
+    path: str
+    format: str
+    n_bytes: int
+    topics: tuple[TopicInfo, ...]
+    transforms: tuple[str, ...]
+    attachments: Mapping[str, int]
+    """Name -> size [bytes]."""
+    usable: tuple[str, ...]
+    missing: tuple[str, ...]
+    warnings: tuple[str, ...]
+    pairing: str
+    """How many scans have a pose, and why the others have none."""
+    meta: Mapping[str, str]
+    run: Run | None = field(repr=False)
+    """The run, where the file can be read as one: for checks that need more than the file."""
+
+    def lines(self) -> list[str]:
+        """Say it all, one thing a line."""
+        out = [f"{self.path}: {self.format}, {self.n_bytes:,} bytes", "topics"]
+        width = max((len(topic.name) for topic in self.topics), default=0)
+        for topic in self.topics:
+            rate = f"{topic.rate:7.2f} Hz" if topic.rate is not None else " " * 10
+            span = f" {topic.first:9.3f} to {topic.last:.3f} s" if topic.first is not None else ""
+            frame = f"  in {topic.frame}" if topic.frame else ""
+            out.append(f"  {topic.name:<{width}}  {topic.n_messages:>8,}  {rate}{span}  {topic.type}{frame}")
+        for title, items in (
+            ("frames", self.transforms),
+            ("attachments", [f"{name} ({size:,} bytes)" for name, size in self.attachments.items()]),
+            ("usable", self.usable),
+            ("missing", self.missing),
+            ("warnings", self.warnings),
+        ):
+            if items:
+                out += [title, *(f"  {item}" for item in items)]
+        return out + (["pairing", f"  {self.pairing}"] if self.pairing else [])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values for a JSON file."""
+        shown = {
+            name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("run", "topics")
+        }
+        return {**shown, "topics": [asdict(topic) for topic in self.topics], "is_run": self.run is not None}
+
+
+def inspect(
+    path: Path | str, topics: Mapping[str, str] | None = None, *, progress: Progress | None = None
+) -> Inspection:
+    """Look into a file; what cannot be a run is still described."""
+    path = Path(path)
+    check_roles(topics)
+    kind = format_of(path)
+    recording: Recording | None = None
+    run: Run | None = None
+    missing: list[str] = []
+    if kind in LOADERS:
+        recording = LOADERS[kind](path, progress)
+        try:
+            run = to_run(recording, path.name, topics)
+        except LogError as exc:
+            if topics:
+                raise
+            missing.append(str(exc))
+    else:
+        run = FORMATS[kind].read(path, topics, progress)
+    warnings = _ros_warnings(recording) if recording is not None else []
+    usable: list[str] = []
+    pairing = ""
+    if run is not None:
+        usable += _usable(run)
+        missing += _missing(run, recording)
+        warnings += warnings_of(run)
+        pairing = str(pair(run))
+    return Inspection(
+        path=str(path),
+        format=recording.format if recording is not None else kind,
+        n_bytes=sum(f.stat().st_size for f in path.iterdir() if f.is_file()) if path.is_dir() else path.stat().st_size,
+        topics=tuple(_topics(recording) if recording is not None else _signals(run)),
+        transforms=tuple(transform_tree(recording).lines() if recording is not None else ()),
+        attachments={name: len(data) for name, data in (recording.attachments if recording else {}).items()},
+        usable=tuple(usable),
+        missing=tuple(missing),
+        warnings=tuple(warnings),
+        pairing=pairing,
+        meta=dict(run.meta) if run is not None else {},
+        run=run,
+    )  # fmt: skip
+
+
+def _topics(recording: Recording) -> list[TopicInfo]:
+    start = min((min(t.log_times) for t in recording.topics.values() if t.log_times), default=0)
+    return [_topic(topic, start) for topic in recording.topics.values()]
+
+
+def _topic(topic: Topic, start: int) -> TopicInfo:
+    logged = np.sort(np.array(topic.log_times, dtype=np.int64))
+    frame, offset = "", None
+    stamps = logged
+    if topic.type in KNOWN and topic.type != TF and topic.payloads:
+        headers, frames = logged.copy(), dict[str, int]()
+        raw = np.array(topic.log_times, dtype=np.int64)
+        for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
+            if "sec" in block.places:
+                headers[block.index] = block.stamps_ns
+                offset = 0.0
+            name = block.strings.get("frame_id", "")
+            frames[name] = frames.get(name, 0) + len(block.index)
+        if offset is not None:
+            offset = float(np.median(raw - headers)) / 1e9
+            stamps = np.sort(headers)
+        frame = ", ".join(frames)
+    span = len(logged) > 0
+    return TopicInfo(
+        name=topic.name,
+        type=topic.type if topic.encoding in ENCODINGS else f"{topic.type} ({topic.encoding})",
+        n_messages=topic.n_messages,
+        rate=_rate(stamps / 1e9),
+        frame=frame,
+        first=(int(logged[0]) - start) / 1e9 if span else None,
+        last=(int(logged[-1]) - start) / 1e9 if span else None,
+        offset=offset,
+    )
+
+
+def _signals(run: Run | None) -> list[TopicInfo]:
+    """Describe the signals of a file that has no topics."""
+    assert run is not None
+    rows = (
+        ("scan", f"{run.sensor.n_rays} ranges", run.stamps, "laser"),
+        ("pose", f"pose of {run.pose_frame}", run.pose_stamps, "map"),
+        ("odom", "odometry", run.odom_stamps, "odom"),
+        ("cmd", "command", run.cmd_stamps, "base_link"),
+    )
+    return [
+        TopicInfo(
+            name=name, type=kind, n_messages=len(stamps), rate=_rate(stamps), frame=frame,
+            first=float(stamps[0]), last=float(stamps[-1]), offset=None,
+        )
+        for name, kind, stamps, frame in rows if len(stamps)
+    ]  # fmt: skip
+
+
+def _rate(stamps: Floats) -> float | None:
+    steps = np.diff(stamps)
+    steps = steps[steps > 0]
+    return float(1.0 / np.median(steps)) if len(steps) else None
+
+
+def _usable(run: Run) -> list[str]:
+    sensor = run.sensor
+    first, last = np.degrees(sensor.bearings[[0, -1]])
+    out = [
+        f"{run.n_scans:,} scans of {sensor.n_rays} rays from {first:.1f}° to {last:.1f}°, "
+        f"{sensor.range_min:g} to {sensor.range_max:g} m"
+    ]
+    if run.ranges.size:
+        shares = [(np.isfinite(run.ranges), "a return"), (np.isposinf(run.ranges), "nothing seen")]
+        shares += [(np.isneginf(run.ranges), "too close"), (np.isnan(run.ranges), "broken")]
+        out.append("rays: " + ", ".join(f"{mask.mean():.1%} {what}" for mask, what in shares if mask.any()))
+    x, y, yaw = sensor.mount
+    out.append(f"laser at ({x:.3f}, {y:.3f}) m, {np.degrees(yaw):.1f}° in base_link")
+    if len(run.pose_stamps):
+        out.append(
+            f"{len(run.pose_stamps):,} poses of {run.pose_frame} from {run.meta.get('pose_source', '/pose')}"
+        )
+    if len(run.odom_stamps):
+        out.append(f"{len(run.odom_stamps):,} odometry poses and twists")
+    if len(run.cmd_stamps):
+        out.append(f"{len(run.cmd_stamps):,} commands")
+    return out
+
+
+def _missing(run: Run, recording: Recording | None) -> list[str]:
+    out = []
+    if run.n_scans == 0:
+        out.append("scans: the file has none")
+    if len(run.pose_stamps) == 0:
+        out.append(
+            "a reference pose (/pose, or /tf map -> base_link): without it no map of perceptions can be built"
+        )
+    if len(run.odom_stamps) == 0:
+        out.append("odometry (/odom)")
+    if len(run.cmd_stamps) == 0:
+        out.append("commands (/cmd_vel)")
+    if recording is not None:
+        out += [
+            f"a choice of {role}: {choices(recording, role)}"
+            for role, stamps in (("odom", run.odom_stamps), ("cmd", run.cmd_stamps))
+            if len(stamps) == 0 and choices(recording, role)
+        ]
+    return out
+
+
+def _ros_warnings(recording: Recording) -> list[str]:
+    out = []
+    for topic in _topics(recording):
+        if topic.offset is not None and abs(topic.offset) > CLOCK_OFFSET:
+            out.append(f"{topic.name}: log time is {topic.offset:.3f} s after the header stamp: two clocks?")
+    return out
+
+
+def warnings_of(run: Run) -> list[str]:
+    """Say what looks wrong in a run."""
+    out = [note for note in run.meta.get("notes", "").split("; ") if note]
+    source = run.meta.get("pose_source", "")
+    if source == "slam":
+        out.append("the poses were estimated from these scans: they absorb errors of mount and clock")
+    if source.startswith("odometry"):
+        out.append("the poses are odometry: they drift, a map built from them is bent")
+    out += _stamp_warnings(run) + _pose_warnings(run)
+    finite = np.isfinite(run.ranges)
+    if finite.any():
+        middle = float(np.median(run.ranges[finite]))
+        if middle > CENTI:
+            unit = "millimetres" if middle > MILLI else "centimetres or millimetres"
+            out.append(f"the median range is {middle:g}: these look like {unit}, expected metres")
+    blind = np.flatnonzero(~finite.any(axis=0)) if run.n_scans else np.zeros(0, dtype=np.intp)
+    if len(blind):
+        out.append(f"{len(blind)} rays never return: {_spans(blind)}; is something in front of the sensor?")
+    return out
+
+
+def _stamp_warnings(run: Run) -> list[str]:
+    out = []
+    for name, stamps in (("scan", run.stamps), ("pose", run.pose_stamps), ("odom", run.odom_stamps)):
+        steps = np.diff(stamps)
+        if len(steps) < 2:
+            continue
+        same = int((steps == 0).sum())
+        if same and "duplicates" not in run.meta.get("notes", ""):
+            out.append(
+                f"{same} {name} stamps are duplicates: do two sources publish, was a bag played into itself?"
+            )
+        gaps = steps > max(GAP * float(np.median(steps)), GAP_LEAST)
+        if gaps.any():
+            at = float(stamps[int(np.argmax(steps))])
+            out.append(f"{name}: {int(gaps.sum())} gaps, the longest {steps.max():.2f} s at {at:.2f} s")
+    return out
+
+
+def _pose_warnings(run: Run) -> list[str]:
+    poses, stamps = run.poses, run.pose_stamps
+    out: list[str] = []
+    if len(stamps) == 0 or run.n_scans == 0:
+        return out
+    if stamps[0] > run.stamps[-1] or stamps[-1] < run.stamps[0]:
+        apart = max(stamps[0] - run.stamps[-1], run.stamps[0] - stamps[-1])
+        out.append(f"poses and scans do not overlap, they are {apart:.1f} s apart: two clocks?")
+    broken = int((~np.isfinite(poses)).any(axis=1).sum())
+    if broken:
+        out.append(f"{broken} poses are not finite")
+    if len(stamps) > 1 and broken == 0:
+        if np.ptp(poses, axis=0).max() < 1e-6:
+            out.append("the pose never changes: did the robot move, does the reference run?")
+        steps = np.diff(stamps)
+        moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+        jumps = (moved > 0.1) & (moved > JUMP * np.maximum(steps, 1e-3))
+        if jumps.any():
+            at = float(stamps[int(np.argmax(np.where(jumps, moved, 0)))])
+            out.append(
+                f"the pose jumps {int(jumps.sum())} times, the farthest {moved[jumps].max():.2f} m at {at:.2f} s"
+            )
+    return out
+
+
+def _spans(numbers: np.ndarray) -> str:
+    """Write 3, 4, 5, 9 as `3-5, 9`."""
+    groups = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    shown = [f"{group[0]}-{group[-1]}" if len(group) > 1 else f"{group[0]}" for group in groups[:5]]
+    return ", ".join(shown) + (", ..." if len(groups) > 5 else "")

@@ -1,0 +1,304 @@
+"""Walk an MCAP file record by record, check every checksum, and find the way again after damage.
+
+What the messages mean is said in `ros_run`; what is written is said in `mcap_file`.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from logs.mcap.records import (
+    ATTACHMENT,
+    CHANNEL,
+    CHUNK,
+    CHUNK_HEAD,
+    DATA_END,
+    FOOTER,
+    HEAD,
+    HEADER,
+    LENGTHS,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_HEAD,
+    MESSAGE_INDEX,
+    METADATA,
+    SCHEMA,
+    STATISTICS,
+    SUMMARY_ONLY,
+    U2,
+    U4,
+    U8,
+    Channel,
+    Contents,
+    Cursor,
+    Damaged,
+    Loss,
+    Schema,
+    chunk_fields,
+    inflate,
+    read_attachment,
+)
+
+if TYPE_CHECKING:
+    from logs.mcap.records import Data
+
+_BLOCK = 1 << 20  # [bytes] searched at a time
+
+
+MessageSink = Callable[[int, int, int, int, bytes], None]
+"""Called with (channel id, sequence, log time [ns], publish time [ns], payload)."""
+
+
+DamageSink = Callable[[Loss], None]
+
+
+class Walk:
+    """Walk the records of an MCAP file once."""
+
+    def __init__(self, data: Data, on_message: MessageSink, on_damage: DamageSink) -> None:
+        self.data, self.size = data, len(data)
+        self.on_message, self._on_damage = on_message, on_damage
+        self.contents = Contents()
+        self._pos = 0
+        self._is_whole = True
+        self._after_bad_chunk = False
+        self._has_chunks = True
+        self._in_summary = False
+
+    def steps(self) -> Iterator[int]:
+        """Walk to the end, yielding the position after each record."""
+        if self.data[:8] != MAGIC:
+            self._damage(Loss(0, 8, "it does not start with the MCAP magic"))
+        self._pos = 8
+        while self._pos < self.size:
+            if self.contents.is_finished:  # only the magic is left, as the footer's check has seen
+                if self._pos + 8 == self.size:
+                    return
+                self._damage(Loss(self._pos, self.size, "bytes follow the end of the file"))
+                return
+            self._step()
+            yield self._pos
+        if not self.contents.is_finished:
+            self._damage(Loss(self.size, self.size, "it ends without its footer: the writer was cut off"))
+
+    def _damage(self, loss: Loss) -> None:
+        self._is_whole = False
+        self._on_damage(loss)
+
+    def _step(self) -> None:
+        start = self._pos
+        try:
+            opcode, body, end = self._frame(start)
+        except Damaged as exc:
+            if self._salvage_open_chunk(start):
+                self._pos = self.size
+                self._damage(Loss(start, self.size, f"{exc}; what is whole at its start was kept"))
+            else:
+                self._resume(start, str(exc))
+            return
+        try:
+            self._record(opcode, body, end)
+            self._pos = end
+        except _BadChunk as exc:  # the framing holds, so the next record is where it should be
+            self.contents.bad_chunks += 1
+            self._after_bad_chunk = True
+            self._damage(Loss(start, end, str(exc)))
+            self._pos = end
+        except Damaged as exc:
+            self._resume(start, str(exc))
+
+    def _resume(self, start: int, why: str) -> None:
+        self._pos = self._resync(start + 1)
+        self._damage(Loss(start, self._pos, why))
+
+    def _frame(self, pos: int) -> tuple[int, int, int]:
+        """Return opcode, start and end of the record at pos, if it can be one."""
+        if pos + 9 > self.size:
+            raise Damaged("it is cut inside a record")
+        opcode, length = HEAD.unpack_from(self.data, pos)
+        end = pos + 9 + length
+        if not 1 <= opcode <= DATA_END and opcode < 0x80:
+            raise Damaged(f"no record starts here (opcode {opcode:#04x})")
+        if end > self.size:
+            raise Damaged(f"a record of {length} bytes runs past the end of the file")
+        if LENGTHS.get(opcode, length) != length:
+            raise Damaged(f"a record with opcode {opcode:#04x} has {length} bytes")
+        return opcode, pos + 9, end
+
+    def _record(self, opcode: int, body: int, end: int) -> None:
+        if opcode in SUMMARY_ONLY and not self._in_summary:
+            raise Damaged(f"a record with opcode {opcode:#04x} stands before the end of the data section")
+        cursor = Cursor(self.data, body, end)
+        contents = self.contents
+        if opcode == CHUNK:
+            self._chunk(cursor)
+        elif opcode in (SCHEMA, CHANNEL, MESSAGE):
+            self._has_chunks &= self._in_summary
+            if opcode == MESSAGE and (
+                contents.n_chunks or Cursor(self.data, body, end).number(U2) not in contents.channels
+            ):
+                raise Damaged("a message stands outside the chunks, or before its channel")
+            self._content(opcode, self.data, body, end)
+        elif opcode == MESSAGE_INDEX:
+            self._message_index(cursor)
+        elif opcode == HEADER:
+            contents.profile, contents.library = cursor.text(), cursor.text()
+        elif opcode == ATTACHMENT:
+            contents.attachments.append(read_attachment(cursor))
+        elif opcode == METADATA:
+            name = cursor.text()
+            pairs = cursor.mapping()
+            cursor.finish()
+            contents.metadata.append((name, pairs))
+        elif opcode == STATISTICS:
+            contents.n_claimed = cursor.number(U8)
+        elif opcode == DATA_END:
+            crc = cursor.number(U4)
+            self._in_summary = True
+            if crc and self._is_whole and crc != self._crc32(0, body - 9):
+                raise Damaged("the data section does not match its checksum")
+        elif opcode == FOOTER:
+            self._footer(cursor, body)
+        if opcode != MESSAGE_INDEX:
+            self._after_bad_chunk = False
+
+    def _footer(self, cursor: Cursor, body: int) -> None:
+        if not self._in_summary:
+            raise Damaged("the data section has no end record")
+        summary_start, _, crc = cursor.number(U8), cursor.number(U8), cursor.number(U4)
+        start = summary_start or body - 9
+        if crc and self._is_whole and crc != self._crc32(start, body + 16):
+            raise Damaged("the summary does not match its checksum")
+        if self.data[cursor.end : cursor.end + 8] != MAGIC:
+            raise Damaged("the file does not end with the MCAP magic")
+        self.contents.is_finished = True
+
+    def _crc32(self, start: int, end: int) -> int:
+        with memoryview(self.data) as view, view[start:end] as part:
+            return zlib.crc32(part)
+
+    def _message_index(self, cursor: Cursor) -> None:
+        channel = cursor.number(U2)
+        size = cursor.number(U4)
+        if size % 16 or size != cursor.end - cursor.pos:
+            raise Damaged("an index record has a wrong size")
+        if self._after_bad_chunk:
+            lost = self.contents.lost_messages
+            lost[channel] = lost.get(channel, 0) + size // 16
+
+    def _chunk(self, cursor: Cursor) -> None:
+        size, crc, compression, data = chunk_fields(cursor)
+        self.contents.n_chunks += 1
+        try:
+            plain = inflate(compression, data)
+            if len(plain) != size:
+                raise Damaged(f"a chunk holds {len(plain)} bytes, expected {size}")
+            if crc and crc != zlib.crc32(plain):
+                raise Damaged("a chunk does not match its checksum")
+        except Damaged as exc:
+            raise _BadChunk(str(exc)) from exc
+        self._chunk_content(plain, complete=True)
+
+    def _chunk_content(self, plain: bytes, *, complete: bool) -> None:
+        pos, size = 0, len(plain)
+        while pos < size:
+            end = pos + 9
+            if end <= size:
+                opcode, length = HEAD.unpack_from(plain, pos)
+                end += length
+            if end > size:
+                if complete:
+                    raise _BadChunk("a record runs past the end of its chunk")
+                return
+            try:
+                self._content(opcode, plain, pos + 9, end)
+            except Damaged as exc:
+                raise _BadChunk(str(exc)) from exc
+            pos = end
+
+    def _content(self, opcode: int, data: Data, body: int, end: int) -> None:
+        """Take a record that may stand inside a chunk."""
+        if opcode == MESSAGE:
+            if end - body < MESSAGE_HEAD.size:
+                raise Damaged(f"a message record has {end - body} bytes")
+            self.contents.n_messages += 1
+            channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(data, body)
+            self.on_message(channel, sequence, log_time, publish_time, data[body + MESSAGE_HEAD.size : end])
+            return
+        cursor = Cursor(data, body, end)
+        if opcode == SCHEMA:
+            key = cursor.number(U2)
+            schema = Schema(cursor.text(), cursor.text(), cursor.take(cursor.number(U4)))
+            cursor.finish()
+            self.contents.schemas.setdefault(key, schema)
+        elif opcode == CHANNEL:
+            key, schema_id = cursor.number(U2), cursor.number(U2)
+            channel = Channel(cursor.text(), schema_id, cursor.text(), cursor.mapping())
+            cursor.finish()
+            self.contents.channels.setdefault(key, channel)
+
+    def _salvage_open_chunk(self, pos: int) -> bool:
+        """Take what is whole in a chunk that the end of the file cuts; tell whether it is one."""
+        if pos + 9 > self.size or self.data[pos] != CHUNK:
+            return False
+        cursor = Cursor(self.data, pos + 9, self.size)
+        try:
+            cursor.take(CHUNK_HEAD.size)
+            compression = cursor.text()
+            stored = cursor.number(U8)
+            if stored <= self.size - cursor.pos:
+                return False  # not cut: its length is wrong
+            self._chunk_content(inflate(compression, self.data[cursor.pos : self.size]), complete=False)
+        except Damaged:
+            return True
+        return True
+
+    def _resync(self, pos: int) -> int:
+        """Find the next place from pos on where a record stands that proves itself."""
+        while pos + 9 <= self.size:
+            block = np.frombuffer(self.data[pos : pos + _BLOCK + 8], dtype=np.uint8)
+            n = len(block) - 8
+            likely = (block[:n] >= 1) & (block[:n] <= DATA_END)
+            for i in range(5, 9):  # no record is above 4 GiB
+                likely &= block[i : n + i] == 0
+            for offset in np.flatnonzero(likely).tolist():
+                if self._proves_itself(pos + offset):
+                    return pos + int(offset)
+            pos += n
+        return self.size
+
+    def _proves_itself(self, pos: int, depth: int = 2) -> bool:
+        """Tell whether the record at pos is whole and followed by such another."""
+        try:
+            opcode, body, end = self._frame(pos)
+            cursor = Cursor(self.data, body, end)
+            if opcode == CHUNK:
+                chunk_fields(cursor)
+                return True
+            if opcode == ATTACHMENT:
+                read_attachment(cursor)
+                return True
+            if opcode == FOOTER:
+                return bool(self.data[end:] == MAGIC)
+            if opcode == MESSAGE:
+                # in a chunk whose framing is lost, what looks like a message may be cut by compression
+                if (
+                    self._has_chunks
+                    or end - body < MESSAGE_HEAD.size
+                    or cursor.number(U2) not in self.contents.channels
+                ):
+                    return False
+            elif opcode == MESSAGE_INDEX and end - body != 6 + U4.unpack_from(self.data, body + 2)[0]:
+                return False
+        except (Damaged, struct.error):
+            return False
+        return end == self.size or depth == 0 or self._proves_itself(end, depth - 1)
+
+
+class _BadChunk(Damaged):
+    """A chunk whose framing holds but whose content does not."""

@@ -1,0 +1,262 @@
+"""CDR, the byte layout of ROS 2 messages (and ROS 1's), for whole columns at once; files live elsewhere.
+
+Messages of one topic repeat one layout: it is walked once, then every field is a column of a byte matrix.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.errors import LogError
+
+Bytes = NDArray[np.uint8]
+Spec = tuple[tuple[str, Any], ...]
+
+HEADER: Spec = (("sec", "i4"), ("nanosec", "u4"), ("frame_id", "str"))
+TRANSFORM: Spec = (*HEADER, ("child_frame_id", "str"), ("transform", "f8:7"))
+SPECS: dict[str, Spec] = {
+    "sensor_msgs/msg/LaserScan": (*HEADER, ("limits", "f4:7"), ("ranges", "f4[]"), ("intensities", "f4[]")),
+    "geometry_msgs/msg/PoseStamped": (*HEADER, ("pose", "f8:7")),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": (*HEADER, ("pose", "f8:7"), ("covariance", "f8:36")),
+    "geometry_msgs/msg/TwistStamped": (*HEADER, ("twist", "f8:6")),
+    "geometry_msgs/msg/Twist": (("twist", "f8:6"),),
+    "nav_msgs/msg/Odometry": (
+        *HEADER,
+        ("child_frame_id", "str"),
+        ("pose", "f8:7"),
+        ("pose_covariance", "f8:36"),
+        ("twist", "f8:6"),
+        ("twist_covariance", "f8:36"),
+    ),
+    "tf2_msgs/msg/TFMessage": (("transforms", TRANSFORM),),
+    "nav_msgs/msg/OccupancyGrid": (
+        *HEADER,
+        ("load_sec", "i4"),
+        ("load_nanosec", "u4"),
+        ("resolution", "f4"),
+        ("size", "u4:2"),
+        ("origin", "f8:7"),
+        ("data", "i1[]"),
+    ),
+}
+"""Type -> fields in order: `f8` one, `f8:7` seven, `f4[]` counted, `str`, or a spec that repeats (counted)."""
+
+_ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little-endian
+_U4 = struct.Struct("<I")
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a field of numbers lies in a message."""
+
+    offset: int
+    dtype: np.dtype[Any]
+    count: int
+
+
+@dataclass
+class _Layout:
+    """Where every field of one message lies; `fixed` are the bytes that make the layout what it is."""
+
+    places: dict[str, _Place] = field(default_factory=dict)
+    strings: dict[str, str] = field(default_factory=dict)
+    fixed: list[tuple[int, bytes]] = field(default_factory=list)
+    end: int = 4
+    is_ros1: bool = False
+
+    def align(self, size: int) -> None:
+        if not self.is_ros1:
+            self.end += -(self.end - 4) % size
+
+    def numbers(self, name: str, code: str, count: int) -> None:
+        dtype = np.dtype("<" + code)
+        if count:
+            self.align(dtype.itemsize)
+        self.places[name] = _Place(self.end, dtype, count)
+        self.end += dtype.itemsize * count
+
+    def keep(self, data: bytes) -> None:
+        self.fixed.append((self.end, data))
+        self.end += len(data)
+
+
+@dataclass(frozen=True)
+class MessageColumns:
+    """Messages of one layout."""
+
+    index: NDArray[np.intp]
+    """(m,) which of the given messages these are."""
+    strings: Mapping[str, str]
+    """The text fields, the same in all of them."""
+    rows: Bytes
+    """(m, size) the messages."""
+    places: Mapping[str, _Place]
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Return the column `name`, (m, count)."""
+        place = self.places[name]
+        stop = place.offset + place.dtype.itemsize * place.count
+        return np.ascontiguousarray(self.rows[:, place.offset : stop]).view(place.dtype)
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """(m,) [ns] of the header."""
+        sec, nanosec = self["sec"][:, 0].astype(np.int64), self["nanosec"][:, 0].astype(np.int64)
+        return sec * 1_000_000_000 + nanosec
+
+    def part(self, i: int) -> MessageColumns:
+        """Return the i-th of a repeated part as columns of its own."""
+        head = f"{i}."
+        return MessageColumns(
+            index=self.index,
+            rows=self.rows,
+            strings={k.removeprefix(head): v for k, v in self.strings.items() if k.startswith(head)},
+            places={k.removeprefix(head): v for k, v in self.places.items() if k.startswith(head)},
+        )
+
+    @property
+    def n_parts(self) -> int:
+        """Count of a repeated part."""
+        return len({name.split(".")[0] for name in self.places if "." in name})
+
+
+def unpack(
+    messages: Sequence[bytes], msgtype: str, topic: str, encoding: str = "cdr"
+) -> Iterator[MessageColumns]:
+    """Yield columns of `messages`, one block for each layout met; the encoding is `cdr` or `ros1`."""
+    spec = SPECS[msgtype]
+    sizes = np.array([len(message) for message in messages], dtype=np.int64)
+    for size in np.unique(sizes):
+        index = np.flatnonzero(sizes == size)
+        if size < 4:
+            raise LogError(_bad(topic, msgtype, int(index[0]), f"it has {size} bytes"))
+        rows = np.frombuffer(b"".join([messages[i] for i in index.tolist()]), dtype=np.uint8).reshape(
+            len(index), size
+        )
+        while len(index):
+            try:
+                layout = _walk(spec, rows[0].tobytes(), is_ros1=encoding == "ros1")
+            except (ValueError, struct.error) as exc:
+                raise LogError(_bad(topic, msgtype, int(index[0]), str(exc))) from exc
+            same = np.ones(len(index), dtype=np.bool_)
+            for offset, data in layout.fixed:
+                part = np.frombuffer(data, dtype=np.uint8)
+                same &= (rows[:, offset : offset + len(data)] == part).all(axis=1)
+            if same.all():
+                yield MessageColumns(index, layout.strings, rows, layout.places)
+                break
+            yield MessageColumns(index[same], layout.strings, rows[same], layout.places)
+            index, rows = index[~same], rows[~same]
+
+
+def pack(
+    msgtype: str, n: int, *, strings: Mapping[str, str], columns: Mapping[str, NDArray[Any]], parts: int = 0
+) -> Bytes:
+    """Pack n messages that share their text; fields not given are 0.
+
+    Parameters
+    ----------
+    columns : name -> (n,), (n, count) or (count,); a counted field takes its count from the last axis
+    parts : how often a repeated part stands in each message; its fields are named `0.frame_id`, `1.frame_id`, …
+
+    Returns
+    -------
+    (n, size) bytes, one message a row
+    """
+    layout = _Layout()
+    layout.fixed.append((0, _ENCAPSULATION))
+    _lay(layout, SPECS[msgtype], "", strings, columns, parts)
+    template = np.zeros(layout.end, dtype=np.uint8)
+    for offset, data in layout.fixed:
+        template[offset : offset + len(data)] = np.frombuffer(data, dtype=np.uint8)
+    rows = np.empty((n, layout.end), dtype=np.uint8)
+    rows[:] = template
+    for name, values in columns.items():
+        place = layout.places[name]
+        shape = (n, place.count)
+        given = values[:, None] if values.ndim == 1 and place.count == 1 else values
+        column = np.ascontiguousarray(np.broadcast_to(given, shape), dtype=place.dtype)
+        rows[:, place.offset : place.offset + column.itemsize * place.count] = column.view(np.uint8)
+    return rows
+
+
+def _lay(
+    layout: _Layout,
+    spec: Spec,
+    head: str,
+    strings: Mapping[str, str],
+    columns: Mapping[str, NDArray[Any]],
+    parts: int,
+) -> None:
+    """Lay out fields that are to be packed."""
+    for name, kind in spec:
+        if not isinstance(kind, str):
+            layout.align(4)
+            layout.keep(_U4.pack(parts))
+            for i in range(parts):
+                _lay(layout, kind, f"{head}{i}.", strings, columns, parts)
+        elif kind == "str":
+            text = strings.get(head + name, "").encode() + b"\x00"
+            layout.align(4)
+            layout.keep(_U4.pack(len(text)) + text)
+        elif kind.endswith("[]"):
+            count = columns[head + name].shape[-1] if head + name in columns else 0
+            layout.align(4)
+            layout.keep(_U4.pack(count))
+            layout.numbers(head + name, kind[:-2], count)
+        else:
+            code, _, count_text = kind.partition(":")
+            layout.numbers(head + name, code, int(count_text or 1))
+
+
+def _walk(spec: Spec, data: bytes, *, is_ros1: bool) -> _Layout:
+    """Find where the fields of one message lie.
+
+    ROS 1 has the same fields in the same order, without alignment and encapsulation, and counts its headers.
+    """
+    if is_ros1:
+        layout = _Layout(end=0, is_ros1=True)
+    elif data[0] != 0 or data[1] != 1:
+        raise ValueError(f"it starts with {data[:4].hex(' ')}, expected little-endian CDR, 00 01 00 00")
+    else:
+        layout = _Layout(fixed=[(0, data[:2])])
+    _find(layout, spec, "", data)
+    if layout.end > len(data):
+        raise ValueError(f"it has {len(data)} bytes, its fields need {layout.end}")
+    return layout
+
+
+def _find(layout: _Layout, spec: Spec, head: str, data: bytes) -> None:
+    for name, kind in spec:
+        if isinstance(kind, str) and kind != "str" and not kind.endswith("[]"):
+            code, _, count_text = kind.partition(":")
+            if name == "sec" and layout.is_ros1:
+                layout.numbers(head + "seq", "u4", 1)
+            layout.numbers(head + name, code, int(count_text or 1))
+            continue
+        layout.align(4)
+        (count,) = _U4.unpack_from(data, layout.end)
+        if count > len(data):
+            raise ValueError(f"field {name} claims {count} elements in a message of {len(data)} bytes")
+        layout.keep(data[layout.end : layout.end + 4])
+        if not isinstance(kind, str):
+            for i in range(count):
+                _find(layout, kind, f"{head}{i}.", data)
+        elif kind == "str":
+            text = data[layout.end : layout.end + count]
+            if len(text) < count:
+                raise ValueError(f"field {name} runs past the end of the message")
+            layout.strings[head + name] = text.rstrip(b"\x00").decode("utf-8", errors="replace")
+            layout.keep(text)
+        else:
+            layout.numbers(head + name, kind[:-2], count)
+
+
+def _bad(topic: str, msgtype: str, i: int, why: str) -> str:
+    return f"message {i} on {topic} is no {msgtype}: {why}; the file is damaged or mislabelled"

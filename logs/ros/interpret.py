@@ -1,0 +1,209 @@
+"""From the messages of any ROS file to a Run: which topic plays which role, and what its numbers mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.ros import own_record
+from logs.ros.laser_scan import LaserScans, clean_ranges, order_rays, read_scans
+from logs.ros.recording import (
+    ODOMETRY,
+    ROLES,
+    SCAN,
+    TF,
+    Recording,
+    Track,
+    check_roles,
+    choices,
+    choose,
+    listing,
+    track,
+    transform_tree,
+)
+from logs.ros.transform_tree import TransformTree
+from logs.run import PoseFrame, RangeSensor, Run
+from logs.transforms import to_planar
+from logs.types import Floats
+
+MAPS, BASES = ("map", "world"), ("base_link", "base_footprint", "base")
+UPRIGHT = 0.98  # cosine of the tilt (11°) up to which a laser counts as level
+
+
+def to_run(recording: Recording, source: str, topics: Mapping[str, str] | None = None) -> Run:
+    """Interpret a recording."""
+    check_roles(topics)
+    if own_record.is_own(recording, topics):
+        return _led_by_odometry(own_record.to_run(recording, source))
+    scan_name = choose(recording, "scan", topics)
+    if scan_name is None:
+        several = recording.of_type((SCAN,))
+        if several:
+            raise LogError(
+                f"{source} has {len(several)} scan topics; choose with {choices(recording, 'scan')}"
+            )
+        raise LogError(f"{source} has no LaserScan; it has {listing(recording) or 'no topics'}")
+    scans = read_scans(recording.topics[scan_name])
+    clean_ranges(scans)
+    tree = transform_tree(recording)
+    odom_name, cmd_name = choose(recording, "odom", topics), choose(recording, "cmd", topics)
+    odom = _odometry(recording, odom_name)
+    base = tree.first_ancestor(scans.frame, (*BASES, *((odom.child,) if odom and odom.child else ())))
+    mount, height, upside_down = _mount(tree, base, scans)
+    pose, frame, pose_source = _reference(recording, topics, tree, base, scans, odom, odom_name)
+    order_rays(scans, upside_down=upside_down)
+    command = None
+    if cmd_name is not None:
+        command = track(recording.topics[cmd_name], "twist", 6)
+    notes = [*scans.notes]
+    for part in (pose, odom, command):
+        notes += [note for note in (part.notes if part else []) if note not in notes]
+    for role, name in (("odom", odom_name), ("cmd", cmd_name)):
+        if name is None and choices(recording, role):
+            notes.append(f"several topics could be {role}, none was taken: {choices(recording, role)}")
+    if tree.conflicts:
+        notes.append(f"frames with two parents: {', '.join(tree.conflicts)}")
+    return _assemble(
+        scans, mount, height, pose, frame, odom, command,
+        meta={
+            "source": source,
+            "format": recording.format,
+            "scan_topic": scan_name,
+            "pose_source": pose_source,
+            **({"odom_topic": odom_name} if odom_name else {}),
+            **({"cmd_topic": cmd_name} if cmd_name else {}),
+            **({"notes": "; ".join(notes)} if notes else {}),
+        },
+        attachments=recording.attachments,
+    )  # fmt: skip
+
+
+def _odometry(recording: Recording, name: str | None) -> Track | None:
+    if name is None:
+        return None
+    topic = recording.topics[name]
+    pose, twist = track(topic, "pose", 7), track(topic, "twist", 6)
+    pose.values = np.column_stack([to_planar(pose.values), twist.values[:, [0, 5]]])  # (n, 5)
+    return pose
+
+
+def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Floats, float, bool]:
+    """Return the laser in base_link (3,), its height [m] and whether it hangs upside down."""
+    if scans.frame in BASES:
+        return np.zeros(3), 0.0, False
+    place = tree.place(base, scans.frame) if base is not None else None
+    if place is None:
+        scans.notes.append(f"no transform base_link -> {scans.frame or 'laser'}: the mount was taken as 0")
+        return np.zeros(3), 0.0, False
+    if abs(place.up) < UPRIGHT:
+        scans.notes.append(
+            f"the laser is tilted by {np.degrees(np.arccos(abs(place.up))):.0f}°, taken as level"
+        )
+    if not place.is_static and np.ptp(place.poses, axis=0).max() > 1e-3:
+        scans.notes.append("the laser moves on the robot; its first place was taken")
+    return place.poses[0], place.height, place.up < 0
+
+
+def _reference(
+    recording: Recording,
+    topics: Mapping[str, str] | None,
+    tree: TransformTree,
+    base: str | None,
+    scans: LaserScans,
+    odom: Track | None,
+    odom_name: str | None,
+) -> tuple[Track | None, PoseFrame, str]:
+    """Return the poses, whose they are, and where they come from: /pose, then /tf, then any pose, then /odom."""
+    name = choose(recording, "pose", topics)
+    asked = (topics or {}).get("pose") is not None
+    if name is not None and (asked or name == ROLES["pose"][0]) and recording.topics[name].type != TF:
+        return _poses(recording, name), "base_link", _pose_source(recording, name, odom_name)
+    for root in MAPS:
+        for frame, whose in ((base, "base_link"), ("base_link", "base_link"), (scans.frame, "laser")):
+            place = tree.place(root, frame) if frame else None
+            if place is not None and frame != root and not place.is_static:
+                found = Track(place.stamps, place.poses, root)
+                return found, ("laser" if whose == "laser" else "base_link"), f"/tf {root} -> {frame}"
+    if name is not None and recording.topics[name].type != TF:
+        return _poses(recording, name), "base_link", _pose_source(recording, name, odom_name)
+    if odom is not None:
+        return Track(odom.stamps, odom.values[:, :3], odom.frame), "base_link", f"odometry {odom_name}"
+    if choices(recording, "pose"):
+        raise LogError(
+            f"several topics could be the reference pose; choose with {choices(recording, 'pose')}"
+        )
+    return None, "base_link", "none"
+
+
+def _pose_source(recording: Recording, name: str, odom_name: str | None) -> str:
+    is_odometry = recording.topics[name].type == ODOMETRY and ("odom" in name or name == odom_name)
+    return f"odometry {name}" if is_odometry else name
+
+
+def _led_by_odometry(run: Run) -> Run:
+    """Return a run that has odometry and no other poses with the odometry as its poses, and say so."""
+    if len(run.pose_stamps) or not len(run.odom_stamps):
+        return run
+    return replace(
+        run,
+        pose_stamps=run.odom_stamps,
+        poses=run.odometry,
+        pose_frame="base_link",
+        meta={**run.meta, "pose_source": "odometry /odom"},
+    )
+
+
+def _poses(recording: Recording, name: str) -> Track:
+    found = track(recording.topics[name], "pose", 7)
+    found.values = to_planar(found.values)
+    return found
+
+
+def _assemble(
+    scans: LaserScans,
+    mount: Floats,
+    height: float,
+    pose: Track | None,
+    frame: PoseFrame,
+    odom: Track | None,
+    command: Track | None,
+    *,
+    meta: dict[str, str],
+    attachments: Mapping[str, bytes],
+) -> Run:
+    tracks = [scans.stamps, *(part.stamps for part in (pose, odom, command) if part is not None)]
+    epoch = min(int(stamps[0]) for stamps in tracks if len(stamps))
+    steps = np.diff(scans.stamps)
+    period = float(np.median(steps)) / 1e9 if len(steps) else 0.0
+    period = period if period > 0 else scans.scan_time if scans.scan_time > 0 else 0.1
+    none = np.zeros(0, dtype=np.int64)
+    poses = pose.values if pose is not None else np.zeros((0, 3))
+    driven = odom.values if odom is not None else np.zeros((0, 5))
+    twists = command.values[:, [0, 5]] if command is not None else np.zeros((0, 2))
+    return Run(
+        sensor=RangeSensor(
+            bearings=scans.bearings,
+            range_min=scans.range_min,
+            range_max=scans.range_max,
+            mount=mount,
+            rate=1.0 / period,
+            sweep_time=scans.time_increment * len(scans.bearings),
+            height=height,
+        ),
+        stamps=(scans.stamps - epoch) / 1e9,
+        ranges=scans.ranges,
+        pose_stamps=((pose.stamps if pose is not None else none) - epoch) / 1e9,
+        poses=poses,
+        odom_stamps=((odom.stamps if odom is not None else none) - epoch) / 1e9,
+        odometry=driven[:, :3],
+        odom_twists=driven[:, 3:],
+        cmd_stamps=((command.stamps if command is not None else none) - epoch) / 1e9,
+        commands=twists,
+        pose_frame=frame,
+        epoch_ns=epoch,
+        meta=meta,
+        attachments=dict(attachments),
+    )

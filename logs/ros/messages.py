@@ -1,0 +1,102 @@
+"""From arrays to ROS 2 messages: one call packs a whole topic."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.errors import LogError
+from logs.ros import cdr
+from logs.ros.recording import ODOMETRY, POSE, SCAN, TF, TWIST_STAMPED
+from logs.run import OccupancyMap, RangeSensor
+from logs.transforms import Stamps, to_translation_quaternion
+from logs.types import Floats
+
+GRID = "nav_msgs/msg/OccupancyGrid"
+
+
+def zero_time(epoch_ns: int, first: float) -> int:
+    """Return the file's time [ns] of stamp 0; MCAP has no time before 1970, so such runs start at 0."""
+    start = epoch_ns + round(first * 1e9)
+    return epoch_ns - min(start, 0)
+
+
+def to_ns(stamps: Floats, zero: int) -> Stamps:
+    """Return int64 nanoseconds of stamps [s]."""
+    if not np.isfinite(stamps).all():
+        raise LogError("a stamp is not finite; leave such samples out before writing")
+    ns: Stamps = np.rint(stamps * 1e9).astype(np.int64) + zero
+    if len(ns) and ns.max() >= 2**31 * 10**9:
+        raise LogError(
+            f"a stamp is {ns.max() / 1e9:.0f} s after 1970, ROS time ends at {2**31}; check epoch_ns"
+        )
+    return ns
+
+
+def header(ns: Stamps) -> dict[str, Stamps]:
+    """Return the columns of a header stamp."""
+    return {"sec": ns // 1_000_000_000, "nanosec": ns % 1_000_000_000}
+
+
+def scan_messages(sensor: RangeSensor, ns: Stamps, ranges: Floats) -> cdr.Bytes:
+    """Pack LaserScan messages (n, size)."""
+    n = sensor.n_rays
+    increment = (sensor.bearings[-1] - sensor.bearings[0]) / (n - 1) if n > 1 else 0.0
+    limits = np.array([
+        sensor.bearings[0], sensor.bearings[-1], increment, sensor.sweep_time / n, 1.0 / sensor.rate,
+        sensor.range_min, sensor.range_max,
+    ])  # fmt: skip
+    columns = {**header(ns), "limits": limits, "ranges": ranges}
+    return cdr.pack(SCAN, len(ns), strings={"frame_id": "laser"}, columns=columns)
+
+
+def pose_messages(ns: Stamps, poses: Floats) -> cdr.Bytes:
+    """Pack PoseStamped messages in map (n, size)."""
+    columns = {**header(ns), "pose": to_translation_quaternion(poses)}
+    return cdr.pack(POSE, len(ns), strings={"frame_id": "map"}, columns=columns)
+
+
+def odometry_messages(ns: Stamps, poses: Floats, twists: Floats) -> cdr.Bytes:
+    """Pack Odometry messages (n, size)."""
+    columns = {**header(ns), "pose": to_translation_quaternion(poses), "twist": _six(twists)}
+    strings = {"frame_id": "odom", "child_frame_id": "base_link"}
+    return cdr.pack(ODOMETRY, len(ns), strings=strings, columns=columns)
+
+
+def command_messages(ns: Stamps, twists: Floats) -> cdr.Bytes:
+    """Pack TwistStamped messages (n, size)."""
+    columns = {**header(ns), "twist": _six(twists)}
+    return cdr.pack(TWIST_STAMPED, len(ns), strings={"frame_id": "base_link"}, columns=columns)
+
+
+def transform_messages(ns: Stamps, *edges: tuple[str, str, Floats], z: float = 0.0) -> cdr.Bytes:
+    """Pack TFMessage (n, size), each with one transform for every edge (parent, child, poses (n, 3))."""
+    strings: dict[str, str] = {}
+    columns: dict[str, NDArray[Any]] = {}
+    for i, (parent, child, poses) in enumerate(edges):
+        strings |= {f"{i}.frame_id": parent, f"{i}.child_frame_id": child}
+        columns |= {f"{i}.{name}": values for name, values in header(ns).items()}
+        columns[f"{i}.transform"] = to_translation_quaternion(poses, z)
+    return cdr.pack(TF, len(ns), strings=strings, columns=columns, parts=len(edges))
+
+
+def map_message(ns: Stamps, occupancy: OccupancyMap) -> cdr.Bytes:
+    """Pack one OccupancyGrid (1, size)."""
+    ny, nx = occupancy.data.shape
+    columns = {
+        **header(ns),
+        **{f"load_{name}": values for name, values in header(ns).items()},
+        "resolution": np.array([occupancy.resolution]),
+        "size": np.array([nx, ny]),
+        "origin": to_translation_quaternion(occupancy.origin[None]),
+        "data": occupancy.data.reshape(1, ny * nx),
+    }
+    return cdr.pack(GRID, 1, strings={"frame_id": "map"}, columns=columns)
+
+
+def _six(twists: Floats) -> Floats:
+    out = np.zeros((len(twists), 6))
+    out[:, 0], out[:, 5] = twists[:, 0], twists[:, 1]
+    return out

@@ -1,0 +1,205 @@
+"""What a ROS file holds, before anybody says what it means: topics, and which of them plays which role."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.errors import LogError
+from logs.ros import cdr
+from logs.ros.transform_tree import TransformTree
+from logs.transforms import Stamps
+from logs.types import Floats
+
+SCAN, TF = "sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"
+POSE, POSE_COV = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
+ODOMETRY, TWIST, TWIST_STAMPED = (
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/Twist",
+    "geometry_msgs/msg/TwistStamped",
+)
+KNOWN = frozenset({SCAN, TF, POSE, POSE_COV, ODOMETRY, TWIST, TWIST_STAMPED})
+"""Types whose messages are kept in memory; others are only counted."""
+ENCODINGS = ("cdr", "ros1")
+ROLES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "scan": ("/scan", (SCAN,)),
+    "pose": ("/pose", (POSE, POSE_COV, ODOMETRY)),
+    "odom": ("/odom", (ODOMETRY,)),
+    "cmd": ("/cmd_vel", (TWIST_STAMPED, TWIST)),
+}
+"""Role -> (the name that needs no telling, the types that can play it)."""
+
+
+@dataclass
+class Topic:
+    """One topic of a recording."""
+
+    name: str
+    type: str
+    encoding: str = "cdr"
+    n_messages: int = 0
+    log_times: list[int] = field(default_factory=list)
+    """[ns] of each message, in the order of the file."""
+    payloads: list[bytes] = field(default_factory=list)
+    """The messages, where their type is one of `KNOWN`."""
+
+
+@dataclass
+class Recording:
+    """What a ROS file holds, before anybody says what it means."""
+
+    format: str
+    topics: dict[str, Topic] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    def of_type(self, types: Iterable[str]) -> list[str]:
+        """Return the names of topics with messages of these types."""
+        types = set(types)
+        return [t.name for t in self.topics.values() if t.type in types and t.payloads]
+
+
+@dataclass
+class Track:
+    """Stamped rows of one topic, in time order."""
+
+    stamps: Stamps
+    """(n,) [ns]"""
+    values: Floats
+    """(n, width)"""
+    frame: str = ""
+    child: str = ""
+    notes: list[str] = field(default_factory=list)
+
+
+def full_type(msgtype: str) -> str:
+    """Return the full name: `sensor_msgs/LaserScan` -> `sensor_msgs/msg/LaserScan`; tf's old name is renewed."""
+    package, _, name = msgtype.partition("/")
+    name = name.removeprefix("msg/")
+    if (package, name) == ("tf", "tfMessage"):
+        return TF
+    return f"{package}/msg/{name}" if name else msgtype
+
+
+def choose(recording: Recording, role: str, topics: Mapping[str, str] | None) -> str | None:
+    """Return the topic that plays a role, or None where none or several could and none was named."""
+    preferred, types = ROLES[role]
+    named = (topics or {}).get(role)
+    if named is not None:
+        for name in (named, "/" + named, named.removeprefix("/")):
+            topic = recording.topics.get(name)
+            if (
+                topic is not None
+                and topic.payloads
+                and topic.type in types + ((TF,) if role == "pose" else ())
+            ):
+                return name
+        raise LogError(
+            f"{role}={named} is no topic with messages of {' or '.join(types)}; "
+            f"there are {listing(recording) or 'no topics'}"
+        )
+    names = recording.of_type(types if role != "pose" else (POSE, POSE_COV))
+    if preferred in names:
+        return preferred
+    if role == "pose":  # a goal or a first guess is a pose too, but not where the robot was
+        names = [name for name in names if "goal" not in name and "initial" not in name]
+    return names[0] if len(names) == 1 else None
+
+
+def choices(recording: Recording, role: str) -> str:
+    """Return what the user may type to name a topic for a role."""
+    return ", ".join(f"--topic {role}={name}" for name in recording.of_type(ROLES[role][1]))
+
+
+def listing(recording: Recording) -> str:
+    """Return every topic with its type."""
+    return ", ".join(f"{topic.name} ({topic.type})" for topic in recording.topics.values())
+
+
+def check_roles(topics: Mapping[str, str] | None) -> None:
+    """Refuse a role that does not exist."""
+    unknown = set(topics or {}) - set(ROLES)
+    if unknown:
+        raise LogError(f"no role {', '.join(sorted(unknown))}; expected {', '.join(ROLES)} as in scan=/scan")
+
+
+def track(topic: Topic, column: str, width: int, *, absolute: bool = False) -> Track:
+    """Decode one field of every message of a topic, sorted by stamp.
+
+    With `absolute`, a header stamp of 0 is the time 0, not a stamp that the driver forgot.
+    """
+    n = len(topic.payloads)
+    logged = np.array(topic.log_times, dtype=np.int64)
+    stamps, values = logged.copy(), np.full((n, width), np.nan)
+    frames: dict[tuple[str, str], int] = {}
+    for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
+        values[block.index] = block[column]
+        if "sec" in block.places:
+            stamps[block.index] = block.stamps_ns
+        key = (block.strings.get("frame_id", ""), block.strings.get("child_frame_id", ""))
+        frames[key] = frames.get(key, 0) + len(block.index)
+    frame, child = max(frames, key=lambda key: frames[key], default=("", ""))
+    notes = [f"{topic.name} changes its frame"] if len(frames) > 1 else []
+    stamps, order, more = settle(topic.name, stamps, stamps if absolute else logged)
+    return Track(stamps, values[order], frame.strip("/"), child.strip("/"), notes + more)
+
+
+def settle(name: str, stamps: Stamps, logged: Stamps) -> tuple[Stamps, NDArray[np.intp], list[str]]:
+    """Replace stamps that are 0 by the log time, and sort; say what was done."""
+    notes = []
+    absent = (stamps == 0) & (logged != 0)
+    if absent.any():
+        stamps = np.where(absent, logged, stamps)
+        notes.append(f"{name}: {int(absent.sum())} messages have stamp 0, their log time was taken")
+    back = int((np.diff(stamps) < 0).sum())
+    if back:
+        notes.append(f"{name}: stamps go back {back} times, sorted")
+    order = np.argsort(stamps, kind="stable")
+    stamps = stamps[order]
+    same = int((np.diff(stamps) == 0).sum())
+    if same:
+        notes.append(f"{name}: {same} stamps are duplicates, kept")
+    return stamps, order, notes
+
+
+def transform_tree(recording: Recording) -> TransformTree:
+    """Collect every transform of the recording."""
+    tree = TransformTree()
+    for topic in recording.topics.values():
+        if topic.type != TF or not topic.payloads:
+            continue
+        edges: dict[tuple[str, str], list[tuple[Stamps, Floats]]] = {}
+        for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
+            for i in range(block.n_parts):
+                part = block.part(i)
+                key = (part.strings["frame_id"].strip("/"), part.strings["child_frame_id"].strip("/"))
+                edges.setdefault(key, []).append((part.stamps_ns, part["transform"]))
+        for (parent, child), samples in edges.items():
+            stamps = np.concatenate([stamps for stamps, _ in samples])
+            values = np.concatenate([values for _, values in samples]).astype(np.float64)
+            whole = np.isfinite(values).all(axis=1) & (np.abs(values[:, 3:]).sum(axis=1) > 0)
+            if whole.any():
+                static = topic.name.rstrip("/").endswith("tf_static")
+                tree.add(parent, child, stamps[whole], values[whole], is_static=static)
+    return tree
+
+
+def parse_topics(texts: Iterable[str]) -> dict[str, str]:
+    """Return role -> topic of texts such as `scan=/front/scan`.
+
+    Raises
+    ------
+    LogError
+        if a text is no ROLE=NAME, or names a role that does not exist
+    """
+    topics = {}
+    for text in texts:
+        role, equals, name = text.partition("=")
+        if not equals or not name:
+            raise LogError(f"topic {text!r} is no ROLE=NAME; expected for example scan=/front/scan")
+        topics[role.strip()] = name.strip()
+    check_roles(topics)
+    return topics

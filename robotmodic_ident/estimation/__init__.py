@@ -1,0 +1,1 @@
+"""Coefficients beyond least squares: prediction error, noise models, rational models, free-run error."""

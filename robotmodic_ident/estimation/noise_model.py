@@ -1,0 +1,157 @@
+"""Noise terms e(k-1), e(k-2), ...: found together with the process terms, and how many of them there are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.estimation.prediction_error import NonlinearLeastSquares
+from robotmodic_ident.model import Narmax
+from robotmodic_ident.prediction.recursion import NOISE_NAME
+from robotmodic_ident.records import Record, lagged
+from robotmodic_ident.selection.criteria import penalties
+from robotmodic_ident.selection.process_terms import ProcessTermSelection
+from robotmodic_ident.terms import Terms
+from robotmodic_ident.types import Floats
+from robotmodic_ident.validation.residual_tests import validate
+
+ROUNDS = 8
+"""Times that terms are chosen anew with the noise found so far."""
+ELS_STEPS = 30
+MOST = 8
+"""Noise lags that `auto` looks at."""
+PATIENCE = 2
+"""Noise lags in a row that may lower EBIC by nothing: of e(k-2) alone, the first one does not."""
+ALARM = 0.05
+"""p-value of the residual's test below which another lag is looked at."""
+TESTED_LAGS = (10, 5, 2)
+"""[samples] the most that the data allow."""
+
+
+def noise_terms_of(noise: int | Terms) -> Terms:
+    """Return e(k-1), ..., e(k-noise), or the terms given, each of which must hold a past e."""
+    if isinstance(noise, int):
+        return Terms.parse(*(f"{NOISE_NAME}(k-{lag})" for lag in range(1, noise + 1)))
+    for term, name in zip(noise, noise.names, strict=True):
+        if not any(f.variable == NOISE_NAME and f.lag for f in term):
+            raise IdentError(f"noise term {name} holds no past {NOISE_NAME}, as {NOISE_NAME}(k-1) would be")
+    return noise
+
+
+def with_noise(selection: ProcessTermSelection, noise: Terms) -> Narmax:
+    """Choose terms and noise coefficients in turn until the terms stay the same.
+
+    Coloured noise makes terms of past outputs look needed. Once its coefficients are known, the prediction error is
+    linear in the others, so terms are chosen anew among all candidates, each passed through the inverse of the noise
+    filter. Returns the extended least squares of the last selection.
+    """
+    model = selection.select()
+    for _ in range(ROUNDS):
+        model = _extended(model, selection.records, noise)
+        chosen = selection.select_beside(_descended(model, selection.records))
+        if set(chosen.terms.names) == set(model.terms.names):
+            return model
+        model = chosen
+    return replace(
+        _extended(model, selection.records, noise),
+        notes=("terms and noise did not settle on each other; the last choice was kept",),
+    )
+
+
+def _descended(model: Narmax, records: Sequence[Record]) -> Narmax:
+    """Return the coefficients of least prediction error."""
+    theta = NonlinearLeastSquares(model.recursion(), records, free=False).minimise(model.parameters).theta
+    n = len(model.terms)
+    return replace(model, theta=theta[:n], noise_theta=theta[n:])
+
+
+def _noise_of(model: Narmax, records: Sequence[Record]) -> list[Floats]:
+    """Return what the one-step prediction leaves of every record; 0 where it is not known."""
+    return [np.nan_to_num(model.residuals(record), nan=0.0) for record in records]
+
+
+def _extended(model: Narmax, records: Sequence[Record], noise: Terms) -> Narmax:
+    """Iterate least squares with the residuals of the last round as regressors; keep the best round."""
+    n, size = len(model.terms), len(model.terms) + len(noise)
+    terms = model.terms + noise
+    best = replace(
+        model,
+        noise_terms=noise,
+        noise_theta=np.zeros(len(noise)),
+        covariance=np.zeros((size, size)),
+        estimator="els",
+    )
+    problem = NonlinearLeastSquares(best.recursion(), records, free=False)
+    least, *_ = problem.evaluate(best.parameters)
+    for _ in range(ELS_STEPS):
+        rows = lagged(_with_signal(records, _noise_of(best, records)), terms, [model.output])
+        known = np.isfinite(rows.targets[:, 0])
+        phi = terms.matrix(rows.columns, model.scale, n=len(known))[known]
+        theta = np.linalg.lstsq(phi, rows.targets[known, 0], rcond=None)[0]
+        cost, *_ = problem.evaluate(theta)
+        if not cost < least * (1.0 - 1e-10):  # no better, or the noise model is not invertible
+            break
+        best, least = replace(best, theta=theta[:n], noise_theta=theta[n:]), cost
+    return best
+
+
+def _with_signal(records: Sequence[Record], noise: Sequence[Floats]) -> list[Record]:
+    """Add the noise found so far to the signals of every record."""
+    return [
+        Record(signals={**r.signals, NOISE_NAME: e}, stamps=r.stamps, max_gap=r.max_gap)
+        for r, e in zip(records, noise, strict=True)
+    ]
+
+
+def best_order(fitted: Callable[[int], Narmax], records: Sequence[Record], n_candidates: int) -> Narmax:
+    """Return the model with as many noise lags as are needed: EBIC decides, as long as the residual is not white.
+
+    What was tried stands in the notes of the model.
+
+    Parameters
+    ----------
+    fitted : number of noise lags -> model
+    n_candidates : process terms that were looked at
+    """
+    best = model = fitted(0)
+    order, tried, count = 0, 0, model.n_samples
+    least = _cost(model, count, n_candidates)
+    for lag in range(1, MOST + 1):
+        if lag - order > PATIENCE or _is_white(model, records):
+            break
+        try:
+            model = fitted(lag)
+        except IdentError:  # records too short for one lag more
+            break
+        tried = lag
+        if (cost := _cost(model, count, n_candidates)) < least:
+            best, order, least = model, lag, cost
+    note = f"noise lags: 0 to {tried} tried, {order} kept" if tried else "noise lags: none needed"
+    if not _is_white(best, records):
+        note += "; what is left is still correlated, and the next lags do not help"
+    return replace(best, notes=(*best.notes, note))
+
+
+def _cost(model: Narmax, count: int, n_candidates: int) -> float:
+    """Return EBIC; a noise lag costs log(count), as its place is given. A lag more loses rows: `count` is for all."""
+    k = len(model.terms)
+    price = penalties("ebic", k, n_candidates, np.array([count]))[0, k] + len(model.noise_terms) * np.log(
+        count
+    )
+    free = max(model.n_samples - len(model.parameters), 1)
+    variance = model.sigma**2 * free / max(model.n_samples, 1)
+    return float(count * np.log(max(variance, np.finfo(np.float64).tiny)) + price)
+
+
+def _is_white(model: Narmax, records: Sequence[Record]) -> bool:
+    """Tell whether the residual is uncorrelated as far as its test can see."""
+    for max_lag in TESTED_LAGS:
+        try:
+            (check,) = validate(model, records, max_lag=max_lag, inputs=())
+        except IdentError:
+            continue
+        return check.p_value >= ALARM
+    return True

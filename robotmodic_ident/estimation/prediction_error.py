@@ -1,0 +1,164 @@
+"""Estimation with noise terms, ratios and free runs: extended least squares, then Gauss-Newton on exact gradients.
+
+Least squares is biased where the noise is coloured. Extended least squares (Billings 2013, ch. 3) removes most of it;
+minimising the prediction error itself (Ljung 1999, ch. 7) also gives honest standard errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.prediction.recursion import Recursion, Segment
+from robotmodic_ident.records import Record
+from robotmodic_ident.types import Floats
+
+Covariance = Literal["classical", "sandwich", "hac"]
+MAX_STEPS = 200
+CONVERGED = 1e-11
+"""Relative gain of a step below which nothing more is to be had."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """Where a minimisation ended."""
+
+    theta: Floats
+    """(n_parameters,)"""
+    rss: float
+    count: int
+    """Rows."""
+    residuals: list[Floats]
+    """(n,) of every segment; 0 where there is none."""
+    gradients: list[Floats]
+    """(n, n_parameters) of every segment: dŷ/dθ; 0 where there is none."""
+    converged: bool
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the residual, corrected for the parameters; nan if no row is left for it."""
+        free = self.count - len(self.theta)
+        return float(np.sqrt(self.rss / free)) if free > 0 else float("nan")
+
+    def covariance(self, kind: Covariance) -> Floats:
+        """Return the covariance of theta (n_parameters, n_parameters).
+
+        `classical` holds for white residuals of one variance; `sandwich` for any variance (White 1980);
+        `hac` also for correlated ones (Newey and West 1987, width by Andrews 1991).
+        """
+        whole = np.concatenate(self.gradients)
+        size = np.sqrt((whole**2).sum(axis=0))
+        size[size == 0] = 1.0
+        bread = np.linalg.pinv((whole / size).T @ (whole / size), hermitian=True)
+        if kind == "classical":
+            return np.asarray(self.sigma**2 * bread / np.outer(size, size), dtype=np.float64)
+        scores = [g / size * r[:, None] for g, r in zip(self.gradients, self.residuals, strict=True)]
+        meat = sum(s.T @ s for s in scores)
+        if kind == "hac":
+            width = _width(scores, self.count)
+            for lag in range(1, width + 1):
+                cross = sum(s[lag:].T @ s[:-lag] for s in scores if len(s) > lag)
+                meat = meat + (1.0 - lag / (width + 1)) * (cross + np.transpose(cross))
+        few = self.count / max(self.count - len(self.theta), 1)
+        return np.asarray(few * (bread @ meat @ bread) / np.outer(size, size), dtype=np.float64)
+
+
+def _width(scores: Sequence[Floats], count: int) -> int:
+    """Choose the Bartlett width for first-order correlated scores (Andrews 1991, eq. 6.4)."""
+    now = np.concatenate([s[1:] for s in scores])
+    before = np.concatenate([s[:-1] for s in scores])
+    power = (before**2).sum(axis=0)
+    rho = np.clip((now * before).sum(axis=0) / np.where(power > 0, power, 1.0), -0.97, 0.97)
+    sigma4 = power**2
+    top = (4.0 * rho**2 * sigma4 / ((1 - rho) ** 6 * (1 + rho) ** 2)).sum()
+    bottom = (sigma4 / (1 - rho) ** 4).sum()
+    width = 1.1447 * (top / bottom * count) ** (1 / 3) if bottom > 0 else 0.0
+    return int(min(np.ceil(width), count // 4))
+
+
+class NonlinearLeastSquares:
+    """Least squares of what a model leaves in one-step prediction or in free run, over all segments."""
+
+    def __init__(self, recursion: Recursion, records: Sequence[Record], *, free: bool) -> None:
+        self.recursion, self.free = recursion, free
+        self.segments: list[Segment] = [s for record in records for s in recursion.segments(record)]
+        self.rows = [self._rows(segment) for segment in self.segments]
+        self.count = int(sum(rows.sum() for rows in self.rows))
+        if self.count == 0:
+            raise IdentError("the model predicts no sample of these records; give longer ones")
+
+    def _rows(self, segment: Segment) -> np.ndarray:
+        out, _, _ = self.recursion.run(segment, free=self.free)
+        return np.asarray(np.isfinite(out) & np.isfinite(segment.measured), dtype=np.bool_)
+
+    def evaluate(self, theta: Floats, *, gradient: bool = False) -> tuple[float, list[Floats], list[Floats]]:
+        """Return the residual sum of squares, residuals and gradients; inf where the run diverges."""
+        total, residuals, gradients = 0.0, [], []
+        for segment, rows in zip(self.segments, self.rows, strict=True):
+            out, _, slopes = self.recursion.run(segment, free=self.free, theta=theta, gradient=gradient)
+            rest = np.where(rows, segment.measured - out, 0.0)
+            with np.errstate(over="ignore"):
+                total += float(rest @ rest)
+            residuals.append(rest)
+            gradients.append(np.where(rows[:, None], slopes, 0.0) if gradient else slopes)
+        return (total if np.isfinite(total) else np.inf), residuals, gradients
+
+    def linearised(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return columns (n, n_parameters) and a target (n,): least squares of them is one Gauss-Newton step.
+
+        Without a denominator, and with noise terms of the first degree in e, the prediction error is linear in the
+        process coefficients: there the step is exact for them.
+        """
+        _, residuals, gradients = self.evaluate(theta, gradient=True)
+        J = np.concatenate([g[rows] for g, rows in zip(gradients, self.rows, strict=True)])
+        r = np.concatenate([e[rows] for e, rows in zip(residuals, self.rows, strict=True)])
+        return J, r + J @ theta
+
+    def minimise(self, start: Floats) -> Estimate:
+        """Descend by Levenberg-Marquardt from `start` (n_parameters,)."""
+        theta, damping, converged = np.array(start, dtype=np.float64), 1e-6, False
+        cost, residuals, gradients = self.evaluate(theta, gradient=True)
+        if not np.isfinite(cost):
+            raise IdentError("the starting model diverges on these records, so it cannot be refined")
+        for _ in range(MAX_STEPS):
+            step, expected = _step(residuals, gradients, damping)
+            trial = theta + step
+            new, *_ = self.evaluate(trial)
+            if new <= cost:
+                gain = cost - new
+                theta, damping = trial, damping / 10
+                cost, residuals, gradients = self.evaluate(theta, gradient=True)
+                if gain <= CONVERGED * cost:
+                    converged = True
+                    break
+            else:
+                damping = max(damping, 1e-9) * 10
+                if damping > 1e10 or expected <= CONVERGED * cost:
+                    converged = True  # no step downhill is left
+                    break
+        return Estimate(
+            theta=theta,
+            rss=cost,
+            count=self.count,
+            residuals=residuals,
+            gradients=gradients,
+            converged=converged,
+        )
+
+
+def _step(residuals: Sequence[Floats], gradients: Sequence[Floats], damping: float) -> tuple[Floats, float]:
+    """Solve the damped normal equations with columns of unit norm; also return the gain that is expected."""
+    J, r = np.concatenate(gradients), np.concatenate(residuals)
+    size = np.sqrt((J**2).sum(axis=0))
+    size[size == 0] = 1.0
+    p = J.shape[1]
+    R = np.asarray(np.linalg.qr(np.column_stack([J / size, r]), mode="r"), dtype=np.float64)
+    U, s, Vt = np.linalg.svd(R[:p, :p])
+    seen = s > 1e-12 * s[0]
+    part = U.T @ R[:p, p]
+    weight = np.where(seen, s / (s**2 + damping), 0.0)
+    return (Vt.T @ (weight * part)) / size, float((part[seen] ** 2).sum())

@@ -1,0 +1,185 @@
+"""Rational models y = N / D + e: structure and start from the linear form, then freed of its bias.
+
+Multiplied out, y = N - y (D - 1) + D e: linear in all coefficients, but y (D - 1) holds the noise of y, which biases
+least squares (Billings and Zhu 1991). Dividing the rows by the last D (Sanathanan and Koerner 1963) takes out most
+of it, and Gauss-Newton on e itself, in `estimate`, the rest. Terms are then added and dropped by what they do to e.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.estimation.prediction_error import Estimate, NonlinearLeastSquares
+from robotmodic_ident.model import Narmax
+from robotmodic_ident.records import Record, lagged
+from robotmodic_ident.selection.criteria import penalties
+from robotmodic_ident.terms import CONSTANT, Terms
+from robotmodic_ident.types import Floats
+
+REWEIGHTED = 20
+STEPS = 30
+"""Terms added at most on the way to the structure."""
+
+
+def times_output(denominator: Terms, output: str) -> Terms:
+    """Return the columns y(k) * term that stand for terms below the line in the linear form."""
+    if CONSTANT in denominator.names:
+        raise IdentError("the denominator has the constant 1 already; leave it out of its candidates")
+    return Terms.parse(*(f"{output}(k)*{name}" for name in denominator.names))
+
+
+def as_ratio(model: Narmax, records: Sequence[Record], denominator: Terms) -> Narmax:
+    """Turn a model of the linear form into a ratio, with coefficients to start from."""
+    if any(model.scale.centres):
+        raise IdentError("a rational model cannot be centred; move the origin of the far variables first")
+    linear = times_output(denominator, model.output).names
+    below = dict(zip(linear, denominator.names, strict=True))
+    upper = [name for name in model.terms.names if name not in below]
+    lower = [below[name] for name in model.terms.names if name in below]
+    if not upper:
+        raise IdentError("no term above the line was chosen; keep one, as keep=['1']")
+    return _reweighted(model, records, Terms.parse(*upper), Terms.parse(*lower))
+
+
+def _reweighted(model: Narmax, records: Sequence[Record], upper: Terms, lower: Terms) -> Narmax:
+    """Solve the linear form with rows divided by the denominator of the last solution; keep the best."""
+    rows = lagged(records, upper + lower, [model.output])
+    known = np.isfinite(rows.targets[:, 0])
+    y = rows.targets[known, 0]
+    top = upper.matrix(rows.columns, model.scale, n=len(known))[known]
+    bottom = lower.matrix(rows.columns, model.scale, n=len(known))[known]
+    d, least = np.ones(len(y)), np.inf
+    best: Floats = np.zeros(len(upper) + len(lower))
+    for _ in range(REWEIGHTED):
+        phi = np.column_stack([top, -y[:, None] * bottom])
+        theta = np.linalg.lstsq(phi / d[:, None], y / d, rcond=None)[0]
+        d = 1.0 + bottom @ theta[len(upper) :]
+        cost = float(np.sum((y - top @ theta[: len(upper)] / d) ** 2))
+        if not np.isfinite(cost) or cost >= least * (1.0 - 1e-10):
+            break
+        best, least = theta, cost
+    err = dict(zip(model.terms.names, model.err.tolist(), strict=True))
+    return replace(
+        model,
+        terms=upper,
+        theta=best[: len(upper)],
+        denominator=lower,
+        denominator_theta=best[len(upper) :],
+        err=np.array([err[name] for name in upper.names]),
+        covariance=np.zeros((len(best), len(best))),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A structure with its least prediction error and what the criterion says of it."""
+
+    model: Narmax
+    result: Estimate
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class RationalStructureSearch:
+    """Search of the terms above and below the line by the prediction error itself."""
+
+    records: Sequence[Record]
+    upper: Terms
+    lower: Terms
+    criterion: str
+
+    def settle(self, model: Narmax) -> Narmax:
+        """Add the term that promises most and drop what is not worth its place, until the criterion rests."""
+        best = self._trial(model, model.parameters)
+        for _ in range(STEPS):
+            name, start = self._most_promising(best)
+            if start is None:
+                break
+            grown = self._trial(start, start.parameters)
+            while (
+                shrunk := self._without_least(grown, keep=name)
+            ) is not None and shrunk.value < grown.value:
+                grown = shrunk
+            if not grown.value < best.value - 1e-9 * abs(best.value):
+                break
+            best = grown
+        while (shrunk := self._without_least(best)) is not None and shrunk.value < best.value:
+            best = shrunk
+        return best.model
+
+    def _trial(self, model: Narmax, start: Floats) -> _Candidate:
+        problem = NonlinearLeastSquares(model.recursion(), self.records, free=False)
+        result = problem.minimise(start)
+        size, candidates = len(start), len(self.upper) + len(self.lower)
+        cost = penalties(self.criterion, size, candidates, np.array([result.count]))[0, size]
+        n = len(model.terms)
+        model = replace(model, theta=result.theta[:n], denominator_theta=result.theta[n:])
+        return _Candidate(model, result, result.count * np.log(max(result.rss, 1e-300)) + float(cost))
+
+    def _most_promising(self, trial: _Candidate) -> tuple[str, Narmax | None]:
+        """Return the absent term whose gradient explains most of the residual, and a model that has it."""
+        model = trial.model
+        above, below = model.terms + self.upper, model.denominator + self.lower
+        full = _with_zeros(model, above, below)
+        problem = NonlinearLeastSquares(full.recursion(), self.records, free=False)
+        _, residuals, gradients = problem.evaluate(full.parameters, gradient=True)
+        J, r = np.concatenate(gradients), np.concatenate(residuals)
+        n, m = len(model.terms), len(model.denominator)
+        present = np.r_[np.arange(n), len(above) + np.arange(m)]
+        absent = np.setdiff1d(np.arange(J.shape[1]), present)
+        if len(absent) == 0:
+            return "", None
+        basis = np.linalg.qr(J[:, present])[0]
+        rest = J[:, absent] - basis @ (basis.T @ J[:, absent])
+        power = (rest**2).sum(axis=0)
+        alive = power > 1e-12 * (J[:, absent] ** 2).sum(axis=0)
+        gain = np.where(alive, (rest.T @ r) ** 2 / np.where(alive, power, 1.0), 0.0)
+        best = int(absent[gain.argmax()])
+        if best < len(above):
+            return above.names[best], _with_zeros(model, model.terms + above[[best]], model.denominator)
+        new = below[[best - len(above)]]
+        return f"/{new.names[0]}", _with_zeros(model, model.terms, model.denominator + new)
+
+    def _without_least(self, trial: _Candidate, keep: str = "") -> _Candidate | None:
+        """Drop the least significant term but `keep`; None if nothing can go."""
+        model = trial.model
+        names = (*model.terms.names, *(f"/{name}" for name in model.denominator.names))
+        spread = np.sqrt(np.maximum(np.diagonal(trial.result.covariance("classical")), 1e-300))
+        score = np.abs(model.parameters) / spread
+        score[[i for i, name in enumerate(names) if name == keep]] = np.inf
+        if len(model.terms) == 1:
+            score[0] = np.inf
+        i = int(score.argmin())
+        if not np.isfinite(score[i]):
+            return None
+        stay = [j for j in range(len(names)) if j != i]
+        n = len(model.terms)
+        above, below = [j for j in stay if j < n], [j - n for j in stay if j >= n]
+        smaller = replace(
+            model,
+            terms=model.terms[above],
+            theta=model.theta[above],
+            err=model.err[above],
+            denominator=model.denominator[below],
+            denominator_theta=model.denominator_theta[below],
+            covariance=np.zeros((len(stay), len(stay))),
+        )
+        return self._trial(smaller, smaller.parameters)
+
+
+def _with_zeros(model: Narmax, above: Terms, below: Terms) -> Narmax:
+    """Return the model with more terms, whose coefficients are 0."""
+    n, m = len(above), len(below)
+    return replace(
+        model,
+        terms=above,
+        theta=np.r_[model.theta, np.zeros(n - len(model.theta))],
+        err=np.r_[model.err, np.full(n - len(model.err), np.nan)],
+        denominator=below,
+        denominator_theta=np.r_[model.denominator_theta, np.zeros(m - len(model.denominator_theta))],
+        covariance=np.zeros((n + m, n + m)),
+    )

@@ -1,0 +1,137 @@
+"""fit: from records to a model, in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Literal, get_args
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.estimation.noise_model import best_order, noise_terms_of, with_noise
+from robotmodic_ident.estimation.prediction_error import Covariance, Estimate, NonlinearLeastSquares
+from robotmodic_ident.estimation.rational import RationalStructureSearch, as_ratio, times_output
+from robotmodic_ident.model import NO_TERMS, Narmax
+from robotmodic_ident.records import Record, Records, as_records
+from robotmodic_ident.scale import Scale
+from robotmodic_ident.selection.criteria import INFORMATION, Criterion
+from robotmodic_ident.selection.model_size import Search
+from robotmodic_ident.selection.process_terms import ProcessTermSelection
+from robotmodic_ident.terms import Terms
+
+Estimator = Literal["ls", "els", "pem", "simulation"]
+
+
+def fit(
+    records: Records,
+    output: str,
+    terms: Terms,
+    *,
+    n_terms: int | None = None,
+    criterion: Criterion | None = None,
+    err_tol: float = 1e-4,
+    scale: Scale | None = None,
+    search: Search = "exchange",
+    keep: Sequence[str] = (),
+    n_folds: int = 5,
+    noise: int | Terms | Literal["auto"] = 0,
+    denominator: Terms = NO_TERMS,
+    estimator: Estimator | None = None,
+    covariance: Covariance | None = None,
+) -> Narmax:
+    """Identify one output from records: choose among `terms`, estimate, and say how sure it is.
+
+    Parameters
+    ----------
+    n_terms : terms to keep (criterion `n_terms`), else the most to look at
+    criterion : see `select`; default `ebic`, or `n_terms` where that is given
+    scale : of the variables; None: each is divided by its largest size, and centred only where it lies far from 0
+        (centring keeps the span of a full polynomial but changes which few terms describe it)
+    search : `exchange`, `restart` or `forward`
+    keep : names of terms that stay
+    n_folds : contiguous blocks that criterion `cv` leaves out in turn
+    noise : lags of e(k), or terms that hold `e(k-1)`, ...; they stay in the predictor; `auto`: as many lags as the
+        residual's own test asks for and EBIC agrees to (the notes of the model say how many were tried)
+    denominator : candidate terms below the line of a rational model, without a constant
+    estimator : `ls`; `els`; `pem` (the default with noise or a denominator); `simulation` (least error in free run)
+    covariance : `classical`; `sandwich`; `hac` (the default for `simulation`, whose residuals are correlated)
+    """
+    records = as_records(records)
+    if len(denominator) and noise:
+        raise IdentError("a rational model with noise terms is not offered; leave one of them out")
+    if noise == "auto":
+        again = partial(
+            fit, records, output, terms, n_terms=n_terms, criterion=criterion, err_tol=err_tol, scale=scale,
+            search=search, keep=keep, n_folds=n_folds, denominator=denominator, estimator=estimator,
+            covariance=covariance,
+        )  # fmt: skip
+        return best_order(lambda order: again(noise=order), records, len(terms))
+    noise_terms = noise_terms_of(noise)
+    if estimator is None:
+        estimator = "pem" if len(noise_terms) or len(denominator) else "ls"
+    if estimator not in get_args(Estimator):
+        raise ValueError(f"estimator is {estimator!r}, expected one of {', '.join(get_args(Estimator))}")
+    criterion = criterion or ("ebic" if n_terms is None else "n_terms")
+    _check_causal(terms + denominator, output)
+    candidates = terms + times_output(denominator, output)
+    selection = ProcessTermSelection(
+        records=records, output=output, terms=candidates, n_terms=n_terms, criterion=criterion, err_tol=err_tol,
+        search=search, keep=tuple(keep), n_folds=n_folds, scale=scale, is_ratio=len(denominator) > 0,
+    )  # fmt: skip
+    if len(denominator):
+        model = as_ratio(selection.select(), records, denominator)
+        if criterion in INFORMATION:
+            model = RationalStructureSearch(records, terms, denominator, criterion).settle(model)
+    elif len(noise_terms):
+        model = with_noise(selection, noise_terms)
+    else:
+        model = selection.select()
+    kind: Covariance = covariance or ("hac" if estimator == "simulation" else "classical")
+    if estimator != "ls" or kind != "classical":
+        model = _refined(model, records, estimator, kind)
+    model = replace(model, notes=(*selection.notes, *model.notes))
+    return model.without_widths() if any(model.scale.centres) else model.in_user_units()
+
+
+def _check_causal(terms: Terms, output: str) -> None:
+    for term, name in zip(terms, terms.names, strict=True):
+        if any(f.variable == output and not f.lag for f in term):
+            raise IdentError(f"term {name} explains {output} by itself; use its past, {output}(k-1)")
+
+
+def _refined(model: Narmax, records: Sequence[Record], estimator: Estimator, kind: Covariance) -> Narmax:
+    """Finish by Gauss-Newton (not for ls and els) and give the covariance asked for."""
+    free = estimator == "simulation"
+    try:
+        problem = NonlinearLeastSquares(model.recursion(), records, free=free)
+        if estimator in ("ls", "els"):
+            cost, residuals, gradients = problem.evaluate(model.parameters, gradient=True)
+            result = Estimate(
+                theta=model.parameters,
+                rss=cost,
+                count=problem.count,
+                residuals=residuals,
+                gradients=gradients,
+                converged=True,
+            )
+        else:
+            result = problem.minimise(model.parameters)
+    except IdentError as exc:
+        if not free:
+            raise
+        return replace(model, notes=(*model.notes, f"no refinement in free run: {exc}"))
+    a, b = len(model.terms), len(model.terms) + len(model.denominator)
+    notes = model.notes
+    if not result.converged:
+        notes = (*notes, "the descent did not come to rest; theta may still move")
+    return replace(
+        model,
+        theta=result.theta[:a],
+        denominator_theta=result.theta[a:b],
+        noise_theta=result.theta[b:],
+        covariance=result.covariance(kind),
+        sigma=result.sigma,
+        n_samples=result.count,
+        estimator=estimator,
+        notes=notes,
+    )

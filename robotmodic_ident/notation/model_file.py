@@ -1,0 +1,97 @@
+"""The fields of a model as plain data, as its JSON file holds them; knows no model, only the fields."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.scale import Scale
+from robotmodic_ident.terms import Terms
+from robotmodic_ident.types import Floats
+
+MODEL_FORMAT = "robotmodic-narmax-1"
+
+
+def to_plain(fields: Mapping[str, Any], stderr: Floats) -> dict[str, Any]:
+    """Return the fields of a model as plain data; `from_plain` undoes it.
+
+    Parameters
+    ----------
+    fields : field of `Narmax` -> its value
+    stderr : (n_parameters,) standard errors of theta, denominator_theta and noise_theta; for the reader of the file
+    """
+    n, m = len(fields["terms"]), len(fields["denominator"])
+    rows = _rows(fields["terms"], fields["theta"], stderr[:n])
+    return {
+        "format": MODEL_FORMAT,
+        "output": fields["output"],
+        "terms": [{**row, "err": _plain(err)} for row, err in zip(rows, fields["err"].tolist(), strict=True)],
+        "denominator": _rows(fields["denominator"], fields["denominator_theta"], stderr[n : n + m]),
+        "noise_terms": _rows(fields["noise_terms"], fields["noise_theta"], stderr[n + m :]),
+        "covariance": [[_plain(v) for v in row] for row in fields["covariance"].tolist()],
+        "sigma": _plain(fields["sigma"]),
+        "n_samples": fields["n_samples"],
+        "scale": fields["scale"].to_dict(),
+        "spans": dict(fields["spans"]),
+        "stop": fields["stop"],
+        "estimator": fields["estimator"],
+        "notes": list(fields["notes"]),
+    }
+
+
+def from_plain(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of the model whose plain data these are.
+
+    Raises
+    ------
+    IdentError
+        if the data are in another format
+    KeyError, TypeError, ValueError
+        if something is missing or of another kind
+    """
+    if data["format"] != MODEL_FORMAT:
+        raise IdentError(
+            f"format {data['format']!r}, expected {MODEL_FORMAT!r}; a model is written with Narmax.save"
+        )
+    terms, theta = _read_rows(data["terms"])
+    denominator, denominator_theta = _read_rows(data.get("denominator", []))
+    noise_terms, noise_theta = _read_rows(data.get("noise_terms", []))
+    n = len(terms) + len(denominator) + len(noise_terms)
+    err = [math.nan if row["err"] is None else row["err"] for row in data["terms"]]
+    return {
+        "output": data["output"],
+        "terms": terms,
+        "theta": theta,
+        "covariance": np.array(data["covariance"], dtype=np.float64).reshape(n, n),
+        "err": np.array(err, dtype=np.float64),
+        "sigma": math.nan if data["sigma"] is None else float(data["sigma"]),
+        "n_samples": int(data["n_samples"]),
+        "scale": Scale.from_dict(data["scale"]),
+        "spans": dict(data.get("spans", {})),
+        "stop": data["stop"],
+        "denominator": denominator,
+        "denominator_theta": denominator_theta,
+        "noise_terms": noise_terms,
+        "noise_theta": noise_theta,
+        "estimator": data.get("estimator", "ls"),
+        "notes": tuple(data.get("notes", ())),
+    }
+
+
+def _rows(terms: Terms, theta: Floats, stderr: Floats) -> list[dict[str, Any]]:
+    rows = zip(terms.names, theta.tolist(), stderr.tolist(), strict=True)
+    return [{"name": name, "theta": value, "stderr": _plain(spread)} for name, value, spread in rows]
+
+
+def _plain(value: float) -> float | None:
+    """Return None for what JSON cannot hold: as many terms as samples leave no standard error."""
+    return value if math.isfinite(value) else None
+
+
+def _read_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[Terms, Floats]:
+    theta = np.array([row["theta"] for row in rows], dtype=np.float64)
+    return Terms.parse(*(row["name"] for row in rows)), theta

@@ -1,0 +1,279 @@
+"""The compiled loops that run a model sample by sample.
+
+A model with feedback cannot be evaluated column by column: each sample needs the ones before it. Everything that
+does not feed back is evaluated beforehand with numpy (`base`); what is left is a table of factors.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from robotmodic_ident.kernel import kernel
+from robotmodic_ident.types import Floats, Ints
+
+POWER, COS, SIN, LEGENDRE, CHEBYSHEV, SPLINE, WAVELET = range(7)
+"""Kinds of factors."""
+LAG, OF_NOISE, KIND, HARMONIC, FIRST, SECOND, EXPONENT = range(7)
+"""Columns of the integer table of factors."""
+NUMERATOR, DENOMINATOR, NOISE = range(3)
+"""Where a term stands: ŷ = Σ numerator / (1 + Σ denominator) + Σ noise."""
+DIVERGED = 1e150
+
+
+@kernel
+def spline(degree: int, index: int, count: int, t: float) -> float:
+    """Evaluate B-spline `index` of `count` on uniform knots over [-1, 1]; 0 outside (de Boor 1978)."""
+    x = (t + 1.0) / 2.0 * (count - degree) - index + degree  # knots at 0, 1, ..., degree + 1
+    if t < -1.0 or t > 1.0 or x < 0.0 or x > degree + 1:
+        return 0.0
+    values = np.zeros(degree + 1)
+    cell = min(int(x), degree)
+    values[cell] = 1.0
+    for p in range(1, degree + 1):
+        for i in range(degree + 1 - p):
+            values[i] = ((x - i) * values[i] + (i + p + 1 - x) * values[i + 1]) / p
+    return float(values[0])
+
+
+@kernel
+def shape(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
+    """Evaluate one function of one (scaled) variable."""
+    if kind == COS:
+        return math.cos(harmonic * t)
+    if kind == SIN:
+        return math.sin(harmonic * t)
+    if kind in (LEGENDRE, CHEBYSHEV):
+        before, value = 1.0, t
+        for n in range(1, harmonic):
+            ahead = 2.0 * t * value - before
+            if kind == LEGENDRE:
+                ahead = ((2 * n + 1) * t * value - n * before) / (n + 1)
+            before, value = value, ahead
+        return value
+    if kind == SPLINE:
+        return spline(harmonic, first, second, t)
+    if kind == WAVELET:
+        r = 2.0**harmonic * (t + 1.0) / 2.0 - first
+        return (1.0 - r * r) * math.exp(-0.5 * r * r)
+    return t
+
+
+@kernel
+def slope(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
+    """Differentiate `shape` by t."""
+    if kind == COS:
+        return -harmonic * math.sin(harmonic * t)
+    if kind == SIN:
+        return harmonic * math.cos(harmonic * t)
+    if kind == LEGENDRE:  # P'(n+1) = P'(n-1) + (2n+1) P(n)
+        before, value, d_before, d_value = 1.0, t, 0.0, 1.0
+        for n in range(1, harmonic):
+            ahead = ((2 * n + 1) * t * value - n * before) / (n + 1)
+            d_ahead = d_before + (2 * n + 1) * value
+            before, value, d_before, d_value = value, ahead, d_value, d_ahead
+        return d_value
+    if kind == CHEBYSHEV:  # T'(n) = n U(n-1)
+        before, value = 0.0, 1.0
+        for _ in range(1, harmonic):
+            before, value = value, 2.0 * t * value - before
+        return harmonic * value
+    if kind == SPLINE:
+        if harmonic == 0:
+            return 0.0
+        low = spline(harmonic - 1, first - 1, second - 1, t) if first > 0 else 0.0
+        high = spline(harmonic - 1, first, second - 1, t) if first < second - 1 else 0.0
+        return (low - high) * (second - harmonic) / 2.0
+    if kind == WAVELET:
+        r = 2.0**harmonic * (t + 1.0) / 2.0 - first
+        return (r * r - 3.0) * r * math.exp(-0.5 * r * r) * 2.0**harmonic / 2.0
+    return 1.0
+
+
+@kernel
+def factor(row: Ints, centre: float, width: float, v: float) -> float:
+    """Evaluate one factor of a term at the value of its signal."""
+    value = shape(row[KIND], row[HARMONIC], row[FIRST], row[SECOND], (v - centre) / width)
+    out = value
+    for _ in range(1, row[EXPONENT]):
+        out *= value
+    return out
+
+
+@kernel
+def factor_slope(row: Ints, centre: float, width: float, v: float) -> float:
+    """Differentiate one factor by the value of its signal."""
+    t = (v - centre) / width
+    out = row[EXPONENT] * slope(row[KIND], row[HARMONIC], row[FIRST], row[SECOND], t) / width
+    if row[EXPONENT] > 1:
+        value = shape(row[KIND], row[HARMONIC], row[FIRST], row[SECOND], t)
+        for _ in range(1, row[EXPONENT]):
+            out *= value
+    return float(out)
+
+
+@kernel
+def value_at(
+    k: int,
+    base: Floats,
+    theta: Floats,
+    group: Ints,
+    starts: Ints,
+    table: Ints,
+    scales: Floats,
+    past: Floats,
+    noise: Floats,
+    phi: Floats,
+) -> tuple[float, float]:
+    """Return (prediction, denominator) at sample k and fill phi (n_terms,), the value of each term."""
+    top, bottom, noise_part = 0.0, 1.0, 0.0
+    for j in range(len(theta)):
+        v = base[k, j]
+        for i in range(starts[j], starts[j + 1]):
+            source = noise if table[i, OF_NOISE] else past
+            v *= factor(table[i], scales[i, 0], scales[i, 1], source[k - table[i, LAG]])
+        phi[j] = v
+        if group[j] == NUMERATOR:
+            top += theta[j] * v
+        elif group[j] == DENOMINATOR:
+            bottom += theta[j] * v
+        else:
+            noise_part += theta[j] * v
+    return top / bottom + noise_part, bottom
+
+
+@kernel
+def run(
+    base: Floats,
+    theta: Floats,
+    group: Ints,
+    starts: Ints,
+    table: Ints,
+    scales: Floats,
+    measured: Floats,
+    look_back: int,
+    free: bool,
+    gradient: Floats,
+) -> tuple[Floats, Floats]:
+    """Run a model over one segment.
+
+    Parameters
+    ----------
+    base : (n, n_terms) what each term owes to inputs
+    theta : (n_terms,)
+    group : (n_terms,) numerator, denominator or noise
+    starts : (n_terms + 1,) rows of `table` of each term
+    table : (n_factors, 7) integers of each factor that feeds back
+    scales : (n_factors, 2) centre and width
+    measured : (n,) outputs; nan: not known
+    free : past outputs are predictions and noise is zero; else past outputs are measured, noise is what was left
+    gradient : (n, n_terms) filled with dŷ/dθ; (0, 0): not wanted
+
+    Returns
+    -------
+    prediction (n,), nan where it is not known; noise (n,), 0 where it is not known
+    """
+    n, m = base.shape
+    out = np.full(n, np.nan)
+    noise = np.zeros(n)
+    past = measured.copy()
+    phi = np.zeros(m)
+    wanted = len(gradient) > 0
+    for k in range(look_back, n):
+        value, bottom = value_at(k, base, theta, group, starts, table, scales, past, noise, phi)
+        if not math.isfinite(value):
+            continue
+        if abs(value) > DIVERGED:
+            break
+        out[k] = value
+        if free:
+            past[k] = value
+        elif math.isfinite(measured[k]):
+            noise[k] = measured[k] - value
+        if wanted:
+            fill_gradient(
+                k, base, theta, group, starts, table, scales, past, noise, phi, bottom, free, gradient
+            )
+    return out, noise
+
+
+@kernel
+def fill_gradient(
+    k: int,
+    base: Floats,
+    theta: Floats,
+    group: Ints,
+    starts: Ints,
+    table: Ints,
+    scales: Floats,
+    past: Floats,
+    noise: Floats,
+    phi: Floats,
+    bottom: float,
+    free: bool,
+    gradient: Floats,
+) -> None:
+    """Fill gradient[k] by the chain rule: what a term says now, and what it changed before."""
+    m = len(theta)
+    ratio = 0.0
+    for j in range(m):
+        if group[j] == NUMERATOR:
+            ratio += theta[j] * phi[j] / bottom
+    for j in range(m):
+        outer = 1.0
+        if group[j] == NUMERATOR:
+            outer = 1.0 / bottom
+        elif group[j] == DENOMINATOR:
+            outer = -ratio / bottom
+        gradient[k, j] += outer * phi[j]
+        for i in range(starts[j], starts[j + 1]):
+            of_noise = table[i, OF_NOISE] == 1
+            if of_noise == free:
+                continue  # measured outputs do not depend on theta, and free runs have no noise
+            before = k - table[i, LAG]
+            if of_noise and not math.isfinite(past[before]):
+                continue  # noise that is not known counts as 0 whatever theta is
+            source = noise if of_noise else past
+            inner = base[k, j] * factor_slope(table[i], scales[i, 0], scales[i, 1], source[before])
+            for other in range(starts[j], starts[j + 1]):
+                if other != i:
+                    row = table[other]
+                    side = noise if row[OF_NOISE] else past
+                    inner *= factor(row, scales[other, 0], scales[other, 1], side[k - row[LAG]])
+            weight = outer * theta[j] * inner * (-1.0 if of_noise else 1.0)
+            if weight != 0.0:
+                for parameter in range(m):
+                    gradient[k, parameter] += weight * gradient[before, parameter]
+
+
+@kernel
+def run_ahead(
+    base: Floats,
+    theta: Floats,
+    group: Ints,
+    starts: Ints,
+    table: Ints,
+    scales: Floats,
+    measured: Floats,
+    noise: Floats,
+    look_back: int,
+    steps: int,
+) -> Floats:
+    """Predict each sample (n,) from what was measured up to `steps` samples before it."""
+    n, m = base.shape
+    out = np.full(n, np.nan)
+    past, quiet = measured.copy(), noise.copy()
+    phi = np.zeros(m)
+    for last in range(look_back + steps - 1, n):
+        first = last - steps + 1
+        value = np.nan
+        for k in range(first, last + 1):
+            value, _ = value_at(k, base, theta, group, starts, table, scales, past, quiet, phi)
+            if not abs(value) <= DIVERGED:  # not known: only what reads it is not known either
+                value = np.nan
+            past[k], quiet[k] = value, 0.0
+        out[last] = value
+        past[first : last + 1] = measured[first : last + 1]
+        quiet[first : last + 1] = noise[first : last + 1]
+    return out

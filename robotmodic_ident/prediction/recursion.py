@@ -1,0 +1,149 @@
+"""Recursion: a model prepared to run sample by sample; what comes from inputs is evaluated beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.prediction import kernels
+from robotmodic_ident.records import Record
+from robotmodic_ident.scale import Scale
+from robotmodic_ident.terms import Factor, Term, Terms
+from robotmodic_ident.types import Floats
+
+NOISE_NAME = "e"
+"""The variable of noise terms: what the model left unexplained at past samples."""
+KINDS = {
+    "": kernels.POWER,
+    "cos": kernels.COS,
+    "sin": kernels.SIN,
+    "P": kernels.LEGENDRE,
+    "T": kernels.CHEBYSHEV,
+    "B": kernels.SPLINE,
+    "W": kernels.WAVELET,
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Segment:
+    """One segment without a gap, ready to run."""
+
+    piece: slice
+    """Samples of the record."""
+    base: Floats
+    """(n, n_parameters) what each term owes to inputs; nan where they are not known."""
+    measured: Floats
+    """(n,) outputs; nan where not known."""
+
+
+class Recursion:
+    """ŷ = Σ numerator / (1 + Σ denominator) + Σ noise, with the tables that the compiled loops read."""
+
+    def __init__(
+        self, output: str, terms: Terms, denominator: Terms, noise: Terms, scale: Scale, theta: Floats
+    ) -> None:
+        self.output, self.scale = output, scale
+        self.groups = (terms, denominator, noise)
+        self.table_of_terms: tuple[Term, ...] = terms.table + denominator.table + noise.table
+        self.theta: Floats = np.asarray(theta, dtype=np.float64)
+        """(n_parameters,) numerator, denominator, noise."""
+        self.group = np.repeat(np.arange(3), [len(g) for g in self.groups]).astype(np.int64)
+        self.look_back = max(g.max_lag for g in self.groups)
+        feeds = [[f for f in term if f.variable in (output, NOISE_NAME)] for term in self.table_of_terms]
+        self._check(feeds)
+        self.starts = np.cumsum([0, *map(len, feeds)]).astype(np.int64)
+        rows = [self._row(f) for some in feeds for f in some]
+        self.table = np.array([row for row, _ in rows], dtype=np.int64).reshape(-1, 7)
+        self.scales = np.array([pair for _, pair in rows], dtype=np.float64).reshape(-1, 2)
+        self.feeds_back = bool((self.table[:, kernels.OF_NOISE] == 0).any())
+        """Whether past outputs come in."""
+
+    def _check(self, feeds: list[list[Factor]]) -> None:
+        for term, some in zip(self.table_of_terms, feeds, strict=True):
+            if any(not f.lag for f in some):
+                name = Terms((term,)).names[0]
+                raise IdentError(
+                    f"term {name} explains {self.output} by itself; use its past, {self.output}(k-1)"
+                )
+
+    def _row(self, f: Factor) -> tuple[list[int], tuple[float, float]]:
+        of_noise = int(f.variable == NOISE_NAME)
+        pair = (0.0, 1.0) if f.function in ("cos", "sin") else f.domain or self.scale.pair(f.variable)
+        return [f.lag or 0, of_noise, KINDS[f.function], f.harmonic, *f.part, f.power], pair
+
+    def segments(self, record: Record) -> Iterator[Segment]:
+        """Evaluate the input part of every term over each segment of a record."""
+        signals = {name: np.asarray(values, dtype=np.float64) for name, values in record.signals.items()}
+        self._check_signals(signals)
+        for piece in record.segments():
+            data = {name: values[piece] for name, values in signals.items()}
+            n = piece.stop - piece.start
+            measured = data.get(self.output, np.full(n, np.nan))
+            yield Segment(piece=piece, base=self._base(data, n), measured=np.ascontiguousarray(measured))
+
+    def _check_signals(self, signals: dict[str, Floats]) -> None:
+        needed = {f.variable for term in self.table_of_terms for f in term} - {NOISE_NAME}
+        if missing := sorted(needed - set(signals)):
+            raise IdentError(f"record has no signal {', '.join(missing)}; it has {', '.join(signals)}")
+
+    def _base(self, data: dict[str, Floats], n: int) -> Floats:
+        inputs = [
+            tuple(f for f in t if f.variable not in (self.output, NOISE_NAME)) for t in self.table_of_terms
+        ]
+        distinct = list(dict.fromkeys(inputs))
+        atoms = {f.signal: (f.variable, f.lag or 0) for term in distinct for f in term}
+        columns = {name: _delayed(data[variable], lag) for name, (variable, lag) in atoms.items()}
+        parts = np.empty((n, len(distinct)))
+        for j, term in enumerate(distinct):
+            parts[:, j] = Terms((term,)).matrix(columns, self.scale, n=n)[:, 0]
+        group = {term: j for j, term in enumerate(distinct)}
+        base = np.ascontiguousarray(parts[:, [group[term] for term in inputs]])
+        base[~np.isfinite(base).all(axis=1)] = np.nan
+        return base
+
+    def run(
+        self, segment: Segment, *, free: bool, theta: Floats | None = None, gradient: bool = False
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return prediction (n,), noise (n,) and dŷ/dθ (n, n_parameters), which is empty unless asked for."""
+        n, m = segment.base.shape
+        slopes = np.zeros((n, m) if gradient else (0, 0))
+        out, noise = kernels.run(
+            segment.base,
+            self.theta if theta is None else theta,
+            self.group,
+            self.starts,
+            self.table,
+            self.scales,
+            segment.measured,
+            self.look_back,
+            free,
+            slopes,
+        )
+        return out, noise, slopes
+
+    def run_ahead(self, segment: Segment, steps: int) -> Floats:
+        """Predict every sample (n,) from measurements up to `steps` samples before it."""
+        _, noise, _ = self.run(segment, free=False)
+        return kernels.run_ahead(
+            segment.base,
+            self.theta,
+            self.group,
+            self.starts,
+            self.table,
+            self.scales,
+            segment.measured,
+            noise,
+            self.look_back,
+            steps,
+        )
+
+
+def _delayed(values: Floats, lag: int) -> Floats:
+    if lag == 0:
+        return values
+    out = np.full(len(values), np.nan)
+    out[lag:] = values[: max(len(values) - lag, 0)]
+    return out

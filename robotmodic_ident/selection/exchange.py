@@ -1,0 +1,293 @@
+"""Search for the best terms of every size by exchange, in Gram space.
+
+A sweep (Goodnight 1979) brings one term into the model or takes it out at the cost of m² operations, and the swept
+matrix gives in closed form what every exchange of one term in for one term out would change. So greedy mistakes,
+which slow inputs provoke, are repaired without looking at the data again.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robotmodic_ident.kernel import kernel
+from robotmodic_ident.types import Bools, Floats, Ints
+
+DEPENDENCE_TOLERANCE = 1e-12
+"""Remaining share of a candidate's squared norm below which it depends on the chosen terms."""
+MIN_EXCHANGE_GAIN = 1e-10
+"""An exchange must lower the residual sum by this share."""
+MAX_PASSES = 6
+"""Passes up and down over all sizes at most."""
+
+
+@kernel
+def sweep(a: Floats, k: int) -> None:
+    """Bring variable k in, or take it out again: the two undo each other but for the sign of a row, kept here."""
+    n = len(a)
+    pivot = a[k, k]
+    for j in range(n):
+        a[k, j] /= pivot
+    for i in range(n):
+        if i != k:
+            b = a[i, k]
+            if b != 0.0:
+                for j in range(n):
+                    a[i, j] -= b * a[k, j]
+            a[i, k] = -b / pivot
+    a[k, k] = 1.0 / pivot
+
+
+@kernel
+def best_addition(a: Floats, inside: Bools, usable: Bools) -> int:
+    """Return the term that explains most of what is left; -1: all depend on those inside."""
+    m = len(a) - 1
+    best, choice = -1.0, -1
+    for j in range(m):
+        if usable[j] and not inside[j] and a[j, j] > DEPENDENCE_TOLERANCE:
+            gain = a[j, m] * a[j, m] / a[j, j]
+            if gain > best * (1.0 + 1e-9):
+                best, choice = gain, j
+    return choice
+
+
+@kernel
+def best_removal(a: Floats, inside: Bools, locked: Bools) -> int:
+    """Return the term inside whose loss costs least; -1: all are locked."""
+    m = len(a) - 1
+    least, choice = np.inf, -1
+    for i in range(m):
+        if inside[i] and not locked[i]:
+            loss = a[i, m] * a[i, m] / a[i, i]
+            if loss < least:
+                least, choice = loss, i
+    return choice
+
+
+@kernel
+def exchange(a: Floats, inside: Bools, locked: Bools, usable: Bools) -> bool:
+    """Make the best exchange of one term for another; False: none lowers the residual sum."""
+    m = len(a) - 1
+    least = -MIN_EXCHANGE_GAIN * max(a[m, m], 1e-15)
+    out, into = -1, -1
+    for i in range(m):
+        if not inside[i] or locked[i]:
+            continue
+        h, theta = a[i, i], a[i, m]
+        loss = theta * theta / h
+        for j in range(m):
+            if inside[j] or not usable[j]:
+                continue
+            shared = a[i, j]
+            norm = a[j, j] + shared * shared / h  # as if i were out
+            if norm > DEPENDENCE_TOLERANCE:
+                rest = a[j, m] + shared * theta / h
+                change = loss - rest * rest / norm
+                if change < least:
+                    least, out, into = change, i, j
+    if out < 0:
+        return False
+    sweep(a, out)
+    sweep(a, into)
+    inside[out], inside[into] = False, True
+    return True
+
+
+@kernel
+def settle(a: Floats, inside: Bools, locked: Bools, usable: Bools, most: int) -> None:
+    """Exchange terms until no exchange helps, `most` times at most."""
+    for _ in range(most):
+        if not exchange(a, inside, locked, usable):
+            break
+
+
+@kernel
+def refresh(a: Floats, original: Floats, inside: Bools) -> None:
+    """Sweep anew from the original: rounding does not pile up."""
+    a[:] = original
+    for j in range(len(inside)):
+        if inside[j]:
+            sweep(a, j)
+
+
+@kernel
+def remember(a: Floats, inside: Bools, size: int, rss: Floats, sets: Bools) -> bool:
+    """Keep the set if it is the best of its size so far."""
+    value = max(a[len(a) - 1, len(a) - 1], 0.0)
+    if value < rss[size] * (1.0 - MIN_EXCHANGE_GAIN) - 1e-16:
+        rss[size] = value
+        sets[size] = inside
+        return True
+    return False
+
+
+@kernel
+def climb(
+    a: Floats, inside: Bools, locked: Bools, usable: Bools, swap: bool, rss: Floats, sets: Bools
+) -> bool:
+    """Add terms one by one up to the largest size, with exchanges after each; tell whether any size got better."""
+    better = False
+    size = int(inside.sum())
+    while size < len(rss) - 1:
+        j = best_addition(a, inside, usable)
+        if j < 0:
+            break
+        sweep(a, j)
+        inside[j] = True
+        size += 1
+        if swap:
+            settle(a, inside, locked, usable, 4 * len(rss))
+        better = remember(a, inside, size, rss, sets) or better
+    return better
+
+
+@kernel
+def descend(
+    a: Floats, inside: Bools, locked: Bools, usable: Bools, swap: bool, rss: Floats, sets: Bools
+) -> bool:
+    """Take terms out one by one, with exchanges after each; tell whether any size got better."""
+    better = False
+    size = int(inside.sum())
+    while size > 1:
+        i = best_removal(a, inside, locked)
+        if i < 0:
+            break
+        sweep(a, i)
+        inside[i] = False
+        size -= 1
+        if swap:
+            settle(a, inside, locked, usable, 4 * len(rss))
+        better = remember(a, inside, size, rss, sets) or better
+    return better
+
+
+@kernel
+def thin(a: Floats, original: Floats, locked: Bools, usable: Bools, rss: Floats, sets: Bools) -> bool:
+    """Take one term out of the best set of every size, largest first; tell whether any size got better."""
+    better = False
+    inside = locked.copy()
+    for size in range(len(rss) - 1, 1, -1):
+        if not np.isfinite(rss[size]):
+            continue
+        inside[:] = sets[size]
+        refresh(a, original, inside)
+        i = best_removal(a, inside, locked)
+        if i >= 0:
+            sweep(a, i)
+            inside[i] = False
+            settle(a, inside, locked, usable, 4 * len(rss))
+            better = remember(a, inside, size - 1, rss, sets) or better
+    return better
+
+
+@kernel
+def search_one(
+    original: Floats, locked: Bools, usable: Bools, cost: Floats, count: float, swap: bool, restart: bool
+) -> tuple[Floats, Bools]:
+    """Search the best set of every size for one output.
+
+    Parameters
+    ----------
+    original : (m + 1, m + 1) Gram of the terms and the output, all of unit norm
+    locked, usable : (m,) terms that stay; terms that may be used
+    cost : (n_max + 1,) of each size, to find the model whose terms are tried as the first one
+    count : rows behind the Gram
+    swap : exchange terms
+    restart : forward selection from every term of the best model (iOFR: Guo et al. 2015)
+
+    Returns
+    -------
+    rss (n_max + 1,), sets (n_max + 1, m)
+    """
+    m, n_max = len(original) - 1, len(cost) - 1
+    rss = np.full(n_max + 1, np.inf)
+    sets = np.zeros((n_max + 1, m), dtype=np.bool_)
+    a = original.copy()
+    inside = locked.copy()
+    refresh(a, original, inside)
+    remember(a, inside, int(inside.sum()), rss, sets)
+    climb(a, inside, locked, usable, swap, rss, sets)
+    if swap:
+        for _ in range(MAX_PASSES):
+            refresh(a, original, inside)
+            better = descend(a, inside, locked, usable, swap, rss, sets)
+            refresh(a, original, inside)
+            better = climb(a, inside, locked, usable, swap, rss, sets) or better
+            better = thin(a, original, locked, usable, rss, sets) or better
+            if not better:
+                break
+    if restart:
+        tried = np.zeros(m, dtype=np.bool_)
+        while True:
+            size = best_size(rss, cost, count)
+            fresh = sets[size] & ~tried & ~locked
+            if not fresh.any():
+                break
+            first = int(np.argmax(fresh))
+            tried[first] = True
+            inside = locked.copy()
+            refresh(a, original, inside)
+            if a[first, first] > DEPENDENCE_TOLERANCE and int(inside.sum()) < n_max:
+                inside[first] = True
+                sweep(a, first)
+                climb(a, inside, locked, usable, swap, rss, sets)
+    return rss, sets
+
+
+@kernel
+def best_size(rss: Floats, cost: Floats, count: float) -> int:
+    """Return the size with the least N log(rss) + cost."""
+    floor = 64 * len(rss) * 2.2e-16
+    best, choice = np.inf, 0
+    for k in range(len(rss)):
+        if np.isfinite(rss[k]):
+            value = count * np.log(max(rss[k], floor)) + cost[k]
+            if value < best:
+                best, choice = value, k
+    return choice
+
+
+@kernel
+def search(
+    grams: Floats,
+    cross: Floats,
+    power: Floats,
+    own: Ints,
+    locked: Bools,
+    usable: Bools,
+    cost: Floats,
+    count: Floats,
+    swap: bool,
+    restart: bool,
+) -> tuple[Floats, Bools]:
+    """Search the best sets of every size for many outputs.
+
+    Parameters
+    ----------
+    grams : (n_grams, m, m)
+    cross : (m, n)
+    power, own, count : (n,) Y'Y; which Gram; rows
+    locked, usable : (m,)
+    cost : (n, n_max + 1)
+
+    Returns
+    -------
+    rest (n, n_max + 1) unexplained share of the best set of each size; sets (n, n_max + 1, m)
+    """
+    m, n = cross.shape
+    rss = np.empty((n, cost.shape[1]))
+    sets = np.zeros((n, cost.shape[1], m), dtype=np.bool_)
+    a = np.empty((m + 1, m + 1))
+    for i in range(n):
+        gram = grams[own[i]]
+        norm = np.sqrt(np.maximum(np.diag(gram), 0.0))
+        mine = usable & (norm > 0.0)
+        norm = np.where(norm > 0.0, norm, 1.0)
+        size = np.sqrt(power[i]) if power[i] > 0.0 else 1.0
+        for r in range(m):
+            for c in range(m):
+                a[r, c] = gram[r, c] / (norm[r] * norm[c])
+            a[r, m] = cross[r, i] / (norm[r] * size)
+            a[m, r] = a[r, m]
+        a[m, m] = power[i] / (size * size)
+        rss[i], sets[i] = search_one(a, locked & mine, mine, cost[i], count[i], swap, restart)
+    return rss, sets

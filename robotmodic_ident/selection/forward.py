@@ -1,0 +1,163 @@
+"""Forward selection as a pivoted Cholesky factorisation of Φ'Φ, for many outputs at once.
+
+Orthogonal least squares (Billings 2013, ch. 3) on moments: the pivot is the term that explains most of y, and row k
+of the factor is what the k-th chosen term shares with every candidate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robotmodic_ident.kernel import kernel
+from robotmodic_ident.types import Floats
+
+TIE_TOLERANCE = 1e-9
+"""Relative difference of gains below which the canonical order of the terms decides."""
+DEPENDENCE_TOLERANCE = 1e-12
+"""Remaining share of a candidate's squared norm below which it depends on the chosen terms."""
+EPSILON = float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SelectionPath:
+    """Every step of a selection, before a stop rule cuts it."""
+
+    order: NDArray[np.intp]
+    """(n, n_max) chosen term; -1 once no candidate is left."""
+    factor: Floats
+    """(n, n_max, n_max) upper triangular R with R'R = Φ'Φ of the chosen terms (unit diagonal where unused)."""
+    gain: Floats
+    """(n, n_max) coordinate z of y along each orthonormal direction: z² is what a step explains."""
+
+
+def forward(
+    grams: Floats,
+    cross: Floats,
+    power: Floats,
+    n_max: int,
+    order: NDArray[np.intp],
+    keep: Sequence[int] = (),
+    own: NDArray[np.intp] | None = None,
+    allowed: NDArray[np.bool_] | None = None,
+) -> SelectionPath:
+    """Choose up to `n_max` terms for each output by what they explain.
+
+    Parameters
+    ----------
+    grams : (n_grams, m, m)
+    cross : (m, n)
+    power : (n,)
+    order : (m,) canonical order, which decides ties
+    keep : terms chosen first, in this order, whatever they explain
+    own : (n,) which Gram is whose; None: one for each, or one for all
+    allowed : (n, m) terms that each output may choose; None: all
+    """
+    m, n = cross.shape
+    if own is None:
+        own = np.arange(n) if len(grams) == n else np.zeros(n, dtype=np.intp)
+    chosen = np.full((n, n_max), -1, dtype=np.intp)
+    factor, gain = np.zeros((n, n_max, n_max)), np.zeros((n, n_max))
+    _choose(
+        grams,
+        cross,
+        np.ascontiguousarray(power),
+        np.asarray(own, dtype=np.intp),
+        np.asarray(order, dtype=np.intp),
+        np.array(keep, dtype=np.intp),
+        np.ones((n, m), dtype=np.bool_) if allowed is None else allowed,
+        chosen,
+        factor,
+        gain,
+    )
+    return SelectionPath(order=chosen, factor=factor, gain=gain)
+
+
+@kernel
+def _choose(
+    grams: Floats,
+    cross: Floats,
+    power: Floats,
+    own: NDArray[np.intp],
+    order: NDArray[np.intp],
+    keep: NDArray[np.intp],
+    allowed: NDArray[np.bool_],
+    chosen: NDArray[np.intp],
+    factor: Floats,
+    gain: Floats,
+) -> None:
+    """Fill chosen (n, n_max), factor (n, n_max, n_max) and gain (n, n_max), one output after the other.
+
+    Candidates are divided by their norms and stand in canonical order: of equals, the first wins.
+    """
+    m, n_max = len(order), gain.shape[1]
+    norm, left, b, basis = np.empty(m), np.empty(m), np.empty(m), np.empty((n_max, m))
+    for i in range(len(power)):
+        gram = grams[own[i]]
+        for j in range(m):
+            p = order[j]
+            square = gram[p, p]
+            norm[j] = math.sqrt(square) if square > 0.0 else 1.0
+            left[j] = 1.0 if square > 0.0 and allowed[i, p] else 0.0  # remaining squared norm
+            b[j] = cross[p, i] / norm[j]  # what is left of the output along it
+        for k in range(n_max):
+            if k < len(keep):
+                c = int(np.argmax(order == keep[k]))
+                c = c if left[c] > DEPENDENCE_TOLERANCE else -1
+            else:
+                c = _best(b, left, 4.0 * EPSILON * power[i])
+            if c < 0:
+                factor[i, k, k] = 1.0
+                basis[k] = 0.0
+                continue
+            root = math.sqrt(left[c])
+            for j in range(m):
+                basis[k, j] = gram[order[c], order[j]] / (norm[j] * norm[c])
+            _free(basis, k, c)
+            z = b[c] / root
+            for j in range(m):
+                basis[k, j] /= root
+                b[j] -= z * basis[k, j]
+                left[j] -= basis[k, j] * basis[k, j]
+            left[c] = 0.0
+            factor[i, :k, k] = basis[:k, c] * norm[c]
+            factor[i, k, k] = root * norm[c]
+            chosen[i, k], gain[i, k] = order[c], z
+
+
+@kernel
+def _free(basis: Floats, k: int, c: int) -> None:
+    """Take out of row k what candidate c shares with the rows before it."""
+    for step in range(k):
+        share = basis[step, c]
+        for j in range(basis.shape[1]):
+            basis[k, j] -= share * basis[step, j]
+
+
+@kernel
+def _best(b: Floats, left: Floats, floor: float) -> int:
+    """Return the first candidate that explains as much as any, up to rounding; -1: all depend on the chosen."""
+    best = -1.0
+    for j in range(len(b)):
+        if left[j] > DEPENDENCE_TOLERANCE:
+            best = max(best, b[j] * b[j] / left[j])
+    for j in range(len(b)):
+        if left[j] > DEPENDENCE_TOLERANCE and b[j] * b[j] / left[j] >= best - TIE_TOLERANCE * best - floor:
+            return j
+    return -1
+
+
+def invert_upper(factor: Floats) -> Floats:
+    """Invert a stack (n, k, k) of upper triangular matrices by back substitution."""
+    k = factor.shape[1]
+    inverse = np.zeros_like(factor)
+    for i in range(k - 1, -1, -1):
+        inverse[:, i, i] = 1.0 / factor[:, i, i]
+        if i + 1 < k:
+            tail = np.matmul(factor[:, i, None, i + 1 :], inverse[:, i + 1 :, i + 1 :])[:, 0]
+            inverse[:, i, i + 1 :] = -tail * inverse[:, i, i][:, None]
+    return inverse

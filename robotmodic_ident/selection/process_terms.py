@@ -1,0 +1,171 @@
+"""ProcessTermSelection: the process terms of one output, chosen by least squares or, beside noise terms, by the prediction error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.estimation.prediction_error import NonlinearLeastSquares
+from robotmodic_ident.model import Narmax
+from robotmodic_ident.moments import Moments
+from robotmodic_ident.records import Record, lagged
+from robotmodic_ident.scale import Scale
+from robotmodic_ident.selection.criteria import INFORMATION, Criterion, information, penalties
+from robotmodic_ident.selection.exact_dependence import independent
+from robotmodic_ident.selection.model_size import Search
+from robotmodic_ident.selection.scaling import middle_of, scale_for
+from robotmodic_ident.selection.select import Selection, select
+from robotmodic_ident.terms import CONSTANT, Terms
+
+Rows: TypeAlias = slice | NDArray[np.intp]
+MIN_OUTPUT = 1e-150
+"""Of an output that is not 0: squares of smaller values vanish."""
+
+
+@dataclass(kw_only=True)
+class ProcessTermSelection:
+    """The selection of process terms, which noise found later may repeat."""
+
+    records: list[Record]
+    output: str
+    terms: Terms
+    """Candidates; without those that depend on others once this is made."""
+    n_terms: int | None
+    criterion: Criterion
+    err_tol: float
+    search: Search
+    keep: tuple[str, ...]
+    n_folds: int
+    scale: Scale | None
+    is_ratio: bool
+    """Whether the candidates are those of a rational model, multiplied out."""
+
+    def __post_init__(self) -> None:
+        self.rows = lagged(self.records, self.terms, [self.output])
+        if not np.isfinite(self.rows.targets).any():
+            raise IdentError(f"output {self.output} is not known at any sample whose regressors are known")
+        self._shift_output()
+        self.scale = self.scale or scale_for(self.terms, self.rows)
+        moments = self._moments(slice(None))
+        kept, found = independent(moments, self.output, moments.gram_of(0))
+        names = {moments.terms.names[i] for i in kept.tolist()}
+        if lost := set(self.keep) - names - (set(self.keep) - set(moments.terms.names)):
+            raise IdentError(f"term {', '.join(sorted(lost))} is to be kept but is given exactly by others")
+        self.terms = self.terms[kept.tolist()]
+        self.summed = moments.pick(terms=kept)
+        self.notes = [str(dependence) for dependence in found] + self._remarks(int(moments.count[0]))
+        if self.shift:
+            self.notes.append(f"{self.output} lies far from 0: err is of {self.output} - {self.shift:.15g}")
+        for name, centre in zip(self.scale.variables, self.scale.centres, strict=True):
+            if centre:
+                self.notes.append(
+                    f"{name} lies far from 0: in the terms it stands for {name} - {centre:.15g}"
+                )
+
+    def _shift_output(self) -> None:
+        """Take the output from its middle where it lies far from 0, and refuse one whose squares vanish."""
+        known = self.rows.targets[np.isfinite(self.rows.targets)]
+        if 0.0 < (largest := float(np.abs(known).max())) < MIN_OUTPUT:
+            raise IdentError(
+                f"{self.output} is at most {largest:.3g}, whose square cannot be held; use smaller units"
+            )
+        self.shift = 0.0 if self.is_ratio or CONSTANT not in self.terms.names else middle_of(known)
+        """What is subtracted from the output, and given back by the constant, which then stays."""
+        if self.shift:
+            self.rows = replace(self.rows, targets=self.rows.targets - self.shift)
+            self.keep = tuple(dict.fromkeys((CONSTANT, *self.keep)))
+            self.n_terms = self.n_terms and max(self.n_terms, len(self.keep))
+
+    def _remarks(self, count: int) -> list[str]:
+        out = []
+        if count < 2 * len(self.terms):
+            out.append(f"{count} samples for {len(self.terms)} candidate terms: the choice is weakly founded")
+        for i, record in enumerate(self.records):
+            if not (self.rows.record == i).any():
+                out.append(
+                    f"record {i} gives no sample: {len(record)} samples, look back {self.terms.max_lag}"
+                )
+        return out
+
+    def select(self) -> Narmax:
+        """Choose process terms by least squares."""
+        selection = self._selection(self.summed, self._moments, len(self.rows.sample))
+        self._judge(selection)
+        return self._model(selection)
+
+    def select_beside(self, model: Narmax) -> Narmax:
+        """Choose process terms by the prediction error, with the noise terms of a model beside them."""
+        noise, n = model.noise_terms, len(self.terms)
+        full = _among(model, self.terms)
+        phi, target = NonlinearLeastSquares(full.recursion(), self.records, free=False).linearised(
+            full.parameters
+        )
+        if self.shift:
+            target -= self.shift * phi[:, self.terms.names.index(CONSTANT)]
+
+        def part(rows: Rows) -> Moments:
+            return Moments(self.terms + noise, 1, scale=self.scale).add_rows(phi[rows], target[rows])
+
+        moments = part(slice(None))
+        selection = self._selection(moments, part, len(target), noise.names)
+        chosen = [i for i in selection.chosen(0).tolist() if i < n]
+        if not chosen:  # the noise alone is the better model, but a model has a term
+            chosen = select(moments.pick(terms=range(n)), 1).chosen(0).tolist()
+        alone = select(self.summed.pick(terms=chosen), len(chosen))
+        return replace(self._model(alone), stop=selection.stop[0])
+
+    def _model(self, selection: Selection) -> Narmax:
+        """Return the model of a selection, with what was subtracted from the output given back."""
+        model = Narmax.of(selection, 0, self.output)
+        shift = np.where(np.array(model.terms.names) == CONSTANT, self.shift, 0.0)
+        return replace(model, theta=model.theta + shift)
+
+    def _moments(self, rows: Rows) -> Moments:
+        """Sum up some rows of the data."""
+        columns = {name: values[rows] for name, values in self.rows.columns.items()}
+        return Moments(self.terms, 1, scale=self.scale).add(columns, self.rows.targets[rows])
+
+    def _selection(
+        self, moments: Moments, part: Callable[[Rows], Moments], n: int, noise: Sequence[str] = ()
+    ) -> Selection:
+        """Select from moments; `part` sums up some of their n rows, `noise` names terms that are there anyway."""
+        blocks = np.array_split(np.arange(n), self.n_folds) if self.criterion == "cv" else []
+        return select(
+            moments,
+            None if self.n_terms is None else self.n_terms + len(noise),
+            criterion=self.criterion,
+            err_tol=self.err_tol,
+            keep=(*self.keep, *noise),
+            search=self.search,
+            folds=[part(block) for block in blocks],
+        )
+
+    def _judge(self, selection: Selection) -> None:
+        """Note where the one term that a model has explains less than it costs."""
+        if self.criterion in INFORMATION and selection.n_terms[0] == 1 and self.keep in ((), (CONSTANT,)):
+            share, count = float(selection.err[0, 0]), selection.count[:1]
+            cost = penalties(self.criterion, 1, len(self.terms), count)
+            none, one = information(np.array([[1.0, 1.0 - share]]), cost, count)[0]
+            if none < one:
+                self.notes.append(
+                    f"by {self.criterion} no term is worth its cost; the one kept explains {share:.1%} of "
+                    f"{self.output}, as chance may"
+                )
+
+
+def _among(model: Narmax, candidates: Terms) -> Narmax:
+    """Return the same model written in all candidates; the coefficients of those it does not have are 0."""
+    found = dict(zip(model.terms.names, model.theta.tolist(), strict=True))
+    n = len(candidates) + len(model.noise_terms)
+    return replace(
+        model,
+        terms=candidates,
+        theta=np.array([found.get(name, 0.0) for name in candidates.names]),
+        err=np.full(len(candidates), np.nan),
+        covariance=np.zeros((n, n)),
+    )

@@ -1,0 +1,178 @@
+"""Scores of a model beside those of doing nothing: one step, several steps and free run, against persistence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.model import Narmax
+from robotmodic_ident.records import Record, Records, as_records
+from robotmodic_ident.types import Floats
+
+Horizon = int | Literal["free"]
+SOKAL_WINDOW = 5.0
+"""The sum over lags ends where it covers this many correlation times (Sokal 1997)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """How well a prediction meets what was measured."""
+
+    n: int
+    """Samples compared."""
+    rmse: float
+    """[units of the output]"""
+    rrse: float
+    """RMSE over the standard deviation of what was measured: 1 is as good as the mean."""
+    r: float
+    """Pearson's correlation."""
+    r_low: float
+    r_high: float
+    """95 % interval of r."""
+    p_value: float
+    """Of r against none, with the effective number of samples."""
+    n_effective: float
+    """As many independent samples would be as telling."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HorizonScore:
+    """A model at one horizon, and persistence at the same."""
+
+    horizon: Horizon
+    model: Score
+    persistence: Score
+    """The last output known stands for all later ones; in free run, the one that the run started from."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extrapolation:
+    """What of some records lies outside where a model was fitted, and how it does there."""
+
+    share: float
+    """0...1 of the samples whose leverage is above `largest`; nan where a fit without residual has none."""
+    largest: float
+    """Leverage among the samples of the fit."""
+    rmse_inside: float
+    rmse_outside: float
+    """[units of the output] of the one-step prediction; nan where there is no such sample."""
+
+
+def extrapolation(model: Narmax, fitted: Records, records: Records) -> Extrapolation:
+    """Compare the leverage of `records` with the largest that the model was `fitted` on."""
+    own = np.concatenate([_leverage(model, record) for record in as_records(fitted)])
+    largest = float(np.max(own, initial=-np.inf, where=np.isfinite(own)))
+    records = as_records(records)
+    leverage = np.concatenate([_leverage(model, record) for record in records])
+    residual = np.concatenate([model.residuals(record) for record in records])
+    known = np.isfinite(leverage) & np.isfinite(residual)
+    beyond = leverage[known] > largest * (1.0 + 1e-9)
+    squares = residual[known] ** 2
+    return Extrapolation(
+        share=_mean(beyond) if np.isfinite(largest) else float("nan"),
+        largest=largest if np.isfinite(largest) else float("nan"),
+        rmse_inside=float(np.sqrt(_mean(squares[~beyond]))),
+        rmse_outside=float(np.sqrt(_mean(squares[beyond]))),
+    )
+
+
+def _leverage(model: Narmax, record: Record | Mapping[str, Floats]) -> Floats:
+    """Return the leverage of the samples (n,) whose output is known: those that a fit can rest on."""
+    (record,) = as_records(record)
+    return np.where(np.isfinite(record.signals[model.output]), model.leverage(record), np.nan)
+
+
+def _mean(values: NDArray[Any]) -> float:
+    return float(np.mean(values)) if len(values) else float("nan")
+
+
+def score(measured: Floats, predicted: Floats) -> Score:
+    """Compare two series (n,); samples that either does not know are left out."""
+    known = np.isfinite(measured) & np.isfinite(predicted)
+    y, f = measured[known], predicted[known]
+    if len(y) < 3:
+        raise IdentError(f"{len(y)} samples are known to both series; a score needs 3 or more")
+    rmse, spread = float(np.sqrt(np.mean((y - f) ** 2))), float(np.std(y))
+    rrse = rmse / spread if spread > 0 else float("nan")
+    if np.ptp(y) == 0 or np.ptp(f) == 0:
+        nan = float("nan")
+        return Score(
+            n=len(y), rmse=rmse, rrse=rrse, r=nan, r_low=nan, r_high=nan, p_value=nan, n_effective=nan
+        )
+    r = float(np.clip(np.corrcoef(y, f)[0, 1], -1.0, 1.0))
+    n_effective = effective_samples(y, f)
+    low, high, p_value = _interval(r, n_effective)
+    return Score(
+        n=len(y), rmse=rmse, rrse=rrse, r=r, r_low=low, r_high=high, p_value=p_value, n_effective=n_effective
+    )
+
+
+def effective_samples(a: Floats, b: Floats) -> float:
+    """Count the independent samples as telling of a correlation as two correlated series (n,) are.
+
+    n / (1 + 2 sum of the products of both autocorrelations): Bartlett 1935; Pyper and Peterman 1998.
+    """
+    n = len(a)
+    product = autocorrelation(a, n // 2) * autocorrelation(b, n // 2)
+    time = 1.0 + 2.0 * np.cumsum((1.0 - np.arange(1, len(product)) / n) * product[1:])
+    enough = np.arange(1, len(product)) >= SOKAL_WINDOW * time
+    whole = time[enough.argmax()] if enough.any() else time.max(initial=1.0)
+    return float(np.clip(n / max(whole, 1.0 / n), 2.0, n))
+
+
+def autocorrelation(series: Floats, max_lag: int) -> Floats:
+    """Return the autocorrelation at lags 0 to max_lag (max_lag + 1,), by FFT."""
+    centred = series - series.mean()
+    size = 1 << int(2 * len(series) - 1).bit_length()
+    power = np.abs(np.fft.rfft(centred, size)) ** 2
+    value = np.fft.irfft(power, size)[: max_lag + 1]
+    return np.asarray(value / value[0], dtype=np.float64)
+
+
+def _interval(r: float, n: float) -> tuple[float, float, float]:
+    """Return the 95 % interval of r by Fisher's z, and the p-value of Student's t."""
+    if n <= 3.5:
+        return -1.0, 1.0, 1.0
+    z, half = np.arctanh(np.clip(r, -1 + 1e-15, 1 - 1e-15)), 1.96 / np.sqrt(n - 3)
+    t = abs(r) * np.sqrt((n - 2) / max(1 - r * r, 1e-300))
+    return float(np.tanh(z - half)), float(np.tanh(z + half)), float(2 * stats.t.sf(t, n - 2))
+
+
+def scores(model: Narmax, records: Records, horizons: Sequence[Horizon] = (1, "free")) -> list[HorizonScore]:
+    """Score a model at horizons [samples, or `free`], with persistence on the same samples beside it."""
+    records = as_records(records)
+    out = []
+    for horizon in horizons:
+        predicted, last, measured = [], [], []
+        for record in records:
+            y = np.asarray(record.signals[model.output], dtype=np.float64)
+            f = model.predict_mpo(record) if horizon == "free" else model.predict_k(record, horizon)
+            hold = np.full(len(y), np.nan)
+            for piece in record.segments():
+                hold[piece] = _held(y[piece], f[piece], horizon)
+            both = np.isfinite(f) & np.isfinite(hold)
+            measured.append(np.where(both, y, np.nan))
+            predicted.append(f)
+            last.append(hold)
+        y, f, hold = map(np.concatenate, (measured, predicted, last))
+        out.append(HorizonScore(horizon=horizon, model=score(y, f), persistence=score(y, hold)))
+    return out
+
+
+def _held(y: Floats, predicted: Floats, horizon: Horizon) -> Floats:
+    """Return the last output known at each sample of a segment (n,)."""
+    out = np.full(len(y), np.nan)
+    if horizon != "free":
+        out[horizon:] = y[: max(len(y) - horizon, 0)]
+        return out
+    known = np.flatnonzero(np.isfinite(predicted))
+    if len(known):
+        start = max(int(known[0]), 1)
+        out[start:] = y[start - 1]
+    return out
