@@ -42,6 +42,10 @@ class Arena:
         if self.free.is_empty:
             raise PlanError("the arena has no free space: obstacles cover all of it")
 
+    def __repr__(self) -> str:
+        x0, y0, x1, y1 = self.bounds
+        return f"Arena({x1 - x0:g} x {y1 - y0:g} m, {self.n_walls} walls, {self.free.area:.1f} m² free)"
+
     @property
     def n_walls(self) -> int:
         """Count of wall segments."""

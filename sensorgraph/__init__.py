@@ -18,6 +18,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from sensorgraph.packages import check_packages
+from sensorgraph.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from planners.arena import Arena
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from sensorgraph.loading import load_arena
     from sensorgraph.world.robot import Robot, load_robot
 
-
-__version__ = "0.1.0.dev0"
 
 __all__ = [
     "EFFECTS",

@@ -11,7 +11,6 @@ import numpy as np
 from logs.run import Run, pair
 from logs.stream import LogStream, WholeRun
 from planners.arena import Arena
-from sensorgraph import __version__
 from sensorgraph.building.split import held_out
 from sensorgraph.building.training_data import Feed, begin_digest, ranges_bytes, together
 from sensorgraph.errors import SensorgraphError
@@ -21,6 +20,7 @@ from sensorgraph.models.base import Model
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.reduction import Spread
 from sensorgraph.types import Bools, Floats, Progress
+from sensorgraph.version import __version__
 
 MIN_SCANS = 10
 

@@ -57,7 +57,7 @@ for _name, _command in COMMANDS.items():
 
 def _show_version(value: bool) -> None:
     if value:
-        from sensorgraph import __version__
+        from sensorgraph.version import __version__
 
         typer.echo(f"sensorgraph {__version__}")
         raise typer.Exit

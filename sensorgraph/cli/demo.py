@@ -31,13 +31,13 @@ def demo(
     import json
     import time
 
-    from sensorgraph import __version__
     from sensorgraph.cli.progress import progress
     from sensorgraph.demo import demo as run_demo
     from sensorgraph.demo import to_dict
     from sensorgraph.demo_effect import hide_and_find
     from sensorgraph.demo_effect import to_dict as hidden_dict
     from sensorgraph.loading import load_arena
+    from sensorgraph.version import __version__
     from sensorgraph.world.robot import load_robot
 
     began = time.monotonic()

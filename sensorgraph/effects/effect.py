@@ -154,6 +154,9 @@ class Effect:
     """It widens or mixes the distribution, so that it fits a little of everything; second class when naming."""
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
 
+    def __repr__(self) -> str:
+        return f"Effect({self.name}: {self.physics})"
+
     def __call__(self, **values: float) -> Amendment:
         """Return the effect with these parameter values; `place` is set with `.at`."""
         return Amendment(effect=self, parameters=values)
@@ -227,6 +230,15 @@ class Amendment:
     probability: float | None = None
     evidence: float | None = None
     """[nats] by which the data prefer the model with it."""
+
+    def __repr__(self) -> str:
+        numbers = ", ".join(
+            f"{k}={v:.4g}" + (f" ± {self.stderr[k]:.2g}" if k in self.stderr else "")
+            for k, v in self.parameters.items()
+        )
+        where = f" at {self.place}" if self.place else ""
+        sure = f", {100 * self.probability:.0f} %" if self.probability is not None else ""
+        return f"{self.name}({numbers}){where}{sure}"
 
     @property
     def name(self) -> str:

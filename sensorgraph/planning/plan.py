@@ -113,24 +113,13 @@ def plan(
     """
     world = arena if isinstance(arena, Arena) else load_arena(arena)
     machine = robot if isinstance(robot, Robot) else load_robot(robot)
+    _check_views(views, planner, resume)
     targets = None
     if views is not None:
-        if planner not in ("coverage", "views"):
-            raise PlanError(f"views have a planner of their own; leave out the planner {planner}")
-        if resume is not None:
-            raise PlanError(
-                "views cannot resume a run; build a graph from that run, and give it as the priority"
-            )
         planner = "views"
         targets = partial(
             views_within, n=views, arena=world, sensor=machine.sensor, graph=priority, seed=seed
         )
-    elif planner == "views":
-        raise PlanError("the planner views needs to know how many")
-    visited = None
-    if resume is not None:
-        driven, name = (resume, "the run") if isinstance(resume, Run) else (logs.read(resume), str(resume))
-        visited = driven_poses(driven, world, name=name)
     drive = planners.plan(
         without(world, no_go),
         machine,
@@ -146,7 +135,7 @@ def plan(
         sweep_time=machine.sensor.sweep_time,
         rate=machine.sensor.rate,
         duration=duration,
-        visited=visited,
+        visited=None if resume is None else _driven(resume, world),
         priority=None if priority is None or targets is not None else partial(doubt, priority),
         targets=targets,
         progress=progress,
@@ -158,3 +147,22 @@ def plan(
     if no_go:
         drive.report["no_go"] = [[list(corner) for corner in zone.exterior.coords[:-1]] for zone in no_go]
     return CoveragePlan(drive=drive, arena=world, robot=machine)
+
+
+def _check_views(views: int | None, planner: str, resume: Run | Path | str | None) -> None:
+    """Refuse what contradicts a plan of views."""
+    if views is None:
+        if planner == "views":
+            raise PlanError("the planner views needs to know how many")
+        return
+    if planner not in ("coverage", "views"):
+        raise PlanError(f"views have a planner of their own; leave out the planner {planner}")
+    if resume is not None:
+        raise PlanError("views cannot resume a run; build a graph from that run, and give it as the priority")
+
+
+def _driven(resume: Run | Path | str, arena: Arena) -> Floats:
+    """Return the poses (n, 3) [m, m, rad] of a run already driven."""
+    if isinstance(resume, Run):
+        return driven_poses(resume, arena)
+    return driven_poses(logs.read(resume), arena, name=str(resume))

@@ -9,7 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from sensorgraph import __version__
 from sensorgraph.diagnosis.diagnose import Finding
 from sensorgraph.diagnosis.report.comparison import bare_gap, compare, sections
 from sensorgraph.diagnosis.report.phrases import (
@@ -24,6 +23,7 @@ from sensorgraph.diagnosis.result import ChannelResult, Deviation, Gap, Unknown
 from sensorgraph.effects import Amendment, effects_file
 from sensorgraph.files import whole
 from sensorgraph.types import Progress
+from sensorgraph.version import __version__
 
 PICTURES = ("arena", "residuals", "gap", "ranking", "next_run")
 NEXT_RUN = ("trajectory.csv", "arena.geojson", "robot.yaml", "plan.json")

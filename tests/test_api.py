@@ -1,0 +1,112 @@
+"""The public face: `import sensorgraph as sg` is light, lazy, and takes objects or the paths of their files."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sensorgraph as sg
+from logs.run import Run
+from sensorgraph.planning.plan import CoveragePlan
+
+FUNCTIONS = (
+    "build",
+    "diagnose",
+    "evaluate",
+    "identify",
+    "load_arena",
+    "load_robot",
+    "plan",
+    "predict",
+    "read",
+    "record",
+    "review",
+)
+
+
+@pytest.fixture(scope="module")
+def drive() -> CoveragePlan:
+    return sg.plan("square", planner="random_bounce", duration=20.0, seed=1)
+
+
+@pytest.fixture(scope="module")
+def run(drive: CoveragePlan) -> Run:
+    return sg.record(drive, seed=1)
+
+
+def test_every_public_name_is_there_and_listed() -> None:
+    for name in sg.__all__:
+        assert getattr(sg, name) is not None
+    assert set(sg.__all__) <= set(dir(sg))
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'biuld'"):
+        sg.biuld  # noqa: B018
+
+
+def test_import_loads_nothing_heavy() -> None:
+    code = (
+        "import sys, sensorgraph; heavy = {'numpy', 'scipy', 'numba', 'shapely', 'rerun', 'mcap', 'matplotlib'};"
+        "print(*sorted(heavy & set(sys.modules)))"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == ""
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_help_is_enough_to_use_a_function(name: str) -> None:
+    function = getattr(sg, name)
+    text = inspect.getdoc(function) or ""
+    assert "Raises" in text
+    undocumented = [p for p in inspect.signature(function).parameters if p not in text and p != "progress"]
+    said_in_the_first_line = {"run", "graph", "path", "poses", "runs"}
+    assert set(undocumented) <= said_in_the_first_line
+
+
+def test_submodules_do_not_shadow_functions() -> None:
+    """`import sensorgraph.building.build` must not turn `sg.build` into a module."""
+    code = (
+        "import importlib, pkgutil, sensorgraph as sg;"
+        "[importlib.import_module('sensorgraph.' + m.name) for m in pkgutil.iter_modules(sg.__path__)];"
+        f"bad = [n for n in {FUNCTIONS!r} if not callable(getattr(sg, n))]; print(*bad)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == ""
+
+
+def test_a_plan_and_its_folder_give_the_same_run(drive: CoveragePlan, run: Run, tmp_path: Path) -> None:
+    folder = drive.save(tmp_path / "plan")
+    again = sg.record(folder, seed=1)
+    np.testing.assert_allclose(again.poses, run.poses, atol=1e-6)  # trajectory.csv is rounded
+    assert np.mean(again.ranges == run.ranges) > 0.99
+
+
+def test_a_run_and_its_file_give_the_same_graph(run: Run, drive: CoveragePlan, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    sg.record(drive, seed=1, path=path)
+    from_file, in_memory = sg.build(path, model="polynomial"), sg.build(run, model="polynomial")
+    pose = [1.0, 1.0, 0.3]
+    means = sg.predict(from_file, pose).mean, sg.predict(in_memory, pose).mean
+    np.testing.assert_allclose(*means, atol=1e-4)  # a file keeps ranges as float32
+    assert sg.predict(in_memory, pose).ranges.shape == (1, run.sensor.n_rays)
+    assert sg.evaluate(in_memory, path).n_rays == sg.evaluate(from_file, run).n_rays
+
+
+def test_results_say_what_they_are_in_a_few_lines(drive: CoveragePlan, run: Run) -> None:
+    graph = sg.build(run, model="polynomial")
+    found = sg.EFFECTS["range_bias"](b=0.03)
+    for result in (drive, run, graph, sg.evaluate(graph, run), drive.arena, found, found.effect):
+        lines = repr(result).splitlines()
+        assert 1 <= len(lines) <= 5, type(result)
+        assert max(map(len, lines)) <= 200, type(result)
+
+
+def test_a_trajectory_without_an_arena_is_refused(drive: CoveragePlan) -> None:
+    with pytest.raises(sg.errors.SensorgraphError, match="give the arena to drive in"):
+        sg.record(drive.trajectory)
