@@ -13,13 +13,15 @@ row is the shipped robot as `sensorgraph record` simulates it, with its controll
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from unittest import mock
 
 import numpy as np
 
 from planners import Plan, plan
 from planners.arena import Arena, wrap
-from planners.search.search import search
+from planners.search import area
+from planners.search.settings import AREA
 from planners.types import Bools, Floats
 from sensorgraph.loading import load_arena
 from sensorgraph.planning.plan_folder import counted
@@ -43,8 +45,8 @@ def main() -> None:
     options = parser.parse_args()
     arena = load_arena(options.arena)
     plans = {"inner half": plan(arena, load_robot(None))}
-    roomy = search.scene(plans["inner half"].reach).inner
-    with mock.patch.object(search, "INNER", np.inf):
+    roomy = area.search_area(plans["inner half"].reach).inner
+    with mock.patch.object(area, "AREA", replace(AREA, min_inner_share=np.inf)):
         plans["anywhere"] = plan(arena, load_robot(None))
     for name, made in plans.items():
         print(f"{name:10}: T / T_ref {made.report['ratio']:.3f}")

@@ -302,3 +302,22 @@ def joined(curves: list[Curve]) -> Curve:
         rates=np.concatenate([curve.rates for curve in curves]),
         labels=np.concatenate([curve.labels for curve in curves]),
     )
+
+
+def curve_of_pieces(
+    pose: Floats, dt: Floats, twists: Floats, rates: Floats, labels: NDArray[np.str_]
+) -> Curve:
+    """Return the curve of pieces that start at `pose` (3,) and last `dt` (n,) [s], twists and rates being (n, 2)."""
+    turned = twists[:, 1] * dt + 0.5 * rates[:, 1] * dt * dt
+    phi = pose[2] + np.concatenate([[0.0], np.cumsum(turned)[:-1]])
+    way = np.stack(displace(phi, twists[:, 0], rates[:, 0], twists[:, 1], rates[:, 1], dt), axis=1)
+    places = pose[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(way, axis=0)[:-1]])
+    starts = np.concatenate([[0.0], np.cumsum(dt)])
+    return Curve(
+        starts=starts[:-1],
+        duration=float(starts[-1]),
+        poses=np.column_stack([places, phi]),
+        twists=twists,
+        rates=rates,
+        labels=labels,
+    )

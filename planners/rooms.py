@@ -15,11 +15,11 @@ LEAST_CELLS = 60
 """Smaller rooms join a neighbour."""
 MOST_CELLS = 900
 """Larger rooms are halved."""
-SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
-"""Steps to the neighbours of a cell; bit d of `links` stands for SIDES[d]."""
+NEIGHBOUR_STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
+"""Steps to the neighbours of a cell; bit d of `open_borders` stands for SIDES[d]."""
 
 
-def links(reach: Reach) -> Ints:
+def open_borders(reach: Reach) -> Ints:
     """Return (nx, ny) a bit for each neighbour of a cell that can be reached over their common border."""
     (nx, ny), p, mask = reach.shape, reach.per_cell, reach.mask
     found = np.zeros((nx, ny), dtype=np.int64)
@@ -36,8 +36,8 @@ def cell_graph(reach: Reach) -> sparse.csr_matrix:
     """Return the graph (nx ny, nx ny) of cells that share a border which can be crossed, weights 1."""
     nx, ny = reach.shape
     number = np.arange(nx * ny).reshape(nx, ny)
-    linked = links(reach)
-    east, north = np.nonzero(linked & 1), np.nonzero(linked & 4)
+    open_ = open_borders(reach)
+    east, north = np.nonzero(open_ & 1), np.nonzero(open_ & 4)
     rows = np.concatenate([number[east], number[north]])
     columns = np.concatenate([number[east[0] + 1, east[1]], number[north[0], north[1] + 1]])
     return sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(nx * ny, nx * ny))
@@ -81,14 +81,14 @@ def _flooded(seeds: Ints, reach: Reach) -> Ints:
 
 def _merged(labels: Ints, reach: Reach) -> Ints:
     """Join rooms that are too small to the neighbour they share most borders with."""
-    linked = links(reach)
+    open_ = open_borders(reach)
     labels = labels.copy()
     while True:
         pairs = np.concatenate(
             [
-                np.column_stack([labels[:-1][linked[:-1] & 1 > 0], labels[1:][linked[:-1] & 1 > 0]]),
+                np.column_stack([labels[:-1][open_[:-1] & 1 > 0], labels[1:][open_[:-1] & 1 > 0]]),
                 np.column_stack(
-                    [labels[:, :-1][linked[:, :-1] & 4 > 0], labels[:, 1:][linked[:, :-1] & 4 > 0]]
+                    [labels[:, :-1][open_[:, :-1] & 4 > 0], labels[:, 1:][open_[:, :-1] & 4 > 0]]
                 ),
             ]
         )

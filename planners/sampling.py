@@ -6,6 +6,9 @@ import numpy as np
 
 from planners.trajectory import Trajectory
 
+DWELL_PERIODS = 1.25
+"""Log periods that a drive stays in a heading bin, at least. One is enough for a log of any phase; a quarter more
+covers where the bin is entered and left between two samples of the planner."""
 LEAST = 2.0
 """Logged poses that each passage through a bin should have."""
 

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
+Int32s = NDArray[np.int32]
+Int16s = NDArray[np.int16]
 
 Progress = Callable[[int, int], None]
 """Called with (done, total) while work goes on."""

@@ -15,8 +15,8 @@ from planners.cars.search import Entry, begin, entry, geared
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.reach import reach
-from planners.search.motion_primitives import GEARS, driving
-from planners.search.search import Scene, scene
+from planners.search.area import SearchArea, search_area
+from planners.search.motion_primitives import GEARS, car_primitives
 from planners.types import Floats
 from planners.vehicle import Drive, Limits, Vehicle
 
@@ -25,14 +25,14 @@ ROOM = outlined(shapely.box(0, 0, 3, 2.5))
 CARS: tuple[Drive, ...] = ("reeds_shepp", "dubins")
 
 
-def floor(arena: Arena) -> Scene:
-    """Make the scene of a room."""
-    return scene(reach(arena, Barriers(arena), clearance=0.22, cell=0.5))
+def floor(arena: Arena) -> SearchArea:
+    """Make the search area of a room."""
+    return search_area(reach(arena, Barriers(arena), clearance=0.22, cell=0.5))
 
 
 def entered(pose: Floats, drive: Drive) -> Entry | None:
     """Return the arc in ROOM."""
-    return entry(pose, floor(ROOM), driving(LIMITS, 8, 10.0, GEARS[drive]), 10.0, LIMITS)
+    return entry(pose, floor(ROOM), car_primitives(LIMITS, 8, 10.0, GEARS[drive]), 10.0, LIMITS)
 
 
 def driven(begun: Entry) -> Floats:
@@ -47,11 +47,11 @@ def driven(begun: Entry) -> Floats:
 @pytest.mark.parametrize("radius", [0.25, 0.4, 0.9])
 def test_no_straight_piece_runs_along_a_border(drive: Drive, headings: int, radius: float) -> None:
     """Neither of a heading bin nor of a cell, which lie along the axes."""
-    table = driving(Limits(turning_radius=radius), headings, 10.0, GEARS[drive])
-    phi = table.first + table.step * np.arange(table.n_headings)
+    primitives = car_primitives(Limits(turning_radius=radius), headings, 10.0, GEARS[drive])
+    phi = primitives.first_heading + primitives.heading_step * np.arange(primitives.n_headings)
     borders = [*((np.arange(headings) - 0.5) * 2 * np.pi / headings), *(np.arange(4) * np.pi / 2)]
     nearest = np.abs(wrap(np.subtract.outer(phi, borders))).min()
-    assert nearest > 0.12 * table.step
+    assert nearest > 0.12 * primitives.heading_step
 
 
 @pytest.mark.parametrize("drive", CARS)
@@ -59,17 +59,22 @@ def test_from_any_heading_the_shortest_arc_comes_to_one_of_the_table(drive: Driv
     for turn in np.random.default_rng(3).uniform(-4, 4, 12):
         begun = entered(np.array([1.5, 1.25, turn]), drive)
         assert begun is not None
-        table = begun.table
+        primitives = begun.primitives
         x, y, h, m = begun.state
         np.testing.assert_allclose(driven(begun)[-1, :2], [x, y], atol=1e-12)
-        assert abs(wrap(driven(begun)[-1, 2] - table.first - table.step * h)) < 1e-12
-        assert np.sign(table.speeds[int(m)]) == begun.gear
-        assert begun.length <= 0.5 * table.step * LIMITS.turning_radius + 1e-12
+        assert (
+            abs(wrap(driven(begun)[-1, 2] - primitives.first_heading - primitives.heading_step * h)) < 1e-12
+        )
+        assert np.sign(primitives.speeds[int(m)]) == begun.gear
+        assert begun.length <= 0.5 * primitives.heading_step * LIMITS.turning_radius + 1e-12
 
 
 def test_a_heading_of_the_table_is_kept() -> None:
-    table = driving(LIMITS, 8, 10.0, GEARS["reeds_shepp"])
-    begun = entered(np.array([1.5, 1.25, table.first + 5 * table.step - 2 * np.pi]), "reeds_shepp")
+    primitives = car_primitives(LIMITS, 8, 10.0, GEARS["reeds_shepp"])
+    begun = entered(
+        np.array([1.5, 1.25, primitives.first_heading + 5 * primitives.heading_step - 2 * np.pi]),
+        "reeds_shepp",
+    )
     assert begun is not None
     assert begun.length == 0
     np.testing.assert_array_equal(begun.state, [1.5, 1.25, 5, 0])
@@ -100,7 +105,7 @@ def test_in_a_corridor_that_just_holds_it_a_car_that_cannot_back_keeps_its_headi
     corridor = outlined(shapely.box(0, 0, 5, 1.6).difference(shapely.union_all(around)))
     for arena, x, kept in ((corridor, 2.5, True), (ROOM, 1.3, False)):
         begun = begin(np.array([x, 0.735, 0.0]), floor(arena), LIMITS, 8, 10.0, GEARS["dubins"])
-        phi = begun.table.first + begun.table.step * float(begun.state[2])
+        phi = begun.primitives.first_heading + begun.primitives.heading_step * float(begun.state[2])
         assert (begun.length == 0.0) is kept
         assert bool(abs(wrap(np.float64(phi))) < 1e-12) is kept
 

@@ -15,7 +15,8 @@ from planners.cars.search import search_floor
 from planners.check import check
 from planners.methods.repair_cars import CarRepair
 from planners.search.log_phases import missed
-from planners.search.search import Settings, Visit
+from planners.search.room_drive import RoomDrive
+from planners.search.settings import SearchSettings
 from planners.task import JoinCounts
 from planners.types import Bools, Floats
 
@@ -101,8 +102,8 @@ def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_flood(monkeypatch:
     def in_vain(starts: Floats, goals: list[Floats], **_: object) -> tuple[list[None], JoinCounts]:
         return [None] * len(starts), JoinCounts(failed=len(starts))
 
-    def search(missing: Bools, here: Floats, seed: int) -> Visit | None:
-        return search_floor(missing, task, here, seed, lambda _: True, Settings(beam=30))
+    def search(missing: Bools, here: Floats, seed: int) -> RoomDrive | None:
+        return search_floor(missing, task, here, seed, lambda _: True, SearchSettings(beam_width=30))
 
     monkeypatch.setattr(repairs, "connect_cars", in_vain)
     repair = CarRepair(task, todo, START, search)

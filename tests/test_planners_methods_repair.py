@@ -18,7 +18,8 @@ from planners.methods.repair_cars import CarRepair
 from planners.methods.repair_spins import SpinRepair
 from planners.reach import Reach
 from planners.search.log_phases import missed
-from planners.search.search import Settings, Visit
+from planners.search.room_drive import RoomDrive
+from planners.search.settings import SearchSettings
 from planners.task import JoinCounts
 from planners.types import Bools, Floats
 from planners.vehicle import Drive, Limits, Vehicle
@@ -26,7 +27,7 @@ from planners.vehicle import Drive, Limits, Vehicle
 START = np.array([0.8, 0.8, 0.3])
 
 
-def gives_up(_: Bools, __: Floats, ___: int) -> Visit | None:
+def gives_up(_: Bools, __: Floats, ___: int) -> RoomDrive | None:
     return None
 
 
@@ -106,9 +107,9 @@ def test_a_search_whose_flood_gives_up_goes_on_where_ompl_has_brought_the_car(dr
     task = task_of(door_arena(1.2), drive, START)
     todo = np.zeros_like(task.coverage.reachable)
     todo[11:13, 5:7] = True
-    short = Settings(beam=30, ahead=1.5, flood_layers=24 if drive == "reeds_shepp" else 6)
+    short = SearchSettings(beam_width=30, horizon=1.5, goal_horizon=24 if drive == "reeds_shepp" else 6)
 
-    def search(missing: Bools, here: Floats, seed: int) -> Visit | None:
+    def search(missing: Bools, here: Floats, seed: int) -> RoomDrive | None:
         return search_floor(missing, task, here, seed, lambda _: True, short)
 
     assert search(todo, START, 0) is None

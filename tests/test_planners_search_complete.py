@@ -9,8 +9,10 @@ from planners_samples import door_arena
 
 from planners.clearance import Barriers
 from planners.reach import Reach, reach
-from planners.search.motion_primitives import spinning
-from planners.search.search import DONE, STOPPED, Search, Settings, scene
+from planners.search.area import search_area
+from planners.search.motion_primitives import spin_primitives
+from planners.search.search import CoverageSearch, SearchStatus
+from planners.search.settings import SearchSettings
 from planners.types import Bools
 from planners.vehicle import Limits
 
@@ -24,21 +26,21 @@ def free_floor() -> Reach:
     return reach(FLOOR, Barriers(FLOOR), clearance=0.22, cell=0.25)
 
 
-def searching(*cells: tuple[int, int], blocked: tuple[int, int] | None = None) -> Search:
+def searching(*cells: tuple[int, int], blocked: tuple[int, int] | None = None) -> CoverageSearch:
     """Search the floor for all headings of some cells; `blocked` is kept shut by a wall that only its links ignore."""
     free = free_floor()
     need: Bools = np.zeros((*free.shape, 16), dtype=np.bool_)
     for cell in cells:
         need[cell] = True
-    place = scene(free)
+    place = search_area(free)
     if blocked is not None:
         p, (i, k) = free.per_cell, blocked
         distance = place.distance.copy()
         distance[i * p : (i + 1) * p, k * p : (k + 1) * p] = 0.0
         place = replace(place, distance=distance)
-    settings = Settings(beam=20, flood_width=200, flood_states=60_000)
-    search = Search(place, spinning(Limits(), 16, 10.0), need, 10.0, settings=settings)
-    search.begin(START)
+    settings = SearchSettings(beam_width=20, goal_width=200, goal_max_states=60_000)
+    search = CoverageSearch(place, spin_primitives(Limits(), 16, 10.0), need, 10.0, settings=settings)
+    search.start_at(START)
     return search
 
 
@@ -63,35 +65,38 @@ def test_nothing_is_given_up_on_an_open_floor() -> None:
 def test_a_search_that_has_driven_into_a_trap_turns_back_and_is_completed() -> None:
     """The trap is a place from which every move is blocked, but where the robot can turn."""
     search = searching(*((i, k) for i in range(3, 14) for k in (5, 6, 7)))
-    assert search.run(lambda _: False) == STOPPED
+    assert search.run(lambda _: False) == SearchStatus.STOPPED
     assert not search._is_trapped()
-    distance = search.place.distance
+    distance = search.area.distance
     node = np.array([100, 20])
     distance[90:111, 10:31] = 0.0
     distance[99:102, 19:22] = 0.22
-    search.state[:2] = search.place.origin + (node + 0.5) * search.place.step
+    search.state[:2] = search.area.origin + (node + 0.5) * search.area.step
     search.state[3] = 0.0
     trap = search.state.copy()
     assert search._is_trapped()
     search.complete(lambda _: True)
     assert search.left == 0
     assert not np.array_equal(search.state[:2], trap[:2])
-    assert search.found().start.tolist() == START.tolist()
+    assert search.result().start.tolist() == START.tolist()
     np.testing.assert_allclose(
         driven(search)[:2], search.state[:2], atol=1e-9
     )  # without the way into the trap
 
 
-def driven(search: Search) -> np.ndarray:
+def driven(search: CoverageSearch) -> np.ndarray:
     """Return the state (4,) at the end of what a search has driven, from its start on."""
-    found, table = search.found(), search.table
+    found, primitives = search.result(), search.primitives
     x, y, h, m = found.start.tolist()
     for j in found.sequence.tolist():
-        way = table.ways[int(h), int(m), j, -1]
+        way = primitives.offsets[int(h), int(m), j, -1]
         x, y = x + way[0], y + way[1]
-        h, m = (h + table.turn[int(m), j]) % table.n_headings, table.then[int(m), j]
+        h, m = (
+            (h + primitives.turned_steps[int(m), j]) % primitives.n_headings,
+            primitives.next_mode[int(m), j],
+        )
     return np.array([x, y, h, m])
 
 
 def test_done_is_said_when_all_is_met() -> None:
-    assert searching(OPEN).run(lambda _: True) == DONE
+    assert searching(OPEN).run(lambda _: True) == SearchStatus.DONE

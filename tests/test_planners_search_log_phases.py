@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from planners.coverage import Coverage
-from planners.curve import Curve
+from planners.curve import Curve, curve_of_pieces
 from planners.search.log_phases import PHASES, met, missed
-from planners.search.search import chained
 
 RATE = 10.0
 
@@ -28,7 +27,7 @@ def curve(kind: str) -> Curve:
         twists[:, 0], rates[:, 0] = 0.0, 0.0
     if kind == "slow turns":
         twists[:, 1] *= 0.05
-    return chained(np.array([5.0, 5.0, 0.3]), dt, twists, rates, np.full(n, "drive"))
+    return curve_of_pieces(np.array([5.0, 5.0, 0.3]), dt, twists, rates, np.full(n, "drive"))
 
 
 def empty(side: float = 10.0, cell: float = 0.1) -> Coverage:

@@ -12,7 +12,7 @@ import numpy as np
 from planners.cars.reeds_shepp import Arcs, Pose, along
 from planners.kernel import inner_kernel, kernel
 from planners.reach import Reach
-from planners.search.kernel_world import between
+from planners.search.kernel_world import interpolate
 from planners.types import Bools, Floats, Ints
 from planners.vehicle import Limits
 
@@ -239,7 +239,7 @@ def won(i: int, j: int, arcs: Arcs, n: int, drive: Drive, parts: Stretches, grou
     own, length, stops = -1, 0.0, 0
     if parts.last[i] >= 0:
         own, length, stops = parts.bin[parts.last[i]], parts.until[i], parts.stops_until[i]
-    gear, n_won = drive.gear[i - 1], 0
+    gear, n_covered = drive.gear[i - 1], 0
     start = pose_at(drive, i)
     for k in range(n):
         is_stop = arcs.gear[k] != gear
@@ -249,9 +249,9 @@ def won(i: int, j: int, arcs: Arcs, n: int, drive: Drive, parts: Stretches, grou
         for s in range(count):
             this = flat_bin(along(start, (s + 0.5) * step, arcs.bend[k], arcs.gear[k], ground.radius), ground)
             if this != own:
-                if own >= 0 and n_won < len(out) - 2 and counts(length, stops, ground):
-                    out[n_won] = own
-                    n_won += 1
+                if own >= 0 and n_covered < len(out) - 2 and counts(length, stops, ground):
+                    out[n_covered] = own
+                    n_covered += 1
                 own, length, stops = this, 0.0, int(s == 0 and is_stop)
             length += step
         start = along(start, arcs.length[k], arcs.bend[k], arcs.gear[k], ground.radius)
@@ -264,13 +264,13 @@ def won(i: int, j: int, arcs: Arcs, n: int, drive: Drive, parts: Stretches, grou
         rest, more = rest - parts.until[j], more - parts.stops_until[j]
     if parts.bin[after] != own:
         if own >= 0 and counts(length, stops, ground):
-            out[n_won] = own
-            n_won += 1
+            out[n_covered] = own
+            n_covered += 1
         own, length, stops = parts.bin[after], 0.0, int(is_stop)
     if own >= 0 and counts(length + rest, stops + more, ground):
-        out[n_won] = own
-        n_won += 1
-    return n_won
+        out[n_covered] = own
+        n_covered += 1
+    return n_covered
 
 
 @inner_kernel
@@ -285,7 +285,7 @@ def is_clear(pose: Pose, arcs: Arcs, n: int, ground: Ground) -> bool:
             i, k = int(u), int(v)
             if u < 0 or v < 0 or i >= distance.shape[0] - 1 or k >= distance.shape[1] - 1:
                 return False
-            if between(distance, i, k, u - i, v - k) < ground.least:
+            if interpolate(distance, i, k, u - i, v - k) < ground.least:
                 return False
         pose = along(pose, arcs.length[m], arcs.bend[m], arcs.gear[m], ground.radius)
     return True

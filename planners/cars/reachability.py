@@ -14,12 +14,12 @@ from planners.arena import wrap
 from planners.cars.search import Entry, begin, car_curve
 from planners.curve import Curve
 from planners.reach import Cycle, Reach
-from planners.search.kernel_world import Branches
-from planners.search.motion_primitives import driving
-from planners.search.search import Found, Scene, Search, scene
-from planners.search.wavefront import spread
+from planners.search.area import SearchArea, search_area
+from planners.search.motion_primitives import car_primitives
+from planners.search.search import CoverageSearch, SearchResult
+from planners.search.wavefront import wavefront
 from planners.task import Task
-from planners.types import Bools, Floats
+from planners.types import Bools, Floats, Int32s
 from planners.vehicle import Limits
 
 FINE = 0.02
@@ -40,12 +40,12 @@ def cycle(reach: Reach, limits: Limits, headings: int, rate: float, pose: Floats
     A flood backward marks the states from which the pose can be reached; one forward goes only through those. Each
     begins at the end of the arc by which the car leaves the pose, or comes to it.
     """
-    place = scene(reach)
+    area = search_area(reach)
     wanted = np.repeat(np.asarray(reach.blocks(reach.mask).any(axis=-1))[:, :, None], headings, axis=2)
-    begins = [begin(pose, place, limits, headings, rate, (gear,)) for gear in (-1, 1)]
-    back = _flood(begins[0], np.zeros_like(wanted), place, rate)
-    there = _flood(begins[1], wanted, place, rate, within=back.met)
-    return Cycle(np.asarray(wanted & ~there.left), back.met, begins[0].table.first)
+    begins = [begin(pose, area, limits, headings, rate, (gear,)) for gear in (-1, 1)]
+    back = _flood(begins[0], np.zeros_like(wanted), area, rate)
+    there = _flood(begins[1], wanted, area, rate, within=back.met)
+    return Cycle(np.asarray(wanted & ~there.left), back.met, begins[0].primitives.first_heading)
 
 
 class Ways:
@@ -53,7 +53,7 @@ class Ways:
 
     def __init__(self, task: Task) -> None:
         self.task = task
-        self.place = scene(task.reach)
+        self.area = search_area(task.reach)
         self._back: dict[float, Bools] = {}
         """Where a pose that was asked about can be reached from, by the first heading of the table: others on the same
         drive can be too."""
@@ -80,7 +80,7 @@ class Ways:
         if not len(branches):
             return None
         return car_curve(
-            Found(start=begun.state, sequence=branches, left=wanted), begun, self.task.vehicle.limits
+            SearchResult(start=begun.state, sequence=branches, left=wanted), begun, self.task.vehicle.limits
         )
 
     def leads_back(self, poses: Floats, here: Floats) -> Bools:
@@ -99,27 +99,29 @@ class Ways:
                 ends = np.stack(
                     [x + side * (np.sin(heading) - np.sin(phi)), y - side * (np.cos(heading) - np.cos(phi))]
                 )
-                i, k = np.floor((ends - self.place.origin[:, None]) / FINE).astype(np.int64)
+                i, k = np.floor((ends - self.area.origin[:, None]) / FINE).astype(np.int64)
                 inside = (i >= 0) & (k >= 0) & (i < back.shape[0]) & (k < back.shape[1])
                 out |= inside & back[i * inside, k * inside, steps.astype(np.int64) % n]
         return out
 
     def _begin(self, pose: Floats, gear: int) -> Entry:
         task = self.task
-        return begin(pose, self.place, task.vehicle.limits, task.coverage.headings, task.rate, (gear,))
+        return begin(pose, self.area, task.vehicle.limits, task.coverage.headings, task.rate, (gear,))
 
     def _learn(self, pose: Floats) -> None:
         """Find out what leads back to a pose."""
         begun = self._begin(pose, -1)
         none = np.zeros_like(self.task.coverage.reachable)
-        self._back[round(begun.table.first, 9)] = _flood(begun, none, self.place, self.task.rate).met
+        self._back[round(begun.primitives.first_heading, 9)] = _flood(
+            begun, none, self.area, self.task.rate
+        ).met
 
-    def _first_within(self, begun: Entry, wanted: Bools) -> Branches:
+    def _first_within(self, begun: Entry, wanted: Bools) -> Int32s:
         """Return the way (n,) within what leads back to the first bin; none where there is no such way."""
-        back = self._back.get(round(begun.table.first, 9))
+        back = self._back.get(round(begun.primitives.first_heading, 9))
         if back is None:
             return np.empty(0, dtype=np.int32)
-        found = _flood(begun, wanted, self.place, self.task.rate, within=back, to_first=True)
+        found = _flood(begun, wanted, self.area, self.task.rate, within=back, to_first=True)
         if not len(found.branches) and found.met.sum() > FAR * back.sum():
             self._vain |= wanted
         return found.branches
@@ -132,27 +134,27 @@ class _Flooded(NamedTuple):
     """(n, n, n_headings) cells of the lattice."""
     left: Bools
     """(nx, ny, n_phi) bins that it did not meet."""
-    branches: Branches
+    branches: Int32s
     """(n,) the way to the first one that it met, if that was asked for."""
 
 
 def _flood(
     begun: Entry,
     wanted: Bools,
-    place: Scene,
+    area: SearchArea,
     rate: float,
     *,
     within: Bools | None = None,
     to_first: bool = False,
 ) -> _Flooded:
     """Flood from where a car begins, within cells of the lattice; all of it, or up to the first bin `wanted`."""
-    search = Search(place, begun.table, wanted, rate)
+    search = CoverageSearch(area, begun.primitives, wanted, rate)
     search.want(wanted, PATIENCE if to_first else 1.0, inner=False)
-    shape = np.ceil(np.array(place.distance.shape) * place.step / FINE - 1e-9).astype(int) + 2
-    met = np.zeros((*shape, begun.table.n_headings), dtype=np.bool_)
+    shape = np.ceil(np.array(area.distance.shape) * area.step / FINE - 1e-9).astype(int) + 2
+    met = np.zeros((*shape, begun.primitives.n_headings), dtype=np.bool_)
     allowed = np.ones_like(met) if within is None else within
-    depth = begun.table.safe_depth if to_first else 0
-    branches = spread(begun.state, allowed, met, depth, search.world, search.moves(), FINE)
+    depth = begun.primitives.safe_depth if to_first else 0
+    branches = wavefront(begun.state, allowed, met, depth, search.world, search.primitive_arrays(), FINE)
     return _Flooded(met, search.world.need, branches)
 
 
@@ -165,8 +167,15 @@ def best_start(reach: Reach, limits: Limits, headings: int, rate: float, seed: i
     best: tuple[Floats, Cycle] | None = None
     for _ in range(STARTS):
         place = reach.origin + (free[int(rng.integers(len(free)))] + 0.5) * reach.cell
-        table = driving(limits, headings, rate, (1,))
-        pose = np.array([*place, wrap(table.first + table.step * rng.integers(table.n_headings))])
+        primitives = car_primitives(limits, headings, rate, (1,))
+        pose = np.array(
+            [
+                *place,
+                wrap(
+                    primitives.first_heading + primitives.heading_step * rng.integers(primitives.n_headings)
+                ),
+            ]
+        )
         found = cycle(reach, limits, headings, rate, pose)
         if best is None or found.bins.sum() > best[1].bins.sum():
             best = pose, found

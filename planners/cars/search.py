@@ -12,13 +12,16 @@ from scipy import ndimage
 from planners.cars.arc_path import Drive, Ground, drive_of, ground_of
 from planners.cars.reeds_shepp import NONE, Arcs, part_of
 from planners.cars.shortcuts import shorter
-from planners.curve import Curve
+from planners.curve import Curve, curve_of_pieces
 from planners.priority import urgency, worth
 from planners.rooms import rooms
-from planners.search.kernel_world import CREDITS, is_safe
+from planners.search.area import SearchArea, search_area
+from planners.search.kernel_world import MAX_BINS_PER_PRIMITIVE, is_safe
 from planners.search.log_phases import missed
-from planners.search.motion_primitives import GEARS, Table, driving
-from planners.search.search import Found, Scene, Search, Settings, Visit, chained, scene
+from planners.search.motion_primitives import GEARS, MotionPrimitives, car_primitives
+from planners.search.room_drive import RoomDrive
+from planners.search.search import CoverageSearch, SearchResult
+from planners.search.settings import SearchSettings
 from planners.task import Task
 from planners.types import Bools, Floats
 from planners.vehicle import Limits
@@ -37,7 +40,7 @@ WAYPOINT = 0.005
 class Entry:
     """The arc from where a car is to a heading of the table by which it is searched for."""
 
-    table: Table
+    primitives: MotionPrimitives
     pose: Floats
     """(3,) where the car is."""
     length: float
@@ -51,7 +54,7 @@ class Entry:
 
 
 def begin(
-    pose: Floats, place: Scene, limits: Limits, headings: int, rate: float, gears: tuple[int, ...]
+    pose: Floats, area: SearchArea, limits: Limits, headings: int, rate: float, gears: tuple[int, ...]
 ) -> Entry:
     """Return how a car at `pose` (3,) comes to a table.
 
@@ -59,57 +62,67 @@ def begin(
     heading of the pose is one of the table.
     """
     senses = [gears] if len(gears) > 1 else [gears, (-gears[0],)]
-    found = [entry(pose, place, driving(limits, headings, rate, sense), rate, limits) for sense in senses]
+    found = [
+        entry(pose, area, car_primitives(limits, headings, rate, sense), rate, limits) for sense in senses
+    ]
     if found[0] is not None and all(found):
         return found[0]
-    table = driving(limits, headings, rate, gears, float(pose[2]))
-    return Entry(table=table, pose=pose, length=0.0, bend=0, gear=gears[0], state=state_at(table, pose))
+    primitives = car_primitives(limits, headings, rate, gears, float(pose[2]))
+    return Entry(
+        primitives=primitives, pose=pose, length=0.0, bend=0, gear=gears[0], state=state_at(primitives, pose)
+    )
 
 
-def entry(pose: Floats, place: Scene, table: Table, rate: float, limits: Limits) -> Entry | None:
+def entry(
+    pose: Floats, area: SearchArea, primitives: MotionPrimitives, rate: float, limits: Limits
+) -> Entry | None:
     """Return the shortest clear arc of the least radius that leads from `pose` (3,) to where the search can begin.
 
     None where walls leave no such arc.
     """
-    apart = float((pose[2] - table.first) / abs(table.step))
+    apart = float((pose[2] - primitives.first_heading) / abs(primitives.heading_step))
     steps = np.arange(-MOST_STEPS, MOST_STEPS + 1) + np.round(apart) - apart
-    turns = abs(table.step) * steps[np.argsort(abs(steps), kind="stable")]
+    turns = abs(primitives.heading_step) * steps[np.argsort(abs(steps), kind="stable")]
     if abs(turns[0]) < SAME:
-        return Entry(table=table, pose=pose, length=0.0, bend=0, gear=1, state=state_at(table, pose))
-    search = Search(place, table, np.zeros((*place.inner.shape, 1), dtype=np.bool_), rate)
-    moves, credits = search.moves(), np.empty(CREDITS, dtype=np.int64)
+        return Entry(
+            primitives=primitives, pose=pose, length=0.0, bend=0, gear=1, state=state_at(primitives, pose)
+        )
+    search = CoverageSearch(area, primitives, np.zeros((*area.inner.shape, 1), dtype=np.bool_), rate)
+    arrays, covered = search.primitive_arrays(), np.empty(MAX_BINS_PER_PRIMITIVE, dtype=np.int64)
     for turn in turns.tolist():
-        for mode, gear in enumerate(np.sign(table.speeds).astype(int).tolist()):
+        for mode, gear in enumerate(np.sign(primitives.speeds).astype(int).tolist()):
             length, bend = abs(turn) * limits.turning_radius, int(np.sign(turn))
             arc = geared(pose, np.array([length]), np.array([bend]), np.array([gear]), limits)
             n = int(np.ceil(length / WAYPOINT))
             poses = arc.sample(np.arange(1, n + 1) / n * arc.duration)[0]
-            nodes = (poses[:, :2] - place.origin) / place.step - 0.5
-            if ndimage.map_coordinates(place.distance, nodes.T, order=1).min() < place.least:
+            nodes = (poses[:, :2] - area.origin) / area.step - 0.5
+            if ndimage.map_coordinates(area.distance, nodes.T, order=1).min() < area.clearance:
                 continue
-            x, y, h, _ = state = state_at(table, poses[-1], mode)
-            if is_safe(x, y, int(h), mode, table.safe_depth, search.world, moves, credits):
-                return Entry(table=table, pose=pose, length=length, bend=bend, gear=gear, state=state)
+            x, y, h, _ = state = state_at(primitives, poses[-1], mode)
+            if is_safe(x, y, int(h), mode, primitives.safe_depth, search.world, arrays, covered):
+                return Entry(
+                    primitives=primitives, pose=pose, length=length, bend=bend, gear=gear, state=state
+                )
     return None
 
 
-def car_curve(found: Found, begun: Entry, limits: Limits) -> Curve:
+def car_curve(found: SearchResult, begun: Entry, limits: Limits) -> Curve:
     """Return the curve of a car's drive: as fast as v and a allow from rest to rest in each gear.
 
     Arcs and straight pieces follow each other at full speed, so omega jumps where the steering does; within a piece
     alpha holds.
     """
-    table = begun.table
-    then, turn = table.then.tolist(), table.turn.tolist()
+    primitives = begun.primitives
+    then, turn = primitives.next_mode.tolist(), primitives.turned_steps.tolist()
     gears, turns, units = [begun.gear], [begun.bend], list[float]()
     mode = int(found.start[3])
     for j in found.sequence.tolist():
         turns.append(int(np.sign(turn[mode][j])))
-        units.append(table.period[mode, j])
+        units.append(primitives.sample_period[mode, j])
         mode = then[mode][j]
-        gears.append(int(np.sign(table.speeds[mode])))
-    v = float(abs(table.speeds[0]))
-    length = np.append(begun.length, np.array(units) * (table.ways.shape[3] - 1) * v)  # [m]
+        gears.append(int(np.sign(primitives.speeds[mode])))
+    v = float(abs(primitives.speeds[0]))
+    length = np.append(begun.length, np.array(units) * (primitives.offsets.shape[3] - 1) * v)  # [m]
     some = length > 0
     return geared(begun.pose, length[some], np.array(turns)[some], np.array(gears)[some], limits, v)
 
@@ -134,7 +147,7 @@ def geared(
         for i, k in pairwise(runs.tolist())
     ]
     dt, twists, rates = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return chained(pose, dt, twists, rates, np.full(len(dt), "drive" if v is not None else "join"))
+    return curve_of_pieces(pose, dt, twists, rates, np.full(len(dt), "drive" if v is not None else "join"))
 
 
 def redriven(curve: Curve, first: int, last: int, limits: Limits) -> Curve:
@@ -213,22 +226,26 @@ def _run(
     )
 
 
-def state_at(table: Table, pose: Floats, mode: int = 0) -> Floats:
+def state_at(primitives: MotionPrimitives, pose: Floats, mode: int = 0) -> Floats:
     """Return (4,) the state at a pose whose heading the table has."""
-    step = round(float((pose[2] - table.first) / table.step)) % table.n_headings
+    step = (
+        round(float((pose[2] - primitives.first_heading) / primitives.heading_step)) % primitives.n_headings
+    )
     return np.array([pose[0], pose[1], step, mode])
 
 
 def search_floor(
-    todo: Bools, task: Task, start: Floats, seed: int, tick: Callable[[int], bool], settings: Settings
-) -> Visit | None:
+    todo: Bools, task: Task, start: Floats, seed: int, tick: Callable[[int], bool], settings: SearchSettings
+) -> RoomDrive | None:
     """Drive a car through the bins `todo` (nx, ny, n_phi), one room after the other; None where it gets to none."""
     vehicle, grid = task.vehicle, task.coverage
-    place = scene(task.reach)
-    begun = begin(start, place, vehicle.limits, grid.headings, task.rate, GEARS[vehicle.drive])
+    area = search_area(task.reach)
+    begun = begin(start, area, vehicle.limits, grid.headings, task.rate, GEARS[vehicle.drive])
     value = worth(task.priority, todo)
-    search = Search(place, begun.table, todo, task.rate, seed=seed, value=value, settings=settings)
-    search.begin(begun.state)
+    search = CoverageSearch(
+        area, begun.primitives, todo, task.rate, seed=seed, value=value, settings=settings
+    )
+    search.start_at(begun.state)
     missing, given_up = todo, np.zeros_like(todo)
     curve: Curve | None = None
     for part, patience in [
@@ -247,12 +264,12 @@ def search_floor(
             return tick(others + left)
 
         search.run(said)
-        found = search.found()
+        found = search.result()
         given_up |= found.left
         if len(found.sequence):
             curve = car_curve(found, begun, vehicle.limits)
             missing = missed(curve, todo, grid, task.rate)
-    return None if curve is None else Visit(curve=curve, stops=cusps(curve), left=int(missing.sum()))
+    return None if curve is None else RoomDrive(curve=curve, stops=cusps(curve), left=int(missing.sum()))
 
 
 def cusps(curve: Curve) -> Floats:

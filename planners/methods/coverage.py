@@ -28,34 +28,21 @@ from planners.methods.repair_spins import SpinRepair, lead
 from planners.methods.stop_and_spin import wanted
 from planners.priority import levels
 from planners.rooms import cell_graph, rooms, sequence
+from planners.search.area import SearchArea, search_area
 from planners.search.log_phases import missed
-from planners.search.motion_primitives import GEARS, Table, driving, spinning
-from planners.search.search import Scene, Search, Settings, Visit, scene, spin_curve
+from planners.search.motion_primitives import GEARS, MotionPrimitives, car_primitives, spin_primitives
+from planners.search.room_drive import RoomDrive, spin_curve
+from planners.search.search import CoverageSearch
+from planners.search.settings import CAR_ROOM, SPIN_ONLY_ROOM, SPIN_ROOM, SearchSettings
 from planners.task import PlannedDrive, Task
 from planners.types import Bools, Floats, Ints
 
 logger = logging.getLogger(__name__)
 
-SPIN, ALONE = Settings(beam=250, executed=1.2, flood_width=400, flood_layers=300), 150
-"""How hard to search for robots that turn in place, each room once: a wide beam finds more than two narrow ones. The only
-room of a floor is searched twice by a beam of ALONE, since a processor would be idle."""
 PATIENCE = (1.3, 1.6)
 """How much longer to stay in a bin where a log of some phase missed it."""
 LOST = 4.0
 """[s] that a bin costs which a search leaves to the repair."""
-CAR = {
-    "reeds_shepp": Settings(
-        executed=3.2,
-        eagerness=0.5,
-        beam=50,
-        flood_layers=400,
-        flood_width=300,
-        flood_states=100_000,
-        narrow=8,
-    ),
-    "dubins": Settings(executed=2.4, eagerness=0.5, beam=120, flood_layers=400),
-}
-"""How cars are searched for."""
 FEW = 0.03
 """Of all bins: so few missing ones are first looked for beside the drive."""
 SLOW = 2.0
@@ -71,7 +58,7 @@ def plan_search(task: Task) -> PlannedDrive:
     if task.vehicle.drive != "diff":
         return _by_car(task)
     todo = wanted(task)
-    table = _table(task)
+    primitives = _table(task)
     level = levels(task.priority, todo, task.reach.cell)
     bands = [todo & (level == band)[:, :, None] for band in np.unique(level[todo.any(axis=2)])]
     jobs = [
@@ -80,13 +67,13 @@ def plan_search(task: Task) -> PlannedDrive:
         for room in rooms(task.reach, part.any(axis=2))
     ]
 
-    tries, settings = (2, replace(SPIN, beam=ALONE)) if len(jobs) == 1 else (1, SPIN)
+    tries, settings = (2, SPIN_ONLY_ROOM) if len(jobs) == 1 else (1, SPIN_ROOM)
 
-    def search(job: int, seed: int, tick: Callable[[int], bool]) -> Visit | None:
-        return search_room(jobs[job][1], table, task, seed, tick, settings)
+    def search(job: int, seed: int, tick: Callable[[int], bool]) -> RoomDrive | None:
+        return search_room(jobs[job][1], primitives, task, seed, tick, settings)
 
     visits, interrupted = _side_by_side(search, [int(need.sum()) for _, need in jobs], task, tries)
-    ordered: list[Visit] = []
+    ordered: list[RoomDrive] = []
     for band in range(len(bands)):
         own = [visit for (of, _), visit in zip(jobs, visits, strict=True) if of == band and visit is not None]
         here = ordered[-1].ends[1] if ordered else task.start
@@ -104,14 +91,14 @@ def _by_car(task: Task) -> PlannedDrive:
         raise PlanError("every reachable bin is covered already; nothing is left to plan")
     start = task.start if task.start is not None else _first_pose(task)
 
-    settings = CAR[task.vehicle.drive]
+    settings = CAR_ROOM[task.vehicle.drive]
     parts = [np.asarray(todo & room[:, :, None]) for room in room_order(todo, start, task)]
     begins = [_begin(part, start, task) for part in parts]
 
-    def search(job: int, seed: int, tick: Callable[[int], bool]) -> Visit | None:
+    def search(job: int, seed: int, tick: Callable[[int], bool]) -> RoomDrive | None:
         return search_floor(parts[job], task, begins[job], seed, tick, settings)
 
-    def search_on(missing: Bools, here: Floats, seed: int) -> Visit | None:
+    def search_on(missing: Bools, here: Floats, seed: int) -> RoomDrive | None:
         return search_floor(missing, task, here, seed, lambda _: True, settings)
 
     visits, interrupted = _side_by_side(search, [int(part.sum()) for part in parts], task)
@@ -164,15 +151,17 @@ def _begin(part: Bools, start: Floats, task: Task) -> Floats:
     (bin_,), inside = task.coverage.bins(start[None])
     if inside[0] and part[bin_[0], bin_[1]].any():
         return start
-    table = _table(task)
-    heading = task.coverage.bins(np.array([[*task.reach.origin, wrap(np.float64(table.first))]]))[0][0, 2]
+    primitives = _table(task)
+    heading = task.coverage.bins(
+        np.array([[*task.reach.origin, wrap(np.float64(primitives.first_heading))]])
+    )[0][0, 2]
     own = np.zeros_like(part)
     own[:, :, heading] = part[:, :, heading]
     own = own if own.any() else part
     pose = _pose_in(own, task)
     if pose is None:
         middle = task.reach.origin + (np.argwhere(own.any(axis=2))[0] + 0.5) * task.reach.cell
-        return np.array([*middle, table.first])
+        return np.array([*middle, primitives.first_heading])
     return pose
 
 
@@ -186,26 +175,26 @@ def _first_pose(task: Task) -> Floats:
 
 def _pose_in(need: Bools, task: Task) -> Floats | None:
     """Return a free place in the cells of `need` (nx, ny, n_phi), with a heading that the search has, (3,)."""
-    middle = _first_place(scene(task.reach), task, need, np.random.default_rng(task.seed))
-    return None if middle is None else np.array([*middle, _table(task).first])
+    middle = _first_place(search_area(task.reach), task, need, np.random.default_rng(task.seed))
+    return None if middle is None else np.array([*middle, _table(task).first_heading])
 
 
-def _table(task: Task) -> Table:
+def _table(task: Task) -> MotionPrimitives:
     """Return the primitives of the task's robot."""
     limits, headings, drive = task.vehicle.limits, task.coverage.headings, task.vehicle.drive
     return (
-        spinning(limits, headings, task.rate)
+        spin_primitives(limits, headings, task.rate)
         if drive == "diff"
-        else driving(limits, headings, task.rate, GEARS[drive])
+        else car_primitives(limits, headings, task.rate, GEARS[drive])
     )
 
 
 def _side_by_side(
-    job: Callable[[int, int, Callable[[int], bool]], Visit | None],
+    job: Callable[[int, int, Callable[[int], bool]], RoomDrive | None],
     sizes: list[int],
     task: Task,
     tries: int = 1,
-) -> tuple[list[Visit | None], bool]:
+) -> tuple[list[RoomDrive | None], bool]:
     """Do each job (number, seed, tick) some times on all processors; return the best visit of each.
 
     Ctrl-C ends the searches where they are, and keeps what they found; a second one ends all.
@@ -221,7 +210,7 @@ def _side_by_side(
     left = {(room, attempt): size for attempt in range(tries) for room, size in enumerate(sizes)}
     total, stop = sum(left.values()), threading.Event()
 
-    def search(room: int, attempt: int) -> Visit | None:
+    def search(room: int, attempt: int) -> RoomDrive | None:
         def tick(now: int) -> bool:
             left[room, attempt] = now
             return not stop.is_set()
@@ -233,7 +222,7 @@ def _side_by_side(
     if task.progress:
         task.progress(0, total // tries)
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        futures: dict[tuple[int, int], Future[Visit | None]] = {
+        futures: dict[tuple[int, int], Future[RoomDrive | None]] = {
             key: threads.submit(search, *key) for key in sorted(left)
         }
         try:
@@ -249,7 +238,7 @@ def _side_by_side(
                 raise
     if task.progress and not stop.is_set():
         task.progress(total // tries, total // tries)
-    best: list[Visit | None] = []
+    best: list[RoomDrive | None] = []
     for room in range(len(sizes)):
         done = [futures[room, attempt] for attempt in range(tries) if not futures[room, attempt].cancelled()]
         tried = [visit for future in done if (visit := future.result()) is not None]
@@ -265,11 +254,11 @@ def _compiled(task: Task) -> None:
     said.daemon = True
     cells = np.zeros(task.reach.shape, dtype=np.bool_)
     cells[tuple(np.argwhere(task.reach.cells())[0])] = True
-    place = scene(task.reach, cells)
-    none = np.zeros((*place.inner.shape, task.coverage.headings), dtype=np.bool_)
+    area = search_area(task.reach, cells)
+    none = np.zeros((*area.inner.shape, task.coverage.headings), dtype=np.bool_)
     said.start()
     try:
-        Search(place, _table(task), none, task.rate).run(lambda _: False)
+        CoverageSearch(area, _table(task), none, task.rate).run(lambda _: False)
         if task.vehicle.drive != "diff":
             _shorten_nothing(task)
     finally:
@@ -284,61 +273,66 @@ def _shorten_nothing(task: Task) -> None:
 
 
 def search_room(
-    need: Bools, table: Table, task: Task, seed: int, tick: Callable[[int], bool], settings: Settings
-) -> Visit | None:
+    need: Bools,
+    primitives: MotionPrimitives,
+    task: Task,
+    seed: int,
+    tick: Callable[[int], bool],
+    settings: SearchSettings,
+) -> RoomDrive | None:
     """Search for a drive through the bins `need` (nx, ny, n_phi); None where there is no place to begin."""
-    place = scene(task.reach, np.asarray(need.any(axis=2)))
-    own = place.part(need)
-    search = Search(place, table, own, task.rate, seed=seed, settings=settings)
-    start = _first_place(place, task, own, search.rng)
+    area = search_area(task.reach, np.asarray(need.any(axis=2)))
+    own = area.part(need)
+    search = CoverageSearch(area, primitives, own, task.rate, seed=seed, settings=settings)
+    start = _first_place(area, task, own, search.rng)
     if start is None:
         return None
-    search.begin(np.array([*start, 0.0, 0.0]))
+    search.start_at(np.array([*start, 0.0, 0.0]))
     search.complete(tick)
     given_up = search.given_up | search.world.need
     for patience in PATIENCE:
-        again = place.part(_missed_by(search, table, task, need)) & ~given_up
+        again = area.part(_missed_by(search, primitives, task, need)) & ~given_up
         if not again.any():
             break
         search.want(again, patience, inner=False)
         search.run(tick)
-    if not search.rest():
+    if not search.come_to_rest():
         return None
-    found = search.found()
-    curve = spin_curve(found, table, task.vehicle.limits.alpha)
-    return Visit(curve=curve, stops=_revolutions(curve, table), left=int(given_up.sum()))
+    found = search.result()
+    curve = spin_curve(found, primitives, task.vehicle.limits.alpha)
+    return RoomDrive(curve=curve, stops=_revolutions(curve, primitives), left=int(given_up.sum()))
 
 
-def _missed_by(search: Search, table: Table, task: Task, need: Bools) -> Bools:
-    curve = spin_curve(search.found(), table, task.vehicle.limits.alpha)
+def _missed_by(search: CoverageSearch, primitives: MotionPrimitives, task: Task, need: Bools) -> Bools:
+    curve = spin_curve(search.result(), primitives, task.vehicle.limits.alpha)
     return missed(curve, need, task.coverage, task.rate)
 
 
-def _first_place(place: Scene, task: Task, need: Bools, rng: np.random.Generator) -> Floats | None:
+def _first_place(area: SearchArea, task: Task, need: Bools, rng: np.random.Generator) -> Floats | None:
     """Return (2,) [m] the middle of a free cell of the room, or its freest place."""
     reach, cells = task.reach, np.asarray(need.any(axis=2))
-    free = cells & place.part(np.asarray(reach.blocks(reach.mask).all(axis=-1)))
+    free = cells & area.part(np.asarray(reach.blocks(reach.mask).all(axis=-1)))
     if free.any():
         choice = np.argwhere(free)
-        return np.asarray(place.origin + (choice[int(rng.integers(len(choice)))] + 0.5) * place.cell)
-    depth = np.where(place.part(reach.blocks(reach.mask)), place.part(reach.blocks(reach.distance)), 0.0)
+        return np.asarray(area.origin + (choice[int(rng.integers(len(choice)))] + 0.5) * area.cell)
+    depth = np.where(area.part(reach.blocks(reach.mask)), area.part(reach.blocks(reach.distance)), 0.0)
     depth = np.where(cells[:, :, None], depth, 0.0)
     i, k, node = np.unravel_index(int(depth.argmax()), depth.shape)
     if depth[i, k, node] < reach.clearance:
         return None
     within = np.array([node // reach.per_cell, node % reach.per_cell])
-    return np.asarray(place.origin + np.array([i, k]) * place.cell + (within + 0.5) * place.step)
+    return np.asarray(area.origin + np.array([i, k]) * area.cell + (within + 0.5) * area.step)
 
 
-def _revolutions(curve: Curve, table: Table) -> Floats:
+def _revolutions(curve: Curve, primitives: MotionPrimitives) -> Floats:
     """Return (n, 4) where each revolution begins, and how far it turns."""
     end = float(curve.sample(np.array([curve.duration]))[0][0, 2])
-    every = curve.poses[:: table.n_headings]
+    every = curve.poses[:: primitives.n_headings]
     phi = np.append(every[:, 2], curve.poses[-1, 2] + wrap(np.float64(end - curve.poses[-1, 2])))
     return np.column_stack([every, np.diff(phi)])
 
 
-def _order(visits: list[Visit], here: Floats | None, task: Task) -> Ints:
+def _order(visits: list[RoomDrive], here: Floats | None, task: Task) -> Ints:
     """Order the rooms by the ways from the end of one to the start of another."""
     if len(visits) < 2:
         return np.arange(len(visits))
@@ -356,7 +350,7 @@ def _order(visits: list[Visit], here: Floats | None, task: Task) -> Ints:
     return sequence(cost[: len(visits)], None if here is None else cost[-1])
 
 
-def _drawn(visits: list[Visit], task: Task) -> PlannedDrive:
+def _drawn(visits: list[RoomDrive], task: Task) -> PlannedDrive:
     """Join the visits; one that cannot be reached is left out."""
     here = visits[0].ends[0] if task.start is None else task.start
     froms = np.array([here, *(visit.ends[1] for visit in visits[:-1])])

@@ -22,8 +22,8 @@ from planners.cars.search import drive_on, geared
 from planners.curve import Curve
 from planners.joins.car_paths import CarWay, connect_cars
 from planners.methods.partial_drive import PartialDrive
-from planners.search.motion_primitives import GEARS, driving
-from planners.search.search import Visit
+from planners.search.motion_primitives import GEARS, car_primitives
+from planners.search.room_drive import RoomDrive
 from planners.task import JoinCounts, Task
 from planners.types import Bools, Floats, Ints
 
@@ -46,7 +46,7 @@ POSES = np.array(
 """Goals within a bin, in parts of it; the first FEW where there are many bins."""
 TURNED = np.array([0.0, -0.3, 0.3])
 """Goals at the place of a bin that is farthest from walls, in parts of its heading: slits hold no other."""
-SearchOn = Callable[[Bools, Floats, int], Visit | None]
+SearchOn = Callable[[Bools, Floats, int], RoomDrive | None]
 """(bins wanted, pose (3,) to begin at, seed) -> drive; None where it gets no bin."""
 
 
@@ -73,7 +73,9 @@ class CarRepair:
         """(nx, ny, n_phi) bins of queries that OMPL found no way for."""
         self._ways = Ways(task) if len(GEARS[vehicle.drive]) == 1 else None
         """Of a car that only goes forward: another comes back from anywhere."""
-        self.aside = driving(vehicle.limits, task.coverage.headings, task.rate, GEARS[vehicle.drive]).first
+        self.aside = car_primitives(
+            vehicle.limits, task.coverage.headings, task.rate, GEARS[vehicle.drive]
+        ).first_heading
         """[rad] from the middle of a heading bin to the headings that the search likes."""
 
     def take(self, curve: Curve) -> None:

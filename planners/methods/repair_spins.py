@@ -14,7 +14,8 @@ from planners.arena import wrap
 from planners.curve import Curve, CurveBuilder
 from planners.joins.paths import connect_nearest
 from planners.methods.primitives import aim
-from planners.methods.stop_and_spin import DWELL, places
+from planners.methods.stop_and_spin import places
+from planners.sampling import DWELL_PERIODS
 from planners.search.log_phases import missed
 from planners.task import JoinCounts, Task
 from planners.types import Bools, Floats
@@ -70,7 +71,7 @@ class SpinRepair:
         """Drive along a path (k, 2) [m] and turn through the headings `need` (n_phi,) at its end."""
         task = self.task
         width = 2 * np.pi / task.coverage.headings
-        pen = CurveBuilder(self.here, task.vehicle.limits, spin=width * task.rate / DWELL)
+        pen = CurveBuilder(self.here, task.vehicle.limits, spin=width * task.rate / DWELL_PERIODS)
         lead(pen, path)
         pen.turn(aim(pen, None, need, (0.0, 0.0)).angle, "spin")
         pen.wait(1.0 / task.rate)

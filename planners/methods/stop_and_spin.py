@@ -13,6 +13,7 @@ from planners.methods.primitives import ZIGZAG, aim
 from planners.order import Cells
 from planners.priority import levels
 from planners.reach import LEAST_SHARE, Reach
+from planners.sampling import DWELL_PERIODS
 from planners.search.log_phases import missed
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Bools, Floats, Ints
@@ -25,8 +26,6 @@ HEDGE = 0.75
 """Of the least share: cells this near to counting are visited too, since another raster may count them."""
 ROUNDS = 4
 """Times that bins which a log may miss are visited again."""
-DWELL = 1.25
-"""Log periods that a spin stays in a heading bin, at least."""
 BACK = (1, 4, 16, 64)
 """Stops to go back where the robot is stuck."""
 
@@ -57,7 +56,7 @@ class Stops:
         self.task, self.todo = task, todo
         self.limit = task.reach.clearance
         width = 2 * np.pi / task.coverage.headings
-        self.spin = width * task.rate / DWELL
+        self.spin = width * task.rate / DWELL_PERIODS
         self.joins = JoinCounts()
         self.pen: CurveBuilder | None = None
 

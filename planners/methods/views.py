@@ -9,7 +9,8 @@ from planners.arena import wrap
 from planners.curve import CurveBuilder
 from planners.errors import PlanError
 from planners.joins.paths import connect
-from planners.methods.stop_and_spin import DWELL, places
+from planners.methods.stop_and_spin import places
+from planners.sampling import DWELL_PERIODS
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats, Ints
 
@@ -34,7 +35,7 @@ def plan_views(task: Task) -> PlannedDrive:
         if path is not None:
             _go(pen, path)
             _face(pen, float(target[2]))
-            pen.wait(DWELL / task.rate, "view")
+            pen.wait(DWELL_PERIODS / task.rate, "view")
         if task.progress:
             task.progress(k + 1, len(targets))
     return PlannedDrive(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=joins)

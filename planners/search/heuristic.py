@@ -1,9 +1,9 @@
-"""How far a car is from the nearest missing bin, by a coarse lattice of its own moves round it: compiled kernels.
+"""A cost-to-go map of a car around its pose: the time to the nearest missing bin, by a coarse lattice (compiled kernels).
 
-A cell count knows nothing of headings: for a car, the bin beside it may be ten metres away. The wave runs backward from
-all missing bins near the car, over poses on a lattice and gears, and says how many units of time each is from one. It
-guides the search, and proves nothing: moves start and end at lattice points, rounded up or down in turn so that many
-of them come out right.
+Distances in cells know nothing of headings: for a car, the bin beside it may be ten metres away. A wave (Dijkstra's
+algorithm, backward) runs from all missing bins near the car over a lattice of poses and gears. It guides the search for
+the nearest bin and proves nothing: primitives start and end at lattice points, rounded up or down by turns so that the
+errors average out.
 """
 
 from __future__ import annotations
@@ -14,40 +14,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.kernel import inner_kernel
-from planners.search.motion_primitives import Table
-from planners.types import Bools, Floats, Ints
+from planners.search.motion_primitives import MotionPrimitives
+from planners.search.settings import HEURISTIC
+from planners.types import Bools, Floats, Int16s, Ints
 
-POINTS = 4
-"""Lattice points along a cell's side."""
-AROUND = 1.2
-"""[m] round the car that the wave covers."""
-SLACK = 0.02
-"""[m] that lattice points may be too near to a wall: poses beside them may not be."""
-BEYOND = 6
-"""Units of time that the wave goes on when it has come to the car."""
-RIM = 5
-"""Points at the window's rim where no wave comes, more than a move is long."""
-PHASES = 16
-"""Lattice points round up and down in so many ways."""
-FARTHEST = 1 << 12
-"""Units of time of what the wave does not reach."""
-Units = NDArray[np.int16]
+POINTS_PER_CELL = HEURISTIC.points_per_cell
+RIM = HEURISTIC.rim
+OVERRUN = HEURISTIC.overrun
+ROUNDINGS = HEURISTIC.roundings
+UNREACHED = 1 << 12
+"""Units of time; the cost-to-go of poses that the wave does not reach."""
 
 
-class Lattice(NamedTuple):
-    """The coarse lattice of a car's poses, and its moves."""
+class HeuristicLattice(NamedTuple):
+    """The coarse lattice of a car's poses, and how its primitives lead over it."""
 
-    fine: float
+    spacing: float
     """[m] between points."""
-    group: int
-    """Heading steps of the table in one of the lattice."""
+    steps_per_class: int
+    """Heading steps of the primitives in one heading class of the lattice."""
     side: int
     """Points of the window each way."""
     free: Bools
-    """(Lx, Ly) points of the scene where the car may be, or almost."""
+    """(Lx, Ly) points of the area where the car may be, or almost."""
     back: Ints
-    """(PHASES, n_classes, n_moves) from the place of a pose among the wave's values to that from which a move leads
-    there, if the gear stays."""
+    """(ROUNDINGS, n_classes, n_moves) offset within the map from a state to the one from which a primitive leads there,
+    the gear being the same."""
     cost: Ints
     """(n_moves,) units of time."""
     gear: Ints
@@ -59,54 +51,56 @@ class Lattice(NamedTuple):
     n_gears: int
 
 
-def lattice(table: Table, distance: Floats, step: float, cell: float, least: float) -> Lattice:
-    """Return the lattice of a car's table in a scene (`search.Scene`)."""
-    fine = cell / POINTS
-    own = ~table.patient[0]
-    turn, gear = table.turn[0][own], table.then[0][own]
-    length = table.cost.min(axis=0)[own]
-    group = int(abs(turn[turn != 0]).min())
-    size = (np.array(distance.shape) * step / fine).astype(np.int64)
-    at = [np.minimum(((np.arange(n) + 0.5) * fine / step).astype(np.int64), distance.shape[k] - 1)
+def heuristic_lattice(
+    primitives: MotionPrimitives, distance: Floats, step: float, cell: float, clearance: float
+) -> HeuristicLattice:
+    """Return the lattice of a car's primitives in an area, see `area.SearchArea`."""
+    spacing = cell / POINTS_PER_CELL
+    coarse = ~primitives.is_fine[0]
+    turn, gear = primitives.turned_steps[0][coarse], primitives.next_mode[0][coarse]
+    length = primitives.cost.min(axis=0)[coarse]
+    steps_per_class = int(abs(turn[turn != 0]).min())
+    size = (np.array(distance.shape) * step / spacing).astype(np.int64)
+    at = [np.minimum(((np.arange(n) + 0.5) * spacing / step).astype(np.int64), distance.shape[k] - 1)
           for k, n in enumerate(size.tolist())]  # fmt: skip
     side, bins, n_gears = (
-        2 * (int(np.ceil(AROUND / fine)) + RIM) + 1,
-        table.rests[group // 2 :: group],
-        len(table.then),
+        2 * (int(np.ceil(HEURISTIC.window_radius / spacing)) + RIM) + 1,
+        primitives.heading_bin[steps_per_class // 2 :: steps_per_class],
+        len(primitives.next_mode),
     )
     ahead = (
-        table.ways[group // 2 :: group, 0][:, own, -1] / fine
+        primitives.offsets[steps_per_class // 2 :: steps_per_class, 0][:, coarse, -1] / spacing
     )  # (n_classes, n_moves, 2) points that a move leads on
-    classes, dither = np.arange(len(bins))[:, None], (np.arange(PHASES)[:, None, None] + 0.5) / PHASES
-    before = (classes - turn // group) % len(bins)
+    classes, dither = np.arange(len(bins))[:, None], (np.arange(ROUNDINGS)[:, None, None] + 0.5) / ROUNDINGS
+    before = (classes - turn // steps_per_class) % len(bins)
     i, k = np.moveaxis(ahead[before, np.arange(len(turn))], -1, 0)
     points = np.floor(i + dither) * side + np.floor(k + 1.0 - dither)
-    return Lattice(
-        fine=fine,
-        group=group,
+    return HeuristicLattice(
+        spacing=spacing,
+        steps_per_class=steps_per_class,
         side=side,
-        free=np.ascontiguousarray(distance[np.ix_(*at)] >= least - SLACK),
+        free=np.ascontiguousarray(distance[np.ix_(*at)] >= clearance - HEURISTIC.clearance_slack),
         back=((before - classes - points * len(bins)) * n_gears).astype(np.int64),
         cost=length,
         gear=gear,
-        pause=int((table.cost - table.cost.min(axis=0)).max()),
+        pause=int((primitives.cost - primitives.cost.min(axis=0)).max()),
         bins=bins.astype(np.int64),
         n_gears=n_gears,
     )
 
 
 @inner_kernel
-def wave(
+def backward_wave(
     x: float,
     y: float,
     need: Bools,
     missing: Ints,
-    grid: Lattice,
-    value: Units,
+    lattice: HeuristicLattice,
+    cost_to_go: Int16s,
     here: int,
     mode: int,
     queue: NDArray[np.int32],
-    following: NDArray[np.int32],
+    next_entry: NDArray[np.int32],
     heads: NDArray[np.int32],
 ) -> tuple[int, int]:
     """Fill `value (side * side * n_classes * n_gears,)` with the units of time to the nearest missing bin.
@@ -118,33 +112,33 @@ def wave(
     -------
     the lattice point that is the window's (0, 0)
     """
-    side, n_classes, n_gears, ring = grid.side, len(grid.bins), grid.n_gears, len(heads)
-    i0, k0 = int(x / grid.fine) - side // 2, int(y / grid.fine) - side // 2
-    n_queued = _begin(i0, k0, need, missing, grid, value, queue, following, heads)
+    side, n_classes, n_gears, ring = lattice.side, len(lattice.bins), lattice.n_gears, len(heads)
+    i0, k0 = int(x / lattice.spacing) - side // 2, int(y / lattice.spacing) - side // 2
+    n_queued = _begin(i0, k0, need, missing, lattice, cost_to_go, queue, next_entry, heads)
     units, empty = 0, 0
     at_car = ((side // 2 * side + side // 2) * n_classes + here) * n_gears + mode
-    while empty < ring and value[at_car] + BEYOND >= units:
+    while empty < ring and cost_to_go[at_car] + OVERRUN >= units:
         entry = heads[units % ring]
         heads[units % ring] = -1
         empty = empty + 1 if entry < 0 else 0
         while entry >= 0:
             state = queue[entry]
-            entry = following[entry]
-            if value[state] != units:
+            entry = next_entry[entry]
+            if cost_to_go[state] != units:
                 continue  # reached earlier
             g, pose = state % n_gears, state // n_gears
             c, point = pose % n_classes, pose // n_classes
-            phase = ((point // side) * 5 + (point % side) * 3 + c * 7) % PHASES
-            for j in range(len(grid.gear)):
-                if grid.gear[j] != g:
+            phase = ((point // side) * 5 + (point % side) * 3 + c * 7) % ROUNDINGS
+            for j in range(len(lattice.gear)):
+                if lattice.gear[j] != g:
                     continue
-                before = state - g + grid.back[phase, c, j]
-                for own in range(n_gears):
-                    later = units + grid.cost[j] + (grid.pause if own != g else 0)
-                    if later < value[before + own] and n_queued < len(queue):
-                        value[before + own] = later
-                        queue[n_queued] = before + own
-                        following[n_queued] = heads[later % ring]
+                before = state - g + lattice.back[phase, c, j]
+                for coarse in range(n_gears):
+                    later = units + lattice.cost[j] + (lattice.pause if coarse != g else 0)
+                    if later < cost_to_go[before + coarse] and n_queued < len(queue):
+                        cost_to_go[before + coarse] = later
+                        queue[n_queued] = before + coarse
+                        next_entry[n_queued] = heads[later % ring]
                         heads[later % ring] = n_queued
                         n_queued += 1
         units += 1
@@ -157,36 +151,36 @@ def _begin(
     k0: int,
     need: Bools,
     missing: Ints,
-    grid: Lattice,
-    value: Units,
+    lattice: HeuristicLattice,
+    cost_to_go: Int16s,
     queue: NDArray[np.int32],
-    following: NDArray[np.int32],
+    next_entry: NDArray[np.int32],
     heads: NDArray[np.int32],
 ) -> int:
     """Start the wave in every missing bin of the window whose (0, 0) is point (i0, k0); return the count of entries.
 
     Points that are not free, and the window's rim, are nearer than any wave can come.
     """
-    side, n_classes, n_gears, (n, m) = grid.side, len(grid.bins), grid.n_gears, grid.free.shape
-    value[:] = -1
+    side, n_classes, n_gears, (n, m) = lattice.side, len(lattice.bins), lattice.n_gears, lattice.free.shape
+    cost_to_go[:] = -1
     heads[:] = -1
     n_queued = 0
     for i in range(max(RIM, -i0), min(side - RIM, n - i0)):
         for k in range(max(RIM, -k0), min(side - RIM, m - k0)):
-            ci, ck = (i + i0) // POINTS, (k + k0) // POINTS
-            if not grid.free[i + i0, k + k0]:
+            ci, ck = (i + i0) // POINTS_PER_CELL, (k + k0) // POINTS_PER_CELL
+            if not lattice.free[i + i0, k + k0]:
                 continue
             first = (i * side + k) * n_classes * n_gears
-            value[first : first + n_classes * n_gears] = FARTHEST
+            cost_to_go[first : first + n_classes * n_gears] = UNREACHED
             if missing[ci, ck] == 0:
                 continue
             for c in range(n_classes):
-                if need[ci, ck, grid.bins[c]]:
+                if need[ci, ck, lattice.bins[c]]:
                     for g in range(n_gears):
                         state = first + c * n_gears + g
-                        value[state] = 0
+                        cost_to_go[state] = 0
                         queue[n_queued] = state
-                        following[n_queued] = heads[0]
+                        next_entry[n_queued] = heads[0]
                         heads[0] = n_queued
                         n_queued += 1
     return n_queued

@@ -14,50 +14,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.curve import displace
+from planners.sampling import DWELL_PERIODS
+from planners.search.settings import PRIMITIVES
 from planners.types import Bools, Floats, Ints
 from planners.vehicle import Limits
 
 SAMPLES = 8
 """Poses looked at within a primitive."""
-DWELL = 1.25
-"""Log periods that the robot stays in a heading bin, at least."""
-LONGEST = 0.5
-"""[s] of a primitive of a robot that turns in place."""
-MOST_LEVELS = 6
-"""Levels of speed each way."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Table:
+class MotionPrimitives:
     """Primitives by heading step, mode and branch."""
 
-    first: float
+    first_heading: float
     """[rad] heading of step 0."""
-    step: float
+    heading_step: float
     """[rad] from one heading step to the next."""
-    ways: Floats
+    offsets: Floats
     """(n_headings, n_modes, n_branches, SAMPLES + 1, 2) [m] of the samples and of the end, in map axes."""
     bins: NDArray[np.int16]
     """(n_headings, n_modes, n_branches, SAMPLES) heading bin of each sample."""
     core: Bools
     """As `bins`: the sample lies in the middle half of its bin."""
-    turn: Ints
+    turned_steps: Ints
     """(n_modes, n_branches) heading steps turned."""
-    then: Ints
+    next_mode: Ints
     """(n_modes, n_branches) mode afterwards; -1: no such branch."""
     cost: Ints
     """(n_modes, n_branches) units of time."""
     unit: float
     """[s]"""
-    period: Floats
+    sample_period: Floats
     """(n_modes, n_branches) [s] between samples."""
     speeds: Floats
     """(n_modes,) [m/s] at the start of a primitive (cars: sign of the gear)."""
-    patient: Bools
+    is_fine: Bools
     """(n_modes, n_branches) branches that only floods use."""
-    stops: Bools
+    stops_first: Bools
     """(n_modes, n_branches) branches before which the robot stops."""
-    rests: NDArray[np.int16]
+    heading_bin: NDArray[np.int16]
     """(n_headings,) heading bin of each heading step."""
     safe_depth: int
     """What makes an end safe: so many primitives can follow; negative: the robot can stop within so many."""
@@ -67,10 +63,10 @@ class Table:
     @property
     def n_headings(self) -> int:
         """Count of heading steps."""
-        return len(self.ways)
+        return len(self.offsets)
 
 
-def spinning(limits: Limits, headings: int, rate: float, sense: int = 1) -> Table:
+def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) -> MotionPrimitives:
     """Return the primitives of a robot that turns in place at an even rate, `sense` 1 counter-clockwise or -1.
 
     Parameters
@@ -79,10 +75,10 @@ def spinning(limits: Limits, headings: int, rate: float, sense: int = 1) -> Tabl
     rate : [Hz] of the log, which must see every bin however its clock stands
     """
     width = 2 * np.pi / headings
-    omega = min(limits.omega, width * rate / DWELL)
-    parts = max(math.ceil(width / omega / LONGEST - 1e-9), 1)
+    omega = min(limits.omega, width * rate / DWELL_PERIODS)
+    parts = max(math.ceil(width / omega / PRIMITIVES.max_duration - 1e-9), 1)
     step, tau = width / parts, width / parts / omega
-    levels = int(np.clip(round(limits.v / (limits.a * tau)), 1, MOST_LEVELS))
+    levels = int(np.clip(round(limits.v / (limits.a * tau)), 1, PRIMITIVES.max_levels))
     rise = min(limits.a * tau, limits.v / levels)  # [m/s] from one level to the next
     level = np.array(sorted(range(-levels, levels + 1), key=abs))  # mode 0 stands still
     then, speeds = _steps_of_level(level), rise * level
@@ -107,21 +103,21 @@ def spinning(limits: Limits, headings: int, rate: float, sense: int = 1) -> Tabl
     bins = np.broadcast_to(which[:, None, None, None], (*shape[:3], SAMPLES)).astype(np.int16)
     within = (np.arange(n_headings)[:, None] % parts * step + stamps[:-1] * omega) / width - 0.5  # of the bin
     core = np.broadcast_to((abs(within) <= 0.25)[:, None, None, :], bins.shape)
-    return Table(
-        first=-sense * width / 2,
-        step=sense * step,
-        ways=ways,
+    return MotionPrimitives(
+        first_heading=-sense * width / 2,
+        heading_step=sense * step,
+        offsets=ways,
         bins=bins,
         core=np.ascontiguousarray(core),
-        turn=np.ones(then.shape, dtype=np.int64),
-        then=then,
+        turned_steps=np.ones(then.shape, dtype=np.int64),
+        next_mode=then,
         cost=np.ones(then.shape, dtype=np.int64),
         unit=tau,
-        period=np.full(then.shape, tau / SAMPLES),
+        sample_period=np.full(then.shape, tau / SAMPLES),
         speeds=speeds,
-        patient=np.zeros(then.shape, dtype=np.bool_),
-        stops=np.zeros(then.shape, dtype=np.bool_),
-        rests=which.astype(np.int16),
+        is_fine=np.zeros(then.shape, dtype=np.bool_),
+        stops_first=np.zeros(then.shape, dtype=np.bool_),
+        heading_bin=which.astype(np.int16),
         safe_depth=-(levels + 2),
         omega=sense * omega,
     )
@@ -136,15 +132,13 @@ def _steps_of_level(level: Ints) -> Ints:
     return then
 
 
-ARC = 0.2
-"""[m] longest primitive of a car."""
 GEARS = {"reeds_shepp": (1, -1), "dubins": (1,)}
-"""Gears."""
+"""Gears of each car: 1 forward, -1 backward."""
 
 
-def driving(
+def car_primitives(
     limits: Limits, headings: int, rate: float, gears: tuple[int, ...], phi: float | None = None
-) -> Table:
+) -> MotionPrimitives:
     """Return the primitives of a car: arcs of the least radius and straight pieces, in each of its gears.
 
     A car that can go back and forth also has halves, to shuffle along walls, and quarters for floods. Modes are
@@ -153,12 +147,12 @@ def driving(
     the next, as rounding has it.
     """
     width, radius = 2 * np.pi / headings, limits.turning_radius
-    parts = max(math.ceil(width * radius / ARC - 1e-9), 1)
-    v = min(limits.v, limits.omega * radius, width * radius * rate / DWELL)
+    parts = max(math.ceil(width * radius / PRIMITIVES.max_arc - 1e-9), 1)
+    v = min(limits.v, limits.omega * radius, width * radius * rate / DWELL_PERIODS)
     shares = (4, 2, 1) if len(gears) > 1 else (1,)
     unit_turn = width / parts / shares[0]
     unit = unit_turn * radius / v
-    pause = max(round(0.75 * v / limits.a / unit), 1)
+    pause = max(round(PRIMITIVES.gear_change_cost * v / limits.a / unit), 1)
     branches = [(g, c, n) for g in range(len(gears)) for n in shares for c in (0, 1, -1)]
     modes, n_headings = len(gears), headings * parts * shares[0]
     first = 0.5 * unit_turn if len(shares) > 1 else width / parts / 8
@@ -191,21 +185,21 @@ def driving(
         return np.ascontiguousarray(np.repeat(array[:, None], modes, axis=1))
 
     changes = gear[None, :] != np.arange(modes)[:, None]
-    return Table(
-        first=first,
-        step=unit_turn,
-        ways=every_mode(ways),
+    return MotionPrimitives(
+        first_heading=first,
+        heading_step=unit_turn,
+        offsets=every_mode(ways),
         bins=every_mode(bins.astype(np.int16)),
         core=every_mode(core),
-        turn=np.tile(curve * length, (modes, 1)),
-        then=np.tile(gear, (modes, 1)),
+        turned_steps=np.tile(curve * length, (modes, 1)),
+        next_mode=np.tile(gear, (modes, 1)),
         cost=length[None, :] + pause * changes,
         unit=unit,
-        period=np.tile(length * unit / SAMPLES, (modes, 1)),
+        sample_period=np.tile(length * unit / SAMPLES, (modes, 1)),
         speeds=v * np.array(gears, dtype=np.float64),
-        patient=np.tile((length == 1) & (len(shares) > 1), (modes, 1)),
-        stops=changes,
-        rests=(np.floor(heading / width + 0.5).astype(np.int64) % headings).astype(np.int16),
-        safe_depth=1 if len(gears) > 1 else 25,
+        is_fine=np.tile((length == 1) & (len(shares) > 1), (modes, 1)),
+        stops_first=changes,
+        heading_bin=(np.floor(heading / width + 0.5).astype(np.int64) % headings).astype(np.int16),
+        safe_depth=PRIMITIVES.reeds_shepp_depth if len(gears) > 1 else PRIMITIVES.dubins_depth,
         omega=0.0,
     )

@@ -1,0 +1,189 @@
+"""Compiled kernels that find the nearest missing bin: a breadth-first search in time, over the primitives of the beam."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planners.kernel import inner_kernel, kernel
+from planners.search.heuristic import UNREACHED, backward_wave
+from planners.search.kernel_goals import cell_distance, is_safe_cached
+from planners.search.kernel_world import (
+    MAX_BINS_PER_PRIMITIVE,
+    PrimitiveArrays,
+    SearchWorld,
+    end_state,
+    find_slot,
+    lattice_key,
+    trace_back,
+    try_primitive,
+)
+from planners.search.workspace import GOAL_ROOM, BeamSettings, HeuristicBuffers, Workspace
+from planners.types import Floats, Int32s, Ints
+
+
+@inner_kernel
+def _expand_nearest(
+    node: int,
+    layer: int,
+    n_nodes: int,
+    room: int,
+    settings: BeamSettings,
+    world: SearchWorld,
+    primitives: PrimitiveArrays,
+    workspace: Workspace,
+    covered: Ints,
+) -> tuple[int, bool]:
+    """Add the children of a state.
+
+    Returns
+    -------
+    count of states, -1 if there are too many; and whether a child was left out because its layer is full
+    """
+    at, fill, ring = workspace.places, workspace.pool_sizes, primitives.cost.max() + 1
+    x, y, h, m = at[node, 0], at[node, 1], workspace.headings[node], workspace.modes[node]
+    was_full = False
+    for j in range(primitives.next_mode.shape[1]):
+        if primitives.next_mode[m, j] < 0:
+            continue
+        free, n_covered = try_primitive(x, y, h, m, j, world, primitives, covered)
+        if not free:
+            continue
+        x2, y2, h2, m2 = end_state(x, y, h, m, j, primitives)
+        key = 2 * lattice_key(x2, y2, h2, m2, world, primitives, settings.lattice) + (n_covered > 0)
+        if find_slot(workspace.hash_keys, workspace.stamp[0], workspace.hash_stamps, key) >= 0:
+            continue
+        later = (layer + primitives.cost[m, j]) % ring
+        if n_nodes >= settings.goal_max_states:
+            return -1, was_full
+        if fill[later] >= room:
+            was_full = True
+            continue
+        at[n_nodes, 0], at[n_nodes, 1], workspace.headings[n_nodes], workspace.modes[n_nodes] = x2, y2, h2, m2
+        workspace.parents[n_nodes], workspace.branches[n_nodes], workspace.n_covered[n_nodes] = (
+            node,
+            j,
+            n_covered,
+        )
+        workspace.pool[later, fill[later]] = n_nodes
+        fill[later] += 1
+        n_nodes += 1
+    return n_nodes, was_full
+
+
+@kernel
+def nearest_goal_search(
+    state: Floats,
+    settings: BeamSettings,
+    world: SearchWorld,
+    primitives: PrimitiveArrays,
+    far: Ints,
+    width: int,
+    is_guided: bool,
+    heuristic: HeuristicBuffers,
+    workspace: Workspace,
+    out: Int32s,
+) -> int:
+    """Search breadth first for the nearest missing bin, and write the branches that lead there to `out`.
+
+    Each lattice state is visited once, and once more by a primitive that covers a bin. Of each unit of time, the `width`
+    states nearest to a missing bin are expanded: nearest by the cost-to-go map if `is_guided`, else by cells.
+
+    Returns
+    -------
+    count of branches; 0: no bin can be reached at this resolution; -1: the search gave up
+    """
+    at, hs, ms, gains = workspace.places, workspace.headings, workspace.modes, workspace.n_covered
+    ring, room = primitives.cost.max() + 1, width * GOAL_ROOM
+    pool, fill = workspace.pool, workspace.pool_sizes
+    fill[:] = 0
+    covered = np.empty(MAX_BINS_PER_PRIMITIVE, np.int64)
+    workspace.stamp[0] += 1
+    at[0, 0], at[0, 1], hs[0], ms[0] = state[0], state[1], int(state[2]), int(state[3])
+    workspace.parents[0], gains[0], pool[0, 0], fill[0] = -1, 0, 0, 1
+    n_nodes, is_cut = 1, False
+    for layer in range(settings.goal_horizon):
+        here = pool[layer % ring, : fill[layer % ring]]
+        if fill.sum() == 0:
+            return -1 if is_cut else 0
+        top, chosen = 0, -1
+        for node in here:
+            if gains[node] > top and is_safe_cached(
+                at[node, 0], at[node, 1], hs[node], ms[node], settings, world, primitives, covered
+            ):
+                top, chosen = gains[node], node
+        if chosen >= 0:
+            return trace_back(chosen, workspace.parents, workspace.branches, out)
+        away = np.empty(len(here), np.int64)
+        for o in range(len(here)):
+            node = here[o]
+            if is_guided:
+                away[o] = time_to_goal(at[node, 0], at[node, 1], hs[node], ms[node], world, heuristic)
+            else:
+                away[o] = cell_distance(at[node, 0], at[node, 1], world, far)
+        is_cut = is_cut or len(here) > width
+        for o in np.argsort(away, kind="mergesort")[:width]:
+            n_nodes, was_full = _expand_nearest(
+                here[o], layer, n_nodes, room, settings, world, primitives, workspace, covered
+            )
+            is_cut = is_cut or was_full
+            if n_nodes < 0:
+                return -1
+        fill[layer % ring] = 0
+    return -1
+
+
+@kernel
+def find_nearest_goal(
+    state: Floats,
+    settings: BeamSettings,
+    world: SearchWorld,
+    primitives: PrimitiveArrays,
+    far: Ints,
+    heuristic: HeuristicBuffers,
+    workspace: Workspace,
+    out: Int32s,
+) -> int:
+    """Search for the nearest missing bin: narrowly by the cost-to-go map if the settings say so, else (or then) widely."""
+    if settings.guided_width > 0:
+        update_heuristic(state, world, heuristic)
+        found = nearest_goal_search(
+            state, settings, world, primitives, far, settings.guided_width, True, heuristic, workspace, out
+        )
+        if found > 0:
+            return found
+    return nearest_goal_search(
+        state, settings, world, primitives, far, settings.goal_width, False, heuristic, workspace, out
+    )
+
+
+@inner_kernel
+def update_heuristic(state: Floats, world: SearchWorld, heuristic: HeuristicBuffers) -> None:
+    """Fill the cost-to-go map around a state."""
+    i0, k0 = backward_wave(
+        state[0] - world.x0,
+        state[1] - world.y0,
+        world.need,
+        world.missing,
+        heuristic.lattice,
+        heuristic.cost_to_go,
+        int(state[2]) // heuristic.lattice.steps_per_class,
+        int(state[3]),
+        heuristic.queue,
+        heuristic.next_entry,
+        heuristic.heads,
+    )
+    heuristic.corner[0], heuristic.corner[1] = i0, k0
+
+
+@inner_kernel
+def time_to_goal(x: float, y: float, h: int, m: int, world: SearchWorld, heuristic: HeuristicBuffers) -> int:
+    """Return the units of time to the nearest missing bin; UNREACHED outside of the map."""
+    i = int((x - world.x0) / heuristic.lattice.spacing) - heuristic.corner[0]
+    k = int((y - world.y0) / heuristic.lattice.spacing) - heuristic.corner[1]
+    if i < 0 or k < 0 or i >= heuristic.lattice.side or k >= heuristic.lattice.side:
+        return UNREACHED
+    pose = (i * heuristic.lattice.side + k) * len(
+        heuristic.lattice.bins
+    ) + h // heuristic.lattice.steps_per_class
+    away = int(heuristic.cost_to_go[pose * heuristic.lattice.n_gears + m])
+    return away if away >= 0 else UNREACHED

@@ -1,0 +1,121 @@
+"""What the kernels of a search take: its settings in units of time, and the memory that they write to."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from planners.kernel import inner_kernel
+from planners.search.heuristic import HeuristicLattice
+from planners.search.kernel_world import MAX_BINS_PER_PRIMITIVE, PrimitiveArrays
+from planners.types import Floats, Int16s, Int32s, Ints
+
+GOAL_ROOM = 8
+"""The search for the nearest bin holds so many times its width of states for each unit of time."""
+
+
+class BeamSettings(NamedTuple):
+    """`settings.SearchSettings` as the kernels take them: times in units of the primitives."""
+
+    horizon: int
+    executed: int
+    width: int
+    safe_depth: int
+    """See `MotionPrimitives.safe_depth`."""
+    min_bins: int
+    goal_horizon: int
+    goal_width: int
+    goal_max_states: int
+    discount: float
+    """Per unit of time."""
+    goal_pull: float
+    completion_weight: float
+    overtime: float
+    lattice: float
+    """[m]"""
+    guided_width: int
+
+
+class HeuristicBuffers(NamedTuple):
+    """The cost-to-go map around a car, and the queue by which it is filled."""
+
+    lattice: HeuristicLattice
+    cost_to_go: Int16s
+    """(side * side * n_classes * n_gears,) units of time."""
+    queue: Int32s
+    """(n_entries,) states, as indices of `cost_to_go`."""
+    next_entry: Int32s
+    """(n_entries,) the next entry with the same cost; -1: none."""
+    heads: Int32s
+    """(ring,) the first entry of each cost, costs being taken modulo the length."""
+    corner: Ints
+    """(2,) lattice point of the window's (0, 0)."""
+
+
+class Workspace(NamedTuple):
+    """Memory of the beam and of the search for the nearest bin, allocated once per run; n is the most nodes."""
+
+    places: Floats
+    """(n, 2) [m] of the nodes."""
+    scores: Floats
+    """(n,)"""
+    headings: Int32s
+    """(n,) heading steps."""
+    modes: Int32s
+    """(n,)"""
+    total_covered: Int32s
+    """(n,) bins covered on the way to each node, its own included."""
+    parents: Int32s
+    """(n,) node that each comes from; -1: the root."""
+    branches: Int32s
+    """(n,) primitive that leads to each node."""
+    n_covered: Int32s
+    """(n,) bins that this primitive covers."""
+    covered: Ints
+    """(n, MAX_BINS_PER_PRIMITIVE) flat indices of those bins."""
+    pool: Int32s
+    """(layers, room) nodes that wait for each unit of time."""
+    pool_sizes: Ints
+    """(layers,)"""
+    hash_keys: Ints
+    """(slots,) lattice states seen."""
+    hash_stamps: Ints
+    """(slots,) the search that wrote each slot; others are free."""
+    stamp: Ints
+    """(1,) number of the last search."""
+
+
+@inner_kernel
+def beam_room(width: int, n_branches: int) -> int:
+    """Return how many nodes of a beam may wait for each unit of time.
+
+    Primitives of cars differ in duration, so nodes of several layers wait for the same unit.
+    """
+    return width * n_branches * (2 if n_branches > 3 else 1)
+
+
+def workspace_for(settings: BeamSettings, primitives: PrimitiveArrays) -> Workspace:
+    """Return the memory that searches with these settings need."""
+    n_branches, slowest = primitives.next_mode.shape[1], int(primitives.cost.max())
+    layers = settings.horizon + slowest + 1
+    room = max(beam_room(settings.width, n_branches), settings.goal_width * GOAL_ROOM)
+    most = max(settings.goal_max_states, layers * beam_room(settings.width, n_branches))
+    slots = 1 << int(np.ceil(np.log2(2 * most)))
+    whole = np.empty((6, most), dtype=np.int32)
+    return Workspace(
+        places=np.empty((most, 2)),
+        scores=np.empty(most),
+        headings=whole[0],
+        modes=whole[1],
+        total_covered=whole[2],
+        parents=whole[3],
+        branches=whole[4],
+        n_covered=whole[5],
+        covered=np.empty((most, MAX_BINS_PER_PRIMITIVE), dtype=np.int64),
+        pool=np.empty((layers, room), dtype=np.int32),
+        pool_sizes=np.zeros(layers, dtype=np.int64),
+        hash_keys=np.empty(slots, dtype=np.int64),
+        hash_stamps=np.zeros(slots, dtype=np.int64),
+        stamp=np.zeros(1, dtype=np.int64),
+    )
