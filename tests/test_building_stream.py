@@ -55,7 +55,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream, "PIECE", 90)
     monkeypatch.setattr(stream, "MARGIN", 1_000_000_000)
     for module in (training_data, reduction):
-        monkeypatch.setattr(module, "BLOCK", 128)
+        monkeypatch.setattr(module, "SCANS_PER_BLOCK", 128)
 
 
 def bytes_of(graph, path: Path) -> bytes:
@@ -97,9 +97,9 @@ def test_a_cluster_gives_the_same_bytes(path: Path, tmp_path: Path) -> None:
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
         ) as local,
-        cluster(local.scheduler_address) as spread,
+        cluster(local.scheduler_address) as map_blocks,
     ):
-        graph = build([open_log(path), open_log(path)], names=["a", "b"], spread=spread)
+        graph = build([open_log(path), open_log(path)], names=["a", "b"], map_blocks=map_blocks)
     assert bytes_of(graph, tmp_path / "a") == bytes_of(plain, tmp_path / "b")
 
 

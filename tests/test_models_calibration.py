@@ -11,26 +11,26 @@ from logs.run import RangeSensor
 from planners.maps import geojson
 from sensorgraph.models.base import Scans
 from sensorgraph.models.calibration.calibrate import Calibration
-from sensorgraph.models.calibration.gauge import Gauge, search, settle
+from sensorgraph.models.calibration.gauge import Gauge, estimate_gauge, find_peak
 from sensorgraph.models.calibration.normal_equations import (
     INCIDENCE,
     MOUNT,
     N_COMMON,
-    Normal,
+    NormalEquations,
     Readings,
-    equations,
-    match,
+    match_readings,
+    normal_equations,
     range_change,
-    select,
+    select_terms,
     standard_errors,
 )
-from sensorgraph.models.calibration.pose_refinement import refine, shifted
-from sensorgraph.models.calibration.ray_terms import N_SHARED, POWERS, RayTerms, incidence_bias
+from sensorgraph.models.calibration.pose_refinement import compose_poses, refine_poses
+from sensorgraph.models.calibration.ray_terms import INCIDENCE_POWERS, N_INCIDENCE, RayTerms, incidence_bias
 from sensorgraph.models.faces.forward_selection import Lines
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.reduction import blocks_of
-from sensorgraph.models.faces.visibility import Noise, Rays, faces_of
+from sensorgraph.models.faces.visibility import Rays, ReturnNoise, binned_faces
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast
 
@@ -62,7 +62,7 @@ def true_faces(*, empty: bool = False) -> FaceSet:
         n += [[-1, 0], [1, 0], [0, -1], [0, 1]]
         d += [-x0, x1, -y0, y1]
         ends += [(-y1, -y0), (y0, y1), (x0, x1), (-x1, -x0)]
-    return faces_of(Lines(normals=np.array(n, float), offsets=np.array(d), spans=np.array(ends, float)))
+    return binned_faces(Lines(normals=np.array(n, float), offsets=np.array(d), spans=np.array(ends, float)))
 
 
 def poses_in_room(n: int, rng: np.random.Generator) -> Floats:
@@ -105,20 +105,22 @@ def scans_of(poses: Floats, ranges: Floats, **options: object) -> Scans:
 def planted(rng: np.random.Generator) -> RayTerms:
     n = len(BEARINGS)
     return RayTerms(
-        constant=rng.normal(0, 0.02, n), slope=rng.normal(0.004, 0.002, n), incidence=np.zeros(N_SHARED)
+        constant=rng.normal(0, 0.02, n), slope=rng.normal(0.004, 0.002, n), incidence=np.zeros(N_INCIDENCE)
     )
 
 
-def normal_of(poses: Floats, ranges: Floats, faces: FaceSet) -> Normal:
-    lasers = shifted(poses, STATED)
+def normal_of(poses: Floats, ranges: Floats, faces: FaceSet) -> NormalEquations:
+    lasers = compose_poses(poses, STATED)
     readings = readings_from(ranges)
-    matches = match(readings, lasers, RayTerms.none(len(BEARINGS)), faces, Noise(sigma=0.03), 0.0)
-    return equations(readings, lasers, matches, faces, hold=False)
+    matches = match_readings(
+        readings, lasers, RayTerms.none(len(BEARINGS)), faces, ReturnNoise(sigma=0.03), 0.0
+    )
+    return normal_equations(readings, lasers, matches, faces, hold=False)
 
 
 def test_kernel_of_incidence_terms_agrees_with_the_plain_form() -> None:
     rng = np.random.default_rng(1)
-    terms = RayTerms(constant=np.zeros(1), slope=np.zeros(1), incidence=rng.normal(size=N_SHARED))
+    terms = RayTerms(constant=np.zeros(1), slope=np.zeros(1), incidence=rng.normal(size=N_INCIDENCE))
     for rho, den in zip(rng.uniform(0.1, 9, 50), -rng.uniform(0, 1, 50), strict=True):
         plain = terms.reading(np.array([rho]), np.array([-den]))[0] - rho
         assert incidence_bias(den, rho, terms.incidence) == pytest.approx(plain, abs=1e-12)
@@ -128,20 +130,20 @@ def test_adjustment_recovers_mount_constants_and_slopes_on_known_walls() -> None
     rng = np.random.default_rng(2)
     terms = planted(rng)
     poses, ranges, _ = log(rng, 400, mount=STATED + OFFSET, terms=terms)
-    lasers, faces, noise = shifted(poses, STATED), true_faces(), Noise(sigma=0.05)
+    lasers, faces, noise = compose_poses(poses, STATED), true_faces(), ReturnNoise(sigma=0.05)
     readings, found = readings_from(ranges), RayTerms.none(len(BEARINGS))
     prices = np.zeros(N_COMMON + 2 * len(BEARINGS))
     prices[INCIDENCE] = np.inf
     mount = STATED
     for _ in range(4):  # Gauss-Newton
-        matches = match(readings, lasers, found, faces, noise, 0.0)
-        normal = equations(readings, lasers, matches, faces, hold=True)
+        matches = match_readings(readings, lasers, found, faces, noise, 0.0)
+        normal = normal_equations(readings, lasers, matches, faces, hold=True)
         current = np.concatenate([np.zeros(N_COMMON), found.constant, found.slope])
-        values, chosen, _ = select(normal, current, prices)
-        mount = shifted(mount[None], values[MOUNT])[0]
-        lasers = shifted(poses, mount)
+        values, chosen, _ = select_terms(normal, current, prices)
+        mount = compose_poses(mount[None], values[MOUNT])[0]
+        lasers = compose_poses(poses, mount)
         own = values[N_COMMON:].reshape(2, -1) + values[3:5, None]
-        found = RayTerms(constant=own[0], slope=own[1], incidence=np.zeros(N_SHARED))
+        found = RayTerms(constant=own[0], slope=own[1], incidence=np.zeros(N_INCIDENCE))
     error = mount - STATED - OFFSET
     se = standard_errors(normal, chosen)[MOUNT] * SIGMA / noise.sigma
     assert (np.abs(error) < 4 * se + [3e-4, 3e-4, 1e-4]).all()  # and what few returns of the wrong face do
@@ -156,11 +158,11 @@ def test_selection_takes_planted_terms_and_no_others() -> None:
     truth[[2, 7, 11]] = 0.3, -0.2, 0.15
     y = x @ truth + rng.normal(size=4000)
     empty = np.zeros((0, 2, 20))
-    normal = Normal(
-        matrix=x.T @ x, right=x.T @ y, n_returns=4000.0, of_face=np.zeros((0, 2, 2)), face_right=np.zeros((0, 2)),
+    normal = NormalEquations(
+        matrix=x.T @ x, rhs=x.T @ y, n_returns=4000.0, of_face=np.zeros((0, 2, 2)), face_right=np.zeros((0, 2)),
         across=empty, centre=np.zeros(0), held=np.zeros(0),
     )  # fmt: skip
-    values, chosen, worth = select(normal, np.zeros(20), np.full(20, 0.5 * np.log(4000) + np.log(20)))
+    values, chosen, worth = select_terms(normal, np.zeros(20), np.full(20, 0.5 * np.log(4000) + np.log(20)))
     assert set(np.flatnonzero(chosen)) == {2, 7, 11}
     np.testing.assert_allclose(values, truth, atol=4 / np.sqrt(4000))
     assert worth > 50
@@ -169,8 +171,10 @@ def test_selection_takes_planted_terms_and_no_others() -> None:
 def test_exact_laser_is_worth_no_term() -> None:
     poses, ranges, _ = log(np.random.default_rng(4), 200)
     normal = normal_of(poses, ranges, true_faces())
-    n = len(normal.right)
-    _, chosen, worth = select(normal, np.zeros(n), np.full(n, 0.5 * np.log(normal.n_returns) + np.log(n)))
+    n = len(normal.rhs)
+    _, chosen, worth = select_terms(
+        normal, np.zeros(n), np.full(n, 0.5 * np.log(normal.n_returns) + np.log(n))
+    )
     assert not chosen.any() and worth == 0
 
 
@@ -178,48 +182,48 @@ def test_noisy_poses_come_back_and_their_noise_is_told() -> None:
     rng = np.random.default_rng(5)
     poses, ranges, _ = log(rng, 300)
     off = rng.normal(0, 1, (300, 3)) * [0.01, 0.01, 0.006]
-    readings, lasers = readings_from(ranges), shifted(shifted(poses, STATED), off)
+    readings, lasers = readings_from(ranges), compose_poses(compose_poses(poses, STATED), off)
     faces, shifts = true_faces(), np.zeros((300, 3))
-    for noise in (Noise(sigma=SIGMA, sigma_xy=0.01, sigma_yaw=0.006), Noise(sigma=SIGMA)):
-        here = shifted(lasers, shifts)
-        matches = match(readings, here, RayTerms.none(len(BEARINGS)), faces, noise, 0.0)
-        better = refine(readings, here, matches, faces, shifts, SIGMA)
+    for noise in (ReturnNoise(sigma=SIGMA, sigma_xy=0.01, sigma_yaw=0.006), ReturnNoise(sigma=SIGMA)):
+        here = compose_poses(lasers, shifts)
+        matches = match_readings(readings, here, RayTerms.none(len(BEARINGS)), faces, noise, 0.0)
+        better = refine_poses(readings, here, matches, faces, shifts, SIGMA)
         shifts = better.shifts
     assert better.sigma_xy == pytest.approx(0.01, rel=0.15)  # 600 numbers: 3 %; some returns are gated
     assert better.sigma_yaw == pytest.approx(0.006, rel=0.2)
-    left = shifted(lasers, shifts) - shifted(poses, STATED)
+    left = compose_poses(lasers, shifts) - compose_poses(poses, STATED)
     assert np.median(np.hypot(left[:, 0], left[:, 1])) < 0.002  # 61 returns of 5 mm: 1.3 mm
 
 
 def test_exact_poses_are_not_worth_refining() -> None:
     poses, ranges, _ = log(np.random.default_rng(6), 200)
-    readings, lasers = readings_from(ranges), shifted(poses, STATED)
-    matches = match(readings, lasers, RayTerms.none(61), true_faces(), Noise(sigma=SIGMA), 0.0)
-    better = refine(readings, lasers, matches, true_faces(), np.zeros((200, 3)), SIGMA)
-    assert better.nats < 0 and better.sigma_xy < 0.001
+    readings, lasers = readings_from(ranges), compose_poses(poses, STATED)
+    matches = match_readings(readings, lasers, RayTerms.none(61), true_faces(), ReturnNoise(sigma=SIGMA), 0.0)
+    better = refine_poses(readings, lasers, matches, true_faces(), np.zeros((200, 3)), SIGMA)
+    assert better.log_evidence < 0 and better.sigma_xy < 0.001
 
 
 @pytest.mark.parametrize("top", [0.0042, -0.011, 0.019])
 def test_search_finds_a_lopsided_cusp(top: float) -> None:
-    found = search(lambda x: -2e5 * abs(x - top) * (2 if x > top else 1), reach=0.012)
+    found = find_peak(lambda x: -2e5 * abs(x - top) * (2 if x > top else 1), reach=0.012)
     assert found.shift == pytest.approx(top, abs=0.0005) and found.width < 0.0005
 
 
 @pytest.mark.parametrize("slope", [0.0, 2e5])
 def test_search_without_a_peak_is_not_observed(slope: float) -> None:
-    assert not search(lambda x: slope * x, reach=0.012).is_observed
+    assert not find_peak(lambda x: slope * x, reach=0.012).is_observed
 
 
 def gauge_of(wrong: float, *, empty: bool) -> Gauge:
     """Search from walls that all sit `wrong` [m] too near, with ranges that agree with them."""
     rng = np.random.default_rng(7)
     poses, ranges, _ = log(rng, 500, empty=empty)
-    faces, noise = true_faces(empty=empty), Noise(sigma=SIGMA)
-    readings, lasers = readings_from(ranges), shifted(poses, STATED)
-    right = match(readings, lasers, RayTerms.none(61), faces, noise, 0.0)
+    faces, noise = true_faces(empty=empty), ReturnNoise(sigma=SIGMA)
+    readings, lasers = readings_from(ranges), compose_poses(poses, STATED)
+    right = match_readings(readings, lasers, RayTerms.none(61), faces, noise, 0.0)
     off = readings_from((ranges.ravel() + range_change(right, wrong)).reshape(ranges.shape))
     near = faces._replace(offsets=faces.offsets + wrong)
-    matches = match(off, lasers, RayTerms.none(61), near, noise, 0.0)
+    matches = match_readings(off, lasers, RayTerms.none(61), near, noise, 0.0)
     angle = lasers[off.scan, 2] + BEARINGS[off.ray]
     rays = Rays(
         origins=lasers[off.scan, :2],
@@ -227,7 +231,7 @@ def gauge_of(wrong: float, *, empty: bool) -> Gauge:
         ranges=matches.ranges,
         range_max=10.0,
     )
-    return settle(rays, matches, near, noise, reach=0.012)
+    return estimate_gauge(rays, matches, near, noise, reach=0.012)
 
 
 @pytest.mark.parametrize("wrong", [-0.006, 0.005])
@@ -260,7 +264,7 @@ def test_calibration_survives_its_file() -> None:
 def test_uncalibrated_laser_is_identified_with_its_faces() -> None:
     rng = np.random.default_rng(9)
     terms = planted(rng)
-    terms.incidence[POWERS.index((2, 1))] = 0.03
+    terms.incidence[INCIDENCE_POWERS.index((2, 1))] = 0.03
     poses, ranges, _ = log(rng, 1500, mount=STATED + OFFSET, terms=terms)
     model = Faces.fit(scans_of(poses, ranges))
     fresh, _, exact = log(rng, 300, mount=STATED + OFFSET, terms=terms)

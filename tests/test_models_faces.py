@@ -14,9 +14,9 @@ from planners.maps import geojson
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Scans
-from sensorgraph.models.faces.hit_moments import Surfaces
+from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.model import Faces
-from sensorgraph.models.faces.ray_march import ROOM, FaceSet, gather, index
+from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid, crossed_faces
 from sensorgraph.planning.views import choose_views
 from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import arena_of
@@ -157,9 +157,9 @@ def test_march_lists_the_crossings_that_all_faces_against_all_rays_give() -> Non
         blur=np.zeros(2 * k),
         neighbour=np.full(2 * k, -1, dtype=np.intp),
     )
-    buckets = index(faces)
-    r, t = np.empty(ROOM), np.empty(ROOM)
-    f, j = np.empty(ROOM, dtype=np.int64), np.empty(ROOM, dtype=np.int64)
+    buckets = bucket_grid(faces)
+    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    f, j = np.empty(CANDIDATE_SLOTS, dtype=np.int64), np.empty(CANDIDATE_SLOTS, dtype=np.int64)
     crossings = 0
     for _ in range(400):
         q, theta = rng.uniform(-1, 7, 2), rng.uniform(-np.pi, np.pi)
@@ -168,7 +168,7 @@ def test_march_lists_the_crossings_that_all_faces_against_all_rays_give() -> Non
         rho = (faces.offsets - normals @ q) / den
         s = (tangents * (q + rho[:, None] * u)).sum(axis=1)
         seen = np.flatnonzero((den < -1e-6) & (rho > 0) & (rho < 9) & (np.abs(s - centre) < half))
-        n = gather(q[0], q[1], u[0], u[1], 9.0, 0.0, faces, buckets, r, f, j, t)
+        n = crossed_faces(q[0], q[1], u[0], u[1], 9.0, 0.0, faces, buckets, r, f, j, t)
         inside = [i for i in range(n) if j[i] == 2 * f[i]]  # not only in the margin
         assert f[inside].tolist() == seen[np.argsort(rho[seen])].tolist()
         np.testing.assert_allclose(r[inside], np.sort(rho[seen]), rtol=1e-12)
@@ -179,8 +179,8 @@ def test_march_lists_the_crossings_that_all_faces_against_all_rays_give() -> Non
 def test_pooled_moments_add_up() -> None:
     rng = np.random.default_rng(7)
     points, ways = rng.uniform(-3, 3, (5000, 2)), rng.normal(size=(5000, 2))
-    whole = Surfaces.of(points, ways)
-    parts = Surfaces.of(points[:1234], ways[:1234]).merge(Surfaces.of(points[1234:], ways[1234:]))
+    whole = HitMoments.of(points, ways)
+    parts = HitMoments.of(points[:1234], ways[:1234]).merge(HitMoments.of(points[1234:], ways[1234:]))
     np.testing.assert_array_equal(whole.cells, parts.cells)
     np.testing.assert_allclose(whole.moments, parts.moments, atol=1e-12)
     assert whole.counts.sum() == 5000

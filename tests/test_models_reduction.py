@@ -11,8 +11,8 @@ from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.models.base import Scans
 from sensorgraph.models.faces import reduction
-from sensorgraph.models.faces.hit_moments import Surfaces
-from sensorgraph.models.faces.observed_space import Crossed
+from sensorgraph.models.faces.hit_moments import HitMoments
+from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.reduction import Reduction, blocks_of, reduce_blocks
 from sensorgraph.world.raycast import cast
 
@@ -29,9 +29,9 @@ def scans(room: Arena, sensor: RangeSensor) -> Scans:
     return Scans(sensor=sensor, poses=poses, ranges=ranges, run=np.zeros(500, dtype=np.intp))
 
 
-def reduce(scans: Scans, size: int, spread=map) -> Reduction:
+def reduce(scans: Scans, size: int, map_blocks=map) -> Reduction:
     left = reduce_blocks(
-        blocks_of(scans, size=size), mount=scans.laser_mount, n_rays=scans.ranges.size, spread=spread
+        blocks_of(scans, size=size), mount=scans.laser_mount, n_rays=scans.ranges.size, map_blocks=map_blocks
     )
     assert left is not None
     return left
@@ -40,22 +40,22 @@ def reduce(scans: Scans, size: int, spread=map) -> Reduction:
 def test_counts_are_those_of_a_plain_count(scans: Scans) -> None:
     left = reduce(scans, 500)
     assert left.n_rays == (scans.ranges > 0).sum()
-    assert left.n_returns == left.surfaces.counts.sum() == np.isfinite(scans.ranges).sum()
+    assert left.n_returns == left.hit_moments.counts.sum() == np.isfinite(scans.ranges).sum()
     assert len(left.sample) == left.n_rays
 
 
 @pytest.mark.parametrize("size", [1, 77, 499])
 def test_blocks_of_any_size_leave_the_same(scans: Scans, size: int) -> None:
     whole, parts = reduce(scans, 500), reduce(scans, size)
-    np.testing.assert_array_equal(parts.surfaces.cells, whole.surfaces.cells)
-    np.testing.assert_allclose(parts.surfaces.moments, whole.surfaces.moments, rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(parts.hit_moments.cells, whole.hit_moments.cells)
+    np.testing.assert_allclose(parts.hit_moments.moments, whole.hit_moments.moments, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(parts.sample.ranges, whole.sample.ranges)
     np.testing.assert_array_equal(parts.sample.poses, whole.sample.poses)
-    assert parts.crossed.counts.sum() == whole.crossed.counts.sum()
+    assert parts.observed.counts.sum() == whole.observed.counts.sum()
 
 
 def test_the_sample_is_the_same_share_of_every_part(scans: Scans, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reduction, "MOST_SAMPLED", 6000)
+    monkeypatch.setattr(reduction, "MAX_SAMPLED_RAYS", 6000)
     a, b = reduce(scans, 500), reduce(scans, 61)
     np.testing.assert_array_equal(a.sample.beams, b.sample.beams)
     n = a.n_rays * 6000 / scans.ranges.size
@@ -74,14 +74,14 @@ def test_sample_gives_the_rays_of_the_mounted_laser(scans: Scans) -> None:
 def test_surfaces_merge_to_what_all_hits_give() -> None:
     rng = np.random.default_rng(1)
     points, along = rng.uniform(-1, 1, (4000, 2)), rng.normal(size=(4000, 2))
-    whole = Surfaces.of(points, along)
-    merged = Surfaces.of(points[:1500], along[:1500]).merge(Surfaces.of(points[1500:], along[1500:]))
+    whole = HitMoments.of(points, along)
+    merged = HitMoments.of(points[:1500], along[:1500]).merge(HitMoments.of(points[1500:], along[1500:]))
     np.testing.assert_array_equal(merged.cells, whole.cells)
     np.testing.assert_allclose(merged.moments, whole.moments, atol=1e-12)
 
 
 def test_crossed_grids_of_other_cells_merge_into_the_coarser(scans: Scans) -> None:
-    fine = reduce(scans, 500).crossed
+    fine = reduce(scans, 500).observed
     coarse = fine.coarser()
     assert coarse.cell == 2 * fine.cell
     assert coarse.counts[coarse.counts < 255].sum() <= fine.counts.sum()
@@ -95,7 +95,7 @@ def test_crossed_grids_of_other_cells_merge_into_the_coarser(scans: Scans) -> No
 
 def test_far_rays_make_cells_coarser_not_memory_larger() -> None:
     origins = np.array([[0.0, 0.0], [50_000.0, 30_000.0]])
-    grid = Crossed.of(origins, np.array([[1.0, 0.0], [0.0, 1.0]]), np.full(2, 5.0))
+    grid = ObservedSpace.of(origins, np.array([[1.0, 0.0], [0.0, 1.0]]), np.full(2, 5.0))
     assert grid.counts.size < 1 << 27
     assert grid.supports(origins, np.array([[1.0, 0.0], [0.0, 1.0]]), np.full(2, 4.0)).all()
 
@@ -104,14 +104,14 @@ def test_nothing_is_left_of_nothing(scans: Scans) -> None:
     assert reduce_blocks([], mount=np.zeros(3), n_rays=0) is None
     blind = replace(scans, ranges=np.full_like(scans.ranges, np.inf))
     left = reduce(blind, 100)
-    assert left.n_returns == 0 and len(left.surfaces.cells) == 0
+    assert left.n_returns == 0 and len(left.hit_moments.cells) == 0
 
 
 def test_jumping_through_crossed_space_agrees_with_a_walk_in_small_steps() -> None:
     rng = np.random.default_rng(12)
     counts = np.ones((60, 50), dtype=np.uint8)
     counts[tuple(rng.integers(0, (60, 50), (40, 2)).T)] = 0
-    grid = Crossed(origin=np.array([-2.0, -1.5]), cell=0.1, counts=counts)
+    grid = ObservedSpace(origin=np.array([-2.0, -1.5]), cell=0.1, counts=counts)
     origins = rng.uniform([-1.9, -1.4], [3.9, 3.4], (3000, 2))
     turn = rng.uniform(-np.pi, np.pi, 3000)
     turn[:40] = np.repeat([0.0, np.pi / 2, np.pi, -np.pi / 2], 10)

@@ -16,7 +16,7 @@ from sensorgraph.cli import run as command
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces.ray_march import FaceSet
-from sensorgraph.models.faces.sufficient_statistics import rebased
+from sensorgraph.models.faces.sufficient_statistics import rebase_line_sums
 from sensorgraph.world.raycast import cast
 
 BOX = [(1.0, 1.0), (1.4, 1.0), (1.4, 1.4), (1.0, 1.4)]
@@ -68,7 +68,7 @@ def test_sums_about_a_moved_line_are_those_taken_there() -> None:
         return np.array([[row.sum() for row in rows]])
 
     a, b = face(0.3, 1.2), face(0.34, 1.1)
-    np.testing.assert_allclose(rebased(sums(a), a, b), sums(b), rtol=1e-9)
+    np.testing.assert_allclose(rebase_line_sums(sums(a), a, b), sums(b), rtol=1e-9)
 
 
 def test_more_of_the_same_makes_it_better(first: Sensorgraph, room: Arena, sensor: RangeSensor) -> None:

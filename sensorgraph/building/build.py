@@ -18,7 +18,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import Model
 from sensorgraph.models.faces.model import Faces
-from sensorgraph.models.faces.reduction import Spread
+from sensorgraph.models.faces.reduction import MapBlocks
 from sensorgraph.types import Bools, Floats, Progress
 from sensorgraph.version import __version__
 
@@ -32,7 +32,7 @@ def build(
     model: str = "faces",
     split: str | None = None,
     names: Sequence[str] | None = None,
-    spread: Spread = map,
+    map_blocks: MapBlocks = map,
     update: Sensorgraph | None = None,
     progress: Progress | None = None,
     **options: Any,
@@ -46,7 +46,7 @@ def build(
     model : a name in MODELS
     names : what to call each run in messages and in the graph; None: the file it says it came from
     split : `every10` or `block` hold scans out of each run; the graph remembers it
-    spread : where blocks of scans are reduced; `map`: here. See `sensorgraph.building.dask_cluster`
+    map_blocks : where blocks of scans are reduced; `map`: here. See `sensorgraph.building.dask_cluster`
     update : a graph of faces to which the runs are added; its own runs are not needed
     options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
     """
@@ -57,8 +57,8 @@ def build(
     _check_alike([source.head for source in sources], names)
     feed = Feed(sources, names, split=split, bounds=None if arena is None else arena.bounds)
     if update is not None:
-        return _updated(update, feed, spread, progress, options)
-    fitted = _fit(feed, MODELS[model], spread, progress, options)
+        return _updated(update, feed, map_blocks, progress, options)
+    fitted = _fit(feed, MODELS[model], map_blocks, progress, options)
     origin = {
         "software": __version__,
         "inputs": feed.entries,
@@ -70,7 +70,7 @@ def build(
 
 
 def _fit(
-    feed: Feed, model: type[Model], spread: Spread, progress: Progress | None, options: dict[str, Any]
+    feed: Feed, model: type[Model], map_blocks: MapBlocks, progress: Progress | None, options: dict[str, Any]
 ) -> Model:
     """Fit a model to blocks, if it can take them one after the other, else to all scans together."""
     if issubclass(model, Faces) and not options.keys() - {"calibrate", "cells"}:
@@ -83,7 +83,7 @@ def _fit(
                 feed.sensor,
                 mount,
                 n_scans=feed.n_scans,
-                spread=spread,
+                map_blocks=map_blocks,
                 can_mount=feed.pose_frame != "laser",
                 progress=progress,
                 **own,
@@ -102,7 +102,7 @@ def _fit(
 
 
 def _updated(
-    graph: Sensorgraph, feed: Feed, spread: Spread, progress: Progress | None, options: dict[str, Any]
+    graph: Sensorgraph, feed: Feed, map_blocks: MapBlocks, progress: Progress | None, options: dict[str, Any]
 ) -> Sensorgraph:
     """Add the runs of a feed to a graph."""
     model = graph.model
@@ -122,7 +122,7 @@ def _updated(
         raise SensorgraphError(
             f"the graph was built with split {graph.origin['split']}; update it with the same"
         )
-    fitted = model.updated(feed, n_scans=feed.n_scans, spread=spread, progress=progress)
+    fitted = model.updated(feed, n_scans=feed.n_scans, map_blocks=map_blocks, progress=progress)
     _check_enough(feed)
     known = {entry["sha256"] for entry in graph.origin["inputs"]}
     for entry in feed.entries:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.faces.reduction import Block, Reduction, Spread
+from sensorgraph.models.faces.reduction import Block, MapBlocks, Reduction
 
 TIMEOUT = 10.0  # [s] to find the scheduler
 AHEAD = 2
@@ -16,7 +16,7 @@ AHEAD = 2
 
 
 @contextmanager
-def cluster(address: str) -> Iterator[Spread]:
+def cluster(address: str) -> Iterator[MapBlocks]:
     """Yield a `map` that a Dask cluster does, whose scheduler is at `address`, for example tcp://10.0.0.5:8786."""
     try:
         from distributed import Client
@@ -37,7 +37,7 @@ def cluster(address: str) -> Iterator[Spread]:
                 f"--dask {address}: the scheduler has no workers; start some with `dask worker`"
             )
 
-        def spread(function: Callable[[Block], Reduction], items: Iterable[Block]) -> Iterator[Reduction]:
+        def map_blocks(function: Callable[[Block], Reduction], items: Iterable[Block]) -> Iterator[Reduction]:
             waiting = deque[Any]()
             for item in items:
                 waiting.append(client.submit(function, item, pure=False))
@@ -46,4 +46,4 @@ def cluster(address: str) -> Iterator[Spread]:
             while waiting:
                 yield waiting.popleft().result()
 
-        yield spread
+        yield map_blocks

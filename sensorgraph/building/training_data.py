@@ -15,7 +15,7 @@ from logs.stream import LogStream
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Scans
-from sensorgraph.models.faces.reduction import BLOCK, Block
+from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.orientation import orientation
 
@@ -65,11 +65,11 @@ class Feed:
             for run in log.pieces():
                 rows.append(intake.take(run))
                 waiting += len(rows[-1][0])
-                while waiting >= BLOCK:
+                while waiting >= SCANS_PER_BLOCK:
                     poses, ranges = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-                    yield self._block(first, i, poses[:BLOCK], ranges[:BLOCK])
-                    first, waiting = first + BLOCK, waiting - BLOCK
-                    rows = [(poses[BLOCK:], ranges[BLOCK:])]
+                    yield self._block(first, i, poses[:SCANS_PER_BLOCK], ranges[:SCANS_PER_BLOCK])
+                    first, waiting = first + SCANS_PER_BLOCK, waiting - SCANS_PER_BLOCK
+                    rows = [(poses[SCANS_PER_BLOCK:], ranges[SCANS_PER_BLOCK:])]
             if waiting:
                 poses, ranges = (np.concatenate(parts) for parts in zip(*rows, strict=True))
                 yield self._block(first, i, poses, ranges)

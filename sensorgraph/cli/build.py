@@ -99,7 +99,7 @@ def build(
             robot, [(str(path), log.head.sensor) for path, log in zip(runs, loaded, strict=True)]
         )
     with (
-        cluster(dask) if dask is not None else nullcontext(map) as spread,
+        cluster(dask) if dask is not None else nullcontext(map) as map_blocks,
         progress("building", "blocks") as tick,
     ):
         graph = build_graph(
@@ -108,7 +108,7 @@ def build(
             model=model,
             split=split,
             names=[path.name for path in runs],
-            spread=spread,
+            map_blocks=map_blocks,
             update=known,
             progress=tick,
             **options,

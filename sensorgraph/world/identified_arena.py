@@ -16,7 +16,7 @@ from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces.model import Faces
-from sensorgraph.models.faces.observed_space import Crossed
+from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.types import Floats, Ints
 
 LEAST = 0.5
@@ -54,7 +54,7 @@ def arena_of(graph: Sensorgraph) -> Arena:
         name = "room" if place == 0 else f"thing_{place}"
         names += [f"{name}/edge_{i}" for i in range(int((thing == k).sum()))]
     return Arena(
-        free=_free(model.crossed, walls, normals),
+        free=_free(model.observed, walls, normals),
         walls=walls[order],
         names=tuple(names),
         surfaces=("wall",) * len(walls),
@@ -101,7 +101,7 @@ def _linked(points: Floats, distance: float) -> tuple[int, Ints]:
     return int(count), np.asarray(group, dtype=np.intp)
 
 
-def _free(crossed: Crossed, walls: Floats, normals: Floats) -> Polygon | MultiPolygon:
+def _free(crossed: ObservedSpace, walls: Floats, normals: Floats) -> Polygon | MultiPolygon:
     """Return the crossed cells, a little wider, without what lies behind walls."""
     i, j = np.nonzero(crossed.counts)
     x, y = crossed.origin[0] + i * crossed.cell, crossed.origin[1] + j * crossed.cell

@@ -17,52 +17,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor
-from sensorgraph.models.calibration.gauge import Gauge, settle
+from sensorgraph.models.calibration.gauge import Gauge, estimate_gauge
 from sensorgraph.models.calibration.normal_equations import (
     COMMON,
     INCIDENCE,
+    MAX_RAY_BIAS,
     MOUNT,
     N_COMMON,
-    REACH,
     Matches,
-    Normal,
+    NormalEquations,
     Readings,
     directions_of,
-    equations,
-    match,
+    match_readings,
     mean_incidence,
-    moved,
+    normal_equations,
     range_change,
-    select,
+    select_terms,
     standard_errors,
+    step_faces,
 )
-from sensorgraph.models.calibration.pose_refinement import Refined, refine, shifted
+from sensorgraph.models.calibration.pose_refinement import RefinedPoses, compose_poses, refine_poses
 from sensorgraph.models.calibration.ray_terms import RayTerms
 from sensorgraph.models.faces.fit import FittedFaces, draft_faces, fit_faces
-from sensorgraph.models.faces.observed_space import Crossed
+from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import FaceSet
-from sensorgraph.models.faces.reduction import Sample
-from sensorgraph.models.faces.visibility import Noise, Rays
+from sensorgraph.models.faces.reduction import RaySample
+from sensorgraph.models.faces.visibility import Rays, ReturnNoise
 from sensorgraph.types import Floats
 
 logger = logging.getLogger(__name__)
 
-COARSE = (0.025, 0.015)
+COARSE_SIGMAS = (0.025, 0.015)
 """[m] what returns may be off by in the first rounds."""
-FINE = 0.012
+FINE_SIGMA = 0.012
 """[m] what they may be off by afterwards."""
 GAUGE_READINGS = 250_000
-LOOK_READINGS = 250_000
+PROBE_READINGS = 250_000
 """Readings of whole scans in which a calibration that is worth its price in all shows, if only faintly."""
-REACHES = (0.012, 0.003)
+GAUGE_REACHES = (0.012, 0.003)
 """[m] of the searches for the walls' common shift."""
-WORTH = 20.0
+MIN_GAIN = 20.0
 """[nats] that calibration must be worth beyond the price of its terms."""
-FARTHEST = (0.10, 0.10)
+MAX_POSE_NOISE = (0.10, 0.10)
 """[m, rad] noise of poses beyond which the log is broken (mirrored, other units) and no small step mends it."""
-MOST_OFFSET, MOST_TURN, MOST_SLOPE = 0.5, 0.35, 0.1
+MAX_OFFSET, MAX_TURN, MAX_SLOPE = 0.5, 0.35, 0.1
 """[m], [rad] and metres a metre that a laser is off at most."""
-SHARE = 0.01
+MIN_GAIN_PER_READING = 0.01
 """[nats] a reading that ray terms must be worth: a seventh of the noise, rms; clutter feigns less than that."""
 
 
@@ -109,10 +109,10 @@ class Calibration:
     def is_plausible(self) -> bool:
         """Tell whether such a laser may exist; a log whose poses and scans do not belong together gives another."""
         return bool(
-            np.hypot(*self.offset[:2]) < MOST_OFFSET
-            and abs(self.offset[2]) < MOST_TURN
-            and np.abs(self.terms.constant).max() < REACH
-            and np.abs(self.terms.slope).max() < MOST_SLOPE
+            np.hypot(*self.offset[:2]) < MAX_OFFSET
+            and abs(self.offset[2]) < MAX_TURN
+            and np.abs(self.terms.constant).max() < MAX_RAY_BIAS
+            and np.abs(self.terms.slope).max() < MAX_SLOPE
         )
 
     def summary(self) -> dict[str, str]:
@@ -128,7 +128,7 @@ class Calibration:
         if self.gauge is not None:
             g = self.gauge
             out["walls against a common bias"] = (
-                f"moved by {1e3 * g.shift:+.2f} ± {1e3 * g.width:.2f} mm to where occlusion edges are sharpest"
+                f"moved by {1e3 * g.shift:+.2f} ± {1e3 * g.stderr:.2f} mm to where occlusion edges are sharpest"
                 if g.is_observed
                 else "not observable in this room: no occlusion edges; walls may all sit some mm too near or far"
             )
@@ -153,7 +153,7 @@ class Calibration:
         """Return plain data and arrays that hold all."""
         gauge = None
         if self.gauge is not None:
-            gauge = [self.gauge.shift, self.gauge.width if self.gauge.is_observed else None]
+            gauge = [self.gauge.shift, self.gauge.stderr if self.gauge.is_observed else None]
         header = {
             "can_mount": self.can_mount,
             "n_own": self.n_own,
@@ -182,7 +182,7 @@ class Calibration:
         gauge = None
         if header["gauge"] is not None:
             shift, width = header["gauge"]
-            gauge = Gauge(shift=float(shift), width=np.inf if width is None else float(width))
+            gauge = Gauge(shift=float(shift), stderr=np.inf if width is None else float(width))
         return cls(
             terms=RayTerms(**{name: found[name] for name in ("constant", "slope", "incidence")}),
             offset=found["offset"],
@@ -196,7 +196,7 @@ class Calibration:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Identified:
+class CalibratedFaces:
     """Faces and the laser that saw them."""
 
     fitted: FittedFaces
@@ -207,7 +207,7 @@ class Identified:
     """(3,) [m, m, rad] laser in the frame of the poses."""
 
 
-def readings_of(sample: Sample, sensor: RangeSensor) -> tuple[Readings, Floats]:
+def readings_of(sample: RaySample, sensor: RangeSensor) -> tuple[Readings, Floats]:
     """Tell which scan each ray of a sample comes from; return readings and the poses (n_scans, 3) of the scans."""
     new = np.ones(len(sample), dtype=np.bool_)
     new[1:] = (sample.poses[1:] != sample.poses[:-1]).any(axis=1)
@@ -221,36 +221,41 @@ def readings_of(sample: Sample, sensor: RangeSensor) -> tuple[Readings, Floats]:
     return readings, sample.poses[new]
 
 
-def crossed_by(rays: Rays) -> Crossed:
+def observed_by(rays: Rays) -> ObservedSpace:
     """Count the space that corrected rays went through."""
     reach = np.where(np.isfinite(rays.ranges), rays.ranges, rays.range_max)
-    return Crossed.of(rays.origins, rays.directions, reach)
+    return ObservedSpace.of(rays.origins, rays.directions, reach)
 
 
-def corrected(
-    sample: Sample, sensor: RangeSensor, mount: Floats, calibration: Calibration, faces: FaceSet, noise: Noise
+def corrected_rays(
+    sample: RaySample,
+    sensor: RangeSensor,
+    mount: Floats,
+    calibration: Calibration,
+    faces: FaceSet,
+    noise: ReturnNoise,
 ) -> Rays:
     """Return the rays of a sample as they are by what was identified before: ray terms off, poses as they came."""
     rays = sample.rays(sensor, mount)
     if calibration.terms.is_none:
         return rays
     readings, poses = readings_of(sample, sensor)
-    lasers = shifted(poses, mount)
-    first = match(readings, lasers, calibration.terms, faces, noise, 0.0)
-    typical = mean_incidence(first, calibration.terms)
-    found = match(readings, lasers, calibration.terms, faces, noise, typical)
+    lasers = compose_poses(poses, mount)
+    first = match_readings(readings, lasers, calibration.terms, faces, noise, 0.0)
+    mean_bias = mean_incidence(first, calibration.terms)
+    found = match_readings(readings, lasers, calibration.terms, faces, noise, mean_bias)
     return replace(rays, ranges=found.ranges)
 
 
-def identify(
-    sample: Sample,
+def calibrate_faces(
+    sample: RaySample,
     sensor: RangeSensor,
     mount: Floats,
     fitted: FittedFaces,
     *,
     can_mount: bool = True,
     calibrate: bool | None = None,
-) -> Identified:
+) -> CalibratedFaces:
     """Identify the laser that took a sample, and the faces anew with it, where that is worth it.
 
     Parameters
@@ -261,14 +266,16 @@ def identify(
     calibrate : None: decide by evidence; True and False: always, never
     """
     readings, poses = readings_of(sample, sensor)
-    work = _Work(readings, poses, mount, can_mount=can_mount)
+    work = _JointCalibration(readings, poses, mount, can_mount=can_mount)
     work.take(fitted)
     if calibrate is not False and work.is_worth(force=calibrate is True):
         found = work.run()
-        if found.calibration.is_plausible and _nats_a_ray(found.fitted) > _nats_a_ray(fitted):
+        if found.calibration.is_plausible and _log_likelihood_per_ray(found.fitted) > _log_likelihood_per_ray(
+            fitted
+        ):
             return found
         logger.info("calibration is absurd or explains no more than none: left out")
-    return Identified(
+    return CalibratedFaces(
         fitted=fitted,
         calibration=Calibration.none(sensor.n_rays, can_mount=can_mount),
         rays=sample.rays(sensor, mount),
@@ -276,11 +283,11 @@ def identify(
     )
 
 
-def _nats_a_ray(fitted: FittedFaces) -> float:
-    return fitted.seen.nats / max(fitted.n_rays, 1)
+def _log_likelihood_per_ray(fitted: FittedFaces) -> float:
+    return fitted.expectation.log_likelihood / max(fitted.n_rays, 1)
 
 
-class _Work:
+class _JointCalibration:
     """What is known so far: mount, poses, terms, faces and noise."""
 
     def __init__(self, readings: Readings, poses: Floats, mount: Floats, *, can_mount: bool) -> None:
@@ -288,7 +295,7 @@ class _Work:
         self.stated, self.mount = mount, mount.copy()
         self.shifts = np.zeros_like(poses)
         self.terms = RayTerms.none(len(readings.bearings))
-        self.typical = 0.0
+        self.mean_bias = 0.0
         self.is_amiss = False
         self.has_mount = False
         self.own = np.zeros((2, len(readings.bearings)), dtype=np.bool_)
@@ -296,12 +303,12 @@ class _Work:
         self.gauge: Gauge | None = None
         self.pose_noise = (0.0, 0.0)
         self.faces: FaceSet
-        self.noise: Noise
+        self.noise: ReturnNoise
 
     @property
     def lasers(self) -> Floats:
         """(n_scans, 3) by mount and refined poses."""
-        return shifted(shifted(self.poses, self.mount), self.shifts)
+        return compose_poses(compose_poses(self.poses, self.mount), self.shifts)
 
     def rays(self, readings: Readings, ranges: Floats) -> Rays:
         origins, directions = directions_of(readings, self.lasers)
@@ -315,8 +322,8 @@ class _Work:
     def match(self, readings: Readings | None = None) -> Matches:
         """Match readings to faces; the mean incidence term follows."""
         readings = self.readings if readings is None else readings
-        found = match(readings, self.lasers, self.terms, self.faces, self.noise, self.typical)
-        self.typical = mean_incidence(found, self.terms)
+        found = match_readings(readings, self.lasers, self.terms, self.faces, self.noise, self.mean_bias)
+        self.mean_bias = mean_incidence(found, self.terms)
         return found
 
     def is_worth(self, *, force: bool) -> bool:
@@ -325,62 +332,62 @@ class _Work:
         Noise of a pose moves all returns of a scan together, and many such scans look like terms that are not
         there. So the mount counts against the poses' noise, and all others after the poses were refined.
         """
-        if self.noise.sigma_xy > FARTHEST[0] or self.noise.sigma_yaw > FARTHEST[1]:
+        if self.noise.sigma_xy > MAX_POSE_NOISE[0] or self.noise.sigma_yaw > MAX_POSE_NOISE[1]:
             logger.info("calibration: returns and poses do not belong together: %s", self.noise)
             return False
         everything = self.readings
-        if not force and len(everything) > 2 * LOOK_READINGS:
-            self.readings = _whole_scans(everything, LOOK_READINGS)
+        if not force and len(everything) > 2 * PROBE_READINGS:
+            self.readings = _whole_scans(everything, PROBE_READINGS)
             mount, terms, better = self._paying()
             self.readings = everything
-            if max(mount, terms, better.nats) <= 0:
+            if max(mount, terms, better.log_evidence) <= 0:
                 return False
         mount, terms, better = self._paying()
-        if better.nats > WORTH:
+        if better.log_evidence > MIN_GAIN:
             self.shifts, self.pose_noise = better.shifts, (better.sigma_xy, better.sigma_yaw)
-        least = max(WORTH, SHARE * len(self.readings))
-        self.is_amiss = force or mount > WORTH or terms > least
-        return self.is_amiss or better.nats > WORTH
+        least = max(MIN_GAIN, MIN_GAIN_PER_READING * len(self.readings))
+        self.is_amiss = force or mount > MIN_GAIN or terms > least
+        return self.is_amiss or better.log_evidence > MIN_GAIN
 
-    def _paying(self) -> tuple[float, float, Refined]:
+    def _paying(self) -> tuple[float, float, RefinedPoses]:
         """Return the nats of the mount against the noise of the poses, of all other terms, and better poses."""
         better = self._poses(self.match())
         mount = self._found(better)[0] if self.can_mount else 0.0
         kept = self.shifts
-        if better.nats > WORTH:
+        if better.log_evidence > MIN_GAIN:
             self.shifts = better.shifts
         terms = self._found(better)[1]
         self.shifts = kept
         logger.info(
             "calibration: mount %.0f, terms %.0f, poses %.0f nats (%.2f mm, %.3f mrad)",
-            mount, terms, better.nats, 1e3 * better.sigma_xy, 1e3 * better.sigma_yaw,
+            mount, terms, better.log_evidence, 1e3 * better.sigma_xy, 1e3 * better.sigma_yaw,
         )  # fmt: skip
         return mount, terms, better
 
-    def _found(self, better: Refined) -> tuple[float, float]:
+    def _found(self, better: RefinedPoses) -> tuple[float, float]:
         """Return the nats of the mount alone, against the noise of the poses, and of the other terms."""
-        normal = equations(self.readings, self.lasers, self.match(), self.faces, hold=False)
+        normal = normal_equations(self.readings, self.lasers, self.match(), self.faces, hold=False)
         prices = self._prices(normal, incidence=True)
         price = prices[0]
         prices[MOUNT] = np.inf
-        terms = select(normal, np.zeros(len(prices)), prices)[2]
+        terms = select_terms(normal, np.zeros(len(prices)), prices)[2]
         limits = np.array([better.sigma_xy, better.sigma_xy, better.sigma_yaw]) ** 2 / len(self.poses)
         own = normal.matrix[MOUNT, MOUNT] + 1e-9 * np.eye(3)
         spread = np.linalg.inv(own) + np.diag(limits)
-        offset = np.linalg.solve(own, normal.right[MOUNT])
+        offset = np.linalg.solve(own, normal.rhs[MOUNT])
         return 0.5 * float(offset @ np.linalg.solve(spread, offset)) - 3 * price, terms
 
-    def run(self) -> Identified:
+    def run(self) -> CalibratedFaces:
         """Go from coarse to fine; a laser that is as stated needs only its poses."""
         if self.is_amiss:
             self.shifts = np.zeros_like(self.shifts)  # they tried to make up for the laser
             self.pose_noise = (0.0, 0.0)
-            for i, sigma in enumerate(COARSE):
+            for i, sigma in enumerate(COARSE_SIGMAS):
                 self.take(draft_faces(self.corrected(), sigma=sigma), least=sigma)
                 self.adjust(incidence=i > 0)
                 self.adjust(incidence=i > 0)
-        for reach in REACHES if self.is_amiss else REACHES[:1]:
-            self.take(fit_faces(self.corrected(), sigma=FINE))
+        for reach in GAUGE_REACHES if self.is_amiss else GAUGE_REACHES[:1]:
+            self.take(fit_faces(self.corrected(), sigma=FINE_SIGMA))
             if self.is_amiss:
                 self.adjust(incidence=True)
                 self.refine_poses()
@@ -389,7 +396,7 @@ class _Work:
             self.refine_poses()
         rays = self.corrected()
         fitted = fit_faces(rays)
-        return Identified(fitted=fitted, calibration=self.calibration(), rays=rays, mount=self.mount)
+        return CalibratedFaces(fitted=fitted, calibration=self.calibration(), rays=rays, mount=self.mount)
 
     def corrected(self) -> Rays:
         """Return the rays as they are by what is known of the laser."""
@@ -398,22 +405,22 @@ class _Work:
     def adjust(self, *, incidence: bool, shift: float = 0.0) -> None:
         """Move mount, terms and faces together; faces are `shift` [m] nearer first, and their mean stays there.
 
-        Until edges have been asked (`settle`) the mean shift of the faces is free.
+        Until edges have been asked (`estimate_gauge`) the mean shift of the faces is free.
         """
         matches, faces = self.match(), self.faces._replace(offsets=self.faces.offsets + shift)
         if shift:
             matches = replace(matches, rho=matches.rho + range_change(matches, shift))
         hold = self.gauge is not None
-        normal = equations(self.readings, self.lasers, matches, faces, hold=hold)
+        normal = normal_equations(self.readings, self.lasers, matches, faces, hold=hold)
         current = np.concatenate([np.zeros(5), self.terms.incidence, self.terms.constant, self.terms.slope])
         for _ in range(3):  # the price of a ray's term falls with the share of rays that have one
-            values, chosen, _ = select(normal, current, self._prices(normal, incidence=incidence))
+            values, chosen, _ = select_terms(normal, current, self._prices(normal, incidence=incidence))
             self.own = chosen[N_COMMON:].reshape(2, -1)
-        self.faces = moved(faces, normal, values - current)
+        self.faces = step_faces(faces, normal, values - current)
         self.terms = _terms(values)
         if chosen[MOUNT].any():
             self.has_mount = True
-            self.mount = shifted(self.mount[None], values[MOUNT])[0]
+            self.mount = compose_poses(self.mount[None], values[MOUNT])[0]
             self.offset_se = standard_errors(normal, chosen)[MOUNT]
         logger.info(
             "mount %s, %d + %d rays, incidence %s mm", np.round(self.mount - self.stated, 5),
@@ -425,9 +432,12 @@ class _Work:
         matches = self.match()
         better = self._poses(matches)
         logger.info(
-            "poses: %.0f nats, %.2f mm, %.3f mrad", better.nats, 1e3 * better.sigma_xy, 1e3 * better.sigma_yaw
+            "poses: %.0f nats, %.2f mm, %.3f mrad",
+            better.log_evidence,
+            1e3 * better.sigma_xy,
+            1e3 * better.sigma_yaw,
         )
-        if better.nats < WORTH:
+        if better.log_evidence < MIN_GAIN:
             return
         self.shifts = better.shifts
         self.pose_noise = (better.sigma_xy, better.sigma_yaw)
@@ -438,7 +448,7 @@ class _Work:
             return
         some = _whole_scans(self.readings, GAUGE_READINGS)
         matches = self.match(some)
-        found = settle(self.rays(some, matches.ranges), matches, self.faces, self.noise, reach=reach)
+        found = estimate_gauge(self.rays(some, matches.ranges), matches, self.faces, self.noise, reach=reach)
         before = self.gauge.shift if self.gauge is not None else 0.0
         self.gauge = replace(found, shift=before + found.shift)
         logger.info("gauge %s", found)
@@ -459,14 +469,14 @@ class _Work:
             sigma_yaw=self.pose_noise[1],
         )
 
-    def _poses(self, matches: Matches) -> Refined:
-        found = refine(self.readings, self.lasers, matches, self.faces, self.shifts, self.noise.sigma)
-        if found.sigma_xy > FARTHEST[0] or found.sigma_yaw > FARTHEST[1]:
+    def _poses(self, matches: Matches) -> RefinedPoses:
+        found = refine_poses(self.readings, self.lasers, matches, self.faces, self.shifts, self.noise.sigma)
+        if found.sigma_xy > MAX_POSE_NOISE[0] or found.sigma_yaw > MAX_POSE_NOISE[1]:
             logger.info("poses off by %.2f m, %.2f rad: not refined", found.sigma_xy, found.sigma_yaw)
-            return replace(found, nats=0.0)
+            return replace(found, log_evidence=0.0)
         return found
 
-    def _prices(self, normal: Normal, *, incidence: bool) -> Floats:
+    def _prices(self, normal: NormalEquations, *, incidence: bool) -> Floats:
         """Nats that each term must be worth: BIC, and the log of how many there are to choose from."""
         n, n_rays = max(normal.n_returns, 2.0), len(self.terms.constant)
         prices = np.full(N_COMMON + 2 * n_rays, 0.5 * math.log(n) + math.log(N_COMMON + 2 * n_rays))

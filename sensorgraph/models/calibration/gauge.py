@@ -14,12 +14,12 @@ import numpy as np
 
 from sensorgraph.models.calibration.normal_equations import Matches, range_change
 from sensorgraph.models.faces.ray_march import FaceSet
-from sensorgraph.models.faces.visibility import Noise, Rays, expect, faces_of, improve, lines_of
+from sensorgraph.models.faces.visibility import Rays, ReturnNoise, binned_faces, e_step, m_step, visible_lines
 
-PASSES = 3  # of EM on visibility alone
-REST = 0.0008  # [m] step at which the search ends
-FARTHEST = 0.03  # [m] that it may go
-CLEAR = 30.0  # [nats] that the best must stand above both sides; bins alone make a few
+VISIBILITY_PASSES = 3  # of EM on visibility alone
+MIN_STEP = 0.0008  # [m] step at which the search ends
+MAX_SHIFT = 0.03  # [m] that it may go
+MIN_CONTRAST = 30.0  # [nats] that the best must stand above both sides; bins alone make a few
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,58 +28,60 @@ class Gauge:
 
     shift: float
     """[m] of all faces along their normals."""
-    width: float
+    stderr: float
     """[m] standard error of that, by the curvature of the likelihood and the step of the search; inf: no edge tells."""
 
     @property
     def is_observed(self) -> bool:
         """Tell whether the edges of this room settle it."""
-        return bool(np.isfinite(self.width))
+        return bool(np.isfinite(self.stderr))
 
 
-def settle(rays: Rays, matches: Matches, faces: FaceSet, noise: Noise, *, reach: float) -> Gauge:
+def estimate_gauge(
+    rays: Rays, matches: Matches, faces: FaceSet, noise: ReturnNoise, *, reach: float
+) -> Gauge:
     """Search the common shift that makes the edges sharpest, first within ± `reach` [m].
 
     Parameters
     ----------
     rays : with corrected ranges, those of `matches`
     """
-    return search(lambda shift: _nats(rays, matches, faces, noise, shift), reach=reach)
+    return find_peak(lambda shift: _log_likelihood(rays, matches, faces, noise, shift), reach=reach)
 
 
-def search(nats: Callable[[float], float], *, reach: float) -> Gauge:
+def find_peak(log_likelihood: Callable[[float], float], *, reach: float) -> Gauge:
     """Find the peak of a log likelihood [nats] of a shift [m]: five places, then about the best, ever closer.
 
     Sharp edges make the peak a cusp and one of its sides steeper, so a parabola is true only near the top.
     """
     step = reach / 2
-    seen = {i * step: nats(i * step) for i in range(-2, 3)}
-    best = max(seen, key=lambda shift: seen[shift])
-    while abs(best) < FARTHEST:
+    values = {i * step: log_likelihood(i * step) for i in range(-2, 3)}
+    best = max(values, key=lambda shift: values[shift])
+    while abs(best) < MAX_SHIFT:
         for beside in (best - step, best + step):
-            if not any(abs(beside - shift) < step / 4 for shift in seen):
-                seen[beside] = nats(beside)
-        top = max(seen, key=lambda shift: seen[shift])
+            if not any(abs(beside - shift) < step / 4 for shift in values):
+                values[beside] = log_likelihood(beside)
+        top = max(values, key=lambda shift: values[shift])
         if top == best:
-            if step <= REST:
+            if step <= MIN_STEP:
                 break
             step /= 2
         best = top
-    clear = min(seen[best] - nats_at for nats_at in (seen[min(seen)], seen[max(seen)]))
-    if abs(best) >= FARTHEST or clear < CLEAR:
-        return Gauge(shift=0.0, width=np.inf)
-    near = sorted(seen, key=lambda shift: abs(shift - best))[:3]
-    curve, slope, _ = np.polyfit(np.array(near) - best, [seen[shift] for shift in near], 2)
+    clear = min(values[best] - value for value in (values[min(values)], values[max(values)]))
+    if abs(best) >= MAX_SHIFT or clear < MIN_CONTRAST:
+        return Gauge(shift=0.0, stderr=np.inf)
+    near = sorted(values, key=lambda shift: abs(shift - best))[:3]
+    curve, slope, _ = np.polyfit(np.array(near) - best, [values[shift] for shift in near], 2)
     top = best - slope / (2 * curve)
-    return Gauge(shift=float(top), width=float(np.hypot(1 / np.sqrt(-2 * curve), step / np.sqrt(12))))
+    return Gauge(shift=float(top), stderr=float(np.hypot(1 / np.sqrt(-2 * curve), step / np.sqrt(12))))
 
 
-def _nats(rays: Rays, matches: Matches, faces: FaceSet, noise: Noise, shift: float) -> float:
+def _log_likelihood(rays: Rays, matches: Matches, faces: FaceSet, noise: ReturnNoise, shift: float) -> float:
     """Return the log likelihood with all faces shifted, and the returns with them."""
     moved = replace(rays, ranges=np.maximum(rays.ranges + range_change(matches, shift), 1e-3))
-    here = faces_of(lines_of(faces))
+    here = binned_faces(visible_lines(faces))
     here = here._replace(offsets=here.offsets + shift)
-    for _ in range(PASSES):
-        seen = expect(moved, here, noise)
-        here, _ = improve(here, seen, noise, refit=False)
-    return expect(moved, here, noise).nats
+    for _ in range(VISIBILITY_PASSES):
+        expectation = e_step(moved, here, noise)
+        here, _ = m_step(here, expectation, noise, refit=False)
+    return e_step(moved, here, noise).log_likelihood

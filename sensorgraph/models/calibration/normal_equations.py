@@ -16,21 +16,21 @@ from typing import Any
 import numpy as np
 
 from planners.kernel import kernel
-from sensorgraph.models.calibration.ray_terms import N_SHARED, RayTerms, incidence_bias, shared_terms
-from sensorgraph.models.faces.ray_march import ROOM, FaceSet, gather, index
-from sensorgraph.models.faces.visibility import Noise, variance
+from sensorgraph.models.calibration.ray_terms import N_INCIDENCE, RayTerms, incidence_bias, incidence_terms
+from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid, crossed_faces
+from sensorgraph.models.faces.visibility import ReturnNoise, variance
 from sensorgraph.types import Bools, Floats, Ints
 
 MOUNT = slice(0, 3)
 COMMON = slice(3, 5)  # constant and slope of all rays together
-INCIDENCE = slice(5, 5 + N_SHARED)
-N_COMMON = 5 + N_SHARED
-GRAZING = 0.05  # |n·u| below which a return is all leverage
-SURE = 0.5  # chance that a return comes from this face
-GATE = 4.0  # standard deviations off, beyond which it does not
-LEVER = 1.0  # [m] a face's turn moves it by that much less than a shift, at the prior
+INCIDENCE = slice(5, 5 + N_INCIDENCE)
+N_COMMON = 5 + N_INCIDENCE
+MIN_MATCH_COSINE = 0.05  # |n·u| below which a return is all leverage
+MIN_PROBABILITY = 0.5  # chance that a return comes from this face
+GATE_SIGMAS = 4.0  # standard deviations off, beyond which it does not
+TURN_ARM = 1.0  # [m] a face's turn moves it by that much less than a shift, at the prior
 RIDGE = 1e-9  # of a unit diagonal: for unknowns that nearly say the same
-REACH = 0.3  # [m] that readings may be off before anything is known of them
+MAX_RAY_BIAS = 0.3  # [m] that readings may be off before anything is known of them
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,7 +77,7 @@ class Matches:
     """(n,) t·u"""
     at: Floats
     """(n,) [m] abscissa of the end point."""
-    sure: Floats
+    probability: Floats
     """(n,) chance that it is this face."""
     weight: Floats
     """(n,) [1/m²] of the residual; 0 where it must not count."""
@@ -90,34 +90,35 @@ class Matches:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Normal:
+class NormalEquations:
     """Normal equations after the faces were eliminated; unknowns: mount, common, incidence, constants, slopes."""
 
     matrix: Floats
     """(n, n), n = N_COMMON + 2 n_rays"""
-    right: Floats
+    rhs: Floats
     """(n,)"""
     n_returns: float
-    of_face: Floats
+    face_inverse: Floats
     """(n_faces, 2, 2) inverse of each face's own block."""
-    face_right: Floats
+    face_rhs: Floats
     """(n_faces, 2)"""
-    across: Floats
+    coupling: Floats
     """(n_faces, 2, n)"""
     centre: Floats
     """(n_faces,) [m] abscissa about which a face turns."""
-    held: Floats
+    gauge_weights: Floats
     """(n_faces,) weights of the mean shift that stays 0; all 0 where it is free."""
 
     def faces_moved(self, step: Floats) -> Floats:
         """Return shift [m] and turn [rad] (n_faces, 2) that belong to the step (n,) of the others."""
-        free = self.face_right - self.across @ step
-        move: Floats = np.einsum("kij,kj->ki", self.of_face, free)
-        if not self.held.any():
+        free = self.face_rhs - self.coupling @ step
+        move: Floats = np.einsum("kij,kj->ki", self.face_inverse, free)
+        if not self.gauge_weights.any():
             return move
-        stiff = self.of_face[:, :, 0] * self.held[:, None]  # D^-1 a
+        stiff = self.face_inverse[:, :, 0] * self.gauge_weights[:, None]  # D^-1 a
         return np.asarray(
-            move - stiff * (self.held @ move[:, 0]) / (self.held @ stiff[:, 0]), dtype=np.float64
+            move - stiff * (self.gauge_weights @ move[:, 0]) / (self.gauge_weights @ stiff[:, 0]),
+            dtype=np.float64,
         )
 
 
@@ -127,18 +128,18 @@ def directions_of(readings: Readings, lasers: Floats) -> tuple[Floats, Floats]:
     return lasers[readings.scan, :2], np.stack([np.cos(theta), np.sin(theta)], axis=1)
 
 
-def match(
-    readings: Readings, lasers: Floats, terms: RayTerms, faces: FaceSet, noise: Noise, typical: float
+def match_readings(
+    readings: Readings, lasers: Floats, terms: RayTerms, faces: FaceSet, noise: ReturnNoise, mean_bias: float
 ) -> Matches:
-    """Find the face of every reading and take the ray terms off; `typical` is S [m] where no face is known."""
+    """Find the face of every reading and take the ray terms off; `mean_bias` is S [m] where no face is known."""
     origins, directions = directions_of(readings, lasers)
     n = len(readings)
     values = np.zeros((n, 7))
     values[:, 0] = readings.ranges
     face = np.full(n, -1, dtype=np.intp)
-    _match(
-        origins, directions, readings.ranges, readings.ray, readings.range_max, faces, index(faces), noise.array,
-        terms.constant, terms.slope, terms.incidence, typical, face, values,
+    _match_readings(
+        origins, directions, readings.ranges, readings.ray, readings.range_max, faces, bucket_grid(faces), noise.array,
+        terms.constant, terms.slope, terms.incidence, mean_bias, face, values,
     )  # fmt: skip
     columns = np.ascontiguousarray(values.T)
     return Matches(
@@ -148,7 +149,7 @@ def match(
         den=columns[2],
         along=columns[3],
         at=columns[4],
-        sure=columns[5],
+        probability=columns[5],
         weight=columns[6],
     )
 
@@ -159,12 +160,14 @@ def mean_incidence(matches: Matches, terms: RayTerms) -> float:
     if not known.any() or not terms.has_incidence:
         return 0.0
     v, q = 1 - np.abs(matches.den[known]), np.minimum(matches.rho[known], 4.0) / 4.0
-    basis = np.empty((N_SHARED, len(v)))
-    shared_terms(v, q, basis)
+    basis = np.empty((N_INCIDENCE, len(v)))
+    incidence_terms(v, q, basis)
     return float((terms.incidence @ basis).mean())
 
 
-def equations(readings: Readings, lasers: Floats, matches: Matches, faces: FaceSet, *, hold: bool) -> Normal:
+def normal_equations(
+    readings: Readings, lasers: Floats, matches: Matches, faces: FaceSet, *, hold: bool
+) -> NormalEquations:
     """Add up the normal equations; `hold` keeps the mean shift of all faces at 0 (the gauge)."""
     k, n = faces.n_faces, N_COMMON + 2 * len(readings.bearings)
     weight, face = matches.weight, np.maximum(matches.face, 0)
@@ -179,7 +182,7 @@ def equations(readings: Readings, lasers: Floats, matches: Matches, faces: FaceS
     )  # fmt: skip
     matrix += np.tril(matrix, -1).T
     own[:, 0, 0] += 1.0  # [1/m²] nothing is known of a face without returns
-    own[:, 1, 1] += LEVER**2
+    own[:, 1, 1] += TURN_ARM**2
     inverse = np.asarray(np.linalg.inv(own), dtype=np.float64)
     flat = across.reshape(2 * k, n)
     solved = np.einsum("kij,kjn->kin", inverse, across).reshape(2 * k, n)
@@ -193,19 +196,19 @@ def equations(readings: Readings, lasers: Floats, matches: Matches, faces: FaceS
         give = float(held @ stiff[:, 0])
         matrix += np.outer(pull, pull) / give
         right += pull * float((stiff * own_right).sum()) / give
-    return Normal(
+    return NormalEquations(
         matrix=matrix,
-        right=right,
+        rhs=right,
         n_returns=float((weight > 0).sum()),
-        of_face=inverse,
-        face_right=own_right,
-        across=across,
+        face_inverse=inverse,
+        face_rhs=own_right,
+        coupling=across,
         centre=centre,
-        held=held,
+        gauge_weights=held,
     )
 
 
-def moved(faces: FaceSet, normal: Normal, step: Floats) -> FaceSet:
+def step_faces(faces: FaceSet, normal: NormalEquations, step: Floats) -> FaceSet:
     """Shift and turn faces by what belongs to a step of the other unknowns."""
     shift, turn = normal.faces_moved(step).T
     turn = np.clip(turn, -0.05, 0.05)
@@ -222,7 +225,7 @@ def moved(faces: FaceSet, normal: Normal, step: Floats) -> FaceSet:
     )
 
 
-def select(normal: Normal, current: Floats, prices: Floats) -> tuple[Floats, Bools, float]:
+def select_terms(normal: NormalEquations, current: Floats, prices: Floats) -> tuple[Floats, Bools, float]:
     """Choose terms forward, the one that explains most first, as long as it is worth its price.
 
     Parameters
@@ -235,7 +238,7 @@ def select(normal: Normal, current: Floats, prices: Floats) -> tuple[Floats, Boo
     new values (n,), which were chosen, and the nats they are worth over none, prices taken off
     """
     matrix = normal.matrix
-    right = normal.right + matrix @ current
+    right = normal.rhs + matrix @ current
     chosen, worth = _forward(matrix, right, prices)
     values = np.zeros(len(right))
     if chosen.any():
@@ -246,7 +249,7 @@ def select(normal: Normal, current: Floats, prices: Floats) -> tuple[Floats, Boo
     return values, chosen, float(worth)
 
 
-def standard_errors(normal: Normal, chosen: Bools) -> Floats:
+def standard_errors(normal: NormalEquations, chosen: Bools) -> Floats:
     """Return the standard errors (n,) of chosen unknowns; nan for the others."""
     part = normal.matrix[np.ix_(chosen, chosen)]
     scale = np.sqrt(np.diag(part))
@@ -297,7 +300,7 @@ def _forward(matrix: Any, right: Any, prices: Any) -> Any:
 
 
 @kernel
-def _match(
+def _match_readings(
     origins: Any,
     directions: Any,
     ranges: Any,
@@ -309,13 +312,13 @@ def _match(
     constant: Any,
     slope: Any,
     s: Any,
-    typical: Any,
+    mean_bias: Any,
     face: Any,
     values: Any,
 ) -> Any:
     normals, _, first, _, levels, _, _ = faces
-    r, t = np.empty(ROOM), np.empty(ROOM)
-    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
     for i in range(len(ranges)):
         z = ranges[i]
         if z > 1e300:
@@ -323,7 +326,9 @@ def _match(
         ux, uy = directions[i, 0], directions[i, 1]
         gain = 1.0 + slope[ray[i]]
         base = (z - constant[ray[i]]) / gain
-        n = gather(origins[i, 0], origins[i, 1], ux, uy, base + REACH, 0.0, faces, buckets, r, k, j, t)
+        n = crossed_faces(
+            origins[i, 0], origins[i, 1], ux, uy, base + MAX_RAY_BIAS, 0.0, faces, buckets, r, k, j, t
+        )
         survival, total, best, at, best_e, best_var = 1.0, 0.0, 0.0, -1, 0.0, 1.0
         before = 1.0
         for m in range(n):
@@ -341,7 +346,7 @@ def _match(
                 before = survival * (1 - alpha)
             survival *= 1 - alpha
         if at < 0:
-            values[i, 0] = max(base - typical / gain, 1e-3)
+            values[i, 0] = max(base - mean_bias / gain, 1e-3)
             continue
         f = k[at]
         den = normals[f, 0] * ux + normals[f, 1] * uy
@@ -352,7 +357,12 @@ def _match(
         values[i, 1], values[i, 2], values[i, 3] = r[at], den, along
         values[i, 4] = t[at] + best_e * along
         values[i, 5] = sure
-        if sure > SURE and den < -GRAZING and best_e * best_e < GATE * GATE * best_var and z < range_max:
+        if (
+            sure > MIN_PROBABILITY
+            and den < -MIN_MATCH_COSINE
+            and best_e * best_e < GATE_SIGMAS * GATE_SIGMAS * best_var
+            and z < range_max
+        ):
             values[i, 6] = sure / best_var
 
 
@@ -390,7 +400,7 @@ def _accumulate(
         x[1] = -(ny * cos[i] - nx * sin[i]) / den[i]
         x[2] = rho[i] * along[i] / den[i]
         x[3], x[4] = 1.0, rho[i]
-        shared_terms(1.0 - abs(den[i]), min(rho[i], 4.0) * 0.25, x[5:N_COMMON])
+        incidence_terms(1.0 - abs(den[i]), min(rho[i], 4.0) * 0.25, x[5:N_COMMON])
         x[N_COMMON], x[N_COMMON + 1] = 1.0, rho[i]
         where[N_COMMON], where[N_COMMON + 1] = N_COMMON + ray[i], N_COMMON + n_rays + ray[i]
         y0, y1 = 1.0 / den[i], (at[i] - centre[f]) / den[i]

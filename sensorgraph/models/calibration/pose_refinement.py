@@ -15,12 +15,12 @@ from sensorgraph.models.calibration.normal_equations import Matches, Readings
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.types import Floats
 
-START = (0.005, 0.005)  # [m, rad] noise of the poses to begin with
-ROUNDS = 30
+INITIAL_POSE_NOISE = (0.005, 0.005)  # [m, rad] noise of the poses to begin with
+EM_ROUNDS = 30
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Refined:
+class RefinedPoses:
     """Corrections of poses, and what they are worth."""
 
     shifts: Floats
@@ -29,18 +29,18 @@ class Refined:
     """[m] noise of the poses, each axis."""
     sigma_yaw: float
     """[rad]"""
-    nats: float
+    log_evidence: float
     """Log evidence of noisy poses over exact ones."""
 
 
-def refine(
+def refine_poses(
     readings: Readings, lasers: Floats, matches: Matches, faces: FaceSet, shifts: Floats, sigma: float
-) -> Refined:
+) -> RefinedPoses:
     """Refine poses by returns of range noise `sigma` [m]; `shifts` (n_scans, 3) are those applied already."""
     n = len(lasers)
     own, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
     heading = lasers[readings.scan, 2]
-    weight = np.where(matches.weight > 0, matches.sure / sigma**2, 0.0)
+    weight = np.where(matches.weight > 0, matches.probability / sigma**2, 0.0)
     _pose_equations(
         readings.scan, np.cos(heading), np.sin(heading), np.maximum(matches.face, 0), matches.rho, matches.den,
         matches.along, matches.residual, weight, faces.normals, own, right,
@@ -48,16 +48,19 @@ def refine(
     right += np.einsum("nij,nj->ni", own, shifts)
     seen = own[:, 0, 0] + own[:, 1, 1] > 0
     found = np.zeros((n, 3))
-    found[seen], spread, nats = _damped(own[seen], right[seen])
-    return Refined(
-        shifts=found, sigma_xy=float(np.sqrt(spread[0])), sigma_yaw=float(np.sqrt(spread[2])), nats=nats
+    found[seen], spread, log_evidence = _solve_damped(own[seen], right[seen])
+    return RefinedPoses(
+        shifts=found,
+        sigma_xy=float(np.sqrt(spread[0])),
+        sigma_yaw=float(np.sqrt(spread[2])),
+        log_evidence=log_evidence,
     )
 
 
-def _damped(own: Floats, right: Floats) -> tuple[Floats, Floats, float]:
+def _solve_damped(own: Floats, right: Floats) -> tuple[Floats, Floats, float]:
     """Solve for the scans' corrections (n, 3) and the variance (3,) that these have; return the evidence for it, too."""
-    spread = np.array([START[0], START[0], START[1]]) ** 2
-    for _ in range(ROUNDS if len(own) else 0):
+    spread = np.array([INITIAL_POSE_NOISE[0], INITIAL_POSE_NOISE[0], INITIAL_POSE_NOISE[1]]) ** 2
+    for _ in range(EM_ROUNDS if len(own) else 0):
         inverse = np.linalg.inv(own + np.diag(1 / spread))
         found = np.einsum("nij,nj->ni", inverse, right)
         second = (found**2 + np.einsum("nii->ni", inverse)).mean(axis=0)
@@ -70,7 +73,7 @@ def _damped(own: Floats, right: Floats) -> tuple[Floats, Floats, float]:
     return found, spread, explained - volume
 
 
-def shifted(lasers: Floats, shifts: Floats) -> Floats:
+def compose_poses(lasers: Floats, shifts: Floats) -> Floats:
     """Move lasers (n, 3) by shifts (n, 3) or (3,) in their own frames."""
     cos, sin = np.cos(lasers[:, 2]), np.sin(lasers[:, 2])
     dx, dy, turn = np.broadcast_to(shifts, lasers.shape).T

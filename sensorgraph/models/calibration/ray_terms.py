@@ -14,10 +14,10 @@ import numpy as np
 from planners.kernel import kernel
 from sensorgraph.types import Floats
 
-POWERS = ((1, 0), (2, 0), (3, 0), (1, 1), (2, 1), (1, 2), (2, 2))
+INCIDENCE_POWERS = ((1, 0), (2, 0), (3, 0), (1, 1), (2, 1), (1, 2), (2, 2))
 """Of v and q in the terms of S."""
-N_SHARED = len(POWERS)
-SETTLED = 4.0
+N_INCIDENCE = len(INCIDENCE_POWERS)
+MAX_OPTIC_RANGE = 4.0
 """[m] beyond which the incidence terms depend on the range no more."""
 
 
@@ -30,12 +30,12 @@ class RayTerms:
     slope: Floats
     """(n_rays,) metres a metre of range."""
     incidence: Floats
-    """(N_SHARED,) [m] coefficients of S, in the order of `POWERS`."""
+    """(N_SHARED,) [m] coefficients of S, in the order of `INCIDENCE_POWERS`."""
 
     @classmethod
     def none(cls, n_rays: int) -> Self:
         """Leave readings as they are."""
-        return cls(constant=np.zeros(n_rays), slope=np.zeros(n_rays), incidence=np.zeros(N_SHARED))
+        return cls(constant=np.zeros(n_rays), slope=np.zeros(n_rays), incidence=np.zeros(N_INCIDENCE))
 
     @property
     def is_none(self) -> bool:
@@ -49,14 +49,14 @@ class RayTerms:
 
     def reading(self, rho: Floats, incidence_cos: Floats) -> Floats:
         """Return what the laser shows (n, n_rays) at true ranges and |n·u| of the same shape: the plain form."""
-        v, q = 1 - incidence_cos, np.minimum(rho, SETTLED) / SETTLED
-        shared = sum(s * v**a * q**b for s, (a, b) in zip(self.incidence, POWERS, strict=True))
+        v, q = 1 - incidence_cos, np.minimum(rho, MAX_OPTIC_RANGE) / MAX_OPTIC_RANGE
+        shared = sum(s * v**a * q**b for s, (a, b) in zip(self.incidence, INCIDENCE_POWERS, strict=True))
         return np.asarray(rho + self.constant + self.slope * rho + shared, dtype=np.float64)
 
     def equation(self, ray: int) -> str:
         """Write what is added to the range rho of one ray; empty for nothing."""
         parts = [(self.constant[ray], ""), (self.slope[ray], "rho")]
-        parts += [(s, _name(a, b)) for s, (a, b) in zip(self.incidence, POWERS, strict=True)]
+        parts += [(s, _power_text(a, b)) for s, (a, b) in zip(self.incidence, INCIDENCE_POWERS, strict=True)]
         text = ""
         for value, name in parts:
             if value != 0:
@@ -64,15 +64,15 @@ class RayTerms:
         return text
 
 
-def _name(a: int, b: int) -> str:
+def _power_text(a: int, b: int) -> str:
     """Write v^a q^b."""
     powers = [("v", a), ("q", b)]
     return " ".join(f"{x}^{p}" if p > 1 else x for x, p in powers if p > 0)
 
 
 @kernel
-def shared_terms(v: Any, q: Any, out: Any) -> Any:
-    """Fill the terms of S, in the order of `POWERS`."""
+def incidence_terms(v: Any, q: Any, out: Any) -> Any:
+    """Fill the terms of S, in the order of `INCIDENCE_POWERS`."""
     out[0] = v
     out[1] = v * v
     out[2] = v * v * v

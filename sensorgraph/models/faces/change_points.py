@@ -7,15 +7,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planners.kernel import kernel
-from sensorgraph.models.faces.ray_march import FAINT, ROOM, FaceSet, index
-from sensorgraph.models.faces.visibility import Noise, Rays, gather_within, share_within
+from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, MIN_VISIBILITY, FaceSet, bucket_grid
+from sensorgraph.models.faces.visibility import (
+    Rays,
+    ReturnNoise,
+    inlined_crossed_faces,
+    inlined_stop_probabilities,
+)
 from sensorgraph.types import Bools, Floats, Ints
 
-CHANGE = 4.0  # [nats] that an edge must be worth, beside half the log of the looks at its face
-LOOK_BACK = 600  # runs of equal outcome that one stretch may hold
+MIN_GAIN = 4.0  # [nats] that an edge must be worth, beside half the log of the crossings of its face
+MAX_RUNS = 600  # runs of equal outcome that one stretch may hold
 
 
-class Looks(NamedTuple):
+class Crossings(NamedTuple):
     """What rays did where they crossed faces, sorted along each face."""
 
     t: Floats
@@ -25,31 +30,31 @@ class Looks(NamedTuple):
     weight: Floats
     """(n_looks,) chance that it came so far."""
     bounds: Ints
-    """(n_faces + 1,) where each face's looks begin."""
+    """(n_faces + 1,) where each face's crossings begin."""
 
     def at(self, k: int) -> tuple[Floats, Floats, Floats]:
         """Return abscissae, stops and weights of face k."""
         part = slice(self.bounds[k], self.bounds[k + 1])
         return self.t[part], self.stop[part], self.weight[part]
 
-    def of_faces(self, index: Ints) -> Looks:
-        """Return the looks at some faces, in the order of `index`."""
+    def of_faces(self, index: Ints) -> Crossings:
+        """Return the crossings of some faces, in the order of `index`."""
         parts = [np.arange(self.bounds[k], self.bounds[k + 1]) for k in index]
         place = np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
         bounds = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.intp)
-        return Looks(self.t[place], self.stop[place], self.weight[place], bounds)
+        return Crossings(self.t[place], self.stop[place], self.weight[place], bounds)
 
 
-def sharpen(faces: FaceSet, looks: Looks) -> FaceSet:
+def fit_stretches(faces: FaceSet, crossings: Crossings) -> FaceSet:
     """Replace bins by stretches of constant visibility whose edges lie where outcomes change.
 
-    The outcomes of all looks at a face, sorted along it, are cut by dynamic programming (optimal partitioning,
-    Jackson et al. 2005) at the places that are worth more than `CHANGE` nats; an edge lies midway between the
-    looks on both sides of it. A face may be left that stops nothing: see `is_seen`.
+    The outcomes of all crossings of a face, sorted along it, are cut by dynamic programming (optimal partitioning,
+    Jackson et al. 2005) at the places that are worth more than `MIN_GAIN` nats; an edge lies midway between the
+    crossings on both sides of it. A face may be left that stops nothing: see `is_visible`.
     """
     first, edges, levels, blur = [0], [], [], []
     for k in range(faces.n_faces):
-        cut, level, gap = _stretches(*looks.at(k))
+        cut, level, gap = _stretches(*crossings.at(k))
         edges.append(cut)
         levels.append(level)
         blur.append(gap)
@@ -66,30 +71,33 @@ def sharpen(faces: FaceSet, looks: Looks) -> FaceSet:
     )
 
 
-def looks_at(rays: Rays, faces: FaceSet, noise: Noise) -> Looks:
+def crossings_of(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Crossings:
     """List what rays did at faces."""
-    face, t, stop, weight = _events(
-        rays.origins, rays.directions, rays.ranges, rays.range_max, faces, index(faces), noise.array
+    face, t, stop, weight = _list_crossings(
+        rays.origins, rays.directions, rays.ranges, rays.range_max, faces, bucket_grid(faces), noise.array
     )
-    return sorted_looks(face, t, stop, weight, faces.n_faces)
+    return sorted_crossings(face, t, stop, weight, faces.n_faces)
 
 
-def sorted_looks(face: Ints, t: Floats, stop: Floats, weight: Floats, n_faces: int) -> Looks:
-    """Sort looks (n,) by face, then along it."""
-    order = np.argsort(_along(face, t), kind="stable")
+def sorted_crossings(face: Ints, t: Floats, stop: Floats, weight: Floats, n_faces: int) -> Crossings:
+    """Sort crossings (n,) by face, then along it."""
+    order = np.argsort(_sort_key(face, t), kind="stable")
     bounds = np.searchsorted(face[order], np.arange(n_faces + 1))
-    return Looks(t[order], stop[order], weight[order], bounds)
+    return Crossings(t[order], stop[order], weight[order], bounds)
 
 
-def is_seen(faces: FaceSet) -> Bools:
+def is_visible(faces: FaceSet) -> Bools:
     """Tell which faces (n_faces,) stop anything."""
     return np.array(
-        [(faces.levels[faces.first[k] : faces.first[k + 1]] > FAINT).any() for k in range(faces.n_faces)],
+        [
+            (faces.levels[faces.first[k] : faces.first[k + 1]] > MIN_VISIBILITY).any()
+            for k in range(faces.n_faces)
+        ],
         dtype=np.bool_,
     )
 
 
-def _along(face: Ints, t: Floats) -> Floats:
+def _sort_key(face: Ints, t: Floats) -> Floats:
     """Return a key (n,) that sorts by face, then by abscissa: one sort instead of two."""
     if len(t) == 0:
         return np.zeros(0)
@@ -97,7 +105,7 @@ def _along(face: Ints, t: Floats) -> Floats:
     return np.asarray(face * (2 * (high - low) + 1.0) + (t - low), dtype=np.float64)
 
 
-def subset(faces: FaceSet, index: Ints) -> FaceSet:
+def take_faces(faces: FaceSet, index: Ints) -> FaceSet:
     """Return some faces; neighbours that are gone become -1."""
     parts = [np.arange(faces.first[k], faces.first[k + 1]) for k in index]
     place = np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
@@ -115,22 +123,22 @@ def subset(faces: FaceSet, index: Ints) -> FaceSet:
 
 
 @kernel
-def _events(
+def _list_crossings(
     origins: Any, directions: Any, ranges: Any, range_max: Any, faces: Any, buckets: Any, noise: Any
 ) -> Any:
-    """List all looks: face, abscissa, chance that the ray stopped given that it came so far, and that chance."""
+    """List all crossings: face, abscissa, chance that the ray stopped given that it came so far, and that chance."""
     size = 3 * len(ranges) + 64
     face, at = np.empty(size, np.int32), np.empty(size)
     stop, weight = np.empty(size), np.empty(size)
-    r, t = np.empty(ROOM), np.empty(ROOM)
-    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
-    gamma, survive = np.empty(ROOM), np.empty(ROOM)
+    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
+    gamma, survive = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
     count = 0
     for i in range(len(ranges)):
         qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
         reach = range_max if z > 1e300 else z + 0.08 + 6 * np.sqrt(noise[0])
-        n = gather_within(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
-        _, stray = share_within(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+        n = inlined_crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
+        _, stray = inlined_stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
         if stray > 0.5:
             continue
         for m in range(n):
@@ -149,13 +157,13 @@ def _events(
 
 
 def _stretches(t: Floats, stop: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
-    """Cut sorted looks into stretches; return edges, visibility after each (the last 0) and the edges' s.e."""
+    """Cut sorted crossings into stretches; return edges, visibility after each (the last 0) and the edges' s.e."""
     if len(t) == 0:
         return np.array([0.0, 1e-9]), np.zeros(2), np.zeros(2)
-    cuts = _partition(stop, weight, CHANGE + 0.5 * np.log(len(t)))
+    cuts = _partition(stop, weight, MIN_GAIN + 0.5 * np.log(len(t)))
     stopped, looked = np.add.reduceat(stop * weight, cuts[:-1]), np.add.reduceat(weight, cuts[:-1])
     level = (stopped + 0.02) / (looked + 0.04)
-    level[level < FAINT * 5] = 0.0
+    level[level < MIN_VISIBILITY * 5] = 0.0
     inner = cuts[1:-1]
     edges = np.concatenate([t[:1], (t[inner - 1] + t[inner]) / 2, t[-1:]])
     gap = np.concatenate([[0.0], (t[inner] - t[inner - 1]) / np.sqrt(12), [0.0]])
@@ -164,7 +172,7 @@ def _stretches(t: Floats, stop: Floats, weight: Floats) -> tuple[Floats, Floats,
 
 @kernel
 def _partition(stop: Any, weight: Any, price: Any) -> Any:
-    """Cut outcomes where it pays: the first look of every stretch, and their count."""
+    """Cut outcomes where it pays: the first crossing of every stretch, and their count."""
     n = len(stop)
     starts = np.empty(n + 1, np.int64)  # runs of equal outcome: edges lie between them
     n_runs = 0
@@ -184,7 +192,7 @@ def _partition(stop: Any, weight: Any, price: Any) -> Any:
     since = np.zeros(n_runs + 1, np.int64)
     best[0] = -price
     for b in range(1, n_runs + 1):
-        for a in range(max(0, b - LOOK_BACK), b):
+        for a in range(max(0, b - MAX_RUNS), b):
             s, w = ones[b] - ones[a], all_[b] - all_[a]
             p = (s + 0.02) / (w + 0.04)
             cost = best[a] + price - s * np.log(p) - (w - s) * np.log(1 - p)

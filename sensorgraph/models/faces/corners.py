@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.models.faces.change_points import Looks
+from sensorgraph.models.faces.change_points import Crossings
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.types import Floats, Ints
 
-CORNER = 0.03  # [m] within which two ends may be one corner
-MOST_BLUR = 0.03  # [m]
-TOLERATED = 6.0  # [nats] that moving an end to a corner may cost: a look or two on the wrong side
+CORNER_DISTANCE = 0.03  # [m] within which two ends may be one corner
+MAX_BLUR = 0.03  # [m]
+MAX_LOSS = 6.0  # [nats] that moving an end to a corner may cost: a crossing or two on the wrong side
 
 
-def join_corners(faces: FaceSet, looks: Looks) -> FaceSet:
-    """Move the ends of faces to where their lines meet, if the looks there allow it.
+def join_corners(faces: FaceSet, crossings: Crossings) -> FaceSet:
+    """Move the ends of faces to where their lines meet, if the crossings there allow it.
 
-    An end known to a few millimetres from its looks becomes a corner known as well as both lines, and no
+    An end known to a few millimetres from its crossings becomes a corner known as well as both lines, and no
     ray slips between the two.
     """
     edges, neighbour, blur = faces.edges.copy(), faces.neighbour.copy(), faces.blur.copy()
@@ -24,10 +24,10 @@ def join_corners(faces: FaceSet, looks: Looks) -> FaceSet:
     ends, owners = _ends(faces)
     places = faces.normals[owners] * faces.offsets[owners, None] + faces.tangents[owners] * edges[ends, None]
     for e, k, p in zip(ends, owners, places, strict=True):
-        best = (TOLERATED, -1, 0.0)
+        best = (MAX_LOSS, -1, 0.0)
         for other, s in _meetings(faces, k, p):
-            cost = _cost(faces, e, k, s, *looks.at(k))
-            cost += 0.5 * ((s - edges[e]) / CORNER) ** 2
+            cost = _loss(faces, e, k, s, *crossings.at(k))
+            cost += 0.5 * ((s - edges[e]) / CORNER_DISTANCE) ** 2
             if cost < best[0]:
                 best = (cost, other, s)
         if best[1] >= 0:
@@ -51,19 +51,24 @@ def _meetings(faces: FaceSet, k: int, p: Floats) -> list[tuple[int, float]]:
     cross = faces.normals @ faces.tangents[k]
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead = (faces.offsets - faces.normals @ p) / cross  # along t_k from p
-    near = np.flatnonzero((np.abs(cross) > 0.05) & (np.abs(ahead) < CORNER))
+    near = np.flatnonzero((np.abs(cross) > 0.05) & (np.abs(ahead) < CORNER_DISTANCE))
     out = []
     for m in near:
         meet = p + ahead[m] * faces.tangents[k]
         s = float(faces.tangents[m] @ meet)
         a, b = int(faces.first[m]), int(faces.first[m + 1]) - 1
         seen = np.flatnonzero(faces.levels[a:b] > 0.5) + a
-        if len(seen) and ((faces.edges[seen] - CORNER <= s) & (s <= faces.edges[seen + 1] + CORNER)).any():
+        if (
+            len(seen)
+            and (
+                (faces.edges[seen] - CORNER_DISTANCE <= s) & (s <= faces.edges[seen + 1] + CORNER_DISTANCE)
+            ).any()
+        ):
             out.append((int(m), float(faces.tangents[k] @ meet)))
     return out
 
 
-def _cost(faces: FaceSet, e: int, k: int, s: float, t: Floats, stop: Floats, weight: Floats) -> float:
+def _loss(faces: FaceSet, e: int, k: int, s: float, t: Floats, stop: Floats, weight: Floats) -> float:
     """Return the nats lost by moving edge e of face k to abscissa s."""
     old = faces.edges[e]
     low, high = min(old, s), max(old, s)
@@ -85,8 +90,8 @@ def _in_order(faces: FaceSet) -> FaceSet:
     return faces._replace(edges=edges)
 
 
-def with_errors(faces: FaceSet, sums: Floats) -> FaceSet:
-    """Add to each edge's blur what the lines it lies on are uncertain by; `sums` are `Expectation.lines`.
+def with_edge_errors(faces: FaceSet, sums: Floats) -> FaceSet:
+    """Add to each edge's blur what the lines it lies on are uncertain by; `sums` are `Expectation.line_sums`.
 
     A corner is as uncertain as both lines, divided by the sine of the angle between them.
     """
@@ -105,4 +110,4 @@ def with_errors(faces: FaceSet, sums: Floats) -> FaceSet:
     there = variance_at(beside, (faces.tangents[beside] * points).sum(axis=1))
     corner = (own + there) / np.maximum(sine, 0.05) ** 2
     blur = np.sqrt(np.where(beside >= 0, corner, faces.blur**2 + own))
-    return faces._replace(blur=np.minimum(blur, MOST_BLUR))
+    return faces._replace(blur=np.minimum(blur, MAX_BLUR))

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.models.faces.change_points import is_seen, looks_at, sharpen, subset
-from sensorgraph.models.faces.corners import join_corners, with_errors
+from sensorgraph.models.faces.change_points import crossings_of, fit_stretches, is_visible, take_faces
+from sensorgraph.models.faces.corners import join_corners, with_edge_errors
 from sensorgraph.models.faces.forward_selection import Lines, select_lines
-from sensorgraph.models.faces.hit_moments import Surfaces
+from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.ray_march import FaceSet
-from sensorgraph.models.faces.splits import split_bent
-from sensorgraph.models.faces.sufficient_statistics import Memory
-from sensorgraph.models.faces.visibility import Expectation, Noise, Rays, expect, faces_of, improve
+from sensorgraph.models.faces.splits import split_bent_faces
+from sensorgraph.models.faces.sufficient_statistics import SufficientStatistics
+from sensorgraph.models.faces.visibility import Expectation, Rays, ReturnNoise, binned_faces, e_step, m_step
 from sensorgraph.types import Floats, Progress
 
 logger = logging.getLogger(__name__)
@@ -25,11 +25,11 @@ FINAL_RAYS = 1_500_000
 """Rays that edges and visibility are taken from in the end."""
 ROUNDS = 3
 """Of splitting and of selecting among what no face explains."""
-STEPS = 5 + 2 * ROUNDS
+N_STEPS = 5 + 2 * ROUNDS
 """That `fit_faces` reports to its progress."""
-WORTH = 8.0
+MIN_FACE_GAIN = 8.0
 """[nats] that a face must be worth to stay."""
-FEW = 4.0
+MIN_HITS_LATER = 4.0
 """Hits that make a face of their own in the later rounds: a chair's leg has few."""
 
 
@@ -38,60 +38,66 @@ class FittedFaces:
     """What `fit_faces` found."""
 
     faces: FaceSet
-    noise: Noise
-    seen: Expectation
+    noise: ReturnNoise
+    expectation: Expectation
     """Of the last pass, over `n_rays` rays."""
     n_rays: int
-    memory: Memory | None = None
+    statistics: SufficientStatistics | None = None
     """What new runs are added to; None in drafts."""
 
     @property
     def hits(self) -> Floats:
         """(n_faces,) expected returns from each face."""
-        return self.seen.lines[:, 5]
+        return self.expectation.line_sums[:, 5]
 
 
 def fit_faces(
-    rays: Rays, *, surfaces: Surfaces | None = None, sigma: float = 0.01, progress: Progress | None = None
+    rays: Rays,
+    *,
+    hit_moments: HitMoments | None = None,
+    sigma: float = 0.01,
+    progress: Progress | None = None,
 ) -> FittedFaces:
     """Find the faces that explain rays.
 
     Parameters
     ----------
-    surfaces : pooled hits of all rays that `rays` are a sample of; None: of `rays` themselves
+    hit_moments : pooled hits of all rays that `rays` are a sample of; None: of `rays` themselves
     sigma : [m] range noise to begin with; it is then estimated, and so is the noise of the poses
     """
-    steps = Steps(progress, STEPS)
-    if surfaces is None:
-        surfaces = Surfaces.of(rays.hits, rays.directions)
+    steps = StepCounter(progress, N_STEPS)
+    if hit_moments is None:
+        hit_moments = HitMoments.of(rays.hits, rays.directions)
     steps.tick()
-    draft = _sample(rays, DRAFT_RAYS)
-    faces, noise, seen = _start(draft, surfaces, sigma)
+    draft = _thinned(rays, DRAFT_RAYS)
+    faces, noise, expectation = _select_and_fit(draft, hit_moments, sigma)
     steps.tick()
     for _ in range(ROUNDS):
-        more = _left(draft, seen, noise)
-        faces = subset(faces, np.flatnonzero(seen.lines[:, 7] > WORTH))
-        faces = faces_of(split_bent(draft, faces, noise).joined(more))
+        more = _lines_unexplained(draft, expectation, noise)
+        faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > MIN_FACE_GAIN))
+        faces = binned_faces(split_bent_faces(draft, faces, noise).joined(more))
         steps.tick()
-        faces, noise, seen = _em(draft, faces, noise, passes=4)
+        faces, noise, expectation = _em(draft, faces, noise, passes=4)
         steps.tick()
-        logger.info("%d faces, %.4f nats a ray", faces.n_faces, seen.nats / len(draft))
-    final = _sample(rays, FINAL_RAYS)
-    faces = sharpen(faces, looks_at(draft, faces, noise))
-    faces = subset(faces, np.flatnonzero(is_seen(faces)))
+        logger.info("%d faces, %.4f nats a ray", faces.n_faces, expectation.log_likelihood / len(draft))
+    final = _thinned(rays, FINAL_RAYS)
+    faces = fit_stretches(faces, crossings_of(draft, faces, noise))
+    faces = take_faces(faces, np.flatnonzero(is_visible(faces)))
     steps.tick()
-    faces, noise, seen = _em(final, faces, noise, passes=1)
-    looks = looks_at(final, faces, noise)
-    faces = sharpen(faces, looks)
-    seen_faces = np.flatnonzero(is_seen(faces))
-    faces, looks = subset(faces, seen_faces), looks.of_faces(seen_faces)
+    faces, noise, expectation = _em(final, faces, noise, passes=1)
+    crossings = crossings_of(final, faces, noise)
+    faces = fit_stretches(faces, crossings)
+    seen_faces = np.flatnonzero(is_visible(faces))
+    faces, crossings = take_faces(faces, seen_faces), crossings.of_faces(seen_faces)
     steps.tick()
-    faces = join_corners(faces, looks)
-    seen = expect(final, faces, noise)
-    memory = Memory.of(final, faces, seen, looks, n_rays=len(final))
-    faces = with_errors(faces, seen.lines)
+    faces = join_corners(faces, crossings)
+    expectation = e_step(final, faces, noise)
+    statistics = SufficientStatistics.of(final, faces, expectation, crossings, n_rays=len(final))
+    faces = with_edge_errors(faces, expectation.line_sums)
     steps.tick()
-    return FittedFaces(faces=faces, noise=noise, seen=seen, n_rays=len(final), memory=memory)
+    return FittedFaces(
+        faces=faces, noise=noise, expectation=expectation, n_rays=len(final), statistics=statistics
+    )
 
 
 def draft_faces(rays: Rays, *, sigma: float) -> FittedFaces:
@@ -99,26 +105,28 @@ def draft_faces(rays: Rays, *, sigma: float) -> FittedFaces:
 
     Nothing is split: what bends a face may be the sensor.
     """
-    draft = _sample(rays, DRAFT_RAYS)
-    faces, noise, seen = _start(draft, Surfaces.of(rays.hits, rays.directions), sigma)
-    return FittedFaces(faces=faces, noise=noise, seen=seen, n_rays=len(draft))
+    draft = _thinned(rays, DRAFT_RAYS)
+    faces, noise, expectation = _select_and_fit(draft, HitMoments.of(rays.hits, rays.directions), sigma)
+    return FittedFaces(faces=faces, noise=noise, expectation=expectation, n_rays=len(draft))
 
 
-def _start(rays: Rays, surfaces: Surfaces, sigma: float) -> tuple[FaceSet, Noise, Expectation]:
+def _select_and_fit(
+    rays: Rays, hit_moments: HitMoments, sigma: float
+) -> tuple[FaceSet, ReturnNoise, Expectation]:
     """Select faces; once more with a wider band if hits spread wider than was thought (noise of the poses)."""
     for _ in range(3):
-        lines = select_lines(surfaces, sigma=sigma)
-        faces, noise, seen = _em(rays, faces_of(lines), Noise(sigma=2 * sigma), passes=3)
-        wide = _spread(seen, noise)
+        lines = select_lines(hit_moments, sigma=sigma)
+        faces, noise, expectation = _em(rays, binned_faces(lines), ReturnNoise(sigma=2 * sigma), passes=3)
+        wide = _spread_across_faces(expectation, noise)
         if wide < 1.5 * sigma:
             break
         sigma = wide
-    return faces, noise, seen
+    return faces, noise, expectation
 
 
-def _spread(seen: Expectation, noise: Noise) -> float:
+def _spread_across_faces(expectation: Expectation, noise: ReturnNoise) -> float:
     """Return the standard deviation [m] of hits across their faces."""
-    sums = seen.lines
+    sums = expectation.line_sums
     total = sums[:, 5].sum()
     if total <= 0:
         return noise.sigma
@@ -126,28 +134,30 @@ def _spread(seen: Expectation, noise: Noise) -> float:
     return float(np.sqrt((sums[:, 5] * across).sum() / total))
 
 
-def _em(rays: Rays, faces: FaceSet, noise: Noise, *, passes: int) -> tuple[FaceSet, Noise, Expectation]:
+def _em(
+    rays: Rays, faces: FaceSet, noise: ReturnNoise, *, passes: int
+) -> tuple[FaceSet, ReturnNoise, Expectation]:
     """Alternate E and M steps; the lines rest in the first of several, until visibility has settled."""
     for i in range(passes):
-        seen = expect(rays, faces, noise)
-        faces, noise = improve(faces, seen, noise, refit=i > 0 or passes == 1)
-    return faces, noise, seen
+        expectation = e_step(rays, faces, noise)
+        faces, noise = m_step(faces, expectation, noise, refit=i > 0 or passes == 1)
+    return faces, noise, expectation
 
 
-def _left(rays: Rays, seen: Expectation, noise: Noise) -> Lines:
+def _lines_unexplained(rays: Rays, expectation: Expectation, noise: ReturnNoise) -> Lines:
     """Select lines among the returns that no face explains."""
-    left = (seen.unexplained > 0.5) & np.isfinite(rays.ranges)
-    surfaces = Surfaces.of(rays.hits[left], rays.directions[left])
-    return select_lines(surfaces, sigma=noise.sigma, least=FEW, shortest=0.02, gap=0.05)
+    left = (expectation.unexplained > 0.5) & np.isfinite(rays.ranges)
+    hit_moments = HitMoments.of(rays.hits[left], rays.directions[left])
+    return select_lines(hit_moments, sigma=noise.sigma, least=MIN_HITS_LATER, shortest=0.02, gap=0.05)
 
 
-def _sample(rays: Rays, most: int) -> Rays:
+def _thinned(rays: Rays, most: int) -> Rays:
     """Take evenly spaced rays if there are too many; an odd step meets every bearing."""
     step = -(-len(rays) // most)
     return rays if step == 1 else rays.take(slice(None, None, step + 1 - step % 2))
 
 
-class Steps:
+class StepCounter:
     """Count steps for a progress bar."""
 
     def __init__(self, progress: Progress | None, total: int) -> None:

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from planners.kernel import kernel
-from sensorgraph.models.faces.hit_moments import CELL, Surfaces
+from sensorgraph.models.faces.hit_moments import HIT_CELL, HitMoments
 from sensorgraph.types import Floats, Ints
 
 N_ANGLES = 240  # normals over the full turn: faces have one side
-SPREAD = 3  # angle bins beside its own that a cell votes for
-D_BIN = 0.02  # [m]
+VOTE_SPREAD = 3  # angle bins beside its own that a cell votes for
+OFFSET_BIN = 0.02  # [m]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +49,7 @@ class Lines:
 
 
 def select_lines(
-    surfaces: Surfaces, *, sigma: float, least: float = 12.0, gap: float = 0.10, shortest: float = 0.03
+    hit_moments: HitMoments, *, sigma: float, least: float = 12.0, gap: float = 0.10, shortest: float = 0.03
 ) -> Lines:
     """Select lines until none explains `least` hits over `shortest` [m].
 
@@ -58,21 +58,21 @@ def select_lines(
     sigma : [m] spread of hits across a face (range noise and pose noise)
     gap : [m] a longer stretch without hits ends a face
     """
-    if len(surfaces.cells) == 0:
+    if len(hit_moments.cells) == 0:
         return Lines(normals=np.zeros((0, 2)), offsets=np.zeros(0), spans=np.zeros((0, 2)))
-    low = surfaces.cells.min(axis=0)
-    shape = surfaces.cells.max(axis=0) - low + 1
+    low = hit_moments.cells.min(axis=0)
+    shape = hit_moments.cells.max(axis=0) - low + 1
     grid = np.full((int(shape[0]), int(shape[1])), -1, dtype=np.int32)
-    column, row = (surfaces.cells - low).T
-    grid[column, row] = np.arange(len(surfaces.cells), dtype=np.int32)
-    middle = surfaces.centres.mean(axis=0)  # keeps d small far from the origin
-    rows = _select(
+    column, row = (hit_moments.cells - low).T
+    grid[column, row] = np.arange(len(hit_moments.cells), dtype=np.int32)
+    middle = hit_moments.centres.mean(axis=0)  # keeps d small far from the origin
+    rows = _select_lines(
         grid,
         column,
         row,
-        surfaces.centres - middle,
-        surfaces.moments,
-        float(max(3 * sigma, 0.6 * CELL)),
+        hit_moments.centres - middle,
+        hit_moments.moments,
+        float(max(3 * sigma, 0.6 * HIT_CELL)),
         float(least),
         float(gap),
         float(shortest),
@@ -87,7 +87,7 @@ def select_lines(
 
 
 @kernel
-def _select(
+def _select_lines(
     grid: Any,
     column: Any,
     row: Any,
@@ -99,7 +99,7 @@ def _select(
     shortest: Any,
 ) -> Any:
     n_cells = len(column)
-    angle = _normals(grid, column, row, centres, moments)
+    angle = _normal_bins(grid, column, row, centres, moments)
     mean = np.empty((n_cells, 2))
     for i in range(n_cells):
         for j in range(2):
@@ -107,7 +107,7 @@ def _select(
     reach = 0.0
     for i in range(n_cells):
         reach = max(reach, np.hypot(mean[i, 0], mean[i, 1]))
-    n_d = int(2 * reach / D_BIN) + 5
+    n_d = int(2 * reach / OFFSET_BIN) + 5
     cos, sin = (
         np.cos(2 * np.pi * np.arange(N_ANGLES) / N_ANGLES),
         np.sin(2 * np.pi * np.arange(N_ANGLES) / N_ANGLES),
@@ -132,10 +132,10 @@ def _select(
         if tops[best] < 0.5 * least:
             break
         a, k = int(best), int(places[best])
-        line, members = _grow(
+        line, members = _fit_run(
             cos[a],
             sin[a],
-            (k - 2 + 0.5) * D_BIN - reach,
+            (k - 2 + 0.5) * OFFSET_BIN - reach,
             mean,
             moments,
             live,
@@ -157,7 +157,7 @@ def _select(
             _vote(votes, i, angle, mean, moments, cos, sin, reach, -1.0)
             b = int(angle[i])
             if b >= 0:
-                for s in range(-SPREAD, SPREAD + 1):
+                for s in range(-VOTE_SPREAD, VOTE_SPREAD + 1):
                     stale[(b + s) % N_ANGLES] = True
     return found[:n_found].copy()
 
@@ -168,18 +168,18 @@ def _vote(
 ) -> Any:
     if angle[i] < 0:
         return
-    for s in range(-SPREAD, SPREAD + 1):
+    for s in range(-VOTE_SPREAD, VOTE_SPREAD + 1):
         a = (int(angle[i]) + s) % N_ANGLES
-        d = (cos[a] * mean[i, 0] + sin[a] * mean[i, 1] + reach) / D_BIN + 2
+        d = (cos[a] * mean[i, 0] + sin[a] * mean[i, 1] + reach) / OFFSET_BIN + 2
         k = int(np.floor(d - 0.5))
         f = d - 0.5 - k
-        w = sign * moments[i, 0] * (1 - abs(s) / (SPREAD + 1.0))
+        w = sign * moments[i, 0] * (1 - abs(s) / (VOTE_SPREAD + 1.0))
         votes[a, k] += (1 - f) * w
         votes[a, k + 1] += f * w
 
 
 @kernel
-def _normals(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -> Any:
+def _normal_bins(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -> Any:
     """Find each cell's angle bin by the moments of 5 x 5 cells seen from the same side; -1 where unclear."""
     n_cells = len(column)
     nx, ny = grid.shape
@@ -220,7 +220,7 @@ def _normals(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -> An
 
 
 @kernel
-def _grow(
+def _fit_run(
     c: Any,
     s: Any,
     d: Any,
@@ -241,7 +241,7 @@ def _grow(
     index = np.empty(n_cells, np.int64)
     low, high = -np.inf, np.inf
     for step in range(4):
-        width = max(band, 1.5 * D_BIN) if step == 0 else band
+        width = max(band, 1.5 * OFFSET_BIN) if step == 0 else band
         n = 0
         for i in range(n_cells):
             if not live[i] or abs(nx * mean[i, 0] + ny * mean[i, 1] - d) > width:
@@ -291,7 +291,7 @@ def _grow(
             yy += w * y * y + vyy
             ux += moments[i, 6]
             uy += moments[i, 7]
-        if m0 < least or high - low + CELL < shortest:
+        if m0 < least or high - low + HIT_CELL < shortest:
             return line, none
         cx, cy = mx / m0, my / m0
         xx, xy, yy = xx / m0 - cx * cx, xy / m0 - cx * cy, yy / m0 - cy * cy

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from planners.kernel import kernel
 from sensorgraph.types import Floats
 
-CELL = 0.02
+HIT_CELL = 0.02
 """[m] side of a cell."""
 N_MOMENTS = 8  # count, x, y, xx, xy, yy (about the cell's centre), ux, uy
-_HALF = 1 << 30  # cells along an axis that a key can tell apart: ± this
+_KEY_OFFSET = 1 << 30  # cells along an axis that a key can tell apart: ± this
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Surfaces:
+class HitMoments:
     """Moments of hits in the cells of a grid whose cell (0, 0) has its corner at the origin of map."""
 
     cells: NDArray[np.int64]
@@ -31,27 +31,27 @@ class Surfaces:
     """(n_cells, 8) count, x, y, xx, xy, yy [m about the cell's centre], sum of ray directions."""
 
     @classmethod
-    def empty(cls) -> Surfaces:
+    def empty(cls) -> HitMoments:
         """Hold nothing yet."""
         return cls(cells=np.zeros((0, 2), dtype=np.int64), moments=np.zeros((0, N_MOMENTS)))
 
     @classmethod
-    def of(cls, points: Floats, directions: Floats, weights: Floats | None = None) -> Surfaces:
+    def of(cls, points: Floats, directions: Floats, weights: Floats | None = None) -> HitMoments:
         """Pool end points (n, 2) [m] of rays with directions (n, 2); `weights` (n,) count them, default 1."""
         weights = np.ones(len(points)) if weights is None else weights
-        keys, moments = _pool(points, directions, weights, CELL)
+        keys, moments = _pool(points, directions, weights, HIT_CELL)
         order = np.argsort(keys, kind="stable")
         keys = keys[order]
         return cls(cells=_cells(keys), moments=moments[order])
 
-    def merge(self, other: Surfaces) -> Surfaces:
+    def merge(self, other: HitMoments) -> HitMoments:
         """Add the moments of two disjoint sets of hits."""
         mine, theirs = _keys(self.cells), _keys(other.cells)
         keys = np.union1d(mine, theirs)
         moments = np.zeros((len(keys), N_MOMENTS))
         moments[np.searchsorted(keys, mine)] = self.moments
         moments[np.searchsorted(keys, theirs)] += other.moments
-        return Surfaces(cells=_cells(keys), moments=moments)
+        return HitMoments(cells=_cells(keys), moments=moments)
 
     @property
     def counts(self) -> Floats:
@@ -61,15 +61,15 @@ class Surfaces:
     @property
     def centres(self) -> Floats:
         """(n_cells, 2) [m] in map."""
-        return np.asarray((self.cells + 0.5) * CELL, dtype=np.float64)
+        return np.asarray((self.cells + 0.5) * HIT_CELL, dtype=np.float64)
 
 
 def _keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.asarray(((cells[:, 0] + _HALF) << 32) | (cells[:, 1] + _HALF))
+    return np.asarray(((cells[:, 0] + _KEY_OFFSET) << 32) | (cells[:, 1] + _KEY_OFFSET))
 
 
 def _cells(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.stack([(keys >> 32) - _HALF, (keys & 0xFFFFFFFF) - _HALF], axis=1)
+    return np.stack([(keys >> 32) - _KEY_OFFSET, (keys & 0xFFFFFFFF) - _KEY_OFFSET], axis=1)
 
 
 @kernel
@@ -85,7 +85,7 @@ def _pool(points: Any, directions: Any, weights: Any, cell: Any) -> Any:
         if not (np.isfinite(x) and np.isfinite(y)):
             continue
         cx, cy = np.int64(np.floor(x / cell)), np.int64(np.floor(y / cell))
-        key = ((cx + _HALF) << 32) | (cy + _HALF)
+        key = ((cx + _KEY_OFFSET) << 32) | (cy + _KEY_OFFSET)
         slot = (key * 0x9E3779B97F4A7C1 >> 20) & (size - 1)
         while table[slot] >= 0 and keys[table[slot]] != key:
             slot = (slot + 1) & (size - 1)

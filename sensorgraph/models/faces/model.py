@@ -20,25 +20,32 @@ from logs.run import RangeSensor
 from planners.kernel import kernel
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF, Point, Prediction, Scans
-from sensorgraph.models.calibration.calibrate import Calibration, corrected, crossed_by, identify
+from sensorgraph.models.calibration.calibrate import Calibration, calibrate_faces, corrected_rays, observed_by
 from sensorgraph.models.calibration.ray_terms import incidence_bias
 from sensorgraph.models.cells.model import Cells
-from sensorgraph.models.faces.fit import STEPS, Steps, fit_faces
-from sensorgraph.models.faces.observed_space import Crossed, is_crossed
-from sensorgraph.models.faces.ray_march import FAINT, MOST, ROOM, FaceSet, gather, index
-from sensorgraph.models.faces.reduction import BLOCK, Block, Spread, blocks_of, reduce_blocks
+from sensorgraph.models.faces.fit import N_STEPS, StepCounter, fit_faces
+from sensorgraph.models.faces.observed_space import ObservedSpace, is_ray_observed
+from sensorgraph.models.faces.ray_march import (
+    CANDIDATE_SLOTS,
+    MAX_CANDIDATES,
+    MIN_VISIBILITY,
+    FaceSet,
+    bucket_grid,
+    crossed_faces,
+)
+from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block, MapBlocks, blocks_of, reduce_blocks
 from sensorgraph.models.faces.sampling import draw_rays
-from sensorgraph.models.faces.sufficient_statistics import Memory
+from sensorgraph.models.faces.sufficient_statistics import SufficientStatistics
 from sensorgraph.models.faces.update import update_faces
-from sensorgraph.models.faces.visibility import Noise, variance
+from sensorgraph.models.faces.visibility import ReturnNoise, variance
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, summarise, to_prediction, which_of
 from sensorgraph.types import Floats, Ints, Progress
 
-SURE = 0.05
+MAX_P_OFF = 0.05
 """Chance of being off above which a ray is not answered."""
-SHORT_OF = 0.10
+SUPPORT_MARGIN = 0.10
 """[m] before the predicted range a ray needs no support any more: the surface itself was seen."""
-CLUTTER = 2e-3
+MAX_STRAY = 2e-3
 """[1/m] returns that no face explains, above which cells predict; 1e-4 in clean rooms, 7e-3 on logs of real floors."""
 
 
@@ -50,10 +57,10 @@ class Faces:
 
     sensor: RangeSensor
     faces: FaceSet
-    noise: Noise
+    noise: ReturnNoise
     hits: Floats
     """(n_faces,) training returns that each face explains."""
-    crossed: Crossed
+    observed: ObservedSpace
     returns: float
     """Share of the training rays that returned."""
     mount: Floats
@@ -62,7 +69,7 @@ class Faces:
     """How the laser differs from what was stated; identity for a perfect one."""
     n_rays: int = 0
     """Training rays."""
-    memory: Memory | None = None
+    statistics: SufficientStatistics | None = None
     """What new runs are added to."""
     cells: Cells | None = None
     """What predicts where long faces do not explain enough."""
@@ -91,7 +98,7 @@ class Faces:
     @property
     def is_cluttered(self) -> bool:
         """Tell whether faces leave so much unexplained that cells predict better."""
-        return self.noise.stray > CLUTTER
+        return self.noise.stray > MAX_STRAY
 
     def with_cells(self, scans: Scans, *, progress: Progress | None = None) -> Self:
         """Add cells from the same scans; from then on they predict."""
@@ -107,7 +114,7 @@ class Faces:
         mount: Floats,
         *,
         n_scans: int,
-        spread: Spread = map,
+        map_blocks: MapBlocks = map,
         can_mount: bool = True,
         calibrate: bool | None = None,
         progress: Progress | None = None,
@@ -117,14 +124,14 @@ class Faces:
         Parameters
         ----------
         n_scans : how many scans all blocks hold, about
-        spread : where the blocks are reduced; `map`: here, one after the other
+        map_blocks : where the blocks are reduced; `map`: here, one after the other
         can_mount : the poses are of a base that carries the laser; False where they are the laser's own
         calibrate : identify the laser with the faces; None: where that is worth it
         """
-        n_blocks = -(-n_scans // BLOCK)
-        steps = Steps(progress, n_blocks + STEPS)
+        n_blocks = -(-n_scans // SCANS_PER_BLOCK)
+        steps = StepCounter(progress, n_blocks + N_STEPS)
         reduced = reduce_blocks(
-            blocks, mount=mount, n_rays=n_scans * sensor.n_rays, spread=spread, tick=steps.tick
+            blocks, mount=mount, n_rays=n_scans * sensor.n_rays, map_blocks=map_blocks, tick=steps.tick
         )
         if reduced is None or reduced.n_returns == 0:
             raise SensorgraphError(
@@ -132,26 +139,28 @@ class Faces:
             )
         rays = reduced.sample.rays(sensor, mount)
         fitted = fit_faces(
-            rays, surfaces=reduced.surfaces, progress=lambda done, _: steps.to(n_blocks + done)
+            rays, hit_moments=reduced.hit_moments, progress=lambda done, _: steps.to(n_blocks + done)
         )
-        found = identify(reduced.sample, sensor, mount, fitted, can_mount=can_mount, calibrate=calibrate)
+        found = calibrate_faces(
+            reduced.sample, sensor, mount, fitted, can_mount=can_mount, calibrate=calibrate
+        )
         if not found.calibration.is_as_stated and len(found.rays) == reduced.n_rays:
             # of a larger log the grid of all its rays, a few cm off, tells more than that of a sample
-            reduced = replace(reduced, crossed=crossed_by(found.rays))
+            reduced = replace(reduced, observed=observed_by(found.rays))
         fitted = found.fitted
         return cls(
             sensor=sensor,
             faces=fitted.faces,
             noise=fitted.noise,
             hits=fitted.hits * (reduced.n_rays / max(fitted.n_rays, 1)),
-            crossed=reduced.crossed,
+            observed=reduced.observed,
             returns=reduced.n_returns / reduced.n_rays,
             mount=found.mount,
             calibration=found.calibration,
             n_rays=reduced.n_rays,
-            memory=None
-            if fitted.memory is None
-            else fitted.memory.scaled(reduced.n_rays / max(fitted.n_rays, 1)),
+            statistics=None
+            if fitted.statistics is None
+            else fitted.statistics.scaled(reduced.n_rays / max(fitted.n_rays, 1)),
         )
 
     def updated(
@@ -159,7 +168,7 @@ class Faces:
         blocks: Iterable[Block],
         *,
         n_scans: int,
-        spread: Spread = map,
+        map_blocks: MapBlocks = map,
         progress: Progress | None = None,
     ) -> Self:
         """Add blocks of new scans, of the same laser, without the old ones."""
@@ -167,19 +176,23 @@ class Faces:
             raise SensorgraphError(
                 "the graph predicts with cells, which are not updated; build it again from all runs"
             )
-        if self.memory is None:
+        if self.statistics is None:
             raise SensorgraphError("the graph remembers too little of its rays to be updated; build it again")
-        steps = Steps(progress, -(-n_scans // BLOCK) + 1)
+        steps = StepCounter(progress, -(-n_scans // SCANS_PER_BLOCK) + 1)
         new = reduce_blocks(
-            blocks, mount=self.mount, n_rays=n_scans * self.sensor.n_rays, spread=spread, tick=steps.tick
+            blocks,
+            mount=self.mount,
+            n_rays=n_scans * self.sensor.n_rays,
+            map_blocks=map_blocks,
+            tick=steps.tick,
         )
         if new is None or new.n_returns == 0:
             raise SensorgraphError(
                 "no ray of the new log returned; check range_max and the no-return code of the log"
             )
-        rays = corrected(new.sample, self.sensor, self.mount, self.calibration, self.faces, self.noise)
-        faces, noise, memory = update_faces(
-            self.faces, self.noise, self.memory, self.crossed, rays, n_rays=new.n_rays
+        rays = corrected_rays(new.sample, self.sensor, self.mount, self.calibration, self.faces, self.noise)
+        faces, noise, statistics = update_faces(
+            self.faces, self.noise, self.statistics, self.observed, rays, n_rays=new.n_rays
         )
         steps.tick()
         n_rays = self.n_rays + new.n_rays
@@ -187,11 +200,11 @@ class Faces:
             self,
             faces=faces,
             noise=noise,
-            hits=memory.lines[:, 5].copy(),
-            crossed=self.crossed.merge(new.crossed),
+            hits=statistics.line_sums[:, 5].copy(),
+            observed=self.observed.merge(new.observed),
             returns=(self.returns * self.n_rays + new.n_returns) / n_rays,
             n_rays=n_rays,
-            memory=memory,
+            statistics=statistics,
         )
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
@@ -203,12 +216,12 @@ class Faces:
         x, y, cos, sin = self._lasers(poses)
         bearings, terms = self.sensor.bearings[rays], self.calibration.terms
         _predict(
-            x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces, index(self.faces),
-            self.noise.array, self.crossed.origin, self.crossed.cell, self.crossed.room, self.returns,
+            x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces, bucket_grid(self.faces),
+            self.noise.array, self.observed.origin, self.observed.cell, self.observed.distance_to_unobserved, self.returns,
             terms.constant[rays], terms.slope[rays], terms.incidence, not terms.is_none,
             which_of(point), table, supported,
         )  # fmt: skip
-        sure = (table[..., P_OFF] < SURE) | (table[..., NO_RETURN] > 1 - SURE)
+        sure = (table[..., P_OFF] < MAX_P_OFF) | (table[..., NO_RETURN] > 1 - MAX_P_OFF)
         return to_prediction(table, point, supported & sure)
 
     def draw(self, poses: Floats, uniform: Floats, normal: Floats) -> Floats:
@@ -223,7 +236,7 @@ class Faces:
         bearings, terms = self.sensor.bearings, self.calibration.terms
         draw_rays(
             x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces,
-            index(self.faces), self.noise.sigma, terms.constant, terms.slope, terms.incidence, uniform, normal, out,
+            bucket_grid(self.faces), self.noise.sigma, terms.constant, terms.slope, terms.incidence, uniform, normal, out,
         )  # fmt: skip
         return out
 
@@ -262,8 +275,10 @@ class Faces:
         (nx, ny), d = self.faces.normals[k], self.faces.offsets[k]
         mx, my = self.mount[:2]
         cos, sin = math.cos(bearing), math.sin(bearing)
-        above = _sum([(d, ""), (-nx, "x"), (-ny, "y"), (-(nx * mx + ny * my), "c"), (nx * my - ny * mx, "s")])
-        below = _sum([(nx * cos + ny * sin, "c"), (ny * cos - nx * sin, "s")])
+        above = _sum_text(
+            [(d, ""), (-nx, "x"), (-ny, "y"), (-(nx * mx + ny * my), "c"), (nx * my - ny * mx, "s")]
+        )
+        below = _sum_text([(nx * cos + ny * sin, "c"), (ny * cos - nx * sin, "s")])
         return f"({above}) / ({below})"
 
     def _stretches(self, k: int) -> str:
@@ -273,13 +288,13 @@ class Faces:
         parts = [
             f"{edges[j]:.3f} < t < {edges[j + 1]:.3f} (chance {levels[j]:.3f})"
             for j in range(a, b)
-            if levels[j] > FAINT
+            if levels[j] > MIN_VISIBILITY
         ]
-        return f"{', '.join(parts)}; t = {_sum([(-ny, 'x_hit'), (nx, 'y_hit')])}"
+        return f"{', '.join(parts)}; t = {_sum_text([(-ny, 'x_hit'), (nx, 'y_hit')])}"
 
     def summary(self) -> Mapping[str, str]:
         """Return what a reader wants to know first."""
-        stretches = int((self.faces.levels > FAINT).sum())
+        stretches = int((self.faces.levels > MIN_VISIBILITY).sum())
         noise = f"{1e3 * self.noise.sigma:.1f} mm of range"
         noise += f", {1e3 * self.noise.sigma_xy:.1f} mm and {math.degrees(self.noise.sigma_yaw):.3f}° of pose"
         return {
@@ -292,21 +307,21 @@ class Faces:
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return plain data and arrays that hold the whole model."""
-        noise = {name: getattr(self.noise, name) for name in Noise.__dataclass_fields__}
+        noise = {name: getattr(self.noise, name) for name in ReturnNoise.__dataclass_fields__}
         calibration, terms = self.calibration.state()
         header: dict[str, Any] = {
             "noise": noise,
             "returns": self.returns,
-            "cell": self.crossed.cell,
+            "cell": self.observed.cell,
             "calibration": calibration,
             "n_rays": self.n_rays,
         }
         arrays: dict[str, NDArray[Any]] = {name: getattr(self.faces, name) for name in FaceSet._fields}
         arrays |= {"hits": self.hits, "mount": self.mount}
         arrays |= {f"calibration.{name}": array for name, array in terms.items()}
-        if self.memory is not None:
-            arrays |= {f"memory.{name}": array for name, array in self.memory.arrays().items()}
-        arrays |= {"crossed.origin": self.crossed.origin, "crossed.counts": self.crossed.counts}
+        if self.statistics is not None:
+            arrays |= {f"memory.{name}": array for name, array in self.statistics.arrays().items()}
+        arrays |= {"crossed.origin": self.observed.origin, "crossed.counts": self.observed.counts}
         if self.cells is not None:
             header["cells"], own = self.cells.state()
             arrays |= {f"cells.{name}": array for name, array in own.items()}
@@ -318,10 +333,10 @@ class Faces:
     ) -> Self:
         """Build the model from what `state` gave; a wrong shape is a ValueError."""
         faces = FaceSet(
-            **{name: np.asarray(arrays[name], _TYPES.get(name, float)) for name in FaceSet._fields}
+            **{name: np.asarray(arrays[name], _INTEGER_FIELDS.get(name, float)) for name in FaceSet._fields}
         )
-        _check(faces)
-        memory = {
+        _check_face_set(faces)
+        statistics = {
             name.removeprefix("memory."): array
             for name, array in arrays.items()
             if name.startswith("memory.")
@@ -329,16 +344,16 @@ class Faces:
         return cls(
             sensor=sensor,
             faces=faces,
-            noise=Noise(**{name: float(value) for name, value in header["noise"].items()}),
+            noise=ReturnNoise(**{name: float(value) for name, value in header["noise"].items()}),
             hits=np.asarray(arrays["hits"], dtype=np.float64),
-            crossed=Crossed(
+            observed=ObservedSpace(
                 origin=np.asarray(arrays["crossed.origin"], dtype=np.float64),
                 cell=float(header["cell"]),
                 counts=np.asarray(arrays["crossed.counts"], dtype=np.uint8),
             ),
             returns=float(header["returns"]),
             n_rays=int(header.get("n_rays", 0)),
-            memory=Memory.from_arrays(memory, faces) if memory else None,
+            statistics=SufficientStatistics.from_arrays(statistics, faces) if statistics else None,
             mount=np.asarray(arrays["mount"], dtype=np.float64),
             calibration=_calibration(sensor, header, arrays),
             cells=_cells(sensor, header, arrays),
@@ -372,10 +387,10 @@ def _cells(
     return Cells.restore(sensor, header["cells"], own)
 
 
-_TYPES: dict[str, type] = {"first": np.intp, "neighbour": np.intp}
+_INTEGER_FIELDS: dict[str, type] = {"first": np.intp, "neighbour": np.intp}
 
 
-def _check(faces: FaceSet) -> None:
+def _check_face_set(faces: FaceSet) -> None:
     """Refuse arrays that kernels would read beyond their ends."""
     k, e = faces.n_faces, len(faces.edges)
     shapes = {name: np.shape(getattr(faces, name)) for name in FaceSet._fields}
@@ -392,7 +407,7 @@ def _check(faces: FaceSet) -> None:
         raise ValueError(f"neighbours reach {faces.neighbour.max()}, expected less than {k} faces")
 
 
-def _sum(parts: list[tuple[float, str]]) -> str:
+def _sum_text(parts: list[tuple[float, str]]) -> str:
     """Write a sum of products, leaving zeros out."""
     text = ""
     for value, name in parts:
@@ -429,14 +444,14 @@ def _predict(
     supported: Any,
 ) -> Any:
     normals, _, first, edges, levels, blur, neighbour = faces
-    r, t = np.empty(ROOM), np.empty(ROOM)
-    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
-    rho, w, s = np.empty(ROOM), np.empty(ROOM), np.empty(ROOM)
+    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
+    rho, w, s = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
     is_moved, sigma = noise[1] > 0 or noise[2] > 0, math.sqrt(noise[0])  # by noise of poses
     for i in range(len(x)):
         for b in range(len(cos_b)):
             ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
-            n = gather(x[i], y[i], ux, uy, range_max, 0.001, faces, buckets, r, k, j, t)
+            n = crossed_faces(x[i], y[i], ux, uy, range_max, 0.001, faces, buckets, r, k, j, t)
             left, c = 1.0, 0
             for m in range(n):
                 f = k[m]
@@ -477,5 +492,7 @@ def _predict(
                 row[0], row[1], row[2], row[3], row[4], row[5] = summarise(
                     rho, w, s, c, left, range_max, which
                 )
-            reach = range_max if row[4] > 0.5 else row[1] - SHORT_OF
-            supported[i, b] = r[MOST] > reach and is_crossed(x[i], y[i], ux, uy, reach, origin, cell, room)
+            reach = range_max if row[4] > 0.5 else row[1] - SUPPORT_MARGIN
+            supported[i, b] = r[MAX_CANDIDATES] > reach and is_ray_observed(
+                x[i], y[i], ux, uy, reach, origin, cell, room
+            )

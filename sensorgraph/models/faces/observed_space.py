@@ -13,12 +13,12 @@ from scipy.ndimage import distance_transform_cdt
 from planners.kernel import kernel
 from sensorgraph.types import Bools, Floats
 
-CELL = 0.10  # [m]
-LARGEST = 1 << 26  # cells of a grid; a larger one is made coarser
+OBSERVED_CELL = 0.10  # [m]
+MAX_CELLS = 1 << 26  # cells of a grid; a larger one is made coarser
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Crossed:
+class ObservedSpace:
     """A grid of counts: how many training rays went through each cell, up to and with the cell of the return."""
 
     origin: Floats
@@ -29,25 +29,27 @@ class Crossed:
     """(nx, ny) rays, 255 at most."""
 
     @classmethod
-    def of(cls, origins: Floats, directions: Floats, reach: Floats, *, cell: float = CELL) -> Crossed:
+    def of(
+        cls, origins: Floats, directions: Floats, reach: Floats, *, cell: float = OBSERVED_CELL
+    ) -> ObservedSpace:
         """Count rays (n, 2), (n, 2) that were free up to `reach` (n,) [m]."""
         low, high = _extent(origins, directions, reach)
-        while np.prod((high - low) / cell + 4) > LARGEST:
+        while np.prod((high - low) / cell + 4) > MAX_CELLS:
             cell *= 2
         corner = np.floor(low / cell - 1) * cell
         shape = np.ceil((high - corner) / cell).astype(int) + 2
         counts = np.zeros((int(shape[0]), int(shape[1])), dtype=np.uint8)
-        _count(origins, directions, reach, corner, cell, counts)
+        _count_rays(origins, directions, reach, corner, cell, counts)
         return cls(origin=corner, cell=cell, counts=counts)
 
     @cached_property
-    def room(self) -> NDArray[np.uint8]:
+    def distance_to_unobserved(self) -> NDArray[np.uint8]:
         """(nx, ny) cells to the nearest one that nothing crossed, the longer of both axes; the grid ends in such."""
         known = np.pad(self.counts > 0, 1)
         far = distance_transform_cdt(known, metric="chessboard")[1:-1, 1:-1]
         return np.minimum(far, 255).astype(np.uint8)
 
-    def merge(self, other: Crossed) -> Crossed:
+    def merge(self, other: ObservedSpace) -> ObservedSpace:
         """Add the counts of two sets of rays; the finer grid, or both where that is too many cells, is made coarser."""
         if self.cell != other.cell:
             fine, coarse = sorted((self, other), key=lambda grid: grid.cell)
@@ -55,15 +57,17 @@ class Crossed:
         corners = np.round(np.stack([self.origin, other.origin]) / self.cell).astype(int)
         low = corners.min(axis=0)
         high = np.max([corners[0] + self.counts.shape, corners[1] + other.counts.shape], axis=0)
-        if np.prod((high - low).astype(float)) > LARGEST:
+        if np.prod((high - low).astype(float)) > MAX_CELLS:
             return self.coarser().merge(other.coarser())
         total = np.zeros(high - low, dtype=np.uint16)
         for corner, grid in zip(corners, (self.counts, other.counts), strict=True):
             i, j = corner - low
             total[i : i + grid.shape[0], j : j + grid.shape[1]] += grid
-        return Crossed(origin=low * self.cell, cell=self.cell, counts=np.minimum(total, 255).astype(np.uint8))
+        return ObservedSpace(
+            origin=low * self.cell, cell=self.cell, counts=np.minimum(total, 255).astype(np.uint8)
+        )
 
-    def coarser(self) -> Crossed:
+    def coarser(self) -> ObservedSpace:
         """Return the grid of cells twice as wide; a ray counts once for each fine cell it went through."""
         corner = np.round(self.origin / self.cell).astype(int)
         before = corner % 2
@@ -71,7 +75,7 @@ class Crossed:
         padded = np.pad(self.counts.astype(np.uint16), np.stack([before, after], axis=1))
         nx, ny = padded.shape
         total = padded.reshape(nx // 2, 2, ny // 2, 2).sum(axis=(1, 3))
-        return Crossed(
+        return ObservedSpace(
             origin=(corner - before) * self.cell,
             cell=2 * self.cell,
             counts=np.minimum(total, 255).astype(np.uint8),
@@ -80,13 +84,15 @@ class Crossed:
     def supports(self, origins: Floats, directions: Floats, reach: Floats) -> Bools:
         """Tell for rays (n, 2), (n, 2) whether every cell up to `reach` (n,) [m] was crossed."""
         out = np.zeros(len(origins), dtype=np.bool_)
-        _supported(origins, directions, reach, self.origin, self.cell, self.room, out)
+        _are_rays_observed(
+            origins, directions, reach, self.origin, self.cell, self.distance_to_unobserved, out
+        )
         return out
 
 
 @kernel
-def is_crossed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any, cell: Any, room: Any) -> Any:
-    """Walk the cells of a ray, as far at a time as there is `Crossed.room`; stop at one that nothing crossed."""
+def is_ray_observed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any, cell: Any, room: Any) -> Any:
+    """Walk the cells of a ray, as far at a time as there is `ObservedSpace.distance_to_unobserved`; stop at one that nothing crossed."""
     nx, ny = room.shape
     x, y = (px - origin[0]) / cell, (py - origin[1]) / cell
     i: Any = int(np.floor(x))
@@ -117,9 +123,11 @@ def is_crossed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any, cell
 
 
 @kernel
-def _supported(origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, room: Any, out: Any) -> Any:
+def _are_rays_observed(
+    origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, room: Any, out: Any
+) -> Any:
     for k in range(len(out)):
-        out[k] = is_crossed(
+        out[k] = is_ray_observed(
             origins[k, 0], origins[k, 1], directions[k, 0], directions[k, 1], reach[k], origin, cell, room
         )
 
@@ -138,7 +146,7 @@ def _extent(origins: Any, directions: Any, reach: Any) -> Any:
 
 
 @kernel
-def _count(origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, counts: Any) -> Any:
+def _count_rays(origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, counts: Any) -> Any:
     nx, ny = counts.shape
     for k in range(len(reach)):
         ux, uy = directions[k, 0], directions[k, 1]

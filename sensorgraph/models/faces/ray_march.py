@@ -13,12 +13,12 @@ import numpy as np
 from planners.kernel import kernel
 from sensorgraph.types import Floats, Ints
 
-BUCKET = 0.8  # [m] uncritical: 0.3 to 1.2 are alike
-MARGIN = 0.02  # [m] beyond its ends a face is still offered, so that a blurred end can be seen
-FAINT = 0.003  # visibility below which a stretch is not there
-MOST = 96  # candidates of one ray
-ROOM = MOST + 1  # length of the arrays they are listed in
-SURELY = 0.01  # [m] off its ends a ray that meets a face's back has come through what is solid
+BUCKET_SIZE = 0.8  # [m] uncritical: 0.3 to 1.2 are alike
+END_MARGIN = 0.02  # [m] beyond its ends a face is still offered, so that a blurred end can be seen
+MIN_VISIBILITY = 0.003  # visibility below which a stretch is not there
+MAX_CANDIDATES = 96  # candidates of one ray
+CANDIDATE_SLOTS = MAX_CANDIDATES + 1  # length of the arrays they are listed in
+BACK_SIDE_MARGIN = 0.01  # [m] off its ends a ray that meets a face's back has come through what is solid
 
 
 class FaceSet(NamedTuple):
@@ -50,7 +50,7 @@ class FaceSet(NamedTuple):
         return np.stack([-self.normals[:, 1], self.normals[:, 0]], axis=1)
 
 
-class Buckets(NamedTuple):
+class BucketGrid(NamedTuple):
     """Which faces pass through each bucket of a grid."""
 
     origin: Floats
@@ -62,27 +62,27 @@ class Buckets(NamedTuple):
     """(n,) faces, bucket by bucket."""
 
 
-def index(faces: FaceSet) -> Buckets:
+def bucket_grid(faces: FaceSet) -> BucketGrid:
     """Note for every bucket the faces that it must offer."""
     if faces.n_faces == 0:
-        return Buckets(np.zeros(2), (1, 1), np.zeros(2, dtype=np.intp), np.zeros(0, dtype=np.intp))
+        return BucketGrid(np.zeros(2), (1, 1), np.zeros(2, dtype=np.intp), np.zeros(0, dtype=np.intp))
     owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
-    seen = faces.levels > FAINT
+    seen = faces.levels > MIN_VISIBILITY
     last = np.flatnonzero(seen)
     ends = np.concatenate([faces.edges[last], faces.edges[last + 1]])
     owners = np.concatenate([owner[last], owner[last]])
     points = faces.normals[owners] * faces.offsets[owners, None] + faces.tangents[owners] * ends[:, None]
     if len(points) == 0:
         points = np.zeros((1, 2))
-    origin = points.min(axis=0) - 2 * MARGIN - 0.01
-    size = np.floor((points.max(axis=0) + 2 * MARGIN - origin) / BUCKET).astype(int) + 1
+    origin = points.min(axis=0) - 2 * END_MARGIN - 0.01
+    size = np.floor((points.max(axis=0) + 2 * END_MARGIN - origin) / BUCKET_SIZE).astype(int) + 1
     shape = (int(size[0]), int(size[1]))
     counts = np.zeros(shape[0] * shape[1] + 1, dtype=np.intp)
     _rasterise(*faces[:5], origin, shape[0], shape[1], counts, np.zeros(0, dtype=np.intp))
     start = np.cumsum(counts) - counts
     members = np.zeros(int(counts.sum()), dtype=np.intp)
     _rasterise(*faces[:5], origin, shape[0], shape[1], start.copy(), members)
-    return Buckets(origin, shape, start, members)
+    return BucketGrid(origin, shape, start, members)
 
 
 @kernel
@@ -103,28 +103,28 @@ def _rasterise(
     for k in range(len(offsets)):
         low, high = 1e300, -1e300
         for j in range(first[k], first[k + 1] - 1):
-            if levels[j] > FAINT:
+            if levels[j] > MIN_VISIBILITY:
                 low = min(low, edges[j])
                 high = max(high, edges[j + 1])
         if high < low:
             continue
-        low -= MARGIN
-        high += MARGIN
+        low -= END_MARGIN
+        high += END_MARGIN
         n_x, n_y = normals[k, 0], normals[k, 1]
         ax, ay = n_x * offsets[k] - n_y * low, n_y * offsets[k] + n_x * low
         dx, dy = -n_y * (high - low), n_x * (high - low)
-        i0 = max(int((min(ax, ax + dx) - 1e-6 - origin[0]) / BUCKET), 0)
-        i1 = min(int((max(ax, ax + dx) + 1e-6 - origin[0]) / BUCKET), nx - 1)
-        j0 = max(int((min(ay, ay + dy) - 1e-6 - origin[1]) / BUCKET), 0)
-        j1 = min(int((max(ay, ay + dy) + 1e-6 - origin[1]) / BUCKET), ny - 1)
+        i0 = max(int((min(ax, ax + dx) - 1e-6 - origin[0]) / BUCKET_SIZE), 0)
+        i1 = min(int((max(ax, ax + dx) + 1e-6 - origin[0]) / BUCKET_SIZE), nx - 1)
+        j0 = max(int((min(ay, ay + dy) - 1e-6 - origin[1]) / BUCKET_SIZE), 0)
+        j1 = min(int((max(ay, ay + dy) + 1e-6 - origin[1]) / BUCKET_SIZE), ny - 1)
         for i in range(i0, i1 + 1):
             for j in range(j0, j1 + 1):
                 s_in, s_out = 0.0, 1.0
                 for axis in range(2):
                     a = ax if axis == 0 else ay
                     v = dx if axis == 0 else dy
-                    lo = origin[axis] + (i if axis == 0 else j) * BUCKET - 1e-6
-                    hi = lo + BUCKET + 2e-6
+                    lo = origin[axis] + (i if axis == 0 else j) * BUCKET_SIZE - 1e-6
+                    hi = lo + BUCKET_SIZE + 2e-6
                     if abs(v) < 1e-12:
                         if a < lo or a > hi:
                             s_out = -1.0
@@ -140,7 +140,7 @@ def _rasterise(
 
 
 @kernel
-def place(edges: Any, a: Any, b: Any, t: Any) -> Any:
+def edge_before(edges: Any, a: Any, b: Any, t: Any) -> Any:
     """Return j in a - 1 ... b - 1 with edges[j] <= t < edges[j + 1]: a - 1 before the first, b - 1 after the last."""
     low, high = a, b
     while low < high:
@@ -153,7 +153,7 @@ def place(edges: Any, a: Any, b: Any, t: Any) -> Any:
 
 
 @kernel
-def gather(
+def crossed_faces(
     qx: Any,
     qy: Any,
     ux: Any,
@@ -169,7 +169,7 @@ def gather(
 ) -> Any:
     """List the faces that a ray crosses up to `reach` [m], nearest first.
 
-    Fills range r, face k, edge j before the crossing and abscissa t, arrays of length `ROOM`; stops early once
+    Fills range r, face k, edge j before the crossing and abscissa t, arrays of length `CANDIDATE_SLOTS`; stops early once
     the chance of getting so far is under `least`. Returns how many. r[MOST] is the range at which the ray meets
     a face from behind: it can only come from where nobody has looked.
     """
@@ -177,11 +177,11 @@ def gather(
     origin, shape, start, members = buckets
     nx, ny = shape
     n = 0
-    r[MOST] = 1e300
+    r[MAX_CANDIDATES] = 1e300
     x, y = qx - origin[0], qy - origin[1]
     per_x = 1.0 / ux if abs(ux) > 1e-15 else 1e300  # [m] of way to a metre along the axis, with its sign
     per_y = 1.0 / uy if abs(uy) > 1e-15 else 1e300
-    width, depth = nx * BUCKET, ny * BUCKET
+    width, depth = nx * BUCKET_SIZE, ny * BUCKET_SIZE
     enter, leave = 0.0, reach
     if per_x < 1e299:
         a, b = -x * per_x, (width - x) * per_x
@@ -195,13 +195,13 @@ def gather(
         return 0
     if enter >= leave:
         return 0
-    i_x = min(max(int((x + enter * ux) / BUCKET), 0), nx - 1)
-    i_y = min(max(int((y + enter * uy) / BUCKET), 0), ny - 1)
+    i_x = min(max(int((x + enter * ux) / BUCKET_SIZE), 0), nx - 1)
+    i_y = min(max(int((y + enter * uy) / BUCKET_SIZE), 0), ny - 1)
     step_x = 1 if ux > 0 else -1
     step_y = 1 if uy > 0 else -1
-    next_x = ((i_x + (1 if ux > 0 else 0)) * BUCKET - x) * per_x if per_x < 1e299 else 1e300
-    next_y = ((i_y + (1 if uy > 0 else 0)) * BUCKET - y) * per_y if per_y < 1e299 else 1e300
-    per_x, per_y = BUCKET * abs(per_x), BUCKET * abs(per_y)
+    next_x = ((i_x + (1 if ux > 0 else 0)) * BUCKET_SIZE - x) * per_x if per_x < 1e299 else 1e300
+    next_y = ((i_y + (1 if uy > 0 else 0)) * BUCKET_SIZE - y) * per_y if per_y < 1e299 else 1e300
+    per_x, per_y = BUCKET_SIZE * abs(per_x), BUCKET_SIZE * abs(per_y)
     r_in = enter
     survival = 1.0
     while True:
@@ -213,16 +213,16 @@ def gather(
             den = normals[f, 0] * ux + normals[f, 1] * uy
             if den > 1e-6:
                 above = offsets[f] - normals[f, 0] * qx - normals[f, 1] * qy
-                if r_in * den <= above < r_out * den and above < r[MOST] * den:
+                if r_in * den <= above < r_out * den and above < r[MAX_CANDIDATES] * den:
                     rho = above / den
                     s = -normals[f, 1] * (qx + rho * ux) + normals[f, 0] * (qy + rho * uy)
-                    at = place(edges, first[f], first[f + 1], s)
+                    at = edge_before(edges, first[f], first[f + 1], s)
                     if (
                         first[f] <= at < first[f + 1] - 1
                         and levels[at] > 0.5
-                        and edges[at] + SURELY < s < edges[at + 1] - SURELY
+                        and edges[at] + BACK_SIDE_MARGIN < s < edges[at + 1] - BACK_SIDE_MARGIN
                     ):
-                        r[MOST] = rho
+                        r[MAX_CANDIDATES] = rho
                 continue
             if den > -1e-6:
                 continue
@@ -234,14 +234,14 @@ def gather(
                 continue
             s = -normals[f, 1] * (qx + rho * ux) + normals[f, 0] * (qy + rho * uy)
             a, b = first[f], first[f + 1]
-            if s < edges[a] - MARGIN or s > edges[b - 1] + MARGIN or n >= MOST:
+            if s < edges[a] - END_MARGIN or s > edges[b - 1] + END_MARGIN or n >= MAX_CANDIDATES:
                 continue
             at = n
             while at > since and r[at - 1] > rho:
                 r[at], k[at], j[at], t[at] = r[at - 1], k[at - 1], j[at - 1], t[at - 1]
                 at -= 1
             r[at], k[at], t[at] = rho, f, s
-            j[at] = place(edges, a, b, s)
+            j[at] = edge_before(edges, a, b, s)
             n += 1
         for m in range(since, n):
             if j[m] >= first[k[m]]:

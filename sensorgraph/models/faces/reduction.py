@@ -18,19 +18,19 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from planners.kernel import kernel
 from sensorgraph.models.base import Scans
-from sensorgraph.models.faces.hit_moments import Surfaces
-from sensorgraph.models.faces.observed_space import Crossed
+from sensorgraph.models.faces.hit_moments import HitMoments
+from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.visibility import Rays
 from sensorgraph.types import Floats
 
-BLOCK = 8192
+SCANS_PER_BLOCK = 8192
 """Scans of a block."""
-MOST_SAMPLED = 1_500_000
+MAX_SAMPLED_RAYS = 1_500_000
 """Rays that the sample of a whole log holds, in the mean."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Sample:
+class RaySample:
     """Some rays, as the log has them: at which pose, which ray, what range."""
 
     poses: Floats
@@ -43,9 +43,9 @@ class Sample:
     def __len__(self) -> int:
         return len(self.ranges)
 
-    def merge(self, other: Sample) -> Sample:
+    def merge(self, other: RaySample) -> RaySample:
         """Put two samples one after the other."""
-        return _joined([self, other])
+        return _concatenate([self, other])
 
     def rays(self, sensor: RangeSensor, mount: Floats) -> Rays:
         """Return them as rays from a laser mounted at `mount` (3,)."""
@@ -61,16 +61,16 @@ class Sample:
         )
 
 
-NOTHING = Sample(poses=np.zeros((0, 3)), beams=np.zeros(0, dtype=np.int32), ranges=np.zeros(0))
+EMPTY_SAMPLE = RaySample(poses=np.zeros((0, 3)), beams=np.zeros(0, dtype=np.int32), ranges=np.zeros(0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reduction:
     """What is left of any number of scans."""
 
-    surfaces: Surfaces
-    crossed: Crossed
-    sample: Sample
+    hit_moments: HitMoments
+    observed: ObservedSpace
+    sample: RaySample
     n_rays: int
     """All that were neither broken nor too near."""
     n_returns: int
@@ -78,8 +78,8 @@ class Reduction:
     def merge(self, other: Reduction) -> Reduction:
         """Add up two disjoint sets of scans, those of `self` first."""
         return Reduction(
-            surfaces=self.surfaces.merge(other.surfaces),
-            crossed=self.crossed.merge(other.crossed),
+            hit_moments=self.hit_moments.merge(other.hit_moments),
+            observed=self.observed.merge(other.observed),
             sample=self.sample.merge(other.sample),
             n_rays=self.n_rays + other.n_rays,
             n_returns=self.n_returns + other.n_returns,
@@ -95,7 +95,7 @@ class Block:
     scans: Scans
 
 
-class Spread(Protocol):
+class MapBlocks(Protocol):
     """`map`, or something like it that spreads the work; results come in the order of the items."""
 
     def __call__(
@@ -105,7 +105,7 @@ class Spread(Protocol):
         ...
 
 
-def blocks_of(scans: Scans, first: int = 0, size: int = BLOCK) -> Iterator[Block]:
+def blocks_of(scans: Scans, first: int = 0, size: int = SCANS_PER_BLOCK) -> Iterator[Block]:
     """Cut scans into blocks."""
     for start in range(0, len(scans), size):
         yield Block(first=first + start, scans=scans.part(slice(start, start + size)))
@@ -128,12 +128,12 @@ def reduce_block(block: Block, *, mount: Floats, share: float) -> Reduction:
     )  # fmt: skip
     origins, directions, ends = origins[:n_rays], directions[:n_rays], ends[:n_rays]
     reach, place = reach[:n_rays], place[:n_rays]
-    taken = place if share >= 1 else place[_is_taken(place, block.first * sensor.n_rays, share)]
+    taken = place if share >= 1 else place[_is_sampled(place, block.first * sensor.n_rays, share)]
     row, beam = np.divmod(taken, sensor.n_rays)
     return Reduction(
-        surfaces=Surfaces.of(ends, directions),
-        crossed=Crossed.of(origins, directions, reach),
-        sample=Sample(poses=poses[row], beams=beam.astype(np.int32), ranges=ranges.ravel()[taken]),
+        hit_moments=HitMoments.of(ends, directions),
+        observed=ObservedSpace.of(origins, directions, reach),
+        sample=RaySample(poses=poses[row], beams=beam.astype(np.int32), ranges=ranges.ravel()[taken]),
         n_rays=n_rays,
         n_returns=n_returns,
     )
@@ -144,7 +144,7 @@ def reduce_blocks(
     *,
     mount: Floats,
     n_rays: int,
-    spread: Spread = map,
+    map_blocks: MapBlocks = map,
     tick: Callable[[], None] | None = None,
 ) -> Reduction | None:
     """Reduce blocks and merge what is left of them in their order; None where there is no block.
@@ -152,22 +152,22 @@ def reduce_blocks(
     Parameters
     ----------
     n_rays : of all blocks together, about: it says how thin the sample is
-    spread : where the blocks are reduced; `map`: here, one after the other
+    map_blocks : where the blocks are reduced; `map`: here, one after the other
     """
-    work = partial(reduce_block, mount=mount, share=min(1.0, MOST_SAMPLED / max(n_rays, 1)))
+    work = partial(reduce_block, mount=mount, share=min(1.0, MAX_SAMPLED_RAYS / max(n_rays, 1)))
     total: Reduction | None = None
-    samples: list[Sample] = []
-    for part in spread(work, blocks):
+    samples: list[RaySample] = []
+    for part in map_blocks(work, blocks):
         samples.append(part.sample)  # put together once, not again with every block
-        part = replace(part, sample=NOTHING)
+        part = replace(part, sample=EMPTY_SAMPLE)
         total = part if total is None else total.merge(part)
         if tick is not None:
             tick()
-    return None if total is None else replace(total, sample=_joined(samples))
+    return None if total is None else replace(total, sample=_concatenate(samples))
 
 
-def _joined(samples: Sequence[Sample]) -> Sample:
-    return Sample(
+def _concatenate(samples: Sequence[RaySample]) -> RaySample:
+    return RaySample(
         poses=np.concatenate([s.poses for s in samples]),
         beams=np.concatenate([s.beams for s in samples]),
         ranges=np.concatenate([s.ranges for s in samples]),
@@ -212,7 +212,7 @@ def _flatten(
     return n, n_returns
 
 
-def _is_taken(place: NDArray[np.int64], first: int, share: float) -> NDArray[np.bool_]:
+def _is_sampled(place: NDArray[np.int64], first: int, share: float) -> NDArray[np.bool_]:
     """Choose rays by a hash of their number in the log (splitmix64, Steele et al. 2014): the same ones always."""
     with np.errstate(over="ignore"):
         z = (place.astype(np.uint64) + np.uint64(first)) * np.uint64(0x9E3779B97F4A7C15)

@@ -9,7 +9,7 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.models.calibration.ray_terms import incidence_bias
-from sensorgraph.models.faces.ray_march import ROOM, gather
+from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, crossed_faces
 
 
 @kernel
@@ -36,12 +36,12 @@ def draw_rays(
     The laser adds what its terms say (`constant`, `slope`, `incidence`), and `sigma` [m] times `normal`. Edges are blurred by what is not known of them, as in a prediction.
     """
     normals, _, first, edges, levels, blur, neighbour = faces
-    r, t = np.empty(ROOM), np.empty(ROOM)
-    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
     for i in range(len(x)):
         for b in range(len(cos_b)):
             ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
-            n = gather(x[i], y[i], ux, uy, range_max, 0.001, faces, buckets, r, k, j, t)
+            n = crossed_faces(x[i], y[i], ux, uy, range_max, 0.001, faces, buckets, r, k, j, t)
             passed = 1.0
             out[i, b] = np.inf
             for m in range(n):

@@ -8,31 +8,31 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.models.faces.forward_selection import Lines
-from sensorgraph.models.faces.ray_march import ROOM, FaceSet, index
+from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid
 from sensorgraph.models.faces.visibility import (
-    STEEP,
-    Noise,
+    MIN_COSINE,
     Rays,
-    gather_within,
-    lines_of,
-    share_within,
+    ReturnNoise,
+    inlined_crossed_faces,
+    inlined_stop_probabilities,
     variance,
+    visible_lines,
 )
 from sensorgraph.types import Floats
 
-SPLIT = 9.0  # [nats] that two lines must be worth over one, beside the log of the hits
-FEWEST = 4  # hits of a line
+MIN_SPLIT_GAIN = 9.0  # [nats] that two lines must be worth over one, beside the log of the hits
+MIN_HITS = 4  # hits of a line
 
 
-def split_bent(rays: Rays, faces: FaceSet, noise: Noise) -> Lines:
+def split_bent_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Lines:
     """Return the lines of all faces, those cut in two (or more) whose hits bend or step."""
     face, s, across, weight = _hits(
-        rays.origins, rays.directions, rays.ranges, rays.range_max, faces, index(faces), noise.array
+        rays.origins, rays.directions, rays.ranges, rays.range_max, faces, bucket_grid(faces), noise.array
     )
     order = np.lexsort((s, face))
     face, s, across, weight = face[order], s[order], across[order], weight[order]
     bounds = np.searchsorted(face, np.arange(faces.n_faces + 1))
-    whole = lines_of(faces)
+    whole = visible_lines(faces)
     normals, offsets, spans = [], [], []
     for k in range(faces.n_faces):
         part = slice(bounds[k], bounds[k + 1])
@@ -65,14 +65,14 @@ def split_bent(rays: Rays, faces: FaceSet, noise: Noise) -> Lines:
 def _pieces(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, float, float]]:
     """Cut sorted hits where two lines explain them better than one, again and again."""
     n = len(s)
-    if n < 2 * FEWEST:
+    if n < 2 * MIN_HITS:
         return [(0, n, 0.0, 0.0)]
-    price = SPLIT + np.log(n)
+    price = MIN_SPLIT_GAIN + np.log(n)
     done: list[tuple[int, int, float, float]] = []
     todo = [(0, n)]
     while todo:
         a, b = todo.pop()
-        cut, gain = _best_cut(s[a:b], across[a:b], weight[a:b], FEWEST)
+        cut, gain = _best_cut(s[a:b], across[a:b], weight[a:b], MIN_HITS)
         if gain > price:
             todo += [(a + cut, b), (a, a + cut)]
         else:
@@ -131,9 +131,9 @@ def _hits(
     n_rays = len(ranges)
     face, at = np.empty(n_rays, np.int32), np.empty(n_rays)
     off, weight = np.empty(n_rays), np.empty(n_rays)
-    r, t = np.empty(ROOM), np.empty(ROOM)
-    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
-    gamma, survive = np.empty(ROOM), np.empty(ROOM)
+    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
+    gamma, survive = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
     normals = faces[0]
     count = 0
     for i in range(n_rays):
@@ -141,14 +141,14 @@ def _hits(
         if z > 1e300:
             continue
         reach = z + 0.08 + 6 * np.sqrt(noise[0])
-        n = gather_within(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
-        share_within(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+        n = inlined_crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
+        inlined_stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
         for m in range(n):
             if gamma[m] < 0.5:
                 continue
             f = k[m]
             den = normals[f, 0] * ux + normals[f, 1] * uy
-            if den > -STEEP:
+            if den > -MIN_COSINE:
                 continue
             t_u = -normals[f, 1] * ux + normals[f, 0] * uy
             var = variance(r[m], t_u, den, noise)

@@ -1,7 +1,7 @@
 """What a graph of faces remembers of its rays, so that new runs can be added without the old ones.
 
-All of it adds up: weighted sums of every line, stops and looks of every stretch, moments of the hits that no face
-explains. Of the single looks only those next to edges are kept: they are what an edge's place hangs on.
+All of it adds up: weighted sums of every line, stops and crossings of every stretch, moments of the hits that no face
+explains. Of the single crossings only those next to edges are kept: they are what an edge's place hangs on.
 """
 
 from __future__ import annotations
@@ -13,132 +13,154 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensorgraph.models.faces.change_points import Looks, sorted_looks
-from sensorgraph.models.faces.hit_moments import Surfaces
+from sensorgraph.models.faces.change_points import Crossings, sorted_crossings
+from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.visibility import Expectation, Rays
 from sensorgraph.types import Floats, Ints
 
-BESIDE = 12
-"""Looks kept on each side of an edge."""
-SPREAD_OVER = 16
-"""Looks that stand for all others of a stretch."""
+KEPT_PER_SIDE = 12
+"""Crossings kept on each side of an edge."""
+STAND_INS = 16
+"""Crossings that stand for all others of a stretch."""
+
+
+SUMS = {
+    "lines": "line_sums",
+    "stops": "stops",
+    "looks": "reached",
+    "spread": "noise_sums",
+    "stray": "stray",
+}
+"""Name in a file -> field of `SufficientStatistics`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Memory:
-    """Sums over all rays so far, and the looks next to edges."""
+class SufficientStatistics:
+    """Sums over all rays so far, and the crossings next to edges."""
 
-    lines: Floats
-    """(n_faces, 8) as `Expectation.lines`."""
+    line_sums: Floats
+    """(n_faces, 8) as `Expectation.line_sums`."""
     stops: Floats
     """(n_edges,) on the stretch after each edge."""
-    looks: Floats
+    reached: Floats
     """(n_edges,)"""
-    spread: Floats
-    """(3, 4) as `Expectation.spread`."""
+    noise_sums: Floats
+    """(3, 4) as `Expectation.noise_sums`."""
     stray: Floats
     """(2,) returns that no face explains, and metres that all rays travelled."""
-    left: Surfaces
+    unexplained_hits: HitMoments
     """Hits that no face explains."""
     face: Ints
-    """(n_near,) face, abscissa [m], chance of stopping and weight of the looks next to edges."""
+    """(n_near,) face, abscissa [m], chance of stopping and weight of the crossings next to edges."""
     t: Floats
     stop: Floats
     weight: Floats
 
     @classmethod
-    def of(cls, rays: Rays, faces: FaceSet, seen: Expectation, looks: Looks, *, n_rays: int) -> Memory:
+    def of(
+        cls, rays: Rays, faces: FaceSet, expectation: Expectation, crossings: Crossings, *, n_rays: int
+    ) -> SufficientStatistics:
         """Remember rays that are a sample of `n_rays`."""
         scale = n_rays / max(len(rays), 1)
-        face, place = _beside(faces, looks)
-        left = seen.unexplained > 0.5
-        hits = Surfaces.of(rays.hits[left], rays.directions[left])
+        face, place = _next_to_edges(faces, crossings)
+        left = expectation.unexplained > 0.5
+        hits = HitMoments.of(rays.hits[left], rays.directions[left])
         return cls(
-            lines=scale * seen.lines,
-            stops=scale * seen.stops,
-            looks=scale * seen.looks,
-            spread=scale * seen.spread,
-            stray=scale * np.array([seen.unexplained.sum(), seen.metres]),
-            left=Surfaces(cells=hits.cells, moments=scale * hits.moments),
+            line_sums=scale * expectation.line_sums,
+            stops=scale * expectation.stops,
+            reached=scale * expectation.reached,
+            noise_sums=scale * expectation.noise_sums,
+            stray=scale * np.array([expectation.unexplained.sum(), expectation.distance]),
+            unexplained_hits=HitMoments(cells=hits.cells, moments=scale * hits.moments),
             face=face,
-            t=looks.t[place],
-            stop=looks.stop[place],
-            weight=looks.weight[place],
+            t=crossings.t[place],
+            stop=crossings.stop[place],
+            weight=crossings.weight[place],
         )
 
-    def scaled(self, scale: float) -> Memory:
-        """Return the memory of `scale` times as many rays."""
+    def scaled(self, scale: float) -> SufficientStatistics:
+        """Return the statistics of `scale` times as many rays."""
         return replace(
             self,
-            lines=scale * self.lines,
+            line_sums=scale * self.line_sums,
             stops=scale * self.stops,
-            looks=scale * self.looks,
-            spread=scale * self.spread,
+            reached=scale * self.reached,
+            noise_sums=scale * self.noise_sums,
             stray=scale * self.stray,
-            left=Surfaces(cells=self.left.cells, moments=scale * self.left.moments),
+            unexplained_hits=HitMoments(
+                cells=self.unexplained_hits.cells, moments=scale * self.unexplained_hits.moments
+            ),
         )
 
-    def as_looks(self, faces: FaceSet, slide: Floats) -> tuple[Ints, Floats, Floats, Floats]:
-        """Return face, abscissa, stop and weight of looks that stand for all that is remembered.
+    def as_crossings(self, faces: FaceSet, slide: Floats) -> tuple[Ints, Floats, Floats, Floats]:
+        """Return face, abscissa, stop and weight of crossings that stand for all that is remembered.
 
         Those next to edges are themselves; the others of a stretch are spread evenly over it. `slide` (n_faces,)
         [m] is added to abscissae.
         """
         owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
-        at = np.flatnonzero((self.looks > 2 * BESIDE) & (np.arange(len(owner)) + 1 != faces.first[owner + 1]))
-        step = (np.arange(SPREAD_OVER) + 0.5) / SPREAD_OVER
+        at = np.flatnonzero(
+            (self.reached > 2 * KEPT_PER_SIDE) & (np.arange(len(owner)) + 1 != faces.first[owner + 1])
+        )
+        step = (np.arange(STAND_INS) + 0.5) / STAND_INS
         low, high = faces.edges[at], faces.edges[at + 1]
         t = low[:, None] + (high - low)[:, None] * step
-        stop = np.repeat(np.clip(self.stops[at] / self.looks[at], 0, 1), SPREAD_OVER)
-        weight = np.repeat((self.looks[at] - 2 * BESIDE) / SPREAD_OVER, SPREAD_OVER)
-        face = np.concatenate([self.face, np.repeat(owner[at], SPREAD_OVER)])
+        stop = np.repeat(np.clip(self.stops[at] / self.reached[at], 0, 1), STAND_INS)
+        weight = np.repeat((self.reached[at] - 2 * KEPT_PER_SIDE) / STAND_INS, STAND_INS)
+        face = np.concatenate([self.face, np.repeat(owner[at], STAND_INS)])
         t = np.concatenate([self.t, t.ravel()]) + slide[face]
         return face, t, np.concatenate([self.stop, stop]), np.concatenate([self.weight, weight])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return arrays for a file, as small as they need to be."""
-        cells = self.left.cells.astype(np.int32)
+        """Return arrays for a file, by their names there, as small as they need to be."""
+        hits = self.unexplained_hits
         out: dict[str, NDArray[Any]] = {
-            "left.cells": cells,
-            "left.moments": self.left.moments.astype(np.float32),
+            "left.cells": hits.cells.astype(np.int32),
+            "left.moments": hits.moments.astype(np.float32),
         }
-        out |= {name: getattr(self, name) for name in ("lines", "stops", "looks", "spread", "stray")}
+        out |= {stored: getattr(self, field) for stored, field in SUMS.items()}
         out |= {"face": self.face.astype(np.int32), "t": self.t}
         return out | {name: getattr(self, name).astype(np.float32) for name in ("stop", "weight")}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], faces: FaceSet) -> Memory:
-        """Rebuild what `arrays` gave; a wrong shape is a ValueError."""
-        whole = {
-            name: np.asarray(arrays[name], dtype=np.float64)
-            for name in ("lines", "stops", "looks", "spread", "stray", "t", "stop", "weight")
-        }
-        n_edges, n_near = len(faces.edges), len(whole["t"])
-        shapes = [whole[name].shape for name in ("lines", "stops", "looks", "spread", "stray", "stop")]
-        right = [(faces.n_faces, 8), (n_edges,), (n_edges,), (3, 4), (2,), (n_near,)]
-        if shapes != right:
-            raise ValueError(f"the memory has shapes {shapes}, expected {right}")
-        left = Surfaces(
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], faces: FaceSet) -> SufficientStatistics:
+        """Rebuild what `arrays` gave.
+
+        Raises
+        ------
+        ValueError : an array has the wrong shape
+        """
+        fields = {**SUMS, "t": "t", "stop": "stop", "weight": "weight"}
+        found = {field: np.asarray(arrays[stored], dtype=np.float64) for stored, field in fields.items()}
+        n_edges, n_near = len(faces.edges), len(found["t"])
+        shapes = {stored: found[field].shape for stored, field in fields.items()}
+        expected = {
+            "lines": (faces.n_faces, 8), "stops": (n_edges,), "looks": (n_edges,), "spread": (3, 4),
+            "stray": (2,), "t": (n_near,), "stop": (n_near,), "weight": (n_near,),
+        }  # fmt: skip
+        if shapes != expected:
+            raise ValueError(f"the statistics have shapes {shapes}, expected {expected}")
+        hits = HitMoments(
             cells=np.asarray(arrays["left.cells"], dtype=np.int64),
             moments=np.asarray(arrays["left.moments"], dtype=np.float64),
         )
-        return cls(left=left, face=np.asarray(arrays["face"], dtype=np.intp), **whole)
+        return cls(unexplained_hits=hits, face=np.asarray(arrays["face"], dtype=np.intp), **found)
 
 
-def merged(parts: list[tuple[Ints, Floats, Floats, Floats]], n_faces: int) -> Looks:
-    """Put looks (face, abscissa, stop, weight) of several sources together and sort them."""
+def merge_crossings(parts: list[tuple[Ints, Floats, Floats, Floats]], n_faces: int) -> Crossings:
+    """Put crossings (face, abscissa, stop, weight) of several sources together and sort them."""
     face, t, stop, weight = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    return sorted_looks(face, t, stop, weight, n_faces)
+    return sorted_crossings(face, t, stop, weight, n_faces)
 
 
-def unsorted(looks: Looks, scale: float = 1.0) -> tuple[Ints, Floats, Floats, Floats]:
-    """Return looks as columns, each counted `scale` times."""
-    face = np.repeat(np.arange(len(looks.bounds) - 1), np.diff(looks.bounds))
-    return face, looks.t, looks.stop, scale * looks.weight
+def columns_of(crossings: Crossings, scale: float = 1.0) -> tuple[Ints, Floats, Floats, Floats]:
+    """Return crossings as columns, each counted `scale` times."""
+    face = np.repeat(np.arange(len(crossings.bounds) - 1), np.diff(crossings.bounds))
+    return face, crossings.t, crossings.stop, scale * crossings.weight
 
 
-def rebased(lines: Floats, before: FaceSet, after: FaceSet) -> Floats:
+def rebase_line_sums(lines: Floats, before: FaceSet, after: FaceSet) -> Floats:
     """Return sums (n_faces, 8) about lines that have moved: exact, since both frames are rigid."""
     out = lines.copy()
     d, moved_d = before.offsets, after.offsets
@@ -168,14 +190,14 @@ def rebased(lines: Floats, before: FaceSet, after: FaceSet) -> Floats:
     return out
 
 
-def _beside(faces: FaceSet, looks: Looks) -> tuple[Ints, Ints]:
-    """Return the faces and the places of the looks next to edges."""
+def _next_to_edges(faces: FaceSet, crossings: Crossings) -> tuple[Ints, Ints]:
+    """Return the faces and the places of the crossings next to edges."""
     found, owners = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
     for k in range(faces.n_faces):
-        start, end = int(looks.bounds[k]), int(looks.bounds[k + 1])
+        start, end = int(crossings.bounds[k]), int(crossings.bounds[k + 1])
         edges = faces.edges[faces.first[k] : faces.first[k + 1]]
-        middle = start + np.searchsorted(looks.t[start:end], edges)
-        near = (middle[:, None] + np.arange(-BESIDE, BESIDE)).ravel()
+        middle = start + np.searchsorted(crossings.t[start:end], edges)
+        near = (middle[:, None] + np.arange(-KEPT_PER_SIDE, KEPT_PER_SIDE)).ravel()
         near = np.unique(near[(near >= start) & (near < end)])
         found.append(near)
         owners.append(np.full(len(near), k, dtype=np.intp))

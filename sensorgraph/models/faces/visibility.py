@@ -2,7 +2,7 @@
 
 A ray that crosses face k at abscissa t stops there with chance alpha_k(t). What a ray did is known up to noise:
 it stopped at the face whose predicted range agrees with the measured one and passed those before it. EM turns
-that into stops and looks for each stretch, and into weighted moments that refit every line.
+that into stops and crossings for each stretch, and into weighted moments that refit every line.
 """
 
 from __future__ import annotations
@@ -15,11 +15,18 @@ from scipy.optimize import nnls
 
 from planners.kernel import inlined, kernel
 from sensorgraph.models.faces.forward_selection import Lines
-from sensorgraph.models.faces.ray_march import MARGIN, ROOM, Buckets, FaceSet, gather, index
+from sensorgraph.models.faces.ray_march import (
+    CANDIDATE_SLOTS,
+    END_MARGIN,
+    BucketGrid,
+    FaceSet,
+    bucket_grid,
+    crossed_faces,
+)
 from sensorgraph.types import Floats, Ints
 
-BIN = 0.01  # [m] first guess of the edges: bins along the face
-STEEP = 0.08  # |n·u| below which a hit does not move its face: its range is all leverage
+FIRST_BIN = 0.01  # [m] first guess of the edges: bins along the face
+MIN_COSINE = 0.08  # |n·u| below which a hit does not move its face: its range is all leverage
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,7 +61,7 @@ class Rays:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noise:
+class ReturnNoise:
     """What spreads a return about its face: var = sigma² + (sigma_xy² + (r u·t sigma_yaw)²) / (n·u)²."""
 
     sigma: float
@@ -78,34 +85,34 @@ class Expectation:
 
     stops: Floats
     """(n_edges,) expected stops on each stretch."""
-    looks: Floats
+    reached: Floats
     """(n_edges,) expected rays that came so far."""
-    lines: Floats
+    line_sums: Floats
     """(n_faces, 8) sums of w, w s, w s², w e', w s e', gamma, w e'², nats; e' = e·(n·u) [m], s abscissa.
 
     The nats are what the log would be less likely by, if the face were not there.
     """
-    spread: Floats
+    noise_sums: Floats
     """(3, 4) normal equations of e² on 1, 1/(n·u)², (r u·t / n·u)²."""
     unexplained: Floats
     """(n,) chance that no face stopped this ray though it returned."""
-    nats: float
+    log_likelihood: float
     """Log likelihood of all rays."""
-    metres: float
+    distance: float
     """[m] that all rays travelled."""
 
     @property
     def n_faces(self) -> int:
         """Count of faces."""
-        return len(self.lines)
+        return len(self.line_sums)
 
 
-def faces_of(lines: Lines, *, bin_size: float = BIN, level: float = 0.8) -> FaceSet:
+def binned_faces(lines: Lines, *, bin_size: float = FIRST_BIN, level: float = 0.8) -> FaceSet:
     """Cut lines into bins, visible over their spans and a margin beside them faintly so."""
     first, edges, levels = [0], [], []
     for low, high in lines.spans:
-        n = int(np.ceil((high - low + 4 * MARGIN) / bin_size))
-        here = low - 2 * MARGIN + bin_size * np.arange(n + 1)
+        n = int(np.ceil((high - low + 4 * END_MARGIN) / bin_size))
+        here = low - 2 * END_MARGIN + bin_size * np.arange(n + 1)
         middle = here + bin_size / 2
         edges.append(here)
         levels.append(np.where((middle > low) & (middle < high), level, 0.1))
@@ -123,50 +130,52 @@ def faces_of(lines: Lines, *, bin_size: float = BIN, level: float = 0.8) -> Face
     )
 
 
-def lines_of(faces: FaceSet) -> Lines:
+def visible_lines(faces: FaceSet) -> Lines:
     """Return the lines over the stretches that are seen."""
     spans = np.zeros((faces.n_faces, 2))
     for k in range(faces.n_faces):
         j = np.arange(faces.first[k], faces.first[k + 1] - 1)
-        seen = j[faces.levels[j] > 0.05]
-        spans[k] = (faces.edges[seen[0]], faces.edges[seen[-1] + 1]) if len(seen) else (0.0, 0.0)
+        visible = j[faces.levels[j] > 0.05]
+        spans[k] = (faces.edges[visible[0]], faces.edges[visible[-1] + 1]) if len(visible) else (0.0, 0.0)
     return Lines(normals=faces.normals, offsets=faces.offsets, spans=spans)
 
 
-def expect(rays: Rays, faces: FaceSet, noise: Noise, buckets: Buckets | None = None) -> Expectation:
+def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid | None = None) -> Expectation:
     """Share every ray out among the faces it crosses (E step)."""
-    buckets = index(faces) if buckets is None else buckets
-    stops, looks = np.zeros(len(faces.edges)), np.zeros(len(faces.edges))
+    buckets = bucket_grid(faces) if buckets is None else buckets
+    stops, reached = np.zeros(len(faces.edges)), np.zeros(len(faces.edges))
     lines, spread = np.zeros((faces.n_faces, 8)), np.zeros((3, 4))
     unexplained, total = np.zeros(len(rays)), np.zeros(2)
-    _expect(
+    _e_step(
         rays.origins, rays.directions, rays.ranges, rays.range_max, faces, buckets, noise.array,
-        stops, looks, lines, spread, unexplained, total,
+        stops, reached, lines, spread, unexplained, total,
     )  # fmt: skip
     return Expectation(
         stops=stops,
-        looks=looks,
-        lines=lines,
-        spread=spread,
+        reached=reached,
+        line_sums=lines,
+        noise_sums=spread,
         unexplained=unexplained,
-        nats=float(total[0]),
-        metres=float(total[1]),
+        log_likelihood=float(total[0]),
+        distance=float(total[1]),
     )
 
 
-def improve(faces: FaceSet, seen: Expectation, noise: Noise, *, refit: bool) -> tuple[FaceSet, Noise]:
+def m_step(
+    faces: FaceSet, expectation: Expectation, noise: ReturnNoise, *, refit: bool
+) -> tuple[FaceSet, ReturnNoise]:
     """Set visibility, lines (if `refit`) and noise to what explains the shares best (M step)."""
-    levels = np.where(seen.looks > 0, (seen.stops + 0.02) / (seen.looks + 0.04), 0.0)
+    levels = np.where(expectation.reached > 0, (expectation.stops + 0.02) / (expectation.reached + 0.04), 0.0)
     levels[faces.first[1:] - 1] = 0.0
     better = faces._replace(levels=levels)
     if refit:
-        better = moved(better, seen.lines)
-    returned = float(seen.unexplained.sum())
-    stray = float(np.clip((returned + 1.0) / max(seen.metres, 1.0), 1e-6, 0.05))
-    return better, spread_of(noise, seen.spread, stray)
+        better = refit_lines(better, expectation.line_sums)
+    returned = float(expectation.unexplained.sum())
+    stray = float(np.clip((returned + 1.0) / max(expectation.distance, 1.0), 1e-6, 0.05))
+    return better, estimate_noise(noise, expectation.noise_sums, stray)
 
 
-def moved(faces: FaceSet, sums: Floats) -> FaceSet:
+def refit_lines(faces: FaceSet, sums: Floats) -> FaceSet:
     """Shift and turn every line about the middle of its hits by weighted least squares."""
     w, ws, wss, we, wse = sums[:, 0], sums[:, 1], sums[:, 2], sums[:, 3], sums[:, 4]
     enough = (sums[:, 5] > 2.0) & (w > 0)
@@ -188,13 +197,13 @@ def moved(faces: FaceSet, sums: Floats) -> FaceSet:
     return faces._replace(normals=turned, offsets=offsets, edges=edges)
 
 
-def spread_of(noise: Noise, spread: Floats, stray: float) -> Noise:
+def estimate_noise(noise: ReturnNoise, spread: Floats, stray: float) -> ReturnNoise:
     """Split the spread of returns into range noise and pose noise, none of them negative."""
     scale = np.sqrt(np.maximum(np.diag(spread[:, :3]), 1e-300))
     if spread[0, 0] <= 0:
-        return Noise(sigma=noise.sigma, sigma_xy=noise.sigma_xy, sigma_yaw=noise.sigma_yaw, stray=stray)
+        return ReturnNoise(sigma=noise.sigma, sigma_xy=noise.sigma_xy, sigma_yaw=noise.sigma_yaw, stray=stray)
     solution = nnls(spread[:, :3] / scale[:, None] / scale, spread[:, 3] / scale)[0] / scale
-    return Noise(
+    return ReturnNoise(
         sigma=float(np.sqrt(max(solution[0], 1e-8))),
         sigma_xy=float(np.sqrt(solution[1])),
         sigma_yaw=float(np.sqrt(solution[2])),
@@ -209,7 +218,7 @@ def variance(rho: Any, t_u: Any, den: Any, noise: Any) -> Any:
 
 
 @kernel
-def share(
+def stop_probabilities(
     qx: Any,
     qy: Any,
     ux: Any,
@@ -263,12 +272,12 @@ def share(
     return total, stray / total
 
 
-gather_within, share_within = inlined(gather), inlined(share)
+inlined_crossed_faces, inlined_stop_probabilities = inlined(crossed_faces), inlined(stop_probabilities)
 """For kernels that do this for each of many rays."""
 
 
 @kernel
-def _expect(
+def _e_step(
     origins: Any,
     directions: Any,
     ranges: Any,
@@ -277,22 +286,24 @@ def _expect(
     buckets: Any,
     noise: Any,
     stops: Any,
-    looks: Any,
+    reached: Any,
     lines: Any,
     spread: Any,
     unexplained: Any,
     total: Any,
 ) -> Any:
     normals, _, first, _, levels, _, _ = faces
-    r, t = np.empty(ROOM), np.empty(ROOM)
-    k, j = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
-    gamma, survive = np.empty(ROOM), np.empty(ROOM)
+    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
+    gamma, survive = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
     passed = np.log(np.maximum(1.0 - levels, 1e-5))
     for i in range(len(ranges)):
         qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
         reach = range_max if z > 1e300 else z + 0.08 + 6 * np.sqrt(noise[0])
-        n = gather_within(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
-        value, stray = share_within(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+        n = inlined_crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
+        value, stray = inlined_stop_probabilities(
+            qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive
+        )
         total[0] += np.log(max(value, 1e-12))
         total[1] += min(z, range_max)
         unexplained[i] = stray
@@ -300,7 +311,7 @@ def _expect(
             f = k[m]
             if j[m] < first[f]:
                 continue
-            looks[j[m]] += survive[m]
+            reached[j[m]] += survive[m]
             stops[j[m]] += gamma[m]
             g = gamma[m]
             if g > 0:
@@ -310,7 +321,7 @@ def _expect(
             if g < 0.01:
                 continue
             den = normals[f, 0] * ux + normals[f, 1] * uy
-            if den > -STEEP:
+            if den > -MIN_COSINE:
                 continue
             t_u = -normals[f, 1] * ux + normals[f, 0] * uy
             var = variance(r[m], t_u, den, noise)

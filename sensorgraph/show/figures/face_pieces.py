@@ -12,7 +12,7 @@ from sensorgraph.evaluation.evaluate import evaluate, poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.cells.model import Cells
 from sensorgraph.models.faces.model import Faces
-from sensorgraph.models.faces.ray_march import FAINT
+from sensorgraph.models.faces.ray_march import MIN_VISIBILITY
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.raycast import laser_poses
 
@@ -87,7 +87,7 @@ def mean_by_index(index: Ints, values: Floats, use: Bools, n: int) -> Floats:
 def visible_edges(model: Faces) -> tuple[Ints, Ints]:
     """Return the face (n,) and the first edge (n,) of every visible piece."""
     owner = np.repeat(np.arange(model.faces.n_faces), np.diff(model.faces.first))
-    edge = np.flatnonzero(model.faces.levels > FAINT)
+    edge = np.flatnonzero(model.faces.levels > MIN_VISIBILITY)
     return owner[edge], edge
 
 

@@ -103,7 +103,7 @@ def _limits(model: Faces | Cells) -> tuple[Floats, Floats]:
 def _crossed_cells(model: Faces | Cells) -> tuple[Floats, float, Bools]:
     """Return corner [m], side [m] and cells (nx, ny) that training rays have crossed."""
     if isinstance(model, Faces):
-        return model.crossed.origin, model.crossed.cell, model.crossed.counts > 0
+        return model.observed.origin, model.observed.cell, model.observed.counts > 0
     table = model.table
     return table.low, table.cell, table.is_seen[table.rows] > 0
 
@@ -155,13 +155,13 @@ def _training_returns(figure: Any, axes: Any, model: Faces) -> None:
     """Draw the training returns per metre of each visible piece, and the returns that no face explains."""
     owner, edge = visible_edges(model)
     length = np.maximum(model.faces.edges[edge + 1] - model.faces.edges[edge], 1e-3)
-    hits = model.hits[owner] if model.memory is None else model.memory.stops[edge]
+    hits = model.hits[owner] if model.statistics is None else model.statistics.stops[edge]
     pieces = pieces_of(model, owner, model.faces.edges[edge], model.faces.edges[edge + 1], hits / length)
     value = np.log10(np.maximum(pieces.values, 1.0))
     image = _draw_pieces(axes, pieces.ends, value, "magma_r", (0.0, max(float(value.max(initial=1.0)), 1.0)))
     axes.set_title("identified from so many returns a metre", loc="left", fontsize=10, color=INK)
-    if model.memory is not None and len(model.memory.left.cells):
-        axes.plot(*model.memory.left.centres.T, ".", ms=1.2, color=ALARM, alpha=0.5, zorder=2)
+    if model.statistics is not None and len(model.statistics.unexplained_hits.cells):
+        axes.plot(*model.statistics.unexplained_hits.centres.T, ".", ms=1.2, color=ALARM, alpha=0.5, zorder=2)
         axes.set_title(
             "identified from so many returns a metre; red: explained by no face", loc="left", fontsize=10, color=INK
         )  # fmt: skip

@@ -16,7 +16,7 @@ from planners.coverage import Coverage
 from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import OFF
-from sensorgraph.models.faces.observed_space import Crossed
+from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.planning.priority import doubt
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -240,7 +240,7 @@ def _free(
     way = ends.reshape(-1, 2) - origins
     length = np.hypot(*way.T)
     went = length > side
-    crossed = Crossed.of(  # up to a cell before the return: that one is a wall's
+    crossed = ObservedSpace.of(  # up to a cell before the return: that one is a wall's
         origins[went], way[went] / length[went, None], length[went] - side, cell=side
     )
     a, b = np.round((origin - crossed.origin) / crossed.cell).astype(int)
