@@ -51,8 +51,9 @@ def inlined(function: Function) -> Function:
 def _stored(compiler: Callable[..., Any], function: Function) -> Function:
     compiled = compiler(cache=True, error_model="numpy", nogil=True)(function)
     store = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
-    if store is not None and hasattr(store, "_source_stamp"):
-        store._source_stamp = (store._source_stamp, _stamp(function.__module__.partition(".")[0]))
+    if store is not None and hasattr(store, "_version"):
+        # numba reads the rest of a file only if this agrees, so it never looks for a type that has another name now
+        store._version = (store._version, _stamp(function.__module__.partition(".")[0]))
     else:  # another numba: rather compile anew than run what is stale
         compiled = compiler(error_model="numpy", nogil=True)(function)
     return cast(Function, compiled)
