@@ -12,11 +12,10 @@ from logs.run import Run
 from planners.arena import Arena, wrap
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.propose_obstacles import nudged
-from sensorgraph.diagnosis.scan.residuals import View
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.effects import EFFECTS, Amendment, moved_obstacle
 from sensorgraph.world.robot import parse_robot
 from sensorgraph.world.scene import Scene, draw
 
@@ -68,14 +67,14 @@ def moved(dx: float, dy: float) -> Amendment:
 @pytest.mark.parametrize("dy", [0.04, -0.03])
 def test_a_small_move_across_the_view_is_proposed_where_it_went(hall: Arena, dy: float) -> None:
     """Along the view the box's west side tells, and the freedom of the map takes that up to first order."""
-    (found,) = nudged(View(*bare(hall, to_and_fro(hall, (moved(0.0, dy),)))))
-    assert found.amendment["dx"] == pytest.approx(0.0, abs=0.005)
-    assert found.amendment["dy"] == pytest.approx(dy, abs=0.008)
+    (found,) = moved_obstacle.nudged(FitResiduals(*bare(hall, to_and_fro(hall, (moved(0.0, dy),)))))
+    assert found.values["dx"] == pytest.approx(0.0, abs=0.005)
+    assert found.values["dy"] == pytest.approx(dy, abs=0.008)
     assert found.gain > 20
 
 
 def test_of_a_box_that_stands_where_the_map_has_it_nothing_is_proposed(hall: Arena) -> None:
-    assert nudged(View(*bare(hall, to_and_fro(hall)))) == []
+    assert moved_obstacle.nudged(FitResiduals(*bare(hall, to_and_fro(hall)))) == []
 
 
 def test_a_move_across_the_view_gets_its_name_and_an_error_from_the_silhouette(hall: Arena) -> None:

@@ -19,13 +19,14 @@ from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings, plain_e_step
 from sensorgraph.diagnosis.scan.map_alignment import placement
 from sensorgraph.diagnosis.scan.nuisance import BOX, BeamNoise, pose_prior
-from sensorgraph.diagnosis.scan.residuals import View, best_run
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.effects.proposals import best_run
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.world.robot import default_robot, parse_robot
 from sensorgraph.world.scene import Scene, draw
@@ -321,7 +322,7 @@ def test_best_run_is_the_best_of_all_runs() -> None:
 
 def test_replicates_are_as_the_model_says(quiet: ScanData, null: Fitted) -> None:
     rng = np.random.default_rng(1)
-    ratios = [dispersion(View(*replicate(quiet, null, rng))) for _ in range(6)]
+    ratios = [dispersion(FitResiduals(*replicate(quiet, null, rng))) for _ in range(6)]
     assert 0.8 < np.mean(ratios) < 1.2
 
 
@@ -331,7 +332,7 @@ def test_scans_that_differ_show_in_the_dispersion(quiet: ScanData) -> None:
     noisy = quiet.ranges + rng.normal(size=quiet.ranges.shape) * np.where(bursts, 0.02, 0.0)[:, None]
     changed = replace(quiet, ranges=noisy, memo={})
     got = fit(changed, (), start_state(changed, NoiseBounds()), NoiseBounds(), outer=1, inner=5)
-    assert dispersion(View(changed, got)) > 2
+    assert dispersion(FitResiduals(changed, got)) > 2
 
 
 def test_one_block_in_eight_is_held_out(quiet: ScanData) -> None:

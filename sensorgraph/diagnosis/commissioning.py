@@ -24,8 +24,7 @@ from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check
 from sensorgraph.diagnosis.scan.likelihood import e_step
 from sensorgraph.diagnosis.scan.model_selection import THRESHOLD, is_rough, price, searched, shortlist
-from sensorgraph.diagnosis.scan.propose import lattice
-from sensorgraph.diagnosis.scan.residuals import View
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import LEAST_SCANS, ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.site_variation import (
@@ -36,7 +35,7 @@ from sensorgraph.diagnosis.scan.site_variation import (
     alone,
     usual_sizes,
 )
-from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.effects import EFFECTS, Amendment, quantisation
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot, Tolerances
 
@@ -201,8 +200,8 @@ def commission(run: Run, arena: Arena, robot: Robot, *, seed: int = 0, learn: bo
     data = replace(data, laser_frame=False)
     null = fit(data, (), start_state(data, WIDE), WIDE, outer=1, inner=12)
     sensor = robot.sensor
-    for found in lattice(View(data, null)):
-        sensor = replace(sensor, resolution=found.amendment["q"])
+    for found in quantisation.propose(FitResiduals(data, null)):
+        sensor = replace(sensor, resolution=found.values["q"])
     tolerances = pose_tolerances(data, null)
     robot = replace(robot, sensor=sensor, tolerances=tolerances)
     data = replace(

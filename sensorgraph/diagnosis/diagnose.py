@@ -27,7 +27,7 @@ from sensorgraph.diagnosis.scan.held_out_gap import gap, held_out
 from sensorgraph.diagnosis.scan.map_alignment import POORLY, Placement, placement
 from sensorgraph.diagnosis.scan.model_selection import FEW, MOST, THRESHOLD, Explained, explain
 from sensorgraph.diagnosis.scan.observability import alike, not_observable, separation
-from sensorgraph.diagnosis.scan.residuals import View
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.site_variation import is_usual
@@ -147,7 +147,7 @@ def diagnose(
     most = FEW if place.alike < PARTLY_ALIKE else MOST
     explained = explain(train, noise_bounds or NoiseBounds(), threshold=threshold, most=most)
     lap("explain")
-    listed = tuple(deviations(View(train, explained.null)))[:24]
+    listed = tuple(deviations(FitResiduals(train, explained.null)))[:24]
     gained = explained.final.j - explained.null.j
     verdict = check(train, explained.final, gained, explained.gains, rng=rng)
     if commissioned is not None:

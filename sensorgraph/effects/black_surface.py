@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Proposal, Residuals
 from sensorgraph.effects.places import part_of_wall
+from sensorgraph.effects.proposals import (
+    PROPOSAL,
+    best_first,
+    best_run,
+    on_part_of_wall,
+    sharpen_part,
+    sum_by_wall,
+)
 from sensorgraph.effects.set_up import end_of_part_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
+from sensorgraph.types import Floats
 from sensorgraph.world.scene import Beams, Scene
 
 
@@ -24,6 +35,50 @@ def absorb(scene: Scene, beams: Beams, *, a: Amendment) -> None:
     near = min(a["r0"], 1e6) / np.maximum(beams.ranges, 1e-6)
     chance = np.minimum(1.0, beams.cosine * near**2)
     beams.p_return = np.where(on, chance, 1.0) * beams.p_return
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Look for misses that grow with range and incidence, on a part of one wall."""
+    on = residuals.beams.wall >= 0
+    lost = on & residuals.lost & residuals.aimed
+    if lost.sum() < PROPOSAL.min_lost:
+        return []
+    found = []
+    cosine, r = residuals.beams.cosine[on], residuals.beams.ranges[on]
+    returned, log_p = residuals.returned[on], residuals.log_p[on]
+    walls, along = residuals.beams.wall[on], residuals.along[on]
+    n_walls = len(residuals.walls)
+    best: dict[int, tuple[float, float, float, float]] = {}
+    gone = residuals.lost[on]
+
+    def gains(r0: float, some: Any = slice(None)) -> Floats:
+        p = np.clip(np.minimum(1.0, cosine[some] * (r0 / r[some]) ** 2), 1e-4, 1.0)
+        missed = np.log(1 - p * (1 - residuals.loss) + 1e-5) - log_p[some]
+        return np.where(returned[some], np.log(p), np.where(gone[some], missed, 0.0))
+
+    for r0 in np.geomspace(0.3, residuals.sensor.range_max, 14):
+        gain = gains(r0)
+        table = sum_by_wall(walls, along, gain, n_walls)
+        first, last, total = best_run(table)
+        for wall in np.argsort(-total)[:2]:
+            if total[wall] > best.get(int(wall), (PROPOSAL.min_gain,))[0]:
+                best[int(wall)] = (
+                    float(total[wall]),
+                    first[wall] * PROPOSAL.wall_bin,
+                    (last[wall] + 1) * PROPOSAL.wall_bin,
+                    float(r0),
+                )
+    for wall, (promised, a, b, start) in sorted(best.items(), key=lambda item: -item[1][0])[:2]:
+        mine = np.flatnonzero(walls == wall)
+        tries = []
+        for r0 in start * np.geomspace(0.85, 1.18, 9):
+            low, high, exact = sharpen_part(along[mine], gains(r0, mine), a, b)
+            tries.append((exact, low, high, float(r0)))
+        exact, low, high, r0 = max(tries)
+        if exact < promised:
+            low, high, r0 = a, b, start
+        found.append(on_part_of_wall(residuals, wall, max(exact, promised), a=low, b=high, r0=r0))
+    return best_first(found)[:2]
 
 
 BLACK_SURFACE = Effect(
@@ -63,5 +118,7 @@ BLACK_SURFACE = Effect(
     ),
     transform=transform,
     place="wall",
-    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS, misfit_share=0.012, telltale=LOST_BY_DIRECTION),
+    diagnostics=Diagnostics(
+        propose=propose, leftovers=LOSS_LEFTOVERS, misfit_share=0.012, telltale=LOST_BY_DIRECTION
+    ),
 )

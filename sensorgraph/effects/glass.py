@@ -7,10 +7,20 @@ from functools import partial
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Proposal, Residuals
 from sensorgraph.effects.places import part_of_wall, seen_without
+from sensorgraph.effects.proposals import (
+    PROPOSAL,
+    best_first,
+    best_part,
+    on_part_of_wall,
+    sharpen_part,
+    strange_on_walls,
+)
 from sensorgraph.effects.set_up import end_of_part_error, third_of_map_error, wall_direction_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
-from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene
+from sensorgraph.types import Bools, Floats
+from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene, each
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -31,6 +41,77 @@ def pass_through(scene: Scene, beams: Beams, *, a: Amendment) -> None:
     beams.ranges = np.where(through, behind, beams.ranges)
     beams.reading = beams.ranges.copy()
     beams.bent()[through] = False
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Look for long or missing readings at slanting incidence, on a part of one wall."""
+    on, walls = strange_on_walls(residuals)
+    found = []
+    for wall in walls:
+        found += _panes(residuals, wall, on & (residuals.beams.wall == wall))
+    return best_first(found)[:3]
+
+
+def _panes(residuals: Residuals, wall: int, mine: Bools) -> list[Proposal]:
+    """Propose panes on one wall: with a plane behind, and with what the map has behind."""
+    z, mu = residuals.z[mine], residuals.mu[mine]
+    incidence, cosine = residuals.incidence[mine], residuals.beams.cosine[mine]
+    along, log_p = residuals.along[mine], residuals.log_p[mine]
+    long = residuals.long[mine]
+    depths = [0.0]
+    if long.sum() >= PROPOSAL.min_rays:
+        d = (z - mu)[long] * cosine[long]
+        counts, edges = np.histogram(d, bins=np.arange(0.0, min(d.max() + 0.1, 30.0) + 0.05, 0.05))
+        at = int(counts.argmax())
+        near = np.abs(d - (edges[at] + 0.025)) < 0.05
+        depths.append(float(np.median(d[near])))
+    else:
+        depths.append(50.0)
+    walls = residuals.walls.copy()
+    walls[wall] = 1e9
+    ox = np.broadcast_to(residuals.beams.ox, residuals.z.shape)[mine]
+    oy = np.broadcast_to(residuals.beams.oy, residuals.z.shape)[mine]
+    behind, _ = each(
+        walls, ox[:, None], oy[:, None], residuals.beams.ux[mine][:, None], residuals.beams.uy[mine][:, None]
+    )
+    best: Proposal | None = None
+    for depth in depths:
+        seen = mu + depth / np.maximum(cosine, 0.02) if depth > 0 else behind[:, 0]
+        through = residuals.likely(seen, mine) - log_p
+        for alpha in np.radians([0.0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 50, 55, 60, 65, 70, 75]):
+            gain = np.where(incidence >= alpha, through, 0.0)
+            first, last, total = best_part(along, gain)
+            if best is None or total > best.gain:
+                a, b, sharp, exact = _pane(along, incidence, through, (first, last))
+                best = on_part_of_wall(
+                    residuals,
+                    wall,
+                    max(exact, total),
+                    a=a,
+                    b=b,
+                    alpha_ret=max(sharp, 1e-3),
+                    depth=depth,
+                )
+    return [best] if best is not None else []
+
+
+def _pane(
+    along: Floats, incidence: Floats, through: Floats, span: tuple[float, float]
+) -> tuple[float, float, float, float]:
+    """Sharpen ends and limiting incidence of a pane to the ray; return a, b, alpha_ret and the gain."""
+    a, b = span
+    alpha, gain = 0.0, 0.0
+    for _ in range(2):
+        inside = (along >= a) & (along <= b)
+        if not inside.any():
+            return *span, 0.0, 0.0
+        order = np.argsort(-incidence[inside])
+        total = np.cumsum(through[inside][order])
+        at = int(total.argmax())
+        sorted_incidence = incidence[inside][order]
+        alpha = float((sorted_incidence[at] + sorted_incidence[min(at + 1, len(order) - 1)]) / 2)
+        a, b, gain = sharpen_part(along, np.where(incidence >= alpha, through, 0.0), a, b)
+    return a, b, alpha, gain
 
 
 GLASS = Effect(
@@ -83,5 +164,7 @@ GLASS = Effect(
     ),
     transform=transform,
     place="wall",
-    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS, misfit_share=0.012, telltale=LOST_BY_DIRECTION),
+    diagnostics=Diagnostics(
+        propose=propose, leftovers=LOSS_LEFTOVERS, misfit_share=0.012, telltale=LOST_BY_DIRECTION
+    ),
 )

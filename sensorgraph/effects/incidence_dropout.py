@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.proposals import cut_off, within_range
 from sensorgraph.effects.set_up import wall_direction_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import RIGHT_ANGLE, Scene, fade
@@ -19,6 +21,12 @@ def transform(scene: Scene, a: Amendment) -> None:
     beams = scene.beams
     slack = np.where(np.isfinite(beams.ranges), a["alpha_max"] - beams.incidence, 1.0)
     beams.p_return = fade(slack, BLUR) * beams.p_return
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Look for the incidence beyond which nothing returns."""
+    incidence = np.where(np.isfinite(within_range(residuals)), residuals.incidence, np.nan)
+    return cut_off(residuals, "alpha_max", incidence, residuals.certain_loss, upward=True)
 
 
 INCIDENCE_DROPOUT = Effect(
@@ -48,5 +56,5 @@ INCIDENCE_DROPOUT = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS),
+    diagnostics=Diagnostics(propose=propose, leftovers=LOSS_LEFTOVERS),
 )

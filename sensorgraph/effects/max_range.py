@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.proposals import cut_off, within_range
 from sensorgraph.effects.set_up import map_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import Scene, fade
@@ -16,6 +18,11 @@ def transform(scene: Scene, a: Amendment) -> None:
     with np.errstate(invalid="ignore"):
         slack = np.where(np.isfinite(beams.reading), a["R"] - beams.reading, 1.0)
     beams.p_return = fade(slack, scene.sensor.sigma + 1e-4) * beams.p_return
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Look for the range beyond which nothing returns."""
+    return cut_off(residuals, "R", within_range(residuals), residuals.certain_loss, upward=True)
 
 
 MAX_RANGE = Effect(
@@ -44,5 +51,5 @@ MAX_RANGE = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS),
+    diagnostics=Diagnostics(propose=propose, leftovers=LOSS_LEFTOVERS),
 )

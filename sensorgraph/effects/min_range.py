@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.proposals import cut_off, within_range
 from sensorgraph.effects.set_up import map_error
 from sensorgraph.world.scene import Scene, fade
+
+EITHER_WAY = -0.7
+"""[nats] of a reading in the blind zone: about half of them are said to be too near, the others are lost."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -13,6 +20,12 @@ def transform(scene: Scene, a: Amendment) -> None:
         return
     beams = scene.beams
     beams.p_return = fade(beams.reading - a["r_min"], scene.sensor.sigma + 1e-4) * beams.p_return
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Look for the range below which nothing returns, or is said to be too near."""
+    gains = np.where(residuals.near, EITHER_WAY - residuals.log_p, residuals.certain_loss)
+    return cut_off(residuals, "r_min", within_range(residuals), gains, upward=False)
 
 
 MIN_RANGE = Effect(
@@ -37,4 +50,5 @@ MIN_RANGE = Effect(
         ),
     ),
     transform=transform,
+    diagnostics=Diagnostics(propose=propose),
 )

@@ -7,7 +7,15 @@ from functools import partial
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Proposal, Residuals
 from sensorgraph.effects.places import part_of_wall, reflected
+from sensorgraph.effects.proposals import (
+    best_first,
+    best_part,
+    on_part_of_wall,
+    sharpen_part,
+    strange_on_walls,
+)
 from sensorgraph.effects.set_up import end_of_part_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
 from sensorgraph.world.scene import Beams, Scene
@@ -28,6 +36,21 @@ def reflect(scene: Scene, beams: Beams, *, a: Amendment) -> None:
     beams.ranges = np.where(on, beams.ranges + further, beams.ranges)
     beams.reading = beams.ranges.copy()
     beams.bent()[on] = False
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Look for long readings that show the room reflected in a part of one wall."""
+    on, walls = strange_on_walls(residuals)
+    found = []
+    for wall in walls:
+        mine = on & (residuals.beams.wall == wall)
+        seen = residuals.mu[mine] + reflected(residuals.walls, residuals.beams, mine)
+        gain = residuals.likely(seen, mine) - residuals.log_p[mine]
+        along = residuals.along[mine]
+        first, last, total = best_part(along, gain)
+        a, b, exact = sharpen_part(along, gain, first, last)
+        found.append(on_part_of_wall(residuals, wall, max(exact, total), a=a, b=b))
+    return best_first(found)[:2]
 
 
 MIRROR = Effect(
@@ -55,5 +78,7 @@ MIRROR = Effect(
     ),
     transform=transform,
     place="wall",
-    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS, misfit_share=0.012, telltale=LOST_BY_DIRECTION),
+    diagnostics=Diagnostics(
+        propose=propose, leftovers=LOSS_LEFTOVERS, misfit_share=0.012, telltale=LOST_BY_DIRECTION
+    ),
 )

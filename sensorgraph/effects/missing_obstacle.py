@@ -2,14 +2,38 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect
-from sensorgraph.effects.places import walls_of
-from sensorgraph.world.scene import Scene
+import numpy as np
+
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect
+from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.places import named_walls, walls_of
+from sensorgraph.effects.proposals import PROPOSAL, unchanged_obstacles
+from sensorgraph.world.scene import Scene, each
 
 
 def transform(scene: Scene, a: Amendment) -> None:
     """Shrink the obstacle to nothing, far away."""
     scene.walls[walls_of(scene, a.place)] = 1e9
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Look for rays that see what stands behind an obstacle of the map."""
+    found = []
+    walls, beams, shape = residuals.walls, residuals.beams, residuals.z.shape
+    for name in unchanged_obstacles(residuals):
+        members = named_walls(residuals.arena, name)
+        mine = np.isin(beams.wall, members)
+        if mine.sum() < PROPOSAL.min_rays:
+            continue
+        bare = walls.copy()
+        bare[members] = 1e9
+        ox = np.broadcast_to(beams.ox, shape)[mine][:, None]
+        oy = np.broadcast_to(beams.oy, shape)[mine][:, None]
+        behind, _ = each(bare, ox, oy, beams.ux[mine][:, None], beams.uy[mine][:, None])
+        gain = float((residuals.likely(behind[:, 0], mine) - residuals.log_p[mine]).sum())
+        centre = walls[members].reshape(-1, 2).mean(axis=0)
+        found.append(Proposal(values={}, gain=gain, place=name, xy=centre))
+    return found
 
 
 MISSING_OBSTACLE = Effect(
@@ -25,4 +49,5 @@ MISSING_OBSTACLE = Effect(
     parameters=(),
     transform=transform,
     place="obstacle",
+    diagnostics=Diagnostics(propose=propose),
 )

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Residuals
+from sensorgraph.effects.proposals import PROPOSAL
 from sensorgraph.effects.set_up import depth_edge_error
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.raycast import cast_laser
@@ -16,6 +20,13 @@ FEW_WALLS = 100
 """Up to here it is faster to ask every wall."""
 GRAZING = 1.5  # [rad] walls met at more are taken as if met at this
 STEP = 0.02  # [m] a smaller step in depth is a bent wall, not an edge
+
+GAMMAS = np.radians([0.12, 0.2, 0.35, 0.6, 1.0, 1.6])
+"""[rad] that are tried."""
+SIGMAS = 5.0
+"""Standard deviations that a reading must be away from both sides of a step, and from what is expected."""
+DEPTH = 0.2
+"""[m] of a step in depth."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -53,6 +64,28 @@ def _spread(scene: Scene, edge: Bools, gamma: float) -> Floats:
     return each(scene.walls, ox[:, None], oy[:, None], vx, vy)[0]
 
 
+def sweep(residuals: Residuals) -> list[list[Mapping[str, float]]]:
+    """Try half angles, where enough readings at steps in depth lie between what the two sides read."""
+    known = any(a.name == "mixed_pixels" for a in residuals.model)
+    if known or _between(residuals) < PROPOSAL.min_rays:
+        return []
+    return [[{"gamma": float(gamma)} for gamma in GAMMAS]]
+
+
+def _between(residuals: Residuals) -> int:
+    """Count readings at steps in depth that lie between what the two sides read."""
+    r_max, z = residuals.sensor.range_max, residuals.z
+    mu = np.where(residuals.aimed, np.minimum(residuals.mu, r_max), r_max)
+    low, high = mu.copy(), mu.copy()
+    for a, b in ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None))):
+        low[:, a] = np.minimum(low[:, a], mu[:, b])
+        high[:, a] = np.maximum(high[:, a], mu[:, b])
+    margin = SIGMAS * residuals.sigma
+    with np.errstate(invalid="ignore"):
+        inside = residuals.returned & (z > low + margin) & (z < high - margin) & (high - low > DEPTH)
+        return int((inside & (np.abs(z - residuals.mu) > margin)).sum())
+
+
 MIXED_PIXELS = Effect(
     name="mixed_pixels",
     title="mixed pixels of a wide beam",
@@ -80,6 +113,7 @@ MIXED_PIXELS = Effect(
     transform=transform,
     absorber=True,
     diagnostics=Diagnostics(
+        sweep=sweep,
         leftover_share=0.03,
         leftovers=dict.fromkeys(("people", "random_outliers", "range_noise", "glass", "black_surface"), 0.15),
         misfit_share=0.06,

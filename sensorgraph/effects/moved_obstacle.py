@@ -6,10 +6,19 @@ import numpy as np
 
 from planners.arena import Arena
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import CornerShift
+from sensorgraph.effects.interfaces import CornerShift, Proposal, Residuals
 from sensorgraph.effects.places import named_walls, obstacles, walls_of
-from sensorgraph.types import Floats, Ints
+from sensorgraph.effects.proposals import PROPOSAL, unchanged_obstacles
+from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.world.ray_intersection import nearest
 from sensorgraph.world.scene import Scene
+
+NUDGE_DISTANCE = 0.12
+"""[m] from an outline within which a reading may tell of a small move; ..."""
+NUDGE_STEPS = (0.06, 0.03, 0.015, 0.008, 0.004, 0.002)
+"""... steps [m] in which that is looked for, ..."""
+DIRECTIONS = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
+"""... in these directions."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -29,6 +38,110 @@ def corner_shifts(arena: Arena, walls: Floats, ends: Ints) -> list[CornerShift]:
     return out
 
 
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Look for an obstacle that stands elsewhere, far away or near by."""
+    return [*_elsewhere(residuals), *nudged(residuals)]
+
+
+def _elsewhere(residuals: Residuals) -> list[Proposal]:
+    """Lay the outline of each obstacle over the ends of unexplained rays."""
+    found = []
+    ends = residuals.ends(residuals.strange) if residuals.strange.sum() else np.zeros((0, 2))
+    for name in unchanged_obstacles(residuals):
+        members = named_walls(residuals.arena, name)
+        mine = np.isin(residuals.beams.wall, members)
+        if mine.sum() >= PROPOSAL.min_rays:
+            found += _shifted(residuals, name, residuals.walls[members], ends, mine)
+    return found
+
+
+def _shifted(residuals: Residuals, name: str, outline: Floats, ends: Floats, mine: Bools) -> list[Proposal]:
+    """Lay the outline of an obstacle over the ends of unexplained rays."""
+    low, high = outline.min(axis=(0, 1)) - 0.7, outline.max(axis=(0, 1)) + 0.7
+    near = ends[((ends > low) & (ends < high)).all(axis=1)]
+    if len(near) < 2 * PROPOSAL.min_rays:
+        return []
+    near = near[:: max(1, len(near) // 150)]
+    steps = np.arange(-0.6, 0.61, 0.04)
+    grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    shifted = (near[None] - grid[:, None]).reshape(-1, 2)
+    best = _beside(shifted, outline).reshape(len(grid), len(near))
+    score = np.exp(-0.5 * (best / 0.03) ** 2).sum(axis=1)
+    at = int(score.argmax())
+    share = score[at] / len(near)
+    if share < 0.35:
+        return []
+    dx, dy = grid[at]
+    centre = outline.reshape(-1, 2).mean(axis=0)
+    unexplained = float(-(residuals.log_p[residuals.strange & mine]).sum())
+    gain = 3.0 * score[at] * max(1, len(ends) // 150) + max(unexplained, 0.0)
+    return [Proposal(values={"dx": float(dx), "dy": float(dy)}, gain=gain, place=name, xy=centre)]
+
+
+def nudged(residuals: Residuals) -> list[Proposal]:
+    """Look for a move by a few centimetres: where an outline lets rays pass, or stops them, that the map does not.
+
+    To first order a side changes only the readings that end on it; of one that no ray met head-on, only the ends of the
+    silhouette tell, so the readings of each shift are cast.
+    """
+    if residuals.strange.sum() < PROPOSAL.min_rays:
+        return []
+    ends = residuals.ends(residuals.strange)
+    found = []
+    for name in unchanged_obstacles(residuals):
+        members = named_walls(residuals.arena, name)
+        if (_beside(ends, residuals.walls[members]) < NUDGE_DISTANCE).sum() >= PROPOSAL.min_rays:
+            proposal = _nudge(residuals, name, members)
+            if proposal is not None:
+                found.append(proposal)
+    return found
+
+
+def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
+    """Return the shift of an obstacle that makes the readings about it most likely."""
+    walls, beams = residuals.walls, residuals.beams
+    shape = residuals.z.shape
+    centre = walls[members].reshape(-1, 2).mean(axis=0)
+    radius = float(np.hypot(*(walls[members].reshape(-1, 2) - centre).T).max()) + 1.5 * NUDGE_DISTANCE
+    ox, oy = np.broadcast_to(beams.ox, shape), np.broadcast_to(beams.oy, shape)
+    aside = (centre[0] - ox) * beams.uy - (centre[1] - oy) * beams.ux
+    ahead = (centre[0] - ox) * beams.ux + (centre[1] - oy) * beams.uy
+    some = (np.abs(aside) < radius) & (ahead > 0) & ~np.isnan(residuals.z)
+    if not some.any():
+        return None
+    rays = ox[some], oy[some], beams.ux[some], beams.uy[some]
+    bare = np.delete(walls, members, axis=0)
+    behind, _ = nearest(bare, *rays)
+    usual = np.where(
+        residuals.aimed[some], residuals.mu[some] - beams.ranges[some], 0.0
+    )  # what nuisances add
+
+    def log_p(shift: Floats) -> float:
+        there, _ = nearest(walls[members] + shift, *rays)
+        reading = np.minimum(there, behind) + np.where(np.isfinite(usual), usual, 0.0)
+        return float(residuals.likely(reading, some).sum())
+
+    best, at = (here := log_p(np.zeros(2))), np.zeros(2)
+    for step in NUDGE_STEPS:
+        middle = at
+        for way in DIRECTIONS:
+            shift = middle + step * way
+            if (got := log_p(shift)) > best:
+                best, at = got, shift
+    if best - here < PROPOSAL.min_gain or not at.any():
+        return None
+    values = {"dx": float(at[0]), "dy": float(at[1])}
+    return Proposal(values=values, gain=best - here, place=name, xy=centre)
+
+
+def _beside(points: Floats, outline: Floats) -> Floats:
+    """Return how far points (n, 2) are from an outline (k, 2, 2), (n,) [m]."""
+    a, d = outline[:, 0], outline[:, 1] - outline[:, 0]
+    off = points[:, None] - a
+    share = np.clip((off * d).sum(axis=2) / np.maximum((d * d).sum(axis=1), 1e-12), 0.0, 1.0)
+    return np.asarray(np.hypot(*np.moveaxis(off - share[..., None] * d, 2, 0)).min(axis=1))
+
+
 MOVED_OBSTACLE = Effect(
     name="moved_obstacle",
     title="moved obstacle",
@@ -45,5 +158,5 @@ MOVED_OBSTACLE = Effect(
     ),
     transform=transform,
     place="obstacle",
-    diagnostics=Diagnostics(corner_shifts=corner_shifts),
+    diagnostics=Diagnostics(propose=propose, corner_shifts=corner_shifts),
 )

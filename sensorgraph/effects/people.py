@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.proposals import share_of_readings
 from sensorgraph.effects.walkers import walkers
 from sensorgraph.world.scene import Scene
+
+NATS = 1.1
+"""[nats] that one such reading gains, about."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -15,6 +20,11 @@ def transform(scene: Scene, a: Amendment) -> None:
         scene.shorts = 1 - (1 - scene.shorts) * (1 - a["p"])
     elif a["p"] > 0:
         scene.movers = walkers(scene, a["p"], np.random.default_rng([scene.seed, 35]))
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Count short readings."""
+    return share_of_readings(residuals, residuals.short, NATS)
 
 
 PEOPLE = Effect(
@@ -43,5 +53,5 @@ PEOPLE = Effect(
     ),
     transform=transform,
     absorber=True,
-    diagnostics=Diagnostics(explains="short readings", misfit_share=0.06, is_forecast=False),
+    diagnostics=Diagnostics(propose=propose, explains="short readings", misfit_share=0.06, is_forecast=False),
 )

@@ -2,13 +2,64 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene
+
+FINEST = 1e-4
+"""[m] resolution of a reading where robot.yaml gives none."""
+MIN_REPEATS = 3
+"""Times that a reading must come back to be one of the lattice."""
+MIN_VALUES, MIN_READINGS = 5, 200
+"""Distinct readings, and readings at all, that a lattice takes."""
+MIN_SHARE = 0.9
+"""Of the readings that come back."""
+MIN_STEPS = 1.7
+"""Times the sensor's own resolution that the step of a lattice must be."""
+ON_LATTICE = 0.95
+"""Share of the readings that must lie on it."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
     """Round to a lattice."""
     scene.lattice = max(scene.lattice, a["q"])
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Look for few distinct readings, a step apart."""
+    z = residuals.z[residuals.returned]
+    finest = max(residuals.sensor.resolution, FINEST)
+    cells, counts = np.unique(np.round(z / FINEST).astype(np.int64), return_counts=True)
+    often = counts >= MIN_REPEATS
+    values = cells[often] * np.float64(FINEST)
+    if len(values) < MIN_VALUES or len(z) < MIN_READINGS or counts[often].sum() < MIN_SHARE * len(z):
+        return []
+    q = float(np.median(np.diff(values)))
+    if q < MIN_STEPS * finest:
+        return []
+    q = _refined(q, values)
+    on = np.abs(z - np.round(z / q) * q) <= 0.5 * finest + 1e-6
+    if on.mean() < ON_LATTICE:
+        return []
+    return [Proposal(values={"q": q}, gain=len(z) * max(np.log(q / finest), 0.1) * 0.5)]
+
+
+def _refined(q: float, values: Floats) -> float:
+    """Refine the step of a lattice on distinct readings (n,) [m], near ones first, where no step can be lost."""
+    grid = q * (1 + np.linspace(-0.08, 0.08, 641))
+    few = values[values < max(0.05 / 0.08 * q * 8, values[0] + 12 * q)]
+    for _ in range(6):
+        turn = np.exp(2j * np.pi * few[None] / grid[:, None]).mean(axis=1).real
+        q = float(grid[int(turn.argmax())])
+        width = 0.2 * q / max(few[-1], q)
+        grid = q * (1 + np.linspace(-width, width, 201))
+        if len(few) == len(values):
+            break
+        few = values[values < 2.5 * few[-1]]
+    return q
 
 
 QUANTISATION = Effect(
@@ -23,5 +74,5 @@ QUANTISATION = Effect(
     rivals={"range_noise": "a histogram at standstill"},
     parameters=(Parameter(name="q", unit="m", doc="step of the lattice", low=0.0, typical=0.01),),
     transform=transform,
-    diagnostics=Diagnostics(is_lattice=True, is_forecast=False),
+    diagnostics=Diagnostics(propose=propose, is_lattice=True, is_forecast=False),
 )

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.proposals import share_of_readings
 from sensorgraph.world.scene import Scene
+
+NATS = 1.0
+"""[nats] that one such reading gains, about."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
     """Mix in readings from anywhere."""
     scene.outliers = 1 - (1 - scene.outliers) * (1 - a["p"])
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Count strange readings."""
+    return share_of_readings(residuals, residuals.strange, NATS)
 
 
 RANDOM_OUTLIERS = Effect(
@@ -34,5 +44,5 @@ RANDOM_OUTLIERS = Effect(
     ),
     transform=transform,
     absorber=True,
-    diagnostics=Diagnostics(explains="strays", is_forecast=False),
+    diagnostics=Diagnostics(propose=propose, explains="strays", is_forecast=False),
 )

@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.proposals import PROPOSAL, best_first
+from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene
+
+GROWTHS = (0.0015, 0.003, 0.005, 0.008, 0.012, 0.02, 0.03)
+"""[m/m] that are tried."""
+CORES = (0.75, 0.85, 1.0, 1.15)
+"""Scales of the nominal noise that are tried with each."""
+MIN_READINGS = 100
+"""That a spread takes."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -13,6 +23,28 @@ def transform(scene: Scene, a: Amendment) -> None:
     beams = scene.beams
     r = np.where(np.isfinite(beams.reading), beams.reading, 0.0)
     beams.sigma = np.sqrt(np.square(beams.sigma) + (a["k"] * r) ** 2)
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Try values of the growth, the nominal noise and its tail refitted."""
+    ok = residuals.returned & residuals.aimed & (residuals.stray < 0.5)
+    if ok.sum() <= MIN_READINGS:
+        return []
+    e, r, sigma = residuals.residual[ok], residuals.mu[ok], residuals.nominal_sigma[ok]
+    gains = []
+    for k in (0.0, *GROWTHS):
+        spreads = [np.sqrt((core * sigma) ** 2 + (k * r) ** 2) for core in CORES]
+        gains.append(max(_log_likelihood(e, s, residuals.tail) for s in spreads))
+    found = [
+        Proposal(values={"k": k}, gain=gain - gains[0]) for k, gain in zip(GROWTHS, gains[1:], strict=True)
+    ]
+    return best_first([p for p in found if p.gain > PROPOSAL.min_gain])[:1]
+
+
+def _log_likelihood(e: Floats, s: Floats, tail: float) -> float:
+    """Return the log-likelihood of residuals under core and tail, without constants [nats]."""
+    q = (e / s) ** 2
+    return float(np.log(((1 - tail) * np.exp(-0.5 * q) + tail / 3 * np.exp(-0.5 * q / 9)) / s + 1e-3).sum())
 
 
 RANGE_NOISE = Effect(
@@ -35,5 +67,5 @@ RANGE_NOISE = Effect(
     ),
     transform=transform,
     absorber=True,
-    diagnostics=Diagnostics(site_start={"k": 0.004}),
+    diagnostics=Diagnostics(propose=propose, site_start={"k": 0.004}),
 )

@@ -2,15 +2,58 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter, Telltale
+from sensorgraph.effects.interfaces import Proposal, Residuals
 from sensorgraph.effects.places import in_sector
+from sensorgraph.effects.proposals import best_first, half_spacing
 from sensorgraph.effects.set_up import between_rays
+from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene
+
+MAX_SHARE = 0.8
+"""Of the rays, that a sector may have; more are the whole sensor."""
+BROAD = 6.0
+"""Standard deviations at which readings far off count half."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
     """Add b to the rays of the sector."""
     scene.beams.reading = scene.beams.reading + a["b"] * in_sector(scene.bearings, a["theta1"], a["theta2"])
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Look for the run of neighbouring rays whose mean residual explains most."""
+    bearings = residuals.sensor.bearings
+    valid = residuals.valid & residuals.returned
+    found = []
+    for weight in (residuals.weight, _broad_weight(residuals)):
+        w = np.where(valid, weight, 0.0)
+        num, den = (w * residuals.residual).sum(axis=0), w.sum(axis=0)
+        n = len(num)
+        cn, cd = np.concatenate([[0.0], np.cumsum(num)]), np.concatenate([[0.0], np.cumsum(den)])
+        i, j = np.triu_indices(n + 1, 1)
+        few = (j - i) <= MAX_SHARE * n
+        i, j = i[few], j[few]
+        s, d = cn[j] - cn[i], cd[j] - cd[i]
+        score = 0.5 * s**2 / np.maximum(d, 1e-9) - 1.5 * np.log(n)
+        at = int(score.argmax())
+        half = half_spacing(residuals)
+        values = {
+            "theta1": float(bearings[i[at]] - half),
+            "theta2": float(bearings[j[at] - 1] + half),
+            "b": float(s[at] / max(d[at], 1e-9)),
+        }
+        found.append(Proposal(values=values, gain=float(score[at])))
+    return best_first(found)[:1]
+
+
+def _broad_weight(residuals: Residuals) -> Floats:
+    """Weigh readings far off as well, but less than near ones (n_scans, n_rays) [1/m²]."""
+    e, sigma = residuals.residual, residuals.sigma
+    heavy = sigma**2 * (1 + (e / (BROAD * sigma)) ** 2) * BROAD
+    return np.asarray(np.where(residuals.returned, 1 / heavy, 0.0))
 
 
 SECTOR_BIAS = Effect(
@@ -38,8 +81,9 @@ SECTOR_BIAS = Effect(
     transform=transform,
     place="sector",
     diagnostics=Diagnostics(
+        propose=propose,
         telltale=Telltale(
             least=2, statement="the bias varies with the bearing in a way that no single sector describes"
-        )
+        ),
     ),
 )

@@ -5,10 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Proposal, Residuals
 from sensorgraph.effects.places import in_sector
+from sensorgraph.effects.proposals import half_spacing
 from sensorgraph.effects.set_up import between_rays
 from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import Scene
+
+MIN_SHORT = 0.3
+"""Share of the scans in which a ray must be short."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -19,6 +24,27 @@ def transform(scene: Scene, a: Amendment) -> None:
     beams.reading = np.where(hidden, a["r0"], beams.reading)
     beams.p_return = np.where(hidden, 1.0, beams.p_return)
     beams.bent()[hidden] = False
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Look for neighbouring rays that read one and the same, whatever the pose."""
+    z, short = residuals.z, residuals.short
+    odd = short.sum(axis=0) > MIN_SHORT * len(z)
+    if not odd.any():
+        return []
+    found = []
+    bearings, half = residuals.sensor.bearings, half_spacing(residuals)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], odd.astype(int), [0]])))
+    for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
+        sector = slice(first, last + 1)
+        r0 = float(np.median(z[:, sector][short[:, sector]]))
+        mu = np.minimum(np.where(residuals.aimed[:, sector], residuals.mu[:, sector], np.inf), r0)
+        some = np.zeros(z.shape, dtype=np.bool_)
+        some[:, sector] = True
+        gain = float((residuals.likely(mu.ravel(), some) - residuals.log_p[some]).sum())
+        ends = {"theta1": float(bearings[first] - half), "theta2": float(bearings[last] + half)}
+        found.append(Proposal(values={"r0": r0, **ends}, gain=gain))
+    return found
 
 
 SELF_OCCLUSION = Effect(
@@ -50,5 +76,5 @@ SELF_OCCLUSION = Effect(
     ),
     transform=transform,
     place="sector",
-    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS),
+    diagnostics=Diagnostics(propose=propose, leftovers=LOSS_LEFTOVERS),
 )

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Residuals
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene
 
 RAY = np.radians(1.05)  # [rad] between the rays that fill the cone, at most
+
+GAMMAS = np.radians([4.0, 6.0, 8.0, 10.0, 12.5, 15.0, 18.0, 22.0, 27.0])
+"""[rad] that are tried, ..."""
+ALPHAS = np.radians([20.0, 30.0, 45.0, 89.9])
+"""... with each of these largest incidences [rad]."""
+MIN_SHARE = 0.1
+"""Of short and lost readings; a thin ray reads most walls as a cone does not."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -58,6 +68,13 @@ def _chosen(whole: Beams, at: Ints) -> Beams:
     return Beams(ox=whole.ox, oy=whole.oy, reading=picked["ranges"].copy(), **picked)
 
 
+def sweep(residuals: Residuals) -> list[list[Mapping[str, float]]]:
+    """Try half angles at several largest incidences, where many readings are short or lost."""
+    if residuals.short.mean() + residuals.lost.mean() <= MIN_SHARE:
+        return []
+    return [[{"gamma": float(gamma), "alpha_max": float(alpha)} for gamma in GAMMAS] for alpha in ALPHAS]
+
+
 SONAR_CONE = Effect(
     name="sonar_cone",
     title="sonar cone",
@@ -93,5 +110,7 @@ SONAR_CONE = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(wide_beam=True, leftover_share=0.06, misfit_share=0.06, is_forecast=False),
+    diagnostics=Diagnostics(
+        sweep=sweep, wide_beam=True, leftover_share=0.06, misfit_share=0.06, is_forecast=False
+    ),
 )

@@ -5,8 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.proposals import PROPOSAL
 from sensorgraph.effects.shared import LOSS_LEFTOVERS
+from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene
+
+FARTHER = 1.5
+"""Times the sensor's height that a reading of the floor is away, at least."""
+N_PAIRS = 120
+"""Pairs of readings that a plane is laid through."""
+DIPS = (0.003, 0.5)
+"""[rad] of a tilt."""
+MIN_SHARE = 0.2
+"""Of the short readings that must lie on one plane."""
+NATS = 8.0
+"""[nats] that one reading of the floor gains, about."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -20,6 +34,43 @@ def transform(scene: Scene, a: Amendment) -> None:
     beams.reading = np.where(down, floor, beams.reading * stretch)
     beams.slope = np.where(down, 0.0, stretch) * beams.slope
     beams.bent()[down] = False
+
+
+def propose(residuals: Residuals) -> list[Proposal]:
+    """Look for readings capped by the floor. There h / z = sin(beta cos(theta - theta0)): linear in cos and sin theta."""
+    h = residuals.sensor.height
+    some = residuals.short & (residuals.z > FARTHER * h)
+    if h <= 0 or some.sum() < 2 * PROPOSAL.min_rays:
+        return []
+    bearings = np.broadcast_to(residuals.sensor.bearings, residuals.z.shape)[some]
+    z = residuals.z[some]
+    dip = np.arcsin(h / z)
+    rows = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    width = np.maximum(3 * residuals.sigma[some] * h / z**2, 1e-4)  # [rad] of a dip, three sigma
+    rng = np.random.default_rng(0)
+    best: Floats = np.zeros(2)
+    most = 0
+    for _ in range(N_PAIRS):
+        pair = rng.choice(len(z), 2, replace=False)
+        system = rows[pair]
+        if abs(np.linalg.det(system)) < 0.05:
+            continue
+        x = np.linalg.solve(system, dip[pair])
+        count = int((np.abs(rows @ x - dip) < width).sum())
+        if count > most:
+            best, most = x, count
+    for _ in range(3):
+        inlier = np.abs(rows @ best - dip) < width
+        if inlier.sum() < 2 * PROPOSAL.min_rays:
+            return []
+        w = 1 / width[inlier]
+        best = np.asarray(
+            np.linalg.lstsq(rows[inlier] * w[:, None], dip[inlier] * w, rcond=None)[0], dtype=np.float64
+        )
+    beta, theta0 = float(np.hypot(*best)), float(np.arctan2(best[1], best[0]))
+    if not DIPS[0] < beta < DIPS[1] or most < MIN_SHARE * some.sum():
+        return []
+    return [Proposal(values={"beta": beta, "theta0": theta0}, gain=NATS * most)]
 
 
 TILT = Effect(
@@ -60,5 +111,5 @@ TILT = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(leftovers=LOSS_LEFTOVERS),
+    diagnostics=Diagnostics(propose=propose, leftovers=LOSS_LEFTOVERS),
 )

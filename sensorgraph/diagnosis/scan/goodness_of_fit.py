@@ -16,9 +16,10 @@ import numpy as np
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, fit, log_p_at
-from sensorgraph.diagnosis.scan.residuals import View, best_run
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.effects.proposals import best_run
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.robot import Tolerances
 
@@ -45,7 +46,7 @@ class Partition:
     place: Callable[[int], tuple[float, float] | None]
 
 
-def partitions(view: View) -> list[Partition]:
+def partitions(view: FitResiduals) -> list[Partition]:
     """Return every partition of the rays."""
     ev, beams = view.data, view.beams
     shape = view.z.shape
@@ -131,7 +132,7 @@ def partitions(view: View) -> list[Partition]:
     return out
 
 
-def _parts_of_walls(view: View, t: Floats) -> list[Partition]:
+def _parts_of_walls(view: FitResiduals, t: Floats) -> list[Partition]:
     """Sort the rays of each pane, mirror or black part by time and by incidence: does its law hold?"""
     out = []
     arena, span = view.data.arena, view.data.span
@@ -164,7 +165,7 @@ def _always(point: tuple[float, float] | None) -> Callable[[int], tuple[float, f
     return lambda k: point
 
 
-def dispersion(view: View) -> float:
+def dispersion(view: FitResiduals) -> float:
     """Return how much more the scans differ from each other than their rays explain: variance ratio, 1 expected."""
     score = scores(view)
     value, counted = score.values["spread"], score.counted["spread"]
@@ -211,7 +212,7 @@ class Scores:
     counted: dict[str, Bools]
 
 
-def scores(view: View) -> Scores:
+def scores(view: FitResiduals) -> Scores:
     """Return, per family, how each ray deviates."""
     responsibilities, expected = view.fitted.solution.responsibilities, view.fitted.cast.expected
     clear = view.returned & view.aimed & (expected.p_alternative < 0.002) & view.fitted.cast.jacobian.valid
@@ -248,7 +249,7 @@ def scores(view: View) -> Scores:
     )
 
 
-def outlines(view: View) -> Bools | None:
+def outlines(view: FitResiduals) -> Bools | None:
     """Tell which rays pass an unmapped obstacle that stands free: of its outline, a disc says too little to be judged."""
     arena, beams, out = view.data.arena, view.beams, None
     for a in view.fitted.model:
@@ -264,7 +265,9 @@ def outlines(view: View) -> Bools | None:
     return out
 
 
-def deviations(view: View, parts: list[Partition] | None = None, *, least: float = 3.5) -> list[Deviation]:
+def deviations(
+    view: FitResiduals, parts: list[Partition] | None = None, *, least: float = 3.5
+) -> list[Deviation]:
     """Return the bins of material size whose z is above `least`, largest first; spread and shares one-sided."""
     parts = partitions(view) if parts is None else parts
     score = scores(view)
@@ -368,7 +371,7 @@ def check(
     """
     told = data.tolerances
     data, fitted = _widened(data, fitted)
-    view = View(data, fitted)
+    view = FitResiduals(data, fitted)
     parts = partitions(view)
     found = deviations(view, parts)
     doubts = [*_laws(view, gained, gains), *_limits(view, told), *_unsteady(view)]
@@ -435,7 +438,7 @@ def _widened(data: ScanData, fitted: Fitted) -> tuple[ScanData, Fitted]:
     return wider, fit(wider, fitted.model, start, NoiseBounds(max_scale=1.3), outer=1, inner=3)
 
 
-def _limits(view: View, told: Tolerances) -> list[_Doubt]:
+def _limits(view: FitResiduals, told: Tolerances) -> list[_Doubt]:
     """Doubt a model that needs tolerances far wider than told."""
     state, t = view.fitted.state, view.data.tolerances
     out = []
@@ -453,7 +456,7 @@ def _limits(view: View, told: Tolerances) -> list[_Doubt]:
     return out
 
 
-def _laws(view: View, gained: float, gains: Mapping[int, float]) -> list[_Doubt]:
+def _laws(view: FitResiduals, gained: float, gains: Mapping[int, float]) -> list[_Doubt]:
     """Check what effects that absorb anything claim of the readings they absorb; and tell-tale combinations."""
     out = []
     responsibilities = view.fitted.solution.responsibilities
@@ -510,7 +513,7 @@ TELLTALES: tuple[
 )
 
 
-def _unsteady(view: View) -> list[_Doubt]:
+def _unsteady(view: FitResiduals) -> list[_Doubt]:
     """Doubt what stands in the world but seems to be away for one stretch of the run: a door, not a pane."""
     out = []
     data, fitted = view.data, view.fitted
@@ -538,7 +541,7 @@ def _unsteady(view: View) -> list[_Doubt]:
     return out
 
 
-def _not_people(view: View, short: Bools) -> str:
+def _not_people(view: FitResiduals, short: Bools) -> str:
     """Return why short readings are no people, or nothing."""
     share = float(short.mean())
     if clustered(view, short) < 0.5:
@@ -550,7 +553,7 @@ def _not_people(view: View, short: Bools) -> str:
     return ""
 
 
-def _not_random(view: View, odd: Bools) -> str:
+def _not_random(view: FitResiduals, odd: Bools) -> str:
     """Return why stray readings are not uniform, or nothing."""
     share = float(odd.mean())
     u = np.sort(view.z[odd] / view.range_max)
@@ -563,7 +566,7 @@ def _not_random(view: View, odd: Bools) -> str:
     return ""
 
 
-def clustered(view: View, some: Bools) -> float:
+def clustered(view: FitResiduals, some: Bools) -> float:
     """Return the share of readings with a neighbour of their kind at a similar range in the same scan."""
     if not some.any():
         return 0.0
@@ -595,7 +598,7 @@ def _against_replicates(
     drawn: dict[str, list[float]] = {f: [] for f in FLOORS}
     for _ in range(count):
         again = replicate(data, fitted, rng)
-        for family, z in statistic(deviations(View(*again), parts, least=2.5)).items():
+        for family, z in statistic(deviations(FitResiduals(*again), parts, least=2.5)).items():
             drawn[family].append(z)
     out = []
     for family, z in suspects.items():

@@ -17,8 +17,8 @@ from sensorgraph.diagnosis.scan.fit import (
     thin,
     thin_state,
 )
-from sensorgraph.diagnosis.scan.propose import rough_candidates
-from sensorgraph.diagnosis.scan.residuals import View
+from sensorgraph.diagnosis.scan.propose import proposed_candidates
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
@@ -239,7 +239,7 @@ def shortlist(
     """Return the candidates worth fitting, best first."""
     sharp = [c for c in smooth_candidates(data, current) if c.gain > LOOK]
     broad = [c for c in smooth_candidates(data, current, broad=True) if c.gain > 2 * LOOK]
-    rough = rough_candidates(View(data, current))
+    rough = proposed_candidates(FitResiduals(data, current))
     present = {_key(a) for a in current.model}
     out: list[Candidate] = []
     seen: dict[str, int] = {}

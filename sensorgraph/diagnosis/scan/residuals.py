@@ -1,7 +1,8 @@
-"""View: a fit's readings and residuals, as the proposers look at them."""
+"""Residuals of a fit, as the effects look at them to propose themselves."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,18 +12,15 @@ from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.likelihood import FLOOR
 from sensorgraph.diagnosis.scan.nuisance import TAIL
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.effects.interfaces import Present
+from sensorgraph.types import Bools, Floats
 
 ROOT = np.sqrt(2 * np.pi)
-LEAST_GAIN = 6.0
-"""[nats] that a candidate must promise to be proposed."""
-FEW = 8
-"""Rays; fewer are no ground for a proposal."""
 
 
 @dataclass(eq=False)
-class View:
-    """What a fit expects, and what was measured instead; arrays (n_scans, n_rays)."""
+class FitResiduals:
+    """What a fit expects, and what was measured instead (see `sensorgraph.effects.interfaces.Residuals`)."""
 
     data: ScanData
     fitted: Fitted
@@ -38,8 +36,17 @@ class View:
         self.aimed = np.isfinite(self.mu)
         self.beams = self.fitted.cast.beams
         self.noise = solution.state.noise
+        self.tail, self.loss = self.noise.tail, self.noise.loss
+        self.residual = solution.responsibilities.residual
+        self.weight = solution.responsibilities.weight
+        self.stray = solution.responsibilities.stray
+        self.valid = self.fitted.cast.jacobian.valid
+        self.arena, self.sensor = self.data.arena, self.data.sensor
+        self.walls = self.fitted.cast.scene.walls
+        self.model: Sequence[Present] = self.fitted.model
+        self.nominal_sigma = expected.sigma
         self.sigma = self.noise.core * expected.sigma
-        self.strange = self.returned & (solution.responsibilities.stray > 0.5)
+        self.strange = self.returned & (self.stray > 0.5)
         self.range_max = self.data.sensor.range_max
         with np.errstate(invalid="ignore"):
             self.short = self.strange & (
@@ -48,7 +55,7 @@ class View:
             self.long = self.strange & (self.z > self.mu + 4 * self.sigma)
 
     @cached_property
-    def dead(self) -> Floats:
+    def certain_loss(self) -> Floats:
         """[nats] gained by the claim that a ray cannot return."""
         floor = np.log((self.noise.stray + FLOOR) / self.range_max)
         return np.asarray(np.where(self.returned, floor, np.where(self.lost, 0.0, -12.0)) - self.log_p)
@@ -56,7 +63,7 @@ class View:
     @cached_property
     def along(self) -> Floats:
         """[m] from the first end of the wall that is hit."""
-        return self.beams.along(self.fitted.cast.scene.walls)
+        return self.beams.along(self.walls)
 
     @cached_property
     def incidence(self) -> Floats:
@@ -71,7 +78,7 @@ class View:
             [ox + self.z[some] * self.beams.ux[some], oy + self.z[some] * self.beams.uy[some]], axis=1
         )
 
-    def likely(self, mu: Floats, some: Bools | None = None, p_return: Floats | float = 1.0) -> Floats:
+    def likely(self, mu: Floats, some: Bools | None = None) -> Floats:
         """Return log-likelihoods [nats] under other expected readings; arrays (n_scans, n_rays) or (n,) of `some`."""
         z, sigma = (self.z, self.sigma) if some is None else (self.z[some], self.sigma[some])
         returned = np.isfinite(z)
@@ -80,21 +87,7 @@ class View:
         q = (off / sigma) ** 2
         tail = self.noise.tail
         density = ((1 - tail) * np.exp(-0.5 * q) + tail / TAIL * np.exp(-0.5 * q / TAIL**2)) / (ROOT * sigma)
-        back = np.asarray(p_return) * (1 - self.noise.loss) * aimed
+        back = (1 - self.noise.loss) * aimed
         hit = back * density + (self.noise.stray + FLOOR) / self.range_max
         out = np.where(returned, hit, np.where(z > 0, 1 - back + FLOOR, FLOOR))
         return np.asarray(np.log(np.where(np.isnan(z), 1.0, out)))
-
-
-def best_run(values: Floats) -> tuple[Ints, Ints, Floats]:
-    """Return, per row of values (n, m), first and last index of the run with the largest sum, and that sum."""
-    n, m = values.shape
-    total = np.concatenate([np.zeros((n, 1)), np.cumsum(values, axis=1)], axis=1)
-    lowest = np.minimum.accumulate(total[:, :-1], axis=1)
-    gain = total[:, 1:] - lowest
-    last = gain.argmax(axis=1)
-    row = np.arange(n)
-    best = gain[row, last]
-    before = np.where(np.arange(m)[None] <= last[:, None], total[:, :-1], np.inf)
-    first = before.argmin(axis=1)
-    return first, last, best

@@ -187,19 +187,6 @@ class FitSettings:
     """[m, m, rad] of the difference quotients by the pose."""
     max_pose_slope: float = 60.0
     """[1, 1, m/rad] a larger quotient by the pose is a jump to another surface."""
-    max_slope: Mapping[str, float] = field(
-        default_factory=lambda: {
-            "beta": 5e3,
-            "theta0": 5e3,
-            "delta": 300.0,
-            "tau": 300.0,
-            "T": 300.0,
-            "s": 300.0,
-        }
-    )
-    """By parameter of an effect: a larger quotient is a jump to another surface."""
-    default_max_slope: float = 25.0
-    """The same for parameters that are not listed."""
     min_known_corners: int = 6
     """Corners that the data must tell of before the map's tolerance is scaled."""
     max_prior_share: float = 0.6
@@ -239,19 +226,19 @@ class SelectionSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProposalSettings:
-    """What a proposer takes to propose (`propose`, `propose_obstacles`, `propose_surfaces`)."""
+class SweepSettings:
+    """Values that effects ask to be cast (`propose`); what proposals take is in `sensorgraph.effects.proposals`."""
 
-    min_gain: float = 6.0
-    """[nats] that a candidate must promise."""
-    min_rays: int = 8
-    """Rays; fewer are no ground for a proposal."""
-    wall_bin: float = 0.1
-    """[m] along a wall."""
-    nudge_distance: float = 0.12
-    """[m] from an outline within which a reading may tell of a small move."""
-    nudge_steps: tuple[float, ...] = (0.06, 0.03, 0.015, 0.008, 0.004, 0.002)
-    """[m] steps in which a small move is looked for."""
+    n_scans: int = 60
+    """Scans on which values are cast."""
+    n_scans_of_large_map: int = 20
+    """The same where the map has too many corners to be fitted."""
+    max_core: float = 1.1
+    """Scale of the noise above which it has taken along what is looked for, so that nominal noise is used."""
+    max_tail: float = 0.1
+    """The same of the share of the tail."""
+    max_candidates: int = 2
+    """Best groups that are proposed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -469,7 +456,7 @@ class ScanSettings:
     likelihood: LikelihoodSettings = field(default_factory=LikelihoodSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
-    proposal: ProposalSettings = field(default_factory=ProposalSettings)
+    sweep: SweepSettings = field(default_factory=SweepSettings)
     standard_error: StandardErrorSettings = field(default_factory=StandardErrorSettings)
     observability: ObservabilitySettings = field(default_factory=ObservabilitySettings)
     goodness_of_fit: GoodnessOfFitSettings = field(default_factory=GoodnessOfFitSettings)
