@@ -13,23 +13,16 @@ import shapely
 from numpy.typing import NDArray
 
 from planners.arena import Arena, wrap
+from planners.settings import CHECK
 from planners.trajectory import Trajectory
 from planners.types import Floats
 from planners.vehicle import Vehicle
 
-SLACK = 0.01
-"""Of a limit: excess below this is taken for rounding of the file."""
-SLIP = 2e-4
-"""[m, rad] that a pose may differ from the twists' integral over one sample."""
 KINDS = ("v", "omega", "a", "alpha", "curvature", "continuity", "clearance")
-ANCHOR = 10
-"""Samples from one exact distance to the next; between them the least possible is taken, unless it matters."""
-MARGIN = 0.01
-"""[m] above the least exact distance in which bounds are replaced by exact distances."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check:
+class TrajectoryCheck:
     """What is wrong with a trajectory."""
 
     violations: Mapping[str, int]
@@ -43,12 +36,12 @@ class Check:
         return sum(self.violations.values())
 
 
-def check(trajectory: Trajectory, arena: Arena, vehicle: Vehicle) -> Check:
+def check(trajectory: Trajectory, arena: Arena, vehicle: Vehicle) -> TrajectoryCheck:
     """Check the samples, and what lies between two of them as far as the limits bound it."""
     return check_parts([trajectory], arena, vehicle)
 
 
-def check_parts(parts: Iterable[Trajectory], arena: Arena, vehicle: Vehicle) -> Check:
+def check_parts(parts: Iterable[Trajectory], arena: Arena, vehicle: Vehicle) -> TrajectoryCheck:
     """Check a long trajectory in parts, of which each begins with the last sample of the one before.
 
     A violation at such a sample counts in both.
@@ -60,14 +53,14 @@ def check_parts(parts: Iterable[Trajectory], arena: Arena, vehicle: Vehicle) -> 
         unproven, nearest = _clearance(part, arena, lines, vehicle.footprint_radius)
         total["clearance"] += unproven
         least = min(least, nearest)
-    return Check(violations=total, min_clearance=least)
+    return TrajectoryCheck(violations=total, min_clearance=least)
 
 
 def _motion(trajectory: Trajectory, vehicle: Vehicle) -> dict[str, int]:
     """Count what exceeds a limit, or does not follow from the sample before."""
     limits, dt = vehicle.limits, np.diff(trajectory.stamps)
     v, omega = trajectory.twists.T
-    most = 1 + SLACK
+    most = 1 + CHECK.limit_share
     found = {
         "v": int((abs(v) > limits.v * most).sum()),
         "omega": int((abs(omega) > limits.omega * most).sum()),
@@ -105,10 +98,10 @@ def _jumps(trajectory: Trajectory, part: float) -> int:
     aside = way[:, 1] * np.cos(middle) - way[:, 0] * np.sin(middle)
     # within one sample v and omega may change by a dt and alpha dt: bound what their mean leaves out
     change = abs(np.diff(trajectory.twists, axis=0))
-    loose_m = SLIP + 0.25 * change[:, 0] * dt
-    loose_rad = SLIP + part * change[:, 1] * dt
+    loose_m = CHECK.slip + 0.25 * change[:, 0] * dt
+    loose_rad = CHECK.slip + part * change[:, 1] * dt
     bent = 0.25 * abs(mean[:, 0]) * (abs(turn) + loose_rad)
-    wrong = (abs(ahead - mean[:, 0]) > loose_m + bent * abs(turn)) | (abs(aside) > SLIP + bent)
+    wrong = (abs(ahead - mean[:, 0]) > loose_m + bent * abs(turn)) | (abs(aside) > CHECK.slip + bent)
     wrong |= abs(wrap(turn - mean[:, 1])) > loose_rad
     return int(wrong.sum())
 
@@ -141,12 +134,12 @@ def _distances(points: Floats, lines: NDArray[np.object_]) -> Floats:
         where = shapely.points(some)
         return np.asarray(shapely.distance(where, lines[tree.nearest(where)]), dtype=np.float64)
 
-    anchors = np.arange(0, len(points), ANCHOR)
-    near = np.minimum(np.arange(len(points)) // ANCHOR, len(anchors) - 1)
+    anchors = np.arange(0, len(points), CHECK.anchor_stride)
+    near = np.minimum(np.arange(len(points)) // CHECK.anchor_stride, len(anchors) - 1)
     known = exact(points[anchors])
     bound: Floats = known[near] - np.hypot(*(points - points[anchors[near]]).T)
     bound[anchors] = known
-    open_ = np.flatnonzero(bound < known.min() + MARGIN)
+    open_ = np.flatnonzero(bound < known.min() + CHECK.exact_margin)
     bound[open_] = exact(points[open_])
     return bound
 

@@ -23,7 +23,8 @@ import numpy as np
 from planners.arena import Arena, wrap
 from planners.clearance import Barriers
 from planners.errors import PlanError
-from planners.joins.ompl_process import CHECK_STEP, INSTALL, Field
+from planners.joins.ompl_process import INSTALL_HINT, DistanceField
+from planners.joins.settings import JOINS
 from planners.planning import Plan, plan
 from planners.reach import reach
 from planners.session import check_pose
@@ -33,7 +34,7 @@ from planners.vehicle import Vehicle
 try:
     from ompl import base, geometric  # type: ignore[import-untyped]
 except ImportError as exc:
-    raise PlanError(INSTALL) from exc
+    raise PlanError(INSTALL_HINT) from exc
 
 logger = logging.getLogger(__name__)
 
@@ -146,14 +147,14 @@ def problem(arena: Arena, vehicle: Vehicle, start: Floats, goal: Floats) -> Any:
     barriers = Barriers(arena)
     free = reach(arena, barriers, clearance=vehicle.footprint_radius, cell=CELL, start=start)
     check_pose("goal", goal, arena, barriers, free)  # OMPL would wait for a better one until its time is over
-    field = Field(free.distance, free.origin, free.step)
-    field.least = vehicle.footprint_radius
+    field = DistanceField(free.distance, free.origin, free.step)
+    field.clearance = vehicle.footprint_radius
     setup = geometric.SimpleSetup(space)
     setup.setStateValidityChecker(
-        lambda state: bool(field.value(state.getX(), state.getY()) >= field.least)
+        lambda state: bool(field.value(state.getX(), state.getY()) >= field.clearance)
     )  # holds nothing of OMPL
     information = setup.getSpaceInformation()
-    information.setStateValidityCheckingResolution(CHECK_STEP / space.getMaximumExtent())
+    information.setStateValidityCheckingResolution(JOINS.check_step / space.getMaximumExtent())
     setup.setStartAndGoalStates(_state(space, start), _state(space, goal))
     return setup
 

@@ -8,25 +8,16 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from planners.settings import TOURS
 from planners.types import Floats, Ints
 
-KICKS = 60
-"""Perturbations of the finished order, each kept if it helps."""
-MOST_MOVES = 4000
-"""Improving moves before the order is good enough."""
-MANY = 1000
-"""Ends of runs above which ways are searched only nearby, and orders improved by windows."""
-NEAR = 8.0
-"""[m] of a way that is searched among many ends."""
-BLOCK = 256
+ROWS_AT_A_TIME = 256
 """Ends searched from at a time."""
-WINDOW = 160
-"""Runs improved together where there are many."""
-NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1))
+HALF_NEIGHBOURHOOD = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cells:
+class CellGraph:
     """The places to visit and which straight moves between neighbours are clear."""
 
     index: Ints
@@ -45,14 +36,14 @@ def neighbours(index: Ints) -> Ints:
     at = index - low + 1
     number[tuple(at.T)] = np.arange(len(index))
     found = []
-    for step in NEIGHBOURS:
+    for step in HALF_NEIGHBOURHOOD:
         other = number[tuple((at + step).T)]
         here = np.flatnonzero(other >= 0)
         found.append(np.column_stack([here, other[here]]))
     return np.concatenate(found)
 
 
-def runs(cells: Cells, axis: int) -> list[Ints]:
+def runs(cells: CellGraph, axis: int) -> list[Ints]:
     """Cut each row (axis 0) or column (axis 1) of cells into chains of clear straight moves."""
     step = cells.index[cells.pairs[:, 1]] - cells.index[cells.pairs[:, 0]]
     along = (step[:, axis] == 1) & (step[:, 1 - axis] == 0)
@@ -68,7 +59,7 @@ def runs(cells: Cells, axis: int) -> list[Ints]:
     return chains
 
 
-def ways(cells: Cells, ends: Ints, speed: float, stop: float) -> Floats:
+def travel_times(cells: CellGraph, ends: Ints, speed: float, stop: float) -> Floats:
     """Return (len(ends), len(ends)) [s] by clear moves between neighbours, or around by the straight line's double.
 
     A way takes its length over `speed`, and `stop` once. Among many ends only the near ones are worth a search.
@@ -76,10 +67,10 @@ def ways(cells: Cells, ends: Ints, speed: float, stop: float) -> Floats:
     n = len(cells.index)
     lengths = np.hypot(*(cells.places[cells.pairs[:, 1]] - cells.places[cells.pairs[:, 0]]).T)
     graph = sparse.csr_matrix((np.maximum(lengths, 1e-6), tuple(cells.pairs.T)), shape=(n, n))
-    limit = np.inf if len(ends) <= MANY else NEAR
+    limit = np.inf if len(ends) <= TOURS.many_ends else TOURS.near
     far = np.empty((len(ends), len(ends)))
-    for rows in range(0, len(ends), BLOCK):
-        some = np.s_[rows : rows + BLOCK]
+    for rows in range(0, len(ends), ROWS_AT_A_TIME):
+        some = np.s_[rows : rows + ROWS_AT_A_TIME]
         far[some] = csgraph.dijkstra(graph, directed=False, indices=ends[some], limit=limit)[:, ends]
         lost = np.isinf(far[some])
         straight = np.hypot(
@@ -90,7 +81,7 @@ def ways(cells: Cells, ends: Ints, speed: float, stop: float) -> Floats:
 
 
 def tour(
-    cost: Floats, first: int | None, rng: np.random.Generator, kicks: int = KICKS
+    cost: Floats, first: int | None, rng: np.random.Generator, kicks: int = TOURS.kicks
 ) -> list[tuple[int, bool]]:
     """Order runs; run k has its ends at rows 2k and 2k + 1 of `cost` (2n, 2n) [s].
 
@@ -105,8 +96,8 @@ def tour(
     n = len(cost) // 2
     if n == 1:
         return [(0, False)]
-    order = _Order.greedy(cost, first)
-    if len(cost) > MANY:
+    order = _Tour.greedy(cost, first)
+    if len(cost) > TOURS.many_ends:
         order.improve_by_windows()
         return [(int(a) // 2, bool(a % 2)) for a, _ in order.nodes]
     order.improve()
@@ -122,7 +113,7 @@ def tour(
     return [(int(a) // 2, bool(a % 2)) for a, _ in best]
 
 
-class _Order:
+class _Tour:
     """A sequence of runs as nodes (n, 2): entry and exit of each; the first is fixed where a start is given."""
 
     def __init__(self, cost: Floats, nodes: Ints, fixed: int, pinned: bool = False) -> None:
@@ -130,7 +121,7 @@ class _Order:
         self.moves = 0
 
     @classmethod
-    def greedy(cls, cost: Floats, first: int | None) -> _Order:
+    def greedy(cls, cost: Floats, first: int | None) -> _Tour:
         """Go on to the nearest end of a run not yet driven."""
         n = len(cost) // 2
         open_ = np.ones(2 * n, dtype=np.bool_)
@@ -149,15 +140,15 @@ class _Order:
 
     def improve(self) -> None:
         """Apply the best reversal or relocation until none helps."""
-        while self.moves < MOST_MOVES and (self._reverse() or self._relocate()):
+        while self.moves < TOURS.max_moves and (self._reverse() or self._relocate()):
             self.moves += 1
 
     def improve_by_windows(self) -> None:
         """Improve stretches that overlap by half, their ends held."""
-        for start in range(0, max(len(self.nodes) - WINDOW // 2, 1), WINDOW // 2):
-            stretch = np.s_[start : start + WINDOW]
-            last = start + WINDOW >= len(self.nodes)
-            part = _Order(self.cost, self.nodes[stretch].copy(), 1 if start else self.fixed, not last)
+        for start in range(0, max(len(self.nodes) - TOURS.window // 2, 1), TOURS.window // 2):
+            stretch = np.s_[start : start + TOURS.window]
+            last = start + TOURS.window >= len(self.nodes)
+            part = _Tour(self.cost, self.nodes[stretch].copy(), 1 if start else self.fixed, not last)
             part.improve()
             self.nodes[stretch] = part.nodes
 

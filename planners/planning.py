@@ -13,7 +13,7 @@ import numpy as np
 from planners import holes
 from planners.arena import Arena
 from planners.battery import Session, chain, check_battery, sessions
-from planners.cars.reachability import best_start, cycle
+from planners.cars.reachability import best_start, returnable_set
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.curve import Curve
@@ -23,9 +23,10 @@ from planners.methods import baselines
 from planners.methods.coverage import plan_search
 from planners.methods.stop_and_spin import plan_stop_and_spin
 from planners.methods.views import plan_views
-from planners.reach import LEAST_SHARE, Cycle, Reach, reach
+from planners.reach import Reach, ReturnableSet, reach
 from planners.report import counted, measured, reference_time
 from planners.session import check_pose, ends, within
+from planners.settings import REACH
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.trajectory import Trajectory
 from planners.types import Bools, Floats, Progress
@@ -39,9 +40,9 @@ PLANNERS: dict[str, Callable[[Task], PlannedDrive]] = {
     "stop_and_spin": plan_stop_and_spin,
 }
 
-MARGIN = 0.02
+WALL_MARGIN = 0.02
 """[m] that the robot's rim keeps from walls, beyond its radius."""
-LITTLE = 0.05
+MIN_START_SHARE = 0.05
 """A start from which a Dubins car can go to a smaller share of the bins is refused."""
 
 
@@ -83,7 +84,7 @@ def plan(
     seed: int = 0,
     start: Floats | None = None,
     rate: float = 10.0,
-    margin: float = MARGIN,
+    margin: float = WALL_MARGIN,
     priority: Floats | Callable[[Coverage], Floats] | None = None,
     visited: Floats | None = None,
     targets: Floats | Callable[[Reach], Floats] | None = None,
@@ -127,9 +128,9 @@ def plan(
     grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
     if not grid.reachable.any():
         raise PlanError(
-            f"no {cell} m cell has {100 * LEAST_SHARE:.0f} % of its area within reach; use a smaller cell"
+            f"no {cell} m cell has {100 * REACH.min_share:.0f} % of its area within reach; use a smaller cell"
         )
-    cyclic: Cycle | None = None
+    cyclic: ReturnableSet | None = None
     if vehicle.drive == "dubins":
         start, cyclic = _cyclic(free, vehicle, grid, rate, start, seed)
         grid = replace(grid, reachable=grid.reachable & cyclic.bins)
@@ -154,7 +155,7 @@ def plan(
         duration=duration if duration is not None else reference_time(grid, vehicle),
         progress=progress,
         targets=targets(free) if callable(targets) else targets,
-        cycle=cyclic,
+        returnable=cyclic,
     )
     if battery is not None and start is not None:
         check_battery(task, battery, start)
@@ -266,15 +267,15 @@ def _check_ends(
 
 def _cyclic(
     free: Reach, vehicle: Vehicle, grid: Coverage, rate: float, start: Floats | None, seed: int
-) -> tuple[Floats, Cycle]:
+) -> tuple[Floats, ReturnableSet]:
     """Return where a car that only goes forward begins, and what it can go to and come back from."""
     limits, headings = vehicle.limits, grid.headings
     if start is None:
         start, found = best_start(free, limits, headings, rate, seed)
     else:
-        found = cycle(free, limits, headings, rate, start)
+        found = returnable_set(free, limits, headings, rate, start)
     reachable = grid.reachable & found.bins
-    if reachable.sum() < LITTLE * grid.reachable.sum():
+    if reachable.sum() < MIN_START_SHARE * grid.reachable.sum():
         better, _ = best_start(free, limits, headings, rate, seed)
         raise PlanError(
             f"from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}) the car can go to {int(reachable.sum()):,} of "

@@ -10,17 +10,11 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from planners.settings import PRIORITY
 from planners.types import Bools, Floats, Ints
 
-BANDS = 4
-"""Levels of priority, one after the other."""
-AROUND = 0.75
-"""[m] within which a cell's band is the middle one: scattered cells cost more way than they are worth."""
-WORTH = 3.0
-"""How much more than the last bin the first one is worth."""
 
-
-def levels(priority: Floats | None, todo: Bools, cell: float) -> Ints:
+def cell_bands(priority: Floats | None, todo: Bools, cell: float) -> Ints:
     """Return (nx, ny) the band of each cell of `todo` (nx, ny, n_phi), the lowest being the first.
 
     Parameters
@@ -33,12 +27,12 @@ def levels(priority: Floats | None, todo: Bools, cell: float) -> Ints:
         return band
     cells = np.asarray(todo.any(axis=2))
     score = mean(priority, todo)
-    marks = np.unique(np.quantile(score[cells], np.arange(1, BANDS) / BANDS))
+    marks = np.unique(np.quantile(score[cells], np.arange(1, PRIORITY.bands) / PRIORITY.bands))
     band[cells] = -np.searchsorted(marks, score[cells], side="left")
-    return _middle_of(band, cells, AROUND / cell)
+    return _middle_of(band, cells, PRIORITY.median_radius / cell)
 
 
-def urgency(priority: Floats | None, todo: Bools, rooms: list[Bools]) -> Ints:
+def room_bands(priority: Floats | None, todo: Bools, rooms: list[Bools]) -> Ints:
     """Return (n_rooms,) the band of each room, a mask (nx, ny), by its mean priority; the lowest is the first."""
     if priority is None or not rooms:
         return np.zeros(len(rooms), dtype=np.int64)
@@ -46,17 +40,19 @@ def urgency(priority: Floats | None, todo: Bools, rooms: list[Bools]) -> Ints:
     low, high = score.min(), score.max()
     if high - low <= 1e-9 * max(abs(high), 1.0):
         return np.zeros(len(rooms), dtype=np.int64)
-    return np.asarray(-np.ceil(BANDS * (score - low) / (high - low)).clip(1, BANDS), dtype=np.int64)
+    return np.asarray(
+        -np.ceil(PRIORITY.bands * (score - low) / (high - low)).clip(1, PRIORITY.bands), dtype=np.int64
+    )
 
 
-def worth(priority: Floats | None, todo: Bools) -> Floats:
-    """Return (nx, ny) what a bin of each cell is worth, from 1 to 1 + WORTH by the rank of the cell's mean priority."""
+def bin_values(priority: Floats | None, todo: Bools) -> Floats:
+    """Return (nx, ny) what a bin of each cell is worth, from 1 to 1 + PRIORITY.value_range by the rank of the cell's mean priority."""
     out = np.ones(todo.shape[:2])
     cells = np.asarray(todo.any(axis=2))
     if priority is None or not cells.any():
         return out
     distinct, rank = np.unique(mean(priority, todo)[cells], return_inverse=True)
-    out[cells] += WORTH * rank / max(len(distinct) - 1, 1)
+    out[cells] += PRIORITY.value_range * rank / max(len(distinct) - 1, 1)
     return out
 
 

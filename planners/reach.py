@@ -12,16 +12,8 @@ from scipy import ndimage
 from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
+from planners.settings import REACH
 from planners.types import Bools, Floats
-
-STEP = 0.02
-"""[m] of the raster, or a little less so that a cell is a whole number of steps."""
-MOST_NODES = 6_000_000
-MOST_CELLS = 1_000_000
-DEEP = 0.45
-"""[m] beyond the clearance, where distances are cut off."""
-LEAST_SHARE = 0.04
-"""Share of a cell's area that must be reachable for the cell to count."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,18 +75,22 @@ class Reach:
 
     def cells(self) -> Bools:
         """Return (nx, ny) which position cells count as reachable."""
-        return np.asarray((self.areas() >= LEAST_SHARE) & self.blocks(self.mask).any(axis=-1))
+        return np.asarray((self.areas() >= REACH.min_share) & self.blocks(self.mask).any(axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
-class Cycle:
-    """What a Dubins car can get to from some pose, and come back from."""
+class ReturnableSet:
+    """What a Dubins car can reach from a pose and return from to it.
+
+    "Returnable" as in M. Turchetta, F. Berkenkamp and A. Krause, Safe exploration in finite Markov decision processes
+    with Gaussian processes, NIPS 2016.
+    """
 
     bins: Bools
     """(nx, ny, n_phi)"""
-    back: Bools
-    """(n, n, n_headings) cells of the lattice from which the pose can be reached."""
-    first: float
+    returns: Bools
+    """(n, n, n_headings) lattice cells from which the pose can be reached."""
+    first_heading: float
     """[rad] first heading of the lattice."""
 
 
@@ -113,17 +109,17 @@ def reach(
     """
     x0, y0, x1, y1 = arena.bounds
     nx, ny = (max(math.ceil(round(side / cell, 9)), 1) for side in (x1 - x0, y1 - y0))
-    if nx * ny > MOST_CELLS:
+    if nx * ny > REACH.max_cells:
         raise PlanError(
             f"cell {cell} m makes {nx} x {ny} cells of the {x1 - x0:.1f} x {y1 - y0:.1f} m arena, more than "
-            f"{MOST_CELLS:,}; choose a larger cell"
+            f"{REACH.max_cells:,}; choose a larger cell"
         )
-    per_cell = max(math.ceil(round(cell / STEP, 9)), 1)
-    per_cell = max(min(per_cell, math.isqrt(MOST_NODES // (nx * ny))), 2)
+    per_cell = max(math.ceil(round(cell / REACH.step, 9)), 1)
+    per_cell = max(min(per_cell, math.isqrt(REACH.max_nodes // (nx * ny))), 2)
     step = cell / per_cell
     x: Floats = x0 + (np.arange(nx * per_cell, dtype=np.float64) + 0.5) * step
     y: Floats = y0 + (np.arange(ny * per_cell, dtype=np.float64) + 0.5) * step
-    distance = barriers.field(x, y, clearance + DEEP)
+    distance = barriers.field(x, y, clearance + REACH.distance_cap)
     inside = arena.contains(np.stack(np.broadcast_arrays(x[:, None], y[None, :]), axis=-1))
     distance[~inside] = 0.0
     fits = distance >= clearance

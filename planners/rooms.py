@@ -7,14 +7,9 @@ from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 from planners.reach import Reach
+from planners.settings import ROOMS
 from planners.types import Bools, Floats, Ints
 
-WIDE = 0.25
-"""[m] beyond the clearance: places narrower than this part two rooms."""
-LEAST_CELLS = 60
-"""Smaller rooms join a neighbour."""
-MOST_CELLS = 900
-"""Larger rooms are halved."""
 NEIGHBOUR_STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
 """Steps to the neighbours of a cell; bit d of `open_borders` stands for SIDES[d]."""
 
@@ -45,7 +40,7 @@ def cell_graph(reach: Reach) -> sparse.csr_matrix:
 
 def rooms(reach: Reach, wanted: Bools) -> list[Bools]:
     """Part the cells `wanted` (nx, ny) into rooms, each a mask (nx, ny)."""
-    labels = _flooded(_seeds(reach), reach)
+    labels = _nearest_seed(_seeds(reach), reach)
     labels[~wanted] = -1
     labels = _merged(labels, reach)
     found: list[Bools] = []
@@ -57,13 +52,13 @@ def rooms(reach: Reach, wanted: Bools) -> list[Bools]:
 def _seeds(reach: Reach) -> Ints:
     """Number the wide places, by cell; -1 elsewhere."""
     wide = reach.mask & (
-        reach.distance >= reach.clearance + min(WIDE, reach.distance.max() - reach.clearance)
+        reach.distance >= reach.clearance + min(ROOMS.passage, reach.distance.max() - reach.clearance)
     )
     parts, _ = ndimage.label(wide)
     return np.asarray(reach.blocks(parts).max(axis=-1) - 1, dtype=np.int64)
 
 
-def _flooded(seeds: Ints, reach: Reach) -> Ints:
+def _nearest_seed(seeds: Ints, reach: Reach) -> Ints:
     """Give each reachable cell the number of the seed that is nearest by way of open borders."""
     number = np.flatnonzero(seeds.ravel() >= 0)
     if not len(number):
@@ -96,7 +91,7 @@ def _merged(labels: Ints, reach: Reach) -> Ints:
         names, sizes = np.unique(labels[labels >= 0], return_counts=True)
         for k in np.argsort(sizes, kind="stable").tolist():
             own = names[k]
-            if sizes[k] >= LEAST_CELLS:
+            if sizes[k] >= ROOMS.min_cells:
                 return labels
             beside = np.concatenate([pairs[pairs[:, 0] == own, 1], pairs[pairs[:, 1] == own, 0]])
             if len(beside):
@@ -108,7 +103,7 @@ def _merged(labels: Ints, reach: Reach) -> Ints:
 
 def _halved(room: Bools) -> list[Bools]:
     """Cut a room that is too large across its longer side, again and again."""
-    if room.sum() <= MOST_CELLS:
+    if room.sum() <= ROOMS.max_cells:
         return [room]
     at = np.argwhere(room)
     axis = int(np.ptp(at, axis=0).argmax())
@@ -120,7 +115,7 @@ def _halved(room: Bools) -> list[Bools]:
     return _halved(low) + _halved(room & ~low)
 
 
-def sequence(cost: Floats, first: Floats | None) -> Ints:
+def shortest_sequence(cost: Floats, first: Floats | None) -> Ints:
     """Order things by the cost (n, n) [s] of going from one's end to another's start: nearest first, then moved about.
 
     Parameters
@@ -139,14 +134,14 @@ def sequence(cost: Floats, first: Floats | None) -> Ints:
         if best is None or total < best[0] - 1e-9:
             best = (total, order)
     assert best is not None
-    return np.array(_moved_about(best[1], cost, lead), dtype=np.int64)
+    return np.array(_or_opt(best[1], cost, lead), dtype=np.int64)
 
 
 def _total(order: list[int], cost: Floats, lead: Floats) -> float:
     return float(lead[order[0]] + cost[order[:-1], order[1:]].sum())
 
 
-def _moved_about(order: list[int], cost: Floats, lead: Floats) -> list[int]:
+def _or_opt(order: list[int], cost: Floats, lead: Floats) -> list[int]:
     """Take stretches of up to three elsewhere as long as that helps."""
     total, improved = _total(order, cost, lead), len(order) <= 150
     while improved:

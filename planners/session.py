@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planners.arena import Arena, wrap
-from planners.cars.search import redriven
+from planners.cars.car_curve import car_section
 from planners.clearance import Barriers
 from planners.curve import Curve, CurveBuilder, joined
 from planners.errors import PlanError
@@ -79,7 +79,7 @@ def section(curve: Curve, first: int, last: int, vehicle: Vehicle) -> Curve:
     """Return pieces `first` up to `last`, not included, from rest to rest; both must be some of `cuts`."""
     if vehicle.drive == "diff":
         return _of_turner(curve, first, last, vehicle.limits.alpha)
-    return redriven(curve, first, last, vehicle.limits)
+    return car_section(curve, first, last, vehicle.limits)
 
 
 def _of_turner(curve: Curve, first: int, last: int, alpha: float) -> Curve:

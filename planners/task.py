@@ -8,7 +8,7 @@ from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.curve import Curve
-from planners.reach import Cycle, Reach
+from planners.reach import Reach, ReturnableSet
 from planners.types import Bools, Floats, Progress
 from planners.vehicle import Vehicle
 
@@ -35,8 +35,8 @@ class Task:
     progress: Progress | None
     targets: Floats | None = None
     """(n, 3) [m, m, rad] poses that the planner `views` visits."""
-    cycle: Cycle | None = None
-    """Of a car that only goes forward, what it can get to from the start and come back from, if that is known."""
+    returnable: ReturnableSet | None = None
+    """Bins that a car without a reverse gear can reach from the start and return from; None: not known, or not needed."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from planners_samples import door_arena, some, task_of
 
-from planners.cars.search import geared
+from planners.cars.car_curve import curve_of_arcs
 from planners.check import check
 from planners.curve import Curve
 from planners.methods.repair_cars import CarRepair
@@ -20,7 +20,7 @@ SPEED = 0.3
 
 
 def straight(task: Task, length: float) -> Curve:
-    return geared(START, np.array([length]), np.array([0]), np.array([1]), task.vehicle.limits, SPEED)
+    return curve_of_arcs(START, np.array([length]), np.array([0]), np.array([1]), task.vehicle.limits, SPEED)
 
 
 def repair_of(task: Task, todo: Bools, curve: Curve) -> CarRepair:

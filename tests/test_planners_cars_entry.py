@@ -11,7 +11,8 @@ from planners_samples import outlined
 
 from planners import plan
 from planners.arena import Arena, wrap
-from planners.cars.search import Entry, begin, entry, geared
+from planners.cars.car_curve import curve_of_arcs
+from planners.cars.entry import EntryArc, entry_arc, shortest_entry_arc
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.reach import reach
@@ -30,15 +31,15 @@ def floor(arena: Arena) -> SearchArea:
     return search_area(reach(arena, Barriers(arena), clearance=0.22, cell=0.5))
 
 
-def entered(pose: Floats, drive: Drive) -> Entry | None:
+def entered(pose: Floats, drive: Drive) -> EntryArc | None:
     """Return the arc in ROOM."""
-    return entry(pose, floor(ROOM), car_primitives(LIMITS, 8, 10.0, GEARS[drive]), 10.0, LIMITS)
+    return shortest_entry_arc(pose, floor(ROOM), car_primitives(LIMITS, 8, 10.0, GEARS[drive]), 10.0, LIMITS)
 
 
-def driven(begun: Entry) -> Floats:
+def driven(begun: EntryArc) -> Floats:
     """Return poses (n, 3) along the arc."""
     length, bend, gear = (np.array([part]) for part in (begun.length, begun.bend, begun.gear))
-    curve = geared(begun.pose, length, bend, gear, LIMITS)
+    curve = curve_of_arcs(begun.pose, length, bend, gear, LIMITS)
     return curve.sample(np.linspace(0.0, curve.duration, 50))[0]
 
 
@@ -104,7 +105,7 @@ def test_in_a_corridor_that_just_holds_it_a_car_that_cannot_back_keeps_its_headi
     around = [shapely.box(1.6, 0, 3.5, 0.5), shapely.box(1.6, 0.97, 3.5, 1.6)]
     corridor = outlined(shapely.box(0, 0, 5, 1.6).difference(shapely.union_all(around)))
     for arena, x, kept in ((corridor, 2.5, True), (ROOM, 1.3, False)):
-        begun = begin(np.array([x, 0.735, 0.0]), floor(arena), LIMITS, 8, 10.0, GEARS["dubins"])
+        begun = entry_arc(np.array([x, 0.735, 0.0]), floor(arena), LIMITS, 8, 10.0, GEARS["dubins"])
         phi = begun.primitives.first_heading + begun.primitives.heading_step * float(begun.state[2])
         assert (begun.length == 0.0) is kept
         assert bool(abs(wrap(np.float64(phi))) < 1e-12) is kept

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from planners_samples import door_arena, some, task_of
 
-import planners.cars.reachability as floors
+import planners.cars.reachability as reachability
 import planners.methods.repair_cars as repairs
-from planners.cars.reachability import Ways, cycle
+from planners.cars.reachability import ReachabilityPlanner, returnable_set
 from planners.cars.search import search_floor
 from planners.check import check
 from planners.methods.repair_cars import CarRepair
@@ -28,7 +28,7 @@ START = np.array([0.8, 0.8, 0.3])
 def test_a_way_leads_through_the_door_into_the_bin(door: float, goal: tuple[int, int, int]) -> None:
     task = task_of(door_arena(door), "dubins", START)
     wanted = some(task, goal)
-    curve = Ways(task).to_one_of(wanted, START)
+    curve = ReachabilityPlanner(task).path_to_any(wanted, START)
     assert curve is not None
     np.testing.assert_allclose(curve.poses[0], START)
     end = curve.sample(np.array([curve.duration]))[0]
@@ -42,8 +42,8 @@ def test_a_way_leads_through_the_door_into_the_bin(door: float, goal: tuple[int,
 def test_of_several_bins_it_goes_to_the_nearest() -> None:
     task = task_of(door_arena(0.6), "dubins", START)
     near, both = some(task, (6, 4, 2)), some(task, (6, 4, 2), (13, 4, 4))
-    ways = Ways(task)
-    one, other = ways.to_one_of(near, START), ways.to_one_of(both, START)
+    ways = ReachabilityPlanner(task)
+    one, other = ways.path_to_any(near, START), ways.path_to_any(both, START)
     assert one is not None
     assert other is not None
     assert one.duration == other.duration
@@ -51,53 +51,53 @@ def test_of_several_bins_it_goes_to_the_nearest() -> None:
 
 def test_no_way_leads_through_a_wall_or_to_where_the_car_could_not_come_back_from() -> None:
     closed, open_ = task_of(door_arena(0.0), "dubins", START), task_of(door_arena(0.6), "dubins", START)
-    assert Ways(closed).to_one_of(some(closed, (12, 6, 0)), START) is None
-    back = cycle(open_.reach, open_.vehicle.limits, 16, 10.0, START).bins
+    assert ReachabilityPlanner(closed).path_to_any(some(closed, (12, 6, 0)), START) is None
+    back = returnable_set(open_.reach, open_.vehicle.limits, 16, 10.0, START).bins
     trapped = open_.coverage.reachable & ~back
     assert trapped.any()
     assert back[12:14].any()
-    assert Ways(open_).to_one_of(trapped, START) is None
+    assert ReachabilityPlanner(open_).path_to_any(trapped, START) is None
 
 
 def test_a_pose_leads_back_where_a_way_from_it_comes_back_and_not_out_of_a_corner() -> None:
     """Along a way through the door and back again each pose does; driving straight into a wall, none does."""
     task = task_of(door_arena(0.6), "dubins", START)
-    ways = Ways(task)
-    there = ways.to_one_of(some(task, (12, 6, 8)), START)
+    ways = ReachabilityPlanner(task)
+    there = ways.path_to_any(some(task, (12, 6, 8)), START)
     assert there is not None
     end = there.sample(np.array([there.duration]))[0][0]
-    back = ways.to_one_of(some(task, (3, 3, 1)), end)
+    back = ways.path_to_any(some(task, (3, 3, 1)), end)
     assert back is not None
     poses = np.concatenate([one.sample(np.linspace(0.0, one.duration, 60))[0] for one in (there, back)])
-    assert ways.leads_back(poses, START).mean() > 0.9  # a lattice's cell may touch a wall
+    assert ways.can_return(poses, START).mean() > 0.9  # a lattice's cell may touch a wall
     trapped = np.array([[3.7, 2.7, np.pi / 4], [3.75, 1.5, 0.0], [1.0, 2.75, np.pi / 2]])
-    assert not ways.leads_back(trapped, START).any()
+    assert not ways.can_return(trapped, START).any()
 
 
 def test_what_a_flood_of_all_that_leads_back_did_not_find_is_not_looked_for_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     task = task_of(door_arena(0.0), "dubins", START)
-    floods, flood = list[int](), floors._flood
+    wavefronts, run_wavefront = list[int](), reachability._run_wavefront
 
-    def counted(*args: Any, **kwargs: Any) -> floors._Flooded:
-        floods.append(1)
-        return flood(*args, **kwargs)
+    def counted(*args: Any, **kwargs: Any) -> reachability._WavefrontResult:
+        wavefronts.append(1)
+        return run_wavefront(*args, **kwargs)
 
-    monkeypatch.setattr(floors, "_flood", counted)
-    ways, behind = Ways(task), some(task, (12, 6, 0), (12, 6, 4))
-    assert ways.to_one_of(behind, START) is None
-    before = len(floods)
-    assert ways.to_one_of(behind, np.array([1.2, 1.0, 2.0])) is None
-    assert len(floods) == before
-    assert ways.to_one_of(behind | some(task, (4, 6, 2)), START) is not None
+    monkeypatch.setattr(reachability, "_run_wavefront", counted)
+    ways, behind = ReachabilityPlanner(task), some(task, (12, 6, 0), (12, 6, 4))
+    assert ways.path_to_any(behind, START) is None
+    before = len(wavefronts)
+    assert ways.path_to_any(behind, np.array([1.2, 1.0, 2.0])) is None
+    assert len(wavefronts) == before
+    assert ways.path_to_any(behind | some(task, (4, 6, 2)), START) is not None
 
 
 def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_flood(monkeypatch: pytest.MonkeyPatch) -> None:
     task = task_of(door_arena(0.6), "dubins", START)
     todo = np.zeros_like(task.coverage.reachable)
     todo[11:13, 5:7] = True
-    todo &= cycle(task.reach, task.vehicle.limits, 16, 10.0, START).bins
+    todo &= returnable_set(task.reach, task.vehicle.limits, 16, 10.0, START).bins
 
     def in_vain(starts: Floats, goals: list[Floats], **_: object) -> tuple[list[None], JoinCounts]:
         return [None] * len(starts), JoinCounts(failed=len(starts))

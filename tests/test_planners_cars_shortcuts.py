@@ -10,7 +10,8 @@ import shapely
 from planners_samples import outlined
 
 from planners.arena import Arena
-from planners.cars.search import geared, shortened
+from planners.cars.car_curve import curve_of_arcs
+from planners.cars.shortcuts import shorten_drive
 from planners.check import check
 from planners.clearance import Barriers
 from planners.coverage import Coverage
@@ -48,7 +49,7 @@ def ground(arena: Arena, drive: str) -> Task:
 def drawn(start: tuple[float, float, float], *arcs: tuple[float, int, int]) -> Curve:
     """Draw arcs of length [m], bend and gear."""
     length, bend, gear = np.array(arcs).T
-    return geared(np.array(start), length, bend, gear, LIMITS, LIMITS.v)
+    return curve_of_arcs(np.array(start), length, bend, gear, LIMITS, LIMITS.v)
 
 
 def won(curve: Curve, task: Task) -> Bools:
@@ -72,7 +73,7 @@ def crossed(curve: Curve, task: Task) -> Bools:
 
 
 def best(curve: Curve, todo: Bools, task: Task) -> Curve:
-    short, interrupted = shortened(curve, todo, task, LIMITS.v)
+    short, interrupted = shorten_drive(curve, todo, task, LIMITS.v)
     assert not interrupted
     return short
 
@@ -152,14 +153,14 @@ def wandering(rng: np.random.Generator, free: Reach, n: int, *, back: bool) -> C
             int(rng.integers(-1, 2)),
             int(rng.choice([1, 1, 1, -1])) if back else 1,
         )
-        curve = geared(pose, *(np.array([part]) for part in arc), LIMITS, LIMITS.v)
+        curve = curve_of_arcs(pose, *(np.array([part]) for part in arc), LIMITS, LIMITS.v)
         poses = curve.sample(np.linspace(0, curve.duration, 20))[0]
         node = np.floor((poses[:, :2] - free.origin) / free.step).astype(int)
         node = node.clip(0, np.array(free.distance.shape) - 1)
         if free.distance[tuple(node.T)].min() < 0.25:
             arcs = arcs[: max(len(arcs) - int(rng.integers(0, 6)), 0)]
             pose = (
-                ends(geared(np.array([1.2, 1.2, 0.1]), *np.array(arcs).T, LIMITS, LIMITS.v))[1]
+                ends(curve_of_arcs(np.array([1.2, 1.2, 0.1]), *np.array(arcs).T, LIMITS, LIMITS.v))[1]
                 if arcs
                 else np.array([1.2, 1.2, 0.1])
             )
@@ -167,7 +168,7 @@ def wandering(rng: np.random.Generator, free: Reach, n: int, *, back: bool) -> C
         arcs.append(arc)
         pose = poses[-1]
     assert len(arcs) == n
-    return geared(np.array([1.2, 1.2, 0.1]), *np.array(arcs).T, LIMITS, LIMITS.v)
+    return curve_of_arcs(np.array([1.2, 1.2, 0.1]), *np.array(arcs).T, LIMITS, LIMITS.v)
 
 
 @pytest.mark.slow

@@ -13,8 +13,8 @@ from planners_samples import door_arena
 
 import planners.joins.ompl_car_paths as car_ways
 from planners.arena import wrap
-from planners.cars.arc_path import drive_of, ground_of
-from planners.cars.search import arcs_of
+from planners.cars.arc_path import car_context, even_arc_path
+from planners.cars.car_curve import arcs_of_curve
 from planners.check import check
 from planners.clearance import Barriers
 from planners.curve import Curve
@@ -143,10 +143,10 @@ def test_a_way_that_is_all_but_straight_does_not_twitch_its_wheel(drive: Drive, 
     assert way is not None
     assert way.curve is not None
     np.testing.assert_allclose(ends(way.curve)[1][:2], goal[:2], atol=1e-6)
-    assert arcs_of(way.curve).length.sum() < 1.6 + 4 * np.pi * 0.2 + 0.1  # at most two loops more
-    whole, _ = drive_of(
-        start, arcs_of(way.curve), ground_of(free, np.ones((*free.shape, 1), dtype=np.bool_), vehicle.limits, 0.2, 10.0,
-        is_backward=drive == "reeds_shepp"),
+    assert arcs_of_curve(way.curve).length.sum() < 1.6 + 4 * np.pi * 0.2 + 0.1  # at most two loops more
+    whole, _ = even_arc_path(
+        start, arcs_of_curve(way.curve), car_context(free, np.ones((*free.shape, 1), dtype=np.bool_), vehicle.limits, 0.2, 10.0,
+        can_reverse=drive == "reeds_shepp"),
     )  # fmt: skip
     turns = np.diff(whole.bend) | np.diff(whole.gear)
     runs = np.add.reduceat(whole.length, np.append(0, np.flatnonzero(turns) + 1))
@@ -156,8 +156,8 @@ def test_a_way_that_is_all_but_straight_does_not_twitch_its_wheel(drive: Drive, 
 
 def test_an_arc_forward_and_the_same_backward_meet_again() -> None:
     pose = np.array([0.3, -0.2, 0.7])
-    there = car_ways.along(pose, 1.0, 1.0, 0.5, 0.4)
-    np.testing.assert_allclose(car_ways.along(there, -1.0, -1.0, 0.5, 0.4), pose, atol=1e-12)
+    there = car_ways.arc_end(pose, 1.0, 1.0, 0.5, 0.4)
+    np.testing.assert_allclose(car_ways.arc_end(there, -1.0, -1.0, 0.5, 0.4), pose, atol=1e-12)
     assert there[2] == pytest.approx(0.7 + 0.5 / 0.4)
 
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planners_samples import door_arena, task_of
 
-from planners.cars.search import geared
+from planners.cars.car_curve import curve_of_arcs
 from planners.methods.partial_drive import PartialDrive
 from planners.search.log_phases import missed
 
@@ -23,7 +23,7 @@ def begun() -> PartialDrive:
 
 def going_on(trip: PartialDrive, pieces: list[tuple[float, int]], gear: int) -> PartialDrive:
     length, bend = (np.array(column) for column in zip(*pieces, strict=True))
-    return trip.then(geared(trip.here, length, bend, np.full(len(length), gear), TASK.vehicle.limits))
+    return trip.then(curve_of_arcs(trip.here, length, bend, np.full(len(length), gear), TASK.vehicle.limits))
 
 
 @given(drives=st.lists(st.tuples(PIECES, st.sampled_from([1, -1])), min_size=1, max_size=4))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from planners_samples import door_arena, some, task_of
@@ -12,10 +14,11 @@ from planners import plan
 from planners.cars.search import search_floor
 from planners.check import check
 from planners.curve import joined
-from planners.joins.car_paths import CarWay
+from planners.joins.car_paths import CarPath
 from planners.joins.paths import connect
 from planners.methods.repair_cars import CarRepair
 from planners.methods.repair_spins import SpinRepair
+from planners.methods.settings import CAR_REPAIR
 from planners.reach import Reach
 from planners.search.log_phases import missed
 from planners.search.room_drive import RoomDrive
@@ -97,7 +100,7 @@ def test_more_bins_are_driven_to_one_by_one_than_queries_may_be_in_vain() -> Non
     todo[3:13:2, 3:9:2, ::4] = True  # too few near each other for a search, too far apart for one way
     repair = CarRepair(task, todo, START, gives_up)
     repair.run()
-    assert len(repair.trip.curves) > 2 * repairs.IDLE
+    assert len(repair.trip.curves) > 2 * CAR_REPAIR.max_idle_queries
     assert missed(repair.trip.curve, todo, task.coverage, task.rate).sum() == repair.lost.sum() <= 2
 
 
@@ -155,15 +158,15 @@ def test_a_way_that_ompl_does_not_find_as_a_whole_is_found_leg_by_leg(
 ) -> None:
     """As on a floor of forty rooms: here OMPL is told to give up at once on ways longer than two metres."""
     task = task_of(door_arena(1.2), "diff", START)
-    solve = connections._in_a_process
+    solve = connections._query
 
     def near(starts: Floats, goals: list[Floats], free: Reach, seed: int) -> list[Floats]:
         ways = solve(starts, goals, free, seed)
         apart = [np.hypot(*(own[0] - start)) for start, own in zip(starts, goals, strict=True)]
         return [way if d < 2.0 else np.zeros((0, 2)) for way, d in zip(ways, apart, strict=True)]
 
-    monkeypatch.setattr(connections, "_in_a_process", near)
-    monkeypatch.setattr(connections, "LEG", 1.0)
+    monkeypatch.setattr(connections, "_query", near)
+    monkeypatch.setattr(connections, "JOINS", replace(connections.JOINS, leg_length=1.0))
     ends = np.array([[0.6, 0.6]]), np.array([[3.4, 0.6]])
     (path,), joins = connect(*ends, reach=task.reach, barriers=task.barriers, seed=0)
     assert path is not None
@@ -190,7 +193,7 @@ def test_where_no_way_leads_on_from_the_end_of_a_drive_one_leads_on_from_before(
     end, driven, asked = repair.trip.here.copy(), repair.trip.curves[-1], list[Floats]()
     way = CarRepair._way
 
-    def not_from_the_end(self: CarRepair, start: Floats, goals: Floats, round_: int) -> CarWay | None:
+    def not_from_the_end(self: CarRepair, start: Floats, goals: Floats, round_: int) -> CarPath | None:
         asked.append(start)
         return None if np.hypot(*(start - end)[:2]) < 0.3 else way(self, start, goals, round_)
 

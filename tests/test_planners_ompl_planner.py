@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 START, GOAL = [0.8, 0.8, 0.3], [3.2, 2.2, -1.0]
-HEAD = """
+HEADER = """
 import json, sys
 sys.path.insert(0, sys.argv[1])
 import numpy as np
@@ -84,7 +84,7 @@ def said(script: str) -> Any:
     """Run a script in a process of its own and return what it prints."""
     tests = Path(__file__).parent
     done = subprocess.run(
-        [sys.executable, "-c", HEAD + script, str(tests)],
+        [sys.executable, "-c", HEADER + script, str(tests)],
         capture_output=True,
         text=True,
         check=False,

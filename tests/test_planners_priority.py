@@ -12,7 +12,8 @@ from planners_samples import door_arena
 from planners import plan
 from planners.coverage import Coverage
 from planners.planning import Plan
-from planners.priority import AROUND, BANDS, WORTH, levels, mean, urgency, worth
+from planners.priority import bin_values, cell_bands, mean, room_bands
+from planners.settings import PRIORITY
 from planners.types import Floats
 from planners.vehicle import Drive, Limits, Vehicle
 
@@ -23,13 +24,13 @@ TODO = arrays(np.bool_, SHAPE)
 
 def test_without_a_priority_all_is_one() -> None:
     todo = np.ones(SHAPE, dtype=np.bool_)
-    assert not levels(None, todo, 0.25).any()
-    assert (worth(None, todo) == 1.0).all()
-    assert not urgency(None, todo, [todo[:, :, 0]]).any()
+    assert not cell_bands(None, todo, 0.25).any()
+    assert (bin_values(None, todo) == 1.0).all()
+    assert not room_bands(None, todo, [todo[:, :, 0]]).any()
     even = np.full(SHAPE, 0.3)
-    assert len(np.unique(levels(even, todo, 0.25))) == 1
-    assert len(np.unique(worth(even, todo))) == 1
-    assert not urgency(even, todo, [todo[:, :, 0], todo[:, :, 0]]).any()
+    assert len(np.unique(cell_bands(even, todo, 0.25))) == 1
+    assert len(np.unique(bin_values(even, todo))) == 1
+    assert not room_bands(even, todo, [todo[:, :, 0], todo[:, :, 0]]).any()
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -37,44 +38,46 @@ def test_a_straight_border_of_priority_is_one_of_bands(axis: int) -> None:
     priority, todo = np.zeros((20, 20, 4)), np.ones((20, 20, 4), dtype=np.bool_)
     high = np.moveaxis(np.broadcast_to(np.arange(20)[:, None] >= 12, (20, 20)), 0, axis)
     priority[high] = 1.0
-    band = levels(priority, todo, 0.25)
+    band = cell_bands(priority, todo, 0.25)
     assert band[high].max() < band[~high].min()
 
 
 def test_single_cells_of_another_priority_do_not_part_a_band() -> None:
     priority, todo = np.zeros((20, 20, 4)), np.ones((20, 20, 4), dtype=np.bool_)
     priority[10:] = 1.0
-    plain = levels(priority, todo, 0.25)
+    plain = cell_bands(priority, todo, 0.25)
     priority[3, 4], priority[15, 16] = 1.0, 0.0
-    np.testing.assert_array_equal(levels(priority, todo, 0.25), plain)
+    np.testing.assert_array_equal(cell_bands(priority, todo, 0.25), plain)
 
 
 @given(priority=PRIORITIES, todo=TODO)
 @settings(max_examples=60, deadline=None)
 def test_the_band_of_a_cell_is_the_median_round_it(priority: Floats, todo: np.ndarray) -> None:
-    cell = AROUND / 2
-    band = levels(priority, todo, cell)
+    cell = PRIORITY.median_radius / 2
+    band = cell_bands(priority, todo, cell)
     cells, score = todo.any(axis=2), mean(priority, todo)
     assert not band[~cells].any()
     if not cells.any():
         return
-    marks = sorted({float(np.quantile(score[cells], k / BANDS)) for k in range(1, BANDS)})
+    marks = sorted({float(np.quantile(score[cells], k / PRIORITY.bands)) for k in range(1, PRIORITY.bands)})
     own = {(i, k): -sum(score[i, k] > mark for mark in marks) for i, k in np.argwhere(cells).tolist()}
     for i, k in own:
-        near = sorted(value for (a, b), value in own.items() if np.hypot(a - i, b - k) <= AROUND / cell)
+        near = sorted(
+            value for (a, b), value in own.items() if np.hypot(a - i, b - k) <= PRIORITY.median_radius / cell
+        )
         assert band[i, k] == near[(len(near) - 1) // 2]
 
 
 @given(priority=PRIORITIES, todo=TODO)
 @settings(max_examples=60, deadline=None)
 def test_a_cell_of_higher_priority_is_worth_more(priority: Floats, todo: np.ndarray) -> None:
-    value, cells = worth(priority, todo), todo.any(axis=2)
+    value, cells = bin_values(priority, todo), todo.any(axis=2)
     assert (value[~cells] == 1.0).all()
     score, own = mean(priority, todo)[cells], value[cells]
     order = np.argsort(score)
     assert (np.diff(own[order]) >= 0).all()
     if len(np.unique(score)) > 1:
-        assert (own.min(), own.max()) == (1.0, 1.0 + WORTH)
+        assert (own.min(), own.max()) == (1.0, 1.0 + PRIORITY.value_range)
 
 
 def test_rooms_come_by_what_is_wanted_in_them() -> None:
@@ -83,10 +86,10 @@ def test_rooms_come_by_what_is_wanted_in_them() -> None:
     for own, where in zip(rooms, (slice(0, 3), slice(3, 6), slice(6, 9)), strict=True):
         own[where] = True
     priority[3:6], priority[6:] = 1.0, 0.5
-    first, second, third = urgency(priority, todo, rooms).tolist()
+    first, second, third = room_bands(priority, todo, rooms).tolist()
     assert second < third < first
     todo[3:6] = priority[3:6] < 0.5  # nothing is left there
-    first, second, third = urgency(priority, todo, rooms).tolist()
+    first, second, third = room_bands(priority, todo, rooms).tolist()
     assert third < first == second
 
 

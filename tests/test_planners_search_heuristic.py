@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from planners_samples import door_arena
 
-from planners.cars.search import state_at
+from planners.cars.entry import state_at
 from planners.clearance import Barriers
 from planners.reach import reach
 from planners.search.area import search_area

@@ -13,32 +13,39 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from planners.cars.arc_path import (
-    MOST_WON,
-    Drive,
-    Gears,
-    Ground,
-    Stretches,
-    gears,
+    MAX_BINS,
+    ArcPath,
+    BinIntervals,
+    CarContext,
+    GearRuns,
+    bin_intervals,
+    bins_covered,
+    gear_runs,
     is_clear,
-    least_way,
+    min_length,
     pose_at,
-    stretches,
-    time_across,
-    time_of,
-    won,
+    replacement_time,
+    section_time,
 )
-from planners.cars.reeds_shepp import MOST_ARCS, Arcs, Pose, arcs_for, chain, part_of, quickest
+from planners.cars.reeds_shepp import (
+    MAX_ARCS,
+    Arcs,
+    Pose,
+    concatenate_arcs,
+    empty_arcs,
+    quickest_word,
+    take_arcs,
+)
+from planners.cars.settings import DETOURS
 from planners.kernel import inner_kernel
 from planners.types import Floats, Ints
 from planners.vehicle import SHORTEST_ARC
 
-NEAR = 1.0
-"""[m] from the drive to a goal."""
-LONGEST = 20.0
-"""[s] that a detour takes, at most."""
+MAX_DISTANCE = DETOURS.max_distance
+MAX_DURATION = DETOURS.max_duration
 
 
-def with_detours(drive: Drive, goals: Floats, bins: Ints, ground: Ground) -> Arcs:
+def insert_detours(path: ArcPath, goals: Floats, bins: Ints, context: CarContext) -> Arcs:
     """Return the arcs of a drive that also comes by some bins, where a detour to them is found.
 
     Parameters
@@ -46,15 +53,15 @@ def with_detours(drive: Drive, goals: Floats, bins: Ints, ground: Ground) -> Arc
     goals : (m, 3) [m, m, rad] poses to come by
     bins : (m,) flat bin of each; one goal of each bin is enough
     """
-    parts, runs = stretches(drive, ground), gears(drive, ground)
+    intervals, runs = bin_intervals(path, context), gear_runs(path, context)
     wanted = np.unique(bins)
 
     def best(own: int) -> tuple[int, Arcs, set[int]]:
-        arcs, word, gained = arcs_for(2 * MOST_ARCS), np.empty(MOST_ARCS), np.empty(MOST_WON, np.int64)
-        k, n, n_won = find(
-            np.ascontiguousarray(goals[bins == own]), own, drive, parts, runs, ground, word, arcs, gained
+        arcs, word, gained = empty_arcs(2 * MAX_ARCS), np.empty(MAX_ARCS), np.empty(MAX_BINS, np.int64)
+        k, n, n_covered = find_detour(
+            np.ascontiguousarray(goals[bins == own]), own, path, intervals, runs, context, word, arcs, gained
         )
-        return k, part_of(arcs, slice(n)), set(gained[:n_won].tolist())
+        return k, take_arcs(arcs, slice(n)), set(gained[:n_covered].tolist())
 
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         found = list(threads.map(best, wanted.tolist()))
@@ -63,21 +70,21 @@ def with_detours(drive: Drive, goals: Floats, bins: Ints, ground: Ground) -> Arc
         if k > 0 and own not in met:
             inserted.append((k, arcs))
             met |= gained
-    whole, kept, at = Arcs(drive.length, drive.bend, drive.gear), list[Arcs](), 0
+    whole, kept, at = Arcs(path.length, path.bend, path.gear), list[Arcs](), 0
     for k, arcs in sorted(inserted, key=lambda one: one[0]):
-        kept += [part_of(whole, slice(at, k)), arcs]
+        kept += [take_arcs(whole, slice(at, k)), arcs]
         at = k
-    return chain([*kept, part_of(whole, slice(at, None))])
+    return concatenate_arcs([*kept, take_arcs(whole, slice(at, None))])
 
 
 @inner_kernel
-def find(
+def find_detour(
     goals: Floats,
     own: int,
-    drive: Drive,
-    parts: Stretches,
-    runs: Gears,
-    ground: Ground,
+    path: ArcPath,
+    intervals: BinIntervals,
+    runs: GearRuns,
+    context: CarContext,
     word: Floats,
     arcs: Arcs,
     gained: Ints,
@@ -88,43 +95,43 @@ def find(
     -------
     the arc before which it is driven, 0: none; how many arcs it has, and how many bins it wins
     """
-    best, best_k, best_goal = LONGEST, 0, 0
-    for k in range(1, len(drive.length)):
-        here = pose_at(drive, k)
+    best, best_k, best_goal = MAX_DURATION, 0, 0
+    for k in range(1, len(path.length)):
+        here = pose_at(path, k)
         for g in range(len(goals)):
             goal = goals[g, 0], goals[g, 1], goals[g, 2]
-            if np.hypot(goal[0] - here[0], goal[1] - here[1]) > NEAR:
+            if np.hypot(goal[0] - here[0], goal[1] - here[1]) > MAX_DISTANCE:
                 continue
-            if 2 * least_way(here, goal, ground.radius) / ground.speed >= best:
+            if 2 * min_length(here, goal, context.radius) / context.speed >= best:
                 continue
-            n = there_and_back(k, goal, drive, ground, word, arcs)
+            n = there_and_back(k, goal, path, context, word, arcs)
             if n < 0:
                 continue
-            cost = time_across(k, k, arcs, n, drive, runs, ground) - time_of(k, k, runs)
-            if cost >= best or not is_clear(here, arcs, n, ground):
+            cost = replacement_time(k, k, arcs, n, path, runs, context) - section_time(k, k, runs)
+            if cost >= best or not is_clear(here, arcs, n, context):
                 continue
-            n_won = won(k, k, arcs, n, drive, parts, ground, gained)
-            for w in range(n_won):
+            n_covered = bins_covered(k, k, arcs, n, path, intervals, context, gained)
+            for w in range(n_covered):
                 if gained[w] == own:
                     best, best_k, best_goal = cost, k, g
     if best_k == 0:
         return 0, 0, 0
     goal = goals[best_goal, 0], goals[best_goal, 1], goals[best_goal, 2]
-    n = there_and_back(best_k, goal, drive, ground, word, arcs)
-    return best_k, n, won(best_k, best_k, arcs, n, drive, parts, ground, gained)
+    n = there_and_back(best_k, goal, path, context, word, arcs)
+    return best_k, n, bins_covered(best_k, best_k, arcs, n, path, intervals, context, gained)
 
 
 @inner_kernel
-def there_and_back(k: int, goal: Pose, drive: Drive, ground: Ground, word: Floats, arcs: Arcs) -> int:
+def there_and_back(k: int, goal: Pose, path: ArcPath, context: CarContext, word: Floats, arcs: Arcs) -> int:
     """Write the quickest arcs from before arc k to a pose and back; return their count, -1: there are none."""
-    here, radius, pause = pose_at(drive, k), ground.radius, ground.pause
-    n = quickest(
-        here, goal, radius, drive.gear[k - 1], 0, pause, ground.is_backward, SHORTEST_ARC, 0, word, arcs
+    here, radius, pause = pose_at(path, k), context.radius, context.gear_change_cost
+    n = quickest_word(
+        here, goal, radius, path.gear[k - 1], 0, pause, context.can_reverse, SHORTEST_ARC, 0, word, arcs
     )
     if n <= 0:
         return -1
     gear = arcs.gear[n - 1]
-    more = quickest(
-        goal, here, radius, gear, drive.gear[k], pause, ground.is_backward, SHORTEST_ARC, n, word, arcs
+    more = quickest_word(
+        goal, here, radius, gear, path.gear[k], pause, context.can_reverse, SHORTEST_ARC, n, word, arcs
     )
     return n + more if more > 0 else -1

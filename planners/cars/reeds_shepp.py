@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 from planners.kernel import inner_kernel, kernel
 from planners.types import Floats, Ints
 
-MOST_ARCS = 5
+MAX_ARCS = 5
 """Arcs of the longest word."""
-NONE = 1e-9
+ZERO_LENGTH = 1e-9
 """[m] arcs shorter than this are none."""
-TURN = 2 * np.pi
+TWO_PI = 2 * np.pi
 Pose = tuple[float, float, float]
 """[m, m, rad]"""
-FAMILIES = 8
+N_FAMILIES = 8
 """Of Reeds and Shepp, up to mirrors."""
-BENDS = np.array(
+FAMILY_BENDS = np.array(
     [
         [1, 0, 1, 0, 0],
         [1, 0, -1, 0, 0],
@@ -41,9 +41,9 @@ BENDS = np.array(
     ]
 )
 """(FAMILIES, MOST_ARCS) 1 steers left, -1 right."""
-BOTH_WAYS = np.array([False, False, True, False, False, True, True, False])
+HAS_REVERSED_FORM = np.array([False, False, True, False, False, True, True, False])
 """(FAMILIES,) families whose words read backward are words of another kind."""
-DUBINS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [1, -1, 1]])
+DUBINS_BENDS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [1, -1, 1]])
 """(6, 3) 1 steers left, -1 right."""
 
 
@@ -58,25 +58,25 @@ class Arcs(NamedTuple):
     """(most,) 1 forward, -1 backward."""
 
 
-def part_of(arcs: Arcs, which: slice | NDArray[np.generic]) -> Arcs:
+def take_arcs(arcs: Arcs, which: slice | NDArray[np.generic]) -> Arcs:
     """Return some of the arcs, in room of their own."""
     return Arcs(arcs.length[which].copy(), arcs.bend[which].copy(), arcs.gear[which].copy())
 
 
-def chain(parts: list[Arcs]) -> Arcs:
+def concatenate_arcs(parts: list[Arcs]) -> Arcs:
     """Return all arcs of some chains."""
     lengths, bends, gears = zip(*parts, strict=True)
     return Arcs(np.concatenate(lengths), np.concatenate(bends), np.concatenate(gears))
 
 
 @kernel
-def arcs_for(most: int) -> Arcs:
+def empty_arcs(most: int) -> Arcs:
     """Return room for so many arcs."""
     return Arcs(np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64))
 
 
 @inner_kernel
-def along(pose: Pose, length: float, bend: int, gear: int, radius: float) -> Pose:
+def arc_end(pose: Pose, length: float, bend: int, gear: int, radius: float) -> Pose:
     """Return the pose after an arc; headings run on, unwrapped."""
     x, y, phi = pose
     if bend == 0:
@@ -88,20 +88,20 @@ def along(pose: Pose, length: float, bend: int, gear: int, radius: float) -> Pos
 
 
 @inner_kernel
-def quickest(
+def quickest_word(
     start: Pose,
     goal: Pose,
     radius: float,
-    before: int,
-    after: int,
-    pause: float,
-    is_backward: bool,
+    gear_before: int,
+    gear_after: int,
+    gear_change_cost: float,
+    can_reverse: bool,
     shortest: float,
-    first: int,
+    first_entry: int,
     word: Floats,
     out: Arcs,
 ) -> int:
-    """Write the quickest word from one pose to another to `out`, from entry `first`; return how many arcs.
+    """Write the quickest word from one pose to another to `out`, from entry `first_entry`; return how many arcs.
 
     Parameters
     ----------
@@ -118,17 +118,19 @@ def quickest(
     dx, dy = goal[0] - start[0], goal[1] - start[1]
     cos, sin = np.cos(start[2]), np.sin(start[2])
     x, y = (cos * dx + sin * dy) / radius, (cos * dy - sin * dx) / radius
-    phi = _half(goal[2] - start[2])
-    if is_backward:
-        return _reeds_shepp(x, y, phi, radius, before, after, pause, shortest, first, word, out)
-    return _dubins(x, y, phi, radius, shortest, first, word, out)
+    phi = _wrap(goal[2] - start[2])
+    if can_reverse:
+        return _reeds_shepp(
+            x, y, phi, radius, gear_before, gear_after, gear_change_cost, shortest, first_entry, word, out
+        )
+    return _dubins(x, y, phi, radius, shortest, first_entry, word, out)
 
 
 @inner_kernel
-def _half(angle: float) -> float:
+def _wrap(angle: float) -> float:
     """Return an angle in (-pi, pi]."""
-    angle = angle % TURN
-    return angle - TURN if angle > np.pi else angle
+    angle = angle % TWO_PI
+    return angle - TWO_PI if angle > np.pi else angle
 
 
 @inner_kernel
@@ -137,18 +139,18 @@ def _reeds_shepp(
     y: float,
     phi: float,
     radius: float,
-    before: int,
-    after: int,
-    pause: float,
+    gear_before: int,
+    gear_after: int,
+    gear_change_cost: float,
     shortest: float,
-    first: int,
+    first_entry: int,
     word: Floats,
     out: Arcs,
 ) -> int:
     best, n_best = np.inf, -1
     cos, sin = np.cos(phi), np.sin(phi)
-    for family in range(FAMILIES):
-        for is_reversed in range(2 if BOTH_WAYS[family] else 1):
+    for family in range(N_FAMILIES):
+        for is_reversed in range(2 if HAS_REVERSED_FORM[family] else 1):
             u = x * cos + y * sin if is_reversed else x
             v = x * sin - y * cos if is_reversed else y
             for mirror in range(4):
@@ -159,25 +161,25 @@ def _reeds_shepp(
                     length += abs(word[k]) * radius
                 if n == 0 or length >= best or is_too_short(word, n, radius, shortest):
                     continue
-                cost, gear = length, before
+                cost, gear = length, gear_before
                 for k in range(n):
                     part = word[n - 1 - k if is_reversed else k] * gears
-                    if abs(part) * radius < NONE:
+                    if abs(part) * radius < ZERO_LENGTH:
                         continue
-                    own = 1 if part > 0 else -1
-                    cost += pause * (gear != 0 and own != gear)
-                    gear = own
-                cost += pause * (gear != 0 and after != 0 and gear != after)
+                    part_gear = 1 if part > 0 else -1
+                    cost += gear_change_cost * (gear != 0 and part_gear != gear)
+                    gear = part_gear
+                cost += gear_change_cost * (gear != 0 and gear_after != 0 and gear != gear_after)
                 if cost >= best:
                     continue
                 best, n_best = cost, 0
                 for k in range(n):
                     at = n - 1 - k if is_reversed else k
-                    if abs(word[at]) * radius >= NONE:
-                        own = 1 if word[at] * gears > 0 else -1
-                        out.length[first + n_best] = abs(word[at]) * radius
-                        out.gear[first + n_best] = own
-                        out.bend[first + n_best] = BENDS[family, at] * sides * own
+                    if abs(word[at]) * radius >= ZERO_LENGTH:
+                        part_gear = 1 if word[at] * gears > 0 else -1
+                        out.length[first_entry + n_best] = abs(word[at]) * radius
+                        out.gear[first_entry + n_best] = part_gear
+                        out.bend[first_entry + n_best] = FAMILY_BENDS[family, at] * sides * part_gear
                         n_best += 1
     return n_best
 
@@ -187,7 +189,7 @@ def is_too_short(word: Floats, n: int, radius: float, shortest: float) -> bool:
     """Tell whether one of the `n` arcs of a word is shorter [m], but not none."""
     is_short = False
     for k in range(n):
-        is_short |= NONE <= abs(word[k]) * radius < shortest
+        is_short |= ZERO_LENGTH <= abs(word[k]) * radius < shortest
     return is_short
 
 
@@ -216,7 +218,7 @@ def _left_straight_left(x: float, y: float, phi: float, word: Floats) -> int:
     """L+ S+ L+, (8.1)."""
     dx, dy = x - np.sin(phi), y - 1 + np.cos(phi)
     t = np.arctan2(dy, dx)
-    v = _half(phi - t)
+    v = _wrap(phi - t)
     if t < 0 or v < 0:
         return 0
     word[0], word[1], word[2] = t, np.hypot(dx, dy), v
@@ -231,8 +233,8 @@ def _left_straight_right(x: float, y: float, phi: float, word: Floats) -> int:
     if square < 4:
         return 0
     u = np.sqrt(square - 4)
-    t = _half(np.arctan2(dy, dx) + np.arctan2(2.0, u))
-    v = _half(t - phi)
+    t = _wrap(np.arctan2(dy, dx) + np.arctan2(2.0, u))
+    v = _wrap(t - phi)
     if t < 0 or v < 0:
         return 0
     word[0], word[1], word[2] = t, u, v
@@ -247,23 +249,23 @@ def _three_arcs(x: float, y: float, phi: float, word: Floats) -> int:
     if far > 4:
         return 0
     u = -2 * np.arcsin(0.25 * far)
-    t = _half(np.arctan2(dy, dx) + 0.5 * u + np.pi)
+    t = _wrap(np.arctan2(dy, dx) + 0.5 * u + np.pi)
     if t < 0:
         return 0
-    word[0], word[1], word[2] = t, u, _half(phi - t + u)
+    word[0], word[1], word[2] = t, u, _wrap(phi - t + u)
     return 3
 
 
 @inner_kernel
 def _ends_of_four(u: float, v: float, dx: float, dy: float, phi: float) -> tuple[float, float]:
     """Return the first and the last arc of a word of four, (8.6)."""
-    delta = _half(u - v)
+    delta = _wrap(u - v)
     a, b = np.sin(u) - np.sin(delta), np.cos(u) - np.cos(delta) - 1
     t = np.arctan2(dy * a - dx * b, dx * a + dy * b)
     if 2 * (np.cos(delta) - np.cos(v) - np.cos(u)) + 3 < 0:
         t += np.pi
-    t = _half(t)
-    return t, _half(t - u + v - phi)
+    t = _wrap(t)
+    return t, _wrap(t - u + v - phi)
 
 
 @inner_kernel
@@ -304,8 +306,8 @@ def _quarter_left(x: float, y: float, phi: float, word: Floats) -> int:
     if square < 4:
         return 0
     r = np.sqrt(square - 4)
-    t = _half(np.arctan2(dy, dx) + np.arctan2(r, -2.0))
-    v = _half(phi - 0.5 * np.pi - t)
+    t = _wrap(np.arctan2(dy, dx) + np.arctan2(r, -2.0))
+    v = _wrap(phi - 0.5 * np.pi - t)
     if t < 0 or r < 2 or v > 0:
         return 0
     word[0], word[1], word[2], word[3] = t, -0.5 * np.pi, 2 - r, v
@@ -318,7 +320,7 @@ def _quarter_right(x: float, y: float, phi: float, word: Floats) -> int:
     dx, dy = x + np.sin(phi), y - 1 - np.cos(phi)
     far = np.hypot(dx, dy)
     t = np.arctan2(dx, -dy)
-    v = _half(t + 0.5 * np.pi - phi)
+    v = _wrap(t + 0.5 * np.pi - phi)
     if far < 2 or t < 0 or v > 0:
         return 0
     word[0], word[1], word[2], word[3] = t, -0.5 * np.pi, 2 - far, v
@@ -335,8 +337,8 @@ def _two_quarters(x: float, y: float, phi: float, word: Floats) -> int:
     u = 4 - np.sqrt(square - 4)
     if u > 0:
         return 0
-    t = _half(np.arctan2((4 - u) * dx - 2 * dy, -2 * dx + (u - 4) * dy))
-    v = _half(t - phi)
+    t = _wrap(np.arctan2((4 - u) * dx - 2 * dy, -2 * dx + (u - 4) * dy))
+    v = _wrap(t - phi)
     if t < 0 or v < 0:
         return 0
     word[0], word[1], word[2], word[3], word[4] = t, -0.5 * np.pi, u, -0.5 * np.pi, v
@@ -345,22 +347,22 @@ def _two_quarters(x: float, y: float, phi: float, word: Floats) -> int:
 
 @inner_kernel
 def _dubins(
-    x: float, y: float, phi: float, radius: float, shortest: float, first: int, word: Floats, out: Arcs
+    x: float, y: float, phi: float, radius: float, shortest: float, first_entry: int, word: Floats, out: Arcs
 ) -> int:
     d, theta = np.hypot(x, y), np.arctan2(y, x)
-    a, b = (-theta) % TURN, (phi - theta) % TURN
+    a, b = (-theta) % TWO_PI, (phi - theta) % TWO_PI
     best, n_best = np.inf, -1
-    for kind in range(len(DUBINS)):
+    for kind in range(len(DUBINS_BENDS)):
         is_word = _with_straight(kind, d, a, b, word) if kind < 4 else _without_straight(kind, d, a, b, word)
         length = (word[0] + word[1] + word[2]) * radius
         if not is_word or length >= best or is_too_short(word, 3, radius, shortest):
             continue
         best, n_best = length, 0
         for k in range(3):
-            if word[k] * radius >= NONE:
-                out.length[first + n_best] = word[k] * radius
-                out.gear[first + n_best] = 1
-                out.bend[first + n_best] = DUBINS[kind, k]
+            if word[k] * radius >= ZERO_LENGTH:
+                out.length[first_entry + n_best] = word[k] * radius
+                out.gear[first_entry + n_best] = 1
+                out.bend[first_entry + n_best] = DUBINS_BENDS[kind, k]
                 n_best += 1
     return n_best
 
@@ -368,7 +370,7 @@ def _dubins(
 @inner_kernel
 def _with_straight(kind: int, d: float, a: float, b: float, word: Floats) -> bool:
     """LSL, RSR, LSR and RSL of a car that goes d radii along the x axis, from heading a to b."""
-    one, other = DUBINS[kind, 0], DUBINS[kind, 2]
+    one, other = DUBINS_BENDS[kind, 0], DUBINS_BENDS[kind, 2]
     dx = d + one * np.sin(a) - other * np.sin(b)
     dy = other * np.cos(b) - one * np.cos(a)
     across = 0.0 if one == other else 2.0
@@ -377,20 +379,20 @@ def _with_straight(kind: int, d: float, a: float, b: float, word: Floats) -> boo
         return False
     p = np.sqrt(square)
     heading = np.arctan2(dy, dx) + one * np.arctan2(across, p)
-    word[0], word[1], word[2] = (one * (heading - a)) % TURN, p, (other * (b - heading)) % TURN
+    word[0], word[1], word[2] = (one * (heading - a)) % TWO_PI, p, (other * (b - heading)) % TWO_PI
     return True
 
 
 @inner_kernel
 def _without_straight(kind: int, d: float, a: float, b: float, word: Floats) -> bool:
     """RLR and LRL."""
-    one = DUBINS[kind, 0]
+    one = DUBINS_BENDS[kind, 0]
     dx = d + one * (np.sin(a) - np.sin(b))
     dy = one * (np.cos(b) - np.cos(a))
     square = dx * dx + dy * dy
     if square > 16:
         return False
-    p = TURN - np.arccos(1 - square / 8)
-    t = (one * (np.arctan2(dy, dx) - a) + 0.5 * p) % TURN
-    word[0], word[1], word[2] = t, p, (one * (b - a) - t + p) % TURN
+    p = TWO_PI - np.arccos(1 - square / 8)
+    t = (one * (np.arctan2(dy, dx) - a) + 0.5 * p) % TWO_PI
+    word[0], word[1], word[2] = t, p, (one * (b - a) - t + p) % TWO_PI
     return True

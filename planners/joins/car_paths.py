@@ -14,26 +14,22 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from planners.cars.reeds_shepp import MOST_ARCS, Pose, along, arcs_for, quickest
-from planners.cars.search import geared
+from planners.cars.car_curve import curve_of_arcs
+from planners.cars.reeds_shepp import MAX_ARCS, Pose, arc_end, empty_arcs, quickest_word
 from planners.clearance import Barriers
 from planners.curve import Curve
-from planners.joins.ompl_car_paths import Arcs
-from planners.joins.ompl_process import SLACK, ask
-from planners.joins.paths import field_of
+from planners.joins.ompl_car_paths import ArcRows
+from planners.joins.ompl_process import ask_ompl
+from planners.joins.paths import floor_arrays
+from planners.joins.settings import JOINS
 from planners.reach import Reach
 from planners.task import JoinCounts
 from planners.types import Bools, Floats
 from planners.vehicle import SHORTEST_ARC, Vehicle
 
-PROOF_STEP = 0.004
-"""[m] between the poses at which clearance is measured; it is less by up to half as much in between."""
-CUSP = 0.3
-"""[m] that a change of gear is worth."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class CarWay:
+class CarPath:
     """A drive from a pose to one of the goals."""
 
     curve: Curve | None
@@ -50,15 +46,15 @@ def connect_cars(
     barriers: Barriers,
     vehicle: Vehicle,
     seed: int,
-) -> tuple[list[CarWay | None], JoinCounts]:
+) -> tuple[list[CarPath | None], JoinCounts]:
     """Find a drive from each start (n, 3) to one of its goals, each (m, 3) [m, m, rad].
 
     Returns
     -------
     ways : None where none was found
     """
-    within = [np.flatnonzero(_floods_to(own, reach)) for own in goals]
-    answer = ask(
+    within = [np.flatnonzero(_are_connected(own, reach)) for own in goals]
+    answer = ask_ompl(
         "planners.joins.ompl_car_paths",
         seed=seed,
         starts=starts,
@@ -66,16 +62,16 @@ def connect_cars(
         counts=[len(kept) for kept in within],
         radius=vehicle.limits.turning_radius,
         backward=vehicle.drive == "reeds_shepp",
-        **field_of(reach),
+        **floor_arrays(reach),
     )
     found_arcs = np.split(answer["arcs"], np.cumsum(answer["lengths"])[:-1])
-    ways: list[CarWay | None] = []
+    ways: list[CarPath | None] = []
     joins = JoinCounts()
     for k, (start, own) in enumerate(zip(starts, found_arcs, strict=True)):
         found, straight = int(answer["goal"][k]), bool(answer["direct"][k])
         goal = int(within[k][found]) if found >= 0 else -1
-        tried = _untwitched(start, own, vehicle) if goal >= 0 else iter(())
-        made = (_proven(start, arcs, goal, barriers, reach.clearance, vehicle) for arcs in tried)
+        tried = _without_steering_chatter(start, own, vehicle) if goal >= 0 else iter(())
+        made = (_certified_drive(start, arcs, goal, barriers, reach.clearance, vehicle) for arcs in tried)
         way = next((one for one in made if one is not None), None)
         ways.append(way)
         joins += JoinCounts(
@@ -87,7 +83,7 @@ def connect_cars(
     return ways, joins
 
 
-def _untwitched(start: Floats, arcs: Arcs, vehicle: Vehicle) -> Iterator[Arcs]:
+def _without_steering_chatter(start: Floats, arcs: ArcRows, vehicle: Vehicle) -> Iterator[ArcRows]:
     """Yield the way with its twitches of the wheel, and ever more arcs round them, replaced by a word without; then itself.
 
     Twitches are arcs so short that the wheel turns there and back within a sample.
@@ -96,13 +92,15 @@ def _untwitched(start: Floats, arcs: Arcs, vehicle: Vehicle) -> Iterator[Arcs]:
     n, radius = len(arcs), vehicle.limits.turning_radius
     poses: list[Pose] = [(float(start[0]), float(start[1]), float(start[2]))]
     for gear, bend, length in arcs.tolist():
-        poses.append(along(poses[-1], length, int(bend), int(gear), radius))
+        poses.append(arc_end(poses[-1], length, int(bend), int(gear), radius))
     gears = [0, *arcs[:, 0].astype(int).tolist(), 0]
-    room, word = arcs_for(MOST_ARCS), np.empty(MOST_ARCS)
+    room, word = empty_arcs(MAX_ARCS), np.empty(MAX_ARCS)
     for wide in range(1, n + 1) if len(short) else ():
         i, k = max(int(short[0]) - wide, 0), min(int(short[-1]) + wide + 1, n)
         ends = poses[i], poses[k], radius, gears[i], gears[k + 1]
-        m = quickest(*ends, CUSP, vehicle.drive == "reeds_shepp", SHORTEST_ARC, 0, word, room)
+        m = quickest_word(
+            *ends, JOINS.gear_change_cost, vehicle.drive == "reeds_shepp", SHORTEST_ARC, 0, word, room
+        )
         if m >= 0:
             yield np.concatenate(
                 [arcs[:i], np.column_stack([room.gear, room.bend, room.length])[:m], arcs[k:]]
@@ -112,7 +110,7 @@ def _untwitched(start: Floats, arcs: Arcs, vehicle: Vehicle) -> Iterator[Arcs]:
     yield arcs
 
 
-def _floods_to(goals: Floats, reach: Reach) -> Bools:
+def _are_connected(goals: Floats, reach: Reach) -> Bools:
     """Tell which goals (m, 3) lie beside a node that the flood of the disc reaches; no query can get to others."""
     near = ndimage.binary_dilation(reach.mask, np.ones((3, 3), dtype=np.bool_))
     at = np.floor((goals[:, :2] - reach.origin) / reach.step).astype(np.int64)
@@ -121,14 +119,14 @@ def _floods_to(goals: Floats, reach: Reach) -> Bools:
     return np.asarray(inside & near[at[:, 0], at[:, 1]])
 
 
-def _proven(
-    start: Floats, arcs: Arcs, goal: int, barriers: Barriers, clearance: float, vehicle: Vehicle
-) -> CarWay | None:
-    """Return the drive along some arcs; None unless it keeps the clearance, or all but SLACK of it, all along."""
+def _certified_drive(
+    start: Floats, arcs: ArcRows, goal: int, barriers: Barriers, clearance: float, vehicle: Vehicle
+) -> CarPath | None:
+    """Return the drive along some arcs; None unless it keeps the clearance, or all but JOINS.clearance_slack of it, all along."""
     if not len(arcs):
-        return CarWay(curve=None, goal=goal)
-    curve = geared(start, arcs[:, 2], arcs[:, 1], arcs[:, 0], vehicle.limits)
-    n = int(np.ceil(curve.duration * vehicle.limits.v / PROOF_STEP)) + 1
+        return CarPath(curve=None, goal=goal)
+    curve = curve_of_arcs(start, arcs[:, 2], arcs[:, 1], arcs[:, 0], vehicle.limits)
+    n = int(np.ceil(curve.duration * vehicle.limits.v / JOINS.certify_step)) + 1
     places = curve.sample(np.linspace(0.0, curve.duration, n))[0][:, :2]
-    clear = barriers.distances(places).min() >= clearance - SLACK
-    return CarWay(curve=curve, goal=goal) if clear else None
+    clear = barriers.distances(places).min() >= clearance - JOINS.clearance_slack
+    return CarPath(curve=curve, goal=goal) if clear else None

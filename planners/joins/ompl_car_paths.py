@@ -12,30 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from planners.joins.ompl_process import CHECK_STEP, SLACK, Countdown, Field, serve
+from planners.joins.ompl_process import DistanceField, IterationLimit, serve
+from planners.joins.settings import CAR_PATHS, JOINS
 from planners.types import Floats
 from planners.vehicle import SHORTEST_ARC
 
-SEARCHES = ((2.0, 1.0, 800), (np.inf, 2.0, 1_500), (np.inf, 0.5, 3_000))
-"""Window [m] around start and goals to sample in, longest step [m], iterations; the first to succeed is used."""
-ATTEMPTS = 3
-"""Solutions for each query, of which the best is kept."""
-NEAREST = 16
-"""Goals to which the shortest curve is tried."""
-CUSP_COST = 0.6
-"""[m] that a change of gear costs when solutions are compared: the car must stop."""
-TWITCH_COST = 10.0
-"""[m] that a shorter one costs when solutions are compared."""
-SAME = 1e-7
-"""[m, rad] poses closer than this are the same."""
+SAME_POSE = 1e-7
+"""[m, rad] Poses closer than this are the same."""
 
-Arcs = Floats
+ArcRows = Floats
 """(k, 3) gear (1, -1), bend (1 turns counter-clockwise, 0 not, -1 clockwise), length [m] of the parts of a way."""
 
 
-def _solve(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def _drives(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Answer the queries of `connect_cars`, with OMPL."""
-    solver = _Solver(base, geometric, question)
+    solver = _CarSolver(base, geometric, question)
     goals = np.split(question["goals"], np.cumsum(question["counts"])[:-1])
     found = [solver.solve(start, own) for start, own in zip(question["starts"], goals, strict=True)]
     return {
@@ -46,7 +37,7 @@ def _solve(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dic
     }
 
 
-class _Solver:
+class _CarSolver:
     """One OMPL problem in a car's state space, used again for every query."""
 
     def __init__(self, base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> None:
@@ -59,46 +50,48 @@ class _Solver:
         self._bound(self.low, self.high)
         self.setup = geometric.SimpleSetup(self.space)
         self.information = self.setup.getSpaceInformation()
-        self.information.setStateValidityCheckingResolution(CHECK_STEP / self.space.getMaximumExtent())
+        self.information.setStateValidityCheckingResolution(JOINS.check_step / self.space.getMaximumExtent())
         self.clearance = float(question["clearance"])
-        self.field = field = Field(distance, origin, step)
+        self.field = field = DistanceField(distance, origin, step)
         self.setup.setStateValidityChecker(
-            lambda state: bool(field.value(state.getX(), state.getY()) >= field.least)
+            lambda state: bool(field.value(state.getX(), state.getY()) >= field.clearance)
         )
         self.planner = geometric.RRTConnect(self.information)
         self.setup.setPlanner(self.planner)
         self.ready = False
 
-    def solve(self, start: Floats, goals: Floats) -> tuple[Arcs, int, bool]:
+    def solve(self, start: Floats, goals: Floats) -> tuple[ArcRows, int, bool]:
         """Return the arcs to one of the goals (m, 3), which one, and whether that is the shortest curve; -1: none."""
         if not len(goals):
             return np.zeros((0, 3)), -1, False
         here, there = self._state(start), [self._state(goal) for goal in goals]
         lowest = self.field.value(*start[:2].tolist())
-        self.field.least = min(self.clearance + SLACK, max(lowest, self.clearance)) - 1e-9
+        self.field.clearance = min(self.clearance + JOINS.clearance_slack, max(lowest, self.clearance)) - 1e-9
         self._begin(here, there)
         far = np.array([self.space.distance(here, goal) for goal in there])
         clear = [
             (np.array(list(self._arcs(here, there[k]))).reshape(-1, 3), k, True)
-            for k in np.argsort(far, kind="stable")[:NEAREST].tolist()
+            for k in np.argsort(far, kind="stable")[: CAR_PATHS.direct_goals].tolist()
             if self.information.checkMotion(here, there[k])
         ]
         if clear:
-            return min(clear, key=lambda way: _twitches(way[0]))
-        for window, step, iterations in SEARCHES:
-            self.planner.setRange(step)
+            return min(clear, key=lambda way: _n_chatter(way[0]))
+        for stage in CAR_PATHS.stages:
+            self.planner.setRange(stage.max_step)
             places = np.concatenate([start[None], goals])[:, :2]
             self._bound(
-                np.maximum(places.min(axis=0) - window, self.low),
-                np.minimum(places.max(axis=0) + window, self.high),
+                np.maximum(places.min(axis=0) - stage.window, self.low),
+                np.minimum(places.max(axis=0) + stage.window, self.high),
             )
-            first = self._attempt(here, there, iterations)
+            first = self._attempt(here, there, stage.iterations)
             if first is not None:
-                others = [self._attempt(here, there, iterations) for _ in range(ATTEMPTS - 1)]
+                others = [
+                    self._attempt(here, there, stage.iterations) for _ in range(CAR_PATHS.solutions - 1)
+                ]
                 found = [first, *(way for way in others if way is not None)]
                 arcs, k = min(found, key=lambda way: _cost(way[0]))
                 return arcs, k, False
-            self.field.least = self.clearance - 1e-9
+            self.field.clearance = self.clearance - 1e-9
         return np.zeros((0, 3)), -1, False
 
     def _begin(self, here: Any, there: list[Any]) -> None:
@@ -112,9 +105,9 @@ class _Solver:
             self.setup.setup()
             self.ready = True
 
-    def _attempt(self, here: Any, there: list[Any], iterations: int) -> tuple[Arcs, int] | None:
+    def _attempt(self, here: Any, there: list[Any], iterations: int) -> tuple[ArcRows, int] | None:
         self._begin(here, there)
-        self.setup.solve(self.base.PlannerTerminationCondition(Countdown(iterations)))
+        self.setup.solve(self.base.PlannerTerminationCondition(IterationLimit(iterations)))
         if not self.setup.haveExactSolutionPath():  # the status is also true for approximate ones
             return None
         path = self.setup.getSolutionPath()
@@ -128,7 +121,7 @@ class _Solver:
         states = [path.getState(k) for k in range(path.getStateCount())]
         end = self._pose(states[-1])
         arcs = np.array([arc for a, b in pairwise(states) for arc in self._arcs(a, b)]).reshape(-1, 3)
-        goal = int(np.argmin([abs(_apart(end, self._pose(state))).max() for state in there]))
+        goal = int(np.argmin([abs(_difference(end, self._pose(state))).max() for state in there]))
         return arcs, goal
 
     def _arcs(self, a: Any, b: Any) -> Iterator[tuple[float, float, float]]:
@@ -139,16 +132,16 @@ class _Solver:
         length, between = float(self.space.distance(a, b)), self.space.allocState()
 
         def pose(at: float) -> Floats:
-            self.space.interpolate(a, b, min(at / max(length, SAME), 1.0), between)
+            self.space.interpolate(a, b, min(at / max(length, SAME_POSE), 1.0), between)
             return self._pose(between)
 
         last: tuple[float, float, float] | None = None
         left = [(0.0, length)]
         while left:
             low, high = left.pop()
-            if high - low < 0.1 * SAME:
+            if high - low < 0.1 * SAME_POSE:
                 continue
-            kind = self._kind(pose(low), pose(high), high - low)
+            kind = self._arc_kind(pose(low), pose(high), high - low)
             if kind is None:
                 middle = 0.5 * (low + high)
                 left += [(middle, high), (low, middle)]
@@ -161,11 +154,14 @@ class _Solver:
         if last is not None:
             yield last
 
-    def _kind(self, start: Floats, end: Floats, length: float) -> tuple[float, float] | None:
+    def _arc_kind(self, start: Floats, end: Floats, length: float) -> tuple[float, float] | None:
         """Return gear and bend of the one arc between two poses; None if it is not one."""
         for gear in self.gears:
             for bend in (0.0, 1.0, -1.0):
-                if abs(_apart(along(start, gear, bend, length, self.radius), end)).max() < 0.1 * SAME:
+                if (
+                    abs(_difference(arc_end(start, gear, bend, length, self.radius), end)).max()
+                    < 0.1 * SAME_POSE
+                ):
                     return gear, bend
         return None
 
@@ -187,7 +183,7 @@ class _Solver:
         return np.array([state.getX(), state.getY(), state.getYaw()])
 
 
-def along(pose: Floats, gear: float, bend: float, length: float, radius: float) -> Floats:
+def arc_end(pose: Floats, gear: float, bend: float, length: float, radius: float) -> Floats:
     """Return the pose (3,) at the end of an arc of some length [m]."""
     x, y, phi = pose.tolist()
     turned = phi + bend * length / radius
@@ -199,17 +195,19 @@ def along(pose: Floats, gear: float, bend: float, length: float, radius: float) 
     )
 
 
-def _apart(a: Floats, b: Floats) -> Floats:
+def _difference(a: Floats, b: Floats) -> Floats:
     """Return (3,) the difference of two poses."""
     return np.append(a[:2] - b[:2], wrap(float(a[2] - b[2])))
 
 
-def _cost(arcs: Arcs) -> float:
+def _cost(arcs: ArcRows) -> float:
     stops = (np.diff(arcs[:, 0]) != 0).sum()
-    return float(arcs[:, 2].sum() + CUSP_COST * stops + TWITCH_COST * _twitches(arcs))
+    return float(
+        arcs[:, 2].sum() + CAR_PATHS.gear_change_cost * stops + CAR_PATHS.chatter_cost * _n_chatter(arcs)
+    )
 
 
-def _twitches(arcs: Arcs) -> int:
+def _n_chatter(arcs: ArcRows) -> int:
     """Count arcs that are too short."""
     return int((arcs[:, 2] < SHORTEST_ARC).sum())
 
@@ -220,4 +218,4 @@ def wrap(angle: float) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(serve(_solve))
+    sys.exit(serve(_drives))

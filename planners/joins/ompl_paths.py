@@ -11,31 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from planners.joins.ompl_process import CHECK_STEP, SLACK, Countdown, Field, serve
+from planners.joins.ompl_process import DistanceField, IterationLimit, serve
+from planners.joins.settings import JOINS, PLANE_PATHS
 from planners.types import Floats
-
-ATTEMPTS = 2
-"""Solutions for each query, of which the best is kept."""
-SEARCHES = (
-    (1.0, 0.3, 1_000),
-    (4.0, 1.0, 2_000),
-    (np.inf, 2.0, 4_000),
-    (0.3, 0.05, 8_000),
-    (1.5, 0.1, 8_000),
-)
-"""Window [m] around start and goal to sample in, longest step [m], iterations; the first to succeed is used.
-
-Most ways are short; the last two find gaps that the coarser ones miss.
-"""
-ROPE = 15
-"""Parts that a path is cut into to be pulled straight; the time goes with its square."""
-TURN_COST = 0.5
-"""[m] that a corner costs when solutions are compared: turning takes time."""
 
 
 def _paths(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Answer queries (n, 2) [m], each with its goals."""
-    solver = _Solver(base, geometric, question["distance"], question["origin"], float(question["step"]))
+    solver = _PlaneSolver(base, geometric, question["distance"], question["origin"], float(question["step"]))
     clearance = float(question["clearance"])
     goals = np.split(question["goals"], np.cumsum(question["counts"])[:-1])
     paths = [
@@ -44,19 +27,19 @@ def _paths(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dic
     return {"points": np.concatenate(paths), "lengths": [len(path) for path in paths]}
 
 
-class _Solver:
+class _PlaneSolver:
     """One OMPL problem, used again for every query: leaks nothing, and its random streams go on."""
 
     def __init__(self, base: Any, geometric: Any, distance: Floats, origin: Floats, step: float) -> None:
         self.base, self.geometric = base, geometric
-        self.field = Field(distance, origin, step)
+        self.field = DistanceField(distance, origin, step)
         self.low, self.high = origin, origin + np.array(distance.shape) * step
         space = base.RealVectorStateSpace(2)
         space.setBounds(self._bounds(self.low, self.high))
         self.space = space
         self.setup = geometric.SimpleSetup(space)
         information = self.setup.getSpaceInformation()
-        information.setStateValidityCheckingResolution(CHECK_STEP / space.getMaximumExtent())
+        information.setStateValidityCheckingResolution(JOINS.check_step / space.getMaximumExtent())
         self.setup.setStateValidityChecker(self.field.is_valid)  # holds lists and floats, nothing of OMPL
         planner = geometric.RRTConnect(information)
         self.setup.setPlanner(planner)
@@ -66,18 +49,18 @@ class _Solver:
         """Return the best of some paths (k, 2) [m] to one of the goals (m, 2); (0, 2) if there is none."""
         here, there = self._state(*start), [self._state(*goal) for goal in goals]
         lowest = min(self.field.value(*place) for place in (start, *goals))
-        self.field.least = min(clearance + SLACK, max(lowest, clearance)) - 1e-9
+        self.field.clearance = min(clearance + JOINS.clearance_slack, max(lowest, clearance)) - 1e-9
         places = np.concatenate([start[None], goals])
-        for window, step, iterations in SEARCHES:
-            self.planner.setRange(step)
-            self.iterations = iterations
-            low, high = places.min(axis=0) - window, places.max(axis=0) + window
+        for stage in PLANE_PATHS.stages:
+            self.planner.setRange(stage.max_step)
+            self.iterations = stage.iterations
+            low, high = places.min(axis=0) - stage.window, places.max(axis=0) + stage.window
             self.space.setBounds(self._bounds(np.maximum(low, self.low), np.minimum(high, self.high)))
             paths = [self._attempt(here, there)]
             if len(paths[0]):
-                paths += [self._attempt(here, there) for _ in range(ATTEMPTS - 1)]
+                paths += [self._attempt(here, there) for _ in range(PLANE_PATHS.solutions - 1)]
                 return min((path for path in paths if len(path)), key=_cost)
-            self.field.least = clearance - 1e-9
+            self.field.clearance = clearance - 1e-9
         return np.zeros((0, 2))
 
     def _bounds(self, low: Floats, high: Floats) -> Any:
@@ -94,13 +77,13 @@ class _Solver:
         self.setup.clear()
         self.setup.setStartState(here)
         self.setup.setGoal(goals)
-        self.setup.solve(self.base.PlannerTerminationCondition(Countdown(self.iterations)))
+        self.setup.solve(self.base.PlannerTerminationCondition(IterationLimit(self.iterations)))
         if not self.setup.haveExactSolutionPath():  # the status is also true for approximate ones
             return np.zeros((0, 2))
         path = self.setup.getSolutionPath()
         simplifier = self.setup.getPathSimplifier()
         simplifier.reduceVertices(path)
-        simplifier.ropeShortcutPath(path, max(0.1, path.length() / ROPE))
+        simplifier.ropeShortcutPath(path, max(0.1, path.length() / PLANE_PATHS.rope_parts))
         simplifier.partialShortcutPath(path)
         simplifier.reduceVertices(path)
         states = [path.getState(k) for k in range(path.getStateCount())]
@@ -113,7 +96,7 @@ class _Solver:
 
 
 def _cost(path: Floats) -> float:
-    return float(np.hypot(*np.diff(path, axis=0).T).sum()) + TURN_COST * len(path)
+    return float(np.hypot(*np.diff(path, axis=0).T).sum()) + PLANE_PATHS.corner_cost * len(path)
 
 
 if __name__ == "__main__":

@@ -26,19 +26,17 @@ import numpy as np
 from planners.errors import PlanError
 from planners.types import Floats
 
-INSTALL = "OMPL is not installed; pip install 'ompl>=2.0.1,<2.1' (Linux or macOS 15+; on Windows use WSL)"
-MISSING = 3
+INSTALL_HINT = (
+    "OMPL is not installed; pip install 'ompl>=2.0.1,<2.1' (Linux or macOS 15+; on Windows use WSL)"
+)
+EXIT_WITHOUT_OMPL = 3
 """Exit code of the process when ompl cannot be imported."""
-CHECK_STEP = 0.01
-"""[m] between the states of a motion that OMPL checks."""
-SLACK = 0.002
-"""[m] that OMPL keeps beyond the clearance, where start and goal do; where none does, it may miss as much."""
 
-HEAD = struct.Struct("<qq")
+HEADER = struct.Struct("<qq")
 """Length of what follows, and an exit code."""
 
 
-class _Server:
+class _OmplServer:
     """A process that has imported OMPL, and forks for each question."""
 
     def __init__(self, module: str) -> None:
@@ -54,16 +52,16 @@ class _Server:
             | {"PYTHONPATH": os.pathsep.join([str(root), *others]), "OPENBLAS_NUM_THREADS": "1"},
         )
 
-    def ask(self, question: bytes) -> tuple[int, bytes]:
+    def answer_to(self, question: bytes) -> tuple[int, bytes]:
         """Return the exit code of the fork that answered, and its answer or its complaint."""
         sent, got = self.process.stdin, self.process.stdout
         assert sent is not None and got is not None
         try:
-            sent.write(HEAD.pack(len(question), 0) + question)
+            sent.write(HEADER.pack(len(question), 0) + question)
             sent.flush()
-            head = got.read(HEAD.size)
-            if len(head) == HEAD.size:
-                size, code = HEAD.unpack(head)
+            head = got.read(HEADER.size)
+            if len(head) == HEADER.size:
+                size, code = HEADER.unpack(head)
                 return code, got.read(size)
         except BrokenPipeError:
             pass
@@ -76,7 +74,7 @@ class _Server:
         self.process.communicate()
 
 
-_idle: dict[tuple[str, str, int], list[_Server]] = {}
+_idle: dict[tuple[str, str, int], list[_OmplServer]] = {}
 """Servers that wait, by module, environment, and the process that started them."""
 _lock = threading.Lock()
 
@@ -90,16 +88,16 @@ def _close_all() -> None:
     _idle.clear()
 
 
-def ask(module: str, **question: Any) -> dict[str, np.ndarray]:
+def ask_ompl(module: str, **question: Any) -> dict[str, np.ndarray]:
     """Let a fresh process of a module of ours answer a question; both are arrays by name."""
     sent = io.BytesIO()
     np.savez(sent, **question)
     kind = module, os.environ.get("PYTHONPATH", ""), os.getpid()
     with _lock:
         servers = _idle.setdefault(kind, [])
-        server = servers.pop() if servers else _Server(module)
+        server = servers.pop() if servers else _OmplServer(module)
     try:
-        code, answer = server.ask(sent.getvalue())
+        code, answer = server.answer_to(sent.getvalue())
     except BaseException:
         server.close()
         raise
@@ -108,8 +106,8 @@ def ask(module: str, **question: Any) -> dict[str, np.ndarray]:
             servers.append(server)
     else:
         server.close()
-    if code == MISSING:
-        raise PlanError(INSTALL)
+    if code == EXIT_WITHOUT_OMPL:
+        raise PlanError(INSTALL_HINT)
     if code != 0:
         last = answer.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
         raise PlanError(f"OMPL ended with code {code} ({last[0]}); please report the arena and seed")
@@ -127,7 +125,7 @@ def serve(work: Callable[[Any, Any, Mapping[str, np.ndarray]], dict[str, Any]]) 
     try:
         from ompl import base, geometric, util  # type: ignore[import-untyped]
     except ImportError:
-        return MISSING
+        return EXIT_WITHOUT_OMPL
 
     def answered(question: bytes) -> bytes:
         with np.load(io.BytesIO(question)) as data:
@@ -138,9 +136,9 @@ def serve(work: Callable[[Any, Any, Mapping[str, np.ndarray]], dict[str, Any]]) 
         np.savez(answer, **work(base, geometric, asked))
         return answer.getvalue()
 
-    while len(head := sys.stdin.buffer.read(HEAD.size)) == HEAD.size:
-        code, answer = _forked(answered, sys.stdin.buffer.read(HEAD.unpack(head)[0]))
-        answers.write(HEAD.pack(len(answer), code) + answer)
+    while len(head := sys.stdin.buffer.read(HEADER.size)) == HEADER.size:
+        code, answer = _forked(answered, sys.stdin.buffer.read(HEADER.unpack(head)[0]))
+        answers.write(HEADER.pack(len(answer), code) + answer)
         answers.flush()
     return 0
 
@@ -165,7 +163,7 @@ def _forked(work: Callable[[bytes], bytes], question: bytes) -> tuple[int, bytes
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), answer
 
 
-class Countdown:
+class IterationLimit:
     """Say stop after so many questions."""
 
     def __init__(self, left: int) -> None:
@@ -176,7 +174,7 @@ class Countdown:
         return self.left < 0
 
 
-class Field:
+class DistanceField:
     """The distance field as plain lists, which a callback reads several times faster than an array."""
 
     def __init__(self, distance: Floats, origin: Floats, step: float) -> None:
@@ -184,7 +182,7 @@ class Field:
         self.low = (float(origin[0] + step / 2), float(origin[1] + step / 2))
         self.step = step
         self.size = (distance.shape[0] - 1, distance.shape[1] - 1)
-        self.least = 0.0
+        self.clearance = 0.0
 
     def value(self, x: float, y: float) -> float:
         """Interpolate the distance [m]; 0 off the raster."""
@@ -200,4 +198,4 @@ class Field:
 
     def is_valid(self, state: Any) -> bool:
         """Answer OMPL, with a real bool."""
-        return bool(self.value(state[0], state[1]) >= self.least)
+        return bool(self.value(state[0], state[1]) >= self.clearance)

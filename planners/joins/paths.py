@@ -10,18 +10,12 @@ import numpy as np
 from scipy.sparse import csgraph
 
 from planners.clearance import Barriers
-from planners.joins.ompl_process import SLACK, ask
+from planners.joins.ompl_process import ask_ompl
+from planners.joins.settings import JOINS
 from planners.reach import Reach
 from planners.rooms import cell_graph
 from planners.task import JoinCounts
 from planners.types import Floats
-
-MOST_GOALS = 400
-"""Of one query, the nearest ones."""
-LEG = 4.0
-"""[m] of the parts of a way that OMPL does not find as a whole."""
-BATCH = 48
-"""Queries for one process; batches run side by side, and do not depend on how many do."""
 
 
 def connect(
@@ -37,13 +31,13 @@ def connect(
     paths: list[Floats | None] = [np.stack(ends_) for ends_ in zip(starts, ends, strict=True)]
     blocked = np.flatnonzero(~direct)
     if len(blocked):
-        found = _in_processes(starts[blocked], ends[blocked], reach, seed)
+        found = _query_in_batches(starts[blocked], ends[blocked], reach, seed)
         for k, way in zip(blocked.tolist(), found, strict=True):
-            paths[k] = _certified(way, barriers, reach.clearance)
+            paths[k] = _certified_path(way, barriers, reach.clearance)
             if paths[k] is None:
-                paths[k] = _certified(way, barriers, reach.clearance - SLACK)
+                paths[k] = _certified_path(way, barriers, reach.clearance - JOINS.clearance_slack)
             if paths[k] is None:
-                paths[k] = _by_legs(starts[k], ends[k], reach, barriers, seed)
+                paths[k] = _connect_by_legs(starts[k], ends[k], reach, barriers, seed)
     planned = [path for k in blocked.tolist() if (path := paths[k]) is not None]
     return paths, JoinCounts(
         direct=int(direct.sum()),
@@ -68,37 +62,39 @@ def connect_nearest(
     clear = barriers.are_clear(np.repeat(start[None], len(goals), axis=0), goals[nearest], reach.clearance)
     if clear.any():
         return np.stack([start, goals[nearest[clear.argmax()]]]), JoinCounts(direct=1)
-    (way,) = _in_a_process(start[None], [goals[nearest[:MOST_GOALS]]], reach, seed)
-    path = _certified(way, barriers, reach.clearance)
+    (way,) = _query(start[None], [goals[nearest[: JOINS.max_goals]]], reach, seed)
+    path = _certified_path(way, barriers, reach.clearance)
     if path is None:
-        path = _certified(way, barriers, reach.clearance - SLACK)
+        path = _certified_path(way, barriers, reach.clearance - JOINS.clearance_slack)
     if path is None:
-        path = _by_legs(start, goals[nearest[0]], reach, barriers, seed)
+        path = _connect_by_legs(start, goals[nearest[0]], reach, barriers, seed)
     if path is None:
         return None, JoinCounts(failed=1)
     return path, JoinCounts(planned=1, planned_m=float(np.hypot(*np.diff(path, axis=0).T).sum()))
 
 
-def _by_legs(start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int) -> Floats | None:
+def _connect_by_legs(
+    start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int
+) -> Floats | None:
     """Find a path (k, 2) [m] that OMPL did not find as a whole, over places on the shortest way from cell to cell."""
     at = [np.floor((place - reach.origin) / reach.cell).astype(np.int64) for place in (start, end)]
     first, last = (int(np.ravel_multi_index(tuple(cell), reach.shape)) for cell in at)
     far, before = csgraph.dijkstra(
         cell_graph(reach), directed=False, indices=np.array([first]), return_predecessors=True
     )
-    if not LEG / reach.cell < far[0, last] < np.inf:
+    if not JOINS.leg_length / reach.cell < far[0, last] < np.inf:
         return None
     route = [last]
     while route[-1] != first:
         route.append(int(before[0, route[-1]]))
-    cells = np.unravel_index(route[::-1][:: max(round(LEG / reach.cell), 1)][1:], reach.shape)
+    cells = np.unravel_index(route[::-1][:: max(round(JOINS.leg_length / reach.cell), 1)][1:], reach.shape)
     stops = np.concatenate([start[None], reach.deepest(np.column_stack(cells)), end[None]])
     legs, _ = connect(stops[:-1], stops[1:], reach=reach, barriers=barriers, seed=seed)
     found = [leg for leg in legs if leg is not None]
     return np.concatenate([start[None], *(leg[1:] for leg in found)]) if len(found) == len(legs) else None
 
 
-def _certified(path: Floats, barriers: Barriers, clearance: float) -> Floats | None:
+def _certified_path(path: Floats, barriers: Barriers, clearance: float) -> Floats | None:
     """Leave out corners that are not needed; None unless the exact clearance holds all along."""
     if len(path) < 2:
         return None
@@ -113,34 +109,36 @@ def _certified(path: Floats, barriers: Barriers, clearance: float) -> Floats | N
     return path[kept]
 
 
-def _in_processes(starts: Floats, ends: Floats, reach: Reach, seed: int) -> list[Floats]:
+def _query_in_batches(starts: Floats, ends: Floats, reach: Reach, seed: int) -> list[Floats]:
     """Solve queries (n, 2) -> (n, 2) [m], in as many processes as there are processors."""
     goals = list(ends[:, None])
-    batches = [slice(k, k + BATCH) for k in range(0, len(starts), BATCH)]
+    batches = [
+        slice(k, k + JOINS.queries_per_process) for k in range(0, len(starts), JOINS.queries_per_process)
+    ]
     seeds = [int(np.random.SeedSequence([seed, k]).generate_state(1)[0]) for k in range(len(batches))]
     if len(batches) == 1:
-        return _in_a_process(starts, goals, reach, seeds[0])
+        return _query(starts, goals, reach, seeds[0])
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         answers = threads.map(
-            lambda batch, own: _in_a_process(starts[batch], goals[batch], reach, own), batches, seeds
+            lambda batch, own: _query(starts[batch], goals[batch], reach, own), batches, seeds
         )
         return [path for answer in answers for path in answer]
 
 
-def _in_a_process(starts: Floats, goals: list[Floats], reach: Reach, seed: int) -> list[Floats]:
+def _query(starts: Floats, goals: list[Floats], reach: Reach, seed: int) -> list[Floats]:
     """Solve queries (n, 2) [m], each to one of some goals (m, 2), in a fresh process; empty: no path was found."""
-    data = ask(
+    data = ask_ompl(
         "planners.joins.ompl_paths",
         seed=seed,
         starts=starts,
         goals=np.concatenate(goals),
         counts=[len(own) for own in goals],
-        **field_of(reach),
+        **floor_arrays(reach),
     )
     return list(np.split(data["points"], np.cumsum(data["lengths"])[:-1]))
 
 
-def field_of(reach: Reach) -> dict[str, Any]:
+def floor_arrays(reach: Reach) -> dict[str, Any]:
     """Return what a process must know of the floor."""
     return {
         "distance": reach.distance,

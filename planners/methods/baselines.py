@@ -9,15 +9,12 @@ from planners.arena import wrap
 from planners.curve import CurveBuilder
 from planners.errors import PlanError
 from planners.joins.paths import connect
+from planners.methods.settings import BASELINES
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats
 
-LEAST_WAY = 0.05
-"""[m] a bounce must open at least."""
 CLOSE = 1e-3
 """[m] how exactly the way to a wall is found."""
-FOLLOW = 0.15
-"""[m] beyond the clearance at which walls are followed."""
 
 
 def random_bounce(task: Task) -> PlannedDrive:
@@ -44,7 +41,10 @@ def _open_heading(task: Task, pose: Floats, rng: np.random.Generator) -> float:
     """Draw headings until one leads away from the wall."""
     for _ in range(200):
         heading = float(rng.uniform(-np.pi, np.pi))
-        if _free_way(task, np.array([pose[0], pose[1], heading]), LEAST_WAY) >= LEAST_WAY - CLOSE:
+        if (
+            _free_way(task, np.array([pose[0], pose[1], heading]), BASELINES.min_bounce)
+            >= BASELINES.min_bounce - CLOSE
+        ):
             return heading
     return float(pose[2] + np.pi)  # the way it came is open
 
@@ -55,13 +55,13 @@ def _free_way(task: Task, pose: Floats, most: float | None = None) -> float:
     x0, y0, x1, y1 = task.arena.bounds
     low, high = 0.0, float(np.hypot(x1 - x0, y1 - y0)) if most is None else most
     while high - low > CLOSE:
-        ways = np.linspace(low, high, 24)[1:]
-        here = np.repeat(pose[None, :2], len(ways), axis=0)
-        clear = task.barriers.are_clear(here, here + ways[:, None] * ahead, task.reach.clearance)
-        first = len(ways) if clear.all() else int(clear.argmin())
-        if first == len(ways):
+        travel_times = np.linspace(low, high, 24)[1:]
+        here = np.repeat(pose[None, :2], len(travel_times), axis=0)
+        clear = task.barriers.are_clear(here, here + travel_times[:, None] * ahead, task.reach.clearance)
+        first = len(travel_times) if clear.all() else int(clear.argmin())
+        if first == len(travel_times):
             return high
-        low, high = (float(ways[first - 1]) if first else low), float(ways[first])
+        low, high = (float(travel_times[first - 1]) if first else low), float(travel_times[first])
     return low
 
 
@@ -99,7 +99,7 @@ def wall_following(task: Task) -> PlannedDrive:
 
 def _ring(task: Task) -> Floats:
     """Return (n, 2) [m] the longest line at an even distance from walls, counter-clockwise."""
-    for beyond in (FOLLOW, FOLLOW / 2, 0.01):
+    for beyond in (BASELINES.wall_distance, BASELINES.wall_distance / 2, 0.01):
         inner = task.arena.free.buffer(-(task.reach.clearance + beyond), join_style="mitre", mitre_limit=2.0)
         parts = [part for part in getattr(inner, "geoms", [inner]) if not part.is_empty]
         reached = [part for part in parts if _is_reached(task, np.array(part.exterior.coords[0]))]
@@ -120,7 +120,7 @@ def _start(task: Task, rng: np.random.Generator) -> Floats:
     """Return the start asked for, or a random reachable pose."""
     if task.start is not None:
         return task.start
-    i, j = np.nonzero(task.reach.mask & (task.reach.distance > task.reach.clearance + LEAST_WAY))
+    i, j = np.nonzero(task.reach.mask & (task.reach.distance > task.reach.clearance + BASELINES.min_bounce))
     if not len(i):
         i, j = np.nonzero(task.reach.mask)
     pick = int(rng.integers(len(i)))

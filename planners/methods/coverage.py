@@ -18,16 +18,19 @@ import numpy as np
 from scipy.sparse import csgraph
 
 from planners.arena import wrap
-from planners.cars.search import cusps, geared, room_order, search_floor, shortened
+from planners.cars.car_curve import curve_of_arcs, cusps
+from planners.cars.search import order_rooms, search_floor
+from planners.cars.shortcuts import shorten_drive
 from planners.curve import Curve, CurveBuilder, joined
 from planners.errors import PlanError
 from planners.interrupt import undisturbed
 from planners.joins.paths import connect
 from planners.methods.repair_cars import CarRepair
 from planners.methods.repair_spins import SpinRepair, lead
+from planners.methods.settings import COVERAGE
 from planners.methods.stop_and_spin import wanted
-from planners.priority import levels
-from planners.rooms import cell_graph, rooms, sequence
+from planners.priority import cell_bands
+from planners.rooms import cell_graph, rooms, shortest_sequence
 from planners.search.area import SearchArea, search_area
 from planners.search.log_phases import missed
 from planners.search.motion_primitives import GEARS, MotionPrimitives, car_primitives, spin_primitives
@@ -39,12 +42,6 @@ from planners.types import Bools, Floats, Ints
 
 logger = logging.getLogger(__name__)
 
-PATIENCE = (1.3, 1.6)
-"""How much longer to stay in a bin where a log of some phase missed it."""
-LOST = 4.0
-"""[s] that a bin costs which a search leaves to the repair."""
-FEW = 0.03
-"""Of all bins: so few missing ones are first looked for beside the drive."""
 SLOW = 2.0
 """[s] of compiling before that is said."""
 LOOK = 0.1
@@ -59,7 +56,7 @@ def plan_search(task: Task) -> PlannedDrive:
         return _by_car(task)
     todo = wanted(task)
     primitives = _table(task)
-    level = levels(task.priority, todo, task.reach.cell)
+    level = cell_bands(task.priority, todo, task.reach.cell)
     bands = [todo & (level == band)[:, :, None] for band in np.unique(level[todo.any(axis=2)])]
     jobs = [
         (band, np.asarray(part & room[:, :, None]))
@@ -92,7 +89,7 @@ def _by_car(task: Task) -> PlannedDrive:
     start = task.start if task.start is not None else _first_pose(task)
 
     settings = CAR_ROOM[task.vehicle.drive]
-    parts = [np.asarray(todo & room[:, :, None]) for room in room_order(todo, start, task)]
+    parts = [np.asarray(todo & room[:, :, None]) for room in order_rooms(todo, start, task)]
     begins = [_begin(part, start, task) for part in parts]
 
     def search(job: int, seed: int, tick: Callable[[int], bool]) -> RoomDrive | None:
@@ -126,13 +123,13 @@ def _completed(repair: CarRepair, task: Task) -> bool:
     """Drive to what is missing, shorten the whole drive, and win again what a log met by luck; tell whether Ctrl-C came."""
     try:
         speed = float(abs(_table(task).speeds[0]))
-        if repair.missing().sum() < FEW * repair.todo.sum():
+        if repair.missing().sum() < COVERAGE.few_missing * repair.todo.sum():
             repair.passes_by(speed)
         repair.run()
         if repair.trip.curves:
             repair.passes_by(speed)
             won = repair.todo & ~repair.missing()
-            short, interrupted = shortened(repair.trip.curve, won, task, speed)
+            short, interrupted = shorten_drive(repair.trip.curve, won, task, speed)
             repair.redrive(short)
             if interrupted:
                 return True
@@ -242,7 +239,13 @@ def _side_by_side(
     for room in range(len(sizes)):
         done = [futures[room, attempt] for attempt in range(tries) if not futures[room, attempt].cancelled()]
         tried = [visit for future in done if (visit := future.result()) is not None]
-        best.append(min(tried, key=lambda visit: visit.curve.duration + LOST * visit.left, default=None))
+        best.append(
+            min(
+                tried,
+                key=lambda visit: visit.curve.duration + COVERAGE.missed_bin_cost * visit.left,
+                default=None,
+            )
+        )
     if stop.is_set() and not any(best):
         raise KeyboardInterrupt
     return best, stop.is_set()
@@ -268,8 +271,8 @@ def _compiled(task: Task) -> None:
 def _shorten_nothing(task: Task) -> None:
     """Compile what shortens a car's drive: let it look for ways across a straight line of three arcs."""
     arcs = np.full(3, 0.1), np.zeros(3), np.ones(3)
-    line = geared(np.array([*task.reach.origin, 0.0]), *arcs, task.vehicle.limits)
-    shortened(line, np.zeros_like(task.coverage.reachable), task, task.vehicle.limits.v)
+    line = curve_of_arcs(np.array([*task.reach.origin, 0.0]), *arcs, task.vehicle.limits)
+    shorten_drive(line, np.zeros_like(task.coverage.reachable), task, task.vehicle.limits.v)
 
 
 def search_room(
@@ -290,7 +293,7 @@ def search_room(
     search.start_at(np.array([*start, 0.0, 0.0]))
     search.complete(tick)
     given_up = search.given_up | search.world.need
-    for patience in PATIENCE:
+    for patience in COVERAGE.retry_dwell:
         again = area.part(_missed_by(search, primitives, task, need)) & ~given_up
         if not again.any():
             break
@@ -347,7 +350,7 @@ def _order(visits: list[RoomDrive], here: Floats | None, task: Task) -> Ints:
     ends = np.array([visit.ends[1] for visit in visits] + ([] if here is None else [here]))
     far = csgraph.dijkstra(cell_graph(reach), directed=False, indices=cells(ends))[:, cells(starts)]
     cost = np.where(np.isfinite(far), far, 1e3) * reach.cell / task.vehicle.limits.v
-    return sequence(cost[: len(visits)], None if here is None else cost[-1])
+    return shortest_sequence(cost[: len(visits)], None if here is None else cost[-1])
 
 
 def _drawn(visits: list[RoomDrive], task: Task) -> PlannedDrive:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from planners.cars.search import redriven
+from planners.cars.car_curve import car_section
 from planners.coverage import Coverage
 from planners.curve import Curve, joined
 from planners.search.log_phases import PHASES, met
@@ -79,7 +79,7 @@ class PartialDrive:
         last = int(np.searchsorted(curve.starts, curve.duration - back, side="right")) - 1
         if last <= 0:
             return None
-        shorter = redriven(curve, 0, last, self.limits)
+        shorter = car_section(curve, 0, last, self.limits)
         return replace(self, here=_end(shorter), curves=(*first, shorter))
 
 

@@ -8,16 +8,8 @@ import numpy as np
 
 from planners.arena import wrap
 from planners.curve import CurveBuilder, bend
+from planners.methods.settings import SPINS
 from planners.types import Bools, Floats
-
-GUARD = 0.1
-"""Of a heading bin's width: how far into its last bin a spin goes at least."""
-CREST = 0.02
-"""Of a heading bin's width: an arrival this close to the bin's border does not cover it."""
-ZIGZAG = 0.22
-"""Of a heading bin's width: moves of a lane lean this far left and right in turn, and spins save twice that."""
-REVERSE = 0.8
-"""[m] longest move that may be driven backward to save turning."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,9 +33,9 @@ def least_sweep(phi: float, need: Bools, direction: int) -> float:
     width = 2 * np.pi / len(need)
     bins = np.flatnonzero(need)
     inside = wrap(np.subtract(phi, bins * width, dtype=np.float64)) / width  # -0.5 .. 0.5 within the bin
-    border = (bins - direction * (0.5 - GUARD)) * width
+    border = (bins - direction * (0.5 - SPINS.guard)) * width
     ahead = direction * (border - phi) % (2 * np.pi)
-    ahead[abs(inside) <= 0.5 - CREST] = 0.0
+    ahead[abs(inside) <= 0.5 - SPINS.border] = 0.0
     return float(ahead.max(initial=0.0))
 
 
@@ -62,10 +54,10 @@ def aim(pen: CurveBuilder, target: Floats | None, need: Bools | None, overlap: t
         sweep = 0.0 if need is None else least_sweep(phi, need, direction)
         if target is None:
             width = 0.0 if need is None or sweep == 0.0 else 2 * np.pi / len(need)
-            choices = [Aim(angle=direction * (sweep + (0.5 - GUARD) * width), distance=0.0)]
+            choices = [Aim(angle=direction * (sweep + (0.5 - SPINS.guard) * width), distance=0.0)]
         else:
             reach = float(np.hypot(*(target - pen.pose[:2])))
-            gears = (1, -1) if reach <= REVERSE and need is not None else (1,)
+            gears = (1, -1) if reach <= SPINS.max_reverse and need is not None else (1,)
             choices = [_towards(pen, target, direction, gear, sweep, overlap) for gear in gears]
         for choice in choices:
             cost = abs(choice.angle)

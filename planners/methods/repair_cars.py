@@ -16,34 +16,24 @@ from itertools import count
 import numpy as np
 
 from planners.arena import wrap
-from planners.cars.detours import with_detours
-from planners.cars.reachability import Ways
-from planners.cars.search import drive_on, geared
+from planners.cars.car_curve import curve_of_arcs
+from planners.cars.detours import insert_detours
+from planners.cars.reachability import ReachabilityPlanner
+from planners.cars.shortcuts import arc_path_of
 from planners.curve import Curve
-from planners.joins.car_paths import CarWay, connect_cars
+from planners.joins.car_paths import CarPath, connect_cars
+from planners.joins.settings import JOINS
 from planners.methods.partial_drive import PartialDrive
+from planners.methods.settings import CAR_REPAIR
 from planners.search.motion_primitives import GEARS, car_primitives
 from planners.search.room_drive import RoomDrive
 from planners.task import JoinCounts, Task
 from planners.types import Bools, Floats, Ints
 
-IDLE = 12
-"""Queries in a row after which no fewer bins are missing, at most: a way on from before the end may cut others off."""
-MOST_GOALS = 400
-"""Of one query, the nearest ones."""
-BACK = (4.0, 16.0, 64.0, 256.0)
-"""[s] before the end of a drive from where a way on is looked for."""
-AGAIN = 12
-"""Missing bins from which on the search takes over."""
-SEARCHES = 3
-"""Times that one bin is searched for, at most."""
-NEAR = 3.0
-"""[m] within which they are."""
-FEW = 9
 POSES = np.array(
     [(x, y, turn) for turn in (0.0, -0.3, 0.3) for x in (0.0, -0.3, 0.3) for y in (0.0, -0.3, 0.3)]
 )
-"""Goals within a bin, in parts of it; the first FEW where there are many bins."""
+"""Goals within a bin, in parts of it; the first CAR_REPAIR.few_goals where there are many bins."""
 TURNED = np.array([0.0, -0.3, 0.3])
 """Goals at the place of a bin that is farthest from walls, in parts of its heading: slits hold no other."""
 SearchOn = Callable[[Bools, Floats, int], RoomDrive | None]
@@ -71,7 +61,7 @@ class CarRepair:
         """(nx, ny, n_phi) how often each bin was searched for."""
         self._in_vain: Bools = np.zeros_like(self.todo)
         """(nx, ny, n_phi) bins of queries that OMPL found no way for."""
-        self._ways = Ways(task) if len(GEARS[vehicle.drive]) == 1 else None
+        self._ways = ReachabilityPlanner(task) if len(GEARS[vehicle.drive]) == 1 else None
         """Of a car that only goes forward: another comes back from anywhere."""
         self.aside = car_primitives(
             vehicle.limits, task.coverage.headings, task.rate, GEARS[vehicle.drive]
@@ -90,7 +80,7 @@ class CarRepair:
         """Return (nx, ny, n_phi) what the log of some phase misses, but for what is lost."""
         return np.asarray(self.todo & ~self.trip.met & ~self.lost)
 
-    def comes_to(self, pose: Floats, before: tuple[float, ...] = (0.0, *BACK)) -> bool:
+    def comes_to(self, pose: Floats, before: tuple[float, ...] = (0.0, *CAR_REPAIR.step_back)) -> bool:
         """Drive to a pose (3,) from so much [s] `before` the last drive ended, or more; False where no way is found.
 
         A drive may end where OMPL finds no way out in its time: what is cut off is missing again.
@@ -116,9 +106,13 @@ class CarRepair:
         if self._ways is None:
             return False
         missing = self.missing()
-        for back, anew in ((0.0, False), *((back, False) for back in BACK[:-1]), (0.0, True)):
+        for back, explore in (
+            (0.0, False),
+            *((back, False) for back in CAR_REPAIR.step_back[:-1]),
+            (0.0, True),
+        ):
             trip = self.trip.before(back)
-            curve = None if trip is None else self._ways.to_one_of(wanted, trip.here, anew=anew)
+            curve = None if trip is None else self._ways.path_to_any(wanted, trip.here, explore=explore)
             if trip is None or curve is None:
                 continue
             longer = trip.then(curve)
@@ -128,15 +122,15 @@ class CarRepair:
                 return True
         return False
 
-    def enters(self, room: Bools, begin: Floats, curve: Curve, seed: int) -> None:
+    def enters(self, room: Bools, entry_arc: Floats, curve: Curve, seed: int) -> None:
         """Drive through a room, bins (nx, ny, n_phi), by the curve that begins at a pose (3,), or from where a way leads."""
-        if self.comes_to(begin, (0.0,)):
+        if self.comes_to(entry_arc, (0.0,)):
             self.take(curve)
         elif self.floods_to(room & self.missing()):
             visit = self.search(room & self.missing(), self.trip.here, seed)
             if visit is not None:
                 self.take(visit.curve)
-        elif self.comes_to(begin, BACK):
+        elif self.comes_to(entry_arc, CAR_REPAIR.step_back):
             self.take(curve)
 
     def passes_by(self, speed: float) -> None:
@@ -146,11 +140,13 @@ class CarRepair:
         bins, goals = goals_in(missing, self.trip.here, self.aside, self.task)
         if self.trip.curves and len(bins):
             curve, limits = self.trip.curve, self.task.vehicle.limits
-            drive, ground = drive_on(curve, self.todo, self.task, speed)
+            drive, ground = arc_path_of(curve, self.todo, self.task, speed)
             own = np.ravel_multi_index(tuple(bins.T), missing.shape)
-            longer = with_detours(drive, goals, own, ground)
+            longer = insert_detours(drive, goals, own, ground)
             if len(longer.length) > len(drive.length):
-                self.redrive(geared(curve.poses[0], longer.length, longer.bend, longer.gear, limits, speed))
+                self.redrive(
+                    curve_of_arcs(curve.poses[0], longer.length, longer.bend, longer.gear, limits, speed)
+                )
         self.lost = lost & self.missing()
 
     def run(self) -> None:
@@ -162,11 +158,11 @@ class CarRepair:
             fewest, idle = min(n, fewest), 0 if n < fewest else idle + 1
             if n == 0:
                 return
-            if idle > IDLE:
+            if idle > CAR_REPAIR.max_idle_queries:
                 self.lost |= missing
                 return
-            near = missing & (self.tried < SEARCHES) & self._around()[:, :, None]
-            if self.trip.curves and near.sum() >= AGAIN and self._searched(near, round_):
+            near = missing & (self.tried < CAR_REPAIR.max_searches) & self._around()[:, :, None]
+            if self.trip.curves and near.sum() >= CAR_REPAIR.search_from and self._searched(near, round_):
                 continue
             self._drive_to_one_of(missing, round_)
 
@@ -174,8 +170,8 @@ class CarRepair:
         """Drive to one of some bins by OMPL, or by a flood where OMPL finds no way; lose what both come to in vain."""
         bins, goals = goals_in(missing & ~self._in_vain, self.trip.here, self.aside, self.task)
         if self._ways is not None and len(bins):  # it may be trapped in a corner
-            leads_back = self._ways.leads_back(goals, self.trip.here)
-            bins, goals = bins[leads_back], goals[leads_back]
+            can_return = self._ways.can_return(goals, self.trip.here)
+            bins, goals = bins[can_return], goals[can_return]
         way = self._way(self.trip.here, goals, round_) if len(bins) else None
         if way is None:
             self._in_vain[tuple(bins.T)] = True
@@ -193,7 +189,7 @@ class CarRepair:
         """Return the cells (nx, ny) near here: a search does not get to others."""
         rows, columns = np.indices(self.todo.shape[:2])
         i, k = _cell(self.trip.here, self.task)
-        return np.asarray(np.hypot(rows - i, columns - k) * self.task.reach.cell <= NEAR)
+        return np.asarray(np.hypot(rows - i, columns - k) * self.task.reach.cell <= CAR_REPAIR.search_radius)
 
     def _searched(self, wanted: Bools, round_: int) -> bool:
         """Let the search go on from here; say whether it got something."""
@@ -204,9 +200,9 @@ class CarRepair:
         self.take(visit.curve)
         return True
 
-    def _way(self, start: Floats, goals: Floats, round_: int) -> CarWay | None:
+    def _way(self, start: Floats, goals: Floats, round_: int) -> CarPath | None:
         task = self.task
-        ways, joins = connect_cars(
+        travel_times, joins = connect_cars(
             start[None],
             [goals],
             reach=task.reach,
@@ -215,7 +211,7 @@ class CarRepair:
             seed=task.seed + round_,
         )
         self.joins += joins
-        return ways[0]
+        return travel_times[0]
 
 
 def goals_in(missing: Bools, here: Floats, aside: float, task: Task) -> tuple[Ints, Floats]:
@@ -227,8 +223,8 @@ def goals_in(missing: Bools, here: Floats, aside: float, task: Task) -> tuple[In
     """
     reach, grid = task.reach, task.coverage
     bins = np.argwhere(missing)
-    bins = bins[np.argsort(np.hypot(*(bins[:, :2] - _cell(here, task)).T), kind="stable")[:MOST_GOALS]]
-    shares = POSES if len(bins) * len(POSES) <= MOST_GOALS else POSES[:FEW]  # (p, 3)
+    bins = bins[np.argsort(np.hypot(*(bins[:, :2] - _cell(here, task)).T), kind="stable")[: JOINS.max_goals]]
+    shares = POSES if len(bins) * len(POSES) <= JOINS.max_goals else POSES[: CAR_REPAIR.few_goals]  # (p, 3)
     own = np.repeat(bins, len(shares), axis=0)
     x, y, turn = np.tile(shares, (len(bins), 1)).T
     deepest, turns = np.repeat(bins, len(TURNED), axis=0), np.tile(TURNED, len(bins))

@@ -14,14 +14,13 @@ from planners.arena import wrap
 from planners.curve import Curve, CurveBuilder
 from planners.joins.paths import connect_nearest
 from planners.methods.primitives import aim
+from planners.methods.settings import SPIN_REPAIR
 from planners.methods.stop_and_spin import places
 from planners.sampling import DWELL_PERIODS
 from planners.search.log_phases import missed
 from planners.task import JoinCounts, Task
 from planners.types import Bools, Floats
 
-TURNS = 2
-"""Times that a robot stops in a cell for what is missing there, at most."""
 TIGHT = 1e-9
 """[m] moves shorter than this are none."""
 
@@ -48,8 +47,10 @@ class SpinRepair:
         """Drive to missing bins until none is left, or all that is left is lost."""
         cells = places(self.task.reach, self.task.barriers, self.missing)
         visits = np.zeros(len(cells.index), dtype=np.int64)
-        for round_ in range(TURNS * len(visits)):
-            wanted = np.flatnonzero(self.missing[tuple(cells.index.T)].any(axis=1) & (visits < TURNS))
+        for round_ in range(SPIN_REPAIR.max_visits * len(visits)):
+            wanted = np.flatnonzero(
+                self.missing[tuple(cells.index.T)].any(axis=1) & (visits < SPIN_REPAIR.max_visits)
+            )
             if not len(wanted):
                 break
             path, joins = connect_nearest(

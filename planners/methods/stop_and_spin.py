@@ -9,25 +9,16 @@ from planners.clearance import Barriers
 from planners.curve import CurveBuilder
 from planners.errors import PlanError
 from planners.joins.paths import connect
-from planners.methods.primitives import ZIGZAG, aim
-from planners.order import Cells
-from planners.priority import levels
-from planners.reach import LEAST_SHARE, Reach
+from planners.methods.primitives import aim
+from planners.methods.settings import SPINS, STOP_AND_SPIN
+from planners.order import CellGraph
+from planners.priority import cell_bands
+from planners.reach import Reach
 from planners.sampling import DWELL_PERIODS
 from planners.search.log_phases import missed
+from planners.settings import REACH
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Bools, Floats, Ints
-
-OVERLAP = 0.5
-"""[s] that turns and moves overlap where there is room."""
-ROOM = 0.012
-"""[m] beyond the clearance that a blend of move and turn needs."""
-HEDGE = 0.75
-"""Of the least share: cells this near to counting are visited too, since another raster may count them."""
-ROUNDS = 4
-"""Times that bins which a log may miss are visited again."""
-BACK = (1, 4, 16, 64)
-"""Stops to go back where the robot is stuck."""
 
 
 def plan_stop_and_spin(task: Task) -> PlannedDrive:
@@ -42,7 +33,7 @@ def plan_stop_and_spin(task: Task) -> PlannedDrive:
 def wanted(task: Task) -> Bools:
     """Return (nx, ny, n_phi) bins to visit: those still missing, and those of cells that all but count."""
     todo = task.coverage.reachable & (task.coverage.counts == 0)
-    near = (task.reach.areas() >= HEDGE * LEAST_SHARE) & ~task.reach.cells()
+    near = (task.reach.areas() >= STOP_AND_SPIN.near_share * REACH.min_share) & ~task.reach.cells()
     todo |= (near & task.reach.blocks(task.reach.mask).any(axis=-1))[:, :, None] & (task.coverage.counts == 0)
     if not todo.any():
         raise PlanError("every reachable bin is covered already; nothing is left to plan")
@@ -64,7 +55,7 @@ class Stops:
         """Visit all, then again what a log of some phase would miss."""
         self._visit(self.todo)
         missing = self._missed()
-        for _ in range(ROUNDS):
+        for _ in range(STOP_AND_SPIN.max_rounds):
             if not missing.any():
                 break
             self._visit(missing)
@@ -101,9 +92,9 @@ class Stops:
     def _here(self) -> Floats | None:
         return self.task.start if self.pen is None else self.pen.pose
 
-    def _sequence(self, cells: Cells, todo: Bools) -> Ints:
+    def _sequence(self, cells: CellGraph, todo: Bools) -> Ints:
         """Order the cells: bands of priority in turn, each by the better of lanes along x and along y."""
-        band = levels(self.task.priority, todo, self.task.reach.cell)[tuple(cells.index.T)]
+        band = cell_bands(self.task.priority, todo, self.task.reach.cell)[tuple(cells.index.T)]
         here = self._here()
         found: list[Ints] = []
         for level in np.unique(band).tolist():
@@ -132,9 +123,9 @@ class Stops:
             route.append((path[-1], needs[k + 1], label))
         self.joins += joins
         points = np.array([point for point, _, _ in route])
-        roomy = self.task.barriers.are_clear(points[:-1], points[1:], self.limit + ROOM)
+        roomy = self.task.barriers.are_clear(points[:-1], points[1:], self.limit + STOP_AND_SPIN.blend_room)
         roomy = np.concatenate([[False], roomy, [False]])
-        blend = np.where(roomy[:-1] & roomy[1:], OVERLAP, 0.0)  # (n stops,)
+        blend = np.where(roomy[:-1] & roomy[1:], STOP_AND_SPIN.overlap, 0.0)  # (n stops,)
         pen = self.pen or CurveBuilder(self._first_pose(points), self.task.vehicle.limits, spin=self.spin)
         self.pen = pen
         for k, (_, need, _) in enumerate(route):
@@ -148,7 +139,7 @@ class Stops:
 
     def _around(self, route: list[Floats], target: Floats, stuck: int) -> Floats | None:
         """Find another way to a stop; when nothing was reached for a while, by going back on the route first."""
-        back = [0] if not stuck else [b for b in BACK if b < len(route)]
+        back = [0] if not stuck else [b for b in STOP_AND_SPIN.step_back if b < len(route)]
         froms = np.array([route[-1 - b] for b in back])
         paths, joins = connect(
             froms,
@@ -172,7 +163,7 @@ class Stops:
         return np.array([*points[0], np.arctan2(way[1], way[0])])
 
 
-def places(reach: Reach, barriers: Barriers, todo: Bools) -> Cells:
+def places(reach: Reach, barriers: Barriers, todo: Bools) -> CellGraph:
     """Choose where to stand in each cell: its centre if that is free, else deepest within its reachable part."""
     index = np.argwhere(todo.any(axis=2))
     centres = reach.origin + (index + 0.5) * reach.cell
@@ -185,30 +176,30 @@ def places(reach: Reach, barriers: Barriers, todo: Bools) -> Cells:
     best = np.where(free >= 0, depth, -np.inf).argmax(axis=1)
     chosen = reach.origin + index * reach.cell + inner[best]
     central = np.where(free > 0, 1.0, 0.0).mean(axis=1) > 0.5
-    central &= barriers.distances(centres) >= reach.clearance + ROOM
+    central &= barriers.distances(centres) >= reach.clearance + STOP_AND_SPIN.blend_room
     chosen[central] = centres[central]
     pairs = order.neighbours(index)
     clear = barriers.are_clear(chosen[pairs[:, 0]], chosen[pairs[:, 1]], reach.clearance)
-    return Cells(index=index, places=chosen, pairs=pairs[clear])
+    return CellGraph(index=index, places=chosen, pairs=pairs[clear])
 
 
-def _subset(cells: Cells, members: Ints) -> Cells:
+def _subset(cells: CellGraph, members: Ints) -> CellGraph:
     number = np.full(len(cells.index), -1, dtype=np.int64)
     number[members] = np.arange(len(members))
     pairs = number[cells.pairs]
-    return Cells(
+    return CellGraph(
         index=cells.index[members], places=cells.places[members], pairs=pairs[(pairs >= 0).all(axis=1)]
     )
 
 
-def _lanes(cells: Cells, here: Floats | None, task: Task) -> Ints:
+def _lanes(cells: CellGraph, here: Floats | None, task: Task) -> Ints:
     """Order cells by runs along x or along y, whichever costs less."""
     limits = task.vehicle.limits
     best: tuple[float, Ints] | None = None
     for axis in (0, 1):
         runs = order.runs(cells, axis)
         ends = np.array([(run[0], run[-1]) for run in runs]).reshape(-1)
-        cost = order.ways(cells, ends, limits.v, limits.v / limits.a)
+        cost = order.travel_times(cells, ends, limits.v, limits.v / limits.a)
         first = None
         if here is not None:
             far = np.hypot(*(cells.places[ends] - here).T) / limits.v
@@ -228,13 +219,13 @@ def _lanes(cells: Cells, here: Floats | None, task: Task) -> Ints:
     return best[1]
 
 
-def zigzag(cells: Cells, sequence: Ints, task: Task, clearance: float) -> Floats:
+def zigzag(cells: CellGraph, sequence: Ints, task: Task, clearance: float) -> Floats:
     """Return the stops (n, 2) [m], those along a lane shifted a little left and right of it in turn.
 
     The moves then lean left and right in turn, and a spin from one lean to the other passes all headings in less
     than a full turn.
     """
-    lean = ZIGZAG * 2 * np.pi / task.coverage.headings
+    lean = SPINS.zigzag * 2 * np.pi / task.coverage.headings
     index, stops = cells.index[sequence], cells.places[sequence].copy()
     shift = 0.5 * task.reach.cell * np.tan(lean)
     step = np.diff(index, axis=0)
@@ -247,7 +238,7 @@ def zigzag(cells: Cells, sequence: Ints, task: Task, clearance: float) -> Floats
         stops = moved
     middle = cells.places[sequence]
     for _ in range(3):
-        roomy = task.barriers.are_clear(stops[:-1], stops[1:], clearance + ROOM)
+        roomy = task.barriers.are_clear(stops[:-1], stops[1:], clearance + STOP_AND_SPIN.blend_room)
         bad = np.zeros(len(stops), dtype=np.bool_)
         bad[:-1] |= ~roomy
         bad[1:] |= ~roomy

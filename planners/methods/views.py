@@ -63,7 +63,7 @@ def _order(task: Task, targets: Floats) -> Ints:
     cells = places(task.reach, task.barriers, task.reach.cells()[:, :, None])
     points = targets[:, :2] if task.start is None else np.concatenate([targets[:, :2], task.start[None, :2]])
     near = np.array([((cells.places - point) ** 2).sum(axis=1).argmin() for point in points])
-    cost = order.ways(cells, np.repeat(near, 2), limits.v, limits.v / limits.a)
+    cost = order.travel_times(cells, np.repeat(near, 2), limits.v, limits.v / limits.a)
     first = None if task.start is None else 2 * len(targets)
     tour = order.tour(cost, first, np.random.default_rng(task.seed))
     return np.array([k for k, _ in tour if k < len(targets)], dtype=np.int64)

@@ -78,9 +78,9 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
     omega = min(limits.omega, width * rate / DWELL_PERIODS)
     parts = max(math.ceil(width / omega / PRIMITIVES.max_duration - 1e-9), 1)
     step, tau = width / parts, width / parts / omega
-    levels = int(np.clip(round(limits.v / (limits.a * tau)), 1, PRIMITIVES.max_levels))
-    rise = min(limits.a * tau, limits.v / levels)  # [m/s] from one level to the next
-    level = np.array(sorted(range(-levels, levels + 1), key=abs))  # mode 0 stands still
+    cell_bands = int(np.clip(round(limits.v / (limits.a * tau)), 1, PRIMITIVES.max_levels))
+    rise = min(limits.a * tau, limits.v / cell_bands)  # [m/s] from one level to the next
+    level = np.array(sorted(range(-cell_bands, cell_bands + 1), key=abs))  # mode 0 stands still
     then, speeds = _steps_of_level(level), rise * level
     n_headings = headings * parts
     stamps = np.concatenate([(np.arange(SAMPLES) + 0.5) / SAMPLES, [1.0]]) * tau
@@ -118,7 +118,7 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
         is_fine=np.zeros(then.shape, dtype=np.bool_),
         stops_first=np.zeros(then.shape, dtype=np.bool_),
         heading_bin=which.astype(np.int16),
-        safe_depth=-(levels + 2),
+        safe_depth=-(cell_bands + 2),
         omega=sense * omega,
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 from planners.arena import Arena, wrap
 from planners.clearance import Barriers
 from planners.errors import PlanError
-from planners.planning import MARGIN
+from planners.planning import WALL_MARGIN
 from planners.reach import Reach, reach
 from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.types import Bools, Floats
@@ -73,7 +73,7 @@ class DrivableSpace:
         settings = NEXT_RUN.candidates
         barriers = Barriers(arena)
         free = reach(
-            arena, barriers, clearance=robot.footprint_radius + MARGIN, cell=settings.cell, start=start
+            arena, barriers, clearance=robot.footprint_radius + WALL_MARGIN, cell=settings.cell, start=start
         )
         roomy = free.mask & (free.distance >= free.clearance + settings.spare_clearance)
         index = np.nonzero(roomy if roomy.any() else free.mask)
