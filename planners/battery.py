@@ -7,10 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csgraph
 
-from planners.curve import joined
+from planners.curve import join_curves
 from planners.errors import PlanError
 from planners.rooms import cell_graph
-from planners.session import Ways, cut_at, cuts, ends, latest, minutes, section, together
+from planners.sections import (
+    PathCache,
+    cut_points,
+    drive_along,
+    end_poses,
+    longest_section,
+    minutes,
+    section_of,
+    section_up_to,
+)
 from planners.task import PlannedDrive, Task
 from planners.types import Floats
 
@@ -51,33 +60,33 @@ def too_small(battery: float, x: float, y: float, least: float) -> str:
     )
 
 
-def sessions(driven: PlannedDrive, task: Task, *, battery: float, dock: Floats) -> list[Session]:
+def battery_sessions(driven: PlannedDrive, task: Task, *, battery: float, dock: Floats) -> list[Session]:
     """Part a drive into runs from the dock (3,) and back to it, each done within `battery` [s].
 
     They come in an order that spreads early runs over the floor, unless a priority has put them in another.
     """
-    curve, vehicle, ways = driven.curve, task.vehicle, Ways(task)
+    curve, vehicle, cache = driven.curve, task.vehicle, PathCache(task)
     found: list[Session] = []
     middles: list[Floats] = []
     first = 0
     while first < len(curve.starts):
-        begin, _ = ends(section(curve, first, len(curve.starts), vehicle))
-        out = ways.way(dock, begin)
-        cut = latest(curve, first, battery - out.duration, dock, ways, vehicle)
+        begin, _ = end_poses(section_of(curve, first, len(curve.starts), vehicle))
+        out = cache.way(dock, begin)
+        cut = longest_section(curve, first, battery - out.duration, dock, cache, vehicle)
         if cut is None:
-            last = int(cuts(curve, vehicle)[cuts(curve, vehicle) > first][0])
-            least = out.duration + cut_at(curve, first, last, dock, ways, vehicle).duration
+            last = int(cut_points(curve, vehicle)[cut_points(curve, vehicle) > first][0])
+            least = out.duration + section_up_to(curve, first, last, dock, cache, vehicle).duration
             raise PlanError(too_small(battery, float(begin[0]), float(begin[1]), least))
         assert cut.home is not None
         parts = [part for part in (out.curve, cut.part, cut.home.curve) if part is not None]
-        run = together(parts, out.joins + cut.home.joins, task)
+        run = drive_along(parts, out.joins + cut.home.joins, task)
         found.append(Session(driven=run, out_s=out.duration, home_s=cut.home.duration))
         middles.append(cut.part.poses[:, :2].mean(axis=0))
         first = cut.last
-    return found if task.priority is not None else [found[k] for k in spread(np.array(middles))]
+    return found if task.priority is not None else [found[k] for k in farthest_first(np.array(middles))]
 
 
-def spread(points: Floats) -> list[int]:
+def farthest_first(points: Floats) -> list[int]:
     """Order points (n, 2), the first being first: each next is the one farthest from all before it."""
     order, far = [0], np.hypot(*(points - points[0]).T)
     while len(order) < len(points):
@@ -87,13 +96,13 @@ def spread(points: Floats) -> list[int]:
     return order
 
 
-def chain(runs: list[Session], parted: PlannedDrive) -> PlannedDrive:
+def chain_sessions(runs: list[Session], parted: PlannedDrive) -> PlannedDrive:
     """Return all runs of a drive that was parted as one, one after the other."""
     joins = parted.joins
     for run in runs:
         joins += run.driven.joins
     return PlannedDrive(
-        curve=joined([run.driven.curve for run in runs]),
+        curve=join_curves([run.driven.curve for run in runs]),
         stops=np.concatenate([run.driven.stops for run in runs]),
         joins=joins,
         interrupted=parted.interrupted,

@@ -22,6 +22,8 @@ RATE = 50.0
 """[Hz] of exported samples."""
 BLOCK = 1 << 16
 """Samples that are worked on at a time."""
+SHORTEST_MOVE = 1e-9
+"""[m, rad] Moves and turns below this are none."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 Profile = tuple[Floats, Floats]
@@ -59,7 +61,7 @@ def displace(
 
 
 @lru_cache(maxsize=4096)
-def bend(a: float, alpha: float, overlap: float) -> tuple[float, float]:
+def blend_offset(a: float, alpha: float, overlap: float) -> tuple[float, float]:
     """Return how far a move ends off, ahead and aside [m] in its own frame, where a turn starts before its rest.
 
     Parameters
@@ -206,17 +208,17 @@ class CurveBuilder:
 
     def move(self, distance: float, label: str = "move", overlap: float = 0.0) -> None:
         """Drive straight [m], backward if negative; start up to `overlap` [s] before the turn ahead has ended."""
-        if abs(distance) < 1e-9:
+        if abs(distance) < SHORTEST_MOVE:
             return
         times, rates = trapezoid(distance, self.limits.v, self.limits.a)
         before, back = self._last, self._append(0, times, rates, label, overlap)
         self.pose[:2] += _turned(self.pose[2], distance, 0.0)
         if back > 0:  # the turn's last ramp, run backward in time, is a turn the other way
-            self.pose[:2] += _turned(self.pose[2], *bend(float(rates[0]), -before.rate, back))
+            self.pose[:2] += _turned(self.pose[2], *blend_offset(float(rates[0]), -before.rate, back))
 
     def turn(self, angle: float, label: str = "turn", overlap: float = 0.0) -> None:
         """Turn on the spot [rad], clockwise if negative; start up to `overlap` [s] before the move ahead has ended."""
-        if abs(angle) < 1e-9:
+        if abs(angle) < SHORTEST_MOVE:
             return
         times, rates = trapezoid(angle, self.spin, self.limits.alpha)
         self.pose[:2] = self.rest(angle, overlap)
@@ -225,6 +227,19 @@ class CurveBuilder:
         self.last_turn = 1 if angle > 0 else -1
         self.pose[2] += angle
 
+    def face(self, heading: float) -> None:
+        """Turn on the spot to a heading [rad], the shorter way round."""
+        self.turn(float(wrap(np.float64(heading - self.pose[2]))), "turn")
+
+    def follow(self, path: Floats) -> None:
+        """Turn and drive from corner to corner of a path (k, 2) [m] that begins where the robot is."""
+        for corner in path[1:]:
+            way = corner - self.pose[:2]
+            length = float(np.hypot(*way))
+            if length > SHORTEST_MOVE:
+                self.face(float(np.arctan2(way[1], way[0])))
+                self.move(length, "move" if len(path) == 2 else "join")
+
     def rest(self, angle: float, overlap: float) -> Floats:
         """Return (2,) [m] where the move drawn last will end if a turn by `angle` starts `overlap` [s] early."""
         ramp = min(self.spin / self.limits.alpha, float(np.sqrt(abs(angle) / self.limits.alpha)))
@@ -232,7 +247,7 @@ class CurveBuilder:
         if back <= 0:
             return self.pose[:2].copy()
         alpha = float(np.copysign(self.limits.alpha, angle))
-        return np.asarray(self.pose[:2] + _turned(self.pose[2], *bend(self._last.rate, alpha, back)))
+        return np.asarray(self.pose[:2] + _turned(self.pose[2], *blend_offset(self._last.rate, alpha, back)))
 
     def wait(self, seconds: float, label: str = "wait") -> None:
         """Stand still [s]."""
@@ -289,7 +304,7 @@ def _turned(heading: float, ahead: float, aside: float) -> Floats:
     return np.array([cos * ahead - sin * aside, sin * ahead + cos * aside])
 
 
-def joined(curves: list[Curve]) -> Curve:
+def join_curves(curves: list[Curve]) -> Curve:
     """Return one curve of several, each of which starts where and as the one before it ends."""
     if not curves:
         raise ValueError("no curve to join; expected at least one")

@@ -12,7 +12,7 @@ from planners.coverage import Coverage
 from planners.reach import Reach
 from planners.types import Bools, Ints
 
-WHY: Mapping[str, str] = {
+REASON_TEXTS: Mapping[str, str] = {
     "no_way_found": "no way found there",
     "not_driven": "not driven to",
     "no_forward_drive_there_and_back": "no forward drive there and back",
@@ -45,7 +45,7 @@ def cut_off(free: Reach) -> Bools:
     return np.asarray((free.distance >= free.clearance) & ~free.mask)
 
 
-def reaches_little(free: Reach) -> str:
+def small_reach_warning(free: Reach) -> str:
     """Say how much of where the robot fits it can get to, why not to the rest, and where more is in reach."""
     parts, _ = ndimage.label(cut_off(free))
     sizes: Ints = np.bincount(parts.ravel())[1:]
@@ -60,7 +60,7 @@ def reaches_little(free: Reach) -> str:
     return f"{said}; from {x:.2f},{y:.2f} it would be {100 * sizes.max() / free.fits:.1f} %: start there"
 
 
-def counted(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Any]:
+def count_unmet(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Any]:
     """Return how much is not met, by reason: bins, and for places behind gaps square metres."""
     bins = {why: int(where.sum()) for why, where in unmet(grid, free, lost).items()}
     return bins | {"behind_narrow_gaps_m2": round(int(cut_off(free).sum()) * free.step**2, 3)}

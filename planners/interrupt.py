@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 Result = TypeVar("Result")
 
 
-def undisturbed(work: Callable[[], Result]) -> tuple[Result, bool]:
+def defer_interrupt(work: Callable[[], Result]) -> tuple[Result, bool]:
     """Do some work to its end though Ctrl-C comes meanwhile, and tell whether it did; a second one is let through.
 
     Python has signals handled by its main thread: other threads are not disturbed by Ctrl-C anyway.

@@ -27,7 +27,7 @@ from planners.joins.ompl_process import INSTALL_HINT, DistanceField
 from planners.joins.settings import JOINS
 from planners.planning import Plan, plan
 from planners.reach import reach
-from planners.session import check_pose
+from planners.sections import check_pose
 from planners.types import Floats
 from planners.vehicle import Vehicle
 

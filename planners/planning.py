@@ -12,20 +12,20 @@ import numpy as np
 
 from planners import holes
 from planners.arena import Arena
-from planners.battery import Session, chain, check_battery, sessions
+from planners.battery import Session, battery_sessions, chain_sessions, check_battery
 from planners.cars.reachability import best_start, returnable_set
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.curve import Curve
 from planners.errors import PlanError
-from planners.interrupt import undisturbed
+from planners.interrupt import defer_interrupt
 from planners.methods import baselines
-from planners.methods.coverage import plan_search
+from planners.methods.coverage import plan_coverage
 from planners.methods.stop_and_spin import plan_stop_and_spin
 from planners.methods.views import plan_views
 from planners.reach import Reach, ReturnableSet, reach
-from planners.report import counted, measured, reference_time
-from planners.session import check_pose, ends, within
+from planners.report import plan_report, reference_time, session_report
+from planners.sections import check_pose, end_poses, fit_to_budget
 from planners.settings import REACH
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.trajectory import Trajectory
@@ -33,7 +33,7 @@ from planners.types import Bools, Floats, Progress
 from planners.vehicle import Vehicle
 
 PLANNERS: dict[str, Callable[[Task], PlannedDrive]] = {
-    "coverage": plan_search,
+    "coverage": plan_coverage,
     "random_bounce": baselines.random_bounce,
     "wall_following": baselines.wall_following,
     "views": plan_views,
@@ -124,16 +124,18 @@ def plan(
         raise PlanError(f"the planner {planner} drives until all is visited; duration is for the baselines")
     if (targets is None) != (planner != "views"):
         raise PlanError(f"targets are for the planner views, and views needs them; the planner is {planner}")
-    free, barriers = _floor(arena, vehicle, cell, margin, start, "start" if dock is None else "dock")
+    free, barriers = _reachable_floor(
+        arena, vehicle, cell, margin, start, "start" if dock is None else "dock"
+    )
     grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
     if not grid.reachable.any():
         raise PlanError(
             f"no {cell} m cell has {100 * REACH.min_share:.0f} % of its area within reach; use a smaller cell"
         )
-    cyclic: ReturnableSet | None = None
+    returnable: ReturnableSet | None = None
     if vehicle.drive == "dubins":
-        start, cyclic = _cyclic(free, vehicle, grid, rate, start, seed)
-        grid = replace(grid, reachable=grid.reachable & cyclic.bins)
+        start, returnable = _dubins_start(free, vehicle, grid, rate, start, seed)
+        grid = replace(grid, reachable=grid.reachable & returnable.bins)
     if callable(priority):
         priority = priority(grid)
     if priority is not None and np.shape(priority) != grid.counts.shape:
@@ -155,20 +157,20 @@ def plan(
         duration=duration if duration is not None else reference_time(grid, vehicle),
         progress=progress,
         targets=targets(free) if callable(targets) else targets,
-        returnable=cyclic,
+        returnable=returnable,
     )
     if battery is not None and start is not None:
         check_battery(task, battery, start)
-    driven = PLANNERS[planner](task)
-    fitted = partial(_fitted, end=end, budget=budget, battery=battery, sweep_time=sweep_time)
-    made, was_asked = undisturbed(partial(fitted, driven, task, planner))
+    drive = PLANNERS[planner](task)
+    finish = partial(_finish, end=end, budget=budget, battery=battery, sweep_time=sweep_time)
+    made, was_asked = defer_interrupt(partial(finish, drive, task, planner))
     if was_asked:
         made.report["interrupted"] = True
     made.report["planning_s"] = round(time.perf_counter() - began, 3)
     return made
 
 
-def _floor(
+def _reachable_floor(
     arena: Arena, vehicle: Vehicle, cell: float, margin: float, start: Floats | None, name: str
 ) -> tuple[Reach, Barriers]:
     """Return where the robot can be, and what it must not touch."""
@@ -187,8 +189,8 @@ def _floor(
     return free, barriers
 
 
-def _fitted(
-    driven: PlannedDrive,
+def _finish(
+    drive: PlannedDrive,
     task: Task,
     planner: str,
     *,
@@ -199,34 +201,34 @@ def _fitted(
 ) -> Plan:
     """Fit a drive into the time there is, and measure it."""
     grid, rate = task.coverage, task.rate
-    lost = np.zeros_like(grid.reachable) if driven.lost is None else driven.lost
+    lost = np.zeros_like(grid.reachable) if drive.lost is None else drive.lost
     before, runs, ended = grid.fraction, list[Session](), dict[str, Any]()
     if battery is None:
-        driven = within(driven, task, budget=budget, end=end)
-        grid.add(driven.curve.log(rate))
+        drive = fit_to_budget(drive, task, budget=budget, end=end)
+        grid.add(drive.curve.log(rate))
     else:
-        home = ends(driven.curve)[0] if task.start is None else task.start
-        runs = sessions(driven, task, battery=battery, dock=home)
-        driven = chain(runs, driven)
-        so_far = [counted(grid, run, rate) for run in runs]
+        home = end_poses(drive.curve)[0] if task.start is None else task.start
+        runs = battery_sessions(drive, task, battery=battery, dock=home)
+        drive = chain_sessions(runs, drive)
+        so_far = [session_report(grid, run, rate) for run in runs]
         ended = {"battery_s": battery, "dock": home.tolist(), "sessions": so_far}
-    trajectory = driven.curve.trajectory()
-    report = measured(task, driven, trajectory, planner, sweep_time) | {
-        **({"interrupted": True} if driven.interrupted else {}),
+    trajectory = drive.curve.trajectory()
+    report = plan_report(task, drive, trajectory, planner, sweep_time) | {
+        **({"interrupted": True} if drive.interrupted else {}),
         **({} if budget is None else {"budget_s": budget}),
         **({} if end is None else {"end": end.tolist()}),
         **ended,
         **({} if task.targets is None else {"views": task.targets.round(6).tolist()}),
-        "unreached": holes.counted(grid, task.reach, lost),
+        "unreached": holes.count_unmet(grid, task.reach, lost),
         "coverage_before": before,
     }
     return Plan(
         trajectory=trajectory,
-        curve=driven.curve,
+        curve=drive.curve,
         coverage=grid,
         reach=task.reach,
-        joins=driven.joins,
-        stops=driven.stops,
+        joins=drive.joins,
+        stops=drive.stops,
         lost=lost,
         report=report,
         sessions=tuple(runs),
@@ -265,7 +267,7 @@ def _check_ends(
         raise PlanError("every run on a battery starts at the dock; leave out the start, or the dock")
 
 
-def _cyclic(
+def _dubins_start(
     free: Reach, vehicle: Vehicle, grid: Coverage, rate: float, start: Floats | None, seed: int
 ) -> tuple[Floats, ReturnableSet]:
     """Return where a car that only goes forward begins, and what it can go to and come back from."""

@@ -12,16 +12,16 @@ from planners import holes
 from planners.battery import Session
 from planners.check import check_parts
 from planners.coverage import Coverage
-from planners.sampling import warnings as too_fast
+from planners.sampling import sampling_warnings
 from planners.task import PlannedDrive, Task
 from planners.trajectory import Trajectory
 from planners.vehicle import Vehicle
 
 logger = logging.getLogger(__name__)
 
-CHECKED = 100.0
+CHECK_RATE = 100.0
 """[Hz] of the samples that are checked."""
-SMALL = 0.99
+MIN_REACH_SHARE = 0.99
 """A start that reaches a smaller share of where the robot fits is worth a warning."""
 
 
@@ -40,7 +40,7 @@ def reference_time(grid: Coverage, vehicle: Vehicle) -> float:
     return float(todo.sum() * min((k - 1) * 2 * np.pi / k / limits.omega + hop, k * hop))
 
 
-def counted(grid: Coverage, run: Session, rate: float) -> dict[str, Any]:
+def session_report(grid: Coverage, run: Session, rate: float) -> dict[str, Any]:
     """Count a run's log; return what plan.json tells of it."""
     curve, before = run.driven.curve, int(grid.covered.sum())
     grid.add(curve.log(rate))
@@ -54,7 +54,7 @@ def counted(grid: Coverage, run: Session, rate: float) -> dict[str, Any]:
     }
 
 
-def measured(
+def plan_report(
     task: Task, driven: PlannedDrive, trajectory: Trajectory, planner: str, sweep_time: float
 ) -> dict[str, Any]:
     """Measure the plan; `task.coverage` already counts its log."""
@@ -62,20 +62,18 @@ def measured(
     none = np.zeros_like(grid.counts)
     empty = Coverage(origin=grid.origin, cell=grid.cell, reachable=grid.reachable, counts=none, core=none)
     reference = reference_time(empty, vehicle)
-    found = check_parts(driven.curve.parts(CHECKED), task.arena, vehicle)
+    found = check_parts(driven.curve.parts(CHECK_RATE), task.arena, vehicle)
     gap_m, gap_rad = grid.dispersion()
     start = trajectory.poses[0]
-    warnings = []
-    if task.reach.share < SMALL:
-        warnings.append(holes.reaches_little(task.reach))
+    lines = []
+    if task.reach.share < MIN_REACH_SHARE:
+        lines.append(holes.small_reach_warning(task.reach))
     if driven.interrupted:
-        warnings.append(
-            f"planning was interrupted: this plan is shorter, it covers {100 * grid.fraction:.1f} %"
-        )
-    warnings += too_fast(
+        lines.append(f"planning was interrupted: this plan is shorter, it covers {100 * grid.fraction:.1f} %")
+    lines += sampling_warnings(
         trajectory, cell=grid.cell, headings=grid.headings, rate=task.rate, sweep_time=sweep_time
     )
-    for line in warnings:
+    for line in lines:
         logger.warning("%s", line)
     return {
         "grid": {"origin": grid.origin.tolist(), "cell": grid.cell, "headings": grid.headings},
@@ -104,7 +102,7 @@ def measured(
         "turned_rad": float(abs(driven.stops[:, 3]).sum()),
         "stops": len(driven.stops),
         "largest_gap": {"m": _finite(gap_m), "rad": _finite(gap_rad)},
-        "warnings": warnings,
+        "warnings": lines,
         "planner": planner,
         "robot": vehicle.to_dict(),
         "rate": task.rate,

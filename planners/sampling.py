@@ -9,11 +9,11 @@ from planners.trajectory import Trajectory
 DWELL_PERIODS = 1.25
 """Log periods that a drive stays in a heading bin, at least. One is enough for a log of any phase; a quarter more
 covers where the bin is entered and left between two samples of the planner."""
-LEAST = 2.0
+MIN_POSES = 2.0
 """Logged poses that each passage through a bin should have."""
 
 
-def warnings(
+def sampling_warnings(
     trajectory: Trajectory, *, cell: float, headings: int, rate: float, sweep_time: float = 0.0
 ) -> list[str]:
     """Return a line for each way in which the drive is too fast for its log.
@@ -27,17 +27,17 @@ def warnings(
     twists = trajectory.twists
     v, omega = np.maximum(twists.max(axis=0), -twists.min(axis=0)).tolist()
     width, found = 2 * np.pi / headings, []
-    if v > 0 and cell * rate / v < LEAST:
+    if v > 0 and cell * rate / v < MIN_POSES:
         found.append(
             f"at {v:.2f} m/s a log of {rate:g} Hz has {_down(cell * rate / v)} poses in a cell of {cell:g} m; for "
-            f"{LEAST:g}, log at {_up(LEAST * v / cell)} Hz or more, drive at {_down(cell * rate / LEAST)} m/s or "
+            f"{MIN_POSES:g}, log at {_up(MIN_POSES * v / cell)} Hz or more, drive at {_down(cell * rate / MIN_POSES)} m/s or "
             "less, or use larger cells"
         )
-    if omega > 0 and width * rate / omega < LEAST:
+    if omega > 0 and width * rate / omega < MIN_POSES:
         found.append(
             f"at {omega:.2f} rad/s a log of {rate:g} Hz has {_down(width * rate / omega)} poses in a heading bin of "
-            f"{np.degrees(width):.3g}°; for {LEAST:g}, log at {_up(LEAST * omega / width)} Hz or more, turn at "
-            f"{_down(width * rate / LEAST)} rad/s or less, or use fewer headings"
+            f"{np.degrees(width):.3g}°; for {MIN_POSES:g}, log at {_up(MIN_POSES * omega / width)} Hz or more, turn at "
+            f"{_down(width * rate / MIN_POSES)} rad/s or less, or use fewer headings"
         )
     if sweep_time * v > cell / 2:
         found.append(

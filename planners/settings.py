@@ -81,8 +81,19 @@ class CheckSettings:
     """[m] above the least exact distance within which bounds are replaced by exact distances."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class SectionSettings:
+    """How a drive is cut; set with `sensorgraph plan office --battery 40` and the drives of `--drive dubins`."""
+
+    max_stuck: int = 8
+    """Places from which OMPL finds no path home, before that is said."""
+    step_back: float = 2.0
+    """[s] that each such place is earlier than the one before."""
+
+
 REACH = ReachSettings()
 ROOMS = RoomSettings()
 TOURS = TourSettings()
 PRIORITY = PrioritySettings()
 CHECK = CheckSettings()
+SECTIONS = SectionSettings()

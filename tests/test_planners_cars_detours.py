@@ -25,7 +25,7 @@ def straight(task: Task, length: float) -> Curve:
 
 def repair_of(task: Task, todo: Bools, curve: Curve) -> CarRepair:
     repair = CarRepair(task, todo, START, lambda *_: None)
-    repair.take(curve)
+    repair.append_curve(curve)
     return repair
 
 
@@ -37,8 +37,8 @@ def test_a_bin_beside_the_drive_is_met_and_those_on_it_stay_met(drive: Drive) ->
     todo = on_it | some(task, (8, 8, 3), (5, 3, 12))
     repair = repair_of(task, todo, curve)
     assert repair.missing().sum() == 2
-    repair.passes_by(SPEED)
-    after = repair.trip.curve
+    repair.add_detours(SPEED)
+    after = repair.drive.curve
     assert not missed(after, todo, task.coverage, task.rate).any()
     np.testing.assert_allclose(after.poses[0], START)
     ends = [own.sample(np.array([own.duration]))[0][0] for own in (curve, after)]
@@ -50,12 +50,12 @@ def test_a_detour_costs_less_than_a_drive_to_the_bin_from_the_end() -> None:
     task = task_of(door_arena(9.0), "reeds_shepp", START)
     curve, todo = straight(task, 2.8), some(task, (4, 5, 4))  # beside where the drive begins
     by_detour, at_end = repair_of(task, todo, curve), repair_of(task, todo, curve)
-    by_detour.passes_by(SPEED)
+    by_detour.add_detours(SPEED)
     at_end.run()
     for repair in (by_detour, at_end):
         assert not repair.missing().any()
         assert not repair.lost.any()
-    assert by_detour.trip.curve.duration < at_end.trip.curve.duration
+    assert by_detour.drive.curve.duration < at_end.drive.curve.duration
 
 
 def test_what_lies_behind_a_wall_stays_missing() -> None:
@@ -64,8 +64,8 @@ def test_what_lies_behind_a_wall_stays_missing() -> None:
     curve, todo = straight(task, 1.0), np.zeros_like(task.coverage.reachable)
     todo[9, 5, 4] = True
     repair = repair_of(task, todo, curve)
-    repair.passes_by(SPEED)
-    assert repair.trip.curves == (curve,)
+    repair.add_detours(SPEED)
+    assert repair.drive.curves == (curve,)
     assert repair.missing().sum() == 1
 
 
@@ -73,6 +73,6 @@ def test_what_was_lost_is_found_again_and_no_longer_lost() -> None:
     task = task_of(door_arena(9.0), "reeds_shepp", START)
     repair = repair_of(task, some(task, (6, 7, 5)), straight(task, 2.8))
     repair.lost[6, 7, 5] = True
-    repair.passes_by(SPEED)
+    repair.add_detours(SPEED)
     assert not repair.lost.any()
     assert not repair.missing().any()

@@ -109,8 +109,8 @@ def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_flood(monkeypatch:
     repair = CarRepair(task, todo, START, search)
     visit = search(todo, np.array([3.1, 1.5, 0.0]), 0)
     assert visit is not None
-    repair.enters(todo, visit.ends[0], visit.curve, 0)
-    curve = repair.trip.curve
+    repair.enter_room(todo, visit.ends[0], visit.curve, 0)
+    curve = repair.drive.curve
     assert (repair.joins.failed, repair.joins.flooded) == (1, 1)
     assert missed(curve, todo, task.coverage, task.rate).sum() <= 0.1 * todo.sum()
     assert check(curve.trajectory(100.0), task.arena, task.vehicle).count == 0

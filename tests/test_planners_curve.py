@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planners.curve import Curve, CurveBuilder, duration, trapezoid
-from planners.methods.primitives import aim, least_sweep
 from planners.methods.settings import SPINS
+from planners.methods.spins import choose_departure, least_sweep
 from planners.trajectory import Trajectory, read_csv
 from planners.vehicle import Limits
 
@@ -132,7 +132,7 @@ def test_aiming_hits_the_target_through_the_blends(
     pen = CurveBuilder(np.array([0.0, 0.0, phi]), Limits())
     pen.move(0.3)
     target = pen.pose[:2] + way * np.array([np.cos(bearing), np.sin(bearing)])
-    chosen = aim(pen, target, np.ones(16, dtype=bool) if spins else None, (overlap, overlap))
+    chosen = choose_departure(pen, target, np.ones(16, dtype=bool) if spins else None, (overlap, overlap))
     pen.turn(chosen.angle, overlap=overlap)
     pen.move(chosen.distance, overlap=overlap)
     np.testing.assert_allclose(pen.pose[:2], target, atol=2e-4)  # the blends' few mm, found by iteration

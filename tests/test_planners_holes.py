@@ -12,7 +12,7 @@ from planners_samples import door_arena, outlined
 from planners import plan
 from planners.clearance import Barriers
 from planners.coverage import Coverage
-from planners.holes import counted, cut_off, holes_csv, reaches_little, unmet
+from planners.holes import count_unmet, cut_off, holes_csv, small_reach_warning, unmet
 from planners.planning import Plan
 from planners.reach import reach
 from planners.vehicle import Limits, Vehicle
@@ -56,7 +56,7 @@ def test_a_lost_bin_is_lost_only_as_long_as_it_is_not_met() -> None:
     lost[0, 0, :2] = True
     grid = Coverage.empty(origin=free.origin, cell=1.0, cells=free.cells(), headings=4)
     grid.add(np.array([[0.5, 0.5, 0.0]]))
-    found = counted(grid, free, lost)
+    found = count_unmet(grid, free, lost)
     assert (found["no_way_found"], found["not_driven"]) == (1, grid.reachable.sum() - 2)
 
 
@@ -75,13 +75,13 @@ def test_a_start_that_reaches_little_is_told_where_more_is_in_reach() -> None:
     arena = outlined(shapely.box(0, 0, 4, 3).difference(shapely.box(1, 0, 1.2, 3)))
     barriers = Barriers(arena)
     closet = reach(arena, barriers, clearance=0.22, cell=0.25, start=np.array([0.5, 0.5]))
-    said = reaches_little(closet)
+    said = small_reach_warning(closet)
     assert "narrower than 0.44 m" in said
     found = re.search(r"only (\S+) % .* from (\S+),(\S+) it would be (\S+) %", said)
     assert found is not None
     small, *better, large = (float(number) for number in found.groups())
     assert small == pytest.approx(100 * 0.56 / 2.92, abs=1.0)  # the raster of 2 cm
     assert small + large == pytest.approx(100.0, abs=0.1)
-    assert "start there" not in reaches_little(
+    assert "start there" not in small_reach_warning(
         reach(arena, barriers, clearance=0.22, cell=0.25, start=np.array(better))
     )

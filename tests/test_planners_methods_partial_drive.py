@@ -21,9 +21,11 @@ def begun() -> PartialDrive:
     )
 
 
-def going_on(trip: PartialDrive, pieces: list[tuple[float, int]], gear: int) -> PartialDrive:
+def going_on(drive: PartialDrive, pieces: list[tuple[float, int]], gear: int) -> PartialDrive:
     length, bend = (np.array(column) for column in zip(*pieces, strict=True))
-    return trip.then(curve_of_arcs(trip.here, length, bend, np.full(len(length), gear), TASK.vehicle.limits))
+    return drive.extended(
+        curve_of_arcs(drive.here, length, bend, np.full(len(length), gear), TASK.vehicle.limits)
+    )
 
 
 @given(drives=st.lists(st.tuples(PIECES, st.sampled_from([1, -1])), min_size=1, max_size=4))
@@ -31,30 +33,30 @@ def going_on(trip: PartialDrive, pieces: list[tuple[float, int]], gear: int) -> 
 def test_the_log_of_the_curves_is_that_of_all_in_one(
     drives: list[tuple[list[tuple[float, int]], int]],
 ) -> None:
-    trip = begun()
+    drive = begun()
     for pieces, gear in drives:
-        trip = going_on(trip, pieces, gear)
+        drive = going_on(drive, pieces, gear)
     everything = np.ones_like(TASK.coverage.reachable)
-    np.testing.assert_array_equal(~trip.met, missed(trip.curve, everything, TASK.coverage, TASK.rate))
-    np.testing.assert_allclose(trip.here, trip.curve.sample(np.array([trip.duration]))[0][0], atol=1e-9)
-    assert len(trip.curves) == len(drives)
+    np.testing.assert_array_equal(~drive.met, missed(drive.curve, everything, TASK.coverage, TASK.rate))
+    np.testing.assert_allclose(drive.here, drive.curve.sample(np.array([drive.duration]))[0][0], atol=1e-9)
+    assert len(drive.curves) == len(drives)
 
 
 def test_a_trip_without_its_end_is_as_long_ago_on_the_same_way() -> None:
-    trip = going_on(going_on(begun(), [(0.5, 1), (0.4, 0)], 1), [(0.3, 0), (0.3, 1), (0.3, -1)], -1)
-    shorter = trip.before(1.5)
+    drive = going_on(going_on(begun(), [(0.5, 1), (0.4, 0)], 1), [(0.3, 0), (0.3, 1), (0.3, -1)], -1)
+    shorter = drive.without_last(1.5)
     assert shorter is not None
-    assert trip.duration - 1.5 - 0.7 < shorter.duration < trip.duration  # it stops, and only between pieces
-    assert shorter.curves[0] is trip.curves[0]
-    ends = trip.curve.poses[:, :2]
+    assert drive.duration - 1.5 - 0.7 < shorter.duration < drive.duration  # it stops, and only between pieces
+    assert shorter.curves[0] is drive.curves[0]
+    ends = drive.curve.poses[:, :2]
     assert np.hypot(*(ends - shorter.here[:2]).T).min() < 1e-6
-    assert (shorter.met & ~trip.met).sum() <= 2  # it stays longer where it stops
-    assert trip.before(0.0) is trip
-    assert trip.before(60.0) is None
-    assert begun().before(1.0) is None
+    assert (shorter.met & ~drive.met).sum() <= 2  # it stays longer where it stops
+    assert drive.without_last(0.0) is drive
+    assert drive.without_last(60.0) is None
+    assert begun().without_last(1.0) is None
 
 
 def test_a_trip_that_has_not_begun_meets_nothing() -> None:
-    trip = begun()
-    assert not trip.met.any()
-    assert trip.duration == 0.0
+    drive = begun()
+    assert not drive.met.any()
+    assert drive.duration == 0.0

@@ -13,7 +13,7 @@ import planners.methods.repair_cars as repairs
 from planners import plan
 from planners.cars.search import search_floor
 from planners.check import check
-from planners.curve import joined
+from planners.curve import join_curves
 from planners.joins.car_paths import CarPath
 from planners.joins.paths import connect
 from planners.methods.repair_cars import CarRepair
@@ -40,7 +40,7 @@ def test_bins_behind_a_wall_that_the_search_gives_up_on_are_met_by_ompl(drive: D
     todo = some(task, (12, 1, 0), (12, 2, 0), (3, 6, 8))  # two beyond the wall, one by the start
     repair = CarRepair(task, todo, START, gives_up)
     repair.run()
-    curve = repair.trip.curve
+    curve = repair.drive.curve
     assert not repair.lost.any()
     assert not missed(curve, todo, task.coverage, task.rate).any()
     assert repair.joins.planned >= 1
@@ -54,14 +54,14 @@ def test_what_is_crossed_on_the_way_is_not_driven_to_again() -> None:
     task = task_of(door_arena(9.0), "reeds_shepp", START)
     ahead = CarRepair(task, some(task, (12, 6, 0)), START, gives_up)
     ahead.run()
-    (curve,) = ahead.trip.curves
+    (curve,) = ahead.drive.curves
     bins, logged = np.unique(task.coverage.bins(curve.log(task.rate))[0], axis=0, return_counts=True)
     crossed = [tuple(own) for own in bins[logged >= 4].tolist()]
     assert len(crossed) >= 4
     again = CarRepair(task, some(task, *crossed), START, gives_up)
-    again.take(curve)
+    again.append_curve(curve)
     again.run()
-    assert len(again.trip.curves) == 1
+    assert len(again.drive.curves) == 1
     assert again.joins == JoinCounts()
 
 
@@ -91,7 +91,7 @@ def test_ompl_is_not_asked_twice_for_a_bin_that_it_found_no_way_to(monkeypatch: 
     assert len(asked) == 1
     assert (todo & ~asked[0]).sum() == 0
     assert repair.joins.flooded >= 1
-    assert missed(repair.trip.curve, todo, task.coverage, task.rate).sum() == repair.lost.sum() == 0
+    assert missed(repair.drive.curve, todo, task.coverage, task.rate).sum() == repair.lost.sum() == 0
 
 
 def test_more_bins_are_driven_to_one_by_one_than_queries_may_be_in_vain() -> None:
@@ -100,8 +100,8 @@ def test_more_bins_are_driven_to_one_by_one_than_queries_may_be_in_vain() -> Non
     todo[3:13:2, 3:9:2, ::4] = True  # too few near each other for a search, too far apart for one way
     repair = CarRepair(task, todo, START, gives_up)
     repair.run()
-    assert len(repair.trip.curves) > 2 * CAR_REPAIR.max_idle_queries
-    assert missed(repair.trip.curve, todo, task.coverage, task.rate).sum() == repair.lost.sum() <= 2
+    assert len(repair.drive.curves) > 2 * CAR_REPAIR.max_idle_queries
+    assert missed(repair.drive.curve, todo, task.coverage, task.rate).sum() == repair.lost.sum() <= 2
 
 
 @pytest.mark.slow
@@ -118,7 +118,7 @@ def test_a_search_whose_flood_gives_up_goes_on_where_ompl_has_brought_the_car(dr
     assert search(todo, START, 0) is None
     repair = CarRepair(task, todo, START, search)
     repair.run()
-    curve = repair.trip.curve
+    curve = repair.drive.curve
     assert repair.joins.direct + repair.joins.planned >= 1
     assert {"join", "drive"} == set(curve.labels.tolist())
     assert missed(curve, todo, task.coverage, task.rate).sum() == repair.lost.sum() <= 0.1 * todo.sum()
@@ -131,7 +131,7 @@ def test_a_robot_that_turns_in_place_goes_round_the_wall_and_turns_through_what_
     todo = some(task, (12, 1, 0), (12, 1, 5), (13, 1, 9), (3, 6, 8))
     repair = SpinRepair(task, todo, START)
     repair.run()
-    curve = joined(repair.curves)
+    curve = join_curves(repair.curves)
     assert not repair.lost.any()
     assert not missed(curve, todo, task.coverage, task.rate).any()
     assert (repair.joins.direct, repair.joins.planned, repair.joins.failed) == (2, 1, 0)
@@ -190,19 +190,19 @@ def test_where_no_way_leads_on_from_the_end_of_a_drive_one_leads_on_from_before(
     task = task_of(door_arena(1.2), "reeds_shepp", START)
     repair = CarRepair(task, some(task, (12, 6, 0)), START, gives_up)
     repair.run()
-    end, driven, asked = repair.trip.here.copy(), repair.trip.curves[-1], list[Floats]()
-    way = CarRepair._way
+    end, driven, asked = repair.drive.here.copy(), repair.drive.curves[-1], list[Floats]()
+    way = CarRepair._connect
 
     def not_from_the_end(self: CarRepair, start: Floats, goals: Floats, round_: int) -> CarPath | None:
         asked.append(start)
         return None if np.hypot(*(start - end)[:2]) < 0.3 else way(self, start, goals, round_)
 
-    monkeypatch.setattr(CarRepair, "_way", not_from_the_end)
-    assert repair.comes_to(START)
+    monkeypatch.setattr(CarRepair, "_connect", not_from_the_end)
+    assert repair.drive_to(START)
     assert len(asked) > 1
-    curve = repair.trip.curve
+    curve = repair.drive.curve
     np.testing.assert_allclose(curve.sample(np.array([curve.duration]))[0][0], START, atol=1e-6)
-    assert repair.trip.curves[-2].duration < driven.duration
+    assert repair.drive.curves[-2].duration < driven.duration
     assert check(curve.trajectory(100.0), task.arena, task.vehicle).count == 0
 
 

@@ -20,17 +20,26 @@ from planners_samples import door_arena, outlined, shipped
 
 from planners import Plan, PlanError, plan, planning
 from planners.arena import Arena, wrap
-from planners.battery import sessions, spread
+from planners.battery import battery_sessions, farthest_first
 from planners.check import check
 from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.curve import Curve
 from planners.export import commands, waypoints
 from planners.maps.no_go import without, zones
-from planners.methods import coverage as search_planner
+from planners.methods import coverage_spins
 from planners.methods.repair_cars import CarRepair
-from planners.sampling import warnings
-from planners.session import Ways, cut_at, cuts, ends, latest, section, turns, within
+from planners.sampling import sampling_warnings
+from planners.sections import (
+    PathCache,
+    cut_points,
+    end_poses,
+    fit_to_budget,
+    longest_section,
+    section_of,
+    section_up_to,
+    turning_stops,
+)
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.trajectory import Trajectory
 from planners.vehicle import Drive, Limits, Vehicle
@@ -82,11 +91,11 @@ def assert_drives(curve: Curve, arena: Arena) -> None:
 def test_sections_between_any_cuts_pass_all_that_the_whole_passes(planner: str) -> None:
     arena = door_arena(0.9)
     made = plan(arena, ROBOT, planner=planner, **GRID)
-    choice = cuts(made.curve, ROBOT)
+    choice = cut_points(made.curve, ROBOT)
     marks = [int(choice[k]) for k in (0, len(choice) // 3, len(choice) // 2, -1)]
     logged = []
     for first, last in pairwise(marks):
-        part = section(made.curve, first, last, ROBOT)
+        part = section_of(made.curve, first, last, ROBOT)
         assert_drives(part, arena)
         logged.append(part.log(10.0))
     assert counted(made.coverage, np.concatenate(logged)).fraction == 1.0
@@ -96,13 +105,13 @@ def test_every_run_begins_and_ends_at_the_dock_within_the_battery(rooms: tuple[P
     made, arena = rooms
     driven, task = task_of(made, arena)
     dock, battery = np.array([0.4, 0.5, 1.0]), 150.0
-    runs = sessions(driven, task, battery=battery, dock=dock)
+    runs = battery_sessions(driven, task, battery=battery, dock=dock)
     assert len(runs) >= made.curve.duration / battery
     logged = []
     for run in runs:
         curve = run.driven.curve
         assert curve.duration <= battery + 1e-6
-        for pose in ends(curve):
+        for pose in end_poses(curve):
             np.testing.assert_allclose(pose[:2], dock[:2], atol=1e-9)
             assert abs(wrap(pose[2] - dock[2])) < 1e-9
         assert_drives(curve, arena)
@@ -114,7 +123,7 @@ def test_every_run_begins_and_ends_at_the_dock_within_the_battery(rooms: tuple[P
 def test_a_battery_too_small_for_the_farthest_cell_is_one_line(rooms: tuple[Plan, Arena]) -> None:
     driven, task = task_of(*rooms)
     with pytest.raises(PlanError, match=r"battery of 0.2 min is too small: .* min at least") as caught:
-        sessions(driven, task, battery=12.0, dock=np.array([0.4, 0.5, 1.0]))
+        battery_sessions(driven, task, battery=12.0, dock=np.array([0.4, 0.5, 1.0]))
     assert "\n" not in str(caught.value)
 
 
@@ -122,16 +131,16 @@ def test_where_the_nearest_cut_fits_the_battery_is_not_too_small(
     rooms: tuple[Plan, Arena],
 ) -> None:
     (driven, task), dock = task_of(*rooms), np.array([0.4, 0.5, 1.0])
-    choice, ways = cuts(driven.curve, ROBOT), Ways(task)
+    choice, cache = cut_points(driven.curve, ROBOT), PathCache(task)
     for first in choice[:-1:25].tolist():
         nearest = int(choice[choice > first][0])
-        least = cut_at(driven.curve, first, nearest, dock, ways, ROBOT).duration
-        assert latest(driven.curve, first, least + 1e-6, dock, ways, ROBOT) is not None
+        least = section_up_to(driven.curve, first, nearest, dock, cache, ROBOT).duration
+        assert longest_section(driven.curve, first, least + 1e-6, dock, cache, ROBOT) is not None
 
 
 def test_early_runs_are_spread_out() -> None:
     points = np.array([[x, 0.0] for x in range(9)], dtype=np.float64)
-    order = spread(points)
+    order = farthest_first(points)
     assert sorted(order) == list(range(9))
     assert order[:3] == [0, 8, 4]
 
@@ -144,14 +153,14 @@ def test_a_budget_is_kept_and_used(
     made, arena = rooms
     driven, task = task_of(made, arena)
     budget = share * made.curve.duration
-    cut = within(driven, task, budget=budget, end=end)
+    cut = fit_to_budget(driven, task, budget=budget, end=end)
     assert cut.curve.duration <= budget + 1e-6
     if share < 1:
         assert cut.curve.duration >= budget - 15.0  # a stop comes that often, and ways home differ little
     assert_drives(cut.curve, arena)
-    np.testing.assert_allclose(ends(cut.curve)[0], ends(made.curve)[0], atol=1e-9)
+    np.testing.assert_allclose(end_poses(cut.curve)[0], end_poses(made.curve)[0], atol=1e-9)
     if end is not None:
-        last = ends(cut.curve)[1]
+        last = end_poses(cut.curve)[1]
         np.testing.assert_allclose(last[:2], end[:2], atol=1e-9)
         assert abs(wrap(last[2] - end[2])) < 1e-9
     elif share > 1:
@@ -160,7 +169,7 @@ def test_a_budget_is_kept_and_used(
 
 def test_stops_found_in_a_curve_turn_as_far_as_the_robot_does(rooms: tuple[Plan, Arena]) -> None:
     curve = rooms[0].curve
-    found = turns(curve)
+    found = turning_stops(curve)
     dt = np.diff(np.append(curve.starts, curve.duration))
     turned = (curve.twists[:, 1] * dt + 0.5 * curve.rates[:, 1] * dt**2).sum()
     assert found[:, 3].sum() == pytest.approx(turned, abs=1e-6)
@@ -269,9 +278,9 @@ def test_ctrl_c_while_rooms_are_joined_keeps_what_is_joined(
 ) -> None:
     vehicle = Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.3))
     if drive == "diff":
-        monkeypatch.setattr(search_planner, "_drawn", pressing(search_planner._drawn))
+        monkeypatch.setattr(coverage_spins, "_join_rooms", pressing(coverage_spins._join_rooms))
     else:
-        monkeypatch.setattr(CarRepair, "enters", pressing(CarRepair.enters))
+        monkeypatch.setattr(CarRepair, "enter_room", pressing(CarRepair.enter_room))
     made = plan(door_arena(1.2), vehicle, cell=0.25, headings=8)
     assert made.report["interrupted"]
     assert made.report["coverage"] > 0.3
@@ -280,11 +289,11 @@ def test_ctrl_c_while_rooms_are_joined_keeps_what_is_joined(
 
 def test_ctrl_c_while_a_plan_is_measured_keeps_it_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = plan(door_arena(9.0), ROBOT, cell=0.5, headings=4)
-    monkeypatch.setattr(planning, "measured", pressing(planning.measured))
+    monkeypatch.setattr(planning, "plan_report", pressing(planning.plan_report))
     made = plan(door_arena(9.0), ROBOT, cell=0.5, headings=4)
     assert made.report["interrupted"]
     assert made.report["coverage"] == whole.report["coverage"]
-    monkeypatch.setattr(planning, "measured", pressing(planning.measured, times=2))
+    monkeypatch.setattr(planning, "plan_report", pressing(planning.plan_report, times=2))
     with pytest.raises(KeyboardInterrupt):
         plan(door_arena(9.0), ROBOT, cell=0.5, headings=4)
 
@@ -397,20 +406,22 @@ def drive(v: float, omega: float) -> Trajectory:
 def test_a_log_too_slow_for_the_bins_is_said(
     v: float, omega: float, rate: float, sweep_time: float, said: list[str]
 ) -> None:
-    lines = warnings(drive(v, omega), cell=0.25, headings=16, rate=rate, sweep_time=sweep_time)
+    lines = sampling_warnings(drive(v, omega), cell=0.25, headings=16, rate=rate, sweep_time=sweep_time)
     assert len(lines) == len(said)
     assert all(word in line for word, line in zip(said, lines, strict=True))
 
 
 def test_who_does_what_a_warning_says_is_not_warned_again() -> None:
     grid = {"cell": 0.25, "headings": 16, "sweep_time": 0.15}
-    fast = " ".join(warnings(drive(1.3, 4.0), rate=4.0, **grid))
+    fast = " ".join(sampling_warnings(drive(1.3, 4.0), rate=4.0, **grid))
     rates = [float(number) for number in re.findall(r"log at (\S+) Hz", fast)]
     speeds = [float(number) for number in re.findall(r"drive at (\S+) m/s", fast)]
     spins = [float(number) for number in re.findall(r"turn at (\S+) rad/s", fast)]
     assert (len(rates), len(speeds), len(spins)) == (2, 2, 2)
-    assert not [line for line in warnings(drive(1.3, 4.0), rate=max(rates), **grid) if "log of" in line]
-    assert warnings(drive(min(speeds), min(spins)), rate=4.0, **grid) == []
+    assert not [
+        line for line in sampling_warnings(drive(1.3, 4.0), rate=max(rates), **grid) if "log of" in line
+    ]
+    assert sampling_warnings(drive(min(speeds), min(spins)), rate=4.0, **grid) == []
 
 
 @pytest.mark.slow
@@ -420,18 +431,18 @@ def test_cars_come_home_too(drive: Any) -> None:
     car = Vehicle(drive=drive, limits=Limits(turning_radius=0.4))
     made = plan(arena, car, start=dock, **GRID)
     driven, task = task_of(made, arena, car)
-    runs = sessions(driven, task, battery=120.0, dock=dock)
+    runs = battery_sessions(driven, task, battery=120.0, dock=dock)
     assert len(runs) > 1
     for run in runs:
         curve = run.driven.curve
         assert curve.duration <= 120.0 + 1e-6
-        for pose in ends(curve):
+        for pose in end_poses(curve):
             np.testing.assert_allclose(pose[:2], dock[:2], atol=1e-5)
             assert abs(wrap(pose[2] - dock[2])) < 1e-5
         assert check(curve.trajectory(100.0), arena, car).count == 0
     logged = np.concatenate([run.driven.curve.log(10.0) for run in runs])
     task.coverage.add(logged)
     assert task.coverage.fraction >= made.report["coverage"] - 0.005
-    half = within(driven, task, budget=60.0, end=None)
+    half = fit_to_budget(driven, task, budget=60.0, end=None)
     assert 50.0 < half.curve.duration <= 60.0 + 1e-6
     assert check(half.curve.trajectory(100.0), arena, car).count == 0

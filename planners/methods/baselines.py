@@ -21,19 +21,19 @@ def random_bounce(task: Task) -> PlannedDrive:
     """Drive straight until a wall is near, turn to a random open heading, and so on for `task.duration`."""
     _only_in_place(task, "random_bounce")
     rng = np.random.default_rng(task.seed)
-    pen = CurveBuilder(_start(task, rng), task.vehicle.limits)
+    builder = CurveBuilder(_start(task, rng), task.vehicle.limits)
     bounces = 0
-    while pen.clock < _duration(task):
-        way = _free_way(task, pen.pose)
+    while builder.clock < _duration(task):
+        way = _free_way(task, builder.pose)
         if way > CLOSE:
-            pen.move(way, "move")
+            builder.move(way, "move")
         bounces += 1
-        heading = _open_heading(task, pen.pose, rng)
-        pen.turn(float(wrap(heading - pen.pose[2])), "turn")
+        heading = _open_heading(task, builder.pose, rng)
+        builder.turn(float(wrap(heading - builder.pose[2])), "turn")
         if task.progress:
-            task.progress(int(min(pen.clock, _duration(task))), int(_duration(task)))
+            task.progress(int(min(builder.clock, _duration(task))), int(_duration(task)))
     return PlannedDrive(
-        curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=JoinCounts(direct=bounces)
+        curve=builder.curve(), stops=np.array(builder.stops).reshape(-1, 4), joins=JoinCounts(direct=bounces)
     )
 
 
@@ -83,18 +83,20 @@ def wall_following(task: Task) -> PlannedDrive:
         raise PlanError(
             f"OMPL found no way along the wall from ({start[0]:.2f}, {start[1]:.2f}); choose another start"
         )
-    pen = CurveBuilder(start, task.vehicle.limits)
+    builder = CurveBuilder(start, task.vehicle.limits)
     corners = [*lead[0][1:], *path[1:]]
     lap = 0
-    while pen.clock < _duration(task):
+    while builder.clock < _duration(task):
         corner = corners[lap] if lap < len(corners) else path[1 + (lap - len(corners)) % (len(path) - 1)]
         lap += 1
-        way = corner - pen.pose[:2]
-        pen.turn(float(wrap(np.arctan2(way[1], way[0]) - pen.pose[2])), "turn")
-        pen.move(float(np.hypot(*way)), "lane")
+        way = corner - builder.pose[:2]
+        builder.turn(float(wrap(np.arctan2(way[1], way[0]) - builder.pose[2])), "turn")
+        builder.move(float(np.hypot(*way)), "lane")
         if task.progress:
-            task.progress(int(min(pen.clock, _duration(task))), int(_duration(task)))
-    return PlannedDrive(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=joins + first_join)
+            task.progress(int(min(builder.clock, _duration(task))), int(_duration(task)))
+    return PlannedDrive(
+        curve=builder.curve(), stops=np.array(builder.stops).reshape(-1, 4), joins=joins + first_join
+    )
 
 
 def _ring(task: Task) -> Floats:

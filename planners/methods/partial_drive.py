@@ -9,7 +9,7 @@ import numpy as np
 
 from planners.cars.car_curve import car_section
 from planners.coverage import Coverage
-from planners.curve import Curve, joined
+from planners.curve import Curve, join_curves
 from planners.search.log_phases import PHASES, met
 from planners.types import Bools, Floats
 from planners.vehicle import Limits
@@ -53,9 +53,9 @@ class PartialDrive:
     @property
     def curve(self) -> Curve:
         """All curves in one; there must be some."""
-        return joined(list(self.curves))
+        return join_curves(list(self.curves))
 
-    def then(self, curve: Curve) -> PartialDrive:
+    def extended(self, curve: Curve) -> PartialDrive:
         """Return the trip that goes on along a curve, which starts here."""
         return replace(
             self,
@@ -65,11 +65,11 @@ class PartialDrive:
             earlier=self.seen if self.curves else None,
         )
 
-    def instead(self, curve: Curve) -> PartialDrive:
+    def replaced_by(self, curve: Curve) -> PartialDrive:
         """Return the trip that drives a curve in place of all curves."""
-        return replace(self, curves=(), clock=0.0, earlier=None).then(curve)
+        return replace(self, curves=(), clock=0.0, earlier=None).extended(curve)
 
-    def before(self, back: float) -> PartialDrive | None:
+    def without_last(self, back: float) -> PartialDrive | None:
         """Return the trip without its last `back` [s]; None where that is all of the last curve, or more."""
         if back == 0.0:
             return self

@@ -54,56 +54,56 @@ class CarRepair:
 
     def __post_init__(self) -> None:
         task, vehicle = self.task, self.task.vehicle
-        self.trip = PartialDrive(grid=task.coverage, rate=task.rate, limits=vehicle.limits, here=self.start)
+        self.drive = PartialDrive(grid=task.coverage, rate=task.rate, limits=vehicle.limits, here=self.start)
         self.lost: Bools = np.zeros_like(self.todo)
         """(nx, ny, n_phi) bins that no way was found to."""
-        self.tried: Ints = np.zeros(self.todo.shape, dtype=np.int64)
+        self.n_searches: Ints = np.zeros(self.todo.shape, dtype=np.int64)
         """(nx, ny, n_phi) how often each bin was searched for."""
-        self._in_vain: Bools = np.zeros_like(self.todo)
+        self._no_ompl_path: Bools = np.zeros_like(self.todo)
         """(nx, ny, n_phi) bins of queries that OMPL found no way for."""
-        self._ways = ReachabilityPlanner(task) if len(GEARS[vehicle.drive]) == 1 else None
+        self._planner = ReachabilityPlanner(task) if len(GEARS[vehicle.drive]) == 1 else None
         """Of a car that only goes forward: another comes back from anywhere."""
-        self.aside = car_primitives(
+        self.heading_offset = car_primitives(
             vehicle.limits, task.coverage.headings, task.rate, GEARS[vehicle.drive]
         ).first_heading
         """[rad] from the middle of a heading bin to the headings that the search likes."""
 
-    def take(self, curve: Curve) -> None:
+    def append_curve(self, curve: Curve) -> None:
         """Drive on along a curve that starts here."""
-        self.trip = self.trip.then(curve)
+        self.drive = self.drive.extended(curve)
 
-    def redrive(self, curve: Curve) -> None:
+    def replace_all(self, curve: Curve) -> None:
         """Drive a curve in place of all that was driven."""
-        self.trip = self.trip.instead(curve)
+        self.drive = self.drive.replaced_by(curve)
 
     def missing(self) -> Bools:
         """Return (nx, ny, n_phi) what the log of some phase misses, but for what is lost."""
-        return np.asarray(self.todo & ~self.trip.met & ~self.lost)
+        return np.asarray(self.todo & ~self.drive.met & ~self.lost)
 
-    def comes_to(self, pose: Floats, before: tuple[float, ...] = (0.0, *CAR_REPAIR.step_back)) -> bool:
-        """Drive to a pose (3,) from so much [s] `before` the last drive ended, or more; False where no way is found.
+    def drive_to(self, pose: Floats, before: tuple[float, ...] = (0.0, *CAR_REPAIR.step_back)) -> bool:
+        """Drive to a pose (3,) from so much [s] `without_last` the last drive ended, or more; False where no way is found.
 
         A drive may end where OMPL finds no way out in its time: what is cut off is missing again.
         """
-        here = self.trip.here
+        here = self.drive.here
         if np.allclose(here[:2], pose[:2]) and abs(wrap(here[2] - pose[2])) < 1e-9:
             return True
         for back in before:
-            trip = self.trip.before(back)
-            if trip is None:
+            drive = self.drive.without_last(back)
+            if drive is None:
                 break
-            way = self._way(trip.here, pose[None], 0)
+            way = self._connect(drive.here, pose[None], 0)
             if way is not None and way.curve is not None:
-                self.trip = trip.then(way.curve)
+                self.drive = drive.extended(way.curve)
                 return True
         return False
 
-    def floods_to(self, wanted: Bools) -> bool:
+    def search_path_to(self, wanted: Bools) -> bool:
         """Drive to one of the bins `wanted` by a flood of the whole floor; False where that finds no way.
 
         Where the lattice of the flood holds no way on from here, one may lead on from somewhat earlier.
         """
-        if self._ways is None:
+        if self._planner is None:
             return False
         missing = self.missing()
         for back, explore in (
@@ -111,40 +111,40 @@ class CarRepair:
             *((back, False) for back in CAR_REPAIR.step_back[:-1]),
             (0.0, True),
         ):
-            trip = self.trip.before(back)
-            curve = None if trip is None else self._ways.path_to_any(wanted, trip.here, explore=explore)
-            if trip is None or curve is None:
+            drive = self.drive.without_last(back)
+            curve = None if drive is None else self._planner.path_to_any(wanted, drive.here, explore=explore)
+            if drive is None or curve is None:
                 continue
-            longer = trip.then(curve)
+            longer = drive.extended(curve)
             if (missing & longer.met).any():  # else too short a stay for some phase of the log
-                self.trip = longer
+                self.drive = longer
                 self.joins += JoinCounts(flooded=1)
                 return True
         return False
 
-    def enters(self, room: Bools, entry_arc: Floats, curve: Curve, seed: int) -> None:
+    def enter_room(self, room: Bools, entry_arc: Floats, curve: Curve, seed: int) -> None:
         """Drive through a room, bins (nx, ny, n_phi), by the curve that begins at a pose (3,), or from where a way leads."""
-        if self.comes_to(entry_arc, (0.0,)):
-            self.take(curve)
-        elif self.floods_to(room & self.missing()):
-            visit = self.search(room & self.missing(), self.trip.here, seed)
+        if self.drive_to(entry_arc, (0.0,)):
+            self.append_curve(curve)
+        elif self.search_path_to(room & self.missing()):
+            visit = self.search(room & self.missing(), self.drive.here, seed)
             if visit is not None:
-                self.take(visit.curve)
-        elif self.comes_to(entry_arc, CAR_REPAIR.step_back):
-            self.take(curve)
+                self.append_curve(visit.curve)
+        elif self.drive_to(entry_arc, CAR_REPAIR.step_back):
+            self.append_curve(curve)
 
-    def passes_by(self, speed: float) -> None:
+    def add_detours(self, speed: float) -> None:
         """Insert detours at some speed [m/s] into what was driven, to bins beside it that are missing, or lost."""
         lost, self.lost = self.lost, np.zeros_like(self.lost)
         missing = self.missing()
-        bins, goals = goals_in(missing, self.trip.here, self.aside, self.task)
-        if self.trip.curves and len(bins):
-            curve, limits = self.trip.curve, self.task.vehicle.limits
+        bins, goals = goals_in(missing, self.drive.here, self.heading_offset, self.task)
+        if self.drive.curves and len(bins):
+            curve, limits = self.drive.curve, self.task.vehicle.limits
             drive, ground = arc_path_of(curve, self.todo, self.task, speed)
             own = np.ravel_multi_index(tuple(bins.T), missing.shape)
             longer = insert_detours(drive, goals, own, ground)
             if len(longer.length) > len(drive.length):
-                self.redrive(
+                self.replace_all(
                     curve_of_arcs(curve.poses[0], longer.length, longer.bend, longer.gear, limits, speed)
                 )
         self.lost = lost & self.missing()
@@ -161,46 +161,50 @@ class CarRepair:
             if idle > CAR_REPAIR.max_idle_queries:
                 self.lost |= missing
                 return
-            near = missing & (self.tried < CAR_REPAIR.max_searches) & self._around()[:, :, None]
-            if self.trip.curves and near.sum() >= CAR_REPAIR.search_from and self._searched(near, round_):
+            near = missing & (self.n_searches < CAR_REPAIR.max_searches) & self._nearby_cells()[:, :, None]
+            if (
+                self.drive.curves
+                and near.sum() >= CAR_REPAIR.search_from
+                and self._search_nearby(near, round_)
+            ):
                 continue
             self._drive_to_one_of(missing, round_)
 
     def _drive_to_one_of(self, missing: Bools, round_: int) -> None:
         """Drive to one of some bins by OMPL, or by a flood where OMPL finds no way; lose what both come to in vain."""
-        bins, goals = goals_in(missing & ~self._in_vain, self.trip.here, self.aside, self.task)
-        if self._ways is not None and len(bins):  # it may be trapped in a corner
-            can_return = self._ways.can_return(goals, self.trip.here)
+        bins, goals = goals_in(missing & ~self._no_ompl_path, self.drive.here, self.heading_offset, self.task)
+        if self._planner is not None and len(bins):  # it may be trapped in a corner
+            can_return = self._planner.can_return(goals, self.drive.here)
             bins, goals = bins[can_return], goals[can_return]
-        way = self._way(self.trip.here, goals, round_) if len(bins) else None
+        way = self._connect(self.drive.here, goals, round_) if len(bins) else None
         if way is None:
-            self._in_vain[tuple(bins.T)] = True
-            if not self.floods_to(missing):
+            self._no_ompl_path[tuple(bins.T)] = True
+            if not self.search_path_to(missing):
                 self.lost[tuple(bins.T)] = True
                 if not len(bins):  # no free place within any: slits between the raster's nodes
                     self.lost |= missing
             return
         goal = tuple(bins[way.goal])
         if way.curve is not None:
-            self.take(way.curve)
+            self.append_curve(way.curve)
         self.lost[goal] = self.missing()[goal]  # driven to, but not long enough within it
 
-    def _around(self) -> Bools:
+    def _nearby_cells(self) -> Bools:
         """Return the cells (nx, ny) near here: a search does not get to others."""
         rows, columns = np.indices(self.todo.shape[:2])
-        i, k = _cell(self.trip.here, self.task)
+        i, k = _cell(self.drive.here, self.task)
         return np.asarray(np.hypot(rows - i, columns - k) * self.task.reach.cell <= CAR_REPAIR.search_radius)
 
-    def _searched(self, wanted: Bools, round_: int) -> bool:
+    def _search_nearby(self, wanted: Bools, round_: int) -> bool:
         """Let the search go on from here; say whether it got something."""
-        visit = self.search(wanted, self.trip.here, self.task.seed + round_)
-        self.tried += wanted
+        visit = self.search(wanted, self.drive.here, self.task.seed + round_)
+        self.n_searches += wanted
         if visit is None or visit.left >= wanted.sum():
             return False
-        self.take(visit.curve)
+        self.append_curve(visit.curve)
         return True
 
-    def _way(self, start: Floats, goals: Floats, round_: int) -> CarPath | None:
+    def _connect(self, start: Floats, goals: Floats, round_: int) -> CarPath | None:
         task = self.task
         travel_times, joins = connect_cars(
             start[None],
@@ -214,7 +218,7 @@ class CarRepair:
         return travel_times[0]
 
 
-def goals_in(missing: Bools, here: Floats, aside: float, task: Task) -> tuple[Ints, Floats]:
+def goals_in(missing: Bools, here: Floats, heading_offset: float, task: Task) -> tuple[Ints, Floats]:
     """Return poses (n, 3) in the bins that are missing, the nearest first, and the bin (n, 3) of each.
 
     Parameters
@@ -228,17 +232,17 @@ def goals_in(missing: Bools, here: Floats, aside: float, task: Task) -> tuple[In
     own = np.repeat(bins, len(shares), axis=0)
     x, y, turn = np.tile(shares, (len(bins), 1)).T
     deepest, turns = np.repeat(bins, len(TURNED), axis=0), np.tile(TURNED, len(bins))
-    places = np.concatenate(
+    standing_places = np.concatenate(
         [
             reach.origin + (own[:, :2] + 0.5 + np.column_stack([x, y])) * reach.cell,
             reach.deepest(deepest[:, :2]),
         ]
     )
     bins, turn = np.concatenate([own, deepest]), np.append(turn, turns)
-    heading = (bins[:, 2] + turn) * (2 * np.pi / grid.headings) + aside
-    node = np.floor((places - reach.origin) / reach.step).astype(np.int64)
+    heading = (bins[:, 2] + turn) * (2 * np.pi / grid.headings) + heading_offset
+    node = np.floor((standing_places - reach.origin) / reach.step).astype(np.int64)
     free = reach.mask[node[:, 0], node[:, 1]]
-    return bins[free], np.column_stack([places, wrap(heading)])[free]
+    return bins[free], np.column_stack([standing_places, wrap(heading)])[free]
 
 
 def _cell(pose: Floats, task: Task) -> Floats:

@@ -10,19 +10,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from planners.arena import wrap
 from planners.curve import Curve, CurveBuilder
 from planners.joins.paths import connect_nearest
-from planners.methods.primitives import aim
 from planners.methods.settings import SPIN_REPAIR
-from planners.methods.stop_and_spin import places
+from planners.methods.spins import choose_departure
+from planners.methods.stop_and_spin import standing_places
 from planners.sampling import DWELL_PERIODS
 from planners.search.log_phases import missed
 from planners.task import JoinCounts, Task
 from planners.types import Bools, Floats
-
-TIGHT = 1e-9
-"""[m] moves shorter than this are none."""
 
 
 @dataclass(eq=False)
@@ -45,7 +41,7 @@ class SpinRepair:
 
     def run(self) -> None:
         """Drive to missing bins until none is left, or all that is left is lost."""
-        cells = places(self.task.reach, self.task.barriers, self.missing)
+        cells = standing_places(self.task.reach, self.task.barriers, self.missing)
         visits = np.zeros(len(cells.index), dtype=np.int64)
         for round_ in range(SPIN_REPAIR.max_visits * len(visits)):
             wanted = np.flatnonzero(
@@ -72,21 +68,11 @@ class SpinRepair:
         """Drive along a path (k, 2) [m] and turn through the headings `need` (n_phi,) at its end."""
         task = self.task
         width = 2 * np.pi / task.coverage.headings
-        pen = CurveBuilder(self.here, task.vehicle.limits, spin=width * task.rate / DWELL_PERIODS)
-        lead(pen, path)
-        pen.turn(aim(pen, None, need, (0.0, 0.0)).angle, "spin")
-        pen.wait(1.0 / task.rate)
-        self.curves.append(pen.curve())
-        self.stops += pen.stops
-        self.here = pen.pose
+        builder = CurveBuilder(self.here, task.vehicle.limits, spin=width * task.rate / DWELL_PERIODS)
+        builder.follow(path)
+        builder.turn(choose_departure(builder, None, need, (0.0, 0.0)).angle, "spin")
+        builder.wait(1.0 / task.rate)
+        self.curves.append(builder.curve())
+        self.stops += builder.stops
+        self.here = builder.pose
         self.missing &= missed(self.curves[-1], self.missing, task.coverage, task.rate)
-
-
-def lead(pen: CurveBuilder, path: Floats) -> None:
-    """Drive along a path (k, 2) [m] from where the pen is."""
-    for corner in path[1:]:
-        way = corner - pen.pose[:2]
-        length = float(np.hypot(*way))
-        if length > TIGHT:
-            pen.turn(float(wrap(np.float64(np.arctan2(way[1], way[0]) - pen.pose[2]))), "turn")
-            pen.move(length, "move" if len(path) == 2 else "join")

@@ -9,8 +9,8 @@ from planners.clearance import Barriers
 from planners.curve import CurveBuilder
 from planners.errors import PlanError
 from planners.joins.paths import connect
-from planners.methods.primitives import aim
 from planners.methods.settings import SPINS, STOP_AND_SPIN
+from planners.methods.spins import choose_departure
 from planners.order import CellGraph
 from planners.priority import cell_bands
 from planners.reach import Reach
@@ -27,7 +27,7 @@ def plan_stop_and_spin(task: Task) -> PlannedDrive:
         raise PlanError(
             f"planner stop_and_spin turns on the spot, which drive {task.vehicle.drive!r} cannot; use the planner coverage"
         )
-    return Stops(task, wanted(task)).run()
+    return StopAndSpinPlanner(task, wanted(task)).run()
 
 
 def wanted(task: Task) -> Bools:
@@ -40,7 +40,7 @@ def wanted(task: Task) -> Bools:
     return np.asarray(todo)
 
 
-class Stops:
+class StopAndSpinPlanner:
     """Draws stops in every cell of `todo`, each left towards the next."""
 
     def __init__(self, task: Task, todo: Bools) -> None:
@@ -49,7 +49,7 @@ class Stops:
         width = 2 * np.pi / task.coverage.headings
         self.spin = width * task.rate / DWELL_PERIODS
         self.joins = JoinCounts()
-        self.pen: CurveBuilder | None = None
+        self.builder: CurveBuilder | None = None
 
     def run(self) -> PlannedDrive:
         """Visit all, then again what a log of some phase would miss."""
@@ -62,21 +62,21 @@ class Stops:
             missing, before = self._missed(), missing
             if np.array_equal(missing, before):
                 break
-        assert self.pen is not None
-        self.pen.wait(1.0 / self.task.rate)
+        assert self.builder is not None
+        self.builder.wait(1.0 / self.task.rate)
         return PlannedDrive(
-            curve=self.pen.curve(), stops=np.array(self.pen.stops).reshape(-1, 4), joins=self.joins
+            curve=self.builder.curve(), stops=np.array(self.builder.stops).reshape(-1, 4), joins=self.joins
         )
 
     def _missed(self) -> Bools:
         """Return (nx, ny, n_phi) bins that the log of at least one phase does not meet."""
-        assert self.pen is not None
+        assert self.builder is not None
         grid = self.task.coverage
-        return missed(self.pen.curve(), self.todo, grid, self.task.rate) & grid.reachable
+        return missed(self.builder.curve(), self.todo, grid, self.task.rate) & grid.reachable
 
     def _visit(self, todo: Bools) -> None:
         """Draw a way through all cells with a bin in `todo`."""
-        cells = places(self.task.reach, self.task.barriers, todo)
+        cells = standing_places(self.task.reach, self.task.barriers, todo)
         sequence = self._sequence(cells, todo)
         stops = zigzag(cells, sequence, self.task, self.limit)
         here = self._here()
@@ -90,7 +90,7 @@ class Stops:
         self._draw(ends, needs, paths, joins)
 
     def _here(self) -> Floats | None:
-        return self.task.start if self.pen is None else self.pen.pose
+        return self.task.start if self.builder is None else self.builder.pose
 
     def _sequence(self, cells: CellGraph, todo: Bools) -> Ints:
         """Order the cells: bands of priority in turn, each by the better of lanes along x and along y."""
@@ -126,14 +126,16 @@ class Stops:
         roomy = self.task.barriers.are_clear(points[:-1], points[1:], self.limit + STOP_AND_SPIN.blend_room)
         roomy = np.concatenate([[False], roomy, [False]])
         blend = np.where(roomy[:-1] & roomy[1:], STOP_AND_SPIN.overlap, 0.0)  # (n stops,)
-        pen = self.pen or CurveBuilder(self._first_pose(points), self.task.vehicle.limits, spin=self.spin)
-        self.pen = pen
+        builder = self.builder or CurveBuilder(
+            self._first_pose(points), self.task.vehicle.limits, spin=self.spin
+        )
+        self.builder = builder
         for k, (_, need, _) in enumerate(route):
             target = points[k + 1] if k + 1 < len(points) else None
-            way = aim(pen, target, need, (float(blend[k]), float(blend[k])))
-            pen.turn(way.angle, "turn" if need is None else "spin", overlap=float(blend[k]))
+            way = choose_departure(builder, target, need, (float(blend[k]), float(blend[k])))
+            builder.turn(way.angle, "turn" if need is None else "spin", overlap=float(blend[k]))
             if target is not None:
-                pen.move(way.distance, route[k + 1][2], overlap=float(blend[k]))
+                builder.move(way.distance, route[k + 1][2], overlap=float(blend[k]))
             if self.task.progress and (k % 50 == 49 or k == len(route) - 1):
                 self.task.progress(k + 1, len(route))
 
@@ -163,7 +165,7 @@ class Stops:
         return np.array([*points[0], np.arctan2(way[1], way[0])])
 
 
-def places(reach: Reach, barriers: Barriers, todo: Bools) -> CellGraph:
+def standing_places(reach: Reach, barriers: Barriers, todo: Bools) -> CellGraph:
     """Choose where to stand in each cell: its centre if that is free, else deepest within its reachable part."""
     index = np.argwhere(todo.any(axis=2))
     centres = reach.origin + (index + 0.5) * reach.cell

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from planners import order
-from planners.arena import wrap
 from planners.curve import CurveBuilder
 from planners.errors import PlanError
 from planners.joins.paths import connect
-from planners.methods.stop_and_spin import places
+from planners.methods.stop_and_spin import standing_places
 from planners.sampling import DWELL_PERIODS
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats, Ints
@@ -26,19 +25,21 @@ def plan_views(task: Task) -> PlannedDrive:
     _check(task, task.targets)
     targets = task.targets[_order(task, task.targets)]
     start = targets[0] if task.start is None else task.start
-    pen = CurveBuilder(start, task.vehicle.limits)
+    builder = CurveBuilder(start, task.vehicle.limits)
     ends = np.concatenate([start[None, :2], targets[:, :2]])
     paths, joins = connect(ends[:-1], ends[1:], reach=task.reach, barriers=task.barriers, seed=task.seed)
     for k, (target, path) in enumerate(zip(targets, paths, strict=True)):
-        if path is not None and not np.allclose(path[0], pen.pose[:2], atol=1e-9):
-            path, joins = _again(task, pen.pose[:2], target, joins)  # the view before could not be reached
+        if path is not None and not np.allclose(path[0], builder.pose[:2], atol=1e-9):
+            path, joins = _again(
+                task, builder.pose[:2], target, joins
+            )  # the view before could not be reached
         if path is not None:
-            _go(pen, path)
-            _face(pen, float(target[2]))
-            pen.wait(DWELL_PERIODS / task.rate, "view")
+            builder.follow(path)
+            builder.face(float(target[2]))
+            builder.wait(DWELL_PERIODS / task.rate, "view")
         if task.progress:
             task.progress(k + 1, len(targets))
-    return PlannedDrive(curve=pen.curve(), stops=np.array(pen.stops).reshape(-1, 4), joins=joins)
+    return PlannedDrive(curve=builder.curve(), stops=np.array(builder.stops).reshape(-1, 4), joins=joins)
 
 
 def _check(task: Task, targets: Floats) -> None:
@@ -60,7 +61,7 @@ def _order(task: Task, targets: Floats) -> Ints:
     if len(targets) == 1:
         return np.zeros(1, dtype=np.int64)
     limits = task.vehicle.limits
-    cells = places(task.reach, task.barriers, task.reach.cells()[:, :, None])
+    cells = standing_places(task.reach, task.barriers, task.reach.cells()[:, :, None])
     points = targets[:, :2] if task.start is None else np.concatenate([targets[:, :2], task.start[None, :2]])
     near = np.array([((cells.places - point) ** 2).sum(axis=1).argmin() for point in points])
     cost = order.travel_times(cells, np.repeat(near, 2), limits.v, limits.v / limits.a)
@@ -75,18 +76,3 @@ def _again(task: Task, here: Floats, target: Floats, joins: JoinCounts) -> tuple
         here[None], target[None, :2], reach=task.reach, barriers=task.barriers, seed=task.seed
     )
     return paths[0], joins + more
-
-
-def _go(pen: CurveBuilder, path: Floats) -> None:
-    """Turn and drive from corner to corner of a path (k, 2), whose first is where the robot is."""
-    for corner in path[1:]:
-        way = corner - pen.pose[:2]
-        length = float(np.hypot(*way))
-        if length > 1e-6:
-            _face(pen, float(np.arctan2(way[1], way[0])))
-            pen.move(length, "move" if len(path) == 2 else "join")
-
-
-def _face(pen: CurveBuilder, heading: float) -> None:
-    """Turn to a heading [rad], the short way round."""
-    pen.turn(float(wrap(np.float64(heading - pen.pose[2]))), "turn")

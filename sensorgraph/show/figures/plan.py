@@ -9,7 +9,7 @@ import numpy as np
 
 from planners import Plan
 from planners.arena import Arena
-from planners.holes import WHY, cut_off, unmet
+from planners.holes import REASON_TEXTS, cut_off, unmet
 from sensorgraph.show.figures.style import (
     ALARM,
     AMBER,
@@ -35,7 +35,7 @@ REASONS = {
     "no_forward_drive_there_and_back": "#8a6fb5",
     "behind_narrow_gaps": "#5b6b8c",
 }
-"""Colours of planners.holes.WHY."""
+"""Colours of planners.holes.REASON_TEXTS."""
 COUNTS = ("not_driven", "no_way_found")
 """Reasons that count against a plan; drawn on top of the others."""
 
@@ -193,7 +193,7 @@ def _what_is_left(axes: Any, plan: Plan, arena: Arena) -> None:
         axes.imshow(
             shade, origin="lower", extent=(x[0], x[-1], y[0], y[-1]), interpolation="nearest", zorder=1
         )
-        name = f"{WHY[why]}: {amount}"
+        name = f"{REASON_TEXTS[why]}: {amount}"
         axes.scatter([], [], marker="s", s=40, color=REASONS[why], linewidths=0, label=name)
     missing = int(grid.reachable.sum()) - int(grid.covered.sum())
     _panel_title(axes, f"What is left out: {missing:,} of the bins that count", 2)

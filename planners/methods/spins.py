@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from planners.arena import wrap
-from planners.curve import CurveBuilder, bend
+from planners.curve import CurveBuilder, blend_offset
 from planners.methods.settings import SPINS
 from planners.types import Bools, Floats
 
 
 @dataclass(frozen=True, kw_only=True)
-class Aim:
+class Departure:
     """How to leave a place: turn by `angle`, then drive `distance` (backward if negative)."""
 
     angle: float
@@ -39,7 +39,9 @@ def least_sweep(phi: float, need: Bools, direction: int) -> float:
     return float(ahead.max(initial=0.0))
 
 
-def aim(pen: CurveBuilder, target: Floats | None, need: Bools | None, overlap: tuple[float, float]) -> Aim:
+def choose_departure(
+    builder: CurveBuilder, target: Floats | None, need: Bools | None, overlap: tuple[float, float]
+) -> Departure:
     """Choose the shortest turn that passes the headings in `need` and ends along the way to `target`, or from it.
 
     Parameters
@@ -48,17 +50,17 @@ def aim(pen: CurveBuilder, target: Floats | None, need: Bools | None, overlap: t
     need : (n_phi,) headings to pass here; None: just turn
     overlap : [s] of the turn with the move before it and with the move after it
     """
-    best: tuple[float, Aim] | None = None
-    phi = float(pen.pose[2])
-    for direction in (-pen.last_turn, pen.last_turn):
+    best: tuple[float, Departure] | None = None
+    phi = float(builder.pose[2])
+    for direction in (-builder.last_turn, builder.last_turn):
         sweep = 0.0 if need is None else least_sweep(phi, need, direction)
         if target is None:
             width = 0.0 if need is None or sweep == 0.0 else 2 * np.pi / len(need)
-            choices = [Aim(angle=direction * (sweep + (0.5 - SPINS.guard) * width), distance=0.0)]
+            choices = [Departure(angle=direction * (sweep + (0.5 - SPINS.guard) * width), distance=0.0)]
         else:
-            reach = float(np.hypot(*(target - pen.pose[:2])))
+            reach = float(np.hypot(*(target - builder.pose[:2])))
             gears = (1, -1) if reach <= SPINS.max_reverse and need is not None else (1,)
-            choices = [_towards(pen, target, direction, gear, sweep, overlap) for gear in gears]
+            choices = [_towards(builder, target, direction, gear, sweep, overlap) for gear in gears]
         for choice in choices:
             cost = abs(choice.angle)
             if best is None or cost < best[0] - 1e-6:
@@ -68,15 +70,20 @@ def aim(pen: CurveBuilder, target: Floats | None, need: Bools | None, overlap: t
 
 
 def _towards(
-    pen: CurveBuilder, target: Floats, direction: int, gear: int, sweep: float, overlap: tuple[float, float]
-) -> Aim:
+    builder: CurveBuilder,
+    target: Floats,
+    direction: int,
+    gear: int,
+    sweep: float,
+    overlap: tuple[float, float],
+) -> Departure:
     """Turn at least `sweep` in this direction until the target lies ahead (gear 1) or behind (-1)."""
-    phi = float(pen.pose[2])
+    phi = float(builder.pose[2])
     heading, distance, angle = phi, 0.0, 0.0
     bend = np.zeros(2)
     for _ in range(3):  # the blends' few mm depend on the angle, and the angle on them
         cos, sin = np.cos(heading), np.sin(heading)
-        here = pen.rest(angle, overlap[0]) if angle else pen.pose[:2]
+        here = builder.rest(angle, overlap[0]) if angle else builder.pose[:2]
         way = target - here - np.array([cos * bend[0] - sin * bend[1], sin * bend[0] + cos * bend[1]])
         distance = float(np.hypot(*way))
         heading = float(np.arctan2(way[1], way[0])) + (np.pi if gear < 0 else 0.0)
@@ -86,17 +93,17 @@ def _towards(
         while turn < sweep - 1e-9:
             turn += 2 * np.pi
         angle = direction * turn
-        bend = leave(pen, angle, gear * distance, overlap[1])
-    return Aim(angle=angle, distance=gear * distance)
+        bend = departure_offset(builder, angle, gear * distance, overlap[1])
+    return Departure(angle=angle, distance=gear * distance)
 
 
-def leave(pen: CurveBuilder, angle: float, distance: float, overlap: float) -> Floats:
+def departure_offset(builder: CurveBuilder, angle: float, distance: float, overlap: float) -> Floats:
     """Return (2,) [m], in the frame of the move, how far it ends off if it starts before a turn has ended."""
-    limits = pen.limits
-    turn_ramp = min(pen.spin / limits.alpha, float(np.sqrt(abs(angle) / limits.alpha)))
+    limits = builder.limits
+    turn_ramp = min(builder.spin / limits.alpha, float(np.sqrt(abs(angle) / limits.alpha)))
     move_ramp = min(limits.v / limits.a, float(np.sqrt(abs(distance) / limits.a)))
     back = min(overlap, turn_ramp, move_ramp)
     if back <= 0 or abs(angle) < 1e-9:
         return np.zeros(2)
     a, alpha = float(np.copysign(limits.a, distance)), float(np.copysign(limits.alpha, angle))
-    return np.array(bend(a, -alpha, back))
+    return np.array(blend_offset(a, -alpha, back))

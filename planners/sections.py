@@ -15,27 +15,22 @@ import numpy as np
 from planners.arena import Arena, wrap
 from planners.cars.car_curve import car_section
 from planners.clearance import Barriers
-from planners.curve import Curve, CurveBuilder, joined
+from planners.curve import Curve, CurveBuilder, join_curves
 from planners.errors import PlanError
 from planners.joins.car_paths import connect_cars
 from planners.joins.paths import connect
-from planners.methods.coverage import face
-from planners.methods.repair_spins import lead
 from planners.reach import Reach
+from planners.settings import SECTIONS
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats, Ints
 from planners.vehicle import Vehicle
 
 STILL = 1e-9
 """[m/s, rad/s] slower is standing."""
-MOST_STUCK = 8
-"""Places from which no way is found, before that is said; ..."""
-BACK = 2.0
-"""... each is so much earlier than the one before [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Way:
+class Transit:
     """A drive between two poses that covers nothing on purpose."""
 
     curve: Curve | None
@@ -67,7 +62,7 @@ def check_pose(name: str, pose: Floats, arena: Arena, barriers: Barriers, reach:
         raise PlanError(f"{where} cannot be reached from the start; move one of them into the other's part")
 
 
-def cuts(curve: Curve, vehicle: Vehicle) -> Ints:
+def cut_points(curve: Curve, vehicle: Vehicle) -> Ints:
     """Return the pieces (m,) before which the curve can be cut, and the count of all pieces as the last."""
     still = abs(curve.twists[:, 0]) < STILL
     if vehicle.drive != "diff":
@@ -75,8 +70,8 @@ def cuts(curve: Curve, vehicle: Vehicle) -> Ints:
     return np.append(np.flatnonzero(still), len(curve.starts))
 
 
-def section(curve: Curve, first: int, last: int, vehicle: Vehicle) -> Curve:
-    """Return pieces `first` up to `last`, not included, from rest to rest; both must be some of `cuts`."""
+def section_of(curve: Curve, first: int, last: int, vehicle: Vehicle) -> Curve:
+    """Return pieces `first` up to `last`, not included, from rest to rest; both must be some of `cut_points`."""
     if vehicle.drive == "diff":
         return _of_turner(curve, first, last, vehicle.limits.alpha)
     return car_section(curve, first, last, vehicle.limits)
@@ -109,13 +104,13 @@ def _of_turner(curve: Curve, first: int, last: int, alpha: float) -> Curve:
     )
 
 
-def ends(curve: Curve) -> tuple[Floats, Floats]:
+def end_poses(curve: Curve) -> tuple[Floats, Floats]:
     """Return the poses (3,) at the start and at the end; phi is wrapped."""
     first, last = curve.sample(np.array([0.0, curve.duration]))[0]
     return first, last
 
 
-def turns(curve: Curve) -> Floats:
+def turning_stops(curve: Curve) -> Floats:
     """Return the stops (n, 4) [m, m, rad, rad] of a drive: where it begins to turn on the spot, or again, and how far.
 
     A spin that never ends counts again with each revolution. What is turned on the way between two stops belongs
@@ -134,10 +129,10 @@ def turns(curve: Curve) -> Floats:
     return np.column_stack([curve.poses[marks], np.diff(phi[[*marks, -1]])]) if marks else np.zeros((0, 4))
 
 
-def stops(curve: Curve, task: Task) -> Floats:
+def stops_of(curve: Curve, task: Task) -> Floats:
     """Return the stops (n, 4) of any robot: a car's are where it changes gear, and it turns nothing there."""
     if task.vehicle.drive == "diff":
-        return turns(curve)
+        return turning_stops(curve)
     gear = np.sign(curve.twists[:, 0] + curve.rates[:, 0] * 1e-6)
     cusps = np.flatnonzero(np.diff(gear, prepend=0.0))
     return np.column_stack([curve.poses[cusps], np.zeros(len(cusps))])
@@ -147,26 +142,26 @@ class NoWayError(PlanError):
     """OMPL found no way between two poses."""
 
 
-class Ways:
+class PathCache:
     """Ways between poses: direct where that is clear, else by OMPL; each asked for once."""
 
     def __init__(self, task: Task) -> None:
         self.task = task
         self._paths: dict[tuple[float, ...], tuple[Floats, JoinCounts]] = {}
 
-    def way(self, begin: Floats, end: Floats) -> Way:
+    def way(self, begin: Floats, end: Floats) -> Transit:
         """Return the way from pose (3,) to pose (3,), at rest at both."""
         if self.task.vehicle.drive != "diff":
             return self._by_car(begin, end)
         path, joins = self._path(begin[:2], end[:2])
-        pen = CurveBuilder(begin, self.task.vehicle.limits)
-        lead(pen, path)
-        face(pen, float(end[2]))
-        return Way(curve=pen.curve() if pen.clock > 0 else None, joins=joins)
+        builder = CurveBuilder(begin, self.task.vehicle.limits)
+        builder.follow(path)
+        builder.face(float(end[2]))
+        return Transit(curve=builder.curve() if builder.clock > 0 else None, joins=joins)
 
-    def _by_car(self, begin: Floats, end: Floats) -> Way:
+    def _by_car(self, begin: Floats, end: Floats) -> Transit:
         task = self.task
-        ways, joins = connect_cars(
+        cache, joins = connect_cars(
             begin[None],
             [end[None]],
             reach=task.reach,
@@ -174,9 +169,9 @@ class Ways:
             vehicle=task.vehicle,
             seed=task.seed,
         )
-        if ways[0] is None:
+        if cache[0] is None:
             raise NoWayError(_no_way(begin, end))
-        return Way(curve=ways[0].curve, joins=joins)
+        return Transit(curve=cache[0].curve, joins=joins)
 
     def _path(self, begin: Floats, end: Floats) -> tuple[Floats, JoinCounts]:
         key = (*begin.tolist(), *end.tolist())
@@ -204,13 +199,13 @@ def _place(pose: Floats) -> str:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cut:
+class DriveSection:
     """A part of the drive that ends in time, and the way from its end."""
 
     last: int
     """The piece that comes next."""
     part: Curve
-    home: Way | None
+    home: Transit | None
 
     @property
     def duration(self) -> float:
@@ -218,23 +213,23 @@ class Cut:
         return self.part.duration + (0.0 if self.home is None else self.home.duration)
 
 
-def cut_at(
-    curve: Curve, first: int, last: int, home: Floats | None, ways: Ways | None, vehicle: Vehicle
-) -> Cut:
+def section_up_to(
+    curve: Curve, first: int, last: int, home: Floats | None, cache: PathCache | None, vehicle: Vehicle
+) -> DriveSection:
     """Return pieces `first` up to `last`, not included, and the way from there to `home` (3,)."""
-    part = section(curve, first, last, vehicle)
-    back = None if home is None or ways is None else ways.way(ends(part)[1], home)
-    return Cut(last=last, part=part, home=back)
+    part = section_of(curve, first, last, vehicle)
+    back = None if home is None or cache is None else cache.way(end_poses(part)[1], home)
+    return DriveSection(last=last, part=part, home=back)
 
 
-def latest(
-    curve: Curve, first: int, left: float, home: Floats | None, ways: Ways | None, vehicle: Vehicle
-) -> Cut | None:
+def longest_section(
+    curve: Curve, first: int, left: float, home: Floats | None, cache: PathCache | None, vehicle: Vehicle
+) -> DriveSection | None:
     """Return the longest part from piece `first` on that is done, the way `home` (3,) included, within `left` [s].
 
     Where ways home differ much from place to place, a longer one may exist; none is ever too long.
     """
-    choice, stamps = cuts(curve, vehicle), np.append(curve.starts, curve.duration)
+    choice, stamps = cut_points(curve, vehicle), np.append(curve.starts, curve.duration)
     nearest, last = int(choice[choice > first][0]), first
     allowed, stuck = left, 0
     while True:
@@ -243,11 +238,11 @@ def latest(
             return None
         last = int(fits[-1]) if len(fits) else nearest
         try:
-            cut = cut_at(curve, first, last, home, ways, vehicle)
+            cut = section_up_to(curve, first, last, home, cache, vehicle)
         except NoWayError:
-            if (stuck := stuck + 1) > MOST_STUCK:
+            if (stuck := stuck + 1) > SECTIONS.max_stuck:
                 raise
-            allowed = float(stamps[last] - stamps[first]) - BACK
+            allowed = float(stamps[last] - stamps[first]) - SECTIONS.step_back
             continue
         over = cut.duration - left
         if over <= STILL:
@@ -255,19 +250,26 @@ def latest(
         allowed = float(stamps[last] - stamps[first]) - over
 
 
-def within(driven: PlannedDrive, task: Task, *, budget: float | None, end: Floats | None) -> PlannedDrive:
+def fit_to_budget(
+    driven: PlannedDrive, task: Task, *, budget: float | None, end: Floats | None
+) -> PlannedDrive:
     """Return the drive as far as `budget` [s] goes, led to `end` (3,) if there is one."""
     if budget is None and end is None:
         return driven
     curve, vehicle = driven.curve, task.vehicle
-    ways = None if end is None else Ways(task)
-    whole = cut_at(curve, 0, len(curve.starts), end, ways, vehicle)
+    cache = None if end is None else PathCache(task)
+    whole = section_up_to(curve, 0, len(curve.starts), end, cache, vehicle)
     cut = whole
     if budget is not None and whole.duration > budget + STILL:
-        found = latest(curve, 0, budget, end, ways, vehicle)
+        found = longest_section(curve, 0, budget, end, cache, vehicle)
         if found is None:
-            first = cut_at(
-                curve, 0, int(cuts(curve, vehicle)[cuts(curve, vehicle) > 0][0]), end, ways, vehicle
+            first = section_up_to(
+                curve,
+                0,
+                int(cut_points(curve, vehicle)[cut_points(curve, vehicle) > 0][0]),
+                end,
+                cache,
+                vehicle,
             )
             raise PlanError(
                 f"a budget of {budget / 60:g} min is too short: to the first stop"
@@ -277,7 +279,7 @@ def within(driven: PlannedDrive, task: Task, *, budget: float | None, end: Float
     if cut is whole and cut.home is None:
         return driven
     joins = driven.joins if cut.home is None else driven.joins + cut.home.joins
-    return together(
+    return drive_along(
         [part for part in (cut.part, cut.home and cut.home.curve) if part],
         joins,
         task,
@@ -290,9 +292,9 @@ def minutes(seconds: float) -> str:
     return f"{np.ceil(seconds / 6) / 10:g}"
 
 
-def together(
+def drive_along(
     curves: list[Curve], joins: JoinCounts, task: Task, *, interrupted: bool = False
 ) -> PlannedDrive:
     """Return the drive along some curves, each of which starts where the one before it ends."""
-    curve = joined(curves)
-    return PlannedDrive(curve=curve, stops=stops(curve, task), joins=joins, interrupted=interrupted)
+    curve = join_curves(curves)
+    return PlannedDrive(curve=curve, stops=stops_of(curve, task), joins=joins, interrupted=interrupted)

@@ -1,0 +1,118 @@
+"""The coverage planner for cars: search the rooms in parallel, join them by OMPL, then repair, shorten and repair again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from planners.arena import wrap
+from planners.cars.car_curve import cusps
+from planners.cars.search import order_rooms, search_floor
+from planners.cars.shortcuts import shorten_drive
+from planners.errors import PlanError
+from planners.interrupt import defer_interrupt
+from planners.methods.parallel_search import free_place, primitives_of, search_in_parallel
+from planners.methods.repair_cars import CarRepair
+from planners.methods.settings import COVERAGE
+from planners.search.area import search_area
+from planners.search.room_drive import RoomDrive
+from planners.search.settings import CAR_ROOM
+from planners.task import PlannedDrive, Task
+from planners.types import Bools, Floats
+
+
+def plan_cars(task: Task) -> PlannedDrive:
+    """Search the rooms side by side, and join them by OMPL; then complete what is missing."""
+    todo = task.coverage.reachable & (task.coverage.counts == 0)
+    if not todo.any():
+        raise PlanError("every reachable bin is covered already; nothing is left to plan")
+    start = task.start if task.start is not None else _start_pose(task)
+
+    settings = CAR_ROOM[task.vehicle.drive]
+    parts = [np.asarray(todo & room[:, :, None]) for room in order_rooms(todo, start, task)]
+    begins = [_room_start(part, start, task) for part in parts]
+
+    def search(job: int, seed: int, tick: Callable[[int], bool]) -> RoomDrive | None:
+        return search_floor(parts[job], task, begins[job], seed, tick, settings)
+
+    def search_on(missing: Bools, here: Floats, seed: int) -> RoomDrive | None:
+        return search_floor(missing, task, here, seed, lambda _: True, settings)
+
+    visits, interrupted = search_in_parallel(search, [int(part.sum()) for part in parts], task)
+    repair = CarRepair(task, todo, start, search_on)
+    for part, begin, visit in zip(parts, begins, visits, strict=True):
+        if visit is None:
+            continue
+        _, was_asked = defer_interrupt(partial(repair.enter_room, part, begin, visit.curve, task.seed))
+        if was_asked:
+            interrupted = True
+            break
+    if not interrupted:
+        interrupted = _complete(repair, task)
+    if not repair.drive.curves:
+        raise PlanError(
+            f"the car cannot reach a bin from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}); choose another start"
+        )
+    curve = repair.drive.curve
+    return PlannedDrive(
+        curve=curve, stops=cusps(curve), joins=repair.joins, interrupted=interrupted, lost=repair.lost
+    )
+
+
+def _complete(repair: CarRepair, task: Task) -> bool:
+    """Drive to what is missing, shorten the whole drive, and win again what a log met by luck; tell whether Ctrl-C came."""
+    try:
+        speed = float(abs(primitives_of(task).speeds[0]))
+        if repair.missing().sum() < COVERAGE.few_missing * repair.todo.sum():
+            repair.add_detours(speed)
+        repair.run()
+        if repair.drive.curves:
+            repair.add_detours(speed)
+            won = repair.todo & ~repair.missing()
+            short, interrupted = shorten_drive(repair.drive.curve, won, task, speed)
+            repair.replace_all(short)
+            if interrupted:
+                return True
+            repair.add_detours(speed)
+            repair.run()
+    except KeyboardInterrupt:
+        return True
+    return False
+
+
+def _room_start(part: Bools, start: Floats, task: Task) -> Floats:
+    """Return where a car begins a room's bins `part` (nx, ny, n_phi): at its start (3,), if that lies within.
+
+    Elsewhere it is the middle of a free cell, with a heading that the search has.
+    """
+    (bin_,), inside = task.coverage.bins(start[None])
+    if inside[0] and part[bin_[0], bin_[1]].any():
+        return start
+    primitives = primitives_of(task)
+    heading = task.coverage.bins(
+        np.array([[*task.reach.origin, wrap(np.float64(primitives.first_heading))]])
+    )[0][0, 2]
+    own = np.zeros_like(part)
+    own[:, :, heading] = part[:, :, heading]
+    own = own if own.any() else part
+    pose = _free_pose(own, task)
+    if pose is None:
+        middle = task.reach.origin + (np.argwhere(own.any(axis=2))[0] + 0.5) * task.reach.cell
+        return np.array([*middle, primitives.first_heading])
+    return pose
+
+
+def _start_pose(task: Task) -> Floats:
+    """Return (3,) the middle of a free cell, and a heading between the borders of bins."""
+    pose = _free_pose(task.coverage.reachable, task)
+    if pose is None:
+        raise PlanError("no place is free enough to begin; choose a start")
+    return pose
+
+
+def _free_pose(need: Bools, task: Task) -> Floats | None:
+    """Return a free place in the cells of `need` (nx, ny, n_phi), with a heading that the search has, (3,)."""
+    middle = free_place(search_area(task.reach), task, need, np.random.default_rng(task.seed))
+    return None if middle is None else np.array([*middle, primitives_of(task).first_heading])

@@ -1,0 +1,178 @@
+"""The coverage planner for robots that turn in place: search the rooms in parallel, join them, and repair what is missed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from scipy.sparse import csgraph
+
+from planners.arena import wrap
+from planners.curve import Curve, CurveBuilder, join_curves
+from planners.errors import PlanError
+from planners.interrupt import defer_interrupt
+from planners.joins.paths import connect
+from planners.methods.parallel_search import free_place, primitives_of, search_in_parallel
+from planners.methods.repair_spins import SpinRepair
+from planners.methods.settings import COVERAGE
+from planners.methods.stop_and_spin import wanted
+from planners.priority import cell_bands
+from planners.rooms import cell_graph, rooms, shortest_sequence
+from planners.search.area import search_area
+from planners.search.log_phases import missed
+from planners.search.motion_primitives import MotionPrimitives
+from planners.search.room_drive import RoomDrive, spin_curve
+from planners.search.search import CoverageSearch
+from planners.search.settings import SPIN_ONLY_ROOM, SPIN_ROOM, SearchSettings
+from planners.task import PlannedDrive, Task
+from planners.types import Bools, Floats, Ints
+
+SAME_PLACE = 1e-9
+"""[m, rad] moves and turns shorter than this are none."""
+
+
+def plan_spins(task: Task) -> PlannedDrive:
+    """Visit every bin that is still missing: spin without a stop, and choose the speed."""
+    todo = wanted(task)
+    primitives = primitives_of(task)
+    level = cell_bands(task.priority, todo, task.reach.cell)
+    bands = [todo & (level == band)[:, :, None] for band in np.unique(level[todo.any(axis=2)])]
+    jobs = [
+        (band, np.asarray(part & room[:, :, None]))
+        for band, part in enumerate(bands)
+        for room in rooms(task.reach, part.any(axis=2))
+    ]
+
+    tries, settings = (2, SPIN_ONLY_ROOM) if len(jobs) == 1 else (1, SPIN_ROOM)
+
+    def search(job: int, seed: int, tick: Callable[[int], bool]) -> RoomDrive | None:
+        return _search_room(jobs[job][1], primitives, task, seed, tick, settings)
+
+    visits, interrupted = search_in_parallel(search, [int(need.sum()) for _, need in jobs], task, tries)
+    ordered: list[RoomDrive] = []
+    for band in range(len(bands)):
+        own = [visit for (of, _), visit in zip(jobs, visits, strict=True) if of == band and visit is not None]
+        here = ordered[-1].ends[1] if ordered else task.start
+        ordered += [own[k] for k in _room_order(own, here, task)]
+    joined_drive, was_asked = defer_interrupt(partial(_join_rooms, ordered, task))
+    if interrupted or was_asked:
+        return replace(joined_drive, interrupted=True)
+    return _repair(joined_drive, todo, task)
+
+
+def _search_room(
+    need: Bools,
+    primitives: MotionPrimitives,
+    task: Task,
+    seed: int,
+    tick: Callable[[int], bool],
+    settings: SearchSettings,
+) -> RoomDrive | None:
+    """Search for a drive through the bins `need` (nx, ny, n_phi); None where there is no place to begin."""
+    area = search_area(task.reach, np.asarray(need.any(axis=2)))
+    own = area.part(need)
+    search = CoverageSearch(area, primitives, own, task.rate, seed=seed, settings=settings)
+    start = free_place(area, task, own, search.rng)
+    if start is None:
+        return None
+    search.start_at(np.array([*start, 0.0, 0.0]))
+    search.complete(tick)
+    given_up = search.given_up | search.world.need
+    for patience in COVERAGE.retry_dwell:
+        again = area.part(_missed_by(search, primitives, task, need)) & ~given_up
+        if not again.any():
+            break
+        search.want(again, patience, inner=False)
+        search.run(tick)
+    if not search.come_to_rest():
+        return None
+    found = search.result()
+    curve = spin_curve(found, primitives, task.vehicle.limits.alpha)
+    return RoomDrive(curve=curve, stops=_revolutions(curve, primitives), left=int(given_up.sum()))
+
+
+def _missed_by(search: CoverageSearch, primitives: MotionPrimitives, task: Task, need: Bools) -> Bools:
+    curve = spin_curve(search.result(), primitives, task.vehicle.limits.alpha)
+    return missed(curve, need, task.coverage, task.rate)
+
+
+def _revolutions(curve: Curve, primitives: MotionPrimitives) -> Floats:
+    """Return (n, 4) where each revolution begins, and how far it turns."""
+    end = float(curve.sample(np.array([curve.duration]))[0][0, 2])
+    every = curve.poses[:: primitives.n_headings]
+    phi = np.append(every[:, 2], curve.poses[-1, 2] + wrap(np.float64(end - curve.poses[-1, 2])))
+    return np.column_stack([every, np.diff(phi)])
+
+
+def _room_order(visits: list[RoomDrive], here: Floats | None, task: Task) -> Ints:
+    """Order the rooms by the ways from the end of one to the start of another."""
+    if len(visits) < 2:
+        return np.arange(len(visits))
+    reach = task.reach
+
+    def cells(points: Floats) -> Ints:
+        at = np.floor((points[:, :2] - reach.origin) / reach.cell).astype(np.int64)
+        within = at.clip(0, np.array(reach.shape) - 1)
+        return np.asarray(np.ravel_multi_index(tuple(within.T), reach.shape), dtype=np.int64)
+
+    starts = np.array([visit.ends[0] for visit in visits])
+    ends = np.array([visit.ends[1] for visit in visits] + ([] if here is None else [here]))
+    far = csgraph.dijkstra(cell_graph(reach), directed=False, indices=cells(ends))[:, cells(starts)]
+    cost = np.where(np.isfinite(far), far, 1e3) * reach.cell / task.vehicle.limits.v
+    return shortest_sequence(cost[: len(visits)], None if here is None else cost[-1])
+
+
+def _join_rooms(visits: list[RoomDrive], task: Task) -> PlannedDrive:
+    """Join the visits; one that cannot be reached is left out."""
+    here = visits[0].ends[0] if task.start is None else task.start
+    froms = np.array([here, *(visit.ends[1] for visit in visits[:-1])])
+    tos = np.array([visit.ends[0] for visit in visits])
+    paths, joins = connect(froms[:, :2], tos[:, :2], reach=task.reach, barriers=task.barriers, seed=task.seed)
+    curves: list[Curve] = []
+    stops: list[Floats] = []
+    for visit, path in zip(visits, paths, strict=True):
+        if path is not None and not np.allclose(path[0], here[:2], atol=SAME_PLACE):
+            again, more = connect(
+                here[None, :2],
+                visit.ends[0][None, :2],
+                reach=task.reach,
+                barriers=task.barriers,
+                seed=task.seed,
+            )
+            path, joins = again[0], joins + more
+        if path is None:
+            continue
+        builder = CurveBuilder(here, task.vehicle.limits)
+        builder.follow(path)
+        builder.face(visit.ends[0][2])
+        if builder.clock > 0:
+            curves.append(builder.curve())
+            stops.append(np.array(builder.stops).reshape(-1, 4))
+        curves.append(visit.curve)
+        stops.append(visit.stops)
+        here = visit.ends[1]
+    if not curves:
+        raise PlanError("no way leads to any room; choose another start")
+    return PlannedDrive(curve=join_curves(curves), stops=np.concatenate(stops), joins=joins)
+
+
+def _repair(driven: PlannedDrive, todo: Bools, task: Task) -> PlannedDrive:
+    """Turn in the cells where a bin is still missing."""
+    missing = missed(driven.curve, todo, task.coverage, task.rate)
+    if not missing.any():
+        return driven
+    repair = SpinRepair(task, missing, driven.curve.sample(np.array([driven.curve.duration]))[0][0])
+    interrupted = False
+    try:
+        repair.run()
+    except KeyboardInterrupt:
+        interrupted = True
+    return PlannedDrive(
+        interrupted=interrupted,
+        curve=join_curves([driven.curve, *repair.curves]),
+        stops=np.concatenate([driven.stops, np.array(repair.stops).reshape(-1, 4)]),
+        joins=driven.joins + repair.joins,
+        lost=repair.lost & task.coverage.reachable,
+    )

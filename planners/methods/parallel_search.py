@@ -1,0 +1,148 @@
+"""Searches of several rooms in parallel, with one progress and one Ctrl-C for all."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+
+import numpy as np
+
+from planners.cars.car_curve import curve_of_arcs
+from planners.cars.shortcuts import shorten_drive
+from planners.methods.settings import COVERAGE
+from planners.search.area import SearchArea, search_area
+from planners.search.motion_primitives import GEARS, MotionPrimitives, car_primitives, spin_primitives
+from planners.search.room_drive import RoomDrive
+from planners.search.search import CoverageSearch
+from planners.task import Task
+from planners.types import Bools, Floats
+
+COMPILE_NOTICE = 2.0
+"""[s] of compiling before that is said."""
+
+
+POLL_INTERVAL = 0.1
+"""[s] between two looks at the searches' progress."""
+
+
+logger = logging.getLogger(__name__)
+
+
+def primitives_of(task: Task) -> MotionPrimitives:
+    """Return the primitives of the task's robot."""
+    limits, headings, drive = task.vehicle.limits, task.coverage.headings, task.vehicle.drive
+    return (
+        spin_primitives(limits, headings, task.rate)
+        if drive == "diff"
+        else car_primitives(limits, headings, task.rate, GEARS[drive])
+    )
+
+
+def search_in_parallel(
+    job: Callable[[int, int, Callable[[int], bool]], RoomDrive | None],
+    sizes: list[int],
+    task: Task,
+    tries: int = 1,
+) -> tuple[list[RoomDrive | None], bool]:
+    """Do each job (number, seed, tick) some times on all processors; return the best visit of each.
+
+    Ctrl-C ends the searches where they are, and keeps what they found; a second one ends all.
+
+    Parameters
+    ----------
+    sizes : bins of each job
+
+    Returns
+    -------
+    visits, and whether the searches were interrupted
+    """
+    left = {(room, attempt): size for attempt in range(tries) for room, size in enumerate(sizes)}
+    total, stop = sum(left.values()), threading.Event()
+
+    def search(room: int, attempt: int) -> RoomDrive | None:
+        def tick(now: int) -> bool:
+            left[room, attempt] = now
+            return not stop.is_set()
+
+        seed = int(np.random.SeedSequence([task.seed, room, attempt]).generate_state(1)[0])
+        return job(room, seed, tick)
+
+    _compile(task)
+    if task.progress:
+        task.progress(0, total // tries)
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        futures: dict[tuple[int, int], Future[RoomDrive | None]] = {
+            key: threads.submit(search, *key) for key in sorted(left)
+        }
+        try:
+            open_ = set(futures.values())
+            while open_:
+                _, open_ = wait(open_, timeout=POLL_INTERVAL)
+                if task.progress:
+                    task.progress((total - sum(left.values())) // tries, total // tries)
+        except BaseException as exc:
+            stop.set()
+            threads.shutdown(cancel_futures=True)
+            if not isinstance(exc, KeyboardInterrupt):
+                raise
+    if task.progress and not stop.is_set():
+        task.progress(total // tries, total // tries)
+    best: list[RoomDrive | None] = []
+    for room in range(len(sizes)):
+        done = [futures[room, attempt] for attempt in range(tries) if not futures[room, attempt].cancelled()]
+        tried = [visit for future in done if (visit := future.result()) is not None]
+        best.append(
+            min(
+                tried,
+                key=lambda visit: visit.curve.duration + COVERAGE.missed_bin_cost * visit.left,
+                default=None,
+            )
+        )
+    if stop.is_set() and not any(best):
+        raise KeyboardInterrupt
+    return best, stop.is_set()
+
+
+def _compile(task: Task) -> None:
+    """Compile the kernels, or read them from disk, before the progress starts: search for no bin at all."""
+    said = threading.Timer(
+        COMPILE_NOTICE, logger.warning, ["compiling the search for this machine: a minute, once"]
+    )
+    said.daemon = True
+    cells = np.zeros(task.reach.shape, dtype=np.bool_)
+    cells[tuple(np.argwhere(task.reach.cells())[0])] = True
+    area = search_area(task.reach, cells)
+    none = np.zeros((*area.inner.shape, task.coverage.headings), dtype=np.bool_)
+    said.start()
+    try:
+        CoverageSearch(area, primitives_of(task), none, task.rate).run(lambda _: False)
+        if task.vehicle.drive != "diff":
+            _compile_shortening(task)
+    finally:
+        said.cancel()
+
+
+def _compile_shortening(task: Task) -> None:
+    """Compile what shortens a car's drive: let it look for ways across a straight line of three arcs."""
+    arcs = np.full(3, 0.1), np.zeros(3), np.ones(3)
+    line = curve_of_arcs(np.array([*task.reach.origin, 0.0]), *arcs, task.vehicle.limits)
+    shorten_drive(line, np.zeros_like(task.coverage.reachable), task, task.vehicle.limits.v)
+
+
+def free_place(area: SearchArea, task: Task, need: Bools, rng: np.random.Generator) -> Floats | None:
+    """Return (2,) [m] the middle of a free cell of the room, or its freest place."""
+    reach, cells = task.reach, np.asarray(need.any(axis=2))
+    free = cells & area.part(np.asarray(reach.blocks(reach.mask).all(axis=-1)))
+    if free.any():
+        choice = np.argwhere(free)
+        return np.asarray(area.origin + (choice[int(rng.integers(len(choice)))] + 0.5) * area.cell)
+    depth = np.where(area.part(reach.blocks(reach.mask)), area.part(reach.blocks(reach.distance)), 0.0)
+    depth = np.where(cells[:, :, None], depth, 0.0)
+    i, k, node = np.unravel_index(int(depth.argmax()), depth.shape)
+    if depth[i, k, node] < reach.clearance:
+        return None
+    within = np.array([node // reach.per_cell, node % reach.per_cell])
+    return np.asarray(area.origin + np.array([i, k]) * area.cell + (within + 0.5) * area.step)
