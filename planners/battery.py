@@ -71,7 +71,7 @@ def battery_sessions(driven: PlannedDrive, task: Task, *, battery: float, dock: 
     first = 0
     while first < len(curve.starts):
         begin, _ = end_poses(section_of(curve, first, len(curve.starts), vehicle))
-        out = cache.way(dock, begin)
+        out = cache.transit(dock, begin)
         cut = longest_section(curve, first, battery - out.duration, dock, cache, vehicle)
         if cut is None:
             last = int(cut_points(curve, vehicle)[cut_points(curve, vehicle) > first][0])

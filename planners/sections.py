@@ -1,9 +1,9 @@
-"""What a robot drives in a given time: a plan's curve, cut, and led to where it should end.
+"""Cut a drive: sections of it that end in time, and the way from their end to where the robot should be.
 
-The drive of a robot that turns in place is cut only where v is zero. There it may still be turning, so the cut ends
-with a turn on the spot that brakes, and what follows begins with one that gets going again: both stay where the plan
-already was, and no heading bin loses the passage that met it. A car can be cut between any two arcs: it brakes, and
-gets going, on the arcs that it drives anyway.
+The drive of a robot that turns in place is cut only where v is zero. It may still be turning there, so the section ends
+with a turn on the spot that brakes, and the next one begins with a turn that gets going. Both stay at the same place, and
+every heading bin is still passed. A car can be cut between any two arcs: it brakes and gets going on arcs that it drives
+anyway.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planners.arena import Arena, wrap
-from planners.cars.car_curve import car_section
+from planners.cars.car_curve import car_section, cusps
 from planners.clearance import Barriers
 from planners.curve import Curve, CurveBuilder, join_curves
 from planners.errors import PlanError
@@ -31,10 +31,10 @@ STILL = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Transit:
-    """A drive between two poses that covers nothing on purpose."""
+    """A drive from one pose to another that need not cover anything."""
 
     curve: Curve | None
-    """None where the poses are the same."""
+    """None if the poses are the same."""
     joins: JoinCounts
 
     @property
@@ -44,7 +44,12 @@ class Transit:
 
 
 def check_pose(name: str, pose: Floats, arena: Arena, barriers: Barriers, reach: Reach) -> None:
-    """Refuse a pose (3,) that the robot cannot stand at, or cannot get to."""
+    """Refuse a pose (3,) where the robot cannot stand, or that it cannot reach.
+
+    Raises
+    ------
+    PlanError : the pose is outside the arena, too near to a wall, or out of reach; `name` says whose pose it is
+    """
     where = f"{name} ({pose[0]:g}, {pose[1]:g})"
     if not np.isfinite(pose).all():
         raise PlanError(f"{name} is {pose.tolist()}, expected three finite numbers x, y, phi")
@@ -73,12 +78,12 @@ def cut_points(curve: Curve, vehicle: Vehicle) -> Ints:
 def section_of(curve: Curve, first: int, last: int, vehicle: Vehicle) -> Curve:
     """Return pieces `first` up to `last`, not included, from rest to rest; both must be some of `cut_points`."""
     if vehicle.drive == "diff":
-        return _of_turner(curve, first, last, vehicle.limits.alpha)
+        return _spin_section(curve, first, last, vehicle.limits.alpha)
     return car_section(curve, first, last, vehicle.limits)
 
 
-def _of_turner(curve: Curve, first: int, last: int, alpha: float) -> Curve:
-    """Get going and brake by turns on the spot, at `alpha` [rad/s²]."""
+def _spin_section(curve: Curve, first: int, last: int, alpha: float) -> Curve:
+    """Return a section that begins and ends with a turn on the spot, at `alpha` [rad/s²], where the robot is turning."""
     whole = curve if last == len(curve.starts) else curve.until(float(curve.starts[last]), alpha)
     omega = float(curve.twists[first, 1])
     if abs(omega) < STILL:
@@ -130,27 +135,30 @@ def turning_stops(curve: Curve) -> Floats:
 
 
 def stops_of(curve: Curve, task: Task) -> Floats:
-    """Return the stops (n, 4) of any robot: a car's are where it changes gear, and it turns nothing there."""
+    """Return the stops (n, 4) of any vehicle. A car's are its cusps, where it changes gear and does not turn."""
     if task.vehicle.drive == "diff":
         return turning_stops(curve)
-    gear = np.sign(curve.twists[:, 0] + curve.rates[:, 0] * 1e-6)
-    cusps = np.flatnonzero(np.diff(gear, prepend=0.0))
-    return np.column_stack([curve.poses[cusps], np.zeros(len(cusps))])
+    return cusps(curve)
 
 
-class NoWayError(PlanError):
-    """OMPL found no way between two poses."""
+class NoPathError(PlanError):
+    """OMPL found no path between two poses."""
 
 
 class PathCache:
-    """Ways between poses: direct where that is clear, else by OMPL; each asked for once."""
+    """Transits between poses: direct if that is clear, else by OMPL; each path is planned once."""
 
     def __init__(self, task: Task) -> None:
         self.task = task
         self._paths: dict[tuple[float, ...], tuple[Floats, JoinCounts]] = {}
 
-    def way(self, begin: Floats, end: Floats) -> Transit:
-        """Return the way from pose (3,) to pose (3,), at rest at both."""
+    def transit(self, begin: Floats, end: Floats) -> Transit:
+        """Return the transit from one pose (3,) to another, at rest at both.
+
+        Raises
+        ------
+        NoPathError : OMPL found no path
+        """
         if self.task.vehicle.drive != "diff":
             return self._by_car(begin, end)
         path, joins = self._path(begin[:2], end[:2])
@@ -161,7 +169,7 @@ class PathCache:
 
     def _by_car(self, begin: Floats, end: Floats) -> Transit:
         task = self.task
-        cache, joins = connect_cars(
+        paths, joins = connect_cars(
             begin[None],
             [end[None]],
             reach=task.reach,
@@ -169,9 +177,9 @@ class PathCache:
             vehicle=task.vehicle,
             seed=task.seed,
         )
-        if cache[0] is None:
-            raise NoWayError(_no_way(begin, end))
-        return Transit(curve=cache[0].curve, joins=joins)
+        if paths[0] is None:
+            raise NoPathError(_no_path(begin, end))
+        return Transit(curve=paths[0].curve, joins=joins)
 
     def _path(self, begin: Floats, end: Floats) -> tuple[Floats, JoinCounts]:
         key = (*begin.tolist(), *end.tolist())
@@ -185,12 +193,12 @@ class PathCache:
                 begin[None], end[None], reach=task.reach, barriers=task.barriers, seed=task.seed
             )
             if paths[0] is None:
-                raise NoWayError(_no_way(begin, end))
+                raise NoPathError(_no_path(begin, end))
             self._paths[key] = paths[0], joins
         return self._paths[key]
 
 
-def _no_way(begin: Floats, end: Floats) -> str:
+def _no_path(begin: Floats, end: Floats) -> str:
     return f"no way was found from {_place(begin)} to {_place(end)}; choose another place to start, to end or to dock"
 
 
@@ -200,10 +208,10 @@ def _place(pose: Floats) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriveSection:
-    """A part of the drive that ends in time, and the way from its end."""
+    """A section of the drive, and the transit from its end."""
 
     last: int
-    """The piece that comes next."""
+    """The piece of the drive that comes next."""
     part: Curve
     home: Transit | None
 
@@ -216,18 +224,22 @@ class DriveSection:
 def section_up_to(
     curve: Curve, first: int, last: int, home: Floats | None, cache: PathCache | None, vehicle: Vehicle
 ) -> DriveSection:
-    """Return pieces `first` up to `last`, not included, and the way from there to `home` (3,)."""
+    """Return pieces `first` up to `last`, not included, and the transit from there to `home` (3,)."""
     part = section_of(curve, first, last, vehicle)
-    back = None if home is None or cache is None else cache.way(end_poses(part)[1], home)
+    back = None if home is None or cache is None else cache.transit(end_poses(part)[1], home)
     return DriveSection(last=last, part=part, home=back)
 
 
 def longest_section(
     curve: Curve, first: int, left: float, home: Floats | None, cache: PathCache | None, vehicle: Vehicle
 ) -> DriveSection | None:
-    """Return the longest part from piece `first` on that is done, the way `home` (3,) included, within `left` [s].
+    """Return the longest section from piece `first` on that fits, with its transit `home` (3,), into `left` [s].
 
-    Where ways home differ much from place to place, a longer one may exist; none is ever too long.
+    None if not even the shortest fits. Where transits home differ much from place to place, a longer section may exist.
+
+    Raises
+    ------
+    NoPathError : no path leads home from several places in a row
     """
     choice, stamps = cut_points(curve, vehicle), np.append(curve.starts, curve.duration)
     nearest, last = int(choice[choice > first][0]), first
@@ -239,7 +251,7 @@ def longest_section(
         last = int(fits[-1]) if len(fits) else nearest
         try:
             cut = section_up_to(curve, first, last, home, cache, vehicle)
-        except NoWayError:
+        except NoPathError:
             if (stuck := stuck + 1) > SECTIONS.max_stuck:
                 raise
             allowed = float(stamps[last] - stamps[first]) - SECTIONS.step_back
@@ -253,7 +265,12 @@ def longest_section(
 def fit_to_budget(
     driven: PlannedDrive, task: Task, *, budget: float | None, end: Floats | None
 ) -> PlannedDrive:
-    """Return the drive as far as `budget` [s] goes, led to `end` (3,) if there is one."""
+    """Cut a drive to what fits into `budget` [s], and lead it to `end` (3,) if there is one.
+
+    Raises
+    ------
+    PlanError : the budget is too short for the first stop, or no path leads to the end
+    """
     if budget is None and end is None:
         return driven
     curve, vehicle = driven.curve, task.vehicle
@@ -263,14 +280,8 @@ def fit_to_budget(
     if budget is not None and whole.duration > budget + STILL:
         found = longest_section(curve, 0, budget, end, cache, vehicle)
         if found is None:
-            first = section_up_to(
-                curve,
-                0,
-                int(cut_points(curve, vehicle)[cut_points(curve, vehicle) > 0][0]),
-                end,
-                cache,
-                vehicle,
-            )
+            choice = cut_points(curve, vehicle)
+            first = section_up_to(curve, 0, int(choice[choice > 0][0]), end, cache, vehicle)
             raise PlanError(
                 f"a budget of {budget / 60:g} min is too short: to the first stop"
                 f"{'' if end is None else ' and on to the end pose'} takes {minutes(first.duration)} min"
@@ -295,6 +306,6 @@ def minutes(seconds: float) -> str:
 def drive_along(
     curves: list[Curve], joins: JoinCounts, task: Task, *, interrupted: bool = False
 ) -> PlannedDrive:
-    """Return the drive along some curves, each of which starts where the one before it ends."""
+    """Return the drive along consecutive curves."""
     curve = join_curves(curves)
     return PlannedDrive(curve=curve, stops=stops_of(curve, task), joins=joins, interrupted=interrupted)

@@ -24,7 +24,7 @@ from planners.types import Bools, Floats
 
 
 def plan_cars(task: Task) -> PlannedDrive:
-    """Search the rooms side by side, and join them by OMPL; then complete what is missing."""
+    """Plan a car's drive: search the rooms in parallel, join them by OMPL, and complete what is missing."""
     todo = task.coverage.reachable & (task.coverage.counts == 0)
     if not todo.any():
         raise PlanError("every reachable bin is covered already; nothing is left to plan")
@@ -40,13 +40,15 @@ def plan_cars(task: Task) -> PlannedDrive:
     def search_on(missing: Bools, here: Floats, seed: int) -> RoomDrive | None:
         return search_floor(missing, task, here, seed, lambda _: True, settings)
 
-    visits, interrupted = search_in_parallel(search, [int(part.sum()) for part in parts], task)
+    room_drives, interrupted = search_in_parallel(search, [int(part.sum()) for part in parts], task)
     repair = CarRepair(task, todo, start, search_on)
-    for part, begin, visit in zip(parts, begins, visits, strict=True):
-        if visit is None:
+    for part, begin, room_drive in zip(parts, begins, room_drives, strict=True):
+        if room_drive is None:
             continue
-        _, was_asked = defer_interrupt(partial(repair.enter_room, part, begin, visit.curve, task.seed))
-        if was_asked:
+        _, came_meanwhile = defer_interrupt(
+            partial(repair.enter_room, part, begin, room_drive.curve, task.seed)
+        )
+        if came_meanwhile:
             interrupted = True
             break
     if not interrupted:
@@ -62,7 +64,7 @@ def plan_cars(task: Task) -> PlannedDrive:
 
 
 def _complete(repair: CarRepair, task: Task) -> bool:
-    """Drive to what is missing, shorten the whole drive, and win again what a log met by luck; tell whether Ctrl-C came."""
+    """Repair, shorten, and repair again what logs met only by luck before; return whether Ctrl-C came."""
     try:
         speed = float(abs(primitives_of(task).speeds[0]))
         if repair.missing().sum() < COVERAGE.few_missing * repair.todo.sum():
@@ -70,8 +72,8 @@ def _complete(repair: CarRepair, task: Task) -> bool:
         repair.run()
         if repair.drive.curves:
             repair.add_detours(speed)
-            won = repair.todo & ~repair.missing()
-            short, interrupted = shorten_drive(repair.drive.curve, won, task, speed)
+            covered = repair.todo & ~repair.missing()
+            short, interrupted = shorten_drive(repair.drive.curve, covered, task, speed)
             repair.replace_all(short)
             if interrupted:
                 return True
@@ -83,9 +85,9 @@ def _complete(repair: CarRepair, task: Task) -> bool:
 
 
 def _room_start(part: Bools, start: Floats, task: Task) -> Floats:
-    """Return where a car begins a room's bins `part` (nx, ny, n_phi): at its start (3,), if that lies within.
+    """Return the pose (3,) where a car begins a room: at the drive's start if that lies within, else in a free cell.
 
-    Elsewhere it is the middle of a free cell, with a heading that the search has.
+    part : (nx, ny, n_phi) bins of the room
     """
     (bin_,), inside = task.coverage.bins(start[None])
     if inside[0] and part[bin_[0], bin_[1]].any():
@@ -105,7 +107,7 @@ def _room_start(part: Bools, start: Floats, task: Task) -> Floats:
 
 
 def _start_pose(task: Task) -> Floats:
-    """Return (3,) the middle of a free cell, and a heading between the borders of bins."""
+    """Return (3,) the middle of a free cell, with a heading between the borders of bins."""
     pose = _free_pose(task.coverage.reachable, task)
     if pose is None:
         raise PlanError("no place is free enough to begin; choose a start")
@@ -113,6 +115,6 @@ def _start_pose(task: Task) -> Floats:
 
 
 def _free_pose(need: Bools, task: Task) -> Floats | None:
-    """Return a free place in the cells of `need` (nx, ny, n_phi), with a heading that the search has, (3,)."""
+    """Return a free pose (3,) in the cells of `need` (nx, ny, n_phi), with a heading that the search has; None: none."""
     middle = free_place(search_area(task.reach), task, need, np.random.default_rng(task.seed))
     return None if middle is None else np.array([*middle, primitives_of(task).first_heading])

@@ -30,11 +30,11 @@ from planners.task import PlannedDrive, Task
 from planners.types import Bools, Floats, Ints
 
 SAME_PLACE = 1e-9
-"""[m, rad] moves and turns shorter than this are none."""
+"""[m] Places closer than this are the same."""
 
 
 def plan_spins(task: Task) -> PlannedDrive:
-    """Visit every bin that is still missing: spin without a stop, and choose the speed."""
+    """Plan the drive of a robot that turns in place: it never stops turning, and the search chooses its speed."""
     todo = wanted(task)
     primitives = primitives_of(task)
     level = cell_bands(task.priority, todo, task.reach.cell)
@@ -50,14 +50,18 @@ def plan_spins(task: Task) -> PlannedDrive:
     def search(job: int, seed: int, tick: Callable[[int], bool]) -> RoomDrive | None:
         return _search_room(jobs[job][1], primitives, task, seed, tick, settings)
 
-    visits, interrupted = search_in_parallel(search, [int(need.sum()) for _, need in jobs], task, tries)
+    room_drives, interrupted = search_in_parallel(search, [int(need.sum()) for _, need in jobs], task, tries)
     ordered: list[RoomDrive] = []
     for band in range(len(bands)):
-        own = [visit for (of, _), visit in zip(jobs, visits, strict=True) if of == band and visit is not None]
+        own = [
+            room_drive
+            for (of, _), room_drive in zip(jobs, room_drives, strict=True)
+            if of == band and room_drive is not None
+        ]
         here = ordered[-1].ends[1] if ordered else task.start
         ordered += [own[k] for k in _room_order(own, here, task)]
-    joined_drive, was_asked = defer_interrupt(partial(_join_rooms, ordered, task))
-    if interrupted or was_asked:
+    joined_drive, came_meanwhile = defer_interrupt(partial(_join_rooms, ordered, task))
+    if interrupted or came_meanwhile:
         return replace(joined_drive, interrupted=True)
     return _repair(joined_drive, todo, task)
 
@@ -70,7 +74,7 @@ def _search_room(
     tick: Callable[[int], bool],
     settings: SearchSettings,
 ) -> RoomDrive | None:
-    """Search for a drive through the bins `need` (nx, ny, n_phi); None where there is no place to begin."""
+    """Search for a drive through the bins `need` (nx, ny, n_phi); None if there is no place to begin or to stop."""
     area = search_area(task.reach, np.asarray(need.any(axis=2)))
     own = area.part(need)
     search = CoverageSearch(area, primitives, own, task.rate, seed=seed, settings=settings)
@@ -99,17 +103,17 @@ def _missed_by(search: CoverageSearch, primitives: MotionPrimitives, task: Task,
 
 
 def _revolutions(curve: Curve, primitives: MotionPrimitives) -> Floats:
-    """Return (n, 4) where each revolution begins, and how far it turns."""
+    """Return the stops (n, 4): where each revolution begins, and its angle."""
     end = float(curve.sample(np.array([curve.duration]))[0][0, 2])
     every = curve.poses[:: primitives.n_headings]
     phi = np.append(every[:, 2], curve.poses[-1, 2] + wrap(np.float64(end - curve.poses[-1, 2])))
     return np.column_stack([every, np.diff(phi)])
 
 
-def _room_order(visits: list[RoomDrive], here: Floats | None, task: Task) -> Ints:
-    """Order the rooms by the ways from the end of one to the start of another."""
-    if len(visits) < 2:
-        return np.arange(len(visits))
+def _room_order(room_drives: list[RoomDrive], here: Floats | None, task: Task) -> Ints:
+    """Order the rooms by the way from the end of one to the start of another."""
+    if len(room_drives) < 2:
+        return np.arange(len(room_drives))
     reach = task.reach
 
     def cells(points: Floats) -> Ints:
@@ -117,26 +121,26 @@ def _room_order(visits: list[RoomDrive], here: Floats | None, task: Task) -> Int
         within = at.clip(0, np.array(reach.shape) - 1)
         return np.asarray(np.ravel_multi_index(tuple(within.T), reach.shape), dtype=np.int64)
 
-    starts = np.array([visit.ends[0] for visit in visits])
-    ends = np.array([visit.ends[1] for visit in visits] + ([] if here is None else [here]))
+    starts = np.array([room_drive.ends[0] for room_drive in room_drives])
+    ends = np.array([room_drive.ends[1] for room_drive in room_drives] + ([] if here is None else [here]))
     far = csgraph.dijkstra(cell_graph(reach), directed=False, indices=cells(ends))[:, cells(starts)]
     cost = np.where(np.isfinite(far), far, 1e3) * reach.cell / task.vehicle.limits.v
-    return shortest_sequence(cost[: len(visits)], None if here is None else cost[-1])
+    return shortest_sequence(cost[: len(room_drives)], None if here is None else cost[-1])
 
 
-def _join_rooms(visits: list[RoomDrive], task: Task) -> PlannedDrive:
-    """Join the visits; one that cannot be reached is left out."""
-    here = visits[0].ends[0] if task.start is None else task.start
-    froms = np.array([here, *(visit.ends[1] for visit in visits[:-1])])
-    tos = np.array([visit.ends[0] for visit in visits])
+def _join_rooms(room_drives: list[RoomDrive], task: Task) -> PlannedDrive:
+    """Join the drives of the rooms; a room that cannot be reached is left out."""
+    here = room_drives[0].ends[0] if task.start is None else task.start
+    froms = np.array([here, *(room_drive.ends[1] for room_drive in room_drives[:-1])])
+    tos = np.array([room_drive.ends[0] for room_drive in room_drives])
     paths, joins = connect(froms[:, :2], tos[:, :2], reach=task.reach, barriers=task.barriers, seed=task.seed)
     curves: list[Curve] = []
     stops: list[Floats] = []
-    for visit, path in zip(visits, paths, strict=True):
+    for room_drive, path in zip(room_drives, paths, strict=True):
         if path is not None and not np.allclose(path[0], here[:2], atol=SAME_PLACE):
             again, more = connect(
                 here[None, :2],
-                visit.ends[0][None, :2],
+                room_drive.ends[0][None, :2],
                 reach=task.reach,
                 barriers=task.barriers,
                 seed=task.seed,
@@ -146,20 +150,20 @@ def _join_rooms(visits: list[RoomDrive], task: Task) -> PlannedDrive:
             continue
         builder = CurveBuilder(here, task.vehicle.limits)
         builder.follow(path)
-        builder.face(visit.ends[0][2])
+        builder.face(room_drive.ends[0][2])
         if builder.clock > 0:
             curves.append(builder.curve())
             stops.append(np.array(builder.stops).reshape(-1, 4))
-        curves.append(visit.curve)
-        stops.append(visit.stops)
-        here = visit.ends[1]
+        curves.append(room_drive.curve)
+        stops.append(room_drive.stops)
+        here = room_drive.ends[1]
     if not curves:
         raise PlanError("no way leads to any room; choose another start")
     return PlannedDrive(curve=join_curves(curves), stops=np.concatenate(stops), joins=joins)
 
 
 def _repair(driven: PlannedDrive, todo: Bools, task: Task) -> PlannedDrive:
-    """Turn in the cells where a bin is still missing."""
+    """Let `SpinRepair` complete the drive."""
     missing = missed(driven.curve, todo, task.coverage, task.rate)
     if not missing.any():
         return driven

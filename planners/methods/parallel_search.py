@@ -21,18 +21,15 @@ from planners.task import Task
 from planners.types import Bools, Floats
 
 COMPILE_NOTICE = 2.0
-"""[s] of compiling before that is said."""
-
-
+"""[s] of compiling before the log says so."""
 POLL_INTERVAL = 0.1
-"""[s] between two looks at the searches' progress."""
-
+"""[s] between two updates of the progress."""
 
 logger = logging.getLogger(__name__)
 
 
 def primitives_of(task: Task) -> MotionPrimitives:
-    """Return the primitives of the task's robot."""
+    """Return the primitives of the task's vehicle."""
     limits, headings, drive = task.vehicle.limits, task.coverage.headings, task.vehicle.drive
     return (
         spin_primitives(limits, headings, task.rate)
@@ -47,17 +44,22 @@ def search_in_parallel(
     task: Task,
     tries: int = 1,
 ) -> tuple[list[RoomDrive | None], bool]:
-    """Do each job (number, seed, tick) some times on all processors; return the best visit of each.
+    """Run each job `tries` times on all processors, and return its best drive.
 
-    Ctrl-C ends the searches where they are, and keeps what they found; a second one ends all.
+    Ctrl-C ends the searches where they are and keeps what they found; a second one ends all.
 
     Parameters
     ----------
+    job : (number, seed, tick) -> drive; `tick` takes the bins left and returns whether to go on
     sizes : bins of each job
 
     Returns
     -------
-    visits, and whether the searches were interrupted
+    drives, None for a job that found none; and whether the searches were interrupted
+
+    Raises
+    ------
+    KeyboardInterrupt : Ctrl-C came before anything was found
     """
     left = {(room, attempt): size for attempt in range(tries) for room, size in enumerate(sizes)}
     total, stop = sum(left.values()), threading.Event()
@@ -93,11 +95,11 @@ def search_in_parallel(
     best: list[RoomDrive | None] = []
     for room in range(len(sizes)):
         done = [futures[room, attempt] for attempt in range(tries) if not futures[room, attempt].cancelled()]
-        tried = [visit for future in done if (visit := future.result()) is not None]
+        tried = [drive for future in done if (drive := future.result()) is not None]
         best.append(
             min(
                 tried,
-                key=lambda visit: visit.curve.duration + COVERAGE.missed_bin_cost * visit.left,
+                key=lambda drive: drive.curve.duration + COVERAGE.missed_bin_cost * drive.left,
                 default=None,
             )
         )
@@ -107,33 +109,33 @@ def search_in_parallel(
 
 
 def _compile(task: Task) -> None:
-    """Compile the kernels, or read them from disk, before the progress starts: search for no bin at all."""
-    said = threading.Timer(
+    """Compile the kernels, or read them from disk, before the progress starts, by a search for no bin."""
+    notice = threading.Timer(
         COMPILE_NOTICE, logger.warning, ["compiling the search for this machine: a minute, once"]
     )
-    said.daemon = True
+    notice.daemon = True
     cells = np.zeros(task.reach.shape, dtype=np.bool_)
     cells[tuple(np.argwhere(task.reach.cells())[0])] = True
     area = search_area(task.reach, cells)
     none = np.zeros((*area.inner.shape, task.coverage.headings), dtype=np.bool_)
-    said.start()
+    notice.start()
     try:
         CoverageSearch(area, primitives_of(task), none, task.rate).run(lambda _: False)
         if task.vehicle.drive != "diff":
             _compile_shortening(task)
     finally:
-        said.cancel()
+        notice.cancel()
 
 
 def _compile_shortening(task: Task) -> None:
-    """Compile what shortens a car's drive: let it look for ways across a straight line of three arcs."""
+    """Compile what shortens a car's drive, by shortening a straight line of three arcs."""
     arcs = np.full(3, 0.1), np.zeros(3), np.ones(3)
     line = curve_of_arcs(np.array([*task.reach.origin, 0.0]), *arcs, task.vehicle.limits)
     shorten_drive(line, np.zeros_like(task.coverage.reachable), task, task.vehicle.limits.v)
 
 
 def free_place(area: SearchArea, task: Task, need: Bools, rng: np.random.Generator) -> Floats | None:
-    """Return (2,) [m] the middle of a free cell of the room, or its freest place."""
+    """Return (2,) [m] the middle of a random free cell of the room, or else its place farthest from walls; None: none."""
     reach, cells = task.reach, np.asarray(need.any(axis=2))
     free = cells & area.part(np.asarray(reach.blocks(reach.mask).all(axis=-1)))
     if free.any():

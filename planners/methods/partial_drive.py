@@ -1,4 +1,4 @@
-"""What a car has driven so far, and what the log of it meets: it grows curve by curve, and can go on from earlier."""
+"""A car's drive while it grows: its curves so far, and the bins that logs of it meet. It can go on from before its end."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from planners.vehicle import Limits
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PartialDrive:
-    """Curves of a car, one after the other."""
+    """Consecutive curves of a car. Immutable: every change returns a new drive."""
 
     grid: Coverage
-    """The bins that are looked at; its counts are not."""
+    """Its bins; the counts are not used."""
     rate: float
     """[Hz] of the log."""
     limits: Limits
@@ -28,13 +28,13 @@ class PartialDrive:
     """(3,) [m, m, rad] where the car is."""
     curves: tuple[Curve, ...] = ()
     clock: float = 0.0
-    """[s] when the last curve begins."""
+    """[s] at which the last curve begins."""
     earlier: Bools | None = None
-    """(PHASES, nx, ny, n_phi) what a log of each phase meets before that; None: nothing."""
+    """(PHASES, nx, ny, n_phi) bins that a log of each phase meets before the last curve; None: none."""
 
     @cached_property
     def seen(self) -> Bools:
-        """(PHASES, nx, ny, n_phi) what a log of each phase meets."""
+        """(PHASES, nx, ny, n_phi) bins that a log of each phase meets."""
         if not self.curves:
             return np.zeros((PHASES, *self.grid.reachable.shape), dtype=np.bool_)
         last = met(self.curves[-1], self.grid, self.rate, self.clock)
@@ -42,7 +42,7 @@ class PartialDrive:
 
     @property
     def met(self) -> Bools:
-        """(nx, ny, n_phi) bins that the log meets, whatever its phase."""
+        """(nx, ny, n_phi) bins that a log of every phase meets."""
         return np.asarray(self.seen.all(axis=0))
 
     @property
@@ -52,11 +52,11 @@ class PartialDrive:
 
     @property
     def curve(self) -> Curve:
-        """All curves in one; there must be some."""
+        """All curves as one; there must be some."""
         return join_curves(list(self.curves))
 
     def extended(self, curve: Curve) -> PartialDrive:
-        """Return the trip that goes on along a curve, which starts here."""
+        """Return the drive that goes on along a curve, which starts at `here`."""
         return replace(
             self,
             here=_end(curve),
@@ -66,11 +66,11 @@ class PartialDrive:
         )
 
     def replaced_by(self, curve: Curve) -> PartialDrive:
-        """Return the trip that drives a curve in place of all curves."""
+        """Return the drive along one curve in place of all curves."""
         return replace(self, curves=(), clock=0.0, earlier=None).extended(curve)
 
     def without_last(self, back: float) -> PartialDrive | None:
-        """Return the trip without its last `back` [s]; None where that is all of the last curve, or more."""
+        """Return the drive without its last `back` [s]; None if nothing of the last curve would be left."""
         if back == 0.0:
             return self
         if not self.curves:

@@ -1,10 +1,9 @@
-"""What the search leaves to a car: OMPL drives to the nearest of all missing bins, all it crosses counts, and so on.
+"""Complete a car's drive: OMPL drives to the nearest missing bin, everything crossed on the way counts, and so on.
 
-One query holds a pose in every missing bin as its goals (`ob.GoalStates`); the shortest move comes first where it is
-clear. Where enough is missing at the end of a way, the search takes over again from there: so a car comes over floors
-that the search's own flood gives up on, to the first room of a resumed plan, and to the bins that its lattice cannot
-meet. Where OMPL finds no way, a car that only goes forward floods the floor for one. A bin is given up when both
-were in vain.
+One query holds poses in all missing bins as its goals (`ob.GoalStates`); the shortest curve is tried first. If many bins
+are missing where a path ends, the search takes over again from there. So a car gets across floors on which the search
+gave up, to the first room of a resumed plan, and to bins that the lattice of the search cannot meet. If OMPL finds no
+path, a car without a reverse gear tries a wavefront over the whole floor. A bin is given up when both failed.
 """
 
 from __future__ import annotations
@@ -30,14 +29,12 @@ from planners.search.room_drive import RoomDrive
 from planners.task import JoinCounts, Task
 from planners.types import Bools, Floats, Ints
 
-POSES = np.array(
-    [(x, y, turn) for turn in (0.0, -0.3, 0.3) for x in (0.0, -0.3, 0.3) for y in (0.0, -0.3, 0.3)]
-)
-"""Goals within a bin, in parts of it; the first CAR_REPAIR.few_goals where there are many bins."""
-TURNED = np.array([0.0, -0.3, 0.3])
-"""Goals at the place of a bin that is farthest from walls, in parts of its heading: slits hold no other."""
+OFFSETS = (0.0, -CAR_REPAIR.goal_offset, CAR_REPAIR.goal_offset)
+GOALS_IN_BIN = np.array([(x, y, turn) for turn in OFFSETS for x in OFFSETS for y in OFFSETS])
+"""(27, 3) goals within a bin, in shares of its width, height and heading from its middle; if many bins are missing, only
+the first `CAR_REPAIR.few_goals`. Each bin has three more goals at its place farthest from walls: slits hold no others."""
 SearchOn = Callable[[Bools, Floats, int], RoomDrive | None]
-"""(bins wanted, pose (3,) to begin at, seed) -> drive; None where it gets no bin."""
+"""(bins wanted, pose (3,) to begin at, seed) -> drive; None if it covers no bin."""
 
 
 @dataclass(eq=False)
@@ -56,34 +53,34 @@ class CarRepair:
         task, vehicle = self.task, self.task.vehicle
         self.drive = PartialDrive(grid=task.coverage, rate=task.rate, limits=vehicle.limits, here=self.start)
         self.lost: Bools = np.zeros_like(self.todo)
-        """(nx, ny, n_phi) bins that no way was found to."""
+        """(nx, ny, n_phi) bins to which no path was found."""
         self.n_searches: Ints = np.zeros(self.todo.shape, dtype=np.int64)
         """(nx, ny, n_phi) how often each bin was searched for."""
         self._no_ompl_path: Bools = np.zeros_like(self.todo)
-        """(nx, ny, n_phi) bins of queries that OMPL found no way for."""
+        """(nx, ny, n_phi) bins of queries for which OMPL found no path."""
         self._planner = ReachabilityPlanner(task) if len(GEARS[vehicle.drive]) == 1 else None
-        """Of a car that only goes forward: another comes back from anywhere."""
+        """Only for a car without a reverse gear; one with it can return from anywhere."""
         self.heading_offset = car_primitives(
             vehicle.limits, task.coverage.headings, task.rate, GEARS[vehicle.drive]
         ).first_heading
-        """[rad] from the middle of a heading bin to the headings that the search likes."""
+        """[rad] from the middle of a heading bin to the headings that the search uses."""
 
     def append_curve(self, curve: Curve) -> None:
         """Drive on along a curve that starts here."""
         self.drive = self.drive.extended(curve)
 
     def replace_all(self, curve: Curve) -> None:
-        """Drive a curve in place of all that was driven."""
+        """Replace everything driven so far by one curve."""
         self.drive = self.drive.replaced_by(curve)
 
     def missing(self) -> Bools:
-        """Return (nx, ny, n_phi) what the log of some phase misses, but for what is lost."""
+        """Return (nx, ny, n_phi) the bins that the log of some phase misses, without the lost ones."""
         return np.asarray(self.todo & ~self.drive.met & ~self.lost)
 
     def drive_to(self, pose: Floats, before: tuple[float, ...] = (0.0, *CAR_REPAIR.step_back)) -> bool:
-        """Drive to a pose (3,) from so much [s] `without_last` the last drive ended, or more; False where no way is found.
+        """Drive to a pose (3,), from the end of the drive or from some time [s] `before` it; return whether a path was found.
 
-        A drive may end where OMPL finds no way out in its time: what is cut off is missing again.
+        A drive may end where OMPL finds no way out in its time. The bins of what is cut off are missing again.
         """
         here = self.drive.here
         if np.allclose(here[:2], pose[:2]) and abs(wrap(here[2] - pose[2])) < 1e-9:
@@ -99,9 +96,9 @@ class CarRepair:
         return False
 
     def search_path_to(self, wanted: Bools) -> bool:
-        """Drive to one of the bins `wanted` by a flood of the whole floor; False where that finds no way.
+        """Drive to one of the bins `wanted` by a wavefront over the whole floor; return whether a path was found.
 
-        Where the lattice of the flood holds no way on from here, one may lead on from somewhat earlier.
+        If its lattice holds no path from the end of the drive, one may lead on from somewhat earlier.
         """
         if self._planner is None:
             return False
@@ -116,41 +113,44 @@ class CarRepair:
             if drive is None or curve is None:
                 continue
             longer = drive.extended(curve)
-            if (missing & longer.met).any():  # else too short a stay for some phase of the log
+            if (missing & longer.met).any():  # else the stay is too short for a log of some phase
                 self.drive = longer
                 self.joins += JoinCounts(flooded=1)
                 return True
         return False
 
-    def enter_room(self, room: Bools, entry_arc: Floats, curve: Curve, seed: int) -> None:
-        """Drive through a room, bins (nx, ny, n_phi), by the curve that begins at a pose (3,), or from where a way leads."""
-        if self.drive_to(entry_arc, (0.0,)):
+    def enter_room(self, room: Bools, start: Floats, curve: Curve, seed: int) -> None:
+        """Drive through a room by the `curve` that begins at `start` (3,); if no path leads there, search from where one does.
+
+        room : (nx, ny, n_phi) its bins
+        """
+        if self.drive_to(start, (0.0,)):
             self.append_curve(curve)
         elif self.search_path_to(room & self.missing()):
             visit = self.search(room & self.missing(), self.drive.here, seed)
             if visit is not None:
                 self.append_curve(visit.curve)
-        elif self.drive_to(entry_arc, CAR_REPAIR.step_back):
+        elif self.drive_to(start, CAR_REPAIR.step_back):
             self.append_curve(curve)
 
     def add_detours(self, speed: float) -> None:
-        """Insert detours at some speed [m/s] into what was driven, to bins beside it that are missing, or lost."""
+        """Insert detours, at `speed` [m/s], to missing or lost bins beside the drive."""
         lost, self.lost = self.lost, np.zeros_like(self.lost)
         missing = self.missing()
         bins, goals = goals_in(missing, self.drive.here, self.heading_offset, self.task)
         if self.drive.curves and len(bins):
             curve, limits = self.drive.curve, self.task.vehicle.limits
-            drive, ground = arc_path_of(curve, self.todo, self.task, speed)
+            path, context = arc_path_of(curve, self.todo, self.task, speed)
             own = np.ravel_multi_index(tuple(bins.T), missing.shape)
-            longer = insert_detours(drive, goals, own, ground)
-            if len(longer.length) > len(drive.length):
+            longer = insert_detours(path, goals, own, context)
+            if len(longer.length) > len(path.length):
                 self.replace_all(
                     curve_of_arcs(curve.poses[0], longer.length, longer.bend, longer.gear, limits, speed)
                 )
         self.lost = lost & self.missing()
 
     def run(self) -> None:
-        """Drive to missing bins until none is left, or all that is left is lost."""
+        """Drive to missing bins until none is left that is not lost."""
         fewest, idle = self.todo.size, 0
         for round_ in count():
             missing = self.missing()
@@ -171,9 +171,9 @@ class CarRepair:
             self._drive_to_one_of(missing, round_)
 
     def _drive_to_one_of(self, missing: Bools, round_: int) -> None:
-        """Drive to one of some bins by OMPL, or by a flood where OMPL finds no way; lose what both come to in vain."""
+        """Drive to one of the missing bins by OMPL, else by a wavefront; mark as lost the bins for which both failed."""
         bins, goals = goals_in(missing & ~self._no_ompl_path, self.drive.here, self.heading_offset, self.task)
-        if self._planner is not None and len(bins):  # it may be trapped in a corner
+        if self._planner is not None and len(bins):  # else the car may be trapped in a corner
             can_return = self._planner.can_return(goals, self.drive.here)
             bins, goals = bins[can_return], goals[can_return]
         way = self._connect(self.drive.here, goals, round_) if len(bins) else None
@@ -181,22 +181,22 @@ class CarRepair:
             self._no_ompl_path[tuple(bins.T)] = True
             if not self.search_path_to(missing):
                 self.lost[tuple(bins.T)] = True
-                if not len(bins):  # no free place within any: slits between the raster's nodes
+                if not len(bins):  # no bin holds a free place: slits between the nodes of the raster
                     self.lost |= missing
             return
         goal = tuple(bins[way.goal])
         if way.curve is not None:
             self.append_curve(way.curve)
-        self.lost[goal] = self.missing()[goal]  # driven to, but not long enough within it
+        self.lost[goal] = self.missing()[goal]  # reached, but the stay is too short
 
     def _nearby_cells(self) -> Bools:
-        """Return the cells (nx, ny) near here: a search does not get to others."""
+        """Return the cells (nx, ny) near the end of the drive; a search from there reaches no others."""
         rows, columns = np.indices(self.todo.shape[:2])
         i, k = _cell(self.drive.here, self.task)
         return np.asarray(np.hypot(rows - i, columns - k) * self.task.reach.cell <= CAR_REPAIR.search_radius)
 
     def _search_nearby(self, wanted: Bools, round_: int) -> bool:
-        """Let the search go on from here; say whether it got something."""
+        """Let the search go on from the end of the drive; return whether it covered something."""
         visit = self.search(wanted, self.drive.here, self.task.seed + round_)
         self.n_searches += wanted
         if visit is None or visit.left >= wanted.sum():
@@ -206,7 +206,7 @@ class CarRepair:
 
     def _connect(self, start: Floats, goals: Floats, round_: int) -> CarPath | None:
         task = self.task
-        travel_times, joins = connect_cars(
+        paths, joins = connect_cars(
             start[None],
             [goals],
             reach=task.reach,
@@ -215,7 +215,7 @@ class CarRepair:
             seed=task.seed + round_,
         )
         self.joins += joins
-        return travel_times[0]
+        return paths[0]
 
 
 def goals_in(missing: Bools, here: Floats, heading_offset: float, task: Task) -> tuple[Ints, Floats]:
@@ -223,16 +223,20 @@ def goals_in(missing: Bools, here: Floats, heading_offset: float, task: Task) ->
 
     Parameters
     ----------
-    aside : [rad] from the middle of a heading bin to the headings that the search likes
+    heading_offset : [rad] from the middle of a heading bin to the headings that the search uses
     """
     reach, grid = task.reach, task.coverage
     bins = np.argwhere(missing)
     bins = bins[np.argsort(np.hypot(*(bins[:, :2] - _cell(here, task)).T), kind="stable")[: JOINS.max_goals]]
-    shares = POSES if len(bins) * len(POSES) <= JOINS.max_goals else POSES[: CAR_REPAIR.few_goals]  # (p, 3)
+    shares = (
+        GOALS_IN_BIN
+        if len(bins) * len(GOALS_IN_BIN) <= JOINS.max_goals
+        else GOALS_IN_BIN[: CAR_REPAIR.few_goals]
+    )  # (p, 3)
     own = np.repeat(bins, len(shares), axis=0)
     x, y, turn = np.tile(shares, (len(bins), 1)).T
-    deepest, turns = np.repeat(bins, len(TURNED), axis=0), np.tile(TURNED, len(bins))
-    standing_places = np.concatenate(
+    deepest, turns = np.repeat(bins, len(OFFSETS), axis=0), np.tile(OFFSETS, len(bins))
+    places = np.concatenate(
         [
             reach.origin + (own[:, :2] + 0.5 + np.column_stack([x, y])) * reach.cell,
             reach.deepest(deepest[:, :2]),
@@ -240,9 +244,9 @@ def goals_in(missing: Bools, here: Floats, heading_offset: float, task: Task) ->
     )
     bins, turn = np.concatenate([own, deepest]), np.append(turn, turns)
     heading = (bins[:, 2] + turn) * (2 * np.pi / grid.headings) + heading_offset
-    node = np.floor((standing_places - reach.origin) / reach.step).astype(np.int64)
+    node = np.floor((places - reach.origin) / reach.step).astype(np.int64)
     free = reach.mask[node[:, 0], node[:, 1]]
-    return bins[free], np.column_stack([standing_places, wrap(heading)])[free]
+    return bins[free], np.column_stack([places, wrap(heading)])[free]
 
 
 def _cell(pose: Floats, task: Task) -> Floats:

@@ -1,7 +1,7 @@
-"""What the search leaves to a robot that turns in place: OMPL drives to the nearest cell that misses headings.
+"""Complete the drive of a robot that turns in place: OMPL drives to the nearest cell that misses headings.
 
-The straight way comes first where it is clear. The robot passes all headings that are missing where it arrives, and
-what it crosses on the way counts.
+The straight move is tried first. On arrival the robot turns through all headings that are missing there; what it crosses
+on the way counts, too.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from planners.types import Bools, Floats
 
 @dataclass(eq=False)
 class SpinRepair:
-    """Completes the drive of a robot that turns in place: to the nearest cell that misses headings, and a turn there."""
+    """Completes the drive of a robot that turns in place."""
 
     task: Task
     missing: Bools
@@ -37,10 +37,10 @@ class SpinRepair:
     def __post_init__(self) -> None:
         self.missing = self.missing.copy()
         self.lost: Bools = np.zeros_like(self.missing)
-        """(nx, ny, n_phi) bins that no way was found to."""
+        """(nx, ny, n_phi) bins to which no path was found."""
 
     def run(self) -> None:
-        """Drive to missing bins until none is left, or all that is left is lost."""
+        """Drive to missing bins until none is left that is not lost."""
         cells = standing_places(self.task.reach, self.task.barriers, self.missing)
         visits = np.zeros(len(cells.index), dtype=np.int64)
         for round_ in range(SPIN_REPAIR.max_visits * len(visits)):
