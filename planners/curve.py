@@ -21,7 +21,7 @@ from planners.vehicle import Limits
 RATE = 50.0
 """[Hz] of exported samples."""
 BLOCK = 1 << 16
-"""Samples that are worked on at a time."""
+"""Samples worked on at a time, so that days of driving fit in memory."""
 SHORTEST_MOVE = 1e-9
 """[m, rad] Moves and turns below this are none."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -62,7 +62,7 @@ def displace(
 
 @lru_cache(maxsize=4096)
 def blend_offset(a: float, alpha: float, overlap: float) -> tuple[float, float]:
-    """Return how far a move ends off, ahead and aside [m] in its own frame, where a turn starts before its rest.
+    """Return by how much a move misses its end, ahead and aside [m] in its own frame, if a turn starts before it rests.
 
     Parameters
     ----------
@@ -124,6 +124,10 @@ class Curve:
         """Return the curve up to the last rest at or before `stamp` [s]; a spin on the spot there ends by `alpha` [rad/s²].
 
         Any such part is a drive of its own, clear wherever the whole is.
+
+        Raises
+        ------
+        ValueError : the robot does not rest between its start and the stamp
         """
         rests = np.flatnonzero((self.starts <= stamp) & (abs(self.twists[:, 0]) < 1e-9))
         k = int(rests.max(initial=0))
@@ -168,7 +172,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class _Motion:
-    """What the pen drew last: its axis (0 drives, 1 turns), last ramp [s] and signed rate of its first ramp."""
+    """The last motion: its axis (0 drives, 1 turns), the time [s] of its last ramp, and the signed rate of its first."""
 
     axis: int = -1
     ramp: float = 0.0
@@ -176,7 +180,7 @@ class _Motion:
 
 
 class CurveBuilder:
-    """Draw a curve of straight moves and turns on the spot, each from rest to rest, overlapping where asked.
+    """Builds a curve of straight moves and turns on the spot, each from rest to rest; they may overlap.
 
     With an overlap, the new motion starts while the one before still brakes. Each of v and omega keeps its own
     profile, so limits hold; the few mm by which the path bends are in `pose`.
@@ -187,9 +191,9 @@ class CurveBuilder:
         self.spin = limits.omega if spin is None else min(spin, limits.omega)
         """[rad/s] of turns."""
         self.pose = np.array(pose, dtype=np.float64)
-        """(3,) where the robot rests once all drawn so far is done; phi runs on, unwrapped."""
+        """(3,) where the robot rests at the end of the curve so far; phi runs on, unwrapped."""
         self.last_turn = 1
-        """Direction of the turn drawn last: 1 counter-clockwise, -1 clockwise."""
+        """Direction of the last turn: 1 counter-clockwise, -1 clockwise."""
         self.stops: list[tuple[float, float, float, float]] = []
         """Where the robot turned: x, y [m], phi on arrival, angle [rad]."""
         self._first = self.pose.copy()
@@ -203,11 +207,11 @@ class CurveBuilder:
 
     @property
     def clock(self) -> float:
-        """[s] when the robot rests."""
+        """[s] at which the curve so far ends."""
         return self._clock
 
     def move(self, distance: float, label: str = "move", overlap: float = 0.0) -> None:
-        """Drive straight [m], backward if negative; start up to `overlap` [s] before the turn ahead has ended."""
+        """Drive straight [m], backward if negative; start up to `overlap` [s] before the turn before it has ended."""
         if abs(distance) < SHORTEST_MOVE:
             return
         times, rates = trapezoid(distance, self.limits.v, self.limits.a)
@@ -217,7 +221,7 @@ class CurveBuilder:
             self.pose[:2] += _turned(self.pose[2], *blend_offset(float(rates[0]), -before.rate, back))
 
     def turn(self, angle: float, label: str = "turn", overlap: float = 0.0) -> None:
-        """Turn on the spot [rad], clockwise if negative; start up to `overlap` [s] before the move ahead has ended."""
+        """Turn on the spot [rad], clockwise if negative; start up to `overlap` [s] before the move before it has ended."""
         if abs(angle) < SHORTEST_MOVE:
             return
         times, rates = trapezoid(angle, self.spin, self.limits.alpha)
@@ -241,7 +245,7 @@ class CurveBuilder:
                 self.move(length, "move" if len(path) == 2 else "join")
 
     def rest(self, angle: float, overlap: float) -> Floats:
-        """Return (2,) [m] where the move drawn last will end if a turn by `angle` starts `overlap` [s] early."""
+        """Return (2,) [m] where the last move will end if a turn by `angle` starts `overlap` [s] early."""
         ramp = min(self.spin / self.limits.alpha, float(np.sqrt(abs(angle) / self.limits.alpha)))
         back = self._allowed(1, ramp, overlap)
         if back <= 0:
@@ -271,9 +275,14 @@ class CurveBuilder:
         return back
 
     def curve(self) -> Curve:
-        """Return all that was drawn."""
+        """Return the curve.
+
+        Raises
+        ------
+        ValueError : there is no move, turn or wait yet
+        """
         if not self._marks:
-            raise ValueError("nothing was drawn; expected at least one move, turn or wait")
+            raise ValueError("the curve is empty; expected at least one move, turn or wait")
         axes = [np.array([(0.0, 0.0, 0.0), *pieces]) for pieces in self._pieces]  # (k, 3)
         starts = np.unique(np.round(np.concatenate([axis[:, 0] for axis in axes]), 9))
         starts = starts[starts < self._clock - 1e-9]
@@ -305,7 +314,12 @@ def _turned(heading: float, ahead: float, aside: float) -> Floats:
 
 
 def join_curves(curves: list[Curve]) -> Curve:
-    """Return one curve of several, each of which starts where and as the one before it ends."""
+    """Join curves, each of which starts where and as the one before it ends.
+
+    Raises
+    ------
+    ValueError : there is no curve
+    """
     if not curves:
         raise ValueError("no curve to join; expected at least one")
     ends = np.concatenate([[0.0], np.cumsum([curve.duration for curve in curves])])
@@ -322,7 +336,15 @@ def join_curves(curves: list[Curve]) -> Curve:
 def curve_of_pieces(
     pose: Floats, dt: Floats, twists: Floats, rates: Floats, labels: NDArray[np.str_]
 ) -> Curve:
-    """Return the curve of pieces that start at `pose` (3,) and last `dt` (n,) [s], twists and rates being (n, 2)."""
+    """Return the curve of consecutive pieces from `pose` (3,).
+
+    Parameters
+    ----------
+    dt : (n,) [s] duration of each piece
+    twists : (n, 2) [m/s, rad/s] at the start of each
+    rates : (n, 2) [m/s², rad/s²] within each
+    labels : (n,)
+    """
     turned = twists[:, 1] * dt + 0.5 * rates[:, 1] * dt * dt
     phi = pose[2] + np.concatenate([[0.0], np.cumsum(turned)[:-1]])
     way = np.stack(displace(phi, twists[:, 0], rates[:, 0], twists[:, 1], rates[:, 1], dt), axis=1)

@@ -1,4 +1,4 @@
-"""In which order to visit cells: boustrophedon runs, joined by 2-opt and Or-opt with reversal over time."""
+"""The order in which cells are visited: boustrophedon lanes, joined by 2-opt and Or-opt with reversal, by time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which places a disc can reach: a distance field on a fine raster, flooded from the start."""
+"""Which places a disc can reach: a distance field on a fine raster, and the part of it that is connected to the start."""
 
 from __future__ import annotations
 
@@ -103,9 +103,15 @@ def reach(
     start: Floats | None = None,
     name: str = "start",
 ) -> Reach:
-    """Flood from `start` (x, y, ...) the places that keep `clearance`; without a start, take the largest part.
+    """Return the places that keep `clearance` and are connected to `start` (x, y, ...); without a start, the largest part.
 
-    `name` is what the user calls the start.
+    Parameters
+    ----------
+    name : what the user calls the start, for messages
+
+    Raises
+    ------
+    PlanError : there are too many cells, the robot fits nowhere, or it cannot stand at the start
     """
     x0, y0, x1, y1 = arena.bounds
     nx, ny = (max(math.ceil(round(side / cell, 9)), 1) for side in (x1 - x0, y1 - y0))

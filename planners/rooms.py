@@ -1,4 +1,4 @@
-"""Rooms: parts of the floor that are wide inside and narrow between, so that a plan finishes one after the other."""
+"""Rooms: parts of the floor that are wide inside and joined by narrow passages; a plan finishes one after the other."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from planners.settings import ROOMS
 from planners.types import Bools, Floats, Ints
 
 NEIGHBOUR_STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
-"""Steps to the neighbours of a cell; bit d of `open_borders` stands for SIDES[d]."""
+"""Steps to the neighbours of a cell; bit d of `open_borders` stands for NEIGHBOUR_STEPS[d]."""
 
 
 def open_borders(reach: Reach) -> Ints:
@@ -39,7 +39,7 @@ def cell_graph(reach: Reach) -> sparse.csr_matrix:
 
 
 def rooms(reach: Reach, wanted: Bools) -> list[Bools]:
-    """Part the cells `wanted` (nx, ny) into rooms, each a mask (nx, ny)."""
+    """Divide the cells `wanted` (nx, ny) into rooms, each a mask (nx, ny)."""
     labels = _nearest_seed(_seeds(reach), reach)
     labels[~wanted] = -1
     labels = _merged(labels, reach)
@@ -50,7 +50,7 @@ def rooms(reach: Reach, wanted: Bools) -> list[Bools]:
 
 
 def _seeds(reach: Reach) -> Ints:
-    """Number the wide places, by cell; -1 elsewhere."""
+    """Number the connected wide places, by cell; -1 elsewhere."""
     wide = reach.mask & (
         reach.distance >= reach.clearance + min(ROOMS.passage, reach.distance.max() - reach.clearance)
     )
@@ -59,7 +59,7 @@ def _seeds(reach: Reach) -> Ints:
 
 
 def _nearest_seed(seeds: Ints, reach: Reach) -> Ints:
-    """Give each reachable cell the number of the seed that is nearest by way of open borders."""
+    """Give each reachable cell the number of the seed that is nearest over open borders."""
     number = np.flatnonzero(seeds.ravel() >= 0)
     if not len(number):
         return np.where(reach.blocks(reach.mask).any(axis=-1), 0, -1)
@@ -75,7 +75,7 @@ def _nearest_seed(seeds: Ints, reach: Reach) -> Ints:
 
 
 def _merged(labels: Ints, reach: Reach) -> Ints:
-    """Join rooms that are too small to the neighbour they share most borders with."""
+    """Merge rooms that are too small into the neighbour with which they share most borders."""
     open_ = open_borders(reach)
     labels = labels.copy()
     while True:
@@ -116,7 +116,7 @@ def _halved(room: Bools) -> list[Bools]:
 
 
 def shortest_sequence(cost: Floats, first: Floats | None) -> Ints:
-    """Order things by the cost (n, n) [s] of going from one's end to another's start: nearest first, then moved about.
+    """Order things by the cost (n, n) [s] from the end of one to the start of another: nearest neighbour, then Or-opt.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def _total(order: list[int], cost: Floats, lead: Floats) -> float:
 
 
 def _or_opt(order: list[int], cost: Floats, lead: Floats) -> list[int]:
-    """Take stretches of up to three elsewhere as long as that helps."""
+    """Move sequences of up to three elsewhere as long as that helps (Or-opt)."""
     total, improved = _total(order, cost, lead), len(order) <= 150
     while improved:
         improved = False

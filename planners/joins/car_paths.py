@@ -1,9 +1,9 @@
-"""OMPL for cars: ways in the state space of Reeds and Shepp or of Dubins, from a pose to the nearest of some others.
+"""Joins of cars: paths in the state space of Reeds and Shepp or of Dubins, from a pose to the nearest of several goals.
 
-The shortest curve comes first; where it is blocked, RRTConnect searches and the path is cut short. (Never a roadmap:
-OMPL's are undirected, and a Dubins car's ways are not.) OMPL does not say of what arcs its curves are made, so they
-are read off poses along them, and what is driven is a chain of those arcs, proven clear by distances of its own.
-OMPL works in a process of its own (`ompl_car_ways`).
+The shortest curve is tried first. If it is blocked, RRTConnect searches, and its path is cut short. (A roadmap would not
+do: OMPL's are undirected, and a Dubins car's paths are not.) OMPL does not tell the arcs of its curves, so they are read
+off poses along them. What is driven is a chain of those arcs, certified by exact distances. OMPL works in a process of
+its own (`ompl_car_paths`).
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ class CarPath:
     """A drive from a pose to one of the goals."""
 
     curve: Curve | None
-    """None where the car is there already."""
+    """None if the car is there already."""
     goal: int
-    """Which of the goals it comes to."""
+    """Number of the goal that it leads to."""
 
 
 def connect_cars(
@@ -51,7 +51,11 @@ def connect_cars(
 
     Returns
     -------
-    ways : None where none was found
+    paths, None where none was found; and their counts
+
+    Raises
+    ------
+    PlanError : OMPL is not installed, or its process failed
     """
     within = [np.flatnonzero(_are_connected(own, reach)) for own in goals]
     answer = ask_ompl(
@@ -65,28 +69,29 @@ def connect_cars(
         **floor_arrays(reach),
     )
     found_arcs = np.split(answer["arcs"], np.cumsum(answer["lengths"])[:-1])
-    ways: list[CarPath | None] = []
+    paths: list[CarPath | None] = []
     joins = JoinCounts()
     for k, (start, own) in enumerate(zip(starts, found_arcs, strict=True)):
         found, straight = int(answer["goal"][k]), bool(answer["direct"][k])
         goal = int(within[k][found]) if found >= 0 else -1
         tried = _without_steering_chatter(start, own, vehicle) if goal >= 0 else iter(())
         made = (_certified_drive(start, arcs, goal, barriers, reach.clearance, vehicle) for arcs in tried)
-        way = next((one for one in made if one is not None), None)
-        ways.append(way)
+        path = next((one for one in made if one is not None), None)
+        paths.append(path)
         joins += JoinCounts(
-            direct=int(way is not None and straight),
-            planned=int(way is not None and not straight),
-            failed=int(way is None),
-            planned_m=float(own[:, 2].sum()) if way is not None and not straight else 0.0,
+            direct=int(path is not None and straight),
+            planned=int(path is not None and not straight),
+            failed=int(path is None),
+            planned_m=float(own[:, 2].sum()) if path is not None and not straight else 0.0,
         )
-    return ways, joins
+    return paths, joins
 
 
 def _without_steering_chatter(start: Floats, arcs: ArcRows, vehicle: Vehicle) -> Iterator[ArcRows]:
-    """Yield the way with its twitches of the wheel, and ever more arcs round them, replaced by a word without; then itself.
+    """Yield the path with its steering chatter replaced by a word without any; at last, yield the path itself.
 
-    Twitches are arcs so short that the wheel turns there and back within a sample.
+    Steering chatter are arcs so short that the wheel turns there and back within a sample. More and more arcs around them
+    are replaced, too.
     """
     short = np.flatnonzero(arcs[:, 2] < SHORTEST_ARC)
     n, radius = len(arcs), vehicle.limits.turning_radius
@@ -111,7 +116,7 @@ def _without_steering_chatter(start: Floats, arcs: ArcRows, vehicle: Vehicle) ->
 
 
 def _are_connected(goals: Floats, reach: Reach) -> Bools:
-    """Tell which goals (m, 3) lie beside a node that the flood of the disc reaches; no query can get to others."""
+    """Tell which goals (m, 3) lie beside a reachable node of the raster; no path leads to the others."""
     near = ndimage.binary_dilation(reach.mask, np.ones((3, 3), dtype=np.bool_))
     at = np.floor((goals[:, :2] - reach.origin) / reach.step).astype(np.int64)
     inside = ((at >= 0) & (at < near.shape)).all(axis=1)
@@ -122,7 +127,7 @@ def _are_connected(goals: Floats, reach: Reach) -> Bools:
 def _certified_drive(
     start: Floats, arcs: ArcRows, goal: int, barriers: Barriers, clearance: float, vehicle: Vehicle
 ) -> CarPath | None:
-    """Return the drive along some arcs; None unless it keeps the clearance, or all but JOINS.clearance_slack of it, all along."""
+    """Return the drive along some arcs; None unless it keeps the clearance all along, less the slack that OMPL is given."""
     if not len(arcs):
         return CarPath(curve=None, goal=goal)
     curve = curve_of_arcs(start, arcs[:, 2], arcs[:, 1], arcs[:, 0], vehicle.limits)

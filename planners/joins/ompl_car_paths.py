@@ -1,6 +1,6 @@
-"""OMPL's side of `car_connect`: ways in the state space of Reeds and Shepp or of Dubins.
+"""OMPL's side of `car_paths`: paths in the state space of Reeds and Shepp or of Dubins.
 
-Run as `python -m planners.joins.ompl_car_paths` this file is the process that answers.
+Run as `python -m planners.joins.ompl_car_paths`, this file is the process that answers.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SAME_POSE = 1e-7
 """[m, rad] Poses closer than this are the same."""
 
 ArcRows = Floats
-"""(k, 3) gear (1, -1), bend (1 turns counter-clockwise, 0 not, -1 clockwise), length [m] of the parts of a way."""
+"""(k, 3) gear (1, -1), bend (1 turns counter-clockwise, 0 not, -1 clockwise), length [m] of each arc of a path."""
 
 
 def _drives(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -61,7 +61,7 @@ class _CarSolver:
         self.ready = False
 
     def solve(self, start: Floats, goals: Floats) -> tuple[ArcRows, int, bool]:
-        """Return the arcs to one of the goals (m, 3), which one, and whether that is the shortest curve; -1: none."""
+        """Return the arcs to one of the goals (m, 3), its number (-1: no path), and whether it is the shortest curve."""
         if not len(goals):
             return np.zeros((0, 3)), -1, False
         here, there = self._state(start), [self._state(goal) for goal in goals]
@@ -125,7 +125,7 @@ class _CarSolver:
         return arcs, goal
 
     def _arcs(self, a: Any, b: Any) -> Iterator[tuple[float, float, float]]:
-        """Yield the gear, bend and length [m] of the parts of the shortest curve between two states.
+        """Yield gear, bend and length [m] of the arcs of the shortest curve between two states.
 
         A stretch whose end is where one arc would lead is that arc; any other is halved.
         """
@@ -155,7 +155,7 @@ class _CarSolver:
             yield last
 
     def _arc_kind(self, start: Floats, end: Floats, length: float) -> tuple[float, float] | None:
-        """Return gear and bend of the one arc between two poses; None if it is not one."""
+        """Return gear and bend of the single arc between two poses; None if no single arc joins them."""
         for gear in self.gears:
             for bend in (0.0, 1.0, -1.0):
                 if (
@@ -208,7 +208,7 @@ def _cost(arcs: ArcRows) -> float:
 
 
 def _n_chatter(arcs: ArcRows) -> int:
-    """Count arcs that are too short."""
+    """Count the arcs that are too short to steer."""
     return int((arcs[:, 2] < SHORTEST_ARC).sum())
 
 

@@ -1,6 +1,6 @@
-"""OMPL's side of `connect`: paths in the plane, by RRTConnect and its simplifier.
+"""OMPL's side of `paths`: paths in the plane, by RRTConnect and OMPL's path simplifier.
 
-Run as `python -m planners.joins.ompl_paths` this file is the process that answers.
+Run as `python -m planners.joins.ompl_paths`, this file is the process that answers.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def _paths(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dic
 
 
 class _PlaneSolver:
-    """One OMPL problem, used again for every query: leaks nothing, and its random streams go on."""
+    """One OMPL problem, reused for every query: nothing leaks, and its random streams go on."""
 
     def __init__(self, base: Any, geometric: Any, distance: Floats, origin: Floats, step: float) -> None:
         self.base, self.geometric = base, geometric
@@ -46,7 +46,7 @@ class _PlaneSolver:
         self.planner, self.iterations = planner, 0
 
     def solve(self, start: Floats, goals: Floats, clearance: float) -> Floats:
-        """Return the best of some paths (k, 2) [m] to one of the goals (m, 2); (0, 2) if there is none."""
+        """Return the best path (k, 2) [m] to one of the goals (m, 2); (0, 2) if none is found."""
         here, there = self._state(*start), [self._state(*goal) for goal in goals]
         lowest = min(self.field.value(*place) for place in (start, *goals))
         self.field.clearance = min(clearance + JOINS.clearance_slack, max(lowest, clearance)) - 1e-9

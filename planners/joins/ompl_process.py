@@ -1,9 +1,9 @@
 """OMPL in a process of its own: how it is asked, and what answers there.
 
-It is seeded once as its first call: the same queries give the same paths whatever ran before (its random streams
-advance over a whole process), a crash in the bindings becomes an error here, and what the bindings leak or print at
-their exit stays there. Searches stop by count, never by the clock, so that a plan does not depend on the load of the
-machine. What runs there imports little: a process for each of a hundred queries must start fast.
+Each question is answered by a fork that is seeded first. So the same queries give the same paths whatever ran before
+(OMPL's random streams advance over a whole process), a crash of the bindings becomes an error here, and what they leak
+or print at exit stays there. Searches stop by count, never by the clock, so that a plan does not depend on the load of
+the machine. The process imports little, so that it starts fast.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ EXIT_WITHOUT_OMPL = 3
 """Exit code of the process when ompl cannot be imported."""
 
 HEADER = struct.Struct("<qq")
-"""Length of what follows, and an exit code."""
+"""Length of the message that follows, and an exit code."""
 
 
 class _OmplServer:
@@ -53,7 +53,7 @@ class _OmplServer:
         )
 
     def answer_to(self, question: bytes) -> tuple[int, bytes]:
-        """Return the exit code of the fork that answered, and its answer or its complaint."""
+        """Return the exit code of the fork that answered, and its answer or its error message."""
         sent, got = self.process.stdin, self.process.stdout
         assert sent is not None and got is not None
         try:
@@ -68,14 +68,14 @@ class _OmplServer:
         return self.process.wait(), b""
 
     def close(self) -> None:
-        """End the process, and its fork."""
+        """End the process and its fork."""
         with suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.communicate()
 
 
 _idle: dict[tuple[str, str, int], list[_OmplServer]] = {}
-"""Servers that wait, by module, environment, and the process that started them."""
+"""Idle servers, by module, environment, and the process that started them."""
 _lock = threading.Lock()
 
 
@@ -89,7 +89,16 @@ def _close_all() -> None:
 
 
 def ask_ompl(module: str, **question: Any) -> dict[str, np.ndarray]:
-    """Let a fresh process of a module of ours answer a question; both are arrays by name."""
+    """Let a fork of a server answer a question; question and answer are arrays by name.
+
+    Parameters
+    ----------
+    module : dotted name of the module that answers, run by `python -m`
+
+    Raises
+    ------
+    PlanError : OMPL is not installed, or the process failed
+    """
     sent = io.BytesIO()
     np.savez(sent, **question)
     kind = module, os.environ.get("PYTHONPATH", ""), os.getpid()
@@ -144,7 +153,7 @@ def serve(work: Callable[[Any, Any, Mapping[str, np.ndarray]], dict[str, Any]]) 
 
 
 def _forked(work: Callable[[bytes], bytes], question: bytes) -> tuple[int, bytes]:
-    """Do some work in a fork; return its exit code, negative for a signal, and its answer, or the last line of its error."""
+    """Do some work in a fork; return its exit code, negative for a signal, and its answer or the last line of its error."""
     read, write = os.pipe()
     child = os.fork()
     if child == 0:
@@ -164,7 +173,7 @@ def _forked(work: Callable[[bytes], bytes], question: bytes) -> tuple[int, bytes
 
 
 class IterationLimit:
-    """Say stop after so many questions."""
+    """A termination condition that is true after `left` calls."""
 
     def __init__(self, left: int) -> None:
         self.left = left
@@ -197,5 +206,5 @@ class DistanceField:
         return (1 - a) * ((1 - b) * near[j] + b * near[j + 1]) + a * ((1 - b) * far[j] + b * far[j + 1])
 
     def is_valid(self, state: Any) -> bool:
-        """Answer OMPL, with a real bool."""
+        """Tell OMPL whether a state keeps `clearance`; it needs a Python bool."""
         return bool(self.value(state[0], state[1]) >= self.clearance)

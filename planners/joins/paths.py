@@ -1,4 +1,4 @@
-"""OMPL: collision-free moves where the straight one is blocked, asked for in a process of its own (`ompl_ways`)."""
+"""Joins of robots that turn in place: straight where that is clear, else by OMPL in a process of its own (`ompl_paths`)."""
 
 from __future__ import annotations
 
@@ -26,6 +26,10 @@ def connect(
     Returns
     -------
     paths : (k, 2) [m] with both ends, k = 2 for a straight one; None where no path was found
+
+    Raises
+    ------
+    PlanError : OMPL is not installed, or its process failed
     """
     direct = barriers.are_clear(starts, ends, reach.clearance)
     paths: list[Floats | None] = [np.stack(ends_) for ends_ in zip(starts, ends, strict=True)]
@@ -76,7 +80,7 @@ def connect_nearest(
 def _connect_by_legs(
     start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int
 ) -> Floats | None:
-    """Find a path (k, 2) [m] that OMPL did not find as a whole, over places on the shortest way from cell to cell."""
+    """Find a path (k, 2) [m] in legs, over places on the shortest way from cell to cell, since OMPL did not find it whole."""
     at = [np.floor((place - reach.origin) / reach.cell).astype(np.int64) for place in (start, end)]
     first, last = (int(np.ravel_multi_index(tuple(cell), reach.shape)) for cell in at)
     far, before = csgraph.dijkstra(
@@ -95,7 +99,7 @@ def _connect_by_legs(
 
 
 def _certified_path(path: Floats, barriers: Barriers, clearance: float) -> Floats | None:
-    """Leave out corners that are not needed; None unless the exact clearance holds all along."""
+    """Leave out needless corners; None unless the exact clearance holds all along."""
     if len(path) < 2:
         return None
     kept = [0]
@@ -126,7 +130,7 @@ def _query_in_batches(starts: Floats, ends: Floats, reach: Reach, seed: int) -> 
 
 
 def _query(starts: Floats, goals: list[Floats], reach: Reach, seed: int) -> list[Floats]:
-    """Solve queries (n, 2) [m], each to one of some goals (m, 2), in a fresh process; empty: no path was found."""
+    """Solve queries (n, 2) [m], each to one of its goals (m, 2), in one process; an empty path: none was found."""
     data = ask_ompl(
         "planners.joins.ompl_paths",
         seed=seed,
@@ -139,7 +143,7 @@ def _query(starts: Floats, goals: list[Floats], reach: Reach, seed: int) -> list
 
 
 def floor_arrays(reach: Reach) -> dict[str, Any]:
-    """Return what a process must know of the floor."""
+    """Return the arrays by which a process knows the floor."""
     return {
         "distance": reach.distance,
         "origin": reach.origin,

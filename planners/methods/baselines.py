@@ -1,4 +1,4 @@
-"""Baselines: how robots explored before there was a plan (Nehmzow's and Billings' trajectories)."""
+"""Baselines: how robots explored without a plan (the trajectories of Nehmzow and Billings)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,16 @@ from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats
 
 CLOSE = 1e-3
-"""[m] how exactly the way to a wall is found."""
+"""[m] Accuracy of the distance to a wall ahead."""
 
 
 def random_bounce(task: Task) -> PlannedDrive:
-    """Drive straight until a wall is near, turn to a random open heading, and so on for `task.duration`."""
+    """Drive straight until a wall is near, turn to a random free heading, and repeat for `task.duration`.
+
+    Raises
+    ------
+    PlanError : the vehicle cannot turn in place
+    """
     _only_in_place(task, "random_bounce")
     rng = np.random.default_rng(task.seed)
     builder = CurveBuilder(_start(task, rng), task.vehicle.limits)
@@ -38,7 +43,7 @@ def random_bounce(task: Task) -> PlannedDrive:
 
 
 def _open_heading(task: Task, pose: Floats, rng: np.random.Generator) -> float:
-    """Draw headings until one leads away from the wall."""
+    """Return the first random heading that leads away from the wall."""
     for _ in range(200):
         heading = float(rng.uniform(-np.pi, np.pi))
         if (
@@ -50,7 +55,7 @@ def _open_heading(task: Task, pose: Floats, rng: np.random.Generator) -> float:
 
 
 def _free_way(task: Task, pose: Floats, most: float | None = None) -> float:
-    """Return how far [m] the robot can drive ahead, at most `most`: exact to `CLOSE`, by narrowing down."""
+    """Return how far [m] the robot can drive ahead, at most `most`, exact to `CLOSE`."""
     ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
     x0, y0, x1, y1 = task.arena.bounds
     low, high = 0.0, float(np.hypot(x1 - x0, y1 - y0)) if most is None else most
@@ -66,7 +71,12 @@ def _free_way(task: Task, pose: Floats, most: float | None = None) -> float:
 
 
 def wall_following(task: Task) -> PlannedDrive:
-    """Follow the longest wall within reach at an even distance, lap after lap for `task.duration`."""
+    """Follow the longest wall within reach at an even distance, lap after lap, for `task.duration`.
+
+    Raises
+    ------
+    PlanError : the vehicle cannot turn in place, no wall can be followed, or OMPL finds no path along it
+    """
     _only_in_place(task, "wall_following")
     rng = np.random.default_rng(task.seed)
     start = _start(task, rng)

@@ -1,4 +1,4 @@
-"""What covers a cell: a spin on the spot that passes all headings still missing, on the way to the next move."""
+"""How a robot covers a cell on the spot: a spin through all headings still missing that ends towards the next move."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Departure:
 
 
 def least_sweep(phi: float, need: Bools, direction: int) -> float:
-    """Return how far [rad, 0 or more] to turn from heading phi to have been in every heading bin of `need`.
+    """Return the angle [rad, 0 or more] to turn from heading phi until every heading bin of `need` was met.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def least_sweep(phi: float, need: Bools, direction: int) -> float:
 def choose_departure(
     builder: CurveBuilder, target: Floats | None, need: Bools | None, overlap: tuple[float, float]
 ) -> Departure:
-    """Choose the shortest turn that passes the headings in `need` and ends along the way to `target`, or from it.
+    """Choose the shortest turn that passes the headings in `need` and ends facing `target`, or facing away from it.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def _towards(
 
 
 def departure_offset(builder: CurveBuilder, angle: float, distance: float, overlap: float) -> Floats:
-    """Return (2,) [m], in the frame of the move, how far it ends off if it starts before a turn has ended."""
+    """Return by how much (2,) [m], in its own frame, a move misses its end if it starts before the turn has ended."""
     limits = builder.limits
     turn_ramp = min(builder.spin / limits.alpha, float(np.sqrt(abs(angle) / limits.alpha)))
     move_ramp = min(limits.v / limits.a, float(np.sqrt(abs(distance) / limits.a)))

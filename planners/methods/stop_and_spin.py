@@ -1,4 +1,4 @@
-"""The planner that stops and spins: boustrophedon lanes, a spin in every cell, OMPL where blocked."""
+"""The older planner of robots that turn in place: boustrophedon lanes, a spin in every cell, OMPL around obstacles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,12 @@ from planners.types import Bools, Floats, Ints
 
 
 def plan_stop_and_spin(task: Task) -> PlannedDrive:
-    """Visit every cell that still lacks a heading, in an order that saves time."""
+    """Visit every cell that misses a heading, in an order that saves time.
+
+    Raises
+    ------
+    PlanError : the vehicle cannot turn in place, or every bin is covered already
+    """
     if task.vehicle.drive != "diff":
         raise PlanError(
             f"planner stop_and_spin turns on the spot, which drive {task.vehicle.drive!r} cannot; use the planner coverage"
@@ -31,7 +36,12 @@ def plan_stop_and_spin(task: Task) -> PlannedDrive:
 
 
 def wanted(task: Task) -> Bools:
-    """Return (nx, ny, n_phi) bins to visit: those still missing, and those of cells that all but count."""
+    """Return (nx, ny, n_phi) the bins to visit: those still missing, and those of cells that almost count as reachable.
+
+    Raises
+    ------
+    PlanError : every bin is covered already
+    """
     todo = task.coverage.reachable & (task.coverage.counts == 0)
     near = (task.reach.areas() >= STOP_AND_SPIN.near_share * REACH.min_share) & ~task.reach.cells()
     todo |= (near & task.reach.blocks(task.reach.mask).any(axis=-1))[:, :, None] & (task.coverage.counts == 0)
@@ -41,7 +51,7 @@ def wanted(task: Task) -> Bools:
 
 
 class StopAndSpinPlanner:
-    """Draws stops in every cell of `todo`, each left towards the next."""
+    """Stops in every cell of `todo`, and leaves each stop in the direction of the next."""
 
     def __init__(self, task: Task, todo: Bools) -> None:
         self.task, self.todo = task, todo
@@ -52,7 +62,7 @@ class StopAndSpinPlanner:
         self.builder: CurveBuilder | None = None
 
     def run(self) -> PlannedDrive:
-        """Visit all, then again what a log of some phase would miss."""
+        """Visit all cells, then again those with bins that the log of some phase misses."""
         self._visit(self.todo)
         missing = self._missed()
         for _ in range(STOP_AND_SPIN.max_rounds):
@@ -69,13 +79,13 @@ class StopAndSpinPlanner:
         )
 
     def _missed(self) -> Bools:
-        """Return (nx, ny, n_phi) bins that the log of at least one phase does not meet."""
+        """Return (nx, ny, n_phi) the bins that the log of at least one phase misses."""
         assert self.builder is not None
         grid = self.task.coverage
         return missed(self.builder.curve(), self.todo, grid, self.task.rate) & grid.reachable
 
     def _visit(self, todo: Bools) -> None:
-        """Draw a way through all cells with a bin in `todo`."""
+        """Drive through all cells with a bin in `todo`."""
         cells = standing_places(self.task.reach, self.task.barriers, todo)
         sequence = self._sequence(cells, todo)
         stops = zigzag(cells, sequence, self.task, self.limit)
@@ -93,7 +103,7 @@ class StopAndSpinPlanner:
         return self.task.start if self.builder is None else self.builder.pose
 
     def _sequence(self, cells: CellGraph, todo: Bools) -> Ints:
-        """Order the cells: bands of priority in turn, each by the better of lanes along x and along y."""
+        """Order the cells: one band of priority after the other, each in lanes along x or along y, whichever is better."""
         band = cell_bands(self.task.priority, todo, self.task.reach.cell)[tuple(cells.index.T)]
         here = self._here()
         found: list[Ints] = []
@@ -107,7 +117,7 @@ class StopAndSpinPlanner:
     def _draw(
         self, ends: Floats, needs: list[Bools | None], paths: list[Floats | None], joins: JoinCounts
     ) -> None:
-        """Draw the stops one by one, each left in the direction of the next that can be reached."""
+        """Add the stops one by one; each is left in the direction of the next one that can be reached."""
         route: list[tuple[Floats, Bools | None, str]] = [(ends[0], needs[0], "move")]
         stuck = 0
         for k, path in enumerate(paths):
@@ -140,7 +150,7 @@ class StopAndSpinPlanner:
                 self.task.progress(k + 1, len(route))
 
     def _around(self, route: list[Floats], target: Floats, stuck: int) -> Floats | None:
-        """Find another way to a stop; when nothing was reached for a while, by going back on the route first."""
+        """Find another path to a stop; if the last stops could not be reached either, go back along the route first."""
         back = [0] if not stuck else [b for b in STOP_AND_SPIN.step_back if b < len(route)]
         froms = np.array([route[-1 - b] for b in back])
         paths, joins = connect(
@@ -166,7 +176,7 @@ class StopAndSpinPlanner:
 
 
 def standing_places(reach: Reach, barriers: Barriers, todo: Bools) -> CellGraph:
-    """Choose where to stand in each cell: its centre if that is free, else deepest within its reachable part."""
+    """Choose where to stand in each cell: at its centre if that is free, else deepest within its reachable part."""
     index = np.argwhere(todo.any(axis=2))
     centres = reach.origin + (index + 0.5) * reach.cell
     nodes = np.arange(reach.per_cell**2)
@@ -222,7 +232,7 @@ def _lanes(cells: CellGraph, here: Floats | None, task: Task) -> Ints:
 
 
 def zigzag(cells: CellGraph, sequence: Ints, task: Task, clearance: float) -> Floats:
-    """Return the stops (n, 2) [m], those along a lane shifted a little left and right of it in turn.
+    """Return the stops (n, 2) [m]; those along a lane are shifted a little to its left and right by turns.
 
     The moves then lean left and right in turn, and a spin from one lean to the other passes all headings in less
     than a full turn.

@@ -1,4 +1,4 @@
-"""The planner of given poses: visit each, stand still there for a scan, in an order that saves time."""
+"""The planner of given poses: visit each and stand still there for a scan, in an order that saves time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,12 @@ from planners.types import Floats, Ints
 
 
 def plan_views(task: Task) -> PlannedDrive:
-    """Drive through the poses of `task.targets`; straight where that is clear, else by OMPL."""
+    """Drive through the poses of `task.targets`: straight where that is clear, else by OMPL.
+
+    Raises
+    ------
+    PlanError : the vehicle cannot turn in place, there are no targets, or the robot cannot stand at one
+    """
     if task.vehicle.drive != "diff":
         raise PlanError(
             f"planner views turns on the spot, which drive {task.vehicle.drive!r} cannot; use drive: diff"
@@ -71,7 +76,7 @@ def _order(task: Task, targets: Floats) -> Ints:
 
 
 def _again(task: Task, here: Floats, target: Floats, joins: JoinCounts) -> tuple[Floats | None, JoinCounts]:
-    """Find a way from where the robot is after all."""
+    """Find a path from where the robot really is."""
     paths, more = connect(
         here[None], target[None, :2], reach=task.reach, barriers=task.barriers, seed=task.seed
     )
