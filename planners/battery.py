@@ -1,4 +1,4 @@
-"""Battery-sized runs: a drive parted into sessions, each from the dock and back to it in time."""
+"""Runs on a battery: a drive cut into sessions, each from the dock and back to it in time."""
 
 from __future__ import annotations
 
@@ -36,7 +36,12 @@ class Session:
 
 
 def check_battery(task: Task, battery: float, dock: Floats) -> None:
-    """Refuse a battery that cannot take the robot to the farthest place and back, before anything is planned."""
+    """Refuse a battery that cannot take the robot to the farthest place and back, before anything is planned.
+
+    Raises
+    ------
+    PlanError : the battery is too small
+    """
     reach = task.reach
     at = tuple(np.floor((dock[:2] - reach.origin) / reach.cell).astype(np.int64))
     here = int(np.ravel_multi_index(at, reach.shape))
@@ -61,9 +66,13 @@ def too_small(battery: float, x: float, y: float, least: float) -> str:
 
 
 def battery_sessions(driven: PlannedDrive, task: Task, *, battery: float, dock: Floats) -> list[Session]:
-    """Part a drive into runs from the dock (3,) and back to it, each done within `battery` [s].
+    """Cut a drive into runs from the dock (3,) and back to it, each within `battery` [s].
 
-    They come in an order that spreads early runs over the floor, unless a priority has put them in another.
+    Their order spreads early runs over the floor, unless a priority has ordered them already.
+
+    Raises
+    ------
+    PlanError : a place takes longer than the battery lasts, or no path leads to the dock
     """
     curve, vehicle, cache = driven.curve, task.vehicle, PathCache(task)
     found: list[Session] = []
@@ -87,7 +96,7 @@ def battery_sessions(driven: PlannedDrive, task: Task, *, battery: float, dock: 
 
 
 def farthest_first(points: Floats) -> list[int]:
-    """Order points (n, 2), the first being first: each next is the one farthest from all before it."""
+    """Order points (n, 2) by farthest-first traversal: each next is the one farthest from all before it."""
     order, far = [0], np.hypot(*(points - points[0]).T)
     while len(order) < len(points):
         far[order] = -1.0
@@ -96,14 +105,14 @@ def farthest_first(points: Floats) -> list[int]:
     return order
 
 
-def chain_sessions(runs: list[Session], parted: PlannedDrive) -> PlannedDrive:
-    """Return all runs of a drive that was parted as one, one after the other."""
-    joins = parted.joins
+def chain_sessions(runs: list[Session], whole: PlannedDrive) -> PlannedDrive:
+    """Return all runs of a drive as one, one after the other."""
+    joins = whole.joins
     for run in runs:
         joins += run.driven.joins
     return PlannedDrive(
         curve=join_curves([run.driven.curve for run in runs]),
         stops=np.concatenate([run.driven.stops for run in runs]),
         joins=joins,
-        interrupted=parted.interrupted,
+        interrupted=whole.interrupted,
     )

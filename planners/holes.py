@@ -18,9 +18,9 @@ REASON_TEXTS: Mapping[str, str] = {
     "no_forward_drive_there_and_back": "no forward drive there and back",
     "behind_narrow_gaps": "behind gaps too narrow",
 }
-"""Reasons, as plan.json and holes.csv name them, in words."""
+"""The reasons that plan.json and holes.csv give, in words."""
 LARGER = 1.2
-"""Times as large as what the start reaches must another part be, to be proposed."""
+"""A part of the arena is proposed as a start if it is so many times as large as what the start reaches."""
 
 
 def unmet(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Bools]:
@@ -30,7 +30,7 @@ def unmet(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Bools]:
 
     Parameters
     ----------
-    lost : (nx, ny, n_phi) bins that OMPL found no way to
+    lost : (nx, ny, n_phi) bins to which no path was found
     """
     missing = grid.reachable & ~grid.covered
     return {
@@ -46,7 +46,7 @@ def cut_off(free: Reach) -> Bools:
 
 
 def small_reach_warning(free: Reach) -> str:
-    """Say how much of where the robot fits it can get to, why not to the rest, and where more is in reach."""
+    """Return a warning: the share of where the robot fits that it can reach, why no more, and where to start for more."""
     parts, _ = ndimage.label(cut_off(free))
     sizes: Ints = np.bincount(parts.ravel())[1:]
     said = (

@@ -1,4 +1,4 @@
-"""Ctrl-C between two pieces of work, not within one: what is found by then stays whole."""
+"""Ctrl-C between two pieces of work, not within one, so that what was found by then stays whole."""
 
 from __future__ import annotations
 
@@ -11,9 +11,17 @@ Result = TypeVar("Result")
 
 
 def defer_interrupt(work: Callable[[], Result]) -> tuple[Result, bool]:
-    """Do some work to its end though Ctrl-C comes meanwhile, and tell whether it did; a second one is let through.
+    """Do some work to its end even if Ctrl-C comes meanwhile; a second Ctrl-C is let through.
 
-    Python has signals handled by its main thread: other threads are not disturbed by Ctrl-C anyway.
+    Python handles signals in its main thread; work in other threads is not disturbed anyway.
+
+    Returns
+    -------
+    result of the work, and whether Ctrl-C came
+
+    Raises
+    ------
+    KeyboardInterrupt : Ctrl-C came twice
     """
     if threading.current_thread() is not threading.main_thread():
         return work(), False

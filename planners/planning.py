@@ -43,12 +43,12 @@ PLANNERS: dict[str, Callable[[Task], PlannedDrive]] = {
 WALL_MARGIN = 0.02
 """[m] that the robot's rim keeps from walls, beyond its radius."""
 MIN_START_SHARE = 0.05
-"""A start from which a Dubins car can go to a smaller share of the bins is refused."""
+"""A start from which a Dubins car can cover a smaller share of the bins is refused."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """A drive, and what it achieves."""
+    """A drive, and what it covers."""
 
     trajectory: Trajectory
     curve: Curve
@@ -60,11 +60,11 @@ class Plan:
     stops: Floats
     """(n, 4) [m, m, rad, rad] x, y, phi on arrival, and the turn made there."""
     lost: Bools
-    """(nx, ny, n_phi) bins that OMPL found no way to."""
+    """(nx, ny, n_phi) bins to which no path was found."""
     report: dict[str, Any]
     """plan.json"""
     sessions: tuple[Session, ...] = ()
-    """Runs of one battery each, which the drive is made of; none where no battery was given."""
+    """The runs of one battery each that the drive consists of; empty if no battery was given."""
 
     def growth(self, n: int = 400) -> tuple[Floats, Floats]:
         """Return stamps (n,) [s] and the share (n,) of reachable bins that a log has met by then."""
@@ -104,34 +104,32 @@ def plan(
     cell : [m] side of a position cell; `headings`: count of heading bins
     start : (3,) [m, m, rad]; None: where the planner likes, in the largest part of the arena
     rate : [Hz] at which poses are logged; a bin counts when a logged pose falls in it
-    priority : (nx, ny, n_phi) higher comes earlier; or what makes it from the empty grid
+    priority : (nx, ny, n_phi) higher comes earlier; or a function that makes it from the empty grid
     visited : (n, 3) [m, m, rad] poses of earlier runs, whose bins need no visit
-    targets : (n, 3) [m, m, rad] poses that the planner `views` visits; or what chooses them within reach
+    targets : (n, 3) [m, m, rad] poses that the planner `views` visits; or a function that chooses them within reach
     duration : [s] of the baselines, which never finish; default: the reference time of the coverage planner
     end : (3,) [m, m, rad] where the drive ends; None: where its last bin is
     budget : [s] within which the drive ends; what it cannot reach by then is left out
-    battery : [s] of a run; the drive is parted into runs from `dock` (3,), where it starts, and back to it
+    battery : [s] of a run; the drive is cut into runs from `dock` (3,), where it starts, and back to it
+    dock : (3,) [m, m, rad] where runs on a battery start and end; None: at the start
     sweep_time : [s] that one scan takes, for the warning about its smear
+    progress : is called with (bins done, bins in all) while the search goes on
+
+    Raises
+    ------
+    PlanError : an argument is out of range or does not fit the others, the robot fits nowhere, nothing is left to plan,
+        a pose or the dock cannot be reached, or the budget or the battery is too small
+    KeyboardInterrupt : Ctrl-C came before anything was found; later, the plan so far is returned
     """
     began = time.perf_counter()
-    if planner not in PLANNERS:
-        raise PlanError(f"planner {planner!r} is unknown; expected one of {', '.join(PLANNERS)}")
+    _check_planner(planner, has_duration=duration is not None, has_targets=targets is not None)
     _check_numbers(cell=cell, rate=rate, headings=headings, seed=seed, margin=margin, duration=duration)
     start, end, dock = _pose("start", start), _pose("end", end), _pose("dock", dock)
     _check_ends(start=start, end=end, budget=budget, battery=battery, dock=dock)
     start = start if dock is None else dock
-    if duration is not None and planner in ("coverage", "stop_and_spin", "views"):
-        raise PlanError(f"the planner {planner} drives until all is visited; duration is for the baselines")
-    if (targets is None) != (planner != "views"):
-        raise PlanError(f"targets are for the planner views, and views needs them; the planner is {planner}")
-    free, barriers = _reachable_floor(
-        arena, vehicle, cell, margin, start, "start" if dock is None else "dock"
-    )
-    grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
-    if not grid.reachable.any():
-        raise PlanError(
-            f"no {cell} m cell has {100 * REACH.min_share:.0f} % of its area within reach; use a smaller cell"
-        )
+    name = "start" if dock is None else "dock"
+    free, barriers = _reachable_floor(arena, vehicle, cell, margin, start, name)
+    grid = _empty_grid(free, headings)
     returnable: ReturnableSet | None = None
     if vehicle.drive == "dubins":
         start, returnable = _dubins_start(free, vehicle, grid, rate, start, seed)
@@ -162,18 +160,40 @@ def plan(
     if battery is not None and start is not None:
         check_battery(task, battery, start)
     drive = PLANNERS[planner](task)
-    finish = partial(_finish, end=end, budget=budget, battery=battery, sweep_time=sweep_time)
-    made, was_asked = defer_interrupt(partial(finish, drive, task, planner))
-    if was_asked:
+    finish = partial(
+        _finish, drive, task, planner, end=end, budget=budget, battery=battery, sweep_time=sweep_time
+    )
+    made, interrupted = defer_interrupt(finish)
+    if interrupted:
         made.report["interrupted"] = True
     made.report["planning_s"] = round(time.perf_counter() - began, 3)
     return made
 
 
+def _check_planner(planner: str, *, has_duration: bool, has_targets: bool) -> None:
+    """Refuse an unknown planner, and arguments that are not for this one."""
+    if planner not in PLANNERS:
+        raise PlanError(f"planner {planner!r} is unknown; expected one of {', '.join(PLANNERS)}")
+    if has_duration and planner in ("coverage", "stop_and_spin", "views"):
+        raise PlanError(f"the planner {planner} drives until all is visited; duration is for the baselines")
+    if has_targets != (planner == "views"):
+        raise PlanError(f"targets are for the planner views, and views needs them; the planner is {planner}")
+
+
+def _empty_grid(free: Reach, headings: int) -> Coverage:
+    """Return the bins within reach, without poses."""
+    grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
+    if not grid.reachable.any():
+        raise PlanError(
+            f"no {free.cell} m cell has {100 * REACH.min_share:.0f} % of its area within reach; use a smaller cell"
+        )
+    return grid
+
+
 def _reachable_floor(
     arena: Arena, vehicle: Vehicle, cell: float, margin: float, start: Floats | None, name: str
 ) -> tuple[Reach, Barriers]:
-    """Return where the robot can be, and what it must not touch."""
+    """Return where the vehicle can be, and what it must not touch."""
     x0, y0, x1, y1 = arena.bounds
     if cell > max(x1 - x0, y1 - y0):
         raise PlanError(f"cell is {cell:g} m, larger than the whole arena; expected metres, such as 0.25")
@@ -199,7 +219,7 @@ def _finish(
     battery: float | None,
     sweep_time: float,
 ) -> Plan:
-    """Fit a drive into the time there is, and measure it."""
+    """Fit a drive into the budget or the battery, and measure it."""
     grid, rate = task.coverage, task.rate
     lost = np.zeros_like(grid.reachable) if drive.lost is None else drive.lost
     before, runs, ended = grid.fraction, list[Session](), dict[str, Any]()
@@ -252,12 +272,12 @@ def _check_ends(
     battery: float | None,
     dock: Floats | None,
 ) -> None:
-    """Refuse what does not go together."""
+    """Refuse times that are not positive, and ends that contradict each other."""
     for name, value in (("budget", budget), ("battery", battery)):
         if value is not None and not (np.isfinite(value) and value > 0):
             raise PlanError(f"{name} is {value}, expected a positive number")
     if dock is not None and battery is None:
-        raise PlanError("a dock needs a battery; give --battery MIN too, or --start and --end")
+        raise PlanError("a dock needs a battery; give the battery too, or a start and an end")
     if battery is not None and (end is not None or budget is not None):
         raise PlanError(
             "every run on a battery ends at the dock; leave out the end pose and the budget, and drive as many runs "
@@ -270,7 +290,7 @@ def _check_ends(
 def _dubins_start(
     free: Reach, vehicle: Vehicle, grid: Coverage, rate: float, start: Floats | None, seed: int
 ) -> tuple[Floats, ReturnableSet]:
-    """Return where a car that only goes forward begins, and what it can go to and come back from."""
+    """Return where a car without a reverse gear begins, and which bins it can reach and return from."""
     limits, headings = vehicle.limits, grid.headings
     if start is None:
         start, found = best_start(free, limits, headings, rate, seed)

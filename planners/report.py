@@ -1,4 +1,4 @@
-"""What plan.json tells of a plan: its coverage, its time beside the reference, what the checker finds, warnings."""
+"""The content of plan.json: coverage, time compared with the reference, what the checker finds, and warnings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ logger = logging.getLogger(__name__)
 CHECK_RATE = 100.0
 """[Hz] of the samples that are checked."""
 MIN_REACH_SHARE = 0.99
-"""A start that reaches a smaller share of where the robot fits is worth a warning."""
+"""A warning is given if the start reaches a smaller share of where the robot fits."""
 
 
 def reference_time(grid: Coverage, vehicle: Vehicle) -> float:
@@ -41,7 +41,7 @@ def reference_time(grid: Coverage, vehicle: Vehicle) -> float:
 
 
 def session_report(grid: Coverage, run: Session, rate: float) -> dict[str, Any]:
-    """Count a run's log; return what plan.json tells of it."""
+    """Add a run's log to the grid, and return its entry of plan.json."""
     curve, before = run.driven.curve, int(grid.covered.sum())
     grid.add(curve.log(rate))
     return {
@@ -57,7 +57,7 @@ def session_report(grid: Coverage, run: Session, rate: float) -> dict[str, Any]:
 def plan_report(
     task: Task, driven: PlannedDrive, trajectory: Trajectory, planner: str, sweep_time: float
 ) -> dict[str, Any]:
-    """Measure the plan; `task.coverage` already counts its log."""
+    """Return the content of plan.json; `task.coverage` already counts the log of the drive."""
     grid, vehicle = task.coverage, task.vehicle
     none = np.zeros_like(grid.counts)
     empty = Coverage(origin=grid.origin, cell=grid.cell, reachable=grid.reachable, counts=none, core=none)

@@ -18,7 +18,7 @@ STILL = 1e-9
 def curve_of_arcs(
     pose: Floats, length: Floats, bend: np.ndarray, gear: np.ndarray, limits: Limits, v: float | None = None
 ) -> Curve:
-    """Return the curve of a car that starts at `pose` (3,) and drives arcs (m,) and straight pieces, from rest to rest.
+    """Return the curve of a car that drives arcs and straight pieces (m,) from `pose` (3,), from rest to rest.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def curve_of_arcs(
 
 
 def car_section(curve: Curve, first: int, last: int, limits: Limits) -> Curve:
-    """Drive pieces `first` up to `last`, not included, of a car's curve again, starting and stopping on them."""
+    """Return pieces `first` up to `last`, not included, of a car's curve as a drive from rest to rest."""
     arcs = take_arcs(arcs_of_curve(curve), slice(first, last))
     top = float(abs(curve.twists[:, 0]).max())
     return curve_of_arcs(curve.poses[first], arcs.length, arcs.bend, arcs.gear, limits, top)

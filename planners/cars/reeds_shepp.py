@@ -1,8 +1,8 @@
-"""The quickest clear-space way of a car between two poses: compiled words of Reeds and Shepp, and of Dubins.
+"""The quickest path of a car between two poses without obstacles: compiled words of Reeds and Shepp, and of Dubins.
 
-A word is a chain of arcs of the least radius and straight pieces. Of all words that lead from one pose to the other,
-that with the least length counts, each change of gear being worth some metres: OMPL's `ReedsSheppStateSpace` takes
-the shortest, however often the car must stop.
+A word is a chain of arcs of the least radius and straight pieces. Of all words that lead from one pose to the other, the
+one of least cost counts: its length, plus some metres for each change of gear. (OMPL's `ReedsSheppStateSpace` takes the
+shortest, however often the car must stop.)
 
 Sources: J. A. Reeds and L. A. Shepp, Optimal paths for a car that goes both forwards and backwards, Pacific J. Math.
 145 (1990), section 8; L. E. Dubins, On curves of minimal length ..., Am. J. Math. 79 (1957), in the closed forms of
@@ -27,7 +27,7 @@ TWO_PI = 2 * np.pi
 Pose = tuple[float, float, float]
 """[m, m, rad]"""
 N_FAMILIES = 8
-"""Of Reeds and Shepp, up to mirrors."""
+"""Families of words of Reeds and Shepp, up to mirror images."""
 FAMILY_BENDS = np.array(
     [
         [1, 0, 1, 0, 0],
@@ -40,15 +40,15 @@ FAMILY_BENDS = np.array(
         [1, -1, 0, 1, -1],
     ]
 )
-"""(FAMILIES, MOST_ARCS) 1 steers left, -1 right."""
+"""(N_FAMILIES, MAX_ARCS) 1 steers left, -1 right."""
 HAS_REVERSED_FORM = np.array([False, False, True, False, False, True, True, False])
-"""(FAMILIES,) families whose words read backward are words of another kind."""
+"""(N_FAMILIES,) families whose words, read backward, are words of another kind."""
 DUBINS_BENDS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [1, -1, 1]])
 """(6, 3) 1 steers left, -1 right."""
 
 
 class Arcs(NamedTuple):
-    """Room for a chain of arcs."""
+    """A chain of arcs, or memory for one."""
 
     length: Floats
     """(most,) [m]"""
@@ -59,19 +59,19 @@ class Arcs(NamedTuple):
 
 
 def take_arcs(arcs: Arcs, which: slice | NDArray[np.generic]) -> Arcs:
-    """Return some of the arcs, in room of their own."""
+    """Return a copy of some of the arcs."""
     return Arcs(arcs.length[which].copy(), arcs.bend[which].copy(), arcs.gear[which].copy())
 
 
 def concatenate_arcs(parts: list[Arcs]) -> Arcs:
-    """Return all arcs of some chains."""
+    """Join chains of arcs."""
     lengths, bends, gears = zip(*parts, strict=True)
     return Arcs(np.concatenate(lengths), np.concatenate(bends), np.concatenate(gears))
 
 
 @kernel
 def empty_arcs(most: int) -> Arcs:
-    """Return room for so many arcs."""
+    """Return memory for so many arcs."""
     return Arcs(np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64))
 
 
@@ -109,7 +109,7 @@ def quickest_word(
     pause : [m] that a change of gear is worth
     is_backward : the car has a reverse gear
     shortest : [m] arcs may not be shorter, but for none at all
-    word : (MOST_ARCS,) room to work in
+    word : (MAX_ARCS,) memory to work in
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What the search needs to know of cars: how one comes to a heading of the table, and the curve of a drive."""
+"""The search of a car over several rooms, one after the other, and the order of rooms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ from planners.types import Bools, Floats
 def search_floor(
     todo: Bools, task: Task, start: Floats, seed: int, tick: Callable[[int], bool], settings: SearchSettings
 ) -> RoomDrive | None:
-    """Drive a car through the bins `todo` (nx, ny, n_phi), one room after the other; None where it gets to none."""
+    """Search for a car's drive through the bins `todo` (nx, ny, n_phi), one room after the other.
+
+    Bins that the log of some phase misses are searched for again, with longer stays. None if no bin is covered.
+    """
     vehicle, grid = task.vehicle, task.coverage
     area = search_area(task.reach)
     entered = entry_arc(start, area, vehicle.limits, grid.headings, task.rate, GEARS[vehicle.drive])
@@ -47,10 +50,10 @@ def search_floor(
         others = int(missing.sum() - wanted.sum())
         search.want(wanted, patience, inner=False)
 
-        def said(left: int, others: int = others) -> bool:
+        def tick_all(left: int, others: int = others) -> bool:
             return tick(others + left)
 
-        search.run(said)
+        search.run(tick_all)
         found = search.result()
         given_up |= found.left
         if len(found.sequence):
@@ -60,7 +63,7 @@ def search_floor(
 
 
 def order_rooms(todo: Bools, start: Floats, task: Task) -> list[Bools]:
-    """Return the rooms (nx, ny), those of high priority first, and else each next to the one before."""
+    """Order the rooms (nx, ny): those of high priority first, and among equals each next to the one before."""
     reach, here, out = task.reach, start[:2], list[Bools]()
     found = rooms(reach, np.asarray(todo.any(axis=2)))
     bands = room_bands(task.priority, todo, found)

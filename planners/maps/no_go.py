@@ -37,11 +37,11 @@ def zones(given: str) -> list[Polygon]:
         numbers = [float(part) for part in given.split(",")]
     except ValueError:
         raise PlanError(
-            f"--no-go {given!r} is no file, nor corners x,y,x,y,... in metres such as 1,1,2,1,2,2"
+            f"no-go zone {given!r} is no file, nor corners x,y,x,y,... in metres such as 1,1,2,1,2,2"
         ) from None
     if len(numbers) < 6 or len(numbers) % 2:
         raise PlanError(
-            f"--no-go {given!r} has {len(numbers)} numbers, expected x,y of at least three corners"
+            f"no-go zone {given!r} has {len(numbers)} numbers, expected x,y of at least three corners"
         )
     return [_checked(f"no-go zone {given!r}", [np.array(numbers).reshape(-1, 2).tolist()])]
 

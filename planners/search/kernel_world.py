@@ -85,6 +85,8 @@ def try_primitive(
     Returns
     -------
     whether it keeps its distance; and the count of covered bins, whose flat indices are written to `covered`
+
+    One loop on purpose: it is the innermost of all searches, inlined, and looks at each sample once for both questions.
     """
     distance, need, missing, inner = world.distance, world.need, world.missing, world.inner
     offsets, bins, core = primitives.offsets, primitives.bins, primitives.core

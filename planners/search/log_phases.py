@@ -12,9 +12,9 @@ from planners.types import Bools, Floats
 PHASES = 10
 """Phases of the log's clock for which every bin must be met."""
 LATE = 1e-9
-"""Of a period: so late a pose is logged at the end of the drive."""
+"""Share of a period by which the last pose may be logged after the end of the drive."""
 TURNED = 0.05
-"""[rad] and [rad/s] from which on the way along an arc is had in closed form, without loss."""
+"""[rad] and [rad/s] above which the closed form of an arc loses no precision; below, quadrature is used."""
 
 
 def missed(curve: Curve, todo: Bools, grid: Coverage, rate: float) -> Bools:
@@ -45,7 +45,7 @@ def mark(
     cell: float,
     found: Bools,
 ) -> None:
-    """Mark in `found` (p, nx, ny, n_phi) what is met by logs (p,) whose first poses are at stamps `first` [s]."""
+    """Mark in `found` (p, nx, ny, n_phi) the bins that logs (p,) meet whose first poses are at stamps `first` [s]."""
     _, nx, ny, n_phi = found.shape
     n = len(starts)
     for p in range(len(first)):
@@ -70,7 +70,7 @@ def mark(
 
 @inner_kernel
 def way(phi: float, v: float, a: float, omega: float, alpha: float, dt: float) -> tuple[float, float]:
-    """Return x and y [m] driven within `dt` [s]; see `steering.displace`."""
+    """Return x and y [m] driven within `dt` [s]; see `curve.displace`."""
     if v == 0 and a == 0:
         return 0.0, 0.0
     if omega == 0 and alpha == 0:

@@ -1,8 +1,7 @@
-"""Tables of primitives: everything the search may do from a heading step and a mode, in closed form.
+"""Motion primitives: everything that the search may do from a heading step and a mode, in closed form.
 
-A robot that turns in place never stops turning: a primitive is one part of a heading bin at an even turn rate,
-its modes are levels of speed. A car's primitive is an arc or a straight piece at an even speed, its modes are
-gears.
+A robot that turns in place never stops turning: a primitive is one part of a heading bin at an even turn rate, and its
+modes are levels of speed. A car's primitive is an arc or a straight piece at an even speed, and its modes are gears.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ SAMPLES = 8
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionPrimitives:
-    """Primitives by heading step, mode and branch."""
+    """Primitives, by heading step, mode and branch (the number of a primitive that leaves a mode)."""
 
     first_heading: float
     """[rad] heading of step 0."""
@@ -50,13 +49,13 @@ class MotionPrimitives:
     speeds: Floats
     """(n_modes,) [m/s] at the start of a primitive (cars: sign of the gear)."""
     is_fine: Bools
-    """(n_modes, n_branches) branches that only floods use."""
+    """(n_modes, n_branches) short branches, which only the search for the nearest bin uses."""
     stops_first: Bools
     """(n_modes, n_branches) branches before which the robot stops."""
     heading_bin: NDArray[np.int16]
     """(n_headings,) heading bin of each heading step."""
     safe_depth: int
-    """What makes an end safe: so many primitives can follow; negative: the robot can stop within so many."""
+    """A state is safe if so many primitives can follow it; negative: if the robot can stop within so many."""
     omega: float
     """[rad/s] of the spin, signed; 0 for cars."""
 
@@ -141,7 +140,7 @@ def car_primitives(
 ) -> MotionPrimitives:
     """Return the primitives of a car: arcs of the least radius and straight pieces, in each of its gears.
 
-    A car that can go back and forth also has halves, to shuffle along walls, and quarters for floods. Modes are
+    A car that can go back and forth also has halves, to shuffle along walls, and quarters for the search for the nearest bin. Modes are
     gears; a change of gear costs the time of stopping and starting. Headings lie between the borders of bins, and
     along no axis, unless `phi` [rad] must be one of them: a car that drives along the border of a bin logs this bin or
     the next, as rounding has it.

@@ -96,6 +96,8 @@ def plan(
     if out.exists() and not out.is_dir():
         raise PlanError(f"{out} is a file; give a folder to write the plan to")
     _check_views(planner, views, resume)
+    if dock is not None and battery is None:
+        raise PlanError("a dock needs a battery; give --battery MIN too, or --start and --end")
     with progress("planning", "bins" if planner == "coverage" and views is None else "stops") as tick:
         made = make_plan(
             arena,
