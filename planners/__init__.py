@@ -1,6 +1,10 @@
 """Where to drive so that (x, y, phi) is filled; knows no sensor, no log and no model.
 
 `plan(arena, vehicle)` plans with one of `PLANNERS`; `planners.maps.load(path)` reads the arena.
+
+`planning` makes a `task.Task` and gives it to a planner in `methods`. That planner searches rooms (`search`, `cars`), joins
+them (`joins`), and answers with a `task.PlannedDrive`. `sections` and `battery` cut the drive to the time there is;
+`report`, `check` and `holes` measure it; `export` writes it for others. `ompl_planner` is the whole as a planner of OMPL.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ import shapely
 from planners.arena import Arena
 from planners.types import Bools, Floats
 
-LONGEST = 4.0
-"""[m] longer walls are cut for the search tree, whose boxes would else overlap everywhere."""
+MAX_SEGMENT = 4.0
+"""[m] Longer walls are cut for the search tree, whose boxes would otherwise overlap everywhere."""
 
 
 class Barriers:
@@ -61,7 +61,7 @@ class Barriers:
 
 def _cut(segments: Floats) -> Floats:
     """Cut long segments into even parts."""
-    parts = np.ceil(np.hypot(*(segments[:, 1] - segments[:, 0]).T) / LONGEST).astype(int).clip(1)
+    parts = np.ceil(np.hypot(*(segments[:, 1] - segments[:, 0]).T) / MAX_SEGMENT).astype(int).clip(1)
     owner = np.repeat(np.arange(len(segments)), parts)
     number = np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)
     ends = np.stack([number, number + 1], axis=1) / parts[owner, None]  # (m, 2) shares of the segment

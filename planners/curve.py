@@ -20,7 +20,7 @@ from planners.vehicle import Limits
 
 RATE = 50.0
 """[Hz] of exported samples."""
-BLOCK = 1 << 16
+SAMPLES_AT_A_TIME = 1 << 16
 """Samples worked on at a time, so that days of driving fit in memory."""
 SHORTEST_MOVE = 1e-9
 """[m, rad] Moves and turns below this are none."""
@@ -96,8 +96,8 @@ class Curve:
         """Return poses (m, 3), twists (m, 2) and labels (m,) at stamps (m,) [s] within the curve."""
         k = np.clip(np.searchsorted(self.starts, stamps, side="right") - 1, 0, len(self.starts) - 1)
         poses, twists = np.empty((len(k), 3)), np.empty((len(k), 2))
-        for first in range(0, len(k), BLOCK):  # days of driving fit in memory
-            part = slice(first, first + BLOCK)
+        for first in range(0, len(k), SAMPLES_AT_A_TIME):  # days of driving fit in memory
+            part = slice(first, first + SAMPLES_AT_A_TIME)
             poses[part], twists[part] = self._within(k[part], stamps[part])
         return poses, twists, self.labels[k]
 
@@ -155,7 +155,7 @@ class Curve:
         (whole,) = self.parts(rate, self._count(rate))
         return whole
 
-    def parts(self, rate: float, size: int = BLOCK) -> Iterator[Trajectory]:
+    def parts(self, rate: float, size: int = SAMPLES_AT_A_TIME) -> Iterator[Trajectory]:
         """Sample at an even rate [Hz], in parts of `size` steps, each from the last sample of the one before."""
         n = self._count(rate)
         for first in range(0, n - 1, size):

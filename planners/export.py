@@ -11,11 +11,11 @@ from planners.types import Floats
 
 COMMAND_RATE = 20.0
 """[Hz] of cmd_vel.csv."""
-NEAR = 0.01
-"""[m, rad] shorter moves and turns are no step of their own."""
-ALLOWANCE = 3.0
-"""Times as long as planned that a spin may take before Nav2 gives up, ..."""
-LEAST_ALLOWANCE = 10.0
+MIN_STEP = 0.01
+"""[m, rad] Shorter moves and turns are left out of the steps."""
+SPIN_ALLOWANCE = 3.0
+"""A spin may take so many times its planned duration before Nav2 gives up, ..."""
+MIN_SPIN_ALLOWANCE = 10.0
 """... at least [s]."""
 
 
@@ -54,12 +54,12 @@ def _steps(every: Floats, curve: Curve) -> list[str]:
     here = curve.poses[0, :2]
     for k, (x, y, phi, spin) in enumerate(every.tolist()):
         way = np.array([x, y]) - here
-        if np.hypot(*way) > NEAR:
+        if np.hypot(*way) > MIN_STEP:
             backward = abs(float(wrap(np.arctan2(way[1], way[0]) - phi))) > np.pi / 2
             lines.append(f"- {{action: FollowPath, pose: {k}, backward: {str(backward).lower()}}}")
             here = np.array([x, y])
-        if abs(spin) > NEAR:
-            allowed = max(ALLOWANCE * abs(spin) / top, LEAST_ALLOWANCE)
+        if abs(spin) > MIN_STEP:
+            allowed = max(SPIN_ALLOWANCE * abs(spin) / top, MIN_SPIN_ALLOWANCE)
             lines.append(f"- {{action: Spin, target_yaw: {spin:.6f}, time_allowance: {allowed:.1f}}}")
     return lines
 

@@ -19,7 +19,7 @@ REASON_TEXTS: Mapping[str, str] = {
     "behind_narrow_gaps": "behind gaps too narrow",
 }
 """The reasons that plan.json and holes.csv give, in words."""
-LARGER = 1.2
+MIN_PROPOSED_RATIO = 1.2
 """A part of the arena is proposed as a start if it is so many times as large as what the start reaches."""
 
 
@@ -53,7 +53,7 @@ def small_reach_warning(free: Reach) -> str:
         f"only {100 * free.share:.1f} % of where the robot fits is reachable; the rest lies behind gaps narrower "
         f"than {2 * free.clearance:.2f} m"
     )
-    if sizes.max(initial=0) <= LARGER * free.mask.sum():
+    if sizes.max(initial=0) <= MIN_PROPOSED_RATIO * free.mask.sum():
         return said
     largest = np.where(parts == sizes.argmax() + 1, free.distance, 0.0)
     x, y = free.nodes(np.nonzero(largest == largest.max()))[0]

@@ -39,9 +39,9 @@ except ImportError as exc:
 logger = logging.getLogger(__name__)
 
 NAME = "Coverage"
-CELL = 0.25
+RASTER_CELL = 0.25
 """[m] of the raster of free space."""
-RATE = 10.0
+PATH_RATE = 10.0
 """[Hz] of the states of a path."""
 
 
@@ -91,7 +91,7 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
                 cell=self.cell,
                 headings=self.headings,
                 seed=self.seed,
-                progress=_watch(condition),
+                progress=_stop_when(condition),
             )
         except KeyboardInterrupt:
             return status(status.TIMEOUT)
@@ -122,7 +122,7 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
     def _path(self, made: Plan) -> Any:
         information = self.getSpaceInformation()
         path = geometric.PathGeometric(information)
-        n = int(np.ceil(made.curve.duration * RATE)) + 1
+        n = int(np.ceil(made.curve.duration * PATH_RATE)) + 1
         for pose in made.curve.sample(np.linspace(0.0, made.curve.duration, n))[0]:
             path.append(_state(information.getStateSpace(), pose))
         return path
@@ -145,7 +145,7 @@ def problem(arena: Arena, vehicle: Vehicle, start: Floats, goal: Floats) -> Any:
         bounds.setHigh(axis, float(high))
     space.setBounds(bounds)
     barriers = Barriers(arena)
-    free = reach(arena, barriers, clearance=vehicle.footprint_radius, cell=CELL, start=start)
+    free = reach(arena, barriers, clearance=vehicle.footprint_radius, cell=RASTER_CELL, start=start)
     check_pose("goal", goal, arena, barriers, free)  # OMPL would wait for a better one until its time is over
     field = DistanceField(free.distance, free.origin, free.step)
     field.clearance = vehicle.footprint_radius
@@ -171,7 +171,7 @@ def _state(space: Any, pose: Floats) -> Any:
     return state
 
 
-def _watch(condition: Any) -> Callable[[int, int], None]:
+def _stop_when(condition: Any) -> Callable[[int, int], None]:
     """Return a progress that ends the planning, as Ctrl-C would, once OMPL's condition says so."""
 
     def progress(_: int, __: int) -> None:

@@ -96,7 +96,7 @@ def plan_report(
             "planned": driven.joins.planned,
             "failed": driven.joins.failed,
             "planned_m": driven.joins.planned_m,
-            "flooded": driven.joins.flooded,
+            "flooded": driven.joins.by_wavefront,
         },
         "violations": dict(found.violations),
         "turned_rad": float(abs(driven.stops[:, 3]).sum()),

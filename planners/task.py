@@ -49,7 +49,7 @@ class JoinCounts:
     """Joins that OMPL planned around obstacles."""
     failed: int = 0
     """Joins for which OMPL found no path."""
-    flooded: int = 0
+    by_wavefront: int = 0
     """Joins of a Dubins car that OMPL did not find, but the wavefront over its own primitives did."""
     planned_m: float = 0.0
     """[m] of all planned joins."""
@@ -59,7 +59,7 @@ class JoinCounts:
             direct=self.direct + other.direct,
             planned=self.planned + other.planned,
             failed=self.failed + other.failed,
-            flooded=self.flooded + other.flooded,
+            by_wavefront=self.by_wavefront + other.by_wavefront,
             planned_m=self.planned_m + other.planned_m,
         )
 

@@ -15,7 +15,7 @@ from planners.types import Floats
 
 COLUMNS = ("t", "x", "y", "phi", "v", "omega", "primitive")
 ROW = "%.6f," * 6 + "%s\n"
-BLOCK = 100_000
+ROWS_AT_A_TIME = 100_000
 """Rows written at a time."""
 
 
@@ -49,8 +49,8 @@ class Trajectory:
     def length(self) -> float:
         """[m] driven by base_link, forward and backward."""
         places, total = self.poses[:, :2], 0.0
-        for first in range(0, len(places) - 1, BLOCK):
-            total += float(np.hypot(*np.diff(places[first : first + BLOCK + 1], axis=0).T).sum())
+        for first in range(0, len(places) - 1, ROWS_AT_A_TIME):
+            total += float(np.hypot(*np.diff(places[first : first + ROWS_AT_A_TIME + 1], axis=0).T).sum())
         return total
 
     def at(self, stamps: Floats) -> tuple[Floats, Floats]:
@@ -67,8 +67,8 @@ class Trajectory:
         try:
             with part.open("w", newline="", encoding="utf-8") as file:
                 file.write(",".join(COLUMNS) + "\n")
-                for first in range(0, len(self.stamps), BLOCK):
-                    some = slice(first, first + BLOCK)
+                for first in range(0, len(self.stamps), ROWS_AT_A_TIME):
+                    some = slice(first, first + ROWS_AT_A_TIME)
                     rows = np.column_stack([self.stamps[some], self.poses[some], self.twists[some]]).tolist()
                     labels = [quoted[label] for label in self.primitives[some].tolist()]
                     file.write("".join(ROW % (*row, label) for row, label in zip(rows, labels, strict=True)))

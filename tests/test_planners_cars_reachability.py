@@ -111,6 +111,6 @@ def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_flood(monkeypatch:
     assert visit is not None
     repair.enter_room(todo, visit.ends[0], visit.curve, 0)
     curve = repair.drive.curve
-    assert (repair.joins.failed, repair.joins.flooded) == (1, 1)
+    assert (repair.joins.failed, repair.joins.by_wavefront) == (1, 1)
     assert missed(curve, todo, task.coverage, task.rate).sum() <= 0.1 * todo.sum()
     assert check(curve.trajectory(100.0), task.arena, task.vehicle).count == 0

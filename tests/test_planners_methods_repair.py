@@ -90,7 +90,7 @@ def test_ompl_is_not_asked_twice_for_a_bin_that_it_found_no_way_to(monkeypatch: 
     repair.run()
     assert len(asked) == 1
     assert (todo & ~asked[0]).sum() == 0
-    assert repair.joins.flooded >= 1
+    assert repair.joins.by_wavefront >= 1
     assert missed(repair.drive.curve, todo, task.coverage, task.rate).sum() == repair.lost.sum() == 0
 
 

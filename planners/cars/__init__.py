@@ -1,0 +1,1 @@
+"""What cars need beyond the search: words of Reeds and Shepp, arc paths, shortcuts, detours, and what a Dubins car can return from."""

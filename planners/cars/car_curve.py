@@ -11,8 +11,8 @@ from planners.curve import Curve, curve_of_pieces
 from planners.types import Floats
 from planners.vehicle import Limits
 
-STILL = 1e-9
-"""[rad] pieces that turn less are straight."""
+STRAIGHT = 1e-9
+"""[rad] Pieces that turn less are straight."""
 
 
 def curve_of_arcs(
@@ -49,7 +49,7 @@ def arcs_of_curve(curve: Curve) -> Arcs:
     """Return the arcs (n,) of a car's curve, one for each piece."""
     dt = np.diff(np.append(curve.starts, curve.duration))[:, None]
     way, turn = (curve.twists * dt + 0.5 * curve.rates * dt * dt).T
-    bend = np.where(abs(turn) > STILL, np.sign(turn), 0.0)
+    bend = np.where(abs(turn) > STRAIGHT, np.sign(turn), 0.0)
     return Arcs(abs(way), bend.astype(np.int64), np.sign(way).astype(np.int64))
 
 

@@ -1,8 +1,8 @@
-"""Detours: where a car's drive passes by a bin that it misses, leave it by the quickest way there and back.
+"""Detours: where a car's drive passes by a bin that it misses, leave the drive by the quickest way there and back.
 
-A bin beside a wall or in a slit is met by few headings, so a search seldom comes by, and a drive to it at the end costs
-the way across the floor. From each pose of the drive near the bin the quickest words to a pose within it and back are
-tried; the one that costs least time, keeps its distance and wins the bin is inserted.
+A bin beside a wall or in a slit is met by few headings, so a search seldom comes by, and a drive to it at the end leads
+across the whole floor. From each pose of the drive near the bin, the quickest words to a pose within it and back are
+tried; the one that costs least time, keeps its distance and covers the bin is inserted.
 """
 
 from __future__ import annotations
@@ -89,11 +89,11 @@ def find_detour(
     arcs: Arcs,
     gained: Ints,
 ) -> tuple[int, int, int]:
-    """Write the quickest detour by one of some goals (m, 3) that wins bin `own` to `arcs`, and what it wins to `gained`.
+    """Write the quickest detour by one of some goals (m, 3) that covers bin `own` to `arcs`, and all bins that it covers to `gained`.
 
     Returns
     -------
-    the arc before which it is driven, 0: none; how many arcs it has, and how many bins it wins
+    the arc before which it is driven, 0: none; how many arcs it has, and how many bins it covers
     """
     best, best_k, best_goal = MAX_DURATION, 0, 0
     for k in range(1, len(path.length)):

@@ -75,7 +75,7 @@ def _one_pass(
 
     Parameters
     ----------
-    fresh : (n,) arcs with which a part may begin; the others were looked at before, in vain
+    fresh : (n,) arcs with which a part may begin; the others were tried before without success
     n_alone : bins that only the replaced part covers, at most
 
     Returns

@@ -33,8 +33,8 @@ GEOMETRIES = {
     "obstacle": ("Polygon", "MultiPolygon"),
     "wall": ("LineString", "MultiLineString"),
 }
-LEAST_EXTENT = 0.05
-"""[m] a smaller arena is taken for one in degrees."""
+MIN_EXTENT = 0.05
+"""[m] A smaller arena is taken for one in degrees."""
 _EDGE = re.compile(r"(?P<stem>.*)/edge_(?P<number>0|[1-9]\d*)")
 _RING = re.compile(r"(?P<feature>.*)/ring_(?P<number>[1-9]\d*)")
 
@@ -72,7 +72,7 @@ def loads(text: str) -> Arena:
     outline = arenas[0].area
     assert outline is not None
     x0, y0, x1, y1 = outline.bounds
-    if max(x1 - x0, y1 - y0) < LEAST_EXTENT:
+    if max(x1 - x0, y1 - y0) < MIN_EXTENT:
         raise PlanError(
             f"the arena is {x1 - x0:.3g} by {y1 - y0:.3g}, which looks like degrees; expected metres"
         )

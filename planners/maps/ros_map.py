@@ -24,7 +24,7 @@ from planners.types import Bools, Floats
 
 REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 MODES = ("trinary", "scale", "raw")
-MOST_CELLS = 100_000_000
+MAX_CELLS = 100_000_000
 
 
 def read(path: Path) -> Arena:
@@ -102,9 +102,9 @@ def _pixels(path: Path, image: Path) -> tuple[NDArray[np.uint8], Bools]:
         raise PlanError(f"{path}: no image {image}; expected it beside the yaml, or give its path in image")
     try:
         with Image.open(image) as picture:
-            if picture.width * picture.height > MOST_CELLS:
+            if picture.width * picture.height > MAX_CELLS:
                 raise PlanError(
-                    f"{image}: {picture.width} x {picture.height} pixels, expected at most {MOST_CELLS:,}"
+                    f"{image}: {picture.width} x {picture.height} pixels, expected at most {MAX_CELLS:,}"
                 )
             if picture.mode.startswith(("I", "F")):
                 raise PlanError(f"{image}: has {picture.mode} pixels, expected 8 bits each")

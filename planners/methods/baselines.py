@@ -13,7 +13,7 @@ from planners.methods.settings import BASELINES
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats
 
-CLOSE = 1e-3
+WALL_ACCURACY = 1e-3
 """[m] Accuracy of the distance to a wall ahead."""
 
 
@@ -30,7 +30,7 @@ def random_bounce(task: Task) -> PlannedDrive:
     bounces = 0
     while builder.clock < _duration(task):
         way = _free_way(task, builder.pose)
-        if way > CLOSE:
+        if way > WALL_ACCURACY:
             builder.move(way, "move")
         bounces += 1
         heading = _open_heading(task, builder.pose, rng)
@@ -48,18 +48,18 @@ def _open_heading(task: Task, pose: Floats, rng: np.random.Generator) -> float:
         heading = float(rng.uniform(-np.pi, np.pi))
         if (
             _free_way(task, np.array([pose[0], pose[1], heading]), BASELINES.min_bounce)
-            >= BASELINES.min_bounce - CLOSE
+            >= BASELINES.min_bounce - WALL_ACCURACY
         ):
             return heading
     return float(pose[2] + np.pi)  # the way it came is open
 
 
 def _free_way(task: Task, pose: Floats, most: float | None = None) -> float:
-    """Return how far [m] the robot can drive ahead, at most `most`, exact to `CLOSE`."""
+    """Return how far [m] the robot can drive ahead, at most `most`, exact to `WALL_ACCURACY`."""
     ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
     x0, y0, x1, y1 = task.arena.bounds
     low, high = 0.0, float(np.hypot(x1 - x0, y1 - y0)) if most is None else most
-    while high - low > CLOSE:
+    while high - low > WALL_ACCURACY:
         travel_times = np.linspace(low, high, 24)[1:]
         here = np.repeat(pose[None, :2], len(travel_times), axis=0)
         clear = task.barriers.are_clear(here, here + travel_times[:, None] * ahead, task.reach.clearance)

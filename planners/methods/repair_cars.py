@@ -115,7 +115,7 @@ class CarRepair:
             longer = drive.extended(curve)
             if (missing & longer.met).any():  # else the stay is too short for a log of some phase
                 self.drive = longer
-                self.joins += JoinCounts(flooded=1)
+                self.joins += JoinCounts(by_wavefront=1)
                 return True
         return False
 

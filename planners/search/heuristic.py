@@ -105,8 +105,8 @@ def backward_wave(
 ) -> tuple[int, int]:
     """Fill `value (side * side * n_classes * n_gears,)` with the units of time to the nearest missing bin.
 
-    x, y : [m] of the car, from the scene's origin; here, mode : its lattice heading, and its gear
-    queue, following : of entries of the wave; heads : of the entries of each unit of time, in turn
+    x, y : [m] of the car, from the area's origin; here, mode : its heading class, and its gear
+    queue, next_entry, heads : see `workspace.HeuristicBuffers`
 
     Returns
     -------
@@ -114,7 +114,7 @@ def backward_wave(
     """
     side, n_classes, n_gears, ring = lattice.side, len(lattice.bins), lattice.n_gears, len(heads)
     i0, k0 = int(x / lattice.spacing) - side // 2, int(y / lattice.spacing) - side // 2
-    n_queued = _begin(i0, k0, need, missing, lattice, cost_to_go, queue, next_entry, heads)
+    n_queued = _start_wave(i0, k0, need, missing, lattice, cost_to_go, queue, next_entry, heads)
     units, empty = 0, 0
     at_car = ((side // 2 * side + side // 2) * n_classes + here) * n_gears + mode
     while empty < ring and cost_to_go[at_car] + OVERRUN >= units:
@@ -146,7 +146,7 @@ def backward_wave(
 
 
 @inner_kernel
-def _begin(
+def _start_wave(
     i0: int,
     k0: int,
     need: Bools,

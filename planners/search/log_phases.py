@@ -11,9 +11,9 @@ from planners.types import Bools, Floats
 
 PHASES = 10
 """Phases of the log's clock for which every bin must be met."""
-LATE = 1e-9
+END_TOLERANCE = 1e-9
 """Share of a period by which the last pose may be logged after the end of the drive."""
-TURNED = 0.05
+MIN_CLOSED_FORM_TURN = 0.05
 """[rad] and [rad/s] above which the closed form of an arc loses no precision; below, quadrature is used."""
 
 
@@ -51,7 +51,7 @@ def mark(
     for p in range(len(first)):
         stamp, count = first[p], 0
         for k in range(n):
-            last = ends[k] + (LATE / rate if k == n - 1 else 0.0)
+            last = ends[k] + (END_TOLERANCE / rate if k == n - 1 else 0.0)
             while stamp < last or (k == n - 1 and stamp <= last):
                 dt = min(stamp, ends[n - 1]) - starts[k]
                 phi, omega, alpha = poses[k, 2], twists[k, 1], rates[k, 1]
@@ -76,7 +76,7 @@ def way(phi: float, v: float, a: float, omega: float, alpha: float, dt: float) -
     if omega == 0 and alpha == 0:
         length = v * dt + 0.5 * a * dt * dt
         return length * np.cos(phi), length * np.sin(phi)
-    if alpha == 0 and abs(omega) > TURNED and abs(omega * dt) > TURNED:
+    if alpha == 0 and abs(omega) > MIN_CLOSED_FORM_TURN and abs(omega * dt) > MIN_CLOSED_FORM_TURN:
         end = phi + omega * dt
         c0, s0, c1, s1 = np.cos(phi), np.sin(phi), np.cos(end), np.sin(end)
         speed, bent = v + a * dt, a / omega

@@ -31,7 +31,7 @@ class WavefrontQueue(NamedTuple):
 
 @kernel
 def new_queue(n: int) -> WavefrontQueue:
-    """Return room for so many states."""
+    """Return memory for n states."""
     return WavefrontQueue(
         np.empty((n, 2)), np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
     )
