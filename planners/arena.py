@@ -19,7 +19,13 @@ def wrap(angle: Floats | float) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arena:
-    """Where a robot may be, and the walls that its sensor sees."""
+    """Where a robot may be, and the walls that its sensor sees.
+
+    Raises
+    ------
+    ValueError : the arrays of the walls do not match, or are not finite
+    PlanError : there is no free space
+    """
 
     free: Polygon | MultiPolygon
     """[m, map] space not taken by walls or obstacles (for a point, not for a robot's body)."""

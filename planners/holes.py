@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from planners.coverage import Coverage
 from planners.reach import Reach
+from planners.settings import STARTS
 from planners.types import Bools, Ints
 
 REASON_TEXTS: Mapping[str, str] = {
@@ -19,8 +20,6 @@ REASON_TEXTS: Mapping[str, str] = {
     "behind_narrow_gaps": "behind gaps too narrow",
 }
 """The reasons that plan.json and holes.csv give, in words."""
-MIN_PROPOSED_RATIO = 1.2
-"""A part of the arena is proposed as a start if it is so many times as large as what the start reaches."""
 
 
 def unmet(grid: Coverage, free: Reach, lost: Bools) -> dict[str, Bools]:
@@ -53,7 +52,7 @@ def small_reach_warning(free: Reach) -> str:
         f"only {100 * free.share:.1f} % of where the robot fits is reachable; the rest lies behind gaps narrower "
         f"than {2 * free.clearance:.2f} m"
     )
-    if sizes.max(initial=0) <= MIN_PROPOSED_RATIO * free.mask.sum():
+    if sizes.max(initial=0) <= STARTS.propose_above * free.mask.sum():
         return said
     largest = np.where(parts == sizes.argmax() + 1, free.distance, 0.0)
     x, y = free.nodes(np.nonzero(largest == largest.max()))[0]

@@ -26,7 +26,7 @@ from planners.methods.views import plan_views
 from planners.reach import Reach, ReturnableSet, reach
 from planners.report import plan_report, reference_time, session_report
 from planners.sections import check_pose, end_poses, fit_to_budget
-from planners.settings import REACH
+from planners.settings import REACH, STARTS
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.trajectory import Trajectory
 from planners.types import Bools, Floats, Progress
@@ -42,8 +42,6 @@ PLANNERS: dict[str, Callable[[Task], PlannedDrive]] = {
 
 WALL_MARGIN = 0.02
 """[m] that the robot's rim keeps from walls, beyond its radius."""
-MIN_START_SHARE = 0.05
-"""A start from which a Dubins car can cover a smaller share of the bins is refused."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -297,7 +295,7 @@ def _dubins_start(
     else:
         found = returnable_set(free, limits, headings, rate, start)
     reachable = grid.reachable & found.bins
-    if reachable.sum() < MIN_START_SHARE * grid.reachable.sum():
+    if reachable.sum() < STARTS.min_dubins_share * grid.reachable.sum():
         better, _ = best_start(free, limits, headings, rate, seed)
         raise PlanError(
             f"from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}) the car can go to {int(reachable.sum()):,} of "

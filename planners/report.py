@@ -13,6 +13,7 @@ from planners.battery import Session
 from planners.check import check_parts
 from planners.coverage import Coverage
 from planners.sampling import sampling_warnings
+from planners.settings import STARTS
 from planners.task import PlannedDrive, Task
 from planners.trajectory import Trajectory
 from planners.vehicle import Vehicle
@@ -21,8 +22,6 @@ logger = logging.getLogger(__name__)
 
 CHECK_RATE = 100.0
 """[Hz] of the samples that are checked."""
-MIN_REACH_SHARE = 0.99
-"""A warning is given if the start reaches a smaller share of where the robot fits."""
 
 
 def reference_time(grid: Coverage, vehicle: Vehicle) -> float:
@@ -66,7 +65,7 @@ def plan_report(
     gap_m, gap_rad = grid.dispersion()
     start = trajectory.poses[0]
     lines = []
-    if task.reach.share < MIN_REACH_SHARE:
+    if task.reach.share < STARTS.warn_below:
         lines.append(holes.small_reach_warning(task.reach))
     if driven.interrupted:
         lines.append(f"planning was interrupted: this plan is shorter, it covers {100 * grid.fraction:.1f} %")

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from planners.settings import LOG
 from planners.trajectory import Trajectory
-
-DWELL_PERIODS = 1.25
-"""Log periods that a drive stays in a heading bin, at least. One is enough for a log of any phase; a quarter more
-covers where the bin is entered and left between two samples of the planner."""
-MIN_POSES = 2.0
-"""Logged poses that each passage through a bin should have."""
 
 
 def sampling_warnings(
@@ -27,17 +22,17 @@ def sampling_warnings(
     twists = trajectory.twists
     v, omega = np.maximum(twists.max(axis=0), -twists.min(axis=0)).tolist()
     width, found = 2 * np.pi / headings, []
-    if v > 0 and cell * rate / v < MIN_POSES:
+    if v > 0 and cell * rate / v < LOG.min_poses:
         found.append(
             f"at {v:.2f} m/s a log of {rate:g} Hz has {_down(cell * rate / v)} poses in a cell of {cell:g} m; for "
-            f"{MIN_POSES:g}, log at {_up(MIN_POSES * v / cell)} Hz or more, drive at {_down(cell * rate / MIN_POSES)} m/s or "
+            f"{LOG.min_poses:g}, log at {_up(LOG.min_poses * v / cell)} Hz or more, drive at {_down(cell * rate / LOG.min_poses)} m/s or "
             "less, or use larger cells"
         )
-    if omega > 0 and width * rate / omega < MIN_POSES:
+    if omega > 0 and width * rate / omega < LOG.min_poses:
         found.append(
             f"at {omega:.2f} rad/s a log of {rate:g} Hz has {_down(width * rate / omega)} poses in a heading bin of "
-            f"{np.degrees(width):.3g}°; for {MIN_POSES:g}, log at {_up(MIN_POSES * omega / width)} Hz or more, turn at "
-            f"{_down(width * rate / MIN_POSES)} rad/s or less, or use fewer headings"
+            f"{np.degrees(width):.3g}°; for {LOG.min_poses:g}, log at {_up(LOG.min_poses * omega / width)} Hz or more, turn at "
+            f"{_down(width * rate / LOG.min_poses)} rad/s or less, or use fewer headings"
         )
     if sweep_time * v > cell / 2:
         found.append(

@@ -82,6 +82,29 @@ class CheckSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LogSettings:
+    """What a log needs of a drive."""
+
+    dwell_periods: float = 1.25
+    """Log periods that a drive stays in a heading bin, at least. One is enough for a log of any phase; a quarter more covers
+    where the bin is entered and left between two samples of the planner (`python benchmarks/coverage_planners.py`)."""
+    min_poses: float = 2.0
+    """Logged poses of each passage through a bin below which a warning is given: one would be lost with its scan."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StartSettings:
+    """What is said of a start; set with `python benchmarks/coverage_planners.py --arena --random 10 --first 1`."""
+
+    min_dubins_share: float = 0.05
+    """A start from which a Dubins car can cover a smaller share of the bins is refused."""
+    warn_below: float = 0.99
+    """A warning is given if the start reaches a smaller share of the places where the robot fits."""
+    propose_above: float = 1.2
+    """Another part of the arena is proposed if it is so many times as large as the one that the start reaches."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SectionSettings:
     """How a drive is cut; set with `sensorgraph plan office --battery 40` and the drives of `--drive dubins`."""
 
@@ -97,3 +120,5 @@ TOURS = TourSettings()
 PRIORITY = PrioritySettings()
 CHECK = CheckSettings()
 SECTIONS = SectionSettings()
+LOG = LogSettings()
+STARTS = StartSettings()

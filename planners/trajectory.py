@@ -21,7 +21,12 @@ ROWS_AT_A_TIME = 100_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
-    """A timed path, exact at its samples."""
+    """A timed path, exact at its samples.
+
+    Raises
+    ------
+    ValueError : the shapes do not match, or the stamps do not increase strictly
+    """
 
     stamps: Floats
     """(n,) [s] from the start, strictly increasing."""
@@ -85,7 +90,12 @@ def _quoted(label: str) -> str:
 
 
 def read_csv(path: Path) -> Trajectory:
-    """Read a trajectory CSV; columns by name, `primitive` optional."""
+    """Read a trajectory CSV; columns by name, `primitive` optional.
+
+    Raises
+    ------
+    PlanError : the file is no such table, or its times do not increase
+    """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)

@@ -15,7 +15,12 @@ SHORTEST_ARC = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What the drive can do."""
+    """What the drive can do.
+
+    Raises
+    ------
+    ValueError : a limit is not positive, or the turning radius is negative
+    """
 
     v: float = 0.4
     """[m/s] largest forward speed (and backward, unless the drive is `dubins`)."""

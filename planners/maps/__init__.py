@@ -18,7 +18,12 @@ MAPS: dict[str, Callable[[Path], Arena]] = {
 
 
 def load(path: Path) -> Arena:
-    """Read an arena in the format that its suffix names."""
+    """Read an arena in the format that its suffix names.
+
+    Raises
+    ------
+    PlanError : no reader for the suffix, no such file, or the file is at fault
+    """
     path = Path(path)
     reader = MAPS.get(path.suffix.lower())
     if reader is None:

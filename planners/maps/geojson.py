@@ -52,7 +52,12 @@ class _Feature:
 
 
 def read(path: Path) -> Arena:
-    """Read an arena file."""
+    """Read an arena file.
+
+    Raises
+    ------
+    PlanError : the file is at fault; the message says where
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as exc:
@@ -64,7 +69,12 @@ def read(path: Path) -> Arena:
 
 
 def loads(text: str) -> Arena:
-    """Parse the text of an arena file."""
+    """Parse the text of an arena file.
+
+    Raises
+    ------
+    PlanError : the text is at fault; the message says where
+    """
     features = [_feature(item, index) for index, item in enumerate(_items(text))]
     arenas = [f for f in features if f.kind == "arena"]
     if len(arenas) != 1:

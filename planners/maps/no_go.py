@@ -30,7 +30,12 @@ Zone = Polygon
 
 
 def zones(given: str) -> list[Polygon]:
-    """Return the polygons of a GeoJSON file (features of kind no_go), or the one of corners x,y,x,y,... [m]."""
+    """Return the polygons of a GeoJSON file (features of kind no_go), or the one of corners x,y,x,y,... [m].
+
+    Raises
+    ------
+    PlanError : neither a file nor corners, or not a valid polygon
+    """
     if Path(given).is_file():
         return read(Path(given))
     try:
@@ -47,7 +52,12 @@ def zones(given: str) -> list[Polygon]:
 
 
 def read(path: Path) -> list[Polygon]:
-    """Read the features of kind no_go; others, such as the arena itself, are passed over."""
+    """Read the features of kind no_go; others, such as the arena itself, are passed over.
+
+    Raises
+    ------
+    PlanError : the file is no GeoJSON, has no zone, or a zone is no valid polygon
+    """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as exc:
@@ -67,7 +77,12 @@ def read(path: Path) -> list[Polygon]:
 
 
 def without(arena: Arena, given: Sequence[Polygon]) -> Arena:
-    """Return the arena with free space less the zones, its walls being as before."""
+    """Return the arena with free space less the zones, its walls being as before.
+
+    Raises
+    ------
+    PlanError : a zone lies outside of the free space, or the zones cover all of it
+    """
     free: BaseGeometry = arena.free
     for zone in given:
         if not zone.intersection(arena.free).area > 0:

@@ -28,7 +28,12 @@ MAX_CELLS = 100_000_000
 
 
 def read(path: Path) -> Arena:
-    """Read a map_server map."""
+    """Read a map_server map.
+
+    Raises
+    ------
+    PlanError : the yaml or its image is at fault, or no cell is free
+    """
     facts = _facts(path)
     pixels, opaque = _pixels(path, path.parent / facts["image"])
     occupied, free = classify(pixels, opaque, facts)

@@ -24,7 +24,12 @@ from planners.types import Bools, Floats
 
 
 def plan_cars(task: Task) -> PlannedDrive:
-    """Plan a car's drive: search the rooms in parallel, join them by OMPL, and complete what is missing."""
+    """Plan a car's drive: search the rooms in parallel, join them by OMPL, and complete what is missing.
+
+    Raises
+    ------
+    PlanError : every bin is covered already, or the car cannot begin or reach a bin
+    """
     todo = task.coverage.reachable & (task.coverage.counts == 0)
     if not todo.any():
         raise PlanError("every reachable bin is covered already; nothing is left to plan")

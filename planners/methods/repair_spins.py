@@ -15,8 +15,8 @@ from planners.joins.paths import connect_nearest
 from planners.methods.settings import SPIN_REPAIR
 from planners.methods.spins import choose_departure
 from planners.methods.stop_and_spin import standing_places
-from planners.sampling import DWELL_PERIODS
 from planners.search.log_phases import missed
+from planners.settings import LOG
 from planners.task import JoinCounts, Task
 from planners.types import Bools, Floats
 
@@ -68,7 +68,7 @@ class SpinRepair:
         """Drive along a path (k, 2) [m] and turn through the headings `need` (n_phi,) at its end."""
         task = self.task
         width = 2 * np.pi / task.coverage.headings
-        builder = CurveBuilder(self.here, task.vehicle.limits, spin=width * task.rate / DWELL_PERIODS)
+        builder = CurveBuilder(self.here, task.vehicle.limits, spin=width * task.rate / LOG.dwell_periods)
         builder.follow(path)
         builder.turn(choose_departure(builder, None, need, (0.0, 0.0)).angle, "spin")
         builder.wait(1.0 / task.rate)

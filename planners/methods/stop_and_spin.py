@@ -14,9 +14,8 @@ from planners.methods.spins import choose_departure
 from planners.order import CellGraph
 from planners.priority import cell_bands
 from planners.reach import Reach
-from planners.sampling import DWELL_PERIODS
 from planners.search.log_phases import missed
-from planners.settings import REACH
+from planners.settings import LOG, REACH
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Bools, Floats, Ints
 
@@ -57,7 +56,7 @@ class StopAndSpinPlanner:
         self.task, self.todo = task, todo
         self.limit = task.reach.clearance
         width = 2 * np.pi / task.coverage.headings
-        self.spin = width * task.rate / DWELL_PERIODS
+        self.spin = width * task.rate / LOG.dwell_periods
         self.joins = JoinCounts()
         self.builder: CurveBuilder | None = None
 

@@ -9,7 +9,7 @@ from planners.curve import CurveBuilder
 from planners.errors import PlanError
 from planners.joins.paths import connect
 from planners.methods.stop_and_spin import standing_places
-from planners.sampling import DWELL_PERIODS
+from planners.settings import LOG
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats, Ints
 
@@ -41,7 +41,7 @@ def plan_views(task: Task) -> PlannedDrive:
         if path is not None:
             builder.follow(path)
             builder.face(float(target[2]))
-            builder.wait(DWELL_PERIODS / task.rate, "view")
+            builder.wait(LOG.dwell_periods / task.rate, "view")
         if task.progress:
             task.progress(k + 1, len(targets))
     return PlannedDrive(curve=builder.curve(), stops=np.array(builder.stops).reshape(-1, 4), joins=joins)

@@ -21,11 +21,11 @@ from planners.search.kernel_world import (
     try_primitive,
 )
 from planners.search.nearest_goal import find_nearest_goal
+from planners.search.settings import KERNELS
 from planners.search.workspace import BeamSettings, HeuristicBuffers, Workspace, beam_room
 from planners.types import Floats, Int32s, Ints
 
-MAX_PATH_PRIMITIVES = 2048
-"""Primitives that one decision drives, at most."""
+MAX_PATH_PRIMITIVES = KERNELS.max_path_primitives
 N_DRIVEN, N_LEFT, N_GOAL_SEARCHES, STATUS = range(4)
 """Entries of `counters`: primitives written to the sequence, bins left, searches for the nearest bin, status."""
 RUNNING, DONE, UNREACHABLE, GAVE_UP = range(4)

@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.kernel import inlined_kernel, inner_kernel, kernel
+from planners.search.settings import KERNELS
 from planners.types import Bools, Floats, Int32s, Ints
 
-MAX_BINS_PER_PRIMITIVE = 3
-"""Bins that one primitive may cover, at most."""
-STOP_MARGIN = 0.003
-"""[m] A stop covers its bin only if it is this far inside the cell, so that rounding cannot move it out."""
-MAX_ESCAPE_TRIES = 3000
-"""Primitives tried, at most, before a state counts as one from which the robot cannot go on."""
+MAX_BINS_PER_PRIMITIVE = KERNELS.max_bins
+STOP_MARGIN = KERNELS.stop_margin
+MAX_ESCAPE_TRIES = KERNELS.max_escape_tries
 
 
 class SearchWorld(NamedTuple):

@@ -7,14 +7,13 @@ import numpy as np
 from planners.coverage import Coverage
 from planners.curve import NODES, WEIGHTS, Curve
 from planners.kernel import inner_kernel
+from planners.search.settings import KERNELS
 from planners.types import Bools, Floats
 
-PHASES = 10
-"""Phases of the log's clock for which every bin must be met."""
+PHASES = KERNELS.phases
 END_TOLERANCE = 1e-9
 """Share of a period by which the last pose may be logged after the end of the drive."""
-MIN_CLOSED_FORM_TURN = 0.05
-"""[rad] and [rad/s] above which the closed form of an arc loses no precision; below, quadrature is used."""
+MIN_CLOSED_FORM_TURN = KERNELS.min_closed_form_turn
 
 
 def missed(curve: Curve, todo: Bools, grid: Coverage, rate: float) -> Bools:

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.curve import displace
-from planners.sampling import DWELL_PERIODS
-from planners.search.settings import PRIMITIVES
+from planners.search.settings import KERNELS, PRIMITIVES
+from planners.settings import LOG
 from planners.types import Bools, Floats, Ints
 from planners.vehicle import Limits
 
-SAMPLES = 8
-"""Poses looked at within a primitive."""
+SAMPLES = KERNELS.samples
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,7 +73,7 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
     rate : [Hz] of the log, which must see every bin however its clock stands
     """
     width = 2 * np.pi / headings
-    omega = min(limits.omega, width * rate / DWELL_PERIODS)
+    omega = min(limits.omega, width * rate / LOG.dwell_periods)
     parts = max(math.ceil(width / omega / PRIMITIVES.max_duration - 1e-9), 1)
     step, tau = width / parts, width / parts / omega
     cell_bands = int(np.clip(round(limits.v / (limits.a * tau)), 1, PRIMITIVES.max_levels))
@@ -147,7 +146,7 @@ def car_primitives(
     """
     width, radius = 2 * np.pi / headings, limits.turning_radius
     parts = max(math.ceil(width * radius / PRIMITIVES.max_arc - 1e-9), 1)
-    v = min(limits.v, limits.omega * radius, width * radius * rate / DWELL_PERIODS)
+    v = min(limits.v, limits.omega * radius, width * radius * rate / LOG.dwell_periods)
     shares = (4, 2, 1) if len(gears) > 1 else (1,)
     unit_turn = width / parts / shares[0]
     unit = unit_turn * radius / v

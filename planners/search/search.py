@@ -22,14 +22,12 @@ from planners.search.kernel_world import (
     find_escape,
 )
 from planners.search.motion_primitives import MotionPrimitives
-from planners.search.settings import SearchSettings
+from planners.search.settings import KERNELS, SearchSettings
 from planners.search.workspace import BeamSettings, HeuristicBuffers, workspace_for
 from planners.types import Bools, Floats, Int32s, Ints
 
-DECISIONS_PER_CALL = 20
-"""Decisions that a kernel makes before `tick` is asked again."""
-MAX_STOP_PRIMITIVES = 24
-"""Primitives within which the robot must come to rest at the end of a search."""
+DECISIONS_PER_CALL = KERNELS.decisions_per_call
+MAX_STOP_PRIMITIVES = KERNELS.max_stop_primitives
 
 
 class SearchStatus(IntEnum):

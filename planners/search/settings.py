@@ -103,6 +103,38 @@ PRIMITIVES = PrimitiveSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
+class KernelSettings:
+    """Numbers that are compiled into the kernels; limits of work were set so that no plan of the benchmarks meets them.
+
+    See `python benchmarks/coverage_planners.py` and `python -m benchmarks.large_floor`.
+    """
+
+    samples: int = 8
+    """Poses at which a primitive is tested for clearance and for its bins."""
+    max_bins: int = 3
+    """Bins that one primitive may cover."""
+    stop_margin: float = 0.003
+    """[m] A stop covers its bin only if it is this far inside the cell, so that rounding cannot move it out."""
+    max_escape_tries: int = 3000
+    """Primitives tried before a state counts as one from which the robot cannot go on."""
+    max_stop_primitives: int = 24
+    """Primitives within which the robot must come to rest at the end of a search."""
+    max_path_primitives: int = 2048
+    """Primitives that one decision drives."""
+    goal_room: int = 8
+    """The search for the nearest bin holds so many times its width of states for each unit of time."""
+    decisions_per_call: int = 20
+    """Decisions that a kernel makes before the progress is told."""
+    phases: int = 10
+    """Phases of the log's clock for which every bin must be met."""
+    min_closed_form_turn: float = 0.05
+    """[rad] and [rad/s] above which the closed form of an arc loses no precision; below, quadrature is used."""
+
+
+KERNELS = KernelSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class HeuristicSettings:
     """The lattice of the cost-to-go map that guides a car to the nearest bin.
 

@@ -9,10 +9,10 @@ import numpy as np
 from planners.kernel import inner_kernel
 from planners.search.heuristic import HeuristicLattice
 from planners.search.kernel_world import MAX_BINS_PER_PRIMITIVE, PrimitiveArrays
+from planners.search.settings import KERNELS
 from planners.types import Floats, Int16s, Int32s, Ints
 
-GOAL_ROOM = 8
-"""The search for the nearest bin holds so many times its width of states for each unit of time."""
+GOAL_ROOM = KERNELS.goal_room
 
 
 class BeamSettings(NamedTuple):
