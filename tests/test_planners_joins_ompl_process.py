@@ -72,7 +72,7 @@ def test_questions_side_by_side_are_not_mixed_up(module: str) -> None:
 def test_no_process_outlives_the_one_that_asked(module: str) -> None:
     code = f"""
         import planners.joins.ompl_process as p
-        p.ask("{module}", seed=1, what="draw", number=1)
+        p.ask_ompl("{module}", seed=1, what="draw", number=1)
         (servers,) = p._idle.values()
         print(servers[0].process.pid)
     """
