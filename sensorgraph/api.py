@@ -18,7 +18,7 @@ from sensorgraph.diagnosis import diagnose as diagnosing
 from sensorgraph.diagnosis.commissioning import commission_all
 from sensorgraph.diagnosis.diagnose import Finding
 from sensorgraph.effects import Amendment, effects_file
-from sensorgraph.errors import SensorgraphError
+from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.evaluation.evaluate import evaluate as evaluate_run
 from sensorgraph.graph import Sensorgraph
@@ -44,6 +44,7 @@ RobotLike = Robot | Path | str
 """A robot, or its robot.yaml."""
 
 
+@as_sensorgraph_error
 def read(path: Path | str, *, topics: Mapping[str, str] | None = None) -> Run:
     """Read a run: MCAP, a rosbag2 folder, a ROS 1 bag, a CARMEN log or a CSV table.
 
@@ -53,11 +54,12 @@ def read(path: Path | str, *, topics: Mapping[str, str] | None = None) -> Run:
 
     Raises
     ------
-    LogError : the file is no log, or is damaged
+    SensorgraphError : the file is no log, or is damaged
     """
     return logs.read(path, topics=topics)
 
 
+@as_sensorgraph_error
 def record(
     drive: CoveragePlan | Trajectory | Path | str,
     arena: ArenaLike | None = None,
@@ -92,6 +94,7 @@ def record(
     )
 
 
+@as_sensorgraph_error
 def build(
     runs: RunLike | Sequence[RunLike], *, arena: ArenaLike | None = None, **options: Any
 ) -> Sensorgraph:
@@ -111,6 +114,7 @@ def build(
     return building.build([_run(run) for run in several], arena=walls, **options)
 
 
+@as_sensorgraph_error
 def evaluate(
     graph: GraphLike,
     run: RunLike,
@@ -134,6 +138,7 @@ def evaluate(
     return evaluate_run(_graph(graph), _run(run), split=split, point=point, cap=cap)
 
 
+@as_sensorgraph_error
 def predict(graph: GraphLike, poses: ArrayLike, *, point: Point = "mode") -> Prediction:
     """Predict every ray at given poses.
 
@@ -153,6 +158,7 @@ def predict(graph: GraphLike, poses: ArrayLike, *, point: Point = "mode") -> Pre
     return _graph(graph).predict(np.atleast_2d(np.asarray(poses, dtype=np.float64)), point=point)
 
 
+@as_sensorgraph_error
 def diagnose(
     run: RunLike,
     second: RunLike | None = None,
@@ -196,6 +202,7 @@ def diagnose(
     )
 
 
+@as_sensorgraph_error
 def identify(
     data: RunLike | Data, *, output: str, inputs: Sequence[str] = (), every: int = 1, **options: Any
 ) -> identifying.Identified:
@@ -211,7 +218,7 @@ def identify(
     Raises
     ------
     SensorgraphError : a signal is unknown, or the data are too few for what is asked
-    IdentError : the data do not determine a model
+    SensorgraphError : the data do not determine a model
     """
     question = identifying.Question(output=output, inputs=tuple(inputs), **options)
     names = [output, *question.inputs]
@@ -222,6 +229,7 @@ def identify(
     return identifying.identify(of_run(_run(data), names, every=every), question)
 
 
+@as_sensorgraph_error
 def review(
     run: RunLike,
     path: Path | str,

@@ -1,12 +1,39 @@
-"""The one error that the sensorgraph package raises when what the user gave does not allow what was asked."""
+"""The error that users of `sensorgraph` catch: every step raises it, whichever package found the fault."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+from logs.errors import LogError
+from planners.errors import PlanError
+from robotmodic_ident.errors import IdentError
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class SensorgraphError(ValueError):
-    """Say what came, what was expected and what to do, in one line."""
+    """Say what came, what was expected and what to do, in one line.
+
+    `planners`, `logs` and `robotmodic_ident` can be used alone and have errors of their own; behind
+    `import sensorgraph` they arrive as this one, with the original as `__cause__`.
+    """
+
+
+def as_sensorgraph_error(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a public function raise `SensorgraphError` where one of the other packages finds the fault."""
+
+    @wraps(function)
+    def raising(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except (PlanError, LogError, IdentError) as exc:
+            raise SensorgraphError(str(exc)) from exc
+
+    return raising
 
 
 def __getattr__(name: str) -> type[SensorgraphError]:

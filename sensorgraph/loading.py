@@ -12,12 +12,13 @@ from planners.arena import Arena
 from planners.errors import PlanError
 from planners.maps import geojson
 from sensorgraph.building.build import is_same_sensor
-from sensorgraph.errors import SensorgraphError
+from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.robot import Robot, load_robot, parse_robot
 
 
+@as_sensorgraph_error
 def load_arena(source: str | Path) -> Arena:
     """Open an arena.
 
@@ -29,7 +30,7 @@ def load_arena(source: str | Path) -> Arena:
     Raises
     ------
     SensorgraphError : there is no such file, or the sensorgraph holds no walls
-    PlanError : the file is no arena
+    SensorgraphError : the file is no arena
     """
     name = str(source)
     shipped = sorted(

@@ -16,6 +16,7 @@ from planners.arena import Arena
 from planners.errors import PlanError
 from planners.maps.no_go import Zone, without
 from planners.trajectory import Trajectory
+from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import load_arena
 from sensorgraph.planning import plan_folder
@@ -47,7 +48,7 @@ class CoveragePlan:
         """Write trajectory, waypoints, MCAP, report and pictures into a folder; all of it or nothing."""
         folder = Path(folder)
         if folder.exists() and not folder.is_dir():
-            raise PlanError(f"{folder} is a file; give a folder to write the plan to")
+            raise SensorgraphError(f"{folder} is a file; give a folder to write the plan to")
         folder.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as part:
             plan_folder.save(self.drive, Path(part), self.arena, self.robot)
@@ -68,6 +69,7 @@ class CoveragePlan:
         )
 
 
+@as_sensorgraph_error
 def plan(
     arena: Arena | Path | str,
     robot: Robot | Path | str | None = None,
@@ -109,7 +111,7 @@ def plan(
 
     Raises
     ------
-    PlanError : the robot does not fit, a pose is in a wall, nothing is within reach, or two arguments contradict
+    SensorgraphError : the robot does not fit, a pose is in a wall, nothing is within reach, or two arguments contradict
     """
     world = arena if isinstance(arena, Arena) else load_arena(arena)
     machine = robot if isinstance(robot, Robot) else load_robot(robot)
