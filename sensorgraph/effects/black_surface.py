@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import blind_walls
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import part_of_wall
 from sensorgraph.effects.proposals import (
     PROPOSAL,
@@ -81,6 +83,17 @@ def propose(residuals: Residuals) -> list[Proposal]:
     return best_first(found)[:2]
 
 
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Name the walls that were hardly met from afar or slanting."""
+    r0 = typical["r0"]
+    with np.errstate(divide="ignore"):
+        p = np.cos(exposure.incidence) * (r0 / np.maximum(exposure.range, 1e-3)) ** 2
+    p = np.clip(p, 1e-3, 1 - 1e-3)
+    nats = p * np.log(p / (1 - exposure.loss)) + (1 - p) * np.log((1 - p) / exposure.loss)
+    why = f"hardly met from farther than {r0:.0f} m, or at a slant"
+    return blind_walls(exposure, exposure.seen * nats, need, why)
+
+
 BLACK_SURFACE = Effect(
     name="black_surface",
     title="black, absorbing surface",
@@ -119,6 +132,10 @@ BLACK_SURFACE = Effect(
     transform=transform,
     place="wall",
     diagnostics=Diagnostics(
-        propose=propose, leftovers=LOSS_LEFTOVERS, misfit_share=0.012, telltale=LOST_BY_DIRECTION
+        unobservable=unobservable,
+        propose=propose,
+        leftovers=LOSS_LEFTOVERS,
+        misfit_share=0.012,
+        telltale=LOST_BY_DIRECTION,
     ),
 )

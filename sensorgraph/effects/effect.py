@@ -199,6 +199,17 @@ class Effect:
         """It sits on a wall from `a` to `b` [m from the wall's first end]."""
         return self.place == "wall" and {"a", "b"} <= {p.name for p in self.parameters}
 
+    @property
+    def has_own_columns(self) -> bool:
+        """It is smooth, and nothing but its own difference quotients tells of it."""
+        d = self.diagnostics
+        looked_for = d.propose or d.sweep or d.corner_shifts
+        return self.channel == "scan" and bool(self.steps) and not (looked_for or self.nuisances)
+
+    def at_neutral(self) -> Amendment:
+        """Return it with the values that change nothing."""
+        return self(**{p.name: p.neutral for p in self.parameters if p.neutral is not None})
+
     def typical(self, times: float) -> dict[str, float]:
         """Return values at which a run should show it: so many materialities, else typical, else neutral ones."""
         out = {}

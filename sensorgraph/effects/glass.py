@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import UNEXPECTED, blind_walls
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import part_of_wall, seen_without
 from sensorgraph.effects.proposals import (
     PROPOSAL,
@@ -114,6 +116,13 @@ def _pane(
     return a, b, alpha, gain
 
 
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Name the walls that were hardly met slanting."""
+    alpha = typical["alpha_ret"]
+    slanting = np.asarray(UNEXPECTED * (exposure.seen & (exposure.incidence > alpha)))
+    return blind_walls(exposure, slanting, need, f"hardly met at more than {np.degrees(alpha):.0f} degrees")
+
+
 GLASS = Effect(
     name="glass",
     title="glass pane",
@@ -165,6 +174,10 @@ GLASS = Effect(
     transform=transform,
     place="wall",
     diagnostics=Diagnostics(
-        propose=propose, leftovers=LOSS_LEFTOVERS, misfit_share=0.012, telltale=LOST_BY_DIRECTION
+        unobservable=unobservable,
+        propose=propose,
+        leftovers=LOSS_LEFTOVERS,
+        misfit_share=0.012,
+        telltale=LOST_BY_DIRECTION,
     ),
 )

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import only_wall
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import cut_off, within_range
 from sensorgraph.effects.set_up import wall_direction_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import RIGHT_ANGLE, Scene, fade
 
 BLUR = 0.003  # [rad] over which it sets in
+
+STEEP = float(np.radians(70.0))
+"""[rad] of incidence that tells a drop-out on all walls from one black wall."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -27,6 +33,21 @@ def propose(residuals: Residuals) -> list[Proposal]:
     """Look for the incidence beyond which nothing returns."""
     incidence = np.where(np.isfinite(within_range(residuals)), residuals.incidence, np.nan)
     return cut_off(residuals, "alpha_max", incidence, residuals.certain_loss, upward=True)
+
+
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Count the rays that met a wall slanting."""
+    alpha = typical["alpha_max"]
+    some = exposure.incidence > alpha
+    if exposure.lost(0.0, some) >= need:
+        return ""
+    return f"only {int(some.sum())} rays met a wall at more than {np.degrees(alpha):.0f} degrees"
+
+
+def look_alike(exposure: Exposure) -> tuple[str, str] | None:
+    """Tell whether all slanting rays met one wall."""
+    wall = only_wall(exposure, exposure.incidence > STEEP)
+    return ("black_surface", f"all such rays met {wall}") if wall else None
 
 
 INCIDENCE_DROPOUT = Effect(
@@ -56,5 +77,7 @@ INCIDENCE_DROPOUT = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(propose=propose, leftovers=LOSS_LEFTOVERS),
+    diagnostics=Diagnostics(
+        unobservable=unobservable, look_alike=look_alike, propose=propose, leftovers=LOSS_LEFTOVERS
+    ),
 )

@@ -140,6 +140,8 @@ class Exposure(Protocol):
     seen: Bools
     """A return is expected."""
     n_seen: int
+    valid: Bools
+    """Readings here follow smoothly from poses and map."""
     reading: Floats
     """[m] expected; may be inf."""
     range: Floats

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.exposures import speeds
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
 
@@ -38,5 +39,5 @@ LATENCY = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(tolerance="stamp", hidden_by_slam=True, question_rank=1),
+    diagnostics=Diagnostics(why_unseen=speeds, tolerance="stamp", hidden_by_slam=True, question_rank=1),
 )

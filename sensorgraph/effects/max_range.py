@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import only_wall
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import cut_off, within_range
 from sensorgraph.effects.set_up import map_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import Scene, fade
+
+FAR_SHARE = 0.75
+"""Of range_max, that a shorter maximal range should show at."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -23,6 +29,26 @@ def transform(scene: Scene, a: Amendment) -> None:
 def propose(residuals: Residuals) -> list[Proposal]:
     """Look for the range beyond which nothing returns."""
     return cut_off(residuals, "R", within_range(residuals), residuals.certain_loss, upward=True)
+
+
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Count the returns from far away."""
+    limit = exposure.sensor.range_max
+    far = FAR_SHARE * limit
+    some = exposure.seen & (exposure.reading > far)
+    if exposure.lost(0.0, some) >= need:
+        return ""
+    farthest = float(exposure.range.max())
+    if farthest > far:
+        return f"only {int(some.sum())} returns from farther than {far:.1f} m"
+    return f"no return from farther than {farthest:.1f} m, of {limit:.0f} m"
+
+
+def look_alike(exposure: Exposure) -> tuple[str, str] | None:
+    """Tell whether all far returns came from one wall."""
+    far = FAR_SHARE * exposure.sensor.range_max
+    wall = only_wall(exposure, exposure.seen & (exposure.reading > far))
+    return ("black_surface", f"all such rays met {wall}") if wall else None
 
 
 MAX_RANGE = Effect(
@@ -51,5 +77,7 @@ MAX_RANGE = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(propose=propose, leftovers=LOSS_LEFTOVERS),
+    diagnostics=Diagnostics(
+        unobservable=unobservable, look_alike=look_alike, propose=propose, leftovers=LOSS_LEFTOVERS
+    ),
 )

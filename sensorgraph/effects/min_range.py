@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import MIN_RAYS
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import cut_off, within_range
 from sensorgraph.effects.set_up import map_error
 from sensorgraph.world.scene import Scene, fade
 
 EITHER_WAY = -0.7
 """[nats] of a reading in the blind zone: about half of them are said to be too near, the others are lost."""
+
+NEAR = 0.3
+"""[m] of a return that tells a blind zone from a part of the robot."""
+ONE_BEARING = float(np.radians(20.0))
+"""[rad] that a part of the robot may span."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -26,6 +34,27 @@ def propose(residuals: Residuals) -> list[Proposal]:
     """Look for the range below which nothing returns, or is said to be too near."""
     gains = np.where(residuals.near, EITHER_WAY - residuals.log_p, residuals.certain_loss)
     return cut_off(residuals, "r_min", within_range(residuals), gains, upward=False)
+
+
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Count the returns from near by."""
+    r_min = typical["r_min"]
+    some = exposure.seen & (exposure.reading < r_min)
+    if exposure.lost(0.0, some) >= need:
+        return ""
+    nearest = float(exposure.reading[exposure.seen].min()) if exposure.n_seen else 0.0
+    if nearest < r_min:
+        return f"only {int(some.sum())} returns from nearer than {r_min:.1f} m"
+    return f"no return from nearer than {nearest:.2f} m"
+
+
+def look_alike(exposure: Exposure) -> tuple[str, str] | None:
+    """Tell whether all near returns came from one bearing."""
+    near = exposure.seen & (exposure.reading < NEAR)
+    rays = np.flatnonzero(near.any(axis=0))
+    if near.sum() >= MIN_RAYS and np.ptp(exposure.sensor.bearings[rays]) < ONE_BEARING:
+        return "self_occlusion", "all near returns came from one bearing"
+    return None
 
 
 MIN_RANGE = Effect(
@@ -50,5 +79,5 @@ MIN_RANGE = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(propose=propose),
+    diagnostics=Diagnostics(unobservable=unobservable, look_alike=look_alike, propose=propose),
 )

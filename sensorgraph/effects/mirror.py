@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import UNEXPECTED, blind_walls
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import part_of_wall, reflected
 from sensorgraph.effects.proposals import (
     best_first,
@@ -53,6 +55,11 @@ def propose(residuals: Residuals) -> list[Proposal]:
     return best_first(found)[:2]
 
 
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Name the walls that were hardly met."""
+    return blind_walls(exposure, np.asarray(UNEXPECTED * exposure.seen), need, "hardly met by a ray")
+
+
 MIRROR = Effect(
     name="mirror",
     title="mirror",
@@ -79,6 +86,10 @@ MIRROR = Effect(
     transform=transform,
     place="wall",
     diagnostics=Diagnostics(
-        propose=propose, leftovers=LOSS_LEFTOVERS, misfit_share=0.012, telltale=LOST_BY_DIRECTION
+        unobservable=unobservable,
+        propose=propose,
+        leftovers=LOSS_LEFTOVERS,
+        misfit_share=0.012,
+        telltale=LOST_BY_DIRECTION,
     ),
 )

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect
-from sensorgraph.effects.interfaces import Proposal, Residuals
-from sensorgraph.effects.places import named_walls, walls_of
+from sensorgraph.effects.exposures import UNEXPECTED, listed
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
+from sensorgraph.effects.places import named_walls, obstacles, walls_of
 from sensorgraph.effects.proposals import PROPOSAL, unchanged_obstacles
 from sensorgraph.world.scene import Scene, each
 
@@ -36,6 +39,16 @@ def propose(residuals: Residuals) -> list[Proposal]:
     return found
 
 
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Name the obstacles that were hardly met."""
+    blind = []
+    for name in obstacles(exposure.arena):
+        walls = named_walls(exposure.arena, name)
+        if UNEXPECTED * (np.isin(exposure.wall, walls) & exposure.seen).sum() < need:
+            blind.append(name)
+    return f"{listed(blind)}: hardly met by a ray" if blind else ""
+
+
 MISSING_OBSTACLE = Effect(
     name="missing_obstacle",
     title="obstacle that is no longer there",
@@ -49,5 +62,5 @@ MISSING_OBSTACLE = Effect(
     parameters=(),
     transform=transform,
     place="obstacle",
-    diagnostics=Diagnostics(propose=propose),
+    diagnostics=Diagnostics(unobservable=unobservable, propose=propose),
 )

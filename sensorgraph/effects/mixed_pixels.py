@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Residuals
+from sensorgraph.effects.exposures import UNEXPECTED
+from sensorgraph.effects.interfaces import Exposure, Residuals
 from sensorgraph.effects.proposals import PROPOSAL
 from sensorgraph.effects.set_up import depth_edge_error
 from sensorgraph.types import Bools, Floats
@@ -27,6 +28,9 @@ SIGMAS = 5.0
 """Standard deviations that a reading must be away from both sides of a step, and from what is expected."""
 DEPTH = 0.2
 """[m] of a step in depth."""
+
+EDGE = 0.1
+"""[m] between the ranges of neighbouring rays that makes an edge in depth."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -86,6 +90,19 @@ def _between(residuals: Residuals) -> int:
         return int((inside & (np.abs(z - residuals.mu) > margin)).sum())
 
 
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Count the edges in depth that neighbouring rays straddle."""
+    gamma = typical["gamma"]
+    bearings = exposure.sensor.bearings
+    gap = float(np.median(np.abs(np.diff(bearings)))) if len(bearings) > 1 else np.inf
+    step = np.abs(np.diff(exposure.range, axis=1)) > EDGE
+    edges = step & exposure.seen[:, 1:] & exposure.seen[:, :-1]
+    n = float(edges.sum()) * min(1.0, 2 * gamma / gap)
+    if UNEXPECTED * n >= need:
+        return ""
+    return f"only {int(edges.sum())} times did two neighbouring rays straddle an edge in depth"
+
+
 MIXED_PIXELS = Effect(
     name="mixed_pixels",
     title="mixed pixels of a wide beam",
@@ -113,6 +130,7 @@ MIXED_PIXELS = Effect(
     transform=transform,
     absorber=True,
     diagnostics=Diagnostics(
+        unobservable=unobservable,
         sweep=sweep,
         leftover_share=0.03,
         leftovers=dict.fromkeys(("people", "random_outliers", "range_noise", "glass", "black_surface"), 0.15),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.exposures import count_of_returns
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
 
@@ -31,5 +32,5 @@ MOUNT_XY = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(tolerance="mount_xy"),
+    diagnostics=Diagnostics(why_unseen=count_of_returns, tolerance="mount_xy"),
 )

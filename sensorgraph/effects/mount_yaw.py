@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Exposure
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
+
+SLANT = float(np.radians(20))
+"""[rad] of incidence from which on a turn of the laser shows."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
     """Turn the laser."""
     scene.mount = scene.mount + [0.0, 0.0, a["delta"]]
+
+
+def slants(exposure: Exposure) -> str:
+    """Say how many returns are from walls met slanting."""
+    slanting = exposure.incidence[exposure.seen] > SLANT
+    share = float(slanting.mean()) if exposure.n_seen else 0.0
+    return (
+        f"{100 * share:.0f} % of the returns are from walls met at more than {np.degrees(SLANT):.0f} degrees"
+    )
 
 
 MOUNT_YAW = Effect(
@@ -34,5 +49,5 @@ MOUNT_YAW = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(tolerance="mount_yaw", question_rank=2),
+    diagnostics=Diagnostics(why_unseen=slants, tolerance="mount_yaw", question_rank=2),
 )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import too_few_returns
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import share_of_readings
 from sensorgraph.effects.walkers import walkers
 from sensorgraph.world.scene import Scene
@@ -25,6 +28,11 @@ def transform(scene: Scene, a: Amendment) -> None:
 def propose(residuals: Residuals) -> list[Proposal]:
     """Count short readings."""
     return share_of_readings(residuals, residuals.short, NATS)
+
+
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Compare the share with the strays that need no effect."""
+    return too_few_returns(exposure, typical["p"], need)
 
 
 PEOPLE = Effect(
@@ -53,5 +61,11 @@ PEOPLE = Effect(
     ),
     transform=transform,
     absorber=True,
-    diagnostics=Diagnostics(propose=propose, explains="short readings", misfit_share=0.06, is_forecast=False),
+    diagnostics=Diagnostics(
+        unobservable=unobservable,
+        propose=propose,
+        explains="short readings",
+        misfit_share=0.06,
+        is_forecast=False,
+    ),
 )

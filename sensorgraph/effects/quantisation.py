@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import count_of_returns
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene
 
@@ -62,6 +65,16 @@ def _refined(q: float, values: Floats) -> float:
     return q
 
 
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Compare the lattice with the resolution of the log."""
+    q, resolution = typical["q"], exposure.sensor.resolution
+    if resolution >= q:
+        return f"the log itself has steps of {1000 * resolution:.0f} mm"
+    if exposure.n_seen * np.log(q / max(resolution, FINEST)) >= need:
+        return ""
+    return count_of_returns(exposure)
+
+
 QUANTISATION = Effect(
     name="quantisation",
     title="coarse quantisation",
@@ -74,5 +87,5 @@ QUANTISATION = Effect(
     rivals={"range_noise": "a histogram at standstill"},
     parameters=(Parameter(name="q", unit="m", doc="step of the lattice", low=0.0, typical=0.01),),
     transform=transform,
-    diagnostics=Diagnostics(propose=propose, is_lattice=True, is_forecast=False),
+    diagnostics=Diagnostics(unobservable=unobservable, propose=propose, is_lattice=True, is_forecast=False),
 )

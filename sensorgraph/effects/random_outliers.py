@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import too_few_returns
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import share_of_readings
 from sensorgraph.world.scene import Scene
 
@@ -19,6 +22,11 @@ def transform(scene: Scene, a: Amendment) -> None:
 def propose(residuals: Residuals) -> list[Proposal]:
     """Count strange readings."""
     return share_of_readings(residuals, residuals.strange, NATS)
+
+
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Compare the share with the strays that need no effect."""
+    return too_few_returns(exposure, typical["p"], need)
 
 
 RANDOM_OUTLIERS = Effect(
@@ -44,5 +52,5 @@ RANDOM_OUTLIERS = Effect(
     ),
     transform=transform,
     absorber=True,
-    diagnostics=Diagnostics(propose=propose, explains="strays", is_forecast=False),
+    diagnostics=Diagnostics(unobservable=unobservable, propose=propose, explains="strays", is_forecast=False),
 )

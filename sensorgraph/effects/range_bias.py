@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.exposures import count_of_returns
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
 
@@ -36,5 +37,5 @@ RANGE_BIAS = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(site_start={"b": 0.0}),
+    diagnostics=Diagnostics(why_unseen=count_of_returns, site_start={"b": 0.0}),
 )

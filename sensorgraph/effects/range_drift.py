@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import Exposure
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
+
+MIN_SPAN = 30.0
+"""[s] of a run, below which nothing drifts."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -20,6 +26,16 @@ def transform(scene: Scene, a: Amendment) -> None:
 def warm_up(span: float) -> dict[str, float]:
     """Start a fit from a warm-up that is over after a part of the run [s]."""
     return {"tau": 0.2 * span}
+
+
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Say that the run is too short."""
+    return f"the run lasts {exposure.span:.0f} s, too short for a drift" if exposure.span < MIN_SPAN else ""
+
+
+def duration(exposure: Exposure) -> str:
+    """Say how long the run lasts."""
+    return f"the run lasts {exposure.span:.0f} s"
 
 
 RANGE_DRIFT = Effect(
@@ -53,5 +69,7 @@ RANGE_DRIFT = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(second_start=warm_up, hidden_by_slam=True),
+    diagnostics=Diagnostics(
+        unobservable=unobservable, why_unseen=duration, second_start=warm_up, hidden_by_slam=True
+    ),
 )

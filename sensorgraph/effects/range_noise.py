@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import falls_short
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import PROPOSAL, best_first
 from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene
@@ -47,6 +50,20 @@ def _log_likelihood(e: Floats, s: Floats, tail: float) -> float:
     return float(np.log(((1 - tail) * np.exp(-0.5 * q) + tail / 3 * np.exp(-0.5 * q / 9)) / s + 1e-3).sum())
 
 
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Compare the growth of the noise with the freedom of its nominal size."""
+    k, sigma = typical["k"], exposure.sensor.sigma
+    if sigma <= 0 or not exposure.n_seen:
+        return ""
+    ratio = 1 + (k * exposure.reading[exposure.seen] / sigma) ** 2
+    scale = np.linspace(*exposure.core, 9)[:, None] ** 2
+    counts, edges = np.histogram(ratio, bins=40)
+    middle = (edges[1:] + edges[:-1]) / 2 / scale  # (9, 40)
+    nats = float((0.5 * (middle - 1 - np.log(middle)) * counts).sum(axis=1).min())
+    longest = float(np.percentile(exposure.reading[exposure.seen], 95))
+    return "" if nats >= need else f"hardly a range above {longest:.1f} m; {falls_short(nats, need)}"
+
+
 RANGE_NOISE = Effect(
     name="range_noise",
     title="range-dependent noise",
@@ -67,5 +84,5 @@ RANGE_NOISE = Effect(
     ),
     transform=transform,
     absorber=True,
-    diagnostics=Diagnostics(propose=propose, site_start={"k": 0.004}),
+    diagnostics=Diagnostics(unobservable=unobservable, propose=propose, site_start={"k": 0.004}),
 )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.exposures import speeds
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.scene import Scene
 
@@ -37,4 +38,5 @@ SCAN_SKEW = Effect(
         ),
     ),
     transform=transform,
+    diagnostics=Diagnostics(why_unseen=speeds),
 )

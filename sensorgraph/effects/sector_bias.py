@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter, Telltale
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import listed
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import in_sector
 from sensorgraph.effects.proposals import best_first, half_spacing
 from sensorgraph.effects.set_up import between_rays
@@ -16,6 +19,9 @@ MAX_SHARE = 0.8
 """Of the rays, that a sector may have; more are the whole sensor."""
 BROAD = 6.0
 """Standard deviations at which readings far off count half."""
+
+N_SECTORS, SECTOR = 6, float(np.radians(30.0))
+"""Sectors of this width [rad], in which a bias should show."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -56,6 +62,19 @@ def _broad_weight(residuals: Residuals) -> Floats:
     return np.asarray(np.where(residuals.returned, 1 / heavy, 0.0))
 
 
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Name the sectors of which too few rays would tell, nuisances refitted."""
+    bearings = exposure.sensor.bearings
+    centres = bearings[0] + (np.arange(N_SECTORS) + 0.5) / N_SECTORS * (bearings[-1] - bearings[0])
+    inside = np.array([in_sector(bearings, c - SECTOR / 2, c + SECTOR / 2) for c in centres])
+    columns = np.where(exposure.valid[:, None] & inside[None], 1.0, 0.0)
+    nats = exposure.nats_of_columns(columns, typical["b"])
+    blind = [f"{np.degrees(c):.0f}" for c, value in zip(centres, nats, strict=True) if value < need]
+    if not blind:
+        return ""
+    return f"round bearing {listed(blind)} degrees there are too few returns, or too few headings"
+
+
 SECTOR_BIAS = Effect(
     name="sector_bias",
     title="bias of a sector of rays",
@@ -81,6 +100,7 @@ SECTOR_BIAS = Effect(
     transform=transform,
     place="sector",
     diagnostics=Diagnostics(
+        unobservable=unobservable,
         propose=propose,
         telltale=Telltale(
             least=2, statement="the bias varies with the bearing in a way that no single sector describes"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import UNEXPECTED
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import in_sector
 from sensorgraph.effects.proposals import half_spacing
 from sensorgraph.effects.set_up import between_rays
@@ -14,6 +17,9 @@ from sensorgraph.world.scene import Scene
 
 MIN_SHORT = 0.3
 """Share of the scans in which a ray must be short."""
+
+CLEAR = 0.05
+"""[m] beyond the robot's own part that a return is clear of it."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -47,6 +53,16 @@ def propose(residuals: Residuals) -> list[Proposal]:
     return found
 
 
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Count the rays that hardly ever returned from beyond the robot's own part."""
+    r0, sensor = typical["r0"], exposure.sensor
+    beyond = exposure.seen & (exposure.reading > r0 + CLEAR)
+    few = UNEXPECTED * beyond.sum(axis=0) < need
+    if not few.any():
+        return ""
+    return f"{int(few.sum())} of {sensor.n_rays} rays hardly ever returned from beyond {r0:.2f} m"
+
+
 SELF_OCCLUSION = Effect(
     name="self_occlusion",
     title="a part of the robot in view",
@@ -76,5 +92,5 @@ SELF_OCCLUSION = Effect(
     ),
     transform=transform,
     place="sector",
-    diagnostics=Diagnostics(propose=propose, leftovers=LOSS_LEFTOVERS),
+    diagnostics=Diagnostics(unobservable=unobservable, propose=propose, leftovers=LOSS_LEFTOVERS),
 )

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Residuals
+from sensorgraph.effects.exposures import UNEXPECTED
+from sensorgraph.effects.interfaces import Exposure, Residuals
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene
 
@@ -75,6 +76,22 @@ def sweep(residuals: Residuals) -> list[list[Mapping[str, float]]]:
     return [[{"gamma": float(gamma), "alpha_max": float(alpha)} for gamma in GAMMAS] for alpha in ALPHAS]
 
 
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Count the rays beside which a cone would find something nearer."""
+    gamma = typical["gamma"]
+    bearings = exposure.sensor.bearings
+    side = int(gamma / np.median(np.abs(np.diff(bearings)))) if len(bearings) > 1 else 0
+    shorter = np.zeros(exposure.range.shape, dtype=np.bool_)
+    if side:
+        seen, reading = exposure.seen, exposure.range
+        limit = reading - 4 * max(exposure.sensor.sigma, 1e-3)
+        shorter[:, side:] |= seen[:, :-side] & (reading[:, :-side] < limit[:, side:])
+        shorter[:, :-side] |= seen[:, side:] & (reading[:, side:] < limit[:, :-side])
+    if UNEXPECTED * shorter.sum() >= need:
+        return ""
+    return "neighbouring rays read alike, as if the cone were one of them"
+
+
 SONAR_CONE = Effect(
     name="sonar_cone",
     title="sonar cone",
@@ -111,6 +128,11 @@ SONAR_CONE = Effect(
     ),
     transform=transform,
     diagnostics=Diagnostics(
-        sweep=sweep, wide_beam=True, leftover_share=0.06, misfit_share=0.06, is_forecast=False
+        unobservable=unobservable,
+        sweep=sweep,
+        wide_beam=True,
+        leftover_share=0.06,
+        misfit_share=0.06,
+        is_forecast=False,
     ),
 )

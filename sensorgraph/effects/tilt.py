@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.exposures import UNEXPECTED
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import PROPOSAL
 from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.types import Floats
@@ -73,6 +76,22 @@ def propose(residuals: Residuals) -> list[Proposal]:
     return [Proposal(values={"beta": beta, "theta0": theta0}, gain=NATS * most)]
 
 
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Count the rays that a dip ahead would let meet the floor."""
+    beta, sensor = typical["beta"], exposure.sensor
+    floor = sensor.height / np.sin(beta)
+    middle = np.cos(sensor.bearings - sensor.bearings.mean())
+    with np.errstate(divide="ignore"):
+        meets = np.where(middle > 0, sensor.height / np.sin(np.maximum(beta * middle, 1e-12)), np.inf)
+    some = exposure.seen & (exposure.reading > meets)
+    if UNEXPECTED * some.sum() >= need:
+        return ""
+    return (
+        f"hardly a ray ahead is longer than the {floor:.1f} m at which a plane tilted by "
+        f"{np.degrees(beta):.0f} degrees meets the floor"
+    )
+
+
 TILT = Effect(
     name="tilt",
     title="tilted scan plane",
@@ -111,5 +130,5 @@ TILT = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(propose=propose, leftovers=LOSS_LEFTOVERS),
+    diagnostics=Diagnostics(unobservable=unobservable, propose=propose, leftovers=LOSS_LEFTOVERS),
 )

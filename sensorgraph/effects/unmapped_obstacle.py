@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import Proposal, Residuals
+from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import PROPOSAL
 from sensorgraph.effects.set_up import half_map_error
 from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene
+
+CELL, MAX_CELLS = 0.25, 1500
+"""[m] of the raster of free space, and about how many cells it may have."""
+N_SCANS = 60
+"""Scans that the raster is looked at from."""
+MAX_BLIND = 0.03
+"""Share of free space that may go unseen without a word."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -74,6 +83,37 @@ def _circle(points: Floats, directions: Floats) -> tuple[Floats, float, float]:
     return best[1], best[2], best[0]
 
 
+def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) -> str:
+    """Name the part of free space that was hardly looked at."""
+    arena, beams = exposure.arena, exposure.beams
+    x0, y0, x1, y1 = arena.bounds
+    step = max(CELL, float(np.sqrt((x1 - x0) * (y1 - y0) / MAX_CELLS)))
+    x, y = np.meshgrid(np.arange(x0 + step / 2, x1, step), np.arange(y0 + step / 2, y1, step))
+    spots = np.stack([x.ravel(), y.ravel()], axis=1)
+    spots = spots[arena.contains(spots)]
+    if not len(spots):
+        return ""
+    some = np.unique(np.linspace(0, len(exposure.reading) - 1, N_SCANS).astype(np.intp))
+    ox, oy = (np.broadcast_to(o, beams.ux.shape)[some, 0] for o in (beams.ox, beams.oy))
+    dx, dy = spots[:, 0] - ox[:, None], spots[:, 1] - oy[:, None]  # (looks, spots)
+    bearings = exposure.sensor.bearings
+    first = np.arctan2(beams.uy[some, 0], beams.ux[some, 0])[:, None]
+    turn = (np.arctan2(dy, dx) - first) % (2 * np.pi)
+    width = float(np.median(np.diff(bearings))) if len(bearings) > 1 else 1.0
+    ray = np.round(turn / width).astype(np.intp) if width > 0 else np.full(turn.shape, len(bearings))
+    inside = ray < len(bearings)
+    far = np.take_along_axis(exposure.reading[some], np.where(inside, ray, 0), axis=1)
+    looks = (inside & (np.hypot(dx, dy) < far)).sum(axis=0)
+    blind = looks < 2
+    if blind.mean() < MAX_BLIND:
+        return ""
+    middle = spots[blind][np.hypot(*(spots[blind] - spots[blind].mean(axis=0)).T).argmin()]
+    return (
+        f"{100 * blind.mean():.0f} % of the free space was hardly looked at, for instance round "
+        f"({middle[0]:.1f}, {middle[1]:.1f}) m"
+    )
+
+
 UNMAPPED_OBSTACLE = Effect(
     name="unmapped_obstacle",
     title="obstacle that the map lacks",
@@ -93,5 +133,5 @@ UNMAPPED_OBSTACLE = Effect(
     ),
     transform=transform,
     place="spot",
-    diagnostics=Diagnostics(propose=propose),
+    diagnostics=Diagnostics(unobservable=unobservable, propose=propose),
 )

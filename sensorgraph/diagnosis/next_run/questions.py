@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from sensorgraph.diagnosis.next_run.forecast import OpenQuestion
 from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.diagnosis.result import ChannelResult
-from sensorgraph.diagnosis.scan.observability import TIMES, separation
+from sensorgraph.diagnosis.scan.observability import separation
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
 
 LONGER_THAN_ANY_WALL = 1e3
@@ -95,7 +96,7 @@ def typical_effect(name: str, why: str = "") -> Amendment | None:
     why : why a run could not show it, as `not_observable` says; the effect sits at the first place that it names
     """
     effect = EFFECTS[name]
-    values = effect.typical(TIMES)
+    values = effect.typical(SCAN.observability.size)
     place = why.split(":")[0].split(",")[0] if ":" in why else ""
     if effect.place in ("wall", "obstacle") and place:
         whole_wall = {"a": 0.0, "b": LONGER_THAN_ANY_WALL} if effect.on_part_of_wall else {}

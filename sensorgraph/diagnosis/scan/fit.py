@@ -173,26 +173,37 @@ def locked(data: ScanData, model: Sequence[Amendment], corners: Corners) -> Bool
     return out
 
 
+def columns_of(data: ScanData, fitted: Fitted, amendment: Amendment) -> Floats:
+    """Differentiate the readings of a fit by a further effect that changes nothing yet, (n_scans, k, n_rays)."""
+    model = (*fitted.model, amendment)
+    return np.stack(_difference_quotients(data, model, len(model) - 1, fitted.cast), axis=1)
+
+
+def _difference_quotients(data: ScanData, model: Sequence[Amendment], index: int, at: Cast) -> list[Floats]:
+    """Differentiate the readings by the smooth parameters of one effect of a model; 0 where a reading jumps."""
+    amendment, out = model[index], []
+    for name, step in amendment.steps.items():
+        moved = [*model]
+        moved[index] = amendment.moved_to({name: amendment.parameters.get(name, 0.0) + step})
+        scene = data.scene()
+        beams = scene.run((*data.known, *moved))
+        with np.errstate(invalid="ignore"):
+            slope = (beams.reading - at.beams.reading) / step
+        same = (
+            (beams.wall == at.beams.wall)
+            & at.jacobian.valid
+            & np.isfinite(slope)
+            & (np.abs(slope) < amendment.effect.parameter(name).jump)
+        )
+        out.append(np.where(same, slope, 0.0))
+    return out
+
+
 def solver_for(data: ScanData, model: Sequence[Amendment], at: Cast | None = None) -> tuple[Solver, Cast]:
     """Cast, and differentiate by the effects' smooth parameters."""
     at = cast(data, model) if at is None else at
     corners = corners_of(data)
-    quotients = []
-    for index, amendment in enumerate(model):
-        for name, step in amendment.steps.items():
-            moved = [*model]
-            moved[index] = amendment.moved_to({name: amendment.parameters.get(name, 0.0) + step})
-            scene = data.scene()
-            beams = scene.run((*data.known, *moved))
-            with np.errstate(invalid="ignore"):
-                slope = (beams.reading - at.beams.reading) / step
-            same = (
-                (beams.wall == at.beams.wall)
-                & at.jacobian.valid
-                & np.isfinite(slope)
-                & (np.abs(slope) < amendment.effect.parameter(name).jump)
-            )
-            quotients.append(np.where(same, slope, 0.0))
+    quotients = [q for index in range(len(model)) for q in _difference_quotients(data, model, index, at)]
     shape = at.expected.reading.shape
     effects = np.stack(quotients, axis=1) if quotients else np.zeros((shape[0], 0, shape[1]))
     held = locked(data, model, corners)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.fit import Fitted, corners_of
-from sensorgraph.diagnosis.scan.gauss_newton import boxed
+from sensorgraph.diagnosis.scan.fit import Fitted, columns_of, corners_of
+from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
 from sensorgraph.diagnosis.scan.nuisance import BOX, effects_with_nuisances
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.effects import EFFECTS, Amendment
@@ -58,6 +58,7 @@ def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) ->
         weight = np.where(data.returned, 1 / (1 + (y / (3 * sigma)) ** 2), 0.0) / sigma**2
         system = solver.assemble(weight, state.pose_scale)
     else:
+        weight = fitted.solution.responsibilities.weight
         system = fitted.solution.system
     n = solver.n_g
     tau = solver.scaled(state)
@@ -77,7 +78,28 @@ def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) ->
             {k: amendment.parameters.get(k, 0.0) + float(v) for k, v in zip(names, size, strict=True)}
         )
         found.append(Candidate(amendment=moved, gain=value - reference))
+    found += _by_own_columns(data, fitted, weight)
     return sorted(found, key=lambda c: -c.gain)
+
+
+def _by_own_columns(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candidate]:
+    """Test the smooth effects that no nuisance spans: assemble the system with their difference quotients."""
+    old, state, n = fitted.solver, fitted.state, fitted.solver.n_g
+    tau, found = old.scaled(state), []
+    for effect in EFFECTS.values():
+        if not effect.has_own_columns or effect.name in fitted.names():
+            continue
+        at_neutral = effect.at_neutral()
+        columns = np.concatenate([old.effects, columns_of(data, fitted, at_neutral)], axis=1)
+        walls = fitted.cast.scene.walls
+        solver = Solver(data, old.expected, old.jacobian, walls, columns, old.corners, old.locked)
+        system = solver.assemble(weight, state.pose_scale)
+        k = len(effect.steps)
+        without, _ = _solved(system.matrix[:-k, :-k], system.right[:-k], tau, old.locked, n)
+        value, x = _solved(system.matrix, system.right, tau, old.locked, n)
+        values = {name: at_neutral[name] + float(v) for name, v in zip(effect.steps, x[-k:], strict=True)}
+        found.append(Candidate(amendment=at_neutral.moved_to(values), gain=value - without))
+    return found
 
 
 def hypotheses(data: ScanData, fitted: Fitted) -> list[Hypothesis]:

@@ -265,30 +265,12 @@ class StandardErrorSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ObservabilitySettings:
-    """What a run should have shown (`observability`)."""
+    """What a run should have shown (`observability`); what single effects take stands with them."""
 
     size: float = 3.0
     """Materialities: an effect of this size should show."""
     max_correlation: float = 0.98
     """Of projected columns, above which effects are the same to a run."""
-    unexpected: float = 5.0
-    """[nats] of a reading far from where it is expected."""
-    n_sectors: int = 6
-    """Sectors in which a bias is looked for."""
-    sector: float = float(np.radians(30.0))
-    """[rad] width of a sector."""
-    min_drift_span: float = 30.0
-    """[s] of a run, below which nothing drifts."""
-    max_places: int = 4
-    """Places named in a sentence."""
-    cell: float = 0.25
-    """[m] of the raster of free space."""
-    n_scans: int = 60
-    """Scans that the raster is looked at from."""
-    near: float = 0.3
-    """[m] of a return that tells min_range from self_occlusion."""
-    steep: float = float(np.radians(70.0))
-    """[rad] of incidence that tells incidence_dropout from black_surface."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,163 @@
+"""What the rays of a run have met, and how much evidence they would bring for an effect.
+
+Smooth changes: half the squared length of their columns after projection, in the normal equations of the fit (the
+Fisher information with poses and nuisances eliminated). Rays that would be lost: the likelihood ratio of their losses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from sensorgraph.diagnosis.scan.fit import Fitted, columns_of
+from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
+from sensorgraph.diagnosis.scan.model_selection import price
+from sensorgraph.diagnosis.scan.nuisance import BOX
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.score_test import Hypothesis, hypotheses
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.effects import Amendment, Effect
+from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.types import Bools, Floats
+
+
+class RunExposure:
+    """What the rays of a run have met (see `sensorgraph.effects.interfaces.Exposure`)."""
+
+    def __init__(self, data: ScanData, fitted: Fitted, threshold: float) -> None:
+        self.data, self.fitted, self.threshold = data, fitted, threshold
+        self.system, self.solver = fitted.solution.system, fitted.solver
+        self.tau = self.solver.scaled(fitted.state)
+        self.n = self.solver.n_g
+        self.arena, self.sensor = data.arena, data.sensor
+        self.twists, self.span = data.twists, data.span
+        self.beams, expected = fitted.cast.beams, fitted.cast.expected
+        self.reading = expected.reading
+        with np.errstate(invalid="ignore"):
+            self.seen = (expected.reading < data.sensor.range_max) & (expected.p_return > 0.5)
+        self.seen &= ~np.isnan(data.ranges)
+        self.valid = self.solver.jacobian.valid
+        self.wall = self.beams.wall
+        self.incidence = np.where(self.seen, np.nan_to_num(self.beams.incidence), 0.0)
+        self.range = np.where(self.seen, self.reading, 0.0)
+        self.n_seen = int(self.seen.sum())
+        noise, bounds = fitted.state.noise, NoiseBounds()
+        self.core = bounds.core
+        self.loss = max(bounds.loss[1], noise.loss)
+        self.stray = max(bounds.stray[1], noise.stray)
+        self._projected: dict[frozenset[Nuisance], Floats] = {}
+
+    def need(self, amendment: Amendment) -> float:
+        """Return the nats that the name takes."""
+        return self.threshold + price(amendment, self.data)
+
+    def need_of(self, effect: Effect) -> float:
+        """Return the nats that the name takes with all its parameters."""
+        return self.need(effect(**{p.name: 1.0 for p in effect.parameters}))
+
+    @cached_property
+    def hypotheses(self) -> list[Hypothesis]:
+        """Smooth effects as directions among the nuisances."""
+        return hypotheses(self.data, self.fitted)
+
+    def locked(self, own: Sequence[Nuisance]) -> Bools:
+        """Return which nuisances are held when these copies are, (n_g,)."""
+        held = self.solver.locked.copy()
+        held[list(own)] = True
+        return held
+
+    def projected(self, own: Sequence[Nuisance]) -> Floats:
+        """Return the information (n_g, n_g) that is left when the nuisances took their share, copies `own` held."""
+        key = frozenset(own)
+        if key not in self._projected:
+            free = ~self.locked(own)
+            matrix = self.system.matrix
+            k = len(matrix)
+            rest = np.concatenate([free, np.ones(k - self.n, dtype=np.bool_)])
+            inner = matrix[np.ix_(rest, rest)].copy()
+            inner[np.diag_indices_from(inner)] += np.concatenate(
+                [1 / self.tau[free] ** 2, np.full(k - self.n, 1e-9)]
+            )
+            across = matrix[rest][:, : self.n]
+            self._projected[key] = matrix[: self.n, : self.n] - across.T @ np.linalg.solve(inner, across)
+        return self._projected[key]
+
+    def nats(self, shift: Floats, free: Floats | None = None, own: Sequence[Nuisance] = ()) -> float:
+        """Return the evidence expected if the truth is off by `shift` (n_g,) and a model lacks it.
+
+        Parameters
+        ----------
+        free : (n_g, k) directions that the other model may take instead, their copies `own` held
+        """
+        matrix = self.system.matrix
+        k = len(matrix)
+        x = np.concatenate([shift, np.zeros(k - self.n)])
+        return _missing(matrix, matrix @ x, float(x @ matrix @ x), self.tau, self.locked(own), free)
+
+    def nats_of_columns(self, columns: Floats, size: float) -> list[float]:
+        """Return the evidence [nats] expected of each of several smooth changes of the readings, nuisances refitted.
+
+        Parameters
+        ----------
+        columns : (n_scans, k, n_rays) change of the readings per unit
+        size : of the change, in units
+        """
+        old, n = self.solver, self.n
+        solver = Solver(
+            self.data,
+            old.expected,
+            old.jacobian,
+            self.fitted.cast.scene.walls,
+            columns,
+            old.corners,
+            old.locked,
+        )
+        weight = self.fitted.solution.responsibilities.weight
+        matrix = solver.assemble(weight, self.fitted.state.pose_scale).matrix
+        nuisances = matrix[:n, :n]
+        return [
+            _missing(
+                nuisances, size * matrix[:n, k], float(size * size * matrix[k, k]), self.tau, old.locked, None
+            )
+            for k in range(n, n + columns.shape[1])
+        ]
+
+    def nats_alone(self, effect: Effect, times: float) -> float:
+        """Return the evidence [nats] of a smooth effect that no nuisance spans, at so many materialities; the least."""
+        columns = columns_of(self.data, self.fitted, effect.at_neutral())
+        typical = effect.typical(times)
+        sizes = [typical[name] for name in effect.steps]
+        return min(
+            self.nats_of_columns(columns[:, k : k + 1], size)[0] for k, size in enumerate(sizes) if size
+        )
+
+    def lost(self, chance: Floats | float, some: Bools) -> float:
+        """Return the evidence expected if rays `some` return by `chance` only (array or number), losses refitted."""
+        p = np.clip(np.broadcast_to(chance, some.shape)[some], 1e-6, 1.0)
+        loss = self.fitted.state.noise.loss
+        taken = min(self.loss, loss + float((1 - p).sum()) / max(self.n_seen, 1))
+        q = np.clip(p * (1 - loss), 1e-9, 1 - 1e-9)
+        gone = 1 - q
+        gain = float((q * np.log(q / (1 - taken)) + gone * np.log(gone / taken)).sum())
+        rest = self.n_seen - len(p)
+        return gain + rest * float(
+            loss * np.log(loss / taken) + (1 - loss) * np.log((1 - loss) / (1 - taken))
+        )
+
+
+def _missing(
+    matrix: Floats, right: Floats, square: float, tau: Floats, held: Bools, free: Floats | None
+) -> float:
+    """Return half the square that is left after nuisances in their boxes, and directions `free`, took what they can."""
+    n = len(tau)
+    if free is not None:
+        k = len(right)
+        big = np.eye(k, k + free.shape[1])
+        big[:n, k:] = free
+        matrix, right = big.T @ matrix @ big, big.T @ right
+    g, p = boxed(matrix, right, tau, BOX * tau, held)
+    x = np.concatenate([g, p])
+    taken = float(right @ x - 0.5 * x @ matrix @ x - 0.5 * np.sum((g / tau) ** 2))
+    return max(0.5 * square - taken, 0.0)
