@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
-from sensorgraph.diagnosis.motion.whitened_regression import Normal, Prior
+from sensorgraph.diagnosis.motion.regression import BoundedPrior, Regression
 from sensorgraph.diagnosis.scan.gauss_newton import boxed
 from sensorgraph.types import Floats
 
@@ -89,8 +89,8 @@ def test_tolerances_of_the_scan_channel_release_it_too() -> None:
 
 def test_tolerances_of_the_motion_channels_release_it_too() -> None:
     A = np.linalg.cholesky(H2).T
-    prior = Prior(mean=np.zeros(2), sigma=np.full(2, 1e8), box=np.ones(2))
-    solution = Normal.of(A, np.linalg.solve(A.T, C2)).solve(prior)
+    prior = BoundedPrior(mean=np.zeros(2), sigma=np.full(2, 1e8), reach=np.ones(2))
+    solution = Regression.of(A, np.linalg.solve(A.T, C2)).solve(prior)
     np.testing.assert_allclose(solution.theta, OPTIMUM2, rtol=1e-9)
     assert solution.covariance[0, 0] == 0.0
     assert solution.covariance[1, 1] == pytest.approx(1.0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from diagnose_samples import ROBOT, make_run, without_commands, without_odometry
 
-from sensorgraph.diagnosis.motion.motors import diagnose_drive
+from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 
 PLANTED: list[tuple[str, dict[str, Any], str, float]] = [
     ("actuator_lag", {"lag": 0.06}, "tau", 0.06),

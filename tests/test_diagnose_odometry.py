@@ -12,10 +12,12 @@ from diagnose_samples import ROBOT, make_run, without_odometry
 
 from logs.run import Run
 from planners.arena import wrap
-from sensorgraph.diagnosis.motion.noise import Noise
-from sensorgraph.diagnosis.motion.odometry_rows import aligned, signals_of
-from sensorgraph.diagnosis.motion.unmodelled_structure import Family, Judge, families
-from sensorgraph.diagnosis.motion.wheels import diagnose_odometry
+from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
+from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
+from sensorgraph.diagnosis.motion.wheels.signals import motion_signals
+from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
+from sensorgraph.diagnosis.motion.whitening import WhiteningFilter
 
 PLANTED: list[tuple[str, dict[str, Any], dict[str, float]]] = [
     ("wheel_radius", {"radius": 0.02}, {"s": 0.02}),
@@ -69,13 +71,16 @@ def test_dispersion_is_one_for_white_rows_and_more_where_neighbours_agree(
     memory: float, low: float, high: float
 ) -> None:
     rng = np.random.default_rng(0)
-    n, plain = 4000, Noise(taps=np.eye(1, 25)[0], sigma=1.0)
+    n, plain = 4000, WhiteningFilter.white(24, 1.0)
     rows = np.zeros((2, n))
     for k in range(1, n):
         rows[:, k] = memory * rows[:, k - 1] + np.sqrt(1 - memory**2) * rng.normal(size=2)
-    judge = Judge(np.ones(n, dtype=np.bool_), rows.ravel(), lambda *_: plain)
-    judge.gain(np.ones((2 * n, 1)), Family(columns=rng.normal(size=(2 * n, 1)), labels=[""], sigma=0.1))
-    assert low <= judge.dispersion(4.0, 0.1) < high
+    test = StructureTest(np.ones(n, dtype=np.bool_), rows.ravel(), lambda *_: plain)
+    family = StructureFamily(
+        kind="any", columns=rng.normal(size=(2 * n, 1)), labels=[""], sigma=0.1, statement=""
+    )
+    test.gain(np.ones((2 * n, 1)), family)
+    assert low <= test.dispersion(4.0, 0.1) < high
 
 
 def test_two_effects_are_both_named() -> None:
@@ -138,16 +143,14 @@ def test_camera_louder_than_said_is_no_structure() -> None:
 
 def test_a_reference_that_is_stretched_evenly_is_a_wheel_radius_and_nothing_more() -> None:
     """Columns of a distorted place hold no noise of the reference: what stretches x and y alike is the wheels' way."""
-    signals = signals_of(make_run(3))
-    assert not isinstance(signals, str)
-    stamps, poses, wheels, _ = signals
-    rows = aligned(stamps, poses, wheels)
-    assert not isinstance(rows, str)
-    place = families(rows, wheels)["reference place"].columns[: rows.n]
-    way = np.where(rows.is_valid, rows.D_along @ wheels.way, 0.0)
+    signals = motion_signals(make_run(3))
+    rows = aligned_rows(signals)
+    families = {family.kind: family for family in odometry_families(rows, signals.wheels)}
+    place = families["reference place"].columns[: rows.n]
+    distance = np.where(rows.valid, rows.D_along @ signals.wheels.distance, 0.0)
     of_y, of_x = place[:, 1], place[:, 6]  # sin φ dy, cos φ dx
-    size = np.ptp((rows.levels[1:, :2] + rows.levels[:-1, :2]) / 2, axis=0).max()
-    np.testing.assert_allclose(size * (of_x + of_y), way, atol=1e-12)
+    size = np.ptp((rows.averages[1:, :2] + rows.averages[:-1, :2]) / 2, axis=0).max()
+    np.testing.assert_allclose(size * (of_x + of_y), distance, atol=1e-12)
 
 
 def test_run_without_odometry_is_skipped_with_reason() -> None:

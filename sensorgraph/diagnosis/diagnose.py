@@ -16,8 +16,8 @@ from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from sensorgraph.diagnosis.commissioning import Commissioned
-from sensorgraph.diagnosis.motion.motors import diagnose_drive
-from sensorgraph.diagnosis.motion.wheels import diagnose_odometry
+from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
+from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import open_questions
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Gap, Rival, Unknown
@@ -162,7 +162,7 @@ def diagnose(
     lap("prove")
     odometry = beside(diagnose_odometry(run, machine, seed=seed), known).settled()
     use_clock = odometry.unknown is None
-    drive = beside(diagnose_drive(run, machine, seed=seed, use_clock=use_clock), known).settled()
+    drive = beside(diagnose_drive(run, machine, use_clock=use_clock), known).settled()
     lap("odometry and drive")
     scan = replace(scan, gap=proof, not_observable=not_observable(train, explained.final))
     notes["cannot_tell_apart"] = [asdict(pair) for pair in alike(train, explained.final)]

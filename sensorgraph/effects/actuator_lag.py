@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.world.drivetrain import Machine
 
 
@@ -25,4 +25,5 @@ ACTUATOR_LAG = Effect(
         Parameter(name="tau", unit="s", doc="added to the time constant of robot.yaml", materiality=0.015),
     ),
     transform=transform,
+    diagnostics=Diagnostics(why_unseen="too few changes of the commands"),
 )

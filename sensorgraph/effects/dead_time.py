@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sensorgraph.effects.effect import Amendment, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.world.drivetrain import Machine
 
 
@@ -23,4 +23,5 @@ DEAD_TIME = Effect(
     rivals={"actuator_lag": "a step: a lag bends it"},
     parameters=(Parameter(name="L", unit="s", doc="added to the dead time of robot.yaml", materiality=0.02),),
     transform=transform,
+    diagnostics=Diagnostics(why_unseen="too few changes of the commands"),
 )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from planners.arena import Arena
-from sensorgraph.effects.interfaces import CornerShift, Exposure, Proposal, Residuals
+from sensorgraph.effects.interfaces import CornerShift, Exposure, Proposal, Residuals, WheelRegressor
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.effects.set_up import SetUp
 from sensorgraph.types import Floats, Ints
@@ -99,6 +99,9 @@ class Diagnostics:
     """It explains readings one by one, wherever they are, and so must be checked against their pattern."""
     is_lattice: bool = False
     """Every reading lies on its lattice, whatever else is amiss."""
+
+    wheel_regressor: WheelRegressor | None = None
+    """How the odometry channel fits the effect; None: not by a column of its own."""
 
     leftover_share: float = 0.0
     """Its model is coarse: what is left gains less than this share of the model's gain, and is no further effect."""

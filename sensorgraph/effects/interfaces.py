@@ -6,7 +6,7 @@ below; `sensorgraph.diagnosis.scan` implements them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -170,3 +170,31 @@ class Exposure(Protocol):
         size : of the change, in units
         """
         ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WheelMotion:
+    """What the wheels say between two averages of the reference; arrays (n,)."""
+
+    distance: Floats
+    """[m] along the heading of the reference."""
+    turn: Floats
+    """[rad]"""
+    path: Floats
+    """[m] along the path."""
+    base: float
+    """[m] wheelbase."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WheelRegressor:
+    """How an error of the wheels enters the regression of what the reference did on what the wheels say."""
+
+    column: Callable[[WheelMotion], tuple[Floats, Floats]]
+    """Return the change of distance (n,) [m] and of turn (n,) [rad] of the reference per unit of the coefficient."""
+    tolerance: float
+    """Standard deviation of the coefficient in a careful set-up."""
+    size: Callable[[float, float], float]
+    """Return the effect's parameter from its coefficient and the gain of both wheels (true over measured)."""
+    stderr: Callable[[float, float], float] = lambda error, gain: error
+    """Return the parameter's standard error from that of the coefficient, and the gain."""

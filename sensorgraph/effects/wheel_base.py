@@ -5,12 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import WheelMotion, WheelRegressor
+from sensorgraph.types import Floats
 from sensorgraph.world.drivetrain import Machine
 
 
 def transform(machine: Machine, a: Amendment) -> None:
     """Scale the turn."""
     machine.measured = np.diag([1.0, 1 / (1 + a["s"])]) @ machine.measured
+
+
+def column(motion: WheelMotion) -> tuple[Floats, Floats]:
+    """Let the turn grow."""
+    return np.zeros_like(motion.distance), motion.turn
 
 
 WHEEL_BASE = Effect(
@@ -25,5 +32,12 @@ WHEEL_BASE = Effect(
     rivals={"wheel_radius": "a straight run", "wheel_slip": "another place"},
     parameters=(Parameter(name="s", unit="", doc="relative error of the wheelbase", materiality=0.006),),
     transform=transform,
-    diagnostics=Diagnostics(why_unseen="too little turning"),
+    diagnostics=Diagnostics(
+        why_unseen="too little turning",
+        wheel_regressor=WheelRegressor(
+            column=column,
+            tolerance=0.002,
+            size=lambda coefficient, gain: (gain + coefficient) / gain - 1,
+        ),
+    ),
 )

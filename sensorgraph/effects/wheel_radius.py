@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import WheelMotion, WheelRegressor
+from sensorgraph.types import Floats
 from sensorgraph.world.drivetrain import Machine
 
 
 def transform(machine: Machine, a: Amendment) -> None:
     """Scale way and turn."""
     machine.measured = (1 + a["s"]) * machine.measured
+
+
+def column(motion: WheelMotion) -> tuple[Floats, Floats]:
+    """Let distance and turn grow alike."""
+    return motion.distance, motion.turn
 
 
 WHEEL_RADIUS = Effect(
@@ -25,5 +32,13 @@ WHEEL_RADIUS = Effect(
         Parameter(name="s", unit="", doc="odometry reads (1 + s) times the motion", materiality=0.005),
     ),
     transform=transform,
-    diagnostics=Diagnostics(why_unseen="too little driving"),
+    diagnostics=Diagnostics(
+        why_unseen="too little driving",
+        wheel_regressor=WheelRegressor(
+            column=column,
+            tolerance=0.0015,
+            size=lambda coefficient, gain: 1 / gain - 1,
+            stderr=lambda error, gain: error / gain**2,
+        ),
+    ),
 )

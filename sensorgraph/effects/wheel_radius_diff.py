@@ -5,12 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import WheelMotion, WheelRegressor
+from sensorgraph.types import Floats
 from sensorgraph.world.drivetrain import Machine
 
 
 def transform(machine: Machine, a: Amendment) -> None:
     """Turn in proportion to speed."""
     machine.measured = np.array([[1.0, 0.0], [a["s"] / machine.base, 1.0]]) @ machine.measured
+
+
+def column(motion: WheelMotion) -> tuple[Floats, Floats]:
+    """Turn in proportion to the path."""
+    return np.zeros_like(motion.turn), -motion.path / motion.base
 
 
 WHEEL_RADIUS_DIFF = Effect(
@@ -25,5 +32,12 @@ WHEEL_RADIUS_DIFF = Effect(
     rivals={"wheel_base": "a long straight"},
     parameters=(Parameter(name="s", unit="", doc="relative difference of the radii", materiality=0.003),),
     transform=transform,
-    diagnostics=Diagnostics(why_unseen="too little straight driving"),
+    diagnostics=Diagnostics(
+        why_unseen="too little straight driving",
+        wheel_regressor=WheelRegressor(
+            column=column,
+            tolerance=0.001,
+            size=lambda coefficient, gain: coefficient / gain,
+        ),
+    ),
 )

@@ -1,0 +1,40 @@
+"""Commands against odometry: lag, dead time and saturation of the motors.
+
+Every set of effects is a small simulation of the motors (dead time, first order, limited acceleration), fitted to
+what the wheels say they did.
+"""
+
+from __future__ import annotations
+
+from logs.run import Run
+from sensorgraph.diagnosis.motion.increments import ChannelSkippedError, wheel_increments
+from sensorgraph.diagnosis.motion.motors.model import DriveModel
+from sensorgraph.diagnosis.motion.motors.report import deviations_before_naming, drive_result
+from sensorgraph.diagnosis.motion.motors.rows import commands_of, drive_rows
+from sensorgraph.diagnosis.motion.motors.selection import confirmed, select, with_structure
+from sensorgraph.diagnosis.motion.odometry_channel import odometry_clock_offset
+from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.world.robot import Robot
+
+
+def diagnose_drive(run: Run, robot: Robot, *, use_clock: bool = True) -> ChannelResult:
+    """Name what makes commands and odometry differ.
+
+    A run without odometry or without commands is skipped; `ChannelResult.skipped` says why.
+
+    Parameters
+    ----------
+    use_clock : trust the reference poses for the offset of the odometry's clock
+    """
+    try:
+        wheels = wheel_increments(run)
+        commands = commands_of(run)
+        clock = odometry_clock_offset(run, robot) if use_clock else None
+        rows = drive_rows(wheels, commands, robot, clock)
+    except ChannelSkippedError as exc:
+        return ChannelResult(channel="drive", skipped=str(exc))
+    model = DriveModel(commands, rows, robot)
+    selected = select(model)
+    deviations = deviations_before_naming(model)
+    selected, evidence = confirmed(model, with_structure(model, selected))
+    return drive_result(model, selected, evidence, deviations)

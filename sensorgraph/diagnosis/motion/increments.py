@@ -1,0 +1,103 @@
+"""What the wheels say: increments of distance and heading between the stamps of the odometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.run import Run
+from planners.arena import wrap
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.types import Floats
+
+MIN_STAMPS = 20
+"""Stamps of odometry below which there is nothing to compare."""
+SAME_STAMP = 1e-6
+"""[s] within which two stamps are one."""
+MIN_MOTION = 1e-3
+"""[m or rad] (of twists [m/s or rad/s]) below which a signal does not move."""
+
+
+class ChannelSkippedError(SensorgraphError):
+    """A run lacks what a channel compares; the text says what."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WheelIncrements:
+    """What the wheels say they did between two stamps."""
+
+    start: Floats
+    """(n,) [s]"""
+    end: Floats
+    """(n,) [s]"""
+    distance: Floats
+    """(n,) [m] along the path, signed."""
+    turn: Floats
+    """(n,) [rad]"""
+    source: str
+    """Where from: `poses` or `twists` of the odometry."""
+
+    @property
+    def middle(self) -> Floats:
+        """(n,) [s]"""
+        return (self.start + self.end) / 2
+
+    @property
+    def rates(self) -> Floats:
+        """(n, 2) [m/s, rad/s]"""
+        return np.stack([self.distance, self.turn], axis=1) / (self.end - self.start)[:, None]
+
+
+def wheel_increments(run: Run) -> WheelIncrements:
+    """Return what the odometry says between its stamps.
+
+    Poses come first, since the meaning of their stamps is plain. Twists stand in where the poses do not move.
+
+    Raises
+    ------
+    ChannelSkippedError
+        The run has no odometry, or none that moves.
+    """
+    n = len(run.odom_stamps)
+    is_new = np.concatenate([[True], np.diff(run.odom_stamps) > SAME_STAMP]) if n else np.zeros(0)
+    keep = np.flatnonzero(is_new)
+    nothing = ChannelSkippedError("this run has no odometry that moves")
+    if len(keep) < MIN_STAMPS:
+        raise nothing
+    stamps, poses, twists = run.odom_stamps[keep], run.odometry[keep], run.odom_twists[keep]
+    dt = np.diff(stamps)
+    if np.isfinite(poses).all() and np.ptp(poses, axis=0).max() > MIN_MOTION:
+        turn = np.asarray(wrap(np.diff(poses[:, 2])))
+        step = np.diff(poses[:, :2], axis=0)
+        heading = poses[:-1, 2] + turn / 2
+        chord = step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading)
+        distance = chord / np.sinc(turn / (2 * np.pi))
+        source = "poses"
+    elif np.isfinite(twists).all() and np.ptp(twists, axis=0).max() > MIN_MOTION:
+        distance, turn, source = twists[1:, 0] * dt, twists[1:, 1] * dt, "twists"
+    else:
+        raise nothing
+    return WheelIncrements(start=stamps[:-1], end=stamps[1:], distance=distance, turn=turn, source=source)
+
+
+def require_reference(run: Run) -> None:
+    """Refuse a run whose poses are its odometry.
+
+    Raises
+    ------
+    ChannelSkippedError
+        The odometry has no reference but itself.
+    """
+    source = run.meta.get("pose_source", "")
+    is_said = source.partition(" ")[0].strip("/") in ("odom", "odometry")
+    is_same = (
+        len(run.pose_stamps) == len(run.odom_stamps) > 0
+        and np.array_equal(run.pose_stamps, run.odom_stamps)
+        and np.array_equal(run.poses, run.odometry, equal_nan=True)
+    )
+    if is_said or is_same:
+        named = f" ({source})" if source else ""
+        raise ChannelSkippedError(
+            f"the poses of this run are its odometry{named}: there is no other reference to compare it with"
+        )

@@ -1,0 +1,1 @@
+"""Commands against odometry: lag, dead time and saturation of the motors."""

@@ -1,0 +1,213 @@
+"""The regression of odometry on simulated motors: fitted by Gauss-Newton, with the tolerances of motors and odometry.
+
+How far the odometry misreads the wheels is nuisance here: a gain of a few per cent, a turn in proportion to speed, and
+a clock offset as far as the reference poses tell it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.motors.rows import Commands, DriveRows
+from sensorgraph.diagnosis.motion.motors.simulation import MotorParameters, MotorSimulation
+from sensorgraph.diagnosis.motion.regression import BoundedPrior, Regression, RegressionFit
+from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily
+from sensorgraph.diagnosis.motion.whitening import (
+    Whitener,
+    WhiteningFilter,
+    both_kinds,
+    clipped,
+    fit_autoregression,
+)
+from sensorgraph.effects import Effect
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
+from sensorgraph.effects.dead_time import DEAD_TIME
+from sensorgraph.effects.speed_saturation import SPEED_SATURATION
+from sensorgraph.types import Bools, Floats
+from sensorgraph.world.robot import Robot
+
+SHUT = 1e-9
+"""[m/s] prior standard deviation of the largest speed where no saturation is in the model."""
+UNLIMITED = float("inf")
+
+
+class Column(IntEnum):
+    """Columns of the regression, as steps from the simulated motors."""
+
+    LAG = 0
+    DELAY = 1
+    GAIN_V = 2
+    GAIN_OMEGA = 3
+    TURN_PER_DISTANCE = 4
+    V_MAX = 5
+
+
+@dataclass(frozen=True)
+class MotorTerm:
+    """An effect of the motors and its column in the regression."""
+
+    effect: Effect
+    column: Column
+    size: Callable[[MotorParameters, MotorParameters, float], float]
+    """Return the effect's parameter from the fitted motors, the nominal ones, and the last step of its column."""
+    blur: float = 0.0
+    """[unit of the parameter] by which the controller blurs it."""
+
+
+TERMS = (
+    MotorTerm(ACTUATOR_LAG, Column.LAG, lambda fitted, nominal, step: fitted.tau + step - nominal.tau),
+    MotorTerm(
+        DEAD_TIME,
+        Column.DELAY,
+        lambda fitted, nominal, step: fitted.delay + step - nominal.delay,
+        DRIVE.control_step,
+    ),
+    MotorTerm(SPEED_SATURATION, Column.V_MAX, lambda fitted, nominal, step: fitted.v_max + step),
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DriveFit:
+    """The simulated motors that fit a set of effects, and the linear system about them."""
+
+    motors: MotorParameters
+    regression: Regression
+    solution: RegressionFit
+    simulated: Floats
+    """(2 n,)"""
+    columns: Floats
+    """(2 n, 6 + structure)"""
+
+    @property
+    def log_posterior(self) -> float:
+        """[nats]"""
+        return self.solution.log_posterior
+
+
+class DriveModel:
+    """One run's regression of odometry on commands."""
+
+    def __init__(self, commands: Commands, rows: DriveRows, robot: Robot) -> None:
+        self.rows, self.robot = rows, robot
+        self.top_speed = commands.top_speed
+        limits = robot.limits
+        self.simulation = MotorSimulation(commands, rows, np.array([limits.a, limits.alpha]))
+        block = ((rows.start - rows.start[0]) / DRIVE.evidence.cluster).astype(np.intp)
+        self.clusters = np.concatenate([block, block]).astype(np.float64)
+        sigmas = (robot.wheels.sigma_v, robot.wheels.sigma_omega)
+        first, second = (WhiteningFilter.white(DRIVE.filter_order, sigma) for sigma in sigmas)
+        self.whitener = Whitener.plain((first, second), rows.valid)
+        self.nominal = MotorParameters(tau=robot.actuators.tau, delay=robot.actuators.delay)
+        self.structure: StructureFamily | None = None
+
+    @property
+    def terms(self) -> list[MotorTerm]:
+        """Effects that this run could show."""
+        can_saturate = self.top_speed > DRIVE.min_top_speed
+        return [term for term in TERMS if term.effect is not SPEED_SATURATION or can_saturate]
+
+    def linearised(self, motors: MotorParameters) -> tuple[Floats, Floats]:
+        """Return the simulated rows (2 n,) and the columns (2 n, 6 + structure)."""
+        rates = self.simulation.rates
+        base = rates(motors)
+        d_tau = max(0.004, 0.05 * motors.tau)
+        v, omega = both_kinds(base, self.rows.n)
+        nothing = np.zeros(self.rows.n)
+        by_v_max = np.zeros(2 * self.rows.n)
+        if np.isfinite(motors.v_max):
+            slower = replace(motors, v_max=max(motors.v_max - 0.004, 1e-3))
+            by_v_max = (base - rates(slower)) / 0.004
+        columns = {
+            Column.LAG: (rates(replace(motors, tau=motors.tau + d_tau)) - base) / d_tau,
+            Column.DELAY: (rates(motors, later=0.01) - rates(motors, later=-0.01)) / 0.02,
+            Column.GAIN_V: np.concatenate([v, nothing]),
+            Column.GAIN_OMEGA: np.concatenate([nothing, omega]),
+            Column.TURN_PER_DISTANCE: np.concatenate([nothing, v]),
+            Column.V_MAX: by_v_max,
+        }
+        A = np.stack([columns[column] for column in Column], axis=1)
+        if self.structure is not None:
+            A = np.concatenate([A, self.structure.columns], axis=1)
+        return base, A
+
+    def prior(self, terms: Sequence[MotorTerm], motors: MotorParameters) -> BoundedPrior:
+        """Return the prior of the columns, as steps from `motors`."""
+        base = self.robot.wheels.base
+        sigma = np.array(
+            [
+                DRIVE.lag_sigma,
+                self.rows.clock_sigma,
+                DRIVE.gain_sigma,
+                DRIVE.gain_sigma,
+                DRIVE.turn_sigma / base,
+                SHUT,
+            ]
+        )
+        n_more = 0 if self.structure is None else self.structure.columns.shape[1]
+        sigma = np.concatenate([sigma, np.full(n_more, DRIVE.structure.accepted_sigma)])
+        mean = np.zeros(len(sigma))
+        mean[Column.LAG] = self.nominal.tau - motors.tau
+        mean[Column.DELAY] = self.nominal.delay - motors.delay
+        prior = BoundedPrior.of(sigma, mean, DRIVE.evidence.max_tolerances)
+        return prior.freed([term.column for term in terms]).unbounded_from(len(Column))
+
+    def fit(self, terms: Sequence[MotorTerm], start: MotorParameters | None = None) -> DriveFit:
+        """Return the bounded optimum of a set of effects."""
+        motors = start or self.nominal
+        has_limit = any(term.effect is SPEED_SATURATION for term in terms)
+        if has_limit and not np.isfinite(motors.v_max):
+            motors = replace(motors, v_max=self._first_v_max())
+        if not has_limit:
+            motors = replace(motors, v_max=UNLIMITED)
+        best: DriveFit | None = None
+        for _ in range(DRIVE.max_gauss_newton):
+            base, A = self.linearised(motors)
+            regression = Regression.of(self.whitener(A), self.whitener(self.rows.y - base))
+            solution = regression.solve(self.prior(terms, motors))
+            here = DriveFit(
+                motors=motors, regression=regression, solution=solution, simulated=base, columns=A
+            )
+            lag, delay, v_max = solution.theta[[Column.LAG, Column.DELAY, Column.V_MAX]]
+            is_small = abs(lag) < 1e-3 and abs(delay) < 1e-3 and abs(v_max) < 5e-4
+            if best is None or is_small or here.log_posterior > best.log_posterior:
+                best = here
+            if is_small:
+                break
+            motors = MotorParameters(
+                tau=float(np.clip(motors.tau + np.clip(lag, -0.08, 0.15), 1e-3, 3.0)),
+                delay=float(motors.delay + np.clip(delay, -0.1, 0.1)),
+                v_max=float(max(motors.v_max + np.clip(v_max, -0.05, 0.05), 0.02)),
+            )
+        assert best is not None
+        return best
+
+    def _first_v_max(self) -> float:
+        """Return the speed that is not exceeded though commands ask for more."""
+        v, _ = both_kinds(self.rows.y, self.rows.n)
+        fastest = float(np.quantile(np.abs(v[self.rows.valid]), 0.995))
+        return float(np.clip(fastest, 0.03, max(self.top_speed - 0.005, 0.03)))
+
+    def fit_noise(self, residual: Floats) -> None:
+        """Fit the noise to a residual (2 n,), and whiten with it from now on."""
+        first, second = (
+            fitted_noise(k, part, self.rows.valid) for k, part in enumerate(both_kinds(residual, self.rows.n))
+        )
+        self.whitener = Whitener.robust(
+            (first, second), self.rows.valid, residual, DRIVE.evidence.huber_limit
+        )
+
+    def residual(self, fit: DriveFit) -> Floats:
+        """Return what a fit leaves (2 n,)."""
+        return self.rows.masked(self.rows.y - fit.simulated - fit.columns @ fit.solution.theta)
+
+
+def fitted_noise(kind: int, residual: Floats, valid: Bools) -> WhiteningFilter:
+    """Return autoregressive noise as a residual (n,) shows it, whichever kind of row it is."""
+    cut = clipped(residual, valid, DRIVE.evidence.clip_limit, 1e-9)
+    found = fit_autoregression(cut, valid, DRIVE.filter_order)
+    return replace(found, sigma=max(found.sigma, 1e-6))

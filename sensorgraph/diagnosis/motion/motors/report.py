@@ -1,0 +1,224 @@
+"""What the drive channel reports: named effects with their sizes, rivals, deviations, gap, and what was unseen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.motors.model import TERMS, Column, DriveFit, DriveModel, MotorTerm
+from sensorgraph.diagnosis.motion.motors.selection import Selection
+from sensorgraph.diagnosis.motion.regression import Regression
+from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
+from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
+from sensorgraph.diagnosis.motion.whitening import both_kinds
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
+from sensorgraph.effects import Amendment, Effect
+from sensorgraph.effects.dead_time import DEAD_TIME
+from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
+from sensorgraph.effects.speed_saturation import SPEED_SATURATION
+from sensorgraph.types import Floats
+
+SETTINGS = DRIVE.evidence
+FAST, MODERATE = 0.85, 0.4
+"""Shares of the largest commanded speed between which speeds are listed."""
+CHANGING, STEADY, MOVING = 0.1, 0.02, 0.02
+"""[m/s², m/s², m/s] above which v changes, below which it is steady, above which the robot moves."""
+
+
+def drive_result(
+    model: DriveModel,
+    selected: Selection,
+    evidence: Mapping[MotorTerm, float],
+    deviations: tuple[Deviation, ...],
+) -> ChannelResult:
+    """Report the selected effects.
+
+    Parameters
+    ----------
+    evidence : [nats] of each
+    deviations : what the bare simulator showed, before any selection
+    """
+    fit, rows = selected.fit, model.rows
+    covariance = fit.regression.clustered_covariance(fit.solution, model.clusters)
+    found, rivals = [], []
+    for term in sorted(selected.terms, key=lambda term: -evidence[term]):
+        alternatives = _alternatives(model, term, selected)
+        error = float(np.sqrt(covariance[term.column, term.column]))
+        found.append(
+            replace(
+                _sized(model, term, fit, error),
+                probability=probability(evidence[term], alternatives.values(), SETTINGS),
+                evidence=evidence[term],
+            )
+        )
+        rival = strongest_rival(term.effect, alternatives, SETTINGS)
+        if rival is None and term.effect is DEAD_TIME and not rows.has_reference:
+            rival = _late_clock(evidence[term])
+        if rival is not None:
+            rivals.append(rival)
+    return ChannelResult(
+        channel="drive",
+        effects=tuple(a for a in found if _is_material(model, a)),
+        within_tolerance=tuple(a for a in found if not _is_material(model, a)),
+        unknown=None if selected.structure is None else _unknown(model, selected.structure),
+        rivals=tuple(rivals),
+        deviations=deviations,
+        gap=_gap(model, selected.terms, fit),
+        not_observable=_not_observable(model, selected.terms, fit),
+        notes={
+            "odometry_from": rows.source,
+            "clock_offset_s": rows.late,
+            "clock_from_reference": rows.has_reference,
+            "gain_v": 1 + float(fit.solution.theta[Column.GAIN_V]),
+            "gain_omega": 1 + float(fit.solution.theta[Column.GAIN_OMEGA]),
+        },
+    )
+
+
+def _sized(model: DriveModel, term: MotorTerm, fit: DriveFit, error: float) -> Amendment:
+    """Return an effect with its size, and its standard error."""
+    key = term.effect.parameters[0].name
+    value = float(term.size(fit.motors, model.nominal, fit.solution.theta[term.column]))
+    return replace(term.effect(**{key: value}), stderr={key: float(np.hypot(error, term.blur))})
+
+
+def _alternatives(model: DriveModel, term: MotorTerm, selected: Selection) -> dict[Effect, float]:
+    """Return the evidence of each effect that could stand in an effect's place [nats]."""
+    rest = [other for other in selected.terms if other != term]
+    start = selected.fit.motors
+    without = model.fit(rest, start).log_posterior
+    return {
+        other.effect: model.fit([*rest, other], start).log_posterior - without - SETTINGS.price
+        for other in model.terms
+        if other not in selected.terms
+    }
+
+
+def _late_clock(evidence: float) -> Rival:
+    """Return the rival of a dead time in a run without reference poses."""
+    return Rival(
+        name=POSE_CLOCK_OFFSET.name,
+        instead_of=DEAD_TIME.name,
+        evidence_nats=evidence,
+        separates="reference poses, which this run lacks: an odometry clock that is late looks the same",
+    )
+
+
+def _is_material(model: DriveModel, a: Amendment) -> bool:
+    if a.effect is SPEED_SATURATION:
+        return bool(model.top_speed - a["v_max"] > DRIVE.min_saturation)
+    return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
+
+
+# criticism -----------------------------------------------------------------------------------------------------------
+
+
+def deviations_before_naming(model: DriveModel) -> tuple[Deviation, ...]:
+    """Say where the bare simulator differs, in speed along the path."""
+    fit = model.fit([])
+    n, top = model.rows.n, model.top_speed
+    left, _ = both_kinds(fit.regression.y - fit.regression.A @ fit.solution.theta, n)
+    v, _ = both_kinds(fit.simulated, n)
+    speed = np.abs(v)
+    change = np.gradient(v)
+    acceleration = np.abs(change) / np.maximum(model.rows.end - model.rows.start, 1e-6)
+    fast, moderate = speed > FAST * top, (speed > MODERATE * top) & (speed <= FAST * top)
+    steady = (acceleration < STEADY) & (speed > MOVING)
+    parts = [
+        ("speed", f"|v| above {FAST * top:.2f} m/s", fast, v),
+        ("speed", f"|v| from {MODERATE * top:.2f} to {FAST * top:.2f} m/s", moderate, v),
+        ("acceleration", "while v changes", acceleration > CHANGING, change),
+        ("acceleration", "while v is steady", steady, v),
+    ]
+    out = []
+    for partition, label, mask, direction in parts:
+        e = left * np.sign(direction) * mask
+        sums = np.bincount(model.clusters[:n].astype(np.intp), weights=e)
+        z = float(e.sum() / np.sqrt(max((sums**2).sum(), mask.sum(), 1.0)))
+        if abs(z) > SETTINGS.listed_z:
+            out.append(
+                Deviation(
+                    family="bias",
+                    partition=partition,
+                    label=label,
+                    z=z,
+                    size=float(e.sum() / max(mask.sum(), 1) * model.whitener.filters[0].sigma),
+                    n_rays=int(mask.sum()),
+                    channel="drive",
+                )
+            )
+    return tuple(sorted(out, key=lambda deviation: -abs(deviation.z)))
+
+
+def _unknown(model: DriveModel, structure: AcceptedStructure) -> Unknown:
+    """Say what structure entered the model in the stead of effects."""
+    family, evidence = structure.family, structure.evidence
+    return Unknown(
+        statement=f"commands and odometry differ {family.statement}, which no effect of the library explains",
+        deviation=Deviation(
+            family="bias",
+            partition=family.kind,
+            label=family.statement,
+            z=float(np.sqrt(2 * evidence)),
+            size=evidence,
+            n_rays=model.rows.n_valid,
+            channel="drive",
+        ),
+        statistic=evidence,
+        threshold=structure.threshold,
+    )
+
+
+def _gap(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> Gap:
+    """Fit on every other 5 s, measure on the rest, and the other way round."""
+    rows, regression, prior = model.rows, fit.regression, model.prior(terms, fit.motors)
+    block = ((rows.start - rows.start[0]) // SETTINGS.held_out_block).astype(np.intp)
+    half = np.concatenate([block, block]) % 2
+    after = np.zeros(len(rows.y))
+    for side in (0, 1):
+        train = half == side
+        part = Regression.of(regression.A[train], regression.y[train]).solve(prior)
+        after[~train] = (rows.y - fit.simulated - fit.columns @ part.theta)[~train]
+    n, k = 2 * rows.n_valid, fit.columns.shape[1]
+    floor = model.residual(fit) * np.sqrt(n / max(n - k, 1))
+    return Gap(
+        before=_quality(model, rows.y - model.simulation.rates(model.nominal)),
+        after=_quality(model, after),
+        noise_floor=_quality(model, floor),
+        n_rays=n,
+    )
+
+
+def _quality(model: DriveModel, residual: Floats) -> FitQuality:
+    """Measure a residual (2 n,): as speed, wheel against body, and in nats."""
+    rows = model.rows
+    use = rows.masked(residual)
+    v, omega = (part[rows.valid] for part in both_kinds(use, rows.n))
+    rmse = float(np.sqrt(np.mean(v**2 + (model.robot.wheels.base / 2 * omega) ** 2)))
+    nats, rms = model.whitener.nats_and_rms(use)
+    return FitQuality(rmse_m=rmse, normalised=rms, nats_per_ray=nats)
+
+
+def _not_observable(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> dict[str, str]:
+    """Say which effects could not have been seen at three times their materiality."""
+    out = {}
+    for term in TERMS:
+        if term in terms or not term.effect.sizes:
+            continue
+        size = SETTINGS.observable_size * next(iter(term.effect.sizes.values()))
+        covariance = fit.regression.solve(model.prior([*terms, term], fit.motors)).covariance
+        expected = 0.5 * size**2 / max(float(covariance[term.column, term.column]), 1e-18)
+        if expected - SETTINGS.price < SETTINGS.threshold:
+            out[term.effect.name] = (
+                f"{term.effect.diagnostics.why_unseen}: it would bring {expected:.0f} nats at three times its materiality"
+            )
+    limit = model.robot.limits.v
+    can_saturate = any(term.effect is SPEED_SATURATION for term in terms)
+    if not can_saturate and model.top_speed < DRIVE.full_speed_share * limit:
+        out[SPEED_SATURATION.name] = (
+            f"no command asks for more than {model.top_speed:.2f} of {limit:.2f} m/s: a cap above that cannot be seen"
+        )
+    return out

@@ -1,0 +1,137 @@
+"""Rows of the drive channel: what the wheels did between two stamps, and the commands that asked for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.run import Run
+from sensorgraph.diagnosis.motion.increments import MIN_MOTION, ChannelSkippedError, WheelIncrements
+from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.diagnosis.motion.wheels.model import clock_sigma
+from sensorgraph.types import Bools, Floats
+from sensorgraph.world.robot import Robot
+
+SURE = 0.999
+"""Quantile of the commanded speeds that counts as the largest: one odd command does not."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Commands:
+    """Commands of a run; each acts from its stamp on."""
+
+    stamps: Floats
+    """(n,) [s]"""
+    values: Floats
+    """(n, 2) [m/s, rad/s]"""
+
+    @property
+    def top_speed(self) -> float:
+        """Largest commanded speed [m/s]."""
+        return float(np.quantile(np.abs(self.values[:, 0]), SURE))
+
+
+def commands_of(run: Run) -> Commands:
+    """Take the commands from a run.
+
+    Raises
+    ------
+    ChannelSkippedError
+        There are hardly any, or they never change.
+    """
+    n = len(run.commands)
+    good = np.isfinite(run.commands).all(axis=1) if n else np.zeros(0, dtype=np.bool_)
+    stamps, values = run.cmd_stamps[good], run.commands[good]
+    if len(stamps) < DRIVE.min_commands:
+        raise ChannelSkippedError(
+            f"this run has {len(stamps)} commands, expected at least {DRIVE.min_commands}"
+        )
+    if np.ptp(values, axis=0).max() < MIN_MOTION:
+        raise ChannelSkippedError("the commands of this run never change")
+    return Commands(stamps=stamps, values=values)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DriveRows:
+    """Mean rates between two stamps of the odometry, on the clock of the commands."""
+
+    start: Floats
+    """(n,) [s]"""
+    end: Floats
+    """(n,) [s]"""
+    valid: Bools
+    """(n,)"""
+    y: Floats
+    """(2 n,) [m/s], then [rad/s]; 0 where not valid."""
+    late: float
+    """[s] by which the odometry's clock was corrected."""
+    clock_sigma: float
+    """[s] standard deviation of what is left of its offset."""
+    has_reference: bool
+    """The clock offset is known from reference poses."""
+    source: str
+    """Where the odometry is from: `poses` or `twists`."""
+
+    @property
+    def n(self) -> int:
+        """Count of rows of one kind."""
+        return len(self.start)
+
+    @property
+    def n_valid(self) -> int:
+        """Count of those that are compared."""
+        return int(self.valid.sum())
+
+    @property
+    def valid_rows(self) -> Bools:
+        """(2 n,)"""
+        return np.concatenate([self.valid, self.valid])
+
+    def masked(self, rows: Floats) -> Floats:
+        """Return rows (2 n, ...), 0 where not valid."""
+        some = self.valid_rows
+        return np.asarray(np.where(some if rows.ndim == 1 else some[:, None], rows, 0.0))
+
+
+def drive_rows(
+    wheels: WheelIncrements, commands: Commands, robot: Robot, clock: tuple[float, float] | None
+) -> DriveRows:
+    """Lay the odometry out on the clock of the commands.
+
+    Parameters
+    ----------
+    clock : [s] how much older the odometry is than its stamp, and the standard error; None if unknown
+
+    Raises
+    ------
+    ChannelSkippedError
+        Commands and odometry hardly overlap.
+    """
+    sigma = clock_sigma(robot, DRIVE.evidence)
+    offset, error = clock if clock is not None else (0.0, 0.0)
+    is_late = abs(offset) > max(2 * sigma, 3 * error, DRIVE.min_clock_offset)
+    late = offset if is_late else 0.0
+    start, end = wheels.start - late, wheels.end - late
+    stamps = commands.stamps
+    gap = np.interp(end, stamps[1:], np.diff(stamps))
+    valid: Bools = (
+        (start > stamps[0] + DRIVE.settling_time)
+        & (end < stamps[-1])
+        & (gap < DRIVE.max_gap)
+        & (end - start < DRIVE.max_gap)
+    )
+    if int(valid.sum()) < DRIVE.min_rows:
+        raise ChannelSkippedError(
+            f"commands and odometry overlap in {int(valid.sum())} samples, expected at least {DRIVE.min_rows}"
+        )
+    return DriveRows(
+        start=start,
+        end=end,
+        valid=valid,
+        y=np.where(np.concatenate([valid, valid]), wheels.rates.T.ravel(), 0.0),
+        late=late,
+        clock_sigma=float(np.hypot(sigma, min(error, DRIVE.max_clock_error) if is_late else 0.0)),
+        has_reference=clock is not None,
+        source=wheels.source,
+    )

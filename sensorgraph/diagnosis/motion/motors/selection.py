@@ -1,0 +1,111 @@
+"""Which effects of the motors a run shows: forward selection by evidence, against structure that no effect makes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm, fitted_noise
+from sensorgraph.diagnosis.motion.motors.structure import drive_families
+from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureTest
+from sensorgraph.effects.speed_saturation import SPEED_SATURATION
+
+PRICE, THRESHOLD = DRIVE.evidence.price, DRIVE.evidence.threshold
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Selection:
+    """Effects of the motors, and their fit."""
+
+    terms: tuple[MotorTerm, ...]
+    fit: DriveFit
+    structure: AcceptedStructure | None = None
+
+
+def select(model: DriveModel) -> Selection:
+    """Start from all effects free, for the noise; then add and take back by evidence."""
+    _fit_noise_with_all_effects(model)
+    terms: list[MotorTerm] = []
+    here = model.fit([])
+    for _ in range(DRIVE.max_effects):
+        trials = {term: model.fit([*terms, term], here.motors) for term in model.terms if term not in terms}
+        gains = {term: trial.log_posterior - here.log_posterior - PRICE for term, trial in trials.items()}
+        best = max(gains, key=lambda term: gains[term], default=None)
+        if best is None or gains[best] < THRESHOLD:
+            break
+        terms.append(best)
+        here = trials[best]
+        terms, here = _without_superfluous(model, terms, here, keep=1)
+    return Selection(terms=tuple(terms), fit=here)
+
+
+def _fit_noise_with_all_effects(model: DriveModel) -> None:
+    """Choose whether the motors' acceleration is limited, and fit the noise with all effects free."""
+    full = model.fit(model.terms)
+    model.simulation.is_limited = False  # some robots limit their commands, and not their motors
+    unlimited = model.fit(model.terms)
+    if unlimited.log_posterior < full.log_posterior:
+        model.simulation.is_limited = True
+    else:
+        full = unlimited
+    for _ in range(2):
+        model.fit_noise(model.residual(full))
+        full = model.fit(model.terms, full.motors)
+
+
+def _without_superfluous(
+    model: DriveModel, terms: list[MotorTerm], here: DriveFit, keep: int = 0
+) -> tuple[list[MotorTerm], DriveFit]:
+    """Remove effects that the others make superfluous, in the order in which they were added, but for `keep` of them."""
+    for term in list(terms):
+        if len(terms) <= keep:
+            break
+        rest = [other for other in terms if other != term]
+        without = model.fit(rest, here.motors)
+        if here.log_posterior - without.log_posterior - PRICE < THRESHOLD:
+            terms, here = rest, without
+    return terms, here
+
+
+def evidence_of_each(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> dict[MotorTerm, float]:
+    """Return the penalised gain of each effect of a set [nats]."""
+    out = {}
+    for term in terms:
+        rest = [other for other in terms if other != term]
+        out[term] = fit.log_posterior - model.fit(rest, fit.motors).log_posterior - PRICE
+    return out
+
+
+def with_structure(model: DriveModel, selected: Selection) -> Selection:
+    """Let structure that no effect makes stand beside the effects, or in their stead."""
+    terms, here = list(selected.terms), selected.fit
+    has_limit = any(term.effect is SPEED_SATURATION for term in terms)
+    own = here.columns[:, [column for column in Column if has_limit or column != Column.V_MAX]]
+    test = StructureTest(model.rows.valid, model.rows.masked(model.rows.y - here.simulated), fitted_noise)
+    family, gain = test.best(own, drive_families(model, here))
+    strongest = max(evidence_of_each(model, terms, here).values(), default=0.0)
+    needed = max(THRESHOLD, DRIVE.structure.share * strongest)
+    if gain < needed:
+        return selected
+    model.structure = family
+    full = model.fit(terms, here.motors)
+    model.fit_noise(model.residual(full))
+    full = model.fit(terms, full.motors)
+    terms, full = _without_superfluous(model, terms, full)
+    return Selection(
+        terms=tuple(terms),
+        fit=full,
+        structure=AcceptedStructure(family=family, evidence=gain, threshold=needed),
+    )
+
+
+def confirmed(model: DriveModel, selected: Selection) -> tuple[Selection, dict[MotorTerm, float]]:
+    """Drop effects whose evidence has fallen below the threshold; return the rest and their evidence [nats]."""
+    evidence = evidence_of_each(model, selected.terms, selected.fit)
+    if all(value >= THRESHOLD for value in evidence.values()):
+        return selected, evidence
+    terms = tuple(term for term in selected.terms if evidence[term] >= THRESHOLD)
+    fit = model.fit(terms, selected.fit.motors)
+    kept = Selection(terms=terms, fit=fit, structure=selected.structure)
+    return kept, evidence_of_each(model, terms, fit)

@@ -1,0 +1,99 @@
+"""Simulated motors: dead time, a first-order lag, limited acceleration and a largest speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_banded
+
+from sensorgraph.diagnosis.motion.motors.rows import Commands, DriveRows
+from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.types import Floats
+
+STEP = DRIVE.step
+AT_ONCE = 1e-6
+"""[s] a shorter time constant is none."""
+SLEW_MARGIN = 1.02
+"""Times the robot's acceleration that the plain lag may ask for before the limit is simulated."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorParameters:
+    """Parameters of the simulated motors."""
+
+    tau: float
+    """[s] time constant."""
+    delay: float
+    """[s] dead time."""
+    v_max: float = float("inf")
+    """[m/s]"""
+
+
+class MotorSimulation:
+    """The motors' answer to the commands of one run."""
+
+    def __init__(self, commands: Commands, rows: DriveRows, slew: Floats) -> None:
+        """Simulate from a second before the first command to a second after the last.
+
+        Parameters
+        ----------
+        slew : (2,) [m/s², rad/s²] limits of the robot
+        """
+        self.commands, self.rows, self.slew = commands, rows, slew
+        stamps = commands.stamps
+        begin = stamps[0] - 1.0
+        n_steps = int((min(stamps[-1] + 1.0, rows.end[-1] + 0.1) - begin) / STEP) + 2
+        self.grid = begin + STEP * np.arange(n_steps)
+        self.is_limited = True
+        """The motors' acceleration is limited; some robots limit their commands instead."""
+        self._known: dict[tuple[MotorParameters, bool], Floats] = {}
+
+    def rates(self, motors: MotorParameters, *, later: float = 0.0) -> Floats:
+        """Return mean rates (2 n,) of the motors over each row, all `later` [s] than commanded; 0 where not valid."""
+        key = (motors, self.is_limited)
+        if key not in self._known:
+            self._known[key] = self._travelled(motors, self.commands.values)
+        return self._mean_rates(self._known[key], later)
+
+    def rates_of(self, motors: MotorParameters, commands: Floats) -> Floats:
+        """Return the same for other commands (n_commands, 2) at the same stamps."""
+        return self._mean_rates(self._travelled(motors, commands), 0.0)
+
+    def _mean_rates(self, travelled: Floats, later: float) -> Floats:
+        start, end = self.rows.start - later, self.rows.end - later
+        ends = self.grid + STEP
+        out = np.stack([np.interp(end, ends, c) - np.interp(start, ends, c) for c in travelled.T], axis=1)
+        return self.rows.masked((out / (end - start)[:, None]).T.ravel())
+
+    def _travelled(self, motors: MotorParameters, commands: Floats) -> Floats:
+        """Return distance and turn of the motors up to the end of each step (n_steps, 2)."""
+        stamps = self.commands.stamps
+        index = np.searchsorted(stamps, self.grid + STEP - motors.delay, side="right") - 1
+        held = np.where((index >= 0)[:, None], commands[np.maximum(index, 0)], 0.0)
+        # the step in which a held command changes is shared between old and new
+        when = stamps[np.maximum(index, 0)] + motors.delay
+        share = np.clip((when - self.grid) / STEP, 0.0, 1.0)
+        before = np.where((index >= 1)[:, None], commands[np.maximum(index - 1, 0)], 0.0)
+        held = held + share[:, None] * (before - held)
+        held[:, 0] = np.clip(held[:, 0], -motors.v_max, motors.v_max)
+        keep = float(np.exp(-STEP / motors.tau)) if motors.tau > AT_ONCE else 0.0
+        bands = np.array([[1.0], [-keep]]) * np.ones(len(held))
+        speed = solve_banded((1, 0), bands, (1 - keep) * held)  # speed[k] - keep speed[k - 1]
+        if self.is_limited:
+            for i, most in enumerate(self.slew):
+                if np.abs(np.diff(speed[:, i])).max(initial=0.0) > SLEW_MARGIN * most * STEP:
+                    speed[:, i] = _with_limited_change(held[:, i], keep, most * STEP)
+        # speed[k] is reached at the end of step k
+        sums = np.cumsum(np.concatenate([np.zeros((1, 2)), speed[:-1] + speed[1:]]), axis=0)
+        return np.asarray(sums * STEP / 2)
+
+
+def _with_limited_change(held: Floats, keep: float, most: float) -> Floats:
+    """Return speeds (n,) of a first-order motor whose change per step is limited."""
+    out, v, share = [], 0.0, 1 - keep
+    for u in held.tolist():
+        change = (u - v) * share
+        v += most if change > most else -most if change < -most else change
+        out.append(v)
+    return np.array(out)

@@ -1,0 +1,112 @@
+"""Structure in the difference of commands and odometry that no effect makes, as families of columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel
+from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily
+from sensorgraph.diagnosis.motion.whitening import both_kinds
+from sensorgraph.types import Bools, Floats
+
+SETTINGS = DRIVE.structure
+
+
+def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
+    """Return differences that no effect makes, with columns (2 n, k)."""
+    rows = model.rows
+    v, omega = both_kinds(fit.simulated, rows.n)
+    middle = (rows.start + rows.end) / 2
+    share = (middle - middle[rows.valid][0]) / np.ptp(middle[rows.valid])
+    n = SETTINGS.n_pieces
+    piece = np.clip((n * share).astype(np.intp), 0, n - 1)
+    pieces = [piece == k for k in range(1, n)]
+    top_v, top_omega = max(float(np.abs(v).max()), 1e-3), max(float(np.abs(omega).max()), 1e-3)
+    slow = [np.abs(v) < q * top_v for q in SETTINGS.speed_cuts]
+    slow_turns = [np.abs(omega) < q * top_omega for q in SETTINGS.rate_cuts]
+    by_delay = fit.columns[:, Column.DELAY]
+    timing = np.stack([by_delay * np.concatenate([mask, mask]) for mask in pieces], axis=1)
+    return [
+        _gains("time", "by a gain that changes in time", model, fit, pieces, pieces),
+        _gains("speed", "by a gain that depends on speed or turn rate", model, fit, slow, slow_turns),
+        _gains(
+            "direction",
+            "differently forward and backward, or to the left and to the right",
+            model,
+            fit,
+            [v < 0],
+            [omega < 0],
+        ),
+        StructureFamily(
+            kind="timing",
+            columns=timing,
+            labels=[],
+            sigma=SETTINGS.delay_sigma,
+            statement="by a delay that changes in time",
+        ),
+        *_jumps(model, fit, share),
+        *_deadbands(model, fit),
+    ]
+
+
+def _gains(
+    kind: str,
+    statement: str,
+    model: DriveModel,
+    fit: DriveFit,
+    masks: Sequence[Bools],
+    turn_masks: Sequence[Bools],
+    choice_price: float = 0.0,
+) -> StructureFamily:
+    """Return the family of columns that scale speeds in some rows (n,), and turn rates in others."""
+    v, omega = both_kinds(fit.simulated, model.rows.n)
+    nothing = np.zeros(model.rows.n)
+    columns = [np.concatenate([v * mask, nothing]) for mask in masks]
+    columns += [np.concatenate([nothing, omega * mask]) for mask in turn_masks]
+    return StructureFamily(
+        kind=kind,
+        columns=model.rows.masked(np.stack(columns, axis=1)),
+        labels=[],
+        sigma=SETTINGS.gain_sigma,
+        statement=statement,
+        choice_price=choice_price,
+    )
+
+
+def _jumps(model: DriveModel, fit: DriveFit, share: Floats) -> list[StructureFamily]:
+    """Return one family for each moment at which gains may change once.
+
+    Parameters
+    ----------
+    share : (n,) of the run that has passed
+    """
+    n = SETTINGS.n_jumps
+    later = [share > k / (n + 1) for k in range(1, n + 1)]
+    statement, price = "by a gain that changes once", float(np.log(n))
+    return [_gains("jump", statement, model, fit, [mask], [mask], price) for mask in later]
+
+
+def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
+    """Return one family for each size of command below which motors may do nothing."""
+    commands = model.simulation.commands.values
+    top = np.maximum(np.abs(commands).max(axis=0), 1e-3)
+    columns = []
+    for kind in (0, 1):
+        for share in SETTINGS.deadbands:
+            without = commands.copy()
+            without[np.abs(commands[:, kind]) < share * top[kind], kind] = 0.0
+            columns.append(model.simulation.rates_of(fit.motors, without) - fit.simulated)
+    return [
+        StructureFamily(
+            kind="deadband",
+            columns=column[:, None],
+            labels=[],
+            sigma=SETTINGS.deadband_sigma,
+            statement="where commands are small",
+            choice_price=float(np.log(len(columns))),
+        )
+        for column in columns
+    ]

@@ -1,0 +1,58 @@
+"""Odometry against the reference pose: wheel effects, slippery patches, and the clock between the two.
+
+Reference poses are averaged over a tenth of a second. What the body did from one average to the next, along its
+heading and in yaw, is compared with what the wheels say.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.run import Run
+from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
+from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
+from sensorgraph.diagnosis.motion.wheels.columns import CLOCK, TERMS
+from sensorgraph.diagnosis.motion.wheels.model import WheelModel
+from sensorgraph.diagnosis.motion.wheels.report import deviations_before_naming, odometry_result
+from sensorgraph.diagnosis.motion.wheels.rows import rows_at
+from sensorgraph.diagnosis.motion.wheels.selection import select
+from sensorgraph.diagnosis.motion.wheels.signals import motion_signals
+from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
+from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.world.robot import Robot
+
+
+def diagnose_odometry(run: Run, robot: Robot, *, seed: int = 0) -> ChannelResult:
+    """Name what makes odometry and reference pose differ.
+
+    A run without odometry or without a reference of its own is skipped; `ChannelResult.skipped` says why.
+    """
+    try:
+        signals = motion_signals(run)
+        rows = aligned_rows(signals)
+    except ChannelSkippedError as exc:
+        return ChannelResult(channel="odometry", skipped=str(exc))
+    rng = np.random.default_rng(seed)
+    model = WheelModel(rows, signals.wheels, robot)
+    late = model.clock_left()
+    moved = rows_at(signals, rows.clock + late) if abs(late) > ODOMETRY.min_clock_shift else None
+    if moved is not None:
+        model = WheelModel(moved, signals.wheels, robot)
+    families = odometry_families(model.rows, signals.wheels)
+    deviations = deviations_before_naming(model, families)
+    terms = select(model, families, rng)
+    return odometry_result(model, terms, families, deviations, signals.notes, rng)
+
+
+def odometry_clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:
+    """Return how much older the odometry is than its stamp, and its standard error [s]; None if the run cannot tell."""
+    try:
+        signals = motion_signals(run)
+        rows = aligned_rows(signals)
+    except ChannelSkippedError:
+        return None
+    model = WheelModel(rows, signals.wheels, robot)
+    fit = model.regression.solve(model.prior(TERMS))
+    covariance = model.regression.clustered_covariance(fit, model.clusters)
+    return rows.clock + float(fit.theta[CLOCK]), float(np.sqrt(covariance[CLOCK, CLOCK]))

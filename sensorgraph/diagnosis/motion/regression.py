@@ -1,0 +1,109 @@
+"""Linear regression of whitened rows under Gaussian priors with bounds, and what its errors are.
+
+Every tolerance is a coefficient with a narrow prior and a bound; an effect is the same coefficient set free. The
+penalised optimum is the mode of the posterior (ridge regression; Hoerl and Kennard 1970).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
+from sensorgraph.types import Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoundedPrior:
+    """A Gaussian with bounds for each coefficient."""
+
+    mean: Floats
+    """(k,)"""
+    sigma: Floats
+    """(k,) infinite for a free coefficient."""
+    reach: Floats
+    """(k,) largest distance from the mean."""
+
+    @classmethod
+    def of(cls, sigma: Floats, mean: Floats, max_sigmas: float) -> BoundedPrior:
+        """Return the prior whose bounds are `max_sigmas` standard deviations from the mean."""
+        return cls(mean=mean, sigma=sigma, reach=max_sigmas * sigma)
+
+    def freed(self, which: Sequence[int]) -> BoundedPrior:
+        """Return it with some coefficients free."""
+        sigma, reach = self.sigma.copy(), self.reach.copy()
+        sigma[list(which)] = reach[list(which)] = np.inf
+        return BoundedPrior(mean=self.mean, sigma=sigma, reach=reach)
+
+    def unbounded_from(self, k: int) -> BoundedPrior:
+        """Return it without bounds on the coefficients from k on."""
+        reach = self.reach.copy()
+        reach[k:] = np.inf
+        return BoundedPrior(mean=self.mean, sigma=self.sigma, reach=reach)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RegressionFit:
+    """Coefficients at the bounded optimum."""
+
+    theta: Floats
+    """(k,)"""
+    log_posterior: float
+    """[nats] penalised log-likelihood, without constants."""
+    covariance: Floats
+    """(k, k); zero where a bound is active."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Regression:
+    """Whitened rows y = A theta + white noise, and their normal equations."""
+
+    A: Floats
+    """(n, k)"""
+    y: Floats
+    """(n,)"""
+    G: Floats
+    """(k, k) A'A"""
+    b: Floats
+    """(k,) A'y"""
+
+    @classmethod
+    def of(cls, A: Floats, y: Floats) -> Regression:
+        """Form the normal equations once, to be solved under many priors."""
+        return cls(A=A, y=y, G=A.T @ A, b=A.T @ y)
+
+    def solve(self, prior: BoundedPrior) -> RegressionFit:
+        """Return the penalised optimum within the bounds of the prior."""
+        k = len(self.b)
+        weight = np.where(np.isinf(prior.sigma), 0.0, 1 / np.maximum(prior.sigma, 1e-12) ** 2)
+        H = self.G + np.diag(weight + 1e-12 * np.diag(self.G) + 1e-30)
+        c = self.b + weight * prior.mean
+        optimum = solve_bounded(H, c, prior.mean - prior.reach, prior.mean + prior.reach)
+        theta, free = optimum.x, optimum.is_free
+        off = np.where(weight > 0, theta - prior.mean, 0.0)
+        misfit = float(self.y @ self.y - 2 * self.b @ theta + theta @ self.G @ theta)
+        covariance = np.zeros((k, k))
+        covariance[np.ix_(free, free)] = np.linalg.inv(H[np.ix_(free, free)]) if free.any() else 0.0
+        return RegressionFit(
+            theta=theta,
+            log_posterior=-0.5 * misfit - 0.5 * float(weight @ off**2),
+            covariance=covariance,
+        )
+
+    def clustered_covariance(self, fit: RegressionFit, clusters: Floats) -> Floats:
+        """Return the covariance (k, k) that errors correlated within a cluster ask for, never below the model's.
+
+        The sandwich estimator of Huber (1967) and White (1980), by clusters as in Liang and Zeger (1986).
+
+        Parameters
+        ----------
+        clusters : (n,) index of each row's cluster
+        """
+        scores = self.A * (self.y - self.A @ fit.theta)[:, None]
+        sums = np.stack([np.bincount(clusters.astype(np.intp), weights=s) for s in scores.T], axis=1)
+        robust = fit.covariance @ (sums.T @ sums) @ fit.covariance
+        ratio = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(fit.covariance), 1e-300), 1.0))
+        out: Floats = fit.covariance * ratio[:, None] * ratio[None, :]
+        return out

@@ -1,0 +1,30 @@
+"""How sure a name is beside the effects that could stand in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.settings import EvidenceSettings
+from sensorgraph.diagnosis.result import Rival
+from sensorgraph.effects import Effect
+
+
+def probability(evidence: float, alternatives: Iterable[float], settings: EvidenceSettings) -> float:
+    """Return the probability of an effect among its alternatives and no effect at all, from tempered evidence [nats]."""
+    values = np.array([evidence, *alternatives, 0.0]) / settings.temperature
+    share = np.exp(values - values.max())
+    share /= share.sum()
+    return float(share[0])
+
+
+def strongest_rival(
+    effect: Effect, alternatives: Mapping[Effect, float], settings: EvidenceSettings
+) -> Rival | None:
+    """Return the alternative with most evidence [nats]; None where none would be named in the effect's stead."""
+    best = max(alternatives, key=lambda other: alternatives[other], default=None)
+    if best is None or alternatives[best] < settings.threshold:
+        return None
+    advice = effect.rivals.get(best.name) or best.rivals.get(effect.name) or effect.varies
+    return Rival(name=best.name, instead_of=effect.name, evidence_nats=alternatives[best], separates=advice)

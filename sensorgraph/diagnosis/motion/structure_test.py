@@ -1,0 +1,150 @@
+"""Tests whether residuals hold structure that no effect of the library makes.
+
+Families of columns say how such structure may look: over time, speed, direction, place. Their coefficients have a
+Gaussian prior, so that a family is compared by its marginal likelihood (evidence with Occam factor; MacKay 1992,
+"Bayesian interpolation"), and a rich family needs no more than a poor one. Noise and columns are fitted in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.reference_noise import robust_log_likelihood
+from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds
+from sensorgraph.types import Bools, Floats
+
+RIDGE = 1e-8
+"""Of the mean square of the model's own columns: keeps the normal equations regular."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StructureFamily:
+    """Differences that no effect of the library makes."""
+
+    kind: str
+    """What they vary with: `time`, `jump`, `speed`, …; several families may be of one kind."""
+    columns: Floats
+    """(2 n, k)"""
+    labels: Sequence[str]
+    """(k,) what each column stands for; empty where columns are not reported one by one."""
+    sigma: float
+    """Standard deviation of each coefficient, a priori."""
+    statement: str
+    """How the readings differ, as the end of a sentence."""
+    choice_price: float = 0.0
+    """[nats] for having been chosen among several of its kind."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AcceptedStructure:
+    """A family that entered the model, since no effect explains what it does."""
+
+    family: StructureFamily
+    evidence: float
+    """[nats]"""
+    threshold: float
+    """[nats] that it needed."""
+
+
+NoiseFitter = Callable[[int, Floats, Bools], WhiteningFilter]
+"""Fits the noise of a residual (n,) of translation (0) or rotation (1) to its valid part."""
+
+
+class StructureTest:
+    """Compares families of structure with noise, and with each other."""
+
+    def __init__(self, valid: Bools, y: Floats, fit_noise: NoiseFitter) -> None:
+        """Compare over rows y (2 n,), those of `valid` (n,)."""
+        self.valid, self.y, self.fit_noise, self.n = valid, y, fit_noise, len(valid)
+        white = WhiteningFilter.white(0, 1.0)
+        self.whitener = Whitener.plain((white, white), valid)
+        self.residual = y
+
+    def best(self, own: Floats, candidates: Sequence[StructureFamily]) -> tuple[StructureFamily, float]:
+        """Return the family that explains most beside the model's own columns (2 n, k), and its evidence [nats]."""
+        here = self._evidence(own)
+        screened = [self._evidence_at_this_noise(own, family) for family in candidates]
+        k = int(np.argmax(screened))
+        return candidates[k], max(self._evidence(own, candidates[k]) - here, screened[k])
+
+    def dispersion(self, span: float, period: float) -> float:
+        """Return how much more than noise of the fitted kind the last fit left, over blocks of `span` [s]; at least 1.
+
+        A ratio of variances: that of the blocks' sums over what uncorrelated whitened rows, `period` [s] apart, give.
+        """
+        limit = ODOMETRY.evidence.huber_limit
+        block = np.arange(self.n) // max(round(span / period), 1)
+        sums, squares = 0.0, 0.0
+        for noise, part in zip(self.whitener.filters, both_kinds(self.residual, self.n), strict=True):
+            white = np.where(self.valid, noise(part), 0.0)
+            limited = np.clip(white, -limit, limit)
+            sums += float(np.square(np.bincount(block, limited)).sum())
+            squares += float(np.square(limited).sum())
+        return max(1.0, sums / max(squares, 1e-12))
+
+    def gain(self, own: Floats, family: StructureFamily) -> float:
+        """Return the evidence of one family beside columns (2 n, k) [nats]."""
+        return self._evidence(own, family) - self._evidence(own)
+
+    def log_likelihood_ratio(self, more: Floats, fewer: Floats) -> float:
+        """Return how much more likely the rows are with more columns than with fewer [nats]."""
+        return self._evidence(more) - self._evidence(fewer)
+
+    def _evidence(self, own: Floats, family: StructureFamily | None = None) -> float:
+        """Fit columns and noise in turn; return the evidence, without constants [nats]."""
+        residual = self.y
+        for _ in range(2):
+            self._fit_noise(residual)
+            residual, price = self._fit_columns(own, family)
+        self._fit_noise(residual)
+        self.residual = residual
+        parts = zip(self.whitener.filters, both_kinds(residual, self.n), strict=True)
+        return sum(robust_log_likelihood(noise, part, self.valid) for noise, part in parts) - price
+
+    def _fit_noise(self, residual: Floats) -> None:
+        translation, rotation = both_kinds(residual, self.n)
+        filters = self.fit_noise(0, translation, self.valid), self.fit_noise(1, rotation, self.valid)
+        self.whitener = Whitener.robust(filters, self.valid, residual, ODOMETRY.evidence.huber_limit)
+
+    def _normal_equations(self, own: Floats, family: StructureFamily | None) -> tuple[Floats, Floats, Floats]:
+        """Return columns (2 n, k + m) in units of their norm or prior, and their whitened normal equations."""
+        columns = own / np.maximum(np.linalg.norm(own, axis=0), 1e-12)
+        if family is not None:
+            columns = np.concatenate([columns, family.columns * family.sigma], axis=1)
+        Z = self.whitener(columns)
+        return columns, Z.T @ Z, Z.T @ self.whitener(self.y)
+
+    def _fit_columns(self, own: Floats, family: StructureFamily | None) -> tuple[Floats, float]:
+        """Return what columns leave (2 n,) and the price of the family's freedom: prior and Occam factor [nats]."""
+        columns, G, b = self._normal_equations(own, family)
+        k = own.shape[1]
+        prior = np.concatenate([_ridge(G, k), np.ones(len(G) - k)])
+        theta = np.linalg.solve(G + np.diag(prior), b)
+        price = 0.5 * float(theta[k:] @ theta[k:])
+        if family is not None:
+            information = _information_beside(G, k)
+            price += 0.5 * float(np.linalg.slogdet(np.eye(len(G) - k) + information)[1])
+            price += family.choice_price
+        return self.y - columns @ theta, price
+
+    def _evidence_at_this_noise(self, own: Floats, family: StructureFamily) -> float:
+        """Return the evidence of a family if the noise stays as it is [nats]."""
+        _, G, b = self._normal_equations(own, family)
+        k = own.shape[1]
+        c = b[k:] - G[k:, :k] @ np.linalg.solve(G[:k, :k] + np.diag(_ridge(G, k)), b[:k])
+        H = np.eye(len(G) - k) + _information_beside(G, k)
+        return float(0.5 * c @ np.linalg.solve(H, c) - 0.5 * np.linalg.slogdet(H)[1]) - family.choice_price
+
+
+def _ridge(G: Floats, k: int) -> Floats:
+    return np.full(k, RIDGE * np.trace(G[:k, :k]) / k)
+
+
+def _information_beside(G: Floats, k: int) -> Floats:
+    """Return the information on the columns from k on when the first k are free (Schur complement)."""
+    H = G[:k, :k] + np.diag(_ridge(G, k))
+    return np.asarray(G[k:, k:] - G[k:, :k] @ np.linalg.solve(H, G[:k, k:]))

@@ -1,0 +1,103 @@
+"""The offset between the clocks of odometry and reference: a coarse search, then Gauss-Newton.
+
+Aligning sensors by their turn rates is the method of Olson (2010), "A passive solution to the sensor synchronization
+problem".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
+from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.wheels.columns import CLOCK, columns_and_rows
+from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows, rows_at
+from sensorgraph.diagnosis.motion.wheels.signals import MotionSignals
+from sensorgraph.types import Floats
+
+SETTINGS = ODOMETRY.rows
+NOMINAL_BASE = 0.4
+"""[m] wheelbase for the alignment: it scales a column that is free, and so changes nothing."""
+MAX_STEPS = 3
+"""Of Gauss-Newton."""
+
+
+def aligned_rows(signals: MotionSignals) -> OdometryRows:
+    """Return rows at the clock offset that fits best.
+
+    Raises
+    ------
+    ChannelSkippedError
+        Poses and odometry hardly overlap.
+    """
+    rows = _enough_rows(signals, _coarse_offset(signals))
+    for _ in range(MAX_STEPS):
+        step = _offset_left(rows, signals)
+        if abs(step) < SETTINGS.clock_resolution:
+            break
+        rows = _enough_rows(signals, rows.clock + step)
+    return rows
+
+
+def _enough_rows(signals: MotionSignals, clock: float) -> OdometryRows:
+    rows = rows_at(signals, clock)
+    n = 0 if rows is None else int(rows.valid.sum())
+    if rows is None or n < SETTINGS.min_rows:
+        raise ChannelSkippedError(
+            f"poses and odometry overlap in {n} tenths of a second, expected at least {SETTINGS.min_rows}"
+        )
+    return rows
+
+
+def _offset_left(rows: OdometryRows, signals: MotionSignals) -> float:
+    """Return by how much the clock offset should change [s], all columns free, each kind of row by its own spread."""
+    A, y = columns_and_rows(rows, signals.wheels, NOMINAL_BASE)
+    some = rows.valid_rows
+    residual = y
+    theta: Floats = np.zeros(0)
+    for _ in range(2):
+        spreads = [np.std(part[rows.valid]) + 1e-9 for part in (residual[: rows.n], residual[rows.n :])]
+        scale = np.repeat(spreads, rows.n)
+        theta = np.asarray(np.linalg.lstsq((A / scale[:, None])[some], (y / scale)[some], rcond=1e-9)[0])
+        residual = np.asarray(y - A @ theta)
+    most = SETTINGS.max_clock_correction
+    return float(np.clip(theta[CLOCK], -most, most))
+
+
+def _coarse_offset(signals: MotionSignals) -> float:
+    """Return the clock offset [s] at which turn rate and speed of wheels and reference go together best."""
+    stamps, poses, wheels = signals.stamps, signals.poses, signals.wheels
+    reach, step, half = SETTINGS.max_clock, SETTINGS.clock_step, SETTINGS.clock_half_window
+    first, last = max(stamps[0], wheels.start[0]) + reach, min(stamps[-1], wheels.end[-1]) - reach
+    if last - first < SETTINGS.min_clock_overlap:
+        return 0.0
+    grid = np.arange(first - reach, last + reach, step)
+    before, after = (
+        np.stack([np.interp(grid + d, stamps, column) for column in poses.T]) for d in (-half, half)
+    )
+    heading = np.interp(grid, stamps, poses[:, 2])
+    dx, dy, turn = after - before
+    distance = dx * np.cos(heading) + dy * np.sin(heading)
+    ends = np.append(wheels.start, wheels.end[-1])
+    margin = round(reach / step)
+    fit = np.zeros(round(2 * reach / step) + 1)
+    for of_reference, of_wheels in ((turn, wheels.turn), (distance, wheels.distance)):
+        total = np.concatenate([[0.0], np.cumsum(of_wheels)])
+        move = np.interp(grid + half, ends, total) - np.interp(grid - half, ends, total)
+        fit += _fit_by_shift(of_reference, move, margin, len(fit))
+    k = int(np.argmax(fit))
+    if not 0 < k < len(fit) - 1:
+        return 0.0
+    a, b, c = fit[k - 1 : k + 2]
+    bend = a - 2 * b + c
+    return float((k - margin + (0.5 * (a - c) / bend if bend < 0 else 0.0)) * step)
+
+
+def _fit_by_shift(reference: Floats, move: Floats, margin: int, n_shifts: int) -> Floats:
+    """Return minus the squared difference over the reference's power at each shift (n_shifts,); 0 if nothing moves."""
+    inner = reference[margin : len(reference) - margin]
+    power = np.sum((inner - inner.mean()) ** 2)
+    if power < 1e-12:
+        return np.zeros(n_shifts)
+    # the odometry at t + tau shows the reference at t
+    return np.array([-np.sum((inner - move[k : k + len(inner)]) ** 2) / power for k in range(n_shifts)])

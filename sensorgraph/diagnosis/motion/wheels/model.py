@@ -1,0 +1,189 @@
+"""The regression of reference on wheels: effects, slippery patches, structure, and the noise of the rows.
+
+All effects but the clock and the place of a patch are linear. Rows are whitened, so that scale factors are judged over
+long stretches and patches and clocks over short ones, as the noise of camera and wheels asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.increments import WheelIncrements
+from sensorgraph.diagnosis.motion.regression import BoundedPrior, Regression
+from sensorgraph.diagnosis.motion.settings import ODOMETRY, EvidenceSettings
+from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
+from sensorgraph.diagnosis.motion.wheels.columns import (
+    CLOCK,
+    N_COLUMNS,
+    REGRESSORS,
+    TERMS,
+    Term,
+    columns_and_rows,
+)
+from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
+from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds, clipped
+from sensorgraph.diagnosis.motion.whitening import fit_autoregression as fit_filter
+from sensorgraph.effects.wheel_slip import WHEEL_SLIP
+from sensorgraph.types import Floats
+from sensorgraph.world.robot import Robot
+
+SHUT = 1e-9
+"""Prior standard deviation of a coefficient that is to be 0."""
+RIDGE = 1e-8
+"""Of the mean square of the columns: keeps the fit of the noise regular."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SlipPatch:
+    """A slippery disc."""
+
+    x: float
+    y: float
+    r: float
+    """[m, map]"""
+    covariance: Floats
+    """(4, 4) of s, x, y, r from the search."""
+
+    @property
+    def disc(self) -> Floats:
+        """(3,) x, y, r [m, map]"""
+        return np.array([self.x, self.y, self.r])
+
+
+def share_inside(positions: Floats, discs: Floats) -> Floats:
+    """Return how much of each increment lies inside each disc, (n_increments, n_discs), 1 inside, soft at the edge.
+
+    Parameters
+    ----------
+    positions : (n_increments, 2 or more) [m, map]
+    discs : (n_discs, 3) x, y, r [m, map]
+    """
+    far = np.hypot(positions[:, 0, None] - discs[None, :, 0], positions[:, 1, None] - discs[None, :, 1])
+    return np.clip((discs[None, :, 2] - far) / ODOMETRY.patch.rim + 0.5, 0.0, 1.0)
+
+
+def clock_sigma(robot: Robot, settings: EvidenceSettings) -> float:
+    """Return the standard deviation of a clock offset that needs no effect [s]."""
+    return float(
+        np.clip(settings.clock_tolerance_share * robot.tolerances.stamp, *settings.clock_tolerance_range)
+    )
+
+
+class WheelModel:
+    """One run's regression, as far as the search has come: patches and structure are added and taken back."""
+
+    def __init__(self, rows: OdometryRows, wheels: WheelIncrements, robot: Robot) -> None:
+        self.rows, self.wheels, self.robot = rows, wheels, robot
+        self.A, self.y = columns_and_rows(rows, wheels, robot.wheels.base)
+        block = ((rows.stamps - rows.stamps[0]) / ODOMETRY.evidence.cluster).astype(np.intp)
+        self.clusters = np.concatenate([block, block]).astype(np.float64)
+        self.patches: list[SlipPatch] = []
+        self.structure: AcceptedStructure | None = None
+        raw, order = both_kinds(self.y, rows.n), ODOMETRY.filter_order
+        first, second = (WhiteningFilter.white(order, float(np.std(y[rows.valid]) + 1e-12)) for y in raw)
+        self.whitener = Whitener.plain((first, second), rows.valid)
+        self.fit_noise()
+
+    # rows and columns
+
+    @property
+    def columns(self) -> Floats:
+        """(2 n, N_COLUMNS + patches + structure)"""
+        parts = [self.A]
+        if self.patches:
+            parts.append(self.slip_columns(np.stack([patch.disc for patch in self.patches])))
+        if self.structure is not None:
+            parts.append(self.structure.family.columns)
+        return np.concatenate(parts, axis=1)
+
+    def slip_columns(self, discs: Floats) -> Floats:
+        """Return what the wheels say inside discs (k, 3), with a minus: it is lost. (2 n, k)"""
+        inside = share_inside(self.rows.increment_poses, discs)
+        return -self.rows.of_wheels(
+            self.wheels.distance[:, None] * inside, self.wheels.turn[:, None] * inside
+        )
+
+    # noise
+
+    def fit_noise(self) -> None:
+        """Fit the noise to what the model leaves with all wheel effects free, and whiten the rows with it.
+
+        Structure takes no part in it unless accepted: so many smooth columns would swallow the slow part of the
+        wheels' noise, and the rest would look too good.
+        """
+        self.whitener = self._fitted_noise(self.columns)
+        self.whiten()
+
+    def whiten(self) -> None:
+        """Form the regression anew, after the columns or the noise have changed."""
+        self.regression = Regression.of(self.whitener(self.columns), self.whitener(self.y))
+
+    def _fitted_noise(self, columns: Floats) -> Whitener:
+        """Fit columns and noise in turn, twice, from where the noise stands."""
+        scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+        settings, valid, whitener = ODOMETRY.evidence, self.rows.valid, self.whitener
+        for _ in range(2):
+            theta = ridge(whitener(scaled), whitener(self.y))
+            residual = self.y - scaled @ theta
+            taken = 1 / np.sqrt(1 - 0.5 * len(theta) / max(2 * valid.sum(), 1))
+            first, second = (
+                fit_filter(
+                    clipped(part, valid, settings.clip_limit, 1e-12) * taken, valid, ODOMETRY.filter_order
+                )
+                for part in both_kinds(residual, self.rows.n)
+            )
+            whitener = Whitener.robust((first, second), valid, residual, settings.huber_limit)
+        return whitener
+
+    def profile_gain(self, column: Floats) -> float:
+        """Return the gain in likelihood of a further column (2 n, 1) if each model has a noise of its own [nats]."""
+        own = self.columns
+        with_it = self._fitted_noise(np.concatenate([own, column], axis=1))
+        return with_it.log_likelihood - self._fitted_noise(own).log_likelihood
+
+    # evidence
+
+    def patch_term(self, i: int) -> Term:
+        """Return the term of a patch."""
+        return Term(WHEEL_SLIP, N_COLUMNS + i)
+
+    def prior(self, terms: Sequence[Term]) -> BoundedPrior:
+        """Return the prior of the columns with some effects free; other patches are shut out."""
+        sigma = [regressor.tolerance for _, regressor in REGRESSORS]
+        sigma += [clock_sigma(self.robot, ODOMETRY.evidence), ODOMETRY.marker_sigma]
+        sigma += [SHUT] * len(self.patches)
+        k = len(sigma)
+        if self.structure is not None:
+            sigma += [self.structure.family.sigma] * self.structure.family.columns.shape[1]
+        mean = np.zeros(len(sigma))
+        mean[CLOCK] = -self.rows.clock
+        prior = BoundedPrior.of(np.array(sigma), mean, ODOMETRY.evidence.max_tolerances)
+        return prior.freed([term.column for term in terms]).unbounded_from(k)
+
+    def clock_left(self) -> float:
+        """Return how far the assumed clock is still off, all effects free [s]."""
+        most = ODOMETRY.max_clock_shift
+        return float(np.clip(self.regression.solve(self.prior(TERMS)).theta[CLOCK], -most, most))
+
+    def log_posterior(self, terms: Sequence[Term]) -> float:
+        """Return the penalised log-likelihood of a set of effects [nats]."""
+        return self.regression.solve(self.prior(terms)).log_posterior
+
+    def evidence(self, terms: Sequence[Term], term: Term) -> float:
+        """Return how much the data prefer a set with an effect to the set without it, less its price [nats]."""
+        rest = [other for other in terms if other != term]
+        return self.log_posterior([*rest, term]) - self.log_posterior(rest) - price(term)
+
+
+def ridge(Z: Floats, y: Floats) -> Floats:
+    """Return the least-squares solution of whitened rows, kept regular."""
+    G = Z.T @ Z
+    return np.asarray(np.linalg.solve(G + RIDGE * np.trace(G) / len(G) * np.eye(len(G)), Z.T @ y))
+
+
+def price(term: Term) -> float:
+    """Return the price of an effect's parameters [nats]."""
+    return ODOMETRY.evidence.price * len(term.effect.parameters)

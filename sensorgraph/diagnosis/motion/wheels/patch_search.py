@@ -1,0 +1,119 @@
+"""The search for a slippery patch: discs on a grid, then random steps about the best, then its spread."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.wheels.columns import Term
+from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel
+from sensorgraph.effects.wheel_slip import WHEEL_SLIP
+from sensorgraph.types import Floats
+
+SETTINGS = ODOMETRY.patch
+PRICE = ODOMETRY.evidence.price * len(WHEEL_SLIP.parameters)
+"""[nats] of a patch."""
+
+
+def best_patch(
+    model: WheelModel, terms: Sequence[Term], rng: np.random.Generator
+) -> tuple[SlipPatch, float] | None:
+    """Return the patch that the data ask for most beside other effects, and its evidence [nats].
+
+    None where the robot hardly moved.
+    """
+    is_moving = np.abs(model.wheels.distance) > SETTINGS.min_moving
+    positions = model.rows.increment_poses[is_moving, :2]
+    if len(positions) < SETTINGS.min_positions:
+        return None
+    cells = np.unique(np.round(positions / SETTINGS.cell).astype(np.intp), axis=0)
+    if len(cells) > SETTINGS.max_centres:
+        cells = cells[:: len(cells) // SETTINGS.max_centres + 1]
+    centres = cells * SETTINGS.cell
+    discs = np.concatenate([np.column_stack([centres, np.full(len(centres), r)]) for r in SETTINGS.radii])
+    gains, _ = gains_of_discs(model, discs, terms)
+    disc = discs[int(np.argmax(gains))]
+    for step in SETTINGS.first_steps:
+        near = disc + step * rng.uniform(-1.5, 1.5, size=(120, 3))
+        near[:, 2] = np.clip(near[:, 2], *SETTINGS.radius_range)
+        near = np.concatenate([disc[None], near])
+        gains, _ = gains_of_discs(model, near, terms)
+        disc = near[int(np.argmax(gains))]
+    x, y, r = (float(value) for value in disc)
+    return SlipPatch(x=x, y=y, r=r, covariance=np.zeros((4, 4))), float(gains.max()) - PRICE
+
+
+def gains_of_discs(model: WheelModel, discs: Floats, terms: Sequence[Term]) -> tuple[Floats, Floats]:
+    """Return likelihood gained [nats] and share of the motion lost (n_discs,), given a set of effects."""
+    regression = model.regression
+    fit = regression.solve(model.prior(terms))
+    Z = model.whitener(model.slip_columns(discs))
+    score = (regression.y - regression.A @ fit.theta) @ Z
+    cross = regression.A.T @ Z
+    free = np.diag(fit.covariance) > 0
+    C = fit.covariance[np.ix_(free, free)]
+    total = np.einsum("ij,ij->j", Z, Z)
+    information = total - np.einsum("ij,ij->j", cross[free], C @ cross[free])
+    information = np.maximum(information, 1e-9 + 1e-6 * total)
+    lost = np.clip(score / information, 0.0, SETTINGS.max_slip)
+    gains = lost * score - 0.5 * lost**2 * information
+    gains[information < SETTINGS.min_information] = 0.0
+    return gains, lost
+
+
+def refine_patch(model: WheelModel, i: int, terms: Sequence[Term], rng: np.random.Generator) -> None:
+    """Move a patch to the middle of its likelihood and take its spread from there."""
+    rest = [term for term in terms if term != model.patch_term(i)]
+    discs = _grid_about(model.patches[i].disc)
+    gains, lost = gains_of_discs(model, discs, rest)
+    for step in SETTINGS.refining_steps:
+        near = _random_steps(discs[int(np.argmax(gains))], step, rng)
+        if not len(near):
+            continue
+        more_gains, more_lost = gains_of_discs(model, near, rest)
+        discs = np.concatenate([discs, near])
+        gains, lost = np.append(gains, more_gains), np.append(lost, more_lost)
+    model.patches[i] = _posterior_mean(discs, gains, lost)
+    model.whiten()
+
+
+def _grid_about(disc: Floats) -> Floats:
+    """Return discs (n, 3) of every size whose centres lie within 0.9 m of a disc's, and the disc itself."""
+    steps, radii = np.arange(-0.9, 0.91, 0.3), np.arange(0.15, 1.26, 0.15)
+    dx, dy, r = (axis.ravel() for axis in np.meshgrid(steps, steps, radii, indexing="ij"))
+    near = np.hypot(dx, dy) <= 0.91
+    return np.concatenate([disc[None], np.column_stack([disc[0] + dx, disc[1] + dy, r])[near]])
+
+
+def _random_steps(disc: Floats, step: float, rng: np.random.Generator, n: int = 80) -> Floats:
+    """Return discs (2 n or fewer, 3) about a disc.
+
+    Half of them are larger or smaller with their near edge where it was: these fit almost as well.
+    """
+    turn = rng.uniform(-np.pi, np.pi, size=n)
+    growth = 2 * step * rng.normal(size=n)
+    ridge = disc + growth[:, None] * np.stack([np.cos(turn), np.sin(turn), np.ones(n)], axis=1)
+    ridge += SETTINGS.rim * rng.normal(size=ridge.shape)
+    near = np.concatenate([disc + step * rng.normal(size=(n, 3)), ridge])
+    low, high = SETTINGS.refined_radius_range
+    return near[(near[:, 2] > low) & (near[:, 2] < high)]
+
+
+def _posterior_mean(discs: Floats, gains: Floats, lost: Floats) -> SlipPatch:
+    """Return the disc nearest to the posterior mean of discs (n, 3), and the spread of s, x, y, r about it."""
+    # one disc for each cell of the search: it is dense where it was searched, not where a disc is likely
+    best = np.argsort(-gains)
+    best = best[gains[best] > gains[best[0]] - SETTINGS.credible_fall]
+    _, first = np.unique(np.round(discs[best] / 0.05), axis=0, return_index=True)
+    best = best[first]
+    # a patch of unknown size: the prior is the same at every magnification, 1 / r³
+    weight = np.exp((gains[best] - gains.max()) / ODOMETRY.evidence.temperature) / discs[best, 2] ** 3
+    weight /= weight.sum()
+    values = np.column_stack([lost, discs])[best]
+    middle = weight @ values
+    nearest = int(np.argmin(((values[:, 1:] - middle[1:]) ** 2).sum(axis=1)))
+    x, y, r = (float(value) for value in discs[best[nearest]])
+    off = values - values[nearest]
+    return SlipPatch(x=x, y=y, r=r, covariance=(off * weight[:, None]).T @ off)

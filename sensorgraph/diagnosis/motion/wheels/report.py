@@ -1,0 +1,254 @@
+"""What the odometry channel reports: named effects with their sizes, rivals, deviations, gap, and what was unseen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.regression import Regression, RegressionFit
+from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
+from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily
+from sensorgraph.diagnosis.motion.wheels.columns import CLOCK, N_COLUMNS, TERMS, Term
+from sensorgraph.diagnosis.motion.wheels.model import WheelModel, ridge
+from sensorgraph.diagnosis.motion.wheels.patch_search import best_patch
+from sensorgraph.diagnosis.motion.whitening import both_kinds
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
+from sensorgraph.effects import Amendment, Effect
+from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
+from sensorgraph.effects.wheel_slip import WHEEL_SLIP
+from sensorgraph.types import Floats
+
+SETTINGS = ODOMETRY.evidence
+RADIUS_COLUMN = next(term.column for term in TERMS if term.effect is WHEEL_RADIUS)
+RMSE_WINDOW = 1.0
+"""[s] over which the gap is averaged to speeds."""
+
+
+def odometry_result(
+    model: WheelModel,
+    terms: Sequence[Term],
+    families: Sequence[StructureFamily],
+    deviations: tuple[Deviation, ...],
+    notes: Mapping[str, object],
+    rng: np.random.Generator,
+) -> ChannelResult:
+    """Report the selected effects.
+
+    Parameters
+    ----------
+    deviations : what the bare simulator showed, before any selection
+    """
+    fit = model.regression.solve(model.prior(terms))
+    covariance = model.regression.clustered_covariance(fit, model.clusters)
+    found = [_amendment(model, term, terms, fit, covariance, rng) for term in terms]
+    found.sort(key=lambda a: -(a.evidence or 0.0))
+    named = [a for a in found if _is_material(a)]
+    return ChannelResult(
+        channel="odometry",
+        effects=tuple(named),
+        within_tolerance=tuple(a for a in found if not _is_material(a)),
+        unknown=_unknown(model),
+        rivals=tuple(_rivals(model, terms, named, rng)),
+        deviations=deviations,
+        gap=_gap(model, terms, families),
+        not_observable=_not_observable(model, terms),
+        notes={
+            **notes,
+            "clock_offset_s": model.rows.clock + float(fit.theta[CLOCK]),
+            "rows": int(model.rows.valid_rows.sum()),
+        },
+    )
+
+
+def _amendment(
+    model: WheelModel,
+    term: Term,
+    terms: Sequence[Term],
+    fit: RegressionFit,
+    covariance: Floats,
+    rng: np.random.Generator,
+) -> Amendment:
+    """Return an effect with sizes, errors, evidence and probability."""
+    evidence = model.evidence(terms, term)
+    sure = probability(evidence, _alternatives(model, term, terms, rng).values(), SETTINGS)
+    theta, error = float(fit.theta[term.column]), float(np.sqrt(covariance[term.column, term.column]))
+    if term.effect is WHEEL_SLIP:
+        amendment = _slip(model, term.column - N_COLUMNS, theta, error)
+    else:
+        has_radius = any(other.effect is WHEEL_RADIUS for other in terms)
+        gain = 1 + float(fit.theta[RADIUS_COLUMN]) if has_radius else 1.0
+        amendment = _everywhere(model, term.effect, theta, error, gain)
+    return replace(amendment, probability=sure, evidence=evidence)
+
+
+def _slip(model: WheelModel, i: int, share: float, error: float) -> Amendment:
+    """Return a patch with its place; the errors are those of the fit and of the search."""
+    patch, settings = model.patches[i], ODOMETRY.patch
+    width = np.sqrt(np.diag(patch.covariance))
+    stderr = {"s": float(np.hypot(error, width[0]))} | {
+        key: float(np.hypot(settings.place_doubt * w, settings.min_place_error))
+        for key, w in zip("xyr", width[1:], strict=True)
+    }
+    slip = WHEEL_SLIP(s=float(np.clip(share, 0, 1)), x=patch.x, y=patch.y, r=patch.r)
+    return replace(slip, stderr=stderr).at(xy=(patch.x, patch.y))
+
+
+def _everywhere(model: WheelModel, effect: Effect, theta: float, error: float, gain: float) -> Amendment:
+    """Return an effect that acts everywhere.
+
+    Parameters
+    ----------
+    gain : of both wheels, true over measured
+    """
+    key = effect.parameters[0].name
+    regressor = effect.diagnostics.wheel_regressor
+    if regressor is not None:
+        value, stderr = regressor.size(theta, gain), regressor.stderr(error, gain)
+    else:  # the clock: no surer than the mean of the run's stamps
+        value = float(model.rows.clock + theta)
+        stderr = float(np.hypot(error, model.robot.tolerances.stamp / ODOMETRY.stamp_averaging))
+    return replace(effect(**{key: value}), stderr={key: stderr})
+
+
+def _is_material(a: Amendment) -> bool:
+    return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
+
+
+def _alternatives(
+    model: WheelModel, term: Term, terms: Sequence[Term], rng: np.random.Generator
+) -> dict[Effect, float]:
+    """Return the evidence of each effect that could stand in an effect's place [nats]."""
+    rest = [other for other in terms if other != term]
+    out = {other.effect: model.evidence([*rest, other], other) for other in TERMS if other not in terms}
+    if term.effect is not WHEEL_SLIP:
+        found = best_patch(model, rest, rng)
+        out[WHEEL_SLIP] = -np.inf if found is None else found[1]
+    return out
+
+
+def _rivals(
+    model: WheelModel, terms: Sequence[Term], named: Sequence[Amendment], rng: np.random.Generator
+) -> list[Rival]:
+    material = [term for term in terms if any(a.effect is term.effect for a in named)]
+    found = (
+        strongest_rival(term.effect, _alternatives(model, term, terms, rng), SETTINGS) for term in material
+    )
+    return [rival for rival in found if rival is not None]
+
+
+# criticism -----------------------------------------------------------------------------------------------------------
+
+
+def _steady(families: Sequence[StructureFamily]) -> list[StructureFamily]:
+    """Return the families whose columns stand for themselves; the moments of a jump are one choice of many."""
+    return [family for family in families if not family.choice_price]
+
+
+def deviations_before_naming(model: WheelModel, families: Sequence[StructureFamily]) -> tuple[Deviation, ...]:
+    """Say where the bare simulator differs, by score tests on the columns of structure."""
+    regression = model.regression
+    fit = regression.solve(model.prior([]))
+    residual = regression.y - regression.A @ fit.theta
+    out = []
+    for family in _steady(families):
+        Z = model.whitener(family.columns)
+        clusters = model.clusters.astype(np.intp)
+        sums = np.stack([np.bincount(clusters, weights=z) for z in (Z * residual[:, None]).T])
+        information = (Z**2).sum(axis=0)
+        variance = np.maximum(information, (sums**2).sum(axis=1))
+        z = Z.T @ residual / np.sqrt(np.maximum(variance, 1e-12))
+        for i in np.flatnonzero((np.abs(z) > SETTINGS.listed_z) & (information > 1e-6)).tolist():
+            out.append(
+                Deviation(
+                    family="bias",
+                    partition=family.kind,
+                    label=family.labels[i],
+                    z=float(z[i]),
+                    size=float(Z[:, i] @ residual / information[i]),
+                    n_rays=int((np.abs(family.columns[:, i]) > 1e-9).sum()),
+                    channel="odometry",
+                )
+            )
+    out.sort(key=lambda deviation: -abs(deviation.z))
+    return tuple(out[: ODOMETRY.max_listed])
+
+
+def _unknown(model: WheelModel) -> Unknown | None:
+    """Say what structure entered the model in the stead of effects."""
+    if model.structure is None:
+        return None
+    family, evidence = model.structure.family, model.structure.evidence
+    return Unknown(
+        statement=f"odometry and reference pose differ {family.statement}, which no effect of the library explains",
+        deviation=Deviation(
+            family="bias",
+            partition=family.kind,
+            label=family.statement,
+            z=evidence,
+            size=evidence,
+            n_rays=int(model.rows.valid_rows.sum()),
+            channel="odometry",
+        ),
+        statistic=evidence,
+        threshold=model.structure.threshold,
+    )
+
+
+def _gap(model: WheelModel, terms: Sequence[Term], families: Sequence[StructureFamily]) -> Gap:
+    """Fit on every other 5 s, measure on the rest, and the other way round."""
+    rows, regression, prior, columns = model.rows, model.regression, model.prior(terms), model.columns
+    block = ((rows.stamps - rows.stamps[0]) // SETTINGS.held_out_block).astype(np.intp)
+    half = np.concatenate([block, block]) % 2
+    after = np.zeros(len(model.y))
+    for side in (0, 1):
+        train = half == side
+        fit = Regression.of(regression.A[train], regression.y[train]).solve(prior)
+        after[~train] = (model.y - columns @ fit.theta)[~train]
+    nominal = np.zeros(columns.shape[1])
+    nominal[CLOCK] = -rows.clock
+    # the floor: what is left when all structure is fitted, too
+    rich = np.concatenate([columns, *[family.columns for family in _steady(families)]], axis=1)
+    theta = ridge(model.whitener(rich), regression.y)
+    n_valid = rows.valid_rows.sum()
+    floor = (model.y - rich @ theta) * np.sqrt(n_valid / max(int(n_valid) - len(theta), 1))
+    return Gap(
+        before=_quality(model, model.y - columns @ nominal),
+        after=_quality(model, after),
+        noise_floor=_quality(model, floor),
+        n_rays=2 * rows.n,
+    )
+
+
+def _quality(model: WheelModel, residual: Floats) -> FitQuality:
+    """Measure a residual (2 n,): as speed over a second, wheel against body, and in nats."""
+    rows = model.rows
+    step = float(np.median(np.diff(rows.stamps)))
+    m = max(1, round(RMSE_WINDOW / step))
+    k = rows.n // m
+    use = rows.masked(residual)
+    along, yaw = (part[: k * m].reshape(k, m).sum(axis=1) / (m * step) for part in both_kinds(use, rows.n))
+    rmse = float(np.sqrt(np.mean(along**2 + (model.robot.wheels.base / 2 * yaw) ** 2)))
+    nats, rms = model.whitener.nats_and_rms(use)
+    return FitQuality(rmse_m=rmse, normalised=rms, nats_per_ray=nats)
+
+
+def _not_observable(model: WheelModel, terms: Sequence[Term]) -> dict[str, str]:
+    """Say which effects could not have been seen at three times their materiality."""
+    out = {}
+    for term in TERMS:
+        if term in terms:
+            continue
+        size = SETTINGS.observable_size * next(iter(term.effect.sizes.values()))
+        covariance = model.regression.solve(model.prior([*terms, term])).covariance
+        expected = 0.5 * size**2 / max(float(covariance[term.column, term.column]), 1e-18)
+        if expected - SETTINGS.price < SETTINGS.threshold:
+            out[term.effect.name] = (
+                f"{term.effect.diagnostics.why_unseen}: at three times its materiality it would bring {max(expected, 0):.0f} nats"
+            )
+    slips = any(term.effect is WHEEL_SLIP for term in terms)
+    if not slips and float(np.abs(model.wheels.distance).sum()) < ODOMETRY.min_distance:
+        out[WHEEL_SLIP.name] = "the robot drove less than 1 m"
+    return out

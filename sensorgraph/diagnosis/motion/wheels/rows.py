@@ -1,0 +1,182 @@
+"""Rows of the odometry channel: what the body did from one average pose to the next, against what the wheels say.
+
+Reference poses are averaged over a tenth of a second. Each row compares the distance along the heading and the turn
+between two averages with the wheels' increments under them, at an assumed offset of the clocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from sensorgraph.diagnosis.motion.increments import WheelIncrements
+from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.wheels.signals import MotionSignals
+from sensorgraph.types import Bools, Floats, Ints
+
+SETTINGS = ODOMETRY.rows
+CLOCK_STEP = 0.01
+"""[s] to either side, of the difference quotient by the clock offset."""
+MIN_POSES = 10
+"""Poses under the odometry, below which there is nothing to average."""
+FEW_INCREMENTS = 0.995
+"""Quantile of the increments under a row that rows have room for; rows with more do not count."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OdometryRows:
+    """Both sides of the comparison, for one assumed clock offset."""
+
+    clock: float
+    """[s] the odometry is taken to be older than its stamp."""
+    stamps: Floats
+    """(n,) [s]"""
+    poses: Floats
+    """(n, 3) reference pose between both averages."""
+    averages: Floats
+    """(n + 1, 3) averaged reference poses, positions smoothed by the wheels, yaw not wrapped."""
+    valid: Bools
+    """(n,)"""
+    along: Floats
+    """(n,) [m] of the reference along its heading."""
+    yaw: Floats
+    """(n,) [rad] of the reference."""
+    D_along: sparse.csr_array
+    """(n, n_increments) turns distances of increments into rows along the heading."""
+    D_yaw: sparse.csr_array
+    """(n, n_increments) turns turns of increments into rows of yaw."""
+    slopes: Floats
+    """(n, 2) derivative of what the wheels say by the clock [m/s, rad/s]."""
+    increment_poses: Floats
+    """(n_increments, 3) reference pose in the middle of each increment."""
+
+    @property
+    def n(self) -> int:
+        """Count of rows of one kind."""
+        return len(self.stamps)
+
+    @property
+    def valid_rows(self) -> Bools:
+        """(2 n,)"""
+        return np.concatenate([self.valid, self.valid])
+
+    def of_wheels(self, distance: Floats, turn: Floats) -> Floats:
+        """Return rows (2 n, ...) of distances and turns of the increments (n_increments, ...); 0 where not valid."""
+        rows = np.concatenate([self.D_along @ distance, self.D_yaw @ turn])
+        return self.masked(rows)
+
+    def masked(self, rows: Floats) -> Floats:
+        """Return rows (2 n, ...), 0 where not valid."""
+        some = self.valid_rows
+        return np.asarray(np.where(some if rows.ndim == 1 else some[:, None], rows, 0.0))
+
+
+def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
+    """Average the poses and lay the increments out under them; None where hardly a pose lies under the odometry.
+
+    Parameters
+    ----------
+    clock : [s] the odometry is taken to be older than its stamp
+    """
+    wheels = signals.wheels
+    start, end = wheels.start - clock, wheels.end - clock
+    inside = (signals.stamps >= start[0]) & (signals.stamps <= end[-1])
+    stamps, poses = signals.stamps[inside], signals.poses[inside]
+    if len(stamps) < MIN_POSES:
+        return None
+    period = float(np.median(np.diff(stamps)))
+    m = max(1, round(SETTINGS.averaging_time / period))
+    n = len(stamps) // m
+    t = stamps[: n * m].reshape(n, m)
+    averages = poses[: n * m].reshape(n, m, 3).mean(axis=1)
+    centre, middle, ends = t.mean(axis=1), (start + end) / 2, np.append(start, end[-1])
+    border = (centre[1:] + centre[:-1]) / 2
+    # headings are the wheels', carried by the reference's over a second
+    total = np.concatenate([[0.0], np.cumsum(wheels.turn)])
+    offset = averages[:, 2] - np.interp(t, ends, total).mean(axis=1)
+    offset = _moving_average(offset, SETTINGS.heading_window / (m * period))
+    heading = np.interp(middle, ends, total) + np.interp(middle, centre, offset)
+    phi = np.interp(border, ends, total) + np.interp(border, centre, offset)
+    step = np.diff(averages, axis=0)
+    is_dense = np.ptp(t, axis=1) < SETTINGS.max_gap + m * period
+    valid = (np.diff(centre) < max(SETTINGS.max_gap, 2.5 * m * period)) & is_dense[1:] & is_dense[:-1]
+    weights, index, has_room = _overlaps(t, start, end)
+    smooth = _smooth_positions(averages, wheels, heading, centre, ends, m * period)
+    increment_poses = [np.interp(middle, centre, column) for column in smooth.T]
+    return OdometryRows(
+        clock=clock,
+        stamps=border,
+        poses=np.column_stack([((averages[1:] + averages[:-1]) / 2)[:, :2], phi]),
+        averages=np.column_stack([smooth, averages[:, 2]]),
+        valid=valid & has_room,
+        along=step[:, 0] * np.cos(phi) + step[:, 1] * np.sin(phi),
+        yaw=step[:, 2],
+        D_along=_sparse(weights * np.cos(heading[index] - phi[:, None]), index, len(start)),
+        D_yaw=_sparse(weights, index, len(start)),
+        slopes=_slopes(t, wheels, clock, heading, phi),
+        increment_poses=np.stack([*increment_poses, heading], axis=1),
+    )
+
+
+def _smooth_positions(
+    averages: Floats, wheels: WheelIncrements, heading: Floats, centre: Floats, ends: Floats, period: float
+) -> Floats:
+    """Return reference positions (n + 1, 2) that follow the wheels in the short run and the reference in the long."""
+    steps = wheels.distance[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    trail = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    by_wheels = np.stack([np.interp(centre, ends, column) for column in trail.T], axis=1)
+    width = SETTINGS.position_window / period
+    offsets = [_moving_average(column, width) for column in (averages[:, :2] - by_wheels).T]
+    return np.asarray(by_wheels + np.stack(offsets, axis=1))
+
+
+def _moving_average(values: Floats, width: float) -> Floats:
+    """Return a centred moving average (n,) over about `width` values."""
+    odd = max(3, min(round(width), len(values))) // 2 * 2 + 1
+    padded = np.pad(values, odd // 2, mode="edge")
+    return np.convolve(padded, np.ones(odd) / odd, mode="valid")
+
+
+def _overlaps(t: Floats, start: Floats, end: Floats) -> tuple[Floats, Ints, Bools]:
+    """Return how much of each increment lies between two averages: weights (n, o), indices (n, o), validity (n,)."""
+    first = np.clip(np.searchsorted(end, t[:-1, 0], side="right"), 0, len(end) - 1)
+    last = np.clip(np.searchsorted(start, t[1:, -1], side="left"), 0, len(end) - 1)
+    room = int(np.quantile(last - first, FEW_INCREMENTS)) + 2
+    index = np.minimum(first[:, None] + np.arange(room), len(end) - 1)
+    beyond = first[:, None] + np.arange(room) > len(end) - 1
+    a, span = start[index][..., None], (end - start)[index][..., None]
+    weights = np.clip((t[1:, None, :] - a) / span, 0, 1).mean(axis=2)
+    weights -= np.clip((t[:-1, None, :] - a) / span, 0, 1).mean(axis=2)
+    weights[beyond] = 0.0
+    ok = (last - first < room) & ((end - start)[index].max(axis=1) < SETTINGS.max_gap)
+    return weights, index, ok
+
+
+def _sparse(weights: Floats, index: Ints, n: int) -> sparse.csr_array:
+    rows = np.repeat(np.arange(len(weights)), weights.shape[1])
+    return sparse.csr_array(
+        sparse.coo_array((weights.ravel(), (rows, index.ravel())), shape=(len(weights), n))
+    )
+
+
+def _slopes(t: Floats, wheels: WheelIncrements, clock: float, heading: Floats, phi: Floats) -> Floats:
+    """Return the derivative by the clock of what the wheels say (n, 2), from smoothed increments."""
+    kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9
+    distance, turn = (
+        np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in (wheels.distance, wheels.turn)
+    )
+    out = []
+    for late in (-CLOCK_STEP, CLOCK_STEP):
+        D, index, _ = _overlaps(t, wheels.start - clock - late, wheels.end - clock - late)
+        out.append(
+            np.stack(
+                [
+                    ((D * np.cos(heading[index] - phi[:, None])) * distance[index]).sum(axis=1),
+                    (D * turn[index]).sum(axis=1),
+                ],
+                axis=1,
+            )
+        )
+    return np.asarray((out[1] - out[0]) / (2 * CLOCK_STEP))

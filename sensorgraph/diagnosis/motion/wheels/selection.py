@@ -1,0 +1,171 @@
+"""Which wheel effects a run shows: forward selection by evidence, against structure that no effect makes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, noise_limits
+from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.structure_test import (
+    AcceptedStructure,
+    StructureFamily,
+    StructureTest,
+)
+from sensorgraph.diagnosis.motion.wheels.columns import TERMS, Term
+from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel, share_inside
+from sensorgraph.diagnosis.motion.wheels.patch_search import PRICE, best_patch, refine_patch
+from sensorgraph.effects.wheel_slip import WHEEL_SLIP
+from sensorgraph.types import Floats
+
+SETTINGS = ODOMETRY.structure
+THRESHOLD = ODOMETRY.evidence.threshold
+
+
+def select(model: WheelModel, families: Sequence[StructureFamily], rng: np.random.Generator) -> list[Term]:
+    """Add effects to the model while the evidence lasts, then take superfluous ones back.
+
+    Structure that no effect makes competes with them: where it explains more, it enters in their stead.
+    """
+    terms: list[Term] = []
+    for _ in range(ODOMETRY.max_effects):
+        gains = {term: model.evidence(terms, term) for term in TERMS if term not in terms}
+        best = max(gains, key=lambda term: gains[term], default=None)
+        top = max(gains.values(), default=-np.inf)
+        patch, patch_gain = _patch(model, terms, max(top, 0.0), rng)
+        if max(top, patch_gain) < THRESHOLD:
+            break
+        if patch is not None and patch_gain >= top:
+            model.patches.append(patch)
+            i = len(model.patches) - 1
+            terms.append(model.patch_term(i))
+            model.whiten()
+            refine_patch(model, i, terms, rng)
+        elif best is not None:
+            terms.append(best)
+        model.fit_noise()
+        _take_back(model, terms)
+    _admit_structure(model, terms, families)
+    for i in range(len(model.patches)):
+        if model.patch_term(i) in terms:
+            refine_patch(model, i, terms, rng)
+    _take_back(model, terms)
+    return terms
+
+
+def _patch(
+    model: WheelModel, terms: Sequence[Term], rival_gain: float, rng: np.random.Generator
+) -> tuple[SlipPatch | None, float]:
+    """Return the best further patch and its evidence [nats]; -inf where there is none."""
+    found = best_patch(model, terms, rng) if len(model.patches) < ODOMETRY.patch.max_patches else None
+    if found is None:
+        return None, -np.inf
+    patch, gain = found
+    if gain + PRICE > ODOMETRY.patch.min_gain and gain < max(ODOMETRY.patch.clear_gain, rival_gain):
+        # a patch that is not modelled looks like noise to the filter: judge it by a noise of its own
+        alone = model.profile_gain(model.slip_columns(patch.disc[None]))
+        gain = max(gain, alone - PRICE - ODOMETRY.patch.noise_price)
+    return patch, gain
+
+
+def _take_back(model: WheelModel, terms: list[Term]) -> None:
+    """Remove superfluous effects, the weakest first."""
+    while terms:
+        spare = {term: model.evidence(terms, term) - _needed(model, terms, term) for term in terms}
+        weakest = min(terms, key=lambda term: spare[term])
+        if spare[weakest] >= 0.0:
+            return
+        terms.remove(weakest)
+
+
+def _needed(model: WheelModel, terms: Sequence[Term], term: Term) -> float:
+    """Return the evidence that an effect must bring beside the others [nats]."""
+    others = [other for other in terms if other.effect is WHEEL_SLIP and other != term]
+    if term.effect is not WHEEL_SLIP or not others:
+        return THRESHOLD
+    total = model.log_posterior(terms) - model.log_posterior([])
+    return max(THRESHOLD, ODOMETRY.patch.further_share * total)
+
+
+# structure -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Candidate:
+    family: StructureFamily
+    evidence: float
+    replaces_patches: bool
+
+
+def _admit_structure(model: WheelModel, terms: list[Term], families: Sequence[StructureFamily]) -> None:
+    """Let structure that no effect makes stand beside the effects, or in the stead of patches."""
+    limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
+    test = StructureTest(model.rows.valid, model.y, LimitedNoiseFitter(limits))
+    own = np.concatenate([model.columns, _rim_columns(model, terms)], axis=1)
+    family, gain = test.best(own, families)
+    dispersion = test.dispersion(ODOMETRY.evidence.cluster, limits[0].period)
+    candidate = _Candidate(family=family, evidence=gain, replaces_patches=False)
+    if model.patches:
+        candidate = _in_stead_of_patches(model, test, own, candidate, families)
+    needed = max(SETTINGS.threshold * dispersion, SETTINGS.min_gain_per_row * model.rows.n)
+    if not candidate.replaces_patches:
+        needed = max(needed, _inexactness(model, terms))
+    if candidate.evidence < needed:
+        return
+    if candidate.replaces_patches:
+        model.patches = []
+        terms[:] = [term for term in terms if term.effect is not WHEEL_SLIP]
+    model.structure = AcceptedStructure(
+        family=candidate.family, evidence=candidate.evidence, threshold=needed
+    )
+    model.fit_noise()
+    _take_back(model, terms)
+
+
+def _in_stead_of_patches(
+    model: WheelModel,
+    test: StructureTest,
+    own: Floats,
+    beside: _Candidate,
+    families: Sequence[StructureFamily],
+) -> _Candidate:
+    """Return the better candidate of structure beside the patches and structure in their stead."""
+    family, gain = beside.family, test.gain(model.A, beside.family)
+    if len(model.patches) > 1:  # what several patches mimic need not be what they leave
+        family, gain = test.best(model.A, families)
+    gain -= test.log_likelihood_ratio(own, model.A)
+    better = (
+        beside
+        if gain <= beside.evidence
+        else _Candidate(family=family, evidence=gain, replaces_patches=False)
+    )
+    is_instead = gain + PRICE * len(model.patches) > beside.evidence
+    return _Candidate(family=better.family, evidence=better.evidence, replaces_patches=is_instead)
+
+
+def _inexactness(model: WheelModel, terms: Sequence[Term]) -> float:
+    """Return what the models of the effects themselves may leave for structure to explain [nats]."""
+    wheels = [term for term in terms if term.effect is not WHEEL_SLIP]
+    patch = max(model.log_posterior(terms) - model.log_posterior(wheels), 0.0)
+    if len(terms) - len(wheels) > 1:  # several patches and still structure: they mimic something else
+        patch = 0.0
+    gain = model.log_posterior(wheels) - model.log_posterior([])
+    return SETTINGS.wheel_share * gain + SETTINGS.patch_share * patch
+
+
+def _rim_columns(model: WheelModel, terms: Sequence[Term]) -> Floats:
+    """Return what small changes of a patch's place and radius would do (2 n, 3 per patch), so that they are no news."""
+    parts = [np.zeros((len(model.y), 0))]
+    shift = ODOMETRY.patch.rim_shift * np.eye(3)
+    for i, patch in enumerate(model.patches):
+        if model.patch_term(i) not in terms:
+            continue
+        moved = np.concatenate([patch.disc + shift, patch.disc - shift])
+        inside = share_inside(model.rows.increment_poses, moved)
+        change = inside[:, :3] - inside[:, 3:]
+        parts.append(
+            model.rows.of_wheels(model.wheels.distance[:, None] * change, model.wheels.turn[:, None] * change)
+        )
+    return np.concatenate(parts, axis=1)

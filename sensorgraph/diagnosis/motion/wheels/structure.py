@@ -1,0 +1,211 @@
+"""Structure in the difference of odometry and reference that no effect makes, as families of columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.increments import WheelIncrements
+from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily
+from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
+from sensorgraph.types import Bools, Floats
+
+SETTINGS = ODOMETRY.structure
+Part = Literal["way", "turn", "way and turn"]
+PARTS: tuple[Part, Part] = ("way", "turn")
+Scale = tuple[str, Part, Bools]
+"""Label, what is scaled, and (n_increments,) which increments."""
+HIGHEST_WAVE = 5
+"""Half waves of a distorted yaw along each axis, 0 to 4."""
+HIGHEST_WAVES = 7
+"""Half waves of both axes together, 1 to 6."""
+HIGHEST_POWER = 4
+"""Powers of a distorted position along each axis and of both together, up to 3."""
+
+
+def odometry_families(rows: OdometryRows, wheels: WheelIncrements) -> list[StructureFamily]:
+    """Return differences that no library effect makes, with columns (2 n, k)."""
+    families = [
+        _scales(rows, wheels, "time", "by a scale that changes in time", _pieces(wheels)),
+        *_jumps(rows, wheels),
+        _scales(rows, wheels, "speed", "by a scale that depends on speed or turn rate", _speeds(wheels)),
+        _scales(
+            rows,
+            wheels,
+            "direction",
+            "differently forward and backward, or to the left and to the right",
+            [
+                ("backward", "way", wheels.rates[:, 0] < 0),
+                ("to the right", "turn", wheels.rates[:, 1] < 0),
+            ],
+        ),
+        _scales(rows, wheels, "acceleration", "when the robot accelerates", _accelerations(wheels)),
+    ]
+    if cells := _cells(rows, wheels):
+        families.append(_scales(rows, wheels, "place", "by a scale that depends on the place", cells))
+    families.append(_clock_pieces(rows, wheels))
+    if np.ptp(rows.averages[:, :2], axis=0).max() >= SETTINGS.min_extent:
+        families += _distorted_reference(rows, rows.D_along @ wheels.distance)
+    return families
+
+
+def _scales(
+    rows: OdometryRows,
+    wheels: WheelIncrements,
+    kind: str,
+    statement: str,
+    scales: Sequence[Scale],
+    choice_price: float = 0.0,
+) -> StructureFamily:
+    """Return the family of columns that scale what the wheels say in some increments."""
+    columns, nothing = [], np.zeros(len(wheels.start))
+    for _, part, mask in scales:
+        distance = wheels.distance * mask if part != "turn" else nothing
+        turn = wheels.turn * mask if part != "way" else nothing
+        columns.append(rows.of_wheels(distance, turn))
+    return StructureFamily(
+        kind=kind,
+        columns=np.stack(columns, axis=1),
+        labels=[f"{label}, {part}" for label, part, _ in scales],
+        sigma=SETTINGS.scale_sigma,
+        statement=statement,
+        choice_price=choice_price,
+    )
+
+
+def _pieces(wheels: WheelIncrements) -> list[Scale]:
+    n = SETTINGS.n_pieces
+    span = wheels.end[-1] - wheels.start[0]
+    piece = np.clip((n * (wheels.middle - wheels.start[0]) / span).astype(np.intp), 0, n - 1)
+    labels = _spans(wheels, n)
+    return [(labels[k], part, piece == k) for k in range(n) for part in PARTS]
+
+
+def _jumps(rows: OdometryRows, wheels: WheelIncrements) -> list[StructureFamily]:
+    """Return one family for each moment at which scales may change once."""
+    n, whole = SETTINGS.n_jumps, np.ptp(wheels.middle)
+    out = []
+    for k in range(1, n + 1):
+        moment = wheels.start[0] + k / (n + 1) * whole
+        begin = f"from {moment:.0f} s on"
+        later = wheels.middle > moment
+        out.append(
+            _scales(
+                rows,
+                wheels,
+                "jump",
+                f"by a scale that changes once, {begin}",
+                [(begin, part, later) for part in PARTS],
+                choice_price=float(np.log(n)),
+            )
+        )
+    return out
+
+
+def _speeds(wheels: WheelIncrements) -> list[Scale]:
+    v, omega = np.abs(wheels.rates).T
+    fastest = float(np.quantile(v, 0.98)) / SETTINGS.reference_speed
+    cuts = np.array(SETTINGS.speed_cuts) * max(1.0, fastest)
+    rate_cuts = np.array(SETTINGS.rate_cuts) * max(1.0, float(np.quantile(omega, 0.98)))
+    out: list[Scale] = [(f"|v| above {c:.2f} m/s", "way", v > c) for c in cuts]
+    return out + [(f"|omega| above {c:.2f} rad/s", "turn", omega > c) for c in rate_cuts]
+
+
+def _accelerations(wheels: WheelIncrements) -> list[Scale]:
+    kernel = np.ones(5) / 5
+    smooth = np.stack(
+        [np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in wheels.rates.T], axis=1
+    )
+    acceleration = np.abs(np.gradient(smooth, wheels.middle, axis=0))
+    a, alpha = np.quantile(acceleration, SETTINGS.acceleration_quantile, axis=0)
+    return [
+        (f"above {a:.2f} m/s²", "way", acceleration[:, 0] > a),
+        (f"above {alpha:.2f} rad/s²", "turn", acceleration[:, 1] > alpha),
+    ]
+
+
+def _cells(rows: OdometryRows, wheels: WheelIncrements) -> list[Scale]:
+    """Return the cells of the raster that the robot drove through most."""
+    cells = np.floor(rows.increment_poses[:, :2] / SETTINGS.cell).astype(np.intp)
+    keys, cell = np.unique(cells, axis=0, return_inverse=True)
+    travel = np.bincount(cell.ravel(), weights=np.abs(wheels.distance))
+    large = np.argsort(-travel)[: SETTINGS.max_cells]
+    large = large[travel[large] > SETTINGS.min_cell_travel]
+    centres = (keys + 0.5) * SETTINGS.cell
+    return [
+        (f"round ({centres[k][0]:.1f}, {centres[k][1]:.1f})", "way and turn", cell.ravel() == k)
+        for k in large
+    ]
+
+
+def _clock_pieces(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
+    """Return the family of clock offsets that change in time."""
+    n = SETTINGS.n_clock_pieces
+    share = (rows.stamps - rows.stamps[0]) / np.ptp(rows.stamps)
+    piece = np.clip((n * share).astype(np.intp), 0, n - 1)
+    columns = [rows.masked(((piece == k)[:, None] * rows.slopes).T.ravel()) for k in range(n)]
+    return StructureFamily(
+        kind="clock",
+        columns=np.stack(columns, axis=1),
+        labels=[f"{span}, clock" for span in _spans(wheels, n)],
+        sigma=SETTINGS.scale_sigma,
+        statement="by a clock offset that changes in time",
+    )
+
+
+def _distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureFamily]:
+    """Return families of a reference that is distorted over the place.
+
+    Parameters
+    ----------
+    distance : (n,) [m] of the wheels; steps of the reference itself would bring its noise into the columns
+    """
+    xy = (rows.averages[1:, :2] + rows.averages[:-1, :2]) / 2
+    low, size = xy.min(axis=0), float(np.ptp(xy, axis=0).max())
+    u, v = ((xy - low) / size).T
+    c, s = np.cos(rows.poses[:, 2]), np.sin(rows.poses[:, 2])
+    du, dv = distance * c / size, distance * s / size
+    # change over a row of the waves cos(π a u) cos(π b v), and of the powers u^a v^b about the middle
+    waves = [
+        -np.pi * a * np.sin(np.pi * a * u) * np.cos(np.pi * b * v) * du
+        - np.pi * b * np.cos(np.pi * a * u) * np.sin(np.pi * b * v) * dv
+        for a in range(HIGHEST_WAVE)
+        for b in range(HIGHEST_WAVE)
+        if 0 < a + b < HIGHEST_WAVES
+    ]
+    u, v = u - 0.5, v - 0.5
+    powers = [
+        a * u ** max(a - 1, 0) * v**b * du + b * u**a * v ** max(b - 1, 0) * dv
+        for a in range(HIGHEST_POWER)
+        for b in range(HIGHEST_POWER)
+        if 0 < a + b < HIGHEST_POWER
+    ]
+    nothing = np.zeros(rows.n)
+    yaw = [rows.masked(np.concatenate([nothing, wave])) for wave in waves]
+    position = [rows.masked(np.concatenate([axis * p, nothing])) for p in powers for axis in (c, s)]
+    return [
+        StructureFamily(
+            kind="reference yaw",
+            columns=np.stack(yaw, axis=1),
+            labels=["yaw of the reference by place"] * len(yaw),
+            sigma=SETTINGS.yaw_sigma,
+            statement="by a yaw of the reference that depends on the place",
+        ),
+        StructureFamily(
+            kind="reference place",
+            columns=np.stack(position, axis=1),
+            labels=["position of the reference by place"] * len(position),
+            sigma=SETTINGS.position_sigma,
+            statement="by a position of the reference that is distorted over the place",
+        ),
+    ]
+
+
+def _spans(wheels: WheelIncrements, n: int) -> list[str]:
+    """Return labels of n equal pieces of the run."""
+    edges = np.linspace(wheels.start[0], wheels.end[-1], n + 1)
+    return [f"{a:.0f} to {b:.0f} s" for a, b in pairwise(edges)]

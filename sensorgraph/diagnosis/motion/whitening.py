@@ -1,0 +1,144 @@
+"""Whitening: filters that turn correlated noise into white noise of unit variance.
+
+Least squares on whitened rows is generalised least squares (Aitken 1935; Cochrane and Orcutt 1949). The noise is what
+the run shows, not what robot.yaml says: an autoregressive filter fitted to the residual by Yule and Walker's equations
+(Box and Jenkins 1970, section 7.3), with Huber's weights against outliers (Huber 1964). So correlated cameras and wrong
+tolerances change the weights and not the names.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_toeplitz
+
+from sensorgraph.types import Bools, Floats
+
+MAD_TO_SIGMA = 1.4826
+"""Standard deviation of a Gaussian over its median absolute deviation."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WhiteningFilter:
+    """A prediction-error filter: what the past of a series does not predict, over its standard deviation."""
+
+    taps: Floats
+    """(order + 1,) the first is 1."""
+    sigma: float
+    """Standard deviation of the filtered series."""
+
+    def __call__(self, columns: Floats) -> Floats:
+        """Return columns (n, ...) filtered along time and divided by sigma."""
+        out = np.zeros_like(columns, dtype=np.float64)
+        for lag, tap in enumerate(self.taps.tolist()):
+            out[lag:] += tap * columns[: len(columns) - lag]
+        return out / self.sigma
+
+    @classmethod
+    def white(cls, order: int, sigma: float) -> WhiteningFilter:
+        """Return the filter of noise that is white already."""
+        return cls(taps=np.eye(1, order + 1)[0], sigma=sigma)
+
+
+def fit_autoregression(series: Floats, valid: Bools, order: int) -> WhiteningFilter:
+    """Fit an autoregressive model to the valid part of a series (n,)."""
+    n = max(int(valid.sum()), 1)
+    x = np.where(valid, series, 0.0)
+    autocovariance = np.array([x[: len(x) - k] @ x[k:] for k in range(order + 1)]) / n
+    autocovariance[0] = max(autocovariance[0] * (1 + 1e-6), 1e-18)
+    return filter_of(autocovariance, min_innovation=1e-3)
+
+
+def filter_of(autocovariance: Floats, min_innovation: float) -> WhiteningFilter:
+    """Return the filter that whitens a process of this autocovariance (order + 1,).
+
+    Parameters
+    ----------
+    min_innovation : least share of the variance that the past does not predict
+    """
+    coefficients = solve_toeplitz(autocovariance[:-1], autocovariance[1:])
+    variance = max(autocovariance[0] - coefficients @ autocovariance[1:], min_innovation * autocovariance[0])
+    return WhiteningFilter(taps=np.concatenate([[1.0], -coefficients]), sigma=float(np.sqrt(variance)))
+
+
+def clipped(residual: Floats, valid: Bools, limit: float, floor: float) -> Floats:
+    """Return a residual (n,) cut at `limit` robust standard deviations, at least at `floor`."""
+    most = limit * MAD_TO_SIGMA * np.median(np.abs(residual[valid])) + floor
+    return np.clip(residual, -most, most)
+
+
+def huber_weights(white: Floats, limit: float) -> Floats:
+    """Return weights in (0, 1] for residuals in standard deviations."""
+    return np.minimum(1.0, limit / np.maximum(np.abs(white), 1e-9))
+
+
+def huber_loss(white: Floats, limit: float) -> Floats:
+    """Return Huber's loss of whitened residuals [nats]."""
+    size = np.abs(white)
+    return np.where(size < limit, 0.5 * size**2, limit * size - 0.5 * limit**2)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Whitener:
+    """Whitens rows of two kinds, translation and rotation, one kind after the other."""
+
+    filters: tuple[WhiteningFilter, WhiteningFilter]
+    valid: Bools
+    """(n,) rows of each kind that count."""
+    weights: Floats
+    """(2 n,) by which whitened rows are multiplied."""
+
+    @classmethod
+    def plain(cls, filters: tuple[WhiteningFilter, WhiteningFilter], valid: Bools) -> Whitener:
+        """Weigh all rows alike."""
+        return cls(filters=filters, valid=valid, weights=np.ones(2 * len(valid)))
+
+    @classmethod
+    def robust(
+        cls,
+        filters: tuple[WhiteningFilter, WhiteningFilter],
+        valid: Bools,
+        residual: Floats,
+        limit: float,
+    ) -> Whitener:
+        """Weigh rows by the residual (2 n,): beyond `limit` standard deviations, by its size and not its square."""
+        white = cls.plain(filters, valid)(residual)
+        return cls(filters=filters, valid=valid, weights=np.sqrt(huber_weights(white, limit)))
+
+    def __call__(self, columns: Floats) -> Floats:
+        """Return rows (2 n,) or columns (2 n, k) whitened along time and weighted; 0 where not valid."""
+        out = np.concatenate(
+            [f(part) for f, part in zip(self.filters, both_kinds(columns, len(self.valid)), strict=True)]
+        )
+        keep = np.where(self.valid_rows, self.weights, 0.0)
+        out *= keep if out.ndim == 1 else keep[:, None]
+        return out
+
+    @property
+    def valid_rows(self) -> Bools:
+        """(2 n,)"""
+        return np.concatenate([self.valid, self.valid])
+
+    @property
+    def sigmas(self) -> Floats:
+        """(2,) of the filtered rows of each kind."""
+        return np.array([f.sigma for f in self.filters])
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of rows whose noise is as fitted, without constants [nats]."""
+        return -float(self.valid.sum()) * float(np.log(self.sigmas).sum())
+
+    def nats_and_rms(self, residual: Floats) -> tuple[float, float]:
+        """Return mean negative log-likelihood and RMS of a whitened residual (2 n,), all rows weighed alike."""
+        some = self.valid_rows
+        white = Whitener.plain(self.filters, self.valid)(residual)[some]
+        sigma = np.repeat(self.sigmas, len(self.valid))[some]
+        nats = float(np.mean(0.5 * white**2 + np.log(sigma * np.sqrt(2 * np.pi))))
+        return nats, float(np.sqrt(np.mean(white**2)))
+
+
+def both_kinds(rows: Floats, n: int) -> tuple[Floats, Floats]:
+    """Return rows (2 n, ...) of translation and of rotation."""
+    return rows[:n], rows[n:]
