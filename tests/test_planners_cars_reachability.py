@@ -1,4 +1,4 @@
-"""A Dubins car's flood of the floor finds ways through gaps that random samples miss, and only ways there and back."""
+"""A Dubins car's wavefront over the floor finds paths through gaps that random samples miss, and only paths there and back."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_a_pose_leads_back_where_a_way_from_it_comes_back_and_not_out_of_a_corne
     assert not ways.can_return(trapped, START).any()
 
 
-def test_what_a_flood_of_all_that_leads_back_did_not_find_is_not_looked_for_again(
+def test_what_an_exhaustive_wavefront_did_not_find_is_not_looked_for_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     task = task_of(door_arena(0.0), "dubins", START)
@@ -93,7 +93,9 @@ def test_what_a_flood_of_all_that_leads_back_did_not_find_is_not_looked_for_agai
     assert ways.path_to_any(behind | some(task, (4, 6, 2)), START) is not None
 
 
-def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_flood(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_wavefront(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     task = task_of(door_arena(0.6), "dubins", START)
     todo = np.zeros_like(task.coverage.reachable)
     todo[11:13, 5:7] = True

@@ -1,4 +1,4 @@
-"""A trip's log is that of its curves in one, however it grew; and it can go on from earlier."""
+"""The log of a partial drive is that of its curves in one, however it grew; and it can go on from earlier."""
 
 from __future__ import annotations
 

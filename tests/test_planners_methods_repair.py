@@ -106,7 +106,7 @@ def test_more_bins_are_driven_to_one_by_one_than_queries_may_be_in_vain() -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("drive", ["reeds_shepp", "dubins"])
-def test_a_search_whose_flood_gives_up_goes_on_where_ompl_has_brought_the_car(drive: Drive) -> None:
+def test_a_search_that_gives_up_goes_on_where_ompl_has_brought_the_car(drive: Drive) -> None:
     task = task_of(door_arena(1.2), drive, START)
     todo = np.zeros_like(task.coverage.reachable)
     todo[11:13, 5:7] = True

@@ -1,4 +1,4 @@
-"""The wave that guides a car's flood: nought in a missing bin, endless behind a wall, and about the time it takes."""
+"""The cost-to-go map of a car: nought in a missing bin, endless behind a wall, and about the time it takes."""
 
 from __future__ import annotations
 

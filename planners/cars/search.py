@@ -39,7 +39,7 @@ def search_floor(
     search.start_at(entered.state)
     missing, given_up = todo, np.zeros_like(todo)
     curve: Curve | None = None
-    for part, patience in [
+    for part, dwell in [
         *((room, 1.0) for room in order_rooms(todo, start, task)),
         (None, 1.0),
         *((None, dwell) for dwell in COVERAGE.retry_dwell),
@@ -48,7 +48,7 @@ def search_floor(
         if not wanted.any():
             continue
         others = int(missing.sum() - wanted.sum())
-        search.want(wanted, patience, inner=False)
+        search.want(wanted, dwell, inner=False)
 
         def tick_all(left: int, others: int = others) -> bool:
             return tick(others + left)

@@ -17,7 +17,7 @@ from planners.joins.paths import connect
 from planners.methods.parallel_search import free_place, primitives_of, search_in_parallel
 from planners.methods.repair_spins import SpinRepair
 from planners.methods.settings import COVERAGE
-from planners.methods.stop_and_spin import wanted
+from planners.methods.stop_and_spin import bins_to_visit
 from planners.priority import cell_bands
 from planners.rooms import cell_graph, rooms, shortest_sequence
 from planners.search.area import search_area
@@ -35,7 +35,7 @@ SAME_PLACE = 1e-9
 
 def plan_spins(task: Task) -> PlannedDrive:
     """Plan the drive of a robot that turns in place: it never stops turning, and the search chooses its speed."""
-    todo = wanted(task)
+    todo = bins_to_visit(task)
     primitives = primitives_of(task)
     level = cell_bands(task.priority, todo, task.reach.cell)
     bands = [todo & (level == band)[:, :, None] for band in np.unique(level[todo.any(axis=2)])]
@@ -84,16 +84,16 @@ def _search_room(
     search.start_at(np.array([*start, 0.0, 0.0]))
     search.complete(tick)
     given_up = search.given_up | search.world.need
-    for patience in COVERAGE.retry_dwell:
+    for dwell in COVERAGE.retry_dwell:
         again = area.part(_missed_by(search, primitives, task, need)) & ~given_up
         if not again.any():
             break
-        search.want(again, patience, inner=False)
+        search.want(again, dwell, inner=False)
         search.run(tick)
     if not search.come_to_rest():
         return None
-    found = search.result()
-    curve = spin_curve(found, primitives, task.vehicle.limits.alpha)
+    result = search.result()
+    curve = spin_curve(result, primitives, task.vehicle.limits.alpha)
     return RoomDrive(curve=curve, stops=_revolutions(curve, primitives), left=int(given_up.sum()))
 
 

@@ -31,10 +31,10 @@ def plan_stop_and_spin(task: Task) -> PlannedDrive:
         raise PlanError(
             f"planner stop_and_spin turns on the spot, which drive {task.vehicle.drive!r} cannot; use the planner coverage"
         )
-    return StopAndSpinPlanner(task, wanted(task)).run()
+    return StopAndSpinPlanner(task, bins_to_visit(task)).run()
 
 
-def wanted(task: Task) -> Bools:
+def bins_to_visit(task: Task) -> Bools:
     """Return (nx, ny, n_phi) the bins to visit: those still missing, and those of cells that almost count as reachable.
 
     Raises
@@ -54,7 +54,7 @@ class StopAndSpinPlanner:
 
     def __init__(self, task: Task, todo: Bools) -> None:
         self.task, self.todo = task, todo
-        self.limit = task.reach.clearance
+        self.clearance = task.reach.clearance
         width = 2 * np.pi / task.coverage.headings
         self.spin = width * task.rate / LOG.dwell_periods
         self.joins = JoinCounts()
@@ -87,7 +87,7 @@ class StopAndSpinPlanner:
         """Drive through all cells with a bin in `todo`."""
         cells = standing_places(self.task.reach, self.task.barriers, todo)
         sequence = self._sequence(cells, todo)
-        stops = zigzag(cells, sequence, self.task, self.limit)
+        stops = zigzag(cells, sequence, self.task, self.clearance)
         here = self._here()
         ends = stops if here is None else np.concatenate([here[None, :2], stops])
         paths, joins = connect(
@@ -96,7 +96,7 @@ class StopAndSpinPlanner:
         needs: list[Bools | None] = [todo[tuple(cells.index[k])] for k in sequence.tolist()]
         if here is not None:
             needs = [None, *needs]
-        self._draw(ends, needs, paths, joins)
+        self._add_stops(ends, needs, paths, joins)
 
     def _here(self) -> Floats | None:
         return self.task.start if self.builder is None else self.builder.pose
@@ -113,7 +113,7 @@ class StopAndSpinPlanner:
             found.append(members[_lanes(_subset(cells, members), last, self.task)])
         return np.concatenate(found)
 
-    def _draw(
+    def _add_stops(
         self, ends: Floats, needs: list[Bools | None], paths: list[Floats | None], joins: JoinCounts
     ) -> None:
         """Add the stops one by one; each is left in the direction of the next one that can be reached."""
@@ -123,7 +123,7 @@ class StopAndSpinPlanner:
             if path is not None and not np.array_equal(path[0], route[-1][0]):
                 path = None  # the stop before could not be reached
             if path is None:
-                path = self._around([point for point, _, _ in route], ends[k + 1], stuck)
+                path = self._path_around([point for point, _, _ in route], ends[k + 1], stuck)
             stuck = stuck + 1 if path is None else 0
             if path is None:
                 continue
@@ -132,7 +132,9 @@ class StopAndSpinPlanner:
             route.append((path[-1], needs[k + 1], label))
         self.joins += joins
         points = np.array([point for point, _, _ in route])
-        roomy = self.task.barriers.are_clear(points[:-1], points[1:], self.limit + STOP_AND_SPIN.blend_room)
+        roomy = self.task.barriers.are_clear(
+            points[:-1], points[1:], self.clearance + STOP_AND_SPIN.blend_room
+        )
         roomy = np.concatenate([[False], roomy, [False]])
         blend = np.where(roomy[:-1] & roomy[1:], STOP_AND_SPIN.overlap, 0.0)  # (n stops,)
         builder = self.builder or CurveBuilder(
@@ -148,7 +150,7 @@ class StopAndSpinPlanner:
             if self.task.progress and (k % 50 == 49 or k == len(route) - 1):
                 self.task.progress(k + 1, len(route))
 
-    def _around(self, route: list[Floats], target: Floats, stuck: int) -> Floats | None:
+    def _path_around(self, route: list[Floats], target: Floats, stuck: int) -> Floats | None:
         """Find another path to a stop; if the last stops could not be reached either, go back along the route first."""
         back = [0] if not stuck else [b for b in STOP_AND_SPIN.step_back if b < len(route)]
         froms = np.array([route[-1 - b] for b in back])
