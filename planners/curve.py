@@ -24,7 +24,7 @@ SAMPLES_AT_A_TIME = 1 << 16
 """Samples worked on at a time, so that days of driving fit in memory."""
 SHORTEST_MOVE = 1e-9
 """[m, rad] Moves and turns below this are none."""
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # constants of compiled code, see `planners.kernel`
 
 Profile = tuple[Floats, Floats]
 """Durations (k,) [s] and accelerations (k,) of one rest-to-rest motion."""

@@ -10,7 +10,8 @@ import numpy as np
 Drive = Literal["diff", "reeds_shepp", "dubins"]
 DRIVES: tuple[str, ...] = get_args(Drive)
 SHORTEST_ARC = 0.01
-"""[m] that a car drives on one arc, at least: to turn its wheels there and back takes time."""
+"""[m] that a car drives on one arc, at least: to turn its wheels there and back takes time. A constant of compiled code,
+see `planners.kernel`."""
 
 
 @dataclass(frozen=True, kw_only=True)

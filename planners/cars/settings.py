@@ -2,6 +2,8 @@
 
 All were set with `python benchmarks/coverage_planners.py --drive reeds_shepp` and `--drive dubins`, for the arenas
 `square office` and for random offices (`--arena --random 10 --first 1`): driving time, coverage and processor time.
+
+Some are constants of compiled code. `planners.kernel` compiles anew after a change of any file that names it, as this one.
 """
 
 from __future__ import annotations

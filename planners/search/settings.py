@@ -1,4 +1,7 @@
-"""The tuned numbers of the search: what they mean, and the command that set them."""
+"""The tuned numbers of the search: what they mean, and the command that set them.
+
+Some are constants of compiled code. `planners.kernel` compiles anew after a change of any file that names it, as this one.
+"""
 
 from __future__ import annotations
 
