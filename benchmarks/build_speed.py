@@ -1,6 +1,6 @@
 """How long `build` takes for 50,000 scans x 181 rays of the office, on one core, and how much memory.
 
-    python benchmarks/build_speed.py [--scans 50000] [--file RUN.mcap]
+    python -m benchmarks.build_speed [--scans 50000] [--file RUN.mcap]
 
 Compilation is done before (on 300 scans). With `--file` the scans are written to that MCAP file and streamed from it.
 """

@@ -19,8 +19,8 @@ from planners.types import Floats
 from robotmodic_ident import IdentError, Narmax, fit, polynomial
 from robotmodic_ident.analysis import lyapunov, lyapunov_along, lyapunov_of_series, states_of, without_noise
 
-SEEDS = range(900, 905)
-PERIOD = 0.03  # [s] of the Lorenz samples
+LORENZ_SEEDS = range(900, 905)
+SAMPLE_PERIOD = 0.03  # [s] of the Lorenz samples
 
 
 def henon(n: int) -> Floats:
@@ -45,7 +45,7 @@ def lorenz(n: int) -> Floats:
     def flow(s: Floats) -> Floats:
         return np.array([10 * (s[1] - s[0]), s[0] * (28 - s[2]) - s[1], s[0] * s[1] - 8 / 3 * s[2]])
 
-    h, s, out = PERIOD / 10, np.ones(3), []
+    h, s, out = SAMPLE_PERIOD / 10, np.ones(3), []
     for k in range(10 * (n + 500)):
         a = flow(s)
         b = flow(s + h / 2 * a)
@@ -98,7 +98,7 @@ def of_lorenz(clean: Floats) -> Callable[[float, int], list[float]]:
         table = noisy(clean, share, rng)
         data = dict(zip("xyz", table.T, strict=True))
         models = [fit(data, v, terms, search="forward") for v in "xyz"]
-        return [math.nan, free(models, table, rng, PERIOD), math.nan]
+        return [math.nan, free(models, table, rng, SAMPLE_PERIOD), math.nan]
 
     return estimate
 
@@ -113,7 +113,7 @@ def main() -> None:
     print("| system | noise | truth | series | model | cleaned |\n|---|---:|---:|---:|---:|---:|")
     for name, truth, estimate, shares in systems:
         for share in shares:
-            found = np.array([estimate(share, seed) for seed in SEEDS]) / truth - 1
+            found = np.array([estimate(share, seed) for seed in LORENZ_SEEDS]) / truth - 1
             cells = []
             for column in found.T:
                 known = column[np.isfinite(column)]

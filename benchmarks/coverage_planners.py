@@ -1,9 +1,9 @@
 """Planners of coverage side by side: what they cover, how long that drives, and how long it takes to plan.
 
-    python benchmarks/coverage_planners.py                     # square, office, the coverage search, stops and spins
-    python benchmarks/coverage_planners.py --arena --random 10 --planner coverage   # ten random offices
-    python benchmarks/coverage_planners.py --drive dubins --arena square
-    python benchmarks/coverage_planners.py --race square office -o docs/coverage_by_time.png
+    python -m benchmarks.coverage_planners                     # square, office, the coverage search, stops and spins
+    python -m benchmarks.coverage_planners --arena --random 10 --planner coverage   # ten random offices
+    python -m benchmarks.coverage_planners --drive dubins --arena square
+    python -m benchmarks.coverage_planners --race square office -o docs/coverage_by_time.png
 
 The random offices are those of `benchmarks/offices.py`, made by code of their own: seeds 1001 on for reports, on which
 nothing was tuned, and `--first 1` for development. `s/10k` is the time to plan 10,000 bins, `cpu` the processor time in
@@ -27,9 +27,9 @@ from planners.vehicle import Drive, Limits, Vehicle
 from sensorgraph.loading import load_arena
 from sensorgraph.show.figures.drives import growth_picture
 
-FIRST = 1001
+FIRST_SEED = 1001
 """Seed of the first random office."""
-HEAD = f"{'arena':12} {'planner':14} {'bins':>7} {'cover':>10} {'core':>6} {'T/Tref':>7} {'s/10k':>6} {'cpu':>6} {'viol':>5} {'clear':>6}"
+TABLE_HEAD = f"{'arena':12} {'planner':14} {'bins':>7} {'cover':>10} {'core':>6} {'T/Tref':>7} {'s/10k':>6} {'cpu':>6} {'viol':>5} {'clear':>6}"
 
 
 def main() -> None:
@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--planner", nargs="*", default=["coverage", "stop_and_spin"])
     parser.add_argument("--drive", default="diff", choices=["diff", "reeds_shepp", "dubins"])
     parser.add_argument("--random", type=int, default=0, help="count of random offices")
-    parser.add_argument("--first", type=int, default=FIRST, help="seed of the first of them")
+    parser.add_argument("--first", type=int, default=FIRST_SEED, help="seed of the first of them")
     parser.add_argument("--race", nargs="+", help="draw coverage against driving time in these arenas")
     parser.add_argument("-o", "--out", type=Path, default=Path("race.png"))
     options = parser.parse_args()
@@ -52,7 +52,7 @@ def main() -> None:
         f"office {k}": geojson.loads(office(k)) for k in range(options.first, options.first + options.random)
     }
     planners = options.planner if options.drive == "diff" else ["coverage"]
-    print(HEAD)
+    print(TABLE_HEAD)
     for planner in planners:
         rows = [row(name, arena, planner, options.drive) for name, arena in arenas.items()]
         if options.random:

@@ -27,14 +27,14 @@ from sensorgraph.world.wall_distance import WallDistance
 
 SHARES = (0.1, 0.25, 0.5, 0.75, 1.0)
 """Of the reference time."""
-DRIVES: tuple[Drive, ...] = ("diff", "reeds_shepp", "dubins")
+COMPARED_DRIVES: tuple[Drive, ...] = ("diff", "reeds_shepp", "dubins")
 
 
 def main() -> None:
     """Print a row for each arena and drive."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--arena", nargs="+", default=["square", "office"])
-    parser.add_argument("--drive", nargs="+", default=list(DRIVES), choices=DRIVES)
+    parser.add_argument("--drive", nargs="+", default=list(COMPARED_DRIVES), choices=COMPARED_DRIVES)
     parser.add_argument("--minutes", type=float, default=15.0, help="of random driving")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()

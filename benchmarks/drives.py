@@ -17,13 +17,13 @@ from sensorgraph.world.robot import Robot, default_robot
 from sensorgraph.world.simulate import simulate
 from sensorgraph.world.wall_distance import WallDistance
 
-PERIOD = 0.25  # [s] of the paper's log
+LOG_PERIOD = 0.25  # [s] of the paper's log
 
 
 def robot_of_the_paper() -> Robot:
     """Return the shipped robot, logging and steering every 250 ms."""
     robot = default_robot()
-    return replace(robot, sensor=replace(robot.sensor, rate=1 / PERIOD))
+    return replace(robot, sensor=replace(robot.sensor, rate=1 / LOG_PERIOD))
 
 
 def closed_loop(

@@ -18,7 +18,6 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from sensorgraph.evaluation.evaluate.evaluate import Evaluation, evaluate
 
 from logs.run import Run, pair
 from planners import plan
@@ -27,6 +26,7 @@ from planners.trajectory import Trajectory
 from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.demo import check_run
+from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import load_arena
 from sensorgraph.planning.priority import doubt
@@ -37,8 +37,8 @@ from sensorgraph.world.robot import Robot, default_robot
 from sensorgraph.world.simulate import simulate
 from sensorgraph.world.wall_distance import WallDistance
 
-MINUTES = (2, 5, 10, 20, 40)
-FIRST = 5.0
+ALL_MINUTES = (2, 5, 10, 20, 40)
+FIRST_MINUTES = 5.0
 """[min] after which the next run is planned by what the graph does not know."""
 SECONDS_A_VIEW = 8.0
 """Of a tour, to start with; the number of views is then set by how long that tour took."""
@@ -48,7 +48,7 @@ Drive = Callable[[float], list[Run]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class DriveScore:
     """One graph: how it was driven for, how long, and how good it is on fresh poses."""
 
     way: str
@@ -113,7 +113,7 @@ class Place:
 
 def ways(place: Place) -> dict[str, Drive]:
     """Return the ways of driving that are compared."""
-    most = max(MINUTES)
+    most = max(ALL_MINUTES)
 
     def one_drive(planner: str, cell: float) -> Drive:
         driven = cache(lambda: place.planned(planner, cell, most))
@@ -121,16 +121,16 @@ def ways(place: Place) -> dict[str, Drive]:
 
     @cache
     def start() -> tuple[Run, Sensorgraph]:
-        runs = coarse(FIRST)
+        runs = coarse(FIRST_MINUTES)
         return runs[0], build(runs)
 
     def then(next_run: Callable[[Sensorgraph, Floats, float], Run]) -> Drive:
         def both(minutes: float) -> list[Run]:
-            if minutes <= FIRST:
+            if minutes <= FIRST_MINUTES:
                 return coarse(minutes)
             run, graph = start()
             here = pair(run).poses[-1]
-            return [run, place.cut(next_run(graph, here, minutes - FIRST), minutes - FIRST)]
+            return [run, place.cut(next_run(graph, here, minutes - FIRST_MINUTES), minutes - FIRST_MINUTES)]
 
         return both
 
@@ -169,7 +169,7 @@ def first(run: Run, minutes: float, thin: int) -> Run:
     return replace(run, stamps=run.stamps[keep], ranges=run.ranges[keep])
 
 
-def row(way: str, runs: list[Run], found: Evaluation) -> Row:
+def row(way: str, runs: list[Run], found: Evaluation) -> DriveScore:
     """Collect the numbers of one graph."""
     wrong, of_answered, median = (
         found.all["wrong_5cm"],
@@ -177,7 +177,7 @@ def row(way: str, runs: list[Run], found: Evaluation) -> Row:
         found.all["median_m"],
     )
     assert wrong is not None and of_answered is not None and median is not None
-    return Row(
+    return DriveScore(
         way=way,
         minutes=sum(float(run.stamps[-1]) for run in runs) / 60,
         scans=sum(run.n_scans for run in runs),
@@ -188,7 +188,7 @@ def row(way: str, runs: list[Run], found: Evaluation) -> Row:
     )
 
 
-def picture(rows: list[Row], path: Path) -> None:
+def picture(rows: list[DriveScore], path: Path) -> None:
     """Draw the share wrong and the share answered against minutes, a line for each way of driving."""
     figure = new_figure(11.0, 3.4)
     left, right = figure.subplots(1, 2)
@@ -210,7 +210,7 @@ def picture(rows: list[Row], path: Path) -> None:
     right.set_ylabel("rays answered [%]", color=INK)
     for axes in (left, right):
         axes.set_xscale("log")
-        axes.set_xticks(MINUTES, [str(m) for m in MINUTES])
+        axes.set_xticks(ALL_MINUTES, [str(m) for m in ALL_MINUTES])
         axes.minorticks_off()
         axes.set_xlabel("driven [min]", color=INK)
         axes.grid(color=SOLID, lw=0.6)
@@ -229,12 +229,12 @@ def main() -> None:
     options = parser.parse_args()
     arena, robot = load_arena(options.arena), default_robot()
     check = check_run(arena, robot, np.random.default_rng([options.seed, 99]))
-    rows: list[Row] = []
+    rows: list[DriveScore] = []
     print("| driven by | minutes | scans | wrong by > 5 cm | answered | of these wrong | median error |")
     print("|---|---:|---:|---:|---:|---:|---:|")
     place = Place(arena=arena, robot=robot, seed=options.seed, thin=options.thin)
     for way, drive in ways(place).items():
-        for minutes in MINUTES:
+        for minutes in ALL_MINUTES:
             runs = drive(minutes)
             rows.append(row(way, runs, evaluate(build(runs), check)))
             r = rows[-1]

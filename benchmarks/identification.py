@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 from robotmodic_ident import Moments, Scale, Terms, fit, lagged, lags, polynomial, select, validate
 from robotmodic_ident.selection.model_size import Search
 
-SEED = 800_000
+FIRST_DATA_SEED = 800_000
 CUBIC = polynomial(lags("y", 1, 2) + lags("u", 0, 2), 3)
 Signals = dict[str, np.ndarray]
 
@@ -99,7 +99,7 @@ def structure(n_seeds: int) -> None:
     for name, truth, terms, source, sigma, n in cases:
         hits = np.zeros(len(kinds), dtype=int)
         for seed in range(n_seeds):
-            rng = np.random.default_rng(SEED + seed)
+            rng = np.random.default_rng(FIRST_DATA_SEED + seed)
             record = simulate(truth, source(rng, n), sigma * rng.normal(size=n))
             moments = moments_of(record, terms)
             for j, (criterion, search) in enumerate(kinds):
@@ -119,7 +119,7 @@ def noise_orders(n_seeds: int) -> None:
         for ma in ((), (0.5,), (0.8,), (0.5, 0.3), (0.0, 0.5), (0.9, 0.5, 0.3)):
             order = exact = plain = 0
             for seed in range(n_seeds):
-                rng = np.random.default_rng(SEED + seed)
+                rng = np.random.default_rng(FIRST_DATA_SEED + seed)
                 u, e = rng.uniform(-1, 1, n), 0.5 * rng.normal(size=n)
                 record = simulate(MA_SYSTEM, u, lfilter([1.0, *ma], [1.0], e))
                 model = fit(record, "y", candidates, noise="auto")
@@ -142,7 +142,7 @@ def intervals(n_seeds: int) -> None:
         for estimator in ("ls", "els", "pem"):
             error, covered = [], []
             for seed in range(n_seeds):
-                rng = np.random.default_rng(SEED + seed)
+                rng = np.random.default_rng(FIRST_DATA_SEED + seed)
                 record = simulate(MA_SYSTEM, rng.uniform(-1, 1, n), rng.normal(size=n), ma)
                 model = fit(
                     record, "y", terms, n_terms=4, noise=0 if estimator == "ls" else 1, estimator=estimator
@@ -163,7 +163,7 @@ def alarms(n_seeds: int) -> None:
         single: dict[str, list[float]] = {}
         joint: dict[str, list[bool]] = {}
         for seed in range(n_seeds):
-            rng = np.random.default_rng(SEED + seed)
+            rng = np.random.default_rng(FIRST_DATA_SEED + seed)
             u = 0.5 * lfilter([1], [1, -0.7], rng.normal(size=1000))
             record = simulate(MA_SYSTEM, u, 0.5 * rng.normal(size=1000), ma)
             model = fit(record, "y", terms, n_terms=4, noise=1 if ma else 0)
@@ -228,7 +228,7 @@ def timed(call: Callable[[], object], repeats: int) -> float:
 
 def peers(n_peer_rays: int) -> None:
     """Time 181 rays x 20,000 poses, 35 terms of degree 3, 20 kept, beside the peers in the same run."""
-    columns, ranges = room(np.random.default_rng(SEED), 20_000, 181)
+    columns, ranges = room(np.random.default_rng(FIRST_DATA_SEED), 20_000, 181)
     terms = polynomial(list(columns), 3)
     scale = Scale()  # the peers do not scale either
 
@@ -298,7 +298,7 @@ def fastcan_order(columns: Signals, terms: Terms, y: np.ndarray, n_terms: int) -
 
 def streaming(n_poses: int) -> None:
     """Time moments and selection of 1,081 rays x n_poses in blocks that are made on the fly, and their memory."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(FIRST_DATA_SEED)
     n_rays, block = 1081, 8192
     terms = polynomial(["x", "y", "c", "s"], 3)
     scale = Scale.between({"x": (0, 10), "y": (0, 8), "c": (-1, 1), "s": (-1, 1)})
@@ -323,7 +323,7 @@ def streaming(n_poses: int) -> None:
     )
 
 
-COMMANDS = {
+BENCHMARKS = {
     "structure": (structure, 100),
     "noise": (noise_orders, 100),
     "intervals": (intervals, 400),
@@ -336,12 +336,12 @@ COMMANDS = {
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=COMMANDS)
+    parser.add_argument("what", choices=BENCHMARKS)
     parser.add_argument("--n", type=int, help="seeds, rays of the peers, or poses")
     arguments = parser.parse_args()
     if os.environ.get("OPENBLAS_NUM_THREADS") != "1":
         parser.error("set OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 first: processor time counts every thread")
-    run, n = COMMANDS[arguments.what]
+    run, n = BENCHMARKS[arguments.what]
     run(arguments.n or n)
 
 

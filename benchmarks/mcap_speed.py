@@ -1,6 +1,6 @@
 """Writing and reading laser scans in MCAP, ours beside mcap-ros2-support, in one run; prints a markdown table.
 
-    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python benchmarks/mcap_speed.py [--scans 10000] [--repeat 2]
+    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python -m benchmarks.mcap_speed [--scans 10000] [--repeat 2]
 
 Both write /scan only, zstd, with the peer's default chunk of 1 MiB and ours of 64 KiB; both end with ranges as
 arrays. CPU time of this process, the best of the repeats, so that a loaded machine disturbs little.
@@ -22,7 +22,7 @@ from mcap_ros2.writer import Writer
 import logs
 from logs.ros.definitions import definition
 
-RAYS = (181, 1081)
+RAY_COUNTS = (181, 1081)
 
 
 def make_run(n_scans: int, n_rays: int) -> logs.Run:
@@ -83,7 +83,7 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         ours, theirs = Path(folder) / "ours.mcap", Path(folder) / "theirs.mcap"
-        for n_rays in RAYS:
+        for n_rays in RAY_COUNTS:
             run = make_run(options.scans, n_rays)
             times = {
                 "write": (

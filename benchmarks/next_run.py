@@ -35,7 +35,7 @@ from sensorgraph.world.robot import Robot, default_robot
 from sensorgraph.world.simulate import simulate
 from sensorgraph.world.wall_distance import WallDistance
 
-N_RAYS = 91
+N_SENSOR_RAYS = 91
 DECIDED = NEXT_RUN.forecast.decided_nats
 
 
@@ -114,7 +114,7 @@ def main() -> None:
     parser.add_argument("--pairs", help="only these, comma-separated")
     options = parser.parse_args()
     robot = default_robot()
-    sensor = replace(robot.sensor, bearings=np.linspace(-np.pi / 2, np.pi / 2, N_RAYS))
+    sensor = replace(robot.sensor, bearings=np.linspace(-np.pi / 2, np.pi / 2, N_SENSOR_RAYS))
     robot = replace(robot, sensor=sensor)
     wanted = options.pairs.split(",") if options.pairs else None
     print(

@@ -27,11 +27,20 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Point, Prediction
 
 Floats = NDArray[np.float64]
-CELL = 0.05  # [m]
-STEP = 0.025  # [m] of the march
-CAP = 10.0  # [m] longest return that counts as a hit; rays are followed up to here
+GRID_CELL = 0.05  # [m]
+MARCH_STEP = 0.025  # [m] of the march
+MAX_HIT = 10.0  # [m] longest return that counts as a hit; rays are followed up to here
 THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
-COLUMNS = ("mae_m", "median_m", "rmse_m", "within_0.1m", "within_0.5m", "pearson_r", "chamfer_m", "f_score")
+SCORE_COLUMNS = (
+    "mae_m",
+    "median_m",
+    "rmse_m",
+    "within_0.1m",
+    "within_0.5m",
+    "pearson_r",
+    "chamfer_m",
+    "f_score",
+)
 
 
 class Map(Protocol):
@@ -55,27 +64,31 @@ class Grid:
 
     def __init__(self, poses: Floats, ranges: Floats, bearings: Floats) -> None:
         self.bearings = bearings
-        self.low = poses[:, :2].min(axis=0) - CAP - 2 * CELL
-        self.shape = np.ceil((poses[:, :2].max(axis=0) + CAP + 2 * CELL - self.low) / CELL).astype(np.int64)
+        self.low = poses[:, :2].min(axis=0) - MAX_HIT - 2 * GRID_CELL
+        self.shape = np.ceil(
+            (poses[:, :2].max(axis=0) + MAX_HIT + 2 * GRID_CELL - self.low) / GRID_CELL
+        ).astype(np.int64)
         n_cells = int(self.shape.prod())
         hits, passes = np.zeros(n_cells), np.zeros(n_cells)
         for start in range(0, len(poses), 32):
             p, r = poses[start : start + 32], ranges[start : start + 32]
-            hit = np.isfinite(r) & (r > 0.1) & (r < CAP)
+            hit = np.isfinite(r) & (r > 0.1) & (r < MAX_HIT)
             hits += np.bincount(self._cells(p, r[:, :, None])[hit].ravel(), minlength=n_cells)
-            reach = np.where(hit, r - CELL, np.where(r >= CAP, CAP, 0.0))  # +inf passes up to the cap
-            steps = np.arange(STEP / 2, CAP, STEP)
+            reach = np.where(
+                hit, r - GRID_CELL, np.where(r >= MAX_HIT, MAX_HIT, 0.0)
+            )  # +inf passes up to the cap
+            steps = np.arange(MARCH_STEP / 2, MAX_HIT, MARCH_STEP)
             cells = self._cells(p, np.broadcast_to(steps, (*r.shape, len(steps))))
-            seen = steps < np.nan_to_num(reach, posinf=CAP)[:, :, None]
-            passes += np.bincount(cells[seen], minlength=n_cells) * (STEP / CELL)
+            seen = steps < np.nan_to_num(reach, posinf=MAX_HIT)[:, :, None]
+            passes += np.bincount(cells[seen], minlength=n_cells) * (MARCH_STEP / GRID_CELL)
         self.share = np.where(hits > 0, hits / np.maximum(hits + passes, 1e-9), 0.0)
 
     def _cells(self, poses: Floats, distance: Floats) -> NDArray[np.int64]:
         """Return the cell at distances (n, n_rays, n_steps) along each ray."""
         angle = (poses[:, 2:3] + self.bearings)[:, :, None]
-        distance = np.where(np.isfinite(distance), np.clip(distance, 0.0, CAP), 0.0)
-        i = ((poses[:, 0, None, None] + distance * np.cos(angle) - self.low[0]) / CELL).astype(np.int64)
-        j = ((poses[:, 1, None, None] + distance * np.sin(angle) - self.low[1]) / CELL).astype(np.int64)
+        distance = np.where(np.isfinite(distance), np.clip(distance, 0.0, MAX_HIT), 0.0)
+        i = ((poses[:, 0, None, None] + distance * np.cos(angle) - self.low[0]) / GRID_CELL).astype(np.int64)
+        j = ((poses[:, 1, None, None] + distance * np.sin(angle) - self.low[1]) / GRID_CELL).astype(np.int64)
         inside = (i >= 0) & (j >= 0) & (i < self.shape[0]) & (j < self.shape[1])
         return np.where(inside, i * self.shape[1] + j, 0)
 
@@ -85,7 +98,7 @@ class Grid:
             np.empty((len(poses), len(self.bearings))),
             np.empty((len(poses), len(self.bearings)), bool),
         )
-        steps = np.arange(STEP / 2, CAP, STEP)
+        steps = np.arange(MARCH_STEP / 2, MAX_HIT, MARCH_STEP)
         for start in range(0, len(poses), 32):
             p = poses[start : start + 32]
             share = self.share[
@@ -115,7 +128,7 @@ class Tuned:
         ranges, found = self.made.cast(poses, self.threshold)
         ranges, found = ranges[:, rays], found[:, rays]
         constant: dict[str, Any] = {
-            "sigma": np.full(ranges.shape, CELL),
+            "sigma": np.full(ranges.shape, GRID_CELL),
             "p_no_return": np.where(found, 0.0, 1.0),
             "p_off": np.full(ranges.shape, 0.5),
             "answered": np.ones(ranges.shape, dtype=np.bool_),
@@ -130,7 +143,7 @@ def tuned(kind: type[Map], poses: Floats, ranges: Floats, bearings: Floats) -> d
     left_out = stretch % 5 == 2
     made = kind(poses[~left_out], ranges[~left_out], bearings)
     measured = ranges[left_out]
-    scored = np.isfinite(measured) & (measured > 0.1) & (measured < CAP)
+    scored = np.isfinite(measured) & (measured > 0.1) & (measured < MAX_HIT)
     mae, near = {}, {}
     for threshold in kind.thresholds:
         error = np.abs(made.cast(poses[left_out], threshold)[0] - measured)[scored]
@@ -143,7 +156,7 @@ def tuned(kind: type[Map], poses: Floats, ranges: Floats, bearings: Floats) -> d
 
 def line(label: str, result: Evaluation, seconds: float) -> str:
     """Format one row of the table."""
-    values = (result.all[name] for name in COLUMNS)
+    values = (result.all[name] for name in SCORE_COLUMNS)
     return (
         f"{label:<34}"
         + "".join(f"{value:>13.3f}" for value in values if value is not None)
@@ -157,12 +170,12 @@ def compare(run: Run, name: str, split: str) -> None:
     train = pairing.paired & ~held_out(run, split)
     poses, ranges, bearings = pairing.poses[train], run.ranges[train], run.sensor.bearings
     print(f"{name}, {split}: {int(train.sum())} scans to train, {run.sensor.n_rays} rays")
-    print(f"{'':<34}" + "".join(f"{column:>13}" for column in COLUMNS) + f"{'fit [s]':>9}")
+    print(f"{'':<34}" + "".join(f"{column:>13}" for column in SCORE_COLUMNS) + f"{'fit [s]':>9}")
     for model in ("polynomial", "cells"):
         start = time.perf_counter()
         graph = build([run], model=model, split=split)
         took = time.perf_counter() - start
-        print(line(model, evaluate(graph, run, split=split, cap=CAP), took), flush=True)
+        print(line(model, evaluate(graph, run, split=split, cap=MAX_HIT), took), flush=True)
     kinds: tuple[type[Map], ...] = (Grid, Tsdf)
     for kind in kinds:
         for label, threshold in tuned(kind, poses, ranges, bearings).items():
@@ -171,7 +184,7 @@ def compare(run: Run, name: str, split: str) -> None:
             took = time.perf_counter() - start
             origin = {"inputs": [], "split": split}
             wrapped = Sensorgraph(model=stand_in, sensor=run.sensor, pose_frame=run.pose_frame, origin=origin)
-            result = evaluate(wrapped, run, split=split, cap=CAP)
+            result = evaluate(wrapped, run, split=split, cap=MAX_HIT)
             print(line(f"{label} (threshold {threshold:g})", result, took), flush=True)
 
 

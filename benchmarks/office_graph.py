@@ -38,15 +38,15 @@ from sensorgraph.world.wall_distance import WallDistance
 SENSOR = RangeSensor(
     bearings=np.linspace(-np.pi / 2, np.pi / 2, 181), range_min=0.02, range_max=30.0, sigma=0.01
 )
-CLEAR = 0.2  # [m] that poses keep from walls
-CANDIDATES = 5  # for each view
-N_CHECK = 2000
+WALL_CLEARANCE = 0.2  # [m] that poses keep from walls
+CANDIDATES_PER_VIEW = 5  # for each view
+N_FRESH_POSES = 2000
 REPEATS = 5  # of a prediction; the fastest counts
 N_PLAIN = 20  # poses of the numpy path, which is slow
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class GraphScore:
     """One graph; shares in 0 ... 1."""
 
     within_3_sigma: float
@@ -65,7 +65,7 @@ class Row:
     """To plain numpy."""
 
 
-COLUMNS = {
+GRAPH_COLUMNS = {
     "within_3_sigma": ("within 3σ [%]", 100.0, 2),
     "wrong": ("wrong > 5 cm [%]", 100.0, 3),
     "answered": ("answered [%]", 100.0, 2),
@@ -92,7 +92,7 @@ def somewhere(arena: Arena, n: int, rng: np.random.Generator) -> Floats:
     while len(found) < n:
         some = rng.uniform([x0, y0, -np.pi], [x1, y1, np.pi], (n, 3))
         some = some[arena.contains(some[:, :2])]
-        far = [clearance(x, y) > CLEAR for x, y in some[:, :2]]
+        far = [clearance(x, y) > WALL_CLEARANCE for x, y in some[:, :2]]
         found = np.concatenate([found, some[far]])
     return found[:n]
 
@@ -101,11 +101,11 @@ def training(arena: Arena, n: int, rng: np.random.Generator, *, planned: bool) -
     """Return the poses (n, 3) that a graph is built from."""
     if not planned:
         return somewhere(arena, n, rng)
-    candidates = somewhere(arena, CANDIDATES * n, rng)
+    candidates = somewhere(arena, CANDIDATES_PER_VIEW * n, rng)
     return candidates[choose_views(candidates, lambda poses: cast(arena, poses, SENSOR).ranges, SENSOR, n)]
 
 
-def measure(arena: Arena, n: int, seed: int, *, planned: bool) -> Row:
+def measure(arena: Arena, n: int, seed: int, *, planned: bool) -> GraphScore:
     """Build from n poses and ask for fresh ones."""
     rng = np.random.default_rng([seed, 51])
     poses = training(arena, n, rng, planned=planned)
@@ -118,7 +118,7 @@ def measure(arena: Arena, n: int, seed: int, *, planned: bool) -> Row:
     clock = time.process_time()
     graph = build([run])
     fit = time.process_time() - clock
-    check = somewhere(arena, N_CHECK, np.random.default_rng([seed, 52]))
+    check = somewhere(arena, N_FRESH_POSES, np.random.default_rng([seed, 52]))
     truth = cast(arena, check, SENSOR).ranges
     said = graph.predict(check)
     hit = np.isfinite(truth)
@@ -126,7 +126,7 @@ def measure(arena: Arena, n: int, seed: int, *, planned: bool) -> Row:
     noisy = truth + SENSOR.sigma * rng.normal(size=truth.shape)
     answered = said.answered[hit]
     fast, plain = speeds(graph, check)
-    return Row(
+    return GraphScore(
         within_3_sigma=float((np.abs(said.mode - noisy)[hit] <= 3 * SENSOR.sigma).mean()),
         wrong=float((off > 0.05).mean()),
         answered=float(answered.mean()),
@@ -215,18 +215,20 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=1000)
     options = parser.parse_args()
     measure(arena_named("office"), 100, 0, planned=False)  # compiles
-    print("| poses | arena, seed | " + " | ".join(label for label, _, _ in COLUMNS.values()) + " |")
-    print("|---|---" + "|---:" * len(COLUMNS) + "|")
+    print("| poses | arena, seed | " + " | ".join(label for label, _, _ in GRAPH_COLUMNS.values()) + " |")
+    print("|---|---" + "|---:" * len(GRAPH_COLUMNS) + "|")
     for planned in (True, False):
         kind = f"{options.poses:,} {'planned' if planned else 'uniform'}"
-        rows: list[Row] = []
+        rows: list[GraphScore] = []
         for name in options.arenas.split(","):
             for seed in map(int, options.seeds.split(",")):
                 rows.append(measure(arena_named(name), options.poses, seed, planned=planned))
-                cells = [f"{scale * getattr(rows[-1], key):.{d}f}" for key, (_, scale, d) in COLUMNS.items()]
+                cells = [
+                    f"{scale * getattr(rows[-1], key):.{d}f}" for key, (_, scale, d) in GRAPH_COLUMNS.items()
+                ]
                 print(f"| {kind} | {name}, {seed} | " + " | ".join(cells) + " |", flush=True)
         means = []
-        for key, (_, scale, digits) in COLUMNS.items():
+        for key, (_, scale, digits) in GRAPH_COLUMNS.items():
             mean, half = interval(np.array([scale * getattr(row, key) for row in rows]))
             means.append(f"**{mean:.{digits}f}** ± {half:.{digits}f}")
         print(f"| **{kind}** | mean of {len(rows)} | " + " | ".join(means) + " |", flush=True)

@@ -9,7 +9,7 @@ import json
 
 import numpy as np
 
-WALL = 0.10  # [m] thickness of inner walls
+WALL_THICKNESS = 0.10  # [m] thickness of inner walls
 DOOR = 0.90  # [m]
 LEAST_ROOM = 2.8  # [m] side below which a room is not divided again
 
@@ -66,7 +66,7 @@ def _divide(space: Box, rng: np.random.Generator) -> tuple[list[Box], list[Corne
     a, b = (y0, y1) if along_x else (x0, x1)
     door = round(float(rng.uniform(a + 0.3, b - 0.3 - DOOR)), 2)
     pieces = [(a, door), (door + DOOR, b)]
-    half = WALL / 2
+    half = WALL_THICKNESS / 2
     if along_x:
         walls = [_box(cut - half, s, cut + half, e) for s, e in pieces]
         return [(x0, y0, cut - half, y1), (cut + half, y0, x1, y1)], walls

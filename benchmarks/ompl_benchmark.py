@@ -1,7 +1,7 @@
 """OMPL's own Benchmark tool over our coverage planner and planners of OMPL, on one problem.
 
-    python benchmarks/ompl_benchmark.py                                    # square arena, diff drive
-    python benchmarks/ompl_benchmark.py --drive reeds_shepp --runs 3 -o square.log
+    python -m benchmarks.ompl_benchmark                                    # square arena, diff drive
+    python -m benchmarks.ompl_benchmark --drive reeds_shepp --runs 3 -o square.log
 
 The others drive from start to goal; ours does so through every bin. The log is OMPL's, to be read by its
 ompl_benchmark_statistics. Nothing is simplified, since that would cut the drive through the bins short.
@@ -20,7 +20,7 @@ from planners.ompl_planner import CoveragePlanner, problem
 from planners.vehicle import Limits, Vehicle
 from sensorgraph.loading import load_arena
 
-COLUMNS = {
+OMPL_COLUMNS = {
     "solved BOOLEAN": "solved",
     "correct solution BOOLEAN": "correct",
     "time REAL": "time_s",
@@ -57,7 +57,7 @@ def main() -> None:
     benchmark.addPlanner(ours)
     benchmark.benchmark(request(options.runs, options.time))
     for name, run in runs(benchmark):
-        print(f"{name:24} " + "  ".join(f"{head} {run[key]}" for key, head in COLUMNS.items()))
+        print(f"{name:24} " + "  ".join(f"{head} {run[key]}" for key, head in OMPL_COLUMNS.items()))
     benchmark.saveResultsToFile(str(options.out))
     print(f"wrote {options.out}")
 

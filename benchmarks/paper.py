@@ -42,15 +42,15 @@ from sensorgraph.show.figures.style import (
     save_figure,
 )
 
-EVERY = 15
-RAY = "L67"
+SCAN_STRIDE = 15
+SHOWN_RAY = "L67"
 FULL = 28
 PAPER_R = 0.75
 LOWEST, HIGHEST = -12.0, 6.0
 """[m] drawn of what is predicted elsewhere."""
-MINUTES = 60.0
-START = np.array([1.0, 0.5, 0.0])
-SEED = 4  # of the reported figures; development used 0 to 3
+PAPER_MINUTES = 60.0
+START_POSE = np.array([1.0, 0.5, 0.0])
+REPORTED_SEED = 4  # of the reported figures; development used 0 to 3
 
 
 def said(s: Score) -> str:
@@ -61,10 +61,10 @@ def said(s: Score) -> str:
 def environment(folder: Path) -> None:
     """Print and draw the first experiment."""
     arena, robot = load_arena("square"), robot_of_the_paper()
-    follow = closed_loop("wall_following", arena, robot, START, MINUTES * 60, SEED)
-    elsewhere = closed_loop("random_bounce", arena, robot, START, MINUTES * 60, SEED + 1)
-    data = of_run(follow, [RAY, "x", "y"], every=EVERY)
-    question = Question(output=RAY, inputs=("x", "y"), lags=2)
+    follow = closed_loop("wall_following", arena, robot, START_POSE, PAPER_MINUTES * 60, REPORTED_SEED)
+    elsewhere = closed_loop("random_bounce", arena, robot, START_POSE, PAPER_MINUTES * 60, REPORTED_SEED + 1)
+    data = of_run(follow, [SHOWN_RAY, "x", "y"], every=SCAN_STRIDE)
+    question = Question(output=SHOWN_RAY, inputs=("x", "y"), lags=2)
     full = identify(data, replace(question, n_terms=FULL))
     few = identify(data, question)
     path = [identify(data, replace(question, n_terms=n)) for n in range(1, FULL + 1)]
@@ -85,15 +85,15 @@ def environment(folder: Path) -> None:
         "| asked about L67 | along the wall, second half: r (95 %) | RMSE [m] | elsewhere: r (95 %) | RMSE [m] |"
     )
     print("|---|---|---:|---|---:|")
-    there = of_run(elsewhere, [RAY, "x", "y"], every=EVERY).records
-    measured = [r.signals[RAY] for r in there]
+    there = of_run(elsewhere, [SHOWN_RAY, "x", "y"], every=SCAN_STRIDE).records
+    measured = [r.signals[SHOWN_RAY] for r in there]
     guesses = {"the polynomial of the run along the wall": [few.model.predict_osa(r) for r in there]}
     rows = {next(iter(guesses)): few.scores["one_step"]}
-    half = follow.n_scans // (2 * EVERY)
+    half = follow.n_scans // (2 * SCAN_STRIDE)
     for name, graph in graphs.items():
         guesses[name] = [_asked(graph, elsewhere)]
         known = _asked(graph, follow)[half:]
-        rows[name] = score([data.records[0].signals[RAY][half:]], [known])
+        rows[name] = score([data.records[0].signals[SHOWN_RAY][half:]], [known])
     for name, guess in guesses.items():
         print(f"| {name} | {said(rows[name])} | {said(score(measured, guess))} |")
     _draw_environment(
@@ -103,7 +103,7 @@ def environment(folder: Path) -> None:
 
 def _graphs(arena: Arena) -> dict[str, Sensorgraph]:
     """Drive a coverage plan once, and build both models from it."""
-    run = covered(arena, SEED + 2)
+    run = covered(arena, REPORTED_SEED + 2)
     minutes = run.stamps[-1] / 60
     return {
         f"faces, from a coverage run of {minutes:.0f} min": build([run]),
@@ -113,9 +113,9 @@ def _graphs(arena: Arena) -> dict[str, Sensorgraph]:
 
 def _asked(graph: Sensorgraph, run: Run) -> Floats:
     """Return what a graph says of the ray (n,) at the poses of every 15th scan."""
-    poses = pair(run).poses[::EVERY]
+    poses = pair(run).poses[::SCAN_STRIDE]
     there = poses_for(graph, "base_link", run.sensor.mount, poses)
-    return perceived(graph.predict(there).mode, rays_of(run.sensor, RAY))
+    return perceived(graph.predict(there).mode, rays_of(run.sensor, SHOWN_RAY))
 
 
 def _draw_environment(
@@ -173,11 +173,11 @@ FORMS: dict[str, dict[str, Any]] = {
 def task(folder: Path) -> None:
     """Print and draw the second experiment."""
     arena, robot = load_arena("square"), robot_of_the_paper()
-    follow = closed_loop("wall_following", arena, robot, START, MINUTES * 60, SEED)
+    follow = closed_loop("wall_following", arena, robot, START_POSE, PAPER_MINUTES * 60, REPORTED_SEED)
     print("| turn rate from the mean of L45 to L90 | terms | r on the second half (95 %) | RMSE [rad/s] |")
     print("|---|---:|---|---:|")
     found = {}
-    for every in (1, EVERY):
+    for every in (1, SCAN_STRIDE):
         data = of_run(follow, ["cmd_omega", "L45-90"], every=every)
         for label, form in FORMS.items():
             name = f"{label}, every {250 * every / 1000:g} s"

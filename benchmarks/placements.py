@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from benchmarks.occupancy_grid import CAP, Grid, Tuned, tuned
+from benchmarks.occupancy_grid import MAX_HIT, Grid, Tuned, tuned
 from logs import Run, pair, read
 from sensorgraph.building.build import build
 from sensorgraph.building.split import N_STRETCHES, held_out
@@ -29,7 +29,7 @@ from sensorgraph.graph import Sensorgraph
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-COLUMNS = ("mae_m", "median_m", "within_0.1m", "within_0.5m", "pearson_r")
+PLACEMENT_COLUMNS = ("mae_m", "median_m", "within_0.1m", "within_0.5m", "pearson_r")
 SMALLER_IS_BETTER = np.array([True, True, False, False, False])
 
 
@@ -50,8 +50,8 @@ def grid(train: Run) -> Sensorgraph:
 
 
 def row(result: Evaluation) -> Floats:
-    """Return the COLUMNS of an evaluation."""
-    return np.array([result.all[name] for name in COLUMNS], dtype=np.float64)
+    """Return the PLACEMENT_COLUMNS of an evaluation."""
+    return np.array([result.all[name] for name in PLACEMENT_COLUMNS], dtype=np.float64)
 
 
 def told(name: str, rows: Floats) -> str:
@@ -71,13 +71,13 @@ def compare(run: Run, name: str, placements: int) -> None:
     for k in range(placements):
         held = np.roll(first, round(k * fifth / placements))
         train, test = part(run, ~held), part(run, held)
-        rows["grid"].append(row(evaluate(grid(train), test, cap=CAP)))
-        result = evaluate(build([train], model="cells"), test, cap=CAP)
+        rows["grid"].append(row(evaluate(grid(train), test, cap=MAX_HIT)))
+        result = evaluate(build([train], model="cells"), test, cap=MAX_HIT)
         rows["cells"].append(row(result))
         answered.append(np.array([result.answered, result.answered_only["within_0.1m"]], dtype=np.float64))
         print(f"  placement {k}: cells " + " ".join(f"{v:.3f}" for v in rows["cells"][-1]), flush=True)
     both = {model: np.array(values) for model, values in rows.items()}
-    print(f"{name:<34}" + "".join(f"{column:>16}" for column in COLUMNS))
+    print(f"{name:<34}" + "".join(f"{column:>16}" for column in PLACEMENT_COLUMNS))
     for model, values in both.items():
         print(told(f"  {model}", values))
     better = np.where(SMALLER_IS_BETTER, both["cells"] < both["grid"], both["cells"] > both["grid"]).sum(

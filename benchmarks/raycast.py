@@ -1,7 +1,7 @@
 """Ray casting side by side in one run: ours, plain numpy, shapely and MuJoCo, with the largest disagreement.
 
     pip install -e '.[bench]'
-    OPENBLAS_NUM_THREADS=1 python benchmarks/raycast.py
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.raycast
 
 Worlds: a 10 x 8 m room with boxes (60 walls) and a floor of furnished offices (2,000 walls); 360 rays a scan.
 Each row is the best of several repeats, all rows of a world in turn within one process. `agreement` is the largest
@@ -24,7 +24,7 @@ from sensorgraph.world.ray_intersection import plain_nearest
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import bearings
 
-N_RAYS = 360
+N_CAST_RAYS = 360
 
 
 def arena_of(rings: list[np.ndarray]) -> Arena:
@@ -144,7 +144,7 @@ def with_mujoco(arena: Arena, poses: np.ndarray, sensor: RangeSensor) -> Callabl
 
 def compare(name: str, arena: Arena, rng: np.random.Generator, n_poses: int, n_slow: int) -> None:
     """Print one world's table."""
-    sensor = RangeSensor(bearings=bearings(N_RAYS, 2 * np.pi), range_min=0.0, range_max=30.0)
+    sensor = RangeSensor(bearings=bearings(N_CAST_RAYS, 2 * np.pi), range_min=0.0, range_max=30.0)
     x0, y0, x1, y1 = arena.bounds
     poses = rng.uniform([x0, y0, -np.pi], [x1, y1, np.pi], (8 * n_poses, 3))
     poses = poses[arena.contains(poses[:, :2])][:n_poses]
@@ -155,7 +155,7 @@ def compare(name: str, arena: Arena, rng: np.random.Generator, n_poses: int, n_s
         key=lambda pair: pair[1],
     )
     rows = [(f"plain numpy, {chunk} rays at a time (best)", best, truth)]
-    ours = rate(lambda: cast(arena, poses, sensor), len(poses) * N_RAYS)
+    ours = rate(lambda: cast(arena, poses, sensor), len(poses) * N_CAST_RAYS)
     rows.append(
         ("**sensorgraph `cast`** (with incidence and wall)", ours, cast(arena, few, sensor).ranges.ravel())
     )
@@ -171,7 +171,7 @@ def compare(name: str, arena: Arena, rng: np.random.Generator, n_poses: int, n_s
         rows.append(("MuJoCo mj_multiRay, thin boxes", rate(work, truth.size, 3), work()))
     except ImportError:
         print("(MuJoCo is not installed: pip install -e '.[bench]')")
-    print(f"\n{name}: {arena.n_walls} walls, {N_RAYS} rays a scan\n")
+    print(f"\n{name}: {arena.n_walls} walls, {N_CAST_RAYS} rays a scan\n")
     print("| method | M rays/s | ours is faster by | agreement m | leaks |\n|---|---|---|---|---|")
     for label, speed, ranges in rows:
         with np.errstate(invalid="ignore"):

@@ -30,14 +30,14 @@ from sensorgraph.models.cells.ray_march import prepare
 from sensorgraph.models.cells.visibility import TERMS
 
 Floats = NDArray[np.float64]
-COLUMNS = ("mae_m", "median_m", "within_0.1m", "within_0.5m", "pearson_r", "wrong_5cm", "f_score")
-EACH = 3e5
+LOG_COLUMNS = ("mae_m", "median_m", "within_0.1m", "within_0.5m", "pearson_r", "wrong_5cm", "f_score")
+WEIGHT_PER_LOG = 3e5
 """Weight that every log has, however long it is."""
-SAMPLES = 25_000
+N_SAMPLES = 25_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Log:
+class TrainingLog:
     """A log and what of it may be learned from."""
 
     name: str
@@ -46,7 +46,7 @@ class Log:
     ranges: Floats
 
     @classmethod
-    def read(cls, path: Path, split: str) -> Log:
+    def read(cls, path: Path, split: str) -> TrainingLog:
         """Read a log; keep the key frames that the split does not hold out."""
         run = read(path)
         pairing = pair(run)
@@ -58,7 +58,7 @@ class Log:
         return cls(name=path.name, run=run, poses=poses, ranges=run.ranges[keep])
 
 
-def learned_from(logs: list[Log]) -> Floats:
+def learned_from(logs: list[TrainingLog]) -> Floats:
     """Learn visibility (n_terms,) from scratch, in two rounds; every log counts alike."""
     beta: Floats | None = None
     for steps in (10, 4):
@@ -68,9 +68,9 @@ def learned_from(logs: list[Log]) -> Floats:
             evidence = Evidence.of(log.poses[~aside], log.ranges[~aside], bearings).widened()
             table = prepare(evidence, beta, cells.SIGMA)
             phi, label, weight = samples(
-                evidence, log.poses[aside], log.ranges[aside], bearings, table, SAMPLES
+                evidence, log.poses[aside], log.ranges[aside], bearings, table, N_SAMPLES
             )
-            parts.append((phi, label, weight * (EACH / weight.sum())))
+            parts.append((phi, label, weight * (WEIGHT_PER_LOG / weight.sum())))
         phi, label, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
         zero = np.zeros(len(TERMS))
         start = np.append(-4.0, zero[1:]) if beta is None else beta
@@ -81,7 +81,7 @@ def learned_from(logs: list[Log]) -> Floats:
 
 def line(label: str, result: Evaluation, seconds: float) -> str:
     """Format one row."""
-    values = "".join(f"{result.all[name] or 0.0:>12.3f}" for name in COLUMNS)
+    values = "".join(f"{result.all[name] or 0.0:>12.3f}" for name in LOG_COLUMNS)
     near = result.answered_only["within_0.1m"] or 0.0
     return f"{label:<34}{values}{result.answered:>10.3f}{near:>12.3f}{seconds:>8.1f}"
 
@@ -96,9 +96,9 @@ def calibration(result: Evaluation) -> str:
     return f"  off by > 5 cm, said -> seen: {bins}; largest difference {100 * worst:.1f} points"
 
 
-def compare(logs: list[Log], split: str, *, others: bool) -> None:
+def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
     """Print the table."""
-    heads = "".join(f"{name:>12}" for name in COLUMNS)
+    heads = "".join(f"{name:>12}" for name in LOG_COLUMNS)
     print(f"{'log':<34}{heads}{'answered':>10}{'of it <.1m':>12}{'CPU s':>8}")
     for log in logs:
         start = time.process_time()
@@ -122,7 +122,7 @@ def compare(logs: list[Log], split: str, *, others: bool) -> None:
             )
 
 
-def write(path: Path, logs: list[Log], split: str) -> None:
+def write(path: Path, logs: list[TrainingLog], split: str) -> None:
     """Write what is shipped as sensorgraph/data/visibility.json."""
     provenance = (
         f"learned by benchmarks/real_logs.py from {', '.join(log.name for log in logs)} (public 2-D laser logs, "
@@ -142,7 +142,7 @@ def main() -> None:
     parser.add_argument("--others", action="store_true")
     parser.add_argument("--learn", type=Path)
     arguments = parser.parse_args()
-    logs = [Log.read(path, arguments.split) for path in arguments.logs]
+    logs = [TrainingLog.read(path, arguments.split) for path in arguments.logs]
     if arguments.learn is not None:
         write(arguments.learn, logs, arguments.split)
     else:

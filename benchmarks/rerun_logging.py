@@ -1,6 +1,6 @@
 """Logging a run to rerun: one call a scan against columns in blocks, as `sensorgraph review` does it.
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/rerun_logging.py
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.rerun_logging
 
 The frame is that of the review: end points of 181 rays, the robot's arrow and one scalar. Both ways write the same
 points to a file in one process, in turn; the fastest of three repeats counts.
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-N_RAYS = 181
+N_LOGGED_RAYS = 181
 
 
 def per_scan(
@@ -43,7 +43,7 @@ def in_columns(block: int) -> Callable[..., None]:
             n = len(points[part])
             time_column = [rr.TimeColumn("time", duration=0.1 * np.arange(start, start + n))]
             flat = points[part].reshape(-1, 2)
-            columns = rr.Points2D.columns(positions=flat).partition([N_RAYS] * n)
+            columns = rr.Points2D.columns(positions=flat).partition([N_LOGGED_RAYS] * n)
             recording.send_columns("plan/measured", time_column, columns)
             arrows = rr.Arrows2D.columns(origins=poses[part, :2], vectors=poses[part, :2])
             recording.send_columns("plan/robot", time_column, arrows)
@@ -58,7 +58,7 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=5000)
     n = parser.parse_args().scans
     rng = np.random.default_rng(0)
-    data = rng.uniform(0, 8, (n, N_RAYS, 2)), rng.uniform(0, 8, (n, 3)), rng.uniform(0, 8, n)
+    data = rng.uniform(0, 8, (n, N_LOGGED_RAYS, 2)), rng.uniform(0, 8, (n, 3)), rng.uniform(0, 8, n)
     ways = {
         "`log` for each scan": per_scan,
         "columns, blocks of 200": in_columns(200),
@@ -79,7 +79,7 @@ def main() -> None:
                 best[name] = min(best[name], time.perf_counter() - start)
                 size[name] = path.stat().st_size / 1e6
     slow = best["`log` for each scan"]
-    print(f"{n:,} scans of {N_RAYS} rays, with arrow and scalar\n")
+    print(f"{n:,} scans of {N_LOGGED_RAYS} rays, with arrow and scalar\n")
     print("| way | scans/s | faster by | file MB |\n|---|---|---|---|")
     for name, seconds in best.items():
         print(f"| {name} | {n / seconds:,.0f} | {slow / seconds:.1f}x | {size[name]:.1f} |")

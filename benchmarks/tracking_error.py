@@ -1,7 +1,7 @@
 """What a robot that does not track exactly logs of a plan: coverage by error, with and without the inner-half margin.
 
-    python benchmarks/tracking_error.py                    # the shipped square
-    python benchmarks/tracking_error.py --arena office --memory 60
+    python -m benchmarks.tracking_error                    # the shipped square
+    python -m benchmarks.tracking_error --arena office --memory 60
 
 The margin is the planner's own: in cells whose inner half is in reach a bin counts only there, in the middle half of
 its heading. Without it any logged pose in the bin will do. `all` counts every reachable bin, `roomy` those cells only;
@@ -33,7 +33,7 @@ ERRORS = (0.0, 0.01, 0.02, 0.035, 0.05, 0.07)
 """[m] root mean square distance from the plan."""
 HEADING = np.radians(0.5) / 0.01
 """[rad/m] root mean square error of heading by that of the place."""
-SEEDS = 5
+N_SEEDS = 5
 """Drives of each error, of which the mean is told."""
 
 
@@ -68,7 +68,7 @@ def mean_share(made: Plan, rms: float, memory: float, roomy: Bools) -> Floats:
     """Return `share_of` logs that are off by `rms` [m], the mean over some drives."""
     poses, rate = made.curve.log(made.report["rate"]), made.report["rate"]
     drives = []
-    for seed in range(SEEDS):
+    for seed in range(N_SEEDS):
         off = wander(len(poses), 1.0 / rate, memory, np.random.default_rng(seed))
         off *= rms / np.sqrt(2) * np.array([1.0, 1.0, np.sqrt(2) * HEADING])
         there = np.column_stack([(poses + off)[:, :2], wrap((poses + off)[:, 2])])

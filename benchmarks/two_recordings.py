@@ -17,7 +17,7 @@ from typing import Any
 
 from sensorgraph.cli import run as command
 
-BOX = [[7.2, 5.8], [7.5, 5.8], [7.5, 6.1], [7.2, 6.1], [7.2, 5.8]]
+NEW_BOX = [[7.2, 5.8], [7.5, 5.8], [7.5, 6.1], [7.2, 6.1], [7.2, 5.8]]
 
 
 def changed(office: dict[str, Any]) -> dict[str, Any]:
@@ -27,7 +27,7 @@ def changed(office: dict[str, Any]) -> dict[str, Any]:
         if feature["properties"]["name"] == "desk_3":
             (ring,) = feature["geometry"]["coordinates"]
             feature["geometry"]["coordinates"] = [[[x + 0.15, y - 0.10] for x, y in ring]]
-    box = {"type": "Polygon", "coordinates": [BOX]}
+    box = {"type": "Polygon", "coordinates": [NEW_BOX]}
     return {
         **office,
         "features": [

@@ -1,6 +1,6 @@
 """An uncalibrated laser in random offices: how near do the faces come to its true readings?
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/uncalibrated_laser.py [--arenas 101,102,103,104,105] [--seeds 1]
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.uncalibrated_laser [--arenas 101,102,103,104,105] [--seeds 1]
         [--case laser|laser-poses|poses|perfect] [--scans 3000]
 
 The laser is mounted 50 mm / 20 mm / 0.5° off what is stated; each ray has a bias (sd 15 mm), a scale (0.4 ± 0.2 %)
@@ -31,12 +31,12 @@ from sensorgraph.models.faces.model import Faces
 from sensorgraph.world.raycast import cast
 
 Floats = NDArray[np.float64]
-SIGMA = 0.01  # [m]
+LASER_SIGMA = 0.01  # [m]
 STATED = np.array([0.10, 0.0, 0.0])  # [m, m, rad] mount as the robot file says
 OFFSET = np.array([0.050, 0.020, np.radians(0.5)])
 POSE_NOISE = {"laser-poses": (0.005, np.radians(0.2)), "poses": (0.002, 0.0015)}  # [m, rad]
 BEARINGS = np.linspace(-np.pi / 2, np.pi / 2, 181)
-COLUMNS = ("within 3σ %", "median mm", "mean mm", "within 10 cm %", "wrong >5cm %")
+LASER_COLUMNS = ("within 3σ %", "median mm", "mean mm", "within 10 cm %", "wrong >5cm %")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +62,9 @@ class Laser:
 
     def sensor(self) -> RangeSensor:
         """Return the sensor that casts its true ranges."""
-        return RangeSensor(bearings=BEARINGS, range_min=0.02, range_max=30.0, mount=self.mount, sigma=SIGMA)
+        return RangeSensor(
+            bearings=BEARINGS, range_min=0.02, range_max=30.0, mount=self.mount, sigma=LASER_SIGMA
+        )
 
     def readings(self, arena: Arena, poses: Floats) -> Floats:
         """Return readings without noise (n_scans, n_rays)."""
@@ -98,7 +100,7 @@ def score(predicted: Floats, truth: Floats, noise: Floats, use: NDArray[np.bool_
     noisy = np.abs(np.where(np.isfinite(predicted), predicted, 30.0) - truth - noise)[use]
     return np.array(
         [
-            100 * (noisy < 3 * SIGMA).mean(),
+            100 * (noisy < 3 * LASER_SIGMA).mean(),
             1e3 * np.median(error),
             1e3 * error.mean(),
             100 * (error < 0.10).mean(),
@@ -113,7 +115,7 @@ def trial(which: str, seed: int, case: str, n_scans: int, calibrate: bool | None
     arena = arena_of(which)
     laser = Laser.drawn(case, rng)
     poses, fresh = free_poses(arena, n_scans, rng), free_poses(arena, 3000, rng)
-    ranges = laser.readings(arena, poses) + rng.normal(0, SIGMA, (n_scans, len(BEARINGS)))
+    ranges = laser.readings(arena, poses) + rng.normal(0, LASER_SIGMA, (n_scans, len(BEARINGS)))
     xy, yaw = POSE_NOISE.get(case, (0.0, 0.0))
     poses = poses + rng.normal(0, 1, poses.shape) * [xy, xy, yaw]
     stated = replace(laser.sensor(), mount=STATED)
@@ -122,7 +124,7 @@ def trial(which: str, seed: int, case: str, n_scans: int, calibrate: bool | None
     model = Faces.fit(scans, calibrate=calibrate)
     seconds = time.process_time() - start
     truth = laser.readings(arena, fresh)
-    noise = rng.normal(0, SIGMA, truth.shape)
+    noise = rng.normal(0, LASER_SIGMA, truth.shape)
     seen = model.predict(fresh, np.arange(len(BEARINGS)), "mode")
     best_map = cast(arena, fresh, laser.sensor()).ranges
     print(
@@ -163,7 +165,7 @@ def walls_off(model: Faces, arena: Arena) -> float:
 
 def table(rows: dict[str, list[Floats]]) -> str:
     """Write means and 95 % intervals over trials."""
-    lines = ["".ljust(24) + "".join(name.rjust(22) for name in COLUMNS)]
+    lines = ["".ljust(24) + "".join(name.rjust(22) for name in LASER_COLUMNS)]
     for name, values in rows.items():
         array = np.array(values)
         half = 1.96 * array.std(axis=0, ddof=1) / np.sqrt(len(array)) if len(array) > 1 else 0 * array[0]
@@ -191,7 +193,8 @@ def main() -> None:
             for name, values in found.items():
                 rows.setdefault(name.split(" (")[0], []).append(values)
                 print(
-                    f"  {name}: " + ", ".join(f"{c} {v:.3f}" for c, v in zip(COLUMNS, values, strict=True)),
+                    f"  {name}: "
+                    + ", ".join(f"{c} {v:.3f}" for c, v in zip(LASER_COLUMNS, values, strict=True)),
                     flush=True,
                 )
     print(f"case {args.case}, {args.scans} scans, mean ± 95 % over {len(rows['faces'])} trials")

@@ -25,13 +25,18 @@ from planners.types import Floats
 from robotmodic_ident import Narmax, Record, Terms, fit, lags, polynomial
 from sensorgraph.identification.identify import score
 
-RATES = {"Move-Forward": 0.0, "Slight-Left-Turn": 0.5, "Slight-Right-Turn": -0.5, "Sharp-Right-Turn": -1.0}
+TURN_OF_CLASS = {
+    "Move-Forward": 0.0,
+    "Slight-Left-Turn": 0.5,
+    "Slight-Right-Turn": -0.5,
+    "Sharp-Right-Turn": -1.0,
+}
 FOLDS = 10
-BORDER = 9  # samples, one second
-ARC = 2  # sonars to each side of a sector's middle
-NEIGHBOURS = 5
+BORDER_SAMPLES = 9  # samples, one second
+SECTOR_HALF_WIDTH = 2  # sonars to each side of a sector's middle
+N_NEIGHBOURS = 5
 SONARS = [f"S{i + 1}" for i in range(24)]
-SECTORS = {"M1": 0, "M7": 6, "M13": 12, "M19": 18}
+SECTOR_MIDDLES = {"M1": 0, "M7": 6, "M13": 12, "M19": 18}
 """Least reading of the five sonars about S1, S7, S13, S19: four ways, a quarter turn apart."""
 
 Blocks = Sequence[tuple[list[Record], Record]]
@@ -44,10 +49,10 @@ def read(folder: Path) -> Record:
     rows = [line.split(",") for line in lines if line and not line.startswith("S1,")]
     sonar = np.array([[float(cell) for cell in row[:24]] for row in rows])
     signals = dict(zip(SONARS, sonar.T, strict=True))
-    for name, middle in SECTORS.items():
-        around = [(middle + i) % 24 for i in range(-ARC, ARC + 1)]
+    for name, middle in SECTOR_MIDDLES.items():
+        around = [(middle + i) % 24 for i in range(-SECTOR_HALF_WIDTH, SECTOR_HALF_WIDTH + 1)]
         signals[name] = sonar[:, around].min(axis=1)
-    return Record(signals={**signals, "turn": np.array([RATES[row[24].strip()] for row in rows])})
+    return Record(signals={**signals, "turn": np.array([TURN_OF_CLASS[row[24].strip()] for row in rows])})
 
 
 def part(record: Record, start: int, stop: int) -> Record:
@@ -61,8 +66,8 @@ def blocks(record: Record) -> Blocks:
     out = []
     for a, b in pairwise(edges):
         around = [
-            part(record, 0, max(a - BORDER, 0)),
-            part(record, min(b + BORDER, len(record)), len(record)),
+            part(record, 0, max(a - BORDER_SAMPLES, 0)),
+            part(record, min(b + BORDER_SAMPLES, len(record)), len(record)),
         ]
         out.append(([r for r in around if len(r)], part(record, a, b)))
     return out
@@ -84,8 +89,8 @@ def nearest(train: list[Record], test: Record, names: Sequence[str]) -> Floats:
         np.column_stack([np.concatenate([r.signals[s] for r in rs]) for s in names]) for rs in (train, [test])
     )
     turn = np.concatenate([r.signals["turn"] for r in train])
-    votes = turn[cKDTree(known).query(asked, k=NEIGHBOURS)[1]]
-    rates = np.array(list(RATES.values()))
+    votes = turn[cKDTree(known).query(asked, k=N_NEIGHBOURS)[1]]
+    rates = np.array(list(TURN_OF_CLASS.values()))
     return np.asarray(rates[(votes[:, :, None] == rates).sum(axis=1).argmax(axis=1)])
 
 
@@ -101,18 +106,21 @@ def persistence(train: list[Record], test: Record) -> Floats:
 
 def classes(turn: Floats) -> Floats:
     """Return the nearest of the four rates."""
-    rates = np.array(list(RATES.values()))
+    rates = np.array(list(TURN_OF_CLASS.values()))
     return np.asarray(rates[np.abs(turn[:, None] - rates).argmin(axis=1)])
 
 
 def row(label: str, folds: Blocks, predict: Predict, size: str = "–") -> str:
     """Return one line of the table."""
     measured = [test.signals["turn"] for _, test in folds]
-    said = [np.clip(predict(train, test), min(RATES.values()), max(RATES.values())) for train, test in folds]
+    said = [
+        np.clip(predict(train, test), min(TURN_OF_CLASS.values()), max(TURN_OF_CLASS.values()))
+        for train, test in folds
+    ]
     s = score(measured, said)
     x, y = np.concatenate(measured), np.concatenate(said)
     right = classes(y[np.isfinite(y)]) == x[np.isfinite(y)]
-    each = [right[x[np.isfinite(y)] == rate].mean() for rate in RATES.values()]
+    each = [right[x[np.isfinite(y)] == rate].mean() for rate in TURN_OF_CLASS.values()]
     r = f"{s.r:.3f} ({s.r_low:.3f} to {s.r_high:.3f})" if np.isfinite(s.r) else "–"
     return f"| {label} | {size} | {s.rmse:.3f} | {r} | {right.mean():.1%} | {np.mean(each):.1%} |"
 
@@ -126,7 +134,7 @@ def main() -> None:
     record = read(parser.parse_args().folder)
     folds = blocks(record)
     now = [f"{s}(k)" for s in SONARS]
-    sectors = [f"{s}(k)" for s in SECTORS]
+    sectors = [f"{s}(k)" for s in SECTOR_MIDDLES]
     forms = {
         "24 sonars, degree 1": (polynomial(now, 1), False),
         "24 sonars, degree 2": (polynomial(now, 2), False),
@@ -149,8 +157,8 @@ def main() -> None:
         print(
             line.replace("SIZE", f"{np.median([len(m.terms) for m in kept]):.0f} of {len(terms)}"), flush=True
         )
-    for label, names in (("24 sonars", SONARS), ("4 sector minima", list(SECTORS))):
-        print(row(f"{NEIGHBOURS} nearest neighbours, {label}", folds, partial(nearest, names=names)))
+    for label, names in (("24 sonars", SONARS), ("4 sector minima", list(SECTOR_MIDDLES))):
+        print(row(f"{N_NEIGHBOURS} nearest neighbours, {label}", folds, partial(nearest, names=names)))
     print(
         f"\n```\n{fit(record, 'turn', polynomial(sectors, 3), criterion='ebic', n_terms=8).equation(digits=3)}\n```"
     )

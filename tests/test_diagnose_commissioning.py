@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -11,6 +10,8 @@ import numpy as np
 import pytest
 from conftest import polygon_arena
 
+from benchmarks import planted_changes, planted_site
+from logs import read
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
 from planners.types import Floats
@@ -189,19 +190,14 @@ def test_a_lattice_keeps_its_name_where_the_site_leaves_much_unexplained() -> No
 
 @pytest.mark.slow
 def test_real_log_is_silent_untouched_and_names_a_planted_bias(real_logs: Path) -> None:
-    sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-    try:
-        import planted_effects as planted
-    finally:
-        sys.path.pop(0)
-    log = planted.read(real_logs / "ple-freiburg-079" / "freiburg-079-corrected.log.gz")
-    _, _, other, window = islice(planted.windows(log), 4)
-    told = planted.robot(log, 0.01)
-    good = commission(planted.measurement(log, other.scans), other.arena, told)
-    run = planted.measurement(log, window.scans)
+    log = read(real_logs / "ple-freiburg-079" / "freiburg-079-corrected.log.gz")
+    _, _, other, window = islice(planted_site.windows(log), 4)
+    told = planted_site.robot_of(log, 0.01)
+    good = commission(planted_site.measurement(log, other.scans), other.arena, told)
+    run = planted_site.measurement(log, window.scans)
     untouched = diagnose(run, window.arena, told, commissioned=good, plan_next=False)
     assert names(untouched) == []
-    longer = planted.bias(run, log, window.scans, 0.03, np.random.default_rng(0))
+    longer = planted_changes.bias(run, log, window.scans, 0.03, np.random.default_rng(0))
     named = diagnose(longer, window.arena, told, commissioned=good, plan_next=False).effects[0]
     assert named.name == "range_bias"
     assert named["b"] == pytest.approx(0.03, abs=0.01)  # the map of scans has an offset of its own

@@ -7,37 +7,37 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.hidden_effects.physics import (
-    DETECTION,
-    FINAL,
-    GEOMETRY,
-    LOOK,
-    RANGE,
-    RAY,
-    SPREAD,
-    WALLS,
-    Effect,
-    Scene,
+from benchmarks.hidden_effects.robot import TrueDrive
+from benchmarks.hidden_effects.simulated_scan import (
+    DETECTION_STAGE,
+    FINAL_STAGE,
+    GEOMETRY_STAGE,
+    NOISE_STAGE,
+    RANGE_STAGE,
+    RAY_STAGE,
+    SURFACE_STAGE,
+    WALL_STAGE,
+    HiddenEffect,
+    SimulatedScan,
     stage,
 )
-from benchmarks.hidden_effects.robot import Driven
 from benchmarks.hidden_effects.world import ARENA, Floats, Walls
 
-Draw = Callable[[np.random.Generator, Mapping[str, Any]], Effect]
+Draw = Callable[[np.random.Generator, Mapping[str, Any]], HiddenEffect]
 DRAW: dict[str, Draw] = {}
-POSES: dict[str, Callable[[Effect, Floats, Floats, Driven, Mapping[str, Any]], Floats]] = {}
-CHANNEL = {"odom_scale_jump": "odometry", "turn_deadband": "drive", "battery_sag": "drive"}
+POSE_EFFECTS: dict[str, Callable[[HiddenEffect, Floats, Floats, TrueDrive, Mapping[str, Any]], Floats]] = {}
+FOREIGN_CHANNEL = {"odom_scale_jump": "odometry", "turn_deadband": "drive", "battery_sag": "drive"}
 
 
 def _define(name: str, **limits: tuple[float, float]) -> None:
     """Say how the parameters of a placeless effect are drawn: uniform; b, s and k with a random sign."""
 
-    def draw(rng: np.random.Generator, context: Mapping[str, Any]) -> Effect:
+    def draw(rng: np.random.Generator, context: Mapping[str, Any]) -> HiddenEffect:
         values = {key: float(rng.uniform(*span)) for key, span in limits.items()}
         for key in ("b", "s", "k"):
             if key in values:
                 values[key] *= float(rng.choice([-1, 1]))
-        return Effect(name=name, parameters=values)
+        return HiddenEffect(name=name, parameters=values)
 
     DRAW[name] = draw
 
@@ -45,11 +45,11 @@ def _define(name: str, **limits: tuple[float, float]) -> None:
 def _define_wall(name: str, **limits: tuple[float, float]) -> None:
     """The same for one that sits on a well seen outer wall."""
 
-    def draw(rng: np.random.Generator, context: Mapping[str, Any]) -> Effect:
+    def draw(rng: np.random.Generator, context: Mapping[str, Any]) -> HiddenEffect:
         wall = context["pick_wall"](rng)
         a, b = context["room"].edge(wall)
         values = {key: float(rng.uniform(*span)) for key, span in limits.items()}
-        return Effect(name=name, parameters=values, place=wall, xy=tuple(map(float, (a + b) / 2)))
+        return HiddenEffect(name=name, parameters=values, place=wall, xy=tuple(map(float, (a + b) / 2)))
 
     DRAW[name] = draw
 
@@ -57,48 +57,48 @@ def _define_wall(name: str, **limits: tuple[float, float]) -> None:
 _define("range_quadratic", c=(0.004, 0.012))
 
 
-@stage(RANGE, "range_quadratic")
-def _range_quadratic(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(RANGE_STAGE, "range_quadratic")
+def _range_quadratic(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     scene.ranges = scene.ranges + p["c"] * scene.ranges**2
 
 
 _define("bearing_cos2", b=(0.02, 0.05))
 
 
-@stage(RANGE, "bearing_cos2")
-def _bearing_cos2(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(RANGE_STAGE, "bearing_cos2")
+def _bearing_cos2(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     scene.ranges = scene.ranges + p["b"] * np.cos(2 * scene.stated)
 
 
 _define("bias_jump", b=(0.02, 0.05), share=(0.3, 0.7))
 
 
-@stage(RANGE, "bias_jump")
-def _bias_jump(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(RANGE_STAGE, "bias_jump")
+def _bias_jump(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     scene.ranges = scene.ranges + p["b"] * (scene.clock > p["share"] * scene.stamps[-1])
 
 
 _define("incidence_bias", k=(0.012, 0.03))
 
 
-@stage(RANGE, "incidence_bias")
-def _incidence_bias(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(RANGE_STAGE, "incidence_bias")
+def _incidence_bias(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     scene.ranges = scene.ranges + p["k"] * np.minimum(np.tan(scene.incidence) ** 2, 9.0)
 
 
 _define("range_step", b=(0.025, 0.06), r1=(1.5, 2.8))
 
 
-@stage(RANGE, "range_step")
-def _range_step(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(RANGE_STAGE, "range_step")
+def _range_step(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     scene.ranges = scene.ranges + p["b"] * (scene.ranges > p["r1"])
 
 
 _define("range_cyclic", b=(0.02, 0.04), length=(0.5, 1.5))
 
 
-@stage(RANGE, "range_cyclic")
-def _range_cyclic(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(RANGE_STAGE, "range_cyclic")
+def _range_cyclic(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     finite = np.where(np.isfinite(scene.ranges), scene.ranges, 0.0)
     scene.ranges = scene.ranges + p["b"] * np.sin(2 * np.pi * finite / p["length"])
 
@@ -106,16 +106,16 @@ def _range_cyclic(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
 _define("bearing_scale", s=(0.012, 0.04))
 
 
-@stage(RAY, "bearing_scale")
-def _bearing_scale(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(RAY_STAGE, "bearing_scale")
+def _bearing_scale(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     scene.bearings = scene.bearings * (1 + p["s"])
 
 
 _define("pitch_acceleration", c=(0.12, 0.3))
 
 
-@stage(RANGE, "pitch_acceleration")
-def _pitch_acceleration(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(RANGE_STAGE, "pitch_acceleration")
+def _pitch_acceleration(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     gain = np.gradient(scene.driven.wheels[:, 0], scene.driven.stamps)
     pitch = -p["c"] * np.interp(scene.times.ravel(), scene.driven.stamps, gain)  # braking: nose down
     down = pitch * np.cos(scene.stated + scene.robot.mount[2])
@@ -127,8 +127,8 @@ def _pitch_acceleration(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> N
 _define("crosstalk_rotating", turn=(0.7, 2.5), width=(0.06, 0.15), r0=(0.6, 1.5))
 
 
-@stage(RANGE, "crosstalk_rotating")
-def _crosstalk_rotating(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(RANGE_STAGE, "crosstalk_rotating")
+def _crosstalk_rotating(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     off = (scene.stated - p["turn"] * scene.clock + np.pi) % (2 * np.pi) - np.pi
     hit = (np.abs(off) < p["width"]) & (scene.rng(effect).random(len(off)) < 0.7)
     scene.ranges = np.where(hit, np.minimum(scene.ranges, p["r0"]), scene.ranges)
@@ -137,8 +137,8 @@ def _crosstalk_rotating(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> N
 _define("sunlight", world=(-np.pi, np.pi), width=(0.25, 0.5))
 
 
-@stage(DETECTION, "sunlight")
-def _sunlight(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(DETECTION_STAGE, "sunlight")
+def _sunlight(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     off = (scene.angles - p["world"] + np.pi) % (2 * np.pi) - np.pi
     lost = (np.abs(off) < p["width"]) & (scene.rng(effect).random(len(off)) < 0.75)
     scene.ranges = np.where(lost, np.inf, scene.ranges)
@@ -147,8 +147,8 @@ def _sunlight(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
 _define("dead_rays", count=(5, 10))
 
 
-@stage(DETECTION, "dead_rays")
-def _dead_rays(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(DETECTION_STAGE, "dead_rays")
+def _dead_rays(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     dead = scene.rng(effect).choice(scene.robot.n_rays, size=round(p["count"]), replace=False)
     lost = np.isin(np.arange(len(scene.ranges)) % scene.robot.n_rays, dead)
     scene.ranges = np.where(lost, np.inf, scene.ranges)
@@ -157,8 +157,8 @@ def _dead_rays(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
 _define("stuck_rays", count=(5, 10), hold=(4.0, 12.0))
 
 
-@stage(FINAL, "stuck_rays")
-def _stuck_rays(scene: Scene, effect: Effect, z: Floats) -> Floats:
+@stage(FINAL_STAGE, "stuck_rays")
+def _stuck_rays(scene: SimulatedScan, effect: HiddenEffect, z: Floats) -> Floats:
     n = scene.robot.n_rays
     stuck = scene.rng(effect).choice(n, size=round(float(effect.parameters["count"] or 0)), replace=False)
     grid = z.reshape(-1, n).copy()
@@ -171,8 +171,8 @@ def _stuck_rays(scene: Scene, effect: Effect, z: Floats) -> Floats:
 _define("stale_scans", share=(0.2, 0.4))
 
 
-@stage(FINAL, "stale_scans")
-def _stale_scans(scene: Scene, effect: Effect, z: Floats) -> Floats:
+@stage(FINAL_STAGE, "stale_scans")
+def _stale_scans(scene: SimulatedScan, effect: HiddenEffect, z: Floats) -> Floats:
     grid = z.reshape(-1, scene.robot.n_rays).copy()
     stale = scene.rng(effect).random(len(grid)) < float(effect.parameters["share"] or 0)
     for i in np.flatnonzero(stale):
@@ -183,8 +183,8 @@ def _stale_scans(scene: Scene, effect: Effect, z: Floats) -> Floats:
 _define("fog", p=(0.04, 0.10), depth=(0.5, 1.2))
 
 
-@stage(FINAL, "fog")
-def _fog(scene: Scene, effect: Effect, z: Floats) -> Floats:
+@stage(FINAL_STAGE, "fog")
+def _fog(scene: SimulatedScan, effect: HiddenEffect, z: Floats) -> Floats:
     rng = scene.rng(effect)
     back = rng.exponential(float(effect.parameters["depth"] or 1), len(z)) + 0.1
     hit = (rng.random(len(z)) < float(effect.parameters["p"] or 0)) & (back < z)
@@ -194,8 +194,8 @@ def _fog(scene: Scene, effect: Effect, z: Floats) -> Floats:
 _define("burst_noise", factor=(3.0, 6.0), share=(0.25, 0.45), period=(6.0, 15.0))
 
 
-@stage(SPREAD, "burst_noise")
-def _burst_noise(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(NOISE_STAGE, "burst_noise")
+def _burst_noise(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     loud = scene.clock % p["period"] < p["share"] * p["period"]
     scene.spread = scene.spread * np.where(loud, p["factor"], 1.0)
 
@@ -203,8 +203,8 @@ def _burst_noise(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
 _define("multipath_corners", b=(0.08, 0.18), reach=(0.5, 0.8))
 
 
-@stage(RANGE, "multipath_corners")
-def _multipath_corners(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(RANGE_STAGE, "multipath_corners")
+def _multipath_corners(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     r = np.where(np.isfinite(scene.true), scene.true, 1e3)
     hit = scene.origins + r[:, None] * np.stack([np.cos(scene.angles), np.sin(scene.angles)], axis=1)
     near = np.full(len(r), np.inf)
@@ -213,7 +213,7 @@ def _multipath_corners(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> No
     scene.ranges = scene.ranges + abs(p["b"]) * np.maximum(0.0, 1 - near / p["reach"])
 
 
-def _bend(scene: Scene, wall: str, shape: Callable[[Floats, float], Floats]) -> None:
+def _bend(scene: SimulatedScan, wall: str, shape: Callable[[Floats, float], Floats]) -> None:
     """Replace a wall by a polyline that leaves it by shape(way along, length) [m]."""
     i = int(scene.walls.index(wall)[0])
     a, b = scene.walls.a[i], scene.walls.b[i]
@@ -232,24 +232,24 @@ def _bend(scene: Scene, wall: str, shape: Callable[[Floats, float], Floats]) -> 
 _define_wall("bowed_wall", d=(0.05, 0.12))
 
 
-@stage(WALLS, "bowed_wall")
-def _bowed_wall(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(WALL_STAGE, "bowed_wall")
+def _bowed_wall(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     _bend(scene, str(effect.place), lambda s, length: 4 * p["d"] * s * (length - s) / length**2)
 
 
 _define_wall("wavy_wall", d=(0.03, 0.06), length=(0.5, 1.2))
 
 
-@stage(WALLS, "wavy_wall")
-def _wavy_wall(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(WALL_STAGE, "wavy_wall")
+def _wavy_wall(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     _bend(scene, str(effect.place), lambda s, length: p["d"] * np.sin(2 * np.pi * s / p["length"]))
 
 
 _define_wall("reflectivity_stripes", b=(0.025, 0.05), length=(0.3, 0.7))
 
 
-@stage(RANGE, "reflectivity_stripes")
-def _reflectivity_stripes(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(RANGE_STAGE, "reflectivity_stripes")
+def _reflectivity_stripes(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     sign = np.where((scene.along // p["length"]) % 2 == 0, 1.0, -1.0)
     scene.ranges = scene.ranges + np.where(scene.on(effect), p["b"] * sign, 0.0)
 
@@ -257,8 +257,8 @@ def _reflectivity_stripes(scene: Scene, effect: Effect, p: Mapping[str, Any]) ->
 _define_wall("door_opens", share=(0.3, 0.6), middle=(0.35, 0.65), width=(0.8, 1.2), depth=(0.8, 2.0))
 
 
-@stage(LOOK, "door_opens")
-def _door_opens(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(SURFACE_STAGE, "door_opens")
+def _door_opens(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     a, b = scene.room.edge(str(effect.place))
     centre = p["middle"] * float(np.linalg.norm(b - a))
     gone = scene.on(effect) & (np.abs(scene.along - centre) < p["width"] / 2)
@@ -266,11 +266,11 @@ def _door_opens(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
     scene.true = np.where(gone, scene.true + p["depth"] / np.cos(scene.incidence), scene.true)
 
 
-def _draw_rotated(rng: np.random.Generator, context: Mapping[str, Any]) -> Effect:
+def _draw_rotated(rng: np.random.Generator, context: Mapping[str, Any]) -> HiddenEffect:
     name = context["pick_obstacle"](rng)
     middle = context["room"].rings[name].mean(axis=0)
     turn = float(rng.choice([-1, 1]) * rng.uniform(0.15, 0.4))
-    return Effect(
+    return HiddenEffect(
         name="rotated_obstacle", parameters={"turn": turn}, place=name, xy=tuple(map(float, middle))
     )
 
@@ -278,8 +278,8 @@ def _draw_rotated(rng: np.random.Generator, context: Mapping[str, Any]) -> Effec
 DRAW["rotated_obstacle"] = _draw_rotated
 
 
-@stage(GEOMETRY, "rotated_obstacle")
-def _rotated_obstacle(scene: Scene, effect: Effect, p: Mapping[str, Any]) -> None:
+@stage(GEOMETRY_STAGE, "rotated_obstacle")
+def _rotated_obstacle(scene: SimulatedScan, effect: HiddenEffect, p: Mapping[str, Any]) -> None:
     ring = scene.room.rings[str(effect.place)]
     c, s, middle = np.cos(p["turn"]), np.sin(p["turn"]), ring.mean(axis=0)
     scene.room = scene.room.with_ring(
@@ -291,7 +291,7 @@ _define("pose_clock_drift", tau=(0.15, 0.4))
 
 
 def _pose_clock_drift(
-    effect: Effect, stamps: Floats, poses: Floats, driven: Driven, context: Mapping[str, Any]
+    effect: HiddenEffect, stamps: Floats, poses: Floats, driven: TrueDrive, context: Mapping[str, Any]
 ) -> Floats:
     late = float(effect.parameters["tau"] or 0) * stamps / stamps[-1]
     return driven.at(stamps - late)
@@ -301,7 +301,7 @@ _define("camera_distortion", edge=(0.05, 0.10))
 
 
 def _camera_distortion(
-    effect: Effect, stamps: Floats, poses: Floats, driven: Driven, context: Mapping[str, Any]
+    effect: HiddenEffect, stamps: Floats, poses: Floats, driven: TrueDrive, context: Mapping[str, Any]
 ) -> Floats:
     room = context["room"]
     middle = room.centroid
@@ -317,7 +317,7 @@ _define("pose_yaw_by_place", s=(0.02, 0.045))
 
 
 def _pose_yaw_by_place(
-    effect: Effect, stamps: Floats, poses: Floats, driven: Driven, context: Mapping[str, Any]
+    effect: HiddenEffect, stamps: Floats, poses: Floats, driven: TrueDrive, context: Mapping[str, Any]
 ) -> Floats:
     x0, y0 = context["room"].rings[ARENA].min(axis=0)
     bent = poses.copy()
@@ -326,20 +326,20 @@ def _pose_yaw_by_place(
     return bent
 
 
-POSES |= {
+POSE_EFFECTS |= {
     "pose_clock_drift": _pose_clock_drift,
     "camera_distortion": _camera_distortion,
     "pose_yaw_by_place": _pose_yaw_by_place,
 }
 
 
-def _draw_odom_jump(rng: np.random.Generator, context: Mapping[str, Any]) -> Effect:
+def _draw_odom_jump(rng: np.random.Generator, context: Mapping[str, Any]) -> HiddenEffect:
     s = float(rng.choice([-1, 1]) * rng.uniform(0.05, 0.1))
-    return Effect(name="odom_scale_jump", parameters={"s": s}, extra={"t0": float(rng.uniform(25, 55))})
+    return HiddenEffect(name="odom_scale_jump", parameters={"s": s}, extra={"t0": float(rng.uniform(25, 55))})
 
 
 DRAW["odom_scale_jump"] = _draw_odom_jump
 _define("turn_deadband", rate=(0.12, 0.25))
 _define("battery_sag", gain=(0.75, 0.9), t0=(25.0, 55.0))
 
-FOREIGN = list(DRAW)
+FOREIGN_EFFECTS = list(DRAW)

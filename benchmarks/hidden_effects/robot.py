@@ -12,9 +12,9 @@ import yaml
 
 from benchmarks.hidden_effects.world import Floats, Room
 
-STEP = 0.01
+SIMULATION_STEP = 0.01
 """[s] of the integrated truth."""
-PERIOD = 0.05
+COMMAND_PERIOD = 0.05
 """[s] of commands and odometry."""
 CLEARANCE = 0.32
 """[m] the errand keeps from walls."""
@@ -85,7 +85,7 @@ class RobotSpec:
                     "base": self.base,
                     "sigma_v": self.sigma_v,
                     "sigma_omega": self.sigma_omega,
-                    "rate": 1 / PERIOD,
+                    "rate": 1 / COMMAND_PERIOD,
                 },
                 "actuators": {"tau": self.tau, "delay": 0.0},
             },
@@ -138,7 +138,7 @@ class Leg:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motors:
+class TrueMotors:
     """What stands between command and wheel, and between wheel and body."""
 
     tau: float
@@ -158,11 +158,11 @@ class Motors:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Driven:
+class TrueDrive:
     """What the robot truly did."""
 
     stamps: Floats
-    """(n,) [s], every STEP."""
+    """(n,) [s], every SIMULATION_STEP."""
     poses: Floats
     """(n, 3) [m, m, rad] base_link in map, phi not wrapped."""
     wheels: Floats
@@ -178,7 +178,7 @@ class Driven:
     def travelled(self, stamps: Floats) -> Floats:
         """Return way and turn of the wheels (n, 2) [m, rad] up to stamps (n,) [s]."""
         total = np.concatenate(
-            [np.zeros((1, 2)), np.cumsum((self.wheels[1:] + self.wheels[:-1]) / 2 * STEP, axis=0)]
+            [np.zeros((1, 2)), np.cumsum((self.wheels[1:] + self.wheels[:-1]) / 2 * SIMULATION_STEP, axis=0)]
         )
         return np.stack([np.interp(stamps, self.stamps, column) for column in total.T], axis=-1)
 
@@ -198,7 +198,7 @@ class Errand:
 
     def __post_init__(self) -> None:
         free = self.room.free
-        self.tight, self.wide = _largest(free.buffer(-CLEARANCE)), _largest(free.buffer(-0.5))
+        self.tight, self.wide = largest_part(free.buffer(-CLEARANCE)), largest_part(free.buffer(-0.5))
         shapely.prepare(self.tight)
         shapely.prepare(self.wide)
         self.direction = int(self.rng.choice([-1, 1]))
@@ -273,7 +273,7 @@ class Errand:
         )
 
 
-def _largest(area: shapely.Geometry) -> shapely.Geometry:
+def largest_part(area: shapely.Geometry) -> shapely.Geometry:
     parts = list(getattr(area, "geoms", [area]))
     return max(parts, key=lambda part: part.area)
 
@@ -331,33 +331,38 @@ class Pilot:
         return min(leg.speed, 0.8 * way + 0.03) * max(0.2, math.cos(turn)) ** 2, omega
 
 
-def drive(errand: Errand, robot: RobotSpec, motors: Motors, duration: float) -> Driven:
-    """Integrate the robot for `duration` [s]; control every PERIOD, truth every STEP."""
+def drive(errand: Errand, robot: RobotSpec, motors: TrueMotors, duration: float) -> TrueDrive:
+    """Integrate the robot for `duration` [s]; control every COMMAND_PERIOD, truth every SIMULATION_STEP."""
     pilot = Pilot(errand=errand, robot=robot)
     x, y, phi = (float(value) for value in errand.start())
-    substeps = round(PERIOD / STEP)
-    n_commands = round(duration / PERIOD)
-    keep = math.exp(-STEP / motors.tau)
+    substeps = round(COMMAND_PERIOD / SIMULATION_STEP)
+    n_commands = round(duration / COMMAND_PERIOD)
+    keep = math.exp(-SIMULATION_STEP / motors.tau)
     v = omega = u = w = 0.0
     commands: list[tuple[float, float]] = []
     rows = [(x, y, phi, 0.0, 0.0)]
     px, py, pr = motors.slip_patch
     for k in range(n_commands):
-        want_v, want_w = pilot.command(k * PERIOD, x, y, phi)
+        want_v, want_w = pilot.command(k * COMMAND_PERIOD, x, y, phi)
         if k > n_commands - 20:
             want_v = want_w = 0.0
-        u += max(-robot.a * PERIOD, min(robot.a * PERIOD, max(-robot.v, min(robot.v, want_v)) - u))
+        u += max(
+            -robot.a * COMMAND_PERIOD, min(robot.a * COMMAND_PERIOD, max(-robot.v, min(robot.v, want_v)) - u)
+        )
         w += max(
-            -robot.alpha * PERIOD, min(robot.alpha * PERIOD, max(-robot.omega, min(robot.omega, want_w)) - w)
+            -robot.alpha * COMMAND_PERIOD,
+            min(robot.alpha * COMMAND_PERIOD, max(-robot.omega, min(robot.omega, want_w)) - w),
         )
         commands.append((u, w))
         for j in range(substeps):
-            t = k * PERIOD + (j + 0.5) * STEP
-            begin, end = ((t + side * STEP / 2 - motors.dead_time) / PERIOD for side in (-1, 1))
+            t = k * COMMAND_PERIOD + (j + 0.5) * SIMULATION_STEP
+            begin, end = (
+                (t + side * SIMULATION_STEP / 2 - motors.dead_time) / COMMAND_PERIOD for side in (-1, 1)
+            )
             first, last = math.floor(begin + 1e-9), math.floor(end - 1e-9)
             (au, aw), (bu, bw) = (commands[i] if i >= 0 else (0.0, 0.0) for i in (first, last))
             part = (
-                (last - begin) * PERIOD / STEP if last > first else 0.0
+                (last - begin) * COMMAND_PERIOD / SIMULATION_STEP if last > first else 0.0
             )  # of the step, still under the old command
             cu, cw = bu + part * (au - bu), bw + part * (aw - bw)
             cu = max(-motors.v_max, min(motors.v_max, cu))
@@ -368,20 +373,20 @@ def drive(errand: Errand, robot: RobotSpec, motors: Motors, duration: float) -> 
             v1, w1 = cu + (v - cu) * keep, cw + (omega - cw) * keep
             grip = 1.0 - motors.slip if motors.slip and math.hypot(x - px, y - py) < pr else 1.0
             mean_v, mean_w = (v + v1) / 2 * grip, (omega + w1) / 2 * grip
-            middle = phi + mean_w * STEP / 2
+            middle = phi + mean_w * SIMULATION_STEP / 2
             x, y, phi = (
-                x + mean_v * STEP * math.cos(middle),
-                y + mean_v * STEP * math.sin(middle),
-                phi + mean_w * STEP,
+                x + mean_v * SIMULATION_STEP * math.cos(middle),
+                y + mean_v * SIMULATION_STEP * math.sin(middle),
+                phi + mean_w * SIMULATION_STEP,
             )
             v, omega = v1, w1
             rows.append((x, y, phi, v, omega))
     table = np.array(rows)
-    return Driven(
-        stamps=np.arange(len(rows)) * STEP,
+    return TrueDrive(
+        stamps=np.arange(len(rows)) * SIMULATION_STEP,
         poses=table[:, :3],
         wheels=table[:, 3:],
-        cmd_stamps=np.arange(n_commands) * PERIOD,
+        cmd_stamps=np.arange(n_commands) * COMMAND_PERIOD,
         commands=np.array(commands),
     )
 

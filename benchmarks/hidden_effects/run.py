@@ -21,9 +21,9 @@ from pathlib import Path
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def look(folder: Path, name: str, *, second: bool = False) -> str:
+def diagnose_case(folder: Path, name: str, *, second: bool = False) -> str:
     """Diagnose one case in this process; keep report.json, what was printed and the time."""
-    from sensorgraph.cli import run
+    from sensorgraph.cli import run  # in the worker, after its threads are set
 
     case, result = folder / "cases" / name, folder / "results" / name
     result.mkdir(parents=True, exist_ok=True)
@@ -73,13 +73,13 @@ def main() -> None:
         shutil.rmtree(options.folder / "results" / name, ignore_errors=True)
     os.environ |= dict.fromkeys(THREADS, "1")  # before a worker imports numpy
     with ProcessPoolExecutor(options.workers) as pool:
-        jobs = [pool.submit(look, options.folder, name, second=options.second) for name in names]
+        jobs = [pool.submit(diagnose_case, options.folder, name, second=options.second) for name in names]
         for job in jobs:
             print(job.result(), flush=True)
 
-    from benchmarks.hidden_effects import score
+    from benchmarks.hidden_effects import results, score  # numpy, which the workers must not inherit
 
-    print(score.text(score.load([options.folder])))
+    print(score.text(results.load([options.folder])))
 
 
 if __name__ == "__main__":

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from benchmarks.hidden_effects.physics import Effect
-from benchmarks.hidden_effects.robot import Driven, RobotSpec, _largest
-from benchmarks.hidden_effects.world import ARENA, Floats, Hits, Room
+from benchmarks.hidden_effects.people import walkers
+from benchmarks.hidden_effects.robot import RobotSpec, TrueDrive, largest_part
+from benchmarks.hidden_effects.simulated_scan import HiddenEffect
+from benchmarks.hidden_effects.world import ARENA, Floats, Room, TrueHits
 
 DEG = math.pi / 180
 MATERIALITY = {
@@ -40,7 +41,7 @@ MATERIALITY = {
     "speed_saturation": 0.02,
 }
 """In the unit of the parameter. The other effects have no size, only a mark."""
-LARGEST = {
+LARGEST_RATIO = {
     "unmapped_obstacle": 12.0,
     "moved_obstacle": 15.0,
     "random_outliers": 20.0,
@@ -57,9 +58,9 @@ class Context:
 
     room: Room
     robot: RobotSpec
-    driven: Driven
+    driven: TrueDrive
     """The trip without any effect."""
-    hits: Hits
+    hits: TrueHits
     """What the laser would see on it (some of the scans)."""
     wall_names: tuple[str, ...]
 
@@ -89,10 +90,10 @@ class Context:
 
 def size_of(name: str, strength: float) -> float:
     """Return the size in the parameter's unit: from half the materiality, geometrically, to ten times it."""
-    return MATERIALITY[name] * 0.5 * (LARGEST.get(name, 10.0) / 0.5) ** strength
+    return MATERIALITY[name] * 0.5 * (LARGEST_RATIO.get(name, 10.0) / 0.5) ** strength
 
 
-def ratio_of(effect: Effect, context: Context) -> float | None:
+def ratio_of(effect: HiddenEffect, context: Context) -> float | None:
     """Return true size over materiality, None for effects without a size (people: known from the mark)."""
     p = effect.parameters
     if effect.name not in MATERIALITY or effect.name == "people":
@@ -121,18 +122,18 @@ def ratio_of(effect: Effect, context: Context) -> float | None:
     return size / MATERIALITY[effect.name]
 
 
-Draw = Callable[[Context, float, np.random.Generator], Effect]
+Draw = Callable[[Context, float, np.random.Generator], HiddenEffect]
 
 
-def draw(name: str, strength: float, context: Context, rng: np.random.Generator) -> Effect:
+def draw(name: str, strength: float, context: Context, rng: np.random.Generator) -> HiddenEffect:
     """Draw one library effect at a strength in 0...1."""
     return DRAWS[name](context, strength, rng)
 
 
 def _signed(name: str, key: str, *, negative: float = 0.5) -> Draw:
-    def one(context: Context, u: float, rng: np.random.Generator) -> Effect:
+    def one(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
         sign = -1.0 if rng.random() < negative else 1.0
-        return Effect(name=name, parameters={key: sign * size_of(name, u)})
+        return HiddenEffect(name=name, parameters={key: sign * size_of(name, u)})
 
     return one
 
@@ -148,17 +149,17 @@ def _sector(context: Context, width: float, rng: np.random.Generator) -> tuple[f
     return float(first), float(first + width)
 
 
-def _sector_bias(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _sector_bias(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     theta1, theta2 = _sector(context, rng.uniform(15, 50) * DEG, rng)
     b = float(rng.choice([-1, 1])) * size_of("sector_bias", u)
-    return Effect(name="sector_bias", parameters={"theta1": theta1, "theta2": theta2, "b": b})
+    return HiddenEffect(name="sector_bias", parameters={"theta1": theta1, "theta2": theta2, "b": b})
 
 
-def _self_occlusion(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _self_occlusion(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     step = float(np.diff(context.robot.bearings[:2])[0])
     theta1, theta2 = _sector(context, max(1.2 * step, (1 + 14 * u) * DEG), rng)
     r0 = float(rng.uniform(context.robot.range_min + 0.03, 0.35))
-    return Effect(name="self_occlusion", parameters={"r0": r0, "theta1": theta1, "theta2": theta2})
+    return HiddenEffect(name="self_occlusion", parameters={"r0": r0, "theta1": theta1, "theta2": theta2})
 
 
 def _wall_part(
@@ -177,52 +178,52 @@ def _wall_part(
     return wall, middle - half, middle + half, (float(at[0]), float(at[1]))
 
 
-def _glass(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _glass(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     wall, a, b, xy = _wall_part(context, u, rng)
     depth = None if rng.random() < 0.3 else float(rng.uniform(0.3, 3.0))
     alpha = float(rng.uniform(4, 30 - 15 * u)) * DEG
-    return Effect(
+    return HiddenEffect(
         name="glass", parameters={"a": a, "b": b, "alpha_ret": alpha, "depth": depth}, place=wall, xy=xy
     )
 
 
-def _mirror(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _mirror(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     wall, a, b, xy = _wall_part(context, u, rng)
-    return Effect(name="mirror", parameters={"a": a, "b": b}, place=wall, xy=xy)
+    return HiddenEffect(name="mirror", parameters={"a": a, "b": b}, place=wall, xy=xy)
 
 
-def _black(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _black(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     wall, a, b, xy = _wall_part(context, u, rng)
     r0 = float(rng.uniform(0.5, 1.0 + 2.0 * (1 - u)))
-    return Effect(name="black_surface", parameters={"a": a, "b": b, "r0": r0}, place=wall, xy=xy)
+    return HiddenEffect(name="black_surface", parameters={"a": a, "b": b, "r0": r0}, place=wall, xy=xy)
 
 
-def _incidence(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _incidence(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     loss = 0.008 * 30**u * rng.uniform(0.8, 1.25)
-    return Effect(
+    return HiddenEffect(
         name="incidence_dropout", parameters={"alpha_max": context.quantile(context.hits.incidence, 1 - loss)}
     )
 
 
-def _max_range(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _max_range(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     loss = 0.008 * 50**u * rng.uniform(0.8, 1.2)
     inside = min(context.quantile(context.hits.ranges, 1 - loss), 0.98 * context.robot.range_max)
-    return Effect(name="max_range", parameters={"R": inside})
+    return HiddenEffect(name="max_range", parameters={"R": inside})
 
 
-def _min_range(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _min_range(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     loss = 0.008 * 20**u * rng.uniform(0.8, 1.2)
     r_min = max(context.quantile(context.hits.ranges, loss), context.robot.range_min + 0.05)
-    return Effect(
+    return HiddenEffect(
         name="min_range", parameters={"r_min": r_min}, extra={"reads": float(rng.choice([-np.inf, np.inf]))}
     )
 
 
-def _quantisation(context: Context, u: float, rng: np.random.Generator) -> Effect:
-    return Effect(name="quantisation", parameters={"q": round(0.004 * 25**u, 3)})
+def _quantisation(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+    return HiddenEffect(name="quantisation", parameters={"q": round(0.004 * 25**u, 3)})
 
 
-def _unmapped(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _unmapped(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     r = size_of("unmapped_obstacle", u)
     way = shapely.LineString(context.driven.poses[::20, :2])
     free = context.room.free.buffer(-r - 0.05)
@@ -239,109 +240,60 @@ def _unmapped(context: Context, u: float, rng: np.random.Generator) -> Effect:
         if away > far:
             best, far = point, away
     x, y = float(best[0]), float(best[1])
-    return Effect(name="unmapped_obstacle", parameters={"x": x, "y": y, "r": r}, xy=(x, y))
+    return HiddenEffect(name="unmapped_obstacle", parameters={"x": x, "y": y, "r": r}, xy=(x, y))
 
 
-def _moved_obstacle(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _moved_obstacle(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     name = context.pick_obstacle(rng)
     xy = tuple(map(float, shapely.Polygon(context.room.rings[name]).centroid.coords[0]))
     shift = _direction("moved_obstacle", context, u, rng)
-    return Effect(name="moved_obstacle", parameters=shift, place=name, xy=(xy[0], xy[1]))
+    return HiddenEffect(name="moved_obstacle", parameters=shift, place=name, xy=(xy[0], xy[1]))
 
 
-def _missing_obstacle(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _missing_obstacle(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     name = context.pick_obstacle(rng)
     xy = tuple(map(float, shapely.Polygon(context.room.rings[name]).centroid.coords[0]))
-    return Effect(name="missing_obstacle", parameters={}, place=name, xy=(xy[0], xy[1]))
+    return HiddenEffect(name="missing_obstacle", parameters={}, place=name, xy=(xy[0], xy[1]))
 
 
-def _moved_wall(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _moved_wall(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     wall = context.pick_wall(rng)
     a, b = context.room.edge(wall)
     d = float(rng.choice([-1, 1])) * size_of("moved_wall", u)
-    return Effect(name="moved_wall", parameters={"d": d}, place=wall, xy=tuple(map(float, (a + b) / 2)))
+    return HiddenEffect(name="moved_wall", parameters={"d": d}, place=wall, xy=tuple(map(float, (a + b) / 2)))
 
 
-def _people(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _people(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     """Persons as bodies or pairs of legs that walk between random places for part of the run."""
-    whole = float(context.driven.stamps[-1])
-    free = _largest(context.room.free.buffer(-0.3))
-    walkers: list[tuple[Floats, Floats, float]] = []
-    for _ in range(1 + int(2.99 * u * rng.random())):
-        stay = whole * min(1.0, 0.04 * 20**u * rng.uniform(0.7, 1.4))
-        enter = rng.uniform(0, max(whole - stay, 1e-3))
-        stamps, centres = _walk(free, enter, enter + stay, rng)
-        gone = np.array([[1e4, 1e4]])
-        fine = np.arange(enter, enter + stay, 0.05)
-        at = np.stack([np.interp(fine, stamps, column) for column in centres.T], axis=1)
-        ends = np.array([enter - 1e-3]), np.array([fine[-1] + 1e-3])
-        times = np.concatenate([ends[0], fine, ends[1]])
-        if rng.random() < 0.5:
-            walkers.append((times, np.concatenate([gone, at, gone]), float(rng.uniform(0.15, 0.25))))
-            continue
-        along = np.gradient(at, axis=0)
-        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
-        aside = np.stack([-along[:, 1], along[:, 0]], axis=1)
-        swing = 0.18 * np.sin(2 * np.pi * 0.9 * fine)[:, None]
-        radius = float(rng.uniform(0.05, 0.08))
-        for side in (-1, 1):
-            leg = at + side * (0.11 * aside + swing * along)
-            walkers.append((times, np.concatenate([gone, leg, gone]), radius))
-    return Effect(name="people", parameters={"p": None}, extra={"walkers": walkers})
+    free = largest_part(context.room.free.buffer(-0.3))
+    found = walkers(free, float(context.driven.stamps[-1]), u, rng)
+    return HiddenEffect(name="people", parameters={"p": None}, extra={"walkers": found})
 
 
-def _walk(
-    free: shapely.Geometry, start: float, stop: float, rng: np.random.Generator
-) -> tuple[Floats, Floats]:
-    x0, y0, x1, y1 = free.bounds
-    shapely.prepare(free)
-
-    def spot() -> Floats:
-        while True:
-            points = rng.uniform((x0, y0), (x1, y1), size=(8, 2))
-            inside = points[shapely.contains_xy(free, points[:, 0], points[:, 1])]
-            if len(inside):
-                return np.asarray(inside[0])
-
-    t, here = start, spot()
-    stamps, centres = [t], [here]
-    while t < stop:
-        there = spot()
-        for _ in range(20):
-            if free.contains(shapely.LineString([here, there])):
-                break
-            there = spot()
-        t += max(0.3, float(np.linalg.norm(there - here))) / rng.uniform(0.3, 1.2)
-        stamps.append(t)
-        centres.append(there)
-        here = there
-    return np.array(stamps), np.array(centres)
-
-
-def _range_drift(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _range_drift(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     b1 = float(rng.choice([-1, 1])) * size_of("range_drift", u)
     values: dict[str, float | None] = {"b1": b1}
     if rng.random() < 0.4:
         values["tau"] = float(rng.uniform(8, 30))
-    return Effect(name="range_drift", parameters=values)
+    return HiddenEffect(name="range_drift", parameters=values)
 
 
-def _sonar(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _sonar(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     gamma = (7 + 12 * u) * DEG * rng.uniform(0.9, 1.1)
-    return Effect(
+    return HiddenEffect(
         name="sonar_cone", parameters={"gamma": float(gamma), "alpha_max": float(rng.uniform(15, 45)) * DEG}
     )
 
 
-def _tilt(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _tilt(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     far = context.quantile(context.hits.ranges, 0.97 - 0.35 * u)
     beta = math.atan(context.robot.height / far) * rng.uniform(1.0, 1.15)
     inside = context.robot.bearings
     theta0 = float(rng.uniform(0.6 * inside[0], 0.6 * inside[-1]))
-    return Effect(name="tilt", parameters={"beta": float(beta), "theta0": theta0})
+    return HiddenEffect(name="tilt", parameters={"beta": float(beta), "theta0": theta0})
 
 
-def _slip(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _slip(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     r = float(rng.uniform(0.45, 0.9))
     spots = context.driven.poses[:: max(1, len(context.driven.poses) // 200), :2]
     moving = np.abs(context.driven.wheels[:, 0]) > 0.08
@@ -350,21 +302,23 @@ def _slip(context: Context, u: float, rng: np.random.Generator) -> Effect:
     spot = rng.choice(spots[visits >= np.quantile(visits, 0.6)])
     x, y = float(spot[0]), float(spot[1])
     s = size_of("wheel_slip", u)
-    return Effect(name="wheel_slip", parameters={"s": s, "x": x, "y": y, "r": r}, xy=(x, y))
+    return HiddenEffect(name="wheel_slip", parameters={"s": s, "x": x, "y": y, "r": r}, xy=(x, y))
 
 
-def _saturation(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _saturation(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     fastest = float(np.abs(context.driven.commands[:, 0]).max())
-    return Effect(name="speed_saturation", parameters={"v_max": fastest - size_of("speed_saturation", u)})
+    return HiddenEffect(
+        name="speed_saturation", parameters={"v_max": fastest - size_of("speed_saturation", u)}
+    )
 
 
-def _clock_offset(context: Context, u: float, rng: np.random.Generator) -> Effect:
+def _clock_offset(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
     sign = -1.0 if rng.random() < 0.2 else 1.0
-    return Effect(name="pose_clock_offset", parameters={"tau": sign * 0.015 * 20**u})
+    return HiddenEffect(name="pose_clock_offset", parameters={"tau": sign * 0.015 * 20**u})
 
 
-def _mount_xy(context: Context, u: float, rng: np.random.Generator) -> Effect:
-    return Effect(name="mount_xy", parameters=_direction("mount_xy", context, u, rng))
+def _mount_xy(context: Context, u: float, rng: np.random.Generator) -> HiddenEffect:
+    return HiddenEffect(name="mount_xy", parameters=_direction("mount_xy", context, u, rng))
 
 
 DRAWS: dict[str, Draw] = {

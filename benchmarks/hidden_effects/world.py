@@ -79,7 +79,7 @@ class Walls:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Hits:
+class TrueHits:
     """Where each of n rays ended."""
 
     ranges: Floats
@@ -100,7 +100,7 @@ def walls_of(room: Room) -> Walls:
     return Walls(a=a, b=b, names=names)
 
 
-def cast(walls: Walls, origins: Floats, angles: Floats) -> Hits:
+def cast(walls: Walls, origins: Floats, angles: Floats) -> TrueHits:
     """Cast rays from origins (n, 2) [m] at angles (n,) [rad] against the walls."""
     ox, oy = np.ascontiguousarray(origins[:, 0]), np.ascontiguousarray(origins[:, 1])
     cx, cy = np.cos(angles), np.sin(angles)
@@ -124,7 +124,7 @@ def cast(walls: Walls, origins: Floats, angles: Floats) -> Hits:
         along = (
             (ox + best * cx - walls.a[w, 0]) * e[w, 0] + (oy + best * cy - walls.a[w, 1]) * e[w, 1]
         ) / length[w]
-    return Hits(
+    return TrueHits(
         ranges=best,
         wall=wall,
         incidence=np.where(wall >= 0, np.arccos(np.clip(cos_inc, 0, 1)), 0.0),

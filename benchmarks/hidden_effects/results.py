@@ -1,0 +1,177 @@
+"""Each case with its truth and its answer: what was hidden, what was reported, and whether the two agree."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+MAX_PLACE_ERROR = 0.3
+"""[m] a spot counts as found."""
+SYNONYMS = {
+    "s_rel": "s",
+    "scale": "s",
+    "bias": "b",
+    "yaw": "delta",
+    "radius": "r",
+    "theta_1": "theta1",
+    "theta_2": "theta2",
+    "r_0": "r0",
+    "theta_0": "theta0",
+    "alpha_return": "alpha_ret",
+    "v_sat": "v_max",
+    "sweep": "T",
+    "b_1": "b1",
+}
+"""Other keys a report may use -> ours."""
+ANGLES = {"theta1", "theta2", "theta0"}
+PLACE_PARAMETERS = {("wheel_slip", "x"), ("wheel_slip", "y"), ("wheel_slip", "r")}
+"""Where an effect is, scored as a place and not as a parameter."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Case:
+    """One case: the truth and the answer."""
+
+    label: str
+    truth: dict[str, Any]
+    report: dict[str, Any] | None
+    command_s: float | None
+    """[s] CPU time of the whole command, pictures and recordings included."""
+
+    @property
+    def cpu_s(self) -> float | None:
+        """CPU time of the diagnosis alone [s]."""
+        return None if self.report is None else float(sum(self.report["cpu_s"].values()))
+
+    @property
+    def suite(self) -> str:
+        """Suite of the case."""
+        return str(self.truth["suite"])
+
+    @property
+    def background(self) -> str:
+        """Background of the case."""
+        return str(self.truth["background"])
+
+    @property
+    def hidden(self) -> list[dict[str, Any]]:
+        """Library effects in it."""
+        return list(self.truth["effects"])
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the library effects in it."""
+        return [effect["name"] for effect in self.hidden]
+
+    @property
+    def reported(self) -> list[dict[str, Any]]:
+        """Effects that the report names, first first."""
+        return list((self.report or {}).get("effects") or [])
+
+    @property
+    def reported_names(self) -> list[str]:
+        """Their names, first first."""
+        return [effect["name"] for effect in self.reported]
+
+    @property
+    def is_unknown(self) -> bool:
+        """The answer says that something unknown is there."""
+        unknown = (self.report or {}).get("unknown")
+        if isinstance(unknown, dict) and isinstance(unknown.get("said"), bool):
+            return bool(unknown["said"])
+        return bool(unknown)
+
+    @property
+    def is_first_right(self) -> bool:
+        """The first name reported is a true one."""
+        return bool(self.reported_names) and self.reported_names[0] in self.names
+
+    @property
+    def is_first_wrong(self) -> bool:
+        """Something is named, and the first name is not a true one."""
+        return bool(self.reported_names) and not self.is_first_right
+
+    @property
+    def is_right(self) -> bool:
+        """Exactly the hidden effects are named."""
+        return sorted(self.names) == sorted(self.reported_names)
+
+    @property
+    def wrong_names(self) -> list[str]:
+        """Names reported that are not there."""
+        return [name for name in self.reported_names if name not in self.names]
+
+    @property
+    def is_material(self) -> bool:
+        """All its effects are material and marked."""
+        return bool(self.hidden) and all(effect["material"] for effect in self.hidden)
+
+    @property
+    def is_below_materiality(self) -> bool:
+        """Its (single) effect has a size below the materiality."""
+        ratio = self.hidden[0]["materiality_ratio"] if len(self.hidden) == 1 else None
+        return ratio is not None and ratio < 1.0
+
+
+def load(folders: Iterable[Path]) -> list[Case]:
+    """Read truth and answers; cases whose answer was never asked for are left out."""
+    cases = []
+    for folder in folders:
+        for path in sorted(folder.glob("truth/*.json")):
+            result = folder / "results" / path.stem
+            if not result.exists():
+                continue
+            report, run = result / "report.json", result / "run.json"
+            cases.append(
+                Case(
+                    label=f"{folder.name}/{path.stem}",
+                    truth=json.loads(path.read_text()),
+                    report=json.loads(report.read_text()) if report.exists() else None,
+                    command_s=json.loads(run.read_text()).get("cpu_s") if run.exists() else None,
+                )
+            )
+    return cases
+
+
+def found_effects(cases: Sequence[Case]) -> Iterable[tuple[Case, dict[str, Any], dict[str, Any]]]:
+    """Yield (case, true effect, the one said) for every material effect that was named."""
+    for case in cases:
+        for true in case.hidden:
+            same = [said for said in case.reported if said["name"] == true["name"]]
+            if same and true["material"]:
+                yield case, true, same[0]
+
+
+def is_placed(true: dict[str, Any], said: dict[str, Any]) -> bool:
+    """Tell whether the place said is the wall, the obstacle or within MAX_PLACE_ERROR of the spot."""
+    place, reported = true["location"], said.get("location") or {}
+    if place["name"] and reported.get("name") == place["name"]:
+        return True
+    if place["xy"] is None or reported.get("xy") is None:
+        return False
+    return math.dist(place["xy"], reported["xy"]) <= MAX_PLACE_ERROR
+
+
+def parameters_within(true: dict[str, Any], said: dict[str, Any]) -> Iterable[tuple[str, bool]]:
+    """Yield (parameter, true value within two standard errors) for those that both know."""
+    values = {SYNONYMS.get(key, key): value for key, value in (said.get("parameters") or {}).items()}
+    errors = said.get("stderr") or {}
+    if isinstance(errors, dict):
+        errors = {SYNONYMS.get(key, key): value for key, value in errors.items()}
+    else:
+        errors = dict.fromkeys(values, errors)
+    for key, value in true["parameters"].items():
+        reported, error = values.get(key), errors.get(key)
+        if (true["name"], key) in PLACE_PARAMETERS or value is None or reported is None or error is None:
+            continue
+        off = reported - value
+        if key in ANGLES:
+            off = math.remainder(off, 2 * math.pi)
+        if not (math.isfinite(error) and math.isfinite(off)):
+            yield key, False
+        else:
+            yield key, abs(off) <= 2 * error + 1e-9
