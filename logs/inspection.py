@@ -13,7 +13,16 @@ from logs.errors import LogError
 from logs.formats import FORMATS, format_of, mcap_file, rosbag
 from logs.ros import cdr
 from logs.ros.interpret import to_run
-from logs.ros.recording import ENCODINGS, KNOWN, TF, Recording, Topic, check_roles, choices, transform_tree
+from logs.ros.recording import (
+    ENCODINGS,
+    KEPT_TYPES,
+    TF_TYPE,
+    Recording,
+    Topic,
+    check_roles,
+    choices,
+    transform_tree,
+)
 from logs.run import Run, pair
 from logs.types import Floats, Progress
 
@@ -22,11 +31,31 @@ LOADERS: dict[str, Callable[[Path, Progress | None], Recording]] = {
     "rosbag": rosbag.load,
 }
 """Formats that have topics."""
-CLOCK_OFFSET = 0.5  # [s] between header and log time that is worth a word
-GAP = 5.0  # a gap is this many periods, and at least GAP_LEAST
-GAP_LEAST = 0.5  # [s]
-JUMP = 5.0  # [m/s] no robot here drives faster
-MILLI, CENTI = 1000.0, 60.0  # a median range [m] above this means other units
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarningLimits:
+    """What is odd enough to be mentioned; conventions, none is fitted to data."""
+
+    clock_offset: float = 0.5
+    """[s] between header and log time."""
+    gap_periods: float = 5.0
+    """A step longer than this many median steps is a gap ..."""
+    gap: float = 0.5
+    """[s] ... if it is also longer than this."""
+    jump_speed: float = 5.0
+    """[m/s] between two poses; no robot here drives faster."""
+    jump: float = 0.1
+    """[m] shorter jumps are noise of the reference."""
+    millimetres: float = 1000.0
+    """[m] a median range above this is in millimetres ..."""
+    centimetres: float = 60.0
+    """[m] ... or in centimetres, above this."""
+    still: float = 1e-6
+    """[m, rad] poses that span less never change."""
+
+
+LIMITS = WarningLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +126,13 @@ class Inspection:
 def inspect(
     path: Path | str, topics: Mapping[str, str] | None = None, *, progress: Progress | None = None
 ) -> Inspection:
-    """Look into a file; what cannot be a run is still described."""
+    """Look into a file; what cannot be a run is still described.
+
+    Raises
+    ------
+    LogError
+        if no format matches, the file is damaged, or a topic that was named is not there
+    """
     path = Path(path)
     check_roles(topics)
     kind = format_of(path)
@@ -147,7 +182,7 @@ def _topic(topic: Topic, start: int) -> TopicInfo:
     logged = np.sort(np.array(topic.log_times, dtype=np.int64))
     frame, offset = "", None
     stamps = logged
-    if topic.type in KNOWN and topic.type != TF and topic.payloads:
+    if topic.type in KEPT_TYPES and topic.type != TF_TYPE and topic.payloads:
         headers, frames = logged.copy(), dict[str, int]()
         raw = np.array(topic.log_times, dtype=np.int64)
         for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
@@ -245,7 +280,7 @@ def _missing(run: Run, recording: Recording | None) -> list[str]:
 def _ros_warnings(recording: Recording) -> list[str]:
     out = []
     for topic in _topics(recording):
-        if topic.offset is not None and abs(topic.offset) > CLOCK_OFFSET:
+        if topic.offset is not None and abs(topic.offset) > LIMITS.clock_offset:
             out.append(f"{topic.name}: log time is {topic.offset:.3f} s after the header stamp: two clocks?")
     return out
 
@@ -262,8 +297,8 @@ def warnings_of(run: Run) -> list[str]:
     finite = np.isfinite(run.ranges)
     if finite.any():
         middle = float(np.median(run.ranges[finite]))
-        if middle > CENTI:
-            unit = "millimetres" if middle > MILLI else "centimetres or millimetres"
+        if middle > LIMITS.centimetres:
+            unit = "millimetres" if middle > LIMITS.millimetres else "centimetres or millimetres"
             out.append(f"the median range is {middle:g}: these look like {unit}, expected metres")
     blind = np.flatnonzero(~finite.any(axis=0)) if run.n_scans else np.zeros(0, dtype=np.intp)
     if len(blind):
@@ -282,7 +317,7 @@ def _stamp_warnings(run: Run) -> list[str]:
             out.append(
                 f"{same} {name} stamps are duplicates: do two sources publish, was a bag played into itself?"
             )
-        gaps = steps > max(GAP * float(np.median(steps)), GAP_LEAST)
+        gaps = steps > max(LIMITS.gap_periods * float(np.median(steps)), LIMITS.gap)
         if gaps.any():
             at = float(stamps[int(np.argmax(steps))])
             out.append(f"{name}: {int(gaps.sum())} gaps, the longest {steps.max():.2f} s at {at:.2f} s")
@@ -301,11 +336,11 @@ def _pose_warnings(run: Run) -> list[str]:
     if broken:
         out.append(f"{broken} poses are not finite")
     if len(stamps) > 1 and broken == 0:
-        if np.ptp(poses, axis=0).max() < 1e-6:
+        if np.ptp(poses, axis=0).max() < LIMITS.still:
             out.append("the pose never changes: did the robot move, does the reference run?")
         steps = np.diff(stamps)
         moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-        jumps = (moved > 0.1) & (moved > JUMP * np.maximum(steps, 1e-3))
+        jumps = (moved > LIMITS.jump) & (moved > LIMITS.jump_speed * np.maximum(steps, 1e-3))
         if jumps.any():
             at = float(stamps[int(np.argmax(np.where(jumps, moved, 0)))])
             out.append(

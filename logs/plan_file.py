@@ -14,12 +14,12 @@ from logs.ros.messages import map_message
 from logs.run import OccupancyMap
 from logs.types import Floats
 
-PATH, GRID = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
-MOST_POSES = 5000
+PATH_TYPE, GRID_TYPE = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
+MAX_PATH_POSES = 5000
 """Of the path message: a viewer draws it whole."""
 
 
-def thin(poses: Floats, most: int = MOST_POSES) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+def thin(poses: Floats, most: int = MAX_PATH_POSES) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
     """Choose samples of a path (n, 3) at even steps of its length (1 rad counted as 10 cm), the ends included."""
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T) + 0.1 * np.abs(np.diff(np.unwrap(poses[:, 2])))
     way = np.concatenate([[0.0], np.cumsum(steps)])
@@ -50,9 +50,9 @@ def write_plan(
         for topic, grid in (("/map", occupancy), ("/coverage", coverage)):
             if grid is not None:
                 at = np.array([epoch_ns], dtype=np.int64)
-                file.put(file.channel(topic, GRID), epoch_ns, map_message(at, grid).tobytes())
+                file.put(file.channel(topic, GRID_TYPE), epoch_ns, map_message(at, grid).tobytes())
         chosen = thin(poses)
-        message = types[PATH](
+        message = types[PATH_TYPE](
             header=_header(types, epoch_ns),
             poses=[
                 types["geometry_msgs/msg/PoseStamped"](
@@ -61,7 +61,7 @@ def write_plan(
                 for t, pose in zip(stamps[chosen].tolist(), poses[chosen].tolist(), strict=True)
             ],
         )
-        file.put(file.channel("/plan", PATH), epoch_ns, bytes(store.serialize_cdr(message, PATH)))
+        file.put(file.channel("/plan", PATH_TYPE), epoch_ns, bytes(store.serialize_cdr(message, PATH_TYPE)))
         for name, data in (attachments or {}).items():
             file.attach(name, data, epoch_ns)
 

@@ -20,8 +20,8 @@ from logs.ros.messages import (
     to_ns,
     transform_messages,
 )
-from logs.ros.own_record import RECORD, facts
-from logs.ros.recording import ODOMETRY, POSE, SCAN, TF, TWIST_STAMPED
+from logs.ros.own_record import METADATA_NAME, sensor_facts
+from logs.ros.recording import ODOMETRY_TYPE, POSE_TYPE, SCAN_TYPE, TF_TYPE, TWIST_STAMPED_TYPE
 from logs.run import OccupancyMap, PoseFrame, RangeSensor
 from logs.transforms import Stamps, compose, invert
 from logs.types import Floats
@@ -57,10 +57,10 @@ class Recorder:
         self._last = self.epoch_ns
         self._file = RosFile(self.path)
         try:
-            said = facts(
+            stated = sensor_facts(
                 sensor, pose_frame=pose_frame, epoch_ns=epoch_ns, zero_ns=epoch_ns, meta=dict(meta or {})
             )
-            self._file.describe(RECORD, said)
+            self._file.describe(METADATA_NAME, stated)
             for name, data in (attachments or {}).items():
                 self.attach(name, data)
             latch(self._file, self.epoch_ns, sensor, occupancy)
@@ -72,7 +72,7 @@ class Recorder:
         """Write one scan: ranges (n_rays,) [m], the first ray at `stamp` [s]."""
         row = _row(ranges, self.sensor.n_rays, "ranges")
         at = self._ns(stamp)
-        self._put("/scan", SCAN, at, scan_messages(self.sensor, at, row))
+        self._put("/scan", SCAN_TYPE, at, scan_messages(self.sensor, at, row))
 
     def pose(self, stamp: float, pose: ArrayLike) -> None:
         """Write one reference pose (3,) of `pose_frame` in map, and the transforms that agree with it."""
@@ -81,20 +81,20 @@ class Recorder:
         base = compose(row, invert(self.sensor.mount)) if self.pose_frame == "laser" else row
         driven = self._odometry[None]
         edges = (("map", "odom", compose(base, invert(driven))), ("odom", "base_link", driven))
-        self._put("/tf", TF, at, transform_messages(at, *edges))
-        self._put("/pose", POSE, at, pose_messages(at, row))
+        self._put("/tf", TF_TYPE, at, transform_messages(at, *edges))
+        self._put("/pose", POSE_TYPE, at, pose_messages(at, row))
 
     def odometry(self, stamp: float, pose: ArrayLike, twist: ArrayLike) -> None:
         """Write one odometry pose (3,), base_link in odom, with its twist (2,)."""
         row = _row(pose, 3, "odometry pose")
         at = self._ns(stamp)
-        self._put("/odom", ODOMETRY, at, odometry_messages(at, row, _row(twist, 2, "twist")))
+        self._put("/odom", ODOMETRY_TYPE, at, odometry_messages(at, row, _row(twist, 2, "twist")))
         self._odometry = row[0]
 
     def command(self, stamp: float, twist: ArrayLike) -> None:
         """Write one commanded twist (2,)."""
         at = self._ns(stamp)
-        self._put("/cmd_vel", TWIST_STAMPED, at, command_messages(at, _row(twist, 2, "twist")))
+        self._put("/cmd_vel", TWIST_STAMPED_TYPE, at, command_messages(at, _row(twist, 2, "twist")))
 
     def attach(self, name: str, data: bytes) -> None:
         """Put a file inside the file, at once."""
@@ -114,7 +114,7 @@ class Recorder:
             self.close()
             return
         name = self.path.name.removesuffix(".mcap") + ".interrupted.mcap"
-        self._file.describe(f"{RECORD}.interrupted", {"reason": f"{type(exc).__name__}: {exc}"})
+        self._file.describe(f"{METADATA_NAME}.interrupted", {"reason": f"{type(exc).__name__}: {exc}"})
         kept = self._file.finish(self.path.with_name(name))
         logger.warning("the recording was interrupted; what was written is in %s", kept)
 

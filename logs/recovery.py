@@ -9,13 +9,13 @@ from pathlib import Path
 from logs.errors import LogError
 from logs.formats.mcap_file import CHUNK_SIZE, open_bytes
 from logs.mcap.records import MAGIC, Channel, Contents, Loss
-from logs.mcap.walk import Walk
-from logs.ros.cdr import SPECS
+from logs.mcap.walk import RecordWalk
+from logs.ros.cdr import MESSAGE_FIELDS
 from logs.ros.definitions import definition
-from logs.ros.own_record import RECORD, is_intact
+from logs.ros.own_record import METADATA_NAME, is_intact
 from logs.types import Progress
 
-OTHERS = (
+OTHER_FORMATS = (
     (
         b"SQLite format 3\x00",
         "a sqlite bag: save what is whole with `sqlite3 {path} .recover | sqlite3 OUT.db3`",
@@ -79,24 +79,33 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
 
     Chunks that do not match their checksum are left out; after damaged framing the next record that proves itself
     is searched. What stands whole at the start of a chunk that the end of the file cuts is kept.
+
+    Raises
+    ------
+    LogError
+        if the file is no MCAP, nothing in it is whole, or `out` is the damaged file itself
     """
     path, out = Path(path), Path(out)
     _check(path, out)
     data = open_bytes(path)
-    known = _first_look(data)
+    known = _read_contents(data)
     losses: list[Loss] = []
-    if any(name == RECORD and not is_intact(said) for name, said in known.metadata):
-        known.metadata = [(name, said) for name, said in known.metadata if name != RECORD]
+    if any(name == METADATA_NAME and not is_intact(said) for name, said in known.metadata):
+        known.metadata = [(name, said) for name, said in known.metadata if name != METADATA_NAME]
         losses.append(
-            Loss(0, 0, f"the metadata record `{RECORD}` has changed, left out: read it as a foreign file")
+            Loss(
+                0,
+                0,
+                f"the metadata record `{METADATA_NAME}` has changed, left out: read it as a foreign file",
+            )
         )
     if not (known.n_messages or known.attachments or known.metadata):
         raise LogError(f"{path} has no whole message, attachment or metadata left; there is nothing to save")
     part = out.with_name(out.name + ".recovered.part")  # NAME.part may be the very file that is to be saved
     try:
         with part.open("wb") as stream:
-            copy = _Copy(stream, known)
-            walk = Walk(data, copy.take, lambda loss: _add(losses, loss))
+            copy = _RecoveredFile(stream, known)
+            walk = RecordWalk(data, copy.take, lambda loss: _add(losses, loss))
             for step, pos in enumerate(walk.steps()):
                 if progress is not None and step % 64 == 0:
                     progress(pos, len(data))
@@ -133,13 +142,13 @@ def _add(losses: list[Loss], loss: Loss) -> None:
         losses.append(loss)
 
 
-def _first_look(data: bytes | mmap) -> Contents:
+def _read_contents(data: bytes | mmap) -> Contents:
     """Learn all that the file says of itself; a channel may be described after its messages.
 
     Header and definitions carry no checksum of their own: in a damaged file they are restored where they are known.
     """
     losses: list[Loss] = []
-    walk = Walk(data, lambda *_: None, losses.append)
+    walk = RecordWalk(data, lambda *_: None, losses.append)
     for _ in walk.steps():
         pass
     known = walk.contents
@@ -147,7 +156,7 @@ def _first_look(data: bytes | mmap) -> Contents:
         if any(channel.encoding == "cdr" for channel in known.channels.values()):
             known.profile = "ros2"
         for key, schema in known.schemas.items():
-            if schema.name in SPECS and schema.encoding == "ros2msg":
+            if schema.name in MESSAGE_FIELDS and schema.encoding == "ros2msg":
                 known.schemas[key] = replace(schema, data=definition(schema.name))
     return known
 
@@ -166,7 +175,7 @@ def _check(path: Path, out: Path) -> None:
         head = file.read(64)
     if not head:
         raise LogError(f"{path} is empty; there is nothing to save")
-    for magic, what in OTHERS:
+    for magic, what in OTHER_FORMATS:
         if head.startswith(magic):
             raise LogError(f"{path} is {what.format(path=path)}; recover is for MCAP")
     looks_alike = sum(a == b for a, b in zip(head, MAGIC, strict=False)) >= 5
@@ -176,7 +185,7 @@ def _check(path: Path, out: Path) -> None:
         raise LogError(f"{out} is the damaged file itself; give another name, it stays as it is")
 
 
-class _Copy:
+class _RecoveredFile:
     """The new file: everything known first, then message after message."""
 
     def __init__(self, stream: object, known: Contents) -> None:

@@ -63,7 +63,7 @@ class RangeSensor:
         return len(steps) == 0 or bool(np.ptp(steps) < 1e-6)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Run:
     """One recorded or simulated trip; every signal has its own stamps, in seconds from `epoch_ns`."""
 
@@ -114,6 +114,32 @@ class Run:
     def n_scans(self) -> int:
         """Count of scans."""
         return len(self.stamps)
+
+    @property
+    def duration(self) -> float:
+        """[s] from the first stamp of any signal to the last; 0 of a run without any."""
+        signals = (self.stamps, self.pose_stamps, self.odom_stamps, self.cmd_stamps)
+        ends = [(float(stamps[0]), float(stamps[-1])) for stamps in signals if len(stamps)]
+        return max(last for _, last in ends) - min(first for first, _ in ends) if ends else 0.0
+
+    def __repr__(self) -> str:
+        """Say in a few lines how much it holds, and where its poses are from."""
+        sensor = self.sensor
+        first, last = np.degrees(sensor.bearings[[0, -1]])
+        pose_source = self.meta.get("pose_source", "the reference")
+        signals = (
+            f"{len(self.poses):,} poses of {self.pose_frame} from {pose_source}" if len(self.poses) else "",
+            f"{len(self.odometry):,} odometry" if len(self.odometry) else "",
+            f"{len(self.commands):,} commands" if len(self.commands) else "",
+            f"attached {', '.join(self.attachments)}" if self.attachments else "",
+        )
+        source = self.meta.get("source", "")
+        return (
+            f"Run{f' of {source}' if source else ''}: {self.n_scans:,} scans of {sensor.n_rays} rays, "
+            f"{self.duration:.1f} s\n"
+            f"  rays from {first:.1f} to {last:.1f} deg, {sensor.range_min:g} to {sensor.range_max:g} m\n"
+            f"  {'; '.join(filter(None, signals)) or 'scans alone, no poses'}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -18,20 +18,28 @@ import numpy as np
 from logs.errors import LogError
 from logs.formats import format_of, mcap_file, read
 from logs.mcap.records import Contents, Loss
-from logs.mcap.walk import Walk
+from logs.mcap.walk import RecordWalk
 from logs.ros import interpret
-from logs.ros.recording import ENCODINGS, KNOWN, SCAN, Recording, Topic, check_roles, choose
+from logs.ros.recording import ENCODINGS, KEPT_TYPES, SCAN_TYPE, Recording, Topic, check_roles, choose
 from logs.run import Run
 from logs.types import Progress
 
-PIECE = 4096
-"""Scans of a piece."""
-AHEAD = 64
-"""Scans read beyond a piece, so that poses after its last scan are at hand."""
-MARGIN = 5_000_000_000
-"""[ns] of log time for which other messages are kept before a piece."""
-LOOKED_AT = 500
-"""Messages of each topic that the first look keeps, to tell which topic plays which role."""
+
+@dataclass(frozen=True, kw_only=True)
+class StreamSettings:
+    """How a long log is cut; what is read does not depend on it, only memory and speed do."""
+
+    piece: int = 4096
+    """Scans of a piece."""
+    ahead: int = 64
+    """Scans read beyond a piece, so that poses after its last scan are at hand."""
+    margin_ns: int = 5_000_000_000
+    """[ns] of log time for which other messages are kept before a piece."""
+    first_messages: int = 500
+    """Messages of each topic that the first look keeps, to tell which topic plays which role."""
+
+
+SETTINGS = StreamSettings()
 
 
 class LogStream(Protocol):
@@ -69,7 +77,13 @@ class WholeRun:
 def open_log(
     path: Path | str, *, topics: Mapping[str, str] | None = None, progress: Progress | None = None
 ) -> LogStream:
-    """Look through a file; a damaged one is refused before anything is made of it."""
+    """Look through a file; a damaged one is refused before anything is made of it.
+
+    Raises
+    ------
+    LogError
+        if the file is of no known format, is damaged, or holds no scans
+    """
     path = Path(path)
     check_roles(topics)
     if format_of(path) == "mcap" and path.stat().st_size > 0:
@@ -94,9 +108,9 @@ class McapStream:
         counts: dict[int, int] = {}
         look: dict[int, Topic] = {}
 
-        def take(channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
+        def keep(channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
             counts[channel] = counts.get(channel, 0) + 1
-            if counts[channel] <= LOOKED_AT:
+            if counts[channel] <= SETTINGS.first_messages:
                 kept = look.setdefault(channel, Topic("", ""))
                 kept.log_times.append(log_time)
                 kept.payloads.append(payload)
@@ -104,12 +118,12 @@ class McapStream:
         def refuse(loss: Loss) -> None:
             raise LogError(mcap_file.damage_text(path, loss))
 
-        contents = _walk(path, take, refuse, progress)
+        contents = _walk(path, keep, refuse, progress)
         recording = _skeleton(contents)
         for key, channel in contents.channels.items():
             topic = recording.topics[channel.topic]
             topic.n_messages += counts.get(key, 0)
-            if key in look and topic.type in KNOWN and topic.encoding in ENCODINGS:
+            if key in look and topic.type in KEPT_TYPES and topic.encoding in ENCODINGS:
                 topic.log_times += look[key].log_times
                 topic.payloads += look[key].payloads
         head = interpret.to_run(recording, path.name, topics)
@@ -126,12 +140,12 @@ class McapStream:
         )
 
     def pieces(self) -> Iterator[Run]:
-        """Walk the file again and yield runs of `PIECE` scans."""
+        """Walk the file again and yield runs of `StreamSettings.piece` scans."""
         window = _Window(self._contents, self.scan_topic)
-        for done in _steps(self.path, window.take):
+        for done in _steps(self.path, window.keep):
             del done
-            while window.n_scans >= PIECE + AHEAD:
-                yield self._run(window.cut(PIECE))
+            while window.n_scans >= SETTINGS.piece + SETTINGS.ahead:
+                yield self._run(window.cut(SETTINGS.piece))
         if window.n_scans:
             yield self._run(window.cut(window.n_scans))
 
@@ -163,8 +177,8 @@ class _Window:
             kind = mcap_file.type_of(contents, key)
             if (
                 channel.encoding in ENCODINGS
-                and kind in KNOWN
-                and (kind != SCAN or channel.topic == scan_topic)
+                and kind in KEPT_TYPES
+                and (kind != SCAN_TYPE or channel.topic == scan_topic)
             ):
                 self.names[key] = channel.topic
         self.scan_topic = scan_topic
@@ -173,7 +187,7 @@ class _Window:
     def n_scans(self) -> int:
         return len(self.scans)
 
-    def take(self, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
+    def keep(self, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
         """Keep a message, if anyone can use it."""
         name = self.names.get(channel)
         if name is None:
@@ -194,7 +208,7 @@ class _Window:
         for name, at, payload in (*self.fixed, *self.others):
             recording.topics[name].log_times.append(at)
             recording.topics[name].payloads.append(payload)
-        while self.others and self.others[0][1] < taken[-1][0] - MARGIN:
+        while self.others and self.others[0][1] < taken[-1][0] - SETTINGS.margin_ns:
             self.others.popleft()
         for topic in recording.topics.values():
             topic.n_messages = len(topic.log_times)
@@ -215,12 +229,12 @@ def _skeleton(contents: Contents) -> Recording:
 
 def _walk(
     path: Path,
-    take: Callable[[int, int, int, int, bytes], None],
+    keep: Callable[[int, int, int, int, bytes], None],
     on_damage: Callable[[Loss], None],
     progress: Progress | None,
 ) -> Contents:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        walk = Walk(data, take, on_damage)
+        walk = RecordWalk(data, keep, on_damage)
         for done, pos in enumerate(walk.steps()):
             if progress is not None and done % 64 == 0:
                 progress(pos, len(data))
@@ -234,9 +248,9 @@ def _walk(
         return contents
 
 
-def _steps(path: Path, take: Callable[[int, int, int, int, bytes], None]) -> Iterator[int]:
+def _steps(path: Path, keep: Callable[[int, int, int, int, bytes], None]) -> Iterator[int]:
     def changed(loss: Loss) -> None:
         raise LogError(f"{path} has changed while it was read: {loss.why}")
 
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        yield from Walk(data, take, changed).steps()
+        yield from RecordWalk(data, keep, changed).steps()

@@ -57,10 +57,12 @@ def test_transforms_unpack_part_by_part_and_rosbags_agrees(frames: list[tuple[st
         assert message.transforms[i].transform.rotation.w == values[i, 6]
 
 
-@pytest.mark.parametrize("msgtype", [t for t in cdr.SPECS if t != "tf2_msgs/msg/TFMessage"])
+@pytest.mark.parametrize("msgtype", [t for t in cdr.MESSAGE_FIELDS if t != "tf2_msgs/msg/TFMessage"])
 def test_every_type_packs_to_bytes_that_rosbags_writes_too(msgtype: str) -> None:
     strings = {"frame_id": "map", "child_frame_id": "base_link"}
-    names = [name for name, kind in cdr.SPECS[msgtype] if isinstance(kind, str) and kind.startswith("f8")]
+    names = [
+        name for name, kind in cdr.MESSAGE_FIELDS[msgtype] if isinstance(kind, str) and kind.startswith("f8")
+    ]
     columns = {
         name: np.arange(1.0, 1.0 + (36 if "cov" in name else 6 if name == "twist" else 7)) for name in names
     }
@@ -83,7 +85,7 @@ def test_messages_of_several_layouts_come_back_in_their_places() -> None:
     assert seen == {i: (frame, float(i)) for i, frame in enumerate(frames)}
 
 
-@given(data=st.binary(max_size=200), msgtype=st.sampled_from(sorted(cdr.SPECS)))
+@given(data=st.binary(max_size=200), msgtype=st.sampled_from(sorted(cdr.MESSAGE_FIELDS)))
 def test_any_bytes_are_read_or_refused_in_one_sentence(data: bytes, msgtype: str) -> None:
     try:
         for block in cdr.unpack([b"\x00\x01\x00\x00" + data], msgtype, "/x"):

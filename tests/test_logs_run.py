@@ -108,3 +108,20 @@ def test_occupancy_refuses_what_is_no_map() -> None:
         OccupancyMap(data=np.zeros((2, 2)), resolution=0.1, origin=np.zeros(3))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="positive"):
         OccupancyMap(data=np.zeros((2, 2), dtype=np.int8), resolution=0.0, origin=np.zeros(3))
+
+
+def test_repr_says_in_three_lines_what_a_run_holds() -> None:
+    run = Run(
+        sensor=RangeSensor(bearings=np.linspace(-1.0, 1.0, 5)),
+        stamps=np.array([0.5, 1.5]),
+        ranges=np.ones((2, 5)),
+        pose_stamps=np.array([0.0, 2.0]),
+        poses=np.zeros((2, 3)),
+        meta={"source": "lab.mcap", "pose_source": "/pose"},
+    )
+    first, second, third = repr(run).splitlines()
+    assert first == "Run of lab.mcap: 2 scans of 5 rays, 2.0 s"
+    assert second == "  rays from -57.3 to 57.3 deg, 0.05 to 8 m"
+    assert third == "  2 poses of base_link from /pose"
+    bare = Run(sensor=run.sensor, stamps=np.zeros(0), ranges=np.zeros((0, 5)))
+    assert bare.duration == 0.0 and "no poses" in repr(bare)

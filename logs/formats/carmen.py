@@ -1,7 +1,7 @@
 """CARMEN logs: FLASER, RLASER, ROBOTLASER1, RAWLASER1, ODOM, TRUEPOS and PARAM lines; plain or gzip.
 
 These logs say neither what "nothing seen" is coded as, nor whether their poses were corrected by SLAM; both are
-told from the numbers, and said in the run's meta.
+told from the numbers, and noted in the run's meta.
 """
 
 from __future__ import annotations
@@ -21,18 +21,21 @@ from logs.run import PoseFrame, RangeSensor, Run
 from logs.transforms import compose, invert, twists_of, wrap
 from logs.types import Floats, Progress
 
-SCANS = ("FLASER", "ROBOTLASER1", "RAWLASER1", "RLASER", "ROBOTLASER2", "RAWLASER2")
+SCAN_KEYWORDS = ("FLASER", "ROBOTLASER1", "RAWLASER1", "RLASER", "ROBOTLASER2", "RAWLASER2")
 """Kinds of scan lines; the first kind that a log holds is read unless `--topic scan=RLASER` says otherwise."""
-KEYWORDS = frozenset({*SCANS, "ODOM", "TRUEPOS", "PARAM", "SYNC", "NEFF", "POSITION", "GPGGA", "IMU"})
+KEYWORDS = frozenset({*SCAN_KEYWORDS, "ODOM", "TRUEPOS", "PARAM", "SYNC", "NEFF", "POSITION", "GPGGA", "IMU"})
 # readings -> (first bearing [°], step [°]): the configurations of SICK and Hokuyo that CARMEN knew
 LAYOUTS = {
     101: (-50.0, 1.0), 180: (-90.0, 1.0), 181: (-90.0, 1.0), 201: (-50.0, 0.5), 360: (-90.0, 0.5),
     361: (-90.0, 0.5), 401: (-50.0, 0.25), 541: (-135.0, 0.5), 682: (-120.0, 0.3515625), 720: (-90.0, 0.25),
     721: (-90.0, 0.25), 1081: (-135.0, 0.25),
 }  # fmt: skip
-ABSOLUTE = 1e8  # [s] larger times count from 1970
-PLAIN_STEP = 0.1  # [s] between scans of a log whose clock stands still
-SAME = 0.02  # [m, rad] how far a rigid mount may seem to move
+FIRST_ABSOLUTE_TIME = 1e8
+"""[s] larger times count from 1970."""
+ASSUMED_PERIOD = 0.1
+"""[s] between scans of a log whose clock stands still."""
+RIGID_TOLERANCE = 0.02
+"""[m, rad] how far a rigid mount may seem to move, by the rounding of the poses."""
 
 
 def matches(path: Path, head: bytes) -> bool:
@@ -45,10 +48,10 @@ def matches(path: Path, head: bytes) -> bool:
 
 
 @dataclass
-class _Lines:
-    """The numbers of a log, kind by kind."""
+class _ParsedLines:
+    """The numbers of a log, keyword by keyword."""
 
-    scans: dict[str, list[_Scan]] = field(default_factory=dict)
+    scans: dict[str, list[_ScanLine]] = field(default_factory=dict)
     odom: list[list[float]] = field(default_factory=list)
     true: list[list[float]] = field(default_factory=list)
     params: dict[str, str] = field(default_factory=dict)
@@ -60,7 +63,7 @@ class _Lines:
 
 
 @dataclass(frozen=True)
-class _Scan:
+class _ScanLine:
     ranges: Floats
     geometry: tuple[float, float, float, float]
     """First bearing, step [rad], largest range and accuracy [m]; nan where the line does not say."""
@@ -72,7 +75,13 @@ class _Scan:
 
 
 def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
-    """Read a run; in corrected logs its poses are the laser's."""
+    """Read a run; in corrected logs its poses are the laser's.
+
+    Raises
+    ------
+    LogError
+        if the log has no scans, not those that `topics` names, or more broken lines than whole ones
+    """
     lines = _parse(read_lines(path), progress)
     kind = _choose(path, lines, topics)
     scans = _same_geometry(lines.scans[kind])
@@ -123,8 +132,8 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
     )
 
 
-def _parse(text: list[str], progress: Progress | None) -> _Lines:
-    lines = _Lines()
+def _parse(text: list[str], progress: Progress | None) -> _ParsedLines:
+    lines = _ParsedLines()
     for number, line in enumerate(text, 1):
         if progress is not None and number % 1000 == 0:
             progress(number, len(text))
@@ -132,7 +141,7 @@ def _parse(text: list[str], progress: Progress | None) -> _Lines:
         if not word or word.startswith("#"):
             continue
         try:
-            if word in SCANS:
+            if word in SCAN_KEYWORDS:
                 scan = _scan(word, rest.split())
                 lines.scans.setdefault(word, []).append(scan)
             elif word == "ODOM":
@@ -153,7 +162,7 @@ def _parse(text: list[str], progress: Progress | None) -> _Lines:
     return lines
 
 
-def _scan(word: str, values: list[str]) -> _Scan:
+def _scan(word: str, values: list[str]) -> _ScanLine:
     """Read the words after the keyword of a scan line."""
     at, geometry = 0, (np.nan, np.nan, np.nan, np.nan)
     if not word.endswith("LASER"):  # laser_type start_angle fov resolution range_max accuracy remission_mode
@@ -176,12 +185,12 @@ def _scan(word: str, values: list[str]) -> _Scan:
     times = float(values[end]), float(values[end + 2])
     if not np.isfinite(times).all():
         raise ValueError("a stamp that is no number")
-    return _Scan(ranges, geometry, poses[:3], poses[3:], times)
+    return _ScanLine(ranges, geometry, poses[:3], poses[3:], times)
 
 
-def _choose(path: Path, lines: _Lines, topics: Mapping[str, str] | None) -> str:
+def _choose(path: Path, lines: _ParsedLines, topics: Mapping[str, str] | None) -> str:
     named = (topics or {}).get("scan")
-    there = [kind for kind in SCANS if kind in lines.scans]
+    there = [kind for kind in SCAN_KEYWORDS if kind in lines.scans]
     if named is not None and named.lstrip("/") not in there:
         raise LogError(f"scan={named} is not in {path}; it has {', '.join(there) or 'no scans'}")
     if not there:
@@ -192,14 +201,14 @@ def _choose(path: Path, lines: _Lines, topics: Mapping[str, str] | None) -> str:
     return named.lstrip("/") if named is not None else there[0]
 
 
-def _same_geometry(scans: list[_Scan]) -> list[_Scan]:
+def _same_geometry(scans: list[_ScanLine]) -> list[_ScanLine]:
     """Keep the scans whose geometry is the commonest."""
     keys = [(len(scan.ranges), np.round(scan.geometry, 6).tobytes()) for scan in scans]
     best = Counter(keys).most_common(1)[0][0]
     return [scan for scan, key in zip(scans, keys, strict=True) if key == best]
 
 
-def _times(scans: list[_Scan], notes: list[str]) -> tuple[Floats, NDArray[np.intp], int]:
+def _times(scans: list[_ScanLine], notes: list[str]) -> tuple[Floats, NDArray[np.intp], int]:
     """Return stamps [s] in the order of the file, the order that sorts them, and the epoch [ns]."""
     clocks = np.array([scan.times for scan in scans], dtype=np.float64)
     n_levels = [len(np.unique(clock)) for clock in clocks.T]
@@ -208,21 +217,21 @@ def _times(scans: list[_Scan], notes: list[str]) -> tuple[Floats, NDArray[np.int
         stamps = clocks[:, 1]
         notes.append(f"the sensor's clock shows {n_levels[0]} times only, the logger's was taken")
     if len(stamps) > 1 and max(n_levels) == 1:
-        stamps = PLAIN_STEP * np.arange(len(stamps), dtype=np.float64)
-        notes.append(f"no clock runs: scans were taken to be {PLAIN_STEP:g} s apart")
+        stamps = ASSUMED_PERIOD * np.arange(len(stamps), dtype=np.float64)
+        notes.append(f"no clock runs: scans were taken to be {ASSUMED_PERIOD:g} s apart")
     back, same = int((np.diff(stamps) < 0).sum()), int((np.diff(np.sort(stamps)) == 0).sum())
     if back:
         notes.append(f"scan stamps go back {back} times, sorted")
     if same:
         notes.append(f"{same} scan stamps are duplicates, kept")
-    epoch = int(np.floor(stamps.min())) if stamps.min() > ABSOLUTE else 0
+    epoch = int(np.floor(stamps.min())) if stamps.min() > FIRST_ABSOLUTE_TIME else 0
     return stamps - epoch, np.argsort(stamps, kind="stable"), epoch * 1_000_000_000
 
 
-def _ranges(scans: list[_Scan], notes: list[str]) -> tuple[Floats, Floats, float]:
+def _ranges(scans: list[_ScanLine], notes: list[str]) -> tuple[Floats, Floats, float]:
     """Return ranges with missing returns as +inf, the bearings, and range_max."""
     ranges = np.stack([scan.ranges for scan in scans])  # (n_scans, n_rays)
-    first, step, said, _ = scans[0].geometry
+    first, step, stated, _ = scans[0].geometry
     n = ranges.shape[1]
     if np.isfinite(first) and step > 0:
         bearings: Floats = first + step * np.arange(n, dtype=np.float64)
@@ -231,15 +240,15 @@ def _ranges(scans: list[_Scan], notes: list[str]) -> tuple[Floats, Floats, float
     else:
         bearings = np.linspace(-np.pi / 2, np.pi / 2, n) if n > 1 else np.zeros(1)
         notes.append(f"{n} rays is no count with a known layout: spread evenly from -90° to 90°")
-    code = find_code(ranges, said if np.isfinite(said) and said > 0 else None)
+    code = find_code(ranges, stated if np.isfinite(stated) and stated > 0 else None)
     notes += mask(ranges, code)
     finite = np.isfinite(ranges)
     largest = float(ranges[finite].max()) if finite.any() else 1.0
-    limit = code if code is not None else float(said) if said > largest else largest
+    limit = code if code is not None else float(stated) if stated > largest else largest
     return ranges, bearings, max(limit, 1e-3)
 
 
-def _pose_source(name: str, lines: _Lines, laser: Floats, robot: Floats) -> str:
+def _pose_source(name: str, lines: _ParsedLines, laser: Floats, robot: Floats) -> str:
     """Tell whether the laser's poses are SLAM's, an outer reference's, or odometry's."""
     if lines.true:
         return "TRUEPOS"
@@ -250,18 +259,18 @@ def _pose_source(name: str, lines: _Lines, laser: Floats, robot: Floats) -> str:
     middle = np.median(mount, axis=0)
     moved = np.abs(mount - middle)
     moved[:, 2] = np.abs(wrap(mount[:, 2] - middle[2]))
-    is_rigid = bool((moved < SAME).all())
+    is_rigid = bool((moved < RIGID_TOLERANCE).all())
     return "slam" if lines.is_filtered or "corrected" in name or not is_rigid else "odometry"
 
 
-def _mount(kind: str, lines: _Lines, laser: Floats, robot: Floats, source: str) -> Floats:
+def _mount(kind: str, lines: _ParsedLines, laser: Floats, robot: Floats, source: str) -> Floats:
     """Return the laser in base_link, from a raw log's own poses or its PARAM lines."""
     rear = kind in ("RLASER", "ROBOTLASER2", "RAWLASER2")
-    said = float(lines.params.get(f"robot_{'rear' if rear else 'front'}laser_offset", 0.0))
+    stated = float(lines.params.get(f"robot_{'rear' if rear else 'front'}laser_offset", 0.0))
     whole = np.isfinite(laser).all(axis=1)
     if source in ("odometry", "TRUEPOS") and whole.any():
         return np.asarray(np.median(compose(invert(robot[whole]), laser[whole]), axis=0))
-    return np.array([said, 0.0, np.pi if rear else 0.0])
+    return np.array([stated, 0.0, np.pi if rear else 0.0])
 
 
 @dataclass(frozen=True)
@@ -276,12 +285,12 @@ class _Signals:
 
 
 def _signals(
-    lines: _Lines, source: str, stamps: Floats, laser: Floats, robot: Floats, epoch: int, mount: Floats
+    lines: _ParsedLines, source: str, stamps: Floats, laser: Floats, robot: Floats, epoch: int, mount: Floats
 ) -> _Signals:
     """Return the reference poses and the wheel odometry.
 
     The ODOM lines of a log that a particle filter corrected (GFS; it leaves NEFF lines) restart at the corrected
-    pose with every scan and carry stamps of 0 or below: they are not what the wheels said, and are left out.
+    pose with every scan and carry stamps of 0 or below: they are not what the wheels measured, and are left out.
     """
     notes = []
     whole = np.isfinite(laser).all(axis=1)
@@ -290,7 +299,7 @@ def _signals(
     odom = np.array(lines.odom, dtype=np.float64).reshape(-1, 6)
     odom[:, 5] -= epoch / 1e9
     if source == "slam":
-        raw = bool(len(at)) and not lines.is_filtered and np.abs(lasers - robots).max() > SAME
+        raw = bool(len(at)) and not lines.is_filtered and np.abs(lasers - robots).max() > RIGID_TOLERANCE
         if len(odom) and not raw:
             notes.append(f"{len(odom)} ODOM lines follow the corrected poses, not the wheels: left out")
             odom = odom[:0]

@@ -14,12 +14,12 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.mcap.records import MAGIC, Contents, Loss
-from logs.mcap.walk import Walk
+from logs.mcap.walk import RecordWalk
 from logs.ros import cdr
 from logs.ros.definitions import definition, quality
 from logs.ros.interpret import to_run
 from logs.ros.messages import (
-    GRID,
+    GRID_TYPE,
     command_messages,
     map_message,
     odometry_messages,
@@ -29,15 +29,15 @@ from logs.ros.messages import (
     transform_messages,
     zero_time,
 )
-from logs.ros.own_record import RECORD, facts
+from logs.ros.own_record import METADATA_NAME, sensor_facts
 from logs.ros.recording import (
     ENCODINGS,
-    KNOWN,
-    ODOMETRY,
-    POSE,
-    SCAN,
-    TF,
-    TWIST_STAMPED,
+    KEPT_TYPES,
+    ODOMETRY_TYPE,
+    POSE_TYPE,
+    SCAN_TYPE,
+    TF_TYPE,
+    TWIST_STAMPED_TYPE,
     Recording,
     Topic,
     full_type,
@@ -147,9 +147,9 @@ def latch(file: RosFile, ns: int, sensor: RangeSensor, occupancy: OccupancyMap |
     """Write what a listener must know first: where the laser sits, and the map."""
     at = np.array([ns], dtype=np.int64)
     mount = transform_messages(at, ("base_link", "laser", sensor.mount[None]), z=sensor.height)
-    file.put(file.channel("/tf_static", TF), ns, mount.tobytes())
+    file.put(file.channel("/tf_static", TF_TYPE), ns, mount.tobytes())
     if occupancy is not None:
-        file.put(file.channel("/map", GRID), ns, map_message(at, occupancy).tobytes())
+        file.put(file.channel("/map", GRID_TYPE), ns, map_message(at, occupancy).tobytes())
 
 
 def write(
@@ -164,9 +164,11 @@ def write(
         logger.warning(
             "bearings are not evenly spaced: LaserScan holds their mean step, our metadata holds them"
         )
-    said = facts(run.sensor, pose_frame=run.pose_frame, epoch_ns=run.epoch_ns, zero_ns=zero, meta=run.meta)
+    stated = sensor_facts(
+        run.sensor, pose_frame=run.pose_frame, epoch_ns=run.epoch_ns, zero_ns=zero, meta=run.meta
+    )
     with RosFile(Path(path)) as file:
-        file.describe(RECORD, said)
+        file.describe(METADATA_NAME, stated)
         for name, data in run.attachments.items():
             file.attach(name, data, start)
         latch(file, start, run.sensor, occupancy)
@@ -209,12 +211,12 @@ def _messages(run: Run, zero: int) -> Iterator[_Part]:
     ns = to_ns(run.stamps, zero)
     yield from _transforms(run, ns)
     at = to_ns(run.pose_stamps, zero)
-    yield _Part("/pose", POSE, at, pose_messages(at, run.poses))
+    yield _Part("/pose", POSE_TYPE, at, pose_messages(at, run.poses))
     at = to_ns(run.odom_stamps, zero)
-    yield _Part("/odom", ODOMETRY, at, odometry_messages(at, run.odometry, run.odom_twists))
+    yield _Part("/odom", ODOMETRY_TYPE, at, odometry_messages(at, run.odometry, run.odom_twists))
     at = to_ns(run.cmd_stamps, zero)
-    yield _Part("/cmd_vel", TWIST_STAMPED, at, command_messages(at, run.commands))
-    yield _Part("/scan", SCAN, ns, scan_messages(run.sensor, ns, run.ranges))
+    yield _Part("/cmd_vel", TWIST_STAMPED_TYPE, at, command_messages(at, run.commands))
+    yield _Part("/scan", SCAN_TYPE, ns, scan_messages(run.sensor, ns, run.ranges))
 
 
 def _transforms(run: Run, ns: Stamps) -> Iterator[_Part]:
@@ -229,16 +231,18 @@ def _transforms(run: Run, ns: Stamps) -> Iterator[_Part]:
         poses = compose(poses, invert(run.sensor.mount))
     if len(run.odom_stamps) == 0:
         if paired.any():
-            yield _Part("/tf", TF, ns[paired], transform_messages(ns[paired], ("map", "base_link", poses)))
+            yield _Part(
+                "/tf", TF_TYPE, ns[paired], transform_messages(ns[paired], ("map", "base_link", poses))
+            )
         return
     driven = interpolate(run.stamps, run.odom_stamps, run.odometry)
     if paired.any():
         T_map_odom = compose(poses, invert(driven[paired]))
         both = (("map", "odom", T_map_odom), ("odom", "base_link", driven[paired]))
-        yield _Part("/tf", TF, ns[paired], transform_messages(ns[paired], *both))
+        yield _Part("/tf", TF_TYPE, ns[paired], transform_messages(ns[paired], *both))
     if not paired.all():
         alone = ("odom", "base_link", driven[~paired])
-        yield _Part("/tf", TF, ns[~paired], transform_messages(ns[~paired], alone))
+        yield _Part("/tf", TF_TYPE, ns[~paired], transform_messages(ns[~paired], alone))
 
 
 def matches(path: Path, head: bytes) -> bool:
@@ -247,7 +251,13 @@ def matches(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
-    """Read a run from MCAP; a damaged file is refused, never read in part."""
+    """Read a run from MCAP; a damaged file is refused, never read in part.
+
+    Raises
+    ------
+    LogError
+        if a checksum fails, the file is cut, or it holds no scans
+    """
     return to_run(load(path, progress), path.name, topics)
 
 
@@ -300,7 +310,7 @@ def collect(
     def take(channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
         if channel not in logged:
             logged[channel], payloads[channel], counts[channel] = [], [], 0
-            if channel in walk.contents.channels and type_of(walk.contents, channel) not in KNOWN:
+            if channel in walk.contents.channels and type_of(walk.contents, channel) not in KEPT_TYPES:
                 ignored.add(channel)
         counts[channel] += 1
         logged[channel].append(log_time)
@@ -308,7 +318,7 @@ def collect(
             payloads[channel].append(payload)
 
     data = open_bytes(path)
-    walk = Walk(data, take, on_damage)
+    walk = RecordWalk(data, take, on_damage)
     for done, pos in enumerate(walk.steps()):
         if progress is not None and done % 64 == 0:
             progress(pos, len(data))
@@ -327,7 +337,7 @@ def collect(
             topic = recording.topics.setdefault(f"{channel.topic}#{key}", Topic(channel.topic, kind))
         topic.n_messages += counts.get(key, 0)
         topic.log_times += logged.get(key, [])
-        if kind in KNOWN and channel.encoding in ENCODINGS:
+        if kind in KEPT_TYPES and channel.encoding in ENCODINGS:
             topic.payloads += payloads.get(key, [])
     if progress is not None:
         progress(len(data), len(data))

@@ -12,22 +12,28 @@ from logs.errors import LogError
 from logs.formats import mcap_file
 from logs.ros.definitions import typestore
 from logs.ros.interpret import to_run
-from logs.ros.recording import ENCODINGS, KNOWN, Recording, Topic, full_type
+from logs.ros.recording import ENCODINGS, KEPT_TYPES, Recording, Topic, full_type
 from logs.run import Run
 from logs.types import Progress
 
-SQLITE, ROS1 = b"SQLite format 3\x00", b"#ROSBAG V"
+SQLITE_MAGIC, ROS1_MAGIC = b"SQLite format 3\x00", b"#ROSBAG V"
 
 
 def matches(path: Path, head: bytes) -> bool:
     """Tell whether a path is a rosbag2 folder, a .db3 or a ROS 1 bag."""
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
-    return head.startswith((SQLITE, ROS1))
+    return head.startswith((SQLITE_MAGIC, ROS1_MAGIC))
 
 
 def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
-    """Read a run from a bag."""
+    """Read a run from a bag.
+
+    Raises
+    ------
+    LogError
+        if the bag is damaged, incomplete, of an unknown storage, or without scans
+    """
     return to_run(load(path, progress), path.name, topics)
 
 
@@ -36,7 +42,7 @@ def load(path: Path, progress: Progress | None = None) -> Recording:
     if path.is_dir():
         return _folder(path, progress)
     with path.open("rb") as file:
-        is_sqlite = file.read(len(SQLITE)) == SQLITE
+        is_sqlite = file.read(len(SQLITE_MAGIC)) == SQLITE_MAGIC
     return _sqlite([path], progress) if is_sqlite else _by_rosbags(path, "rosbag1", progress)
 
 
@@ -119,7 +125,7 @@ def _sqlite_file(base: sqlite3.Connection, recording: Recording, progress: Progr
     for key, name, kind, encoding in base.execute("SELECT id, name, type, serialization_format FROM topics"):
         topics[key] = recording.topics.setdefault(name, Topic(name, full_type(kind), encoding))
     (total,) = base.execute("SELECT count(*) FROM messages").fetchone()
-    kept = [key for key, topic in topics.items() if topic.type in KNOWN and topic.encoding in ENCODINGS]
+    kept = [key for key, topic in topics.items() if topic.type in KEPT_TYPES and topic.encoding in ENCODINGS]
     marks = ",".join("?" * len(kept))
     query = f"SELECT topic_id, timestamp, CASE WHEN topic_id IN ({marks}) THEN data END FROM messages ORDER BY timestamp, id"
     for done, (key, stamp, data) in enumerate(base.execute(query, kept)):
@@ -147,7 +153,7 @@ def _by_rosbags(path: Path, kind: str, progress: Progress | None) -> Recording:
                 )
                 topic.n_messages += connection.msgcount
             total = reader.message_count
-            kept = [c for c in reader.connections if full_type(c.msgtype) in KNOWN]
+            kept = [c for c in reader.connections if full_type(c.msgtype) in KEPT_TYPES]
             for done, (connection, stamp, raw) in enumerate(reader.messages(kept) if kept else ()):
                 topic = recording.topics[connection.topic]
                 topic.log_times.append(stamp)

@@ -22,12 +22,12 @@ import numpy as np
 from logs.errors import LogError
 from logs.formats.no_return import find_code
 from logs.formats.text import read_lines
-from logs.ros.own_record import SCALARS, facts, parse_bearings
+from logs.ros.own_record import SENSOR_SCALARS, parse_bearings, sensor_facts
 from logs.run import RangeSensor, Run, pair
 from logs.transforms import interpolate, twists_of, wrap
 from logs.types import Floats, Progress
 
-POSE, ODOM, TWIST, COMMAND = (
+POSE_COLUMNS, ODOMETRY_COLUMNS, TWIST_COLUMNS, COMMAND_COLUMNS = (
     ("x", "y", "phi"),
     ("odom_x", "odom_y", "odom_phi"),
     ("v", "omega"),
@@ -47,13 +47,19 @@ def matches(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
-    """Read a run from a table."""
+    """Read a run from a table.
+
+    Raises
+    ------
+    LogError
+        if a row cannot be read, a ray column or the bearings are missing, or rows are fewer than the header claims
+    """
     lines = read_lines(path)
-    said = {found[1]: found[2].strip() for line in lines if (found := _COMMENT.match(line))}
+    stated = {found[1]: found[2].strip() for line in lines if (found := _COMMENT.match(line))}
     rows = [line for line in lines if line.strip() and not line.startswith("#")]
     names = [name.strip() for name in rows[0].split(",")]
     values = _values(path, rows[1:], len(names), progress)
-    claimed = said.get("rows")
+    claimed = stated.get("rows")
     if claimed is not None and claimed != str(len(values)):
         raise LogError(f"{path} has {len(values)} rows, its header says {claimed}; is the copy whole?")
     if len(values) == 0 and claimed is None:
@@ -66,20 +72,23 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
     if not np.isfinite(stamps).all():
         raise LogError(f"{path}: column t has a value that is not finite")
     try:
-        sensor = _sensor(path, said, ranges)
-        epoch = int(said.get("epoch_ns", "0"))
+        sensor = _sensor(path, stated, ranges)
+        epoch = int(stated.get("epoch_ns", "0"))
     except ValueError as exc:
         raise LogError(f"{path}: {exc}; see the comments above its header") from exc
-    parts = {key: _part(names, values, key) for key in (POSE, ODOM, TWIST, COMMAND)}
-    odometry, twists = parts[ODOM], parts[TWIST]
+    parts = {
+        key: _part(names, values, key)
+        for key in (POSE_COLUMNS, ODOMETRY_COLUMNS, TWIST_COLUMNS, COMMAND_COLUMNS)
+    }
+    odometry, twists = parts[ODOMETRY_COLUMNS], parts[TWIST_COLUMNS]
     if odometry is None and twists is not None:
         odometry = dead_reckoning(stamps, twists)
     if odometry is not None:
         odometry = np.column_stack([odometry, twists_of(stamps, odometry) if twists is None else twists])
-    pose_stamps, poses = _whole(stamps, parts[POSE], 3)
+    pose_stamps, poses = _whole(stamps, parts[POSE_COLUMNS], 3)
     odom_stamps, driven = _whole(stamps, odometry, 5)
-    cmd_stamps, commands = _whole(stamps, parts[COMMAND], 2)
-    meta = {k.removeprefix("meta."): v for k, v in said.items() if k.startswith("meta.")}
+    cmd_stamps, commands = _whole(stamps, parts[COMMAND_COLUMNS], 2)
+    meta = {k.removeprefix("meta."): v for k, v in stated.items() if k.startswith("meta.")}
     source = {"source": path.name, "format": "table", "pose_source": "table" if len(poses) else "none"}
     return Run(
         sensor=sensor,
@@ -92,31 +101,33 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
         odom_twists=driven[:, 3:],
         cmd_stamps=cmd_stamps,
         commands=commands,
-        pose_frame="laser" if said.get("pose_frame") == "laser" else "base_link",
+        pose_frame="laser" if stated.get("pose_frame") == "laser" else "base_link",
         epoch_ns=epoch,
-        meta=meta if "version" in said else source,
+        meta=meta if "version" in stated else source,
     )
 
 
 def write(run: Run, path: Path) -> None:
-    """Write a run as a table; poses, odometry and commands are interpolated at the scans, attachments left out."""
-    said = facts(run.sensor, pose_frame=run.pose_frame, epoch_ns=run.epoch_ns, zero_ns=0, meta=run.meta)
+    """Write a run as a table: poses, odometry and commands are interpolated at the scans, attachments left out."""
+    stated = sensor_facts(
+        run.sensor, pose_frame=run.pose_frame, epoch_ns=run.epoch_ns, zero_ns=0, meta=run.meta
+    )
     names, columns = ["t"], [run.stamps[:, None]]
     if len(run.pose_stamps):
-        names += POSE
+        names += POSE_COLUMNS
         columns.append(pair(run).poses)
     if len(run.odom_stamps):
-        names += (*ODOM, *TWIST)
+        names += (*ODOMETRY_COLUMNS, *TWIST_COLUMNS)
         columns.append(interpolate(run.stamps, run.odom_stamps, run.odometry))
         columns.append(_linear(run.stamps, run.odom_stamps, run.odom_twists))
     if len(run.cmd_stamps):
-        names += COMMAND
+        names += COMMAND_COLUMNS
         columns.append(_linear(run.stamps, run.cmd_stamps, run.commands))
     names += [f"r{i}" for i in range(run.sensor.n_rays)]
     table = np.column_stack([*columns, run.ranges])
     part = path.with_name(path.name + ".part")
     with part.open("w", newline="", encoding="utf-8") as file:
-        for key, value in {**said, "rows": str(run.n_scans)}.items():
+        for key, value in {**stated, "rows": str(run.n_scans)}.items():
             if key == "crc32":  # a table may be edited by hand
                 continue
             file.write(f"# {key}: {' '.join(value.split())}\n")
@@ -152,18 +163,18 @@ def _values(path: Path, rows: Sequence[str], width: int, progress: Progress | No
     return out
 
 
-def _sensor(path: Path, said: Mapping[str, str], ranges: Floats) -> RangeSensor:
-    if "bearings" not in said:
+def _sensor(path: Path, stated: Mapping[str, str], ranges: Floats) -> RangeSensor:
+    if "bearings" not in stated:
         n = ranges.shape[1]
         raise LogError(
             f"{path} does not say its bearings; add a first line `# bearings: -1.5708 to 1.5708 in {n}`"
         )
-    bearings = parse_bearings(said["bearings"])
+    bearings = parse_bearings(stated["bearings"])
     if len(bearings) != ranges.shape[1]:
         raise LogError(
             f"{path} has {ranges.shape[1]} ray columns and {len(bearings)} bearings; expected as many"
         )
-    scalars = {name: float(said[name]) for name in SCALARS if name in said}
+    scalars = {name: float(stated[name]) for name in SENSOR_SCALARS if name in stated}
     finite = ranges[np.isfinite(ranges)]
     if "range_max" not in scalars and len(finite):
         code = find_code(ranges)
@@ -171,7 +182,7 @@ def _sensor(path: Path, said: Mapping[str, str], ranges: Floats) -> RangeSensor:
         if code is not None:
             ranges[np.isfinite(ranges) & (ranges >= code)] = np.inf
     scalars.setdefault("range_min", 0.0)
-    mount = np.array([float(word) for word in said.get("mount", "0 0 0").split()])
+    mount = np.array([float(word) for word in stated.get("mount", "0 0 0").split()])
     return RangeSensor(bearings=bearings, mount=mount, **scalars)
 
 

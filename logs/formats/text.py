@@ -9,8 +9,8 @@ from pathlib import Path
 
 from logs.errors import LogError
 
-GZIP = b"\x1f\x8b"
-HEAD = 1 << 16
+GZIP_MAGIC = b"\x1f\x8b"
+HEAD_SIZE = 1 << 16
 
 
 def first_bytes(path: Path) -> bytes:
@@ -18,8 +18,8 @@ def first_bytes(path: Path) -> bytes:
     if path.is_dir():
         return b""
     with path.open("rb") as file:
-        head = file.read(HEAD)
-    if not head.startswith(GZIP):
+        head = file.read(HEAD_SIZE)
+    if not head.startswith(GZIP_MAGIC):
         return head
     try:
         return zlib.decompressobj(wbits=31).decompress(head)
@@ -30,7 +30,7 @@ def first_bytes(path: Path) -> bytes:
 def read_lines(path: Path) -> list[str]:
     """Return all lines of a text file, plain or gzip."""
     data = path.read_bytes()
-    if data.startswith(GZIP):
+    if data.startswith(GZIP_MAGIC):
         try:
             data = gzip.GzipFile(fileobj=io.BytesIO(data)).read()
         except (EOFError, OSError, zlib.error) as exc:

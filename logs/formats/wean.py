@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,32 +12,36 @@ from logs.formats.no_return import mask
 from logs.formats.text import read_lines
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert, twists_of, wrap
+from logs.types import Progress
 
-N_RAYS = 180
-NOTHING = 81.83  # [m] 8183 cm and above are codes of the SICK scanner
-O_WORDS, L_WORDS = 5, 8 + N_RAYS
+N_WEAN_RAYS = 180
+NO_RETURN_RANGE = 81.83
+"""[m] 8183 cm and above are codes of the SICK scanner."""
+N_ODOMETRY_WORDS, N_LASER_WORDS = 5, 8 + N_WEAN_RAYS
 
 
 def matches(path: Path, head: bytes) -> bool:
     """Tell whether the first line has the words of an O or an L line."""
     words = next((line.split() for line in head.splitlines() if line.strip()), [b""])
-    return (words[0], len(words)) in ((b"O", O_WORDS), (b"L", L_WORDS))
+    return (words[0], len(words)) in ((b"O", N_ODOMETRY_WORDS), (b"L", N_LASER_WORDS))
 
 
-def read(
-    path: Path,
-    topics: Mapping[str, str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Run:
-    """Read a run; its only poses are wheel odometry."""
+def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
+    """Read a run; its only poses are wheel odometry.
+
+    Raises
+    ------
+    LogError
+        if no scan line is whole, or more lines are broken
+    """
     odom, scans, broken = [], [], []
     lines = read_lines(path)
     for number, line in enumerate(lines, 1):
         words = line.split()
         try:
-            if words[:1] == ["O"] and len(words) == O_WORDS:
+            if words[:1] == ["O"] and len(words) == N_ODOMETRY_WORDS:
                 odom.append([float(word) for word in words[1:]])
-            elif words[:1] == ["L"] and len(words) == L_WORDS:
+            elif words[:1] == ["L"] and len(words) == N_LASER_WORDS:
                 scans.append(np.array(words[1:], dtype=np.float64))
             elif words:
                 broken.append(number)
@@ -56,7 +60,7 @@ def read(
     laser[:, :2] /= 100.0
     robot[:, 2] = wrap(robot[:, 2])
     ranges, stamps = table[:, 6:-1] / 100.0, table[:, -1]
-    notes = mask(ranges, NOTHING)
+    notes = mask(ranges, NO_RETURN_RANGE)
     if broken:
         notes.append(f"{len(broken)} broken lines left out, the first is line {broken[0]}")
     wheel = np.array([*odom, *np.column_stack([table[:, :3], stamps])], dtype=np.float64)
@@ -64,9 +68,9 @@ def read(
     wheel[:, :2] /= 100.0
     return Run(
         sensor=RangeSensor(
-            bearings=np.radians(-90.0 + np.arange(N_RAYS)),
+            bearings=np.radians(-90.0 + np.arange(N_WEAN_RAYS)),
             range_min=0.0,
-            range_max=NOTHING,
+            range_max=NO_RETURN_RANGE,
             mount=np.asarray(np.median(compose(invert(robot), laser), axis=0)),
             resolution=0.01,
             rate=float(1.0 / np.median(np.diff(stamps))) if len(stamps) > 1 else 10.0,

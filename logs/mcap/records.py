@@ -13,18 +13,18 @@ if TYPE_CHECKING:
     Data = bytes | mmap
 
 MAGIC = b"\x89MCAP0\r\n"
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
+HEADER_RECORD, FOOTER, SCHEMA, CHANNEL_RECORD, MESSAGE, CHUNK_RECORD, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 
-HEAD = struct.Struct("<BQ")
+RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 U2, U4, U8 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
 CHUNK_HEAD = struct.Struct("<QQQI")
 SUMMARY_ONLY = frozenset({CHUNK_INDEX, ATTACHMENT_INDEX, STATISTICS, METADATA_INDEX, SUMMARY_OFFSET, FOOTER})
-LENGTHS = {FOOTER: 20, DATA_END: 4, SUMMARY_OFFSET: 17}
+FIXED_LENGTHS = {FOOTER: 20, DATA_END: 4, SUMMARY_OFFSET: 17}
 
 
-class Damaged(ValueError):
+class DamagedRecord(ValueError):
     """Say why a record cannot be trusted."""
 
 
@@ -96,7 +96,7 @@ class Cursor:
 
     def take(self, size: int) -> bytes:
         if self.pos + size > self.end:
-            raise Damaged("a field runs past the end of its record")
+            raise DamagedRecord("a field runs past the end of its record")
         self.pos += size
         return self.data[self.pos - size : self.pos]
 
@@ -107,12 +107,12 @@ class Cursor:
         try:
             return self.take(self.number(U4)).decode()
         except UnicodeDecodeError as exc:
-            raise Damaged("a text field is not UTF-8") from exc
+            raise DamagedRecord("a text field is not UTF-8") from exc
 
     def mapping(self) -> dict[str, str]:
         inner = Cursor(self.data, self.pos + 4, self.pos + 4 + self.number(U4))
         if inner.end > self.end:
-            raise Damaged("a map runs past the end of its record")
+            raise DamagedRecord("a map runs past the end of its record")
         pairs = {}
         while inner.pos < inner.end:
             key = inner.text()
@@ -122,7 +122,7 @@ class Cursor:
 
     def finish(self) -> None:
         if self.pos != self.end:
-            raise Damaged(f"{self.end - self.pos} bytes are left over in a record")
+            raise DamagedRecord(f"{self.end - self.pos} bytes are left over in a record")
 
 
 def inflate(compression: str, data: bytes) -> bytes:
@@ -137,9 +137,9 @@ def inflate(compression: str, data: bytes) -> bytes:
 
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
     except Exception as exc:  # each library has its own error, and they have no common root
-        raise Damaged(f"a {compression} chunk does not decompress") from exc
+        raise DamagedRecord(f"a {compression} chunk does not decompress") from exc
     if compression:
-        raise Damaged(f"compression {compression!r} is not known; expected zstd, lz4 or none")
+        raise DamagedRecord(f"compression {compression!r} is not known; expected zstd, lz4 or none")
     return data
 
 
@@ -160,5 +160,5 @@ def read_attachment(cursor: Cursor) -> Attachment:
     crc = cursor.number(U4)
     cursor.finish()
     if crc and crc != computed:
-        raise Damaged("an attachment does not match its checksum")
+        raise DamagedRecord("an attachment does not match its checksum")
     return Attachment(name, media_type, log_time, create_time, data)

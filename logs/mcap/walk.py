@@ -1,4 +1,4 @@
-"""Walk an MCAP file record by record, check every checksum, and find the way again after damage.
+"""Walk an MCAP file record by record, check every checksum, and find the next sound record after damage.
 
 What the messages mean is said in `ros_run`; what is written is said in `mcap_file`.
 """
@@ -14,19 +14,19 @@ import numpy as np
 
 from logs.mcap.records import (
     ATTACHMENT,
-    CHANNEL,
-    CHUNK,
+    CHANNEL_RECORD,
     CHUNK_HEAD,
+    CHUNK_RECORD,
     DATA_END,
+    FIXED_LENGTHS,
     FOOTER,
-    HEAD,
-    HEADER,
-    LENGTHS,
+    HEADER_RECORD,
     MAGIC,
     MESSAGE,
     MESSAGE_HEAD,
     MESSAGE_INDEX,
     METADATA,
+    RECORD_HEAD,
     SCHEMA,
     STATISTICS,
     SUMMARY_ONLY,
@@ -36,7 +36,7 @@ from logs.mcap.records import (
     Channel,
     Contents,
     Cursor,
-    Damaged,
+    DamagedRecord,
     Loss,
     Schema,
     chunk_fields,
@@ -47,7 +47,7 @@ from logs.mcap.records import (
 if TYPE_CHECKING:
     from logs.mcap.records import Data
 
-_BLOCK = 1 << 20  # [bytes] searched at a time
+SEARCH_BLOCK = 1 << 20  # [bytes] searched at a time
 
 
 MessageSink = Callable[[int, int, int, int, bytes], None]
@@ -57,7 +57,7 @@ MessageSink = Callable[[int, int, int, int, bytes], None]
 DamageSink = Callable[[Loss], None]
 
 
-class Walk:
+class RecordWalk:
     """Walk the records of an MCAP file once."""
 
     def __init__(self, data: Data, on_message: MessageSink, on_damage: DamageSink) -> None:
@@ -94,8 +94,8 @@ class Walk:
         start = self._pos
         try:
             opcode, body, end = self._frame(start)
-        except Damaged as exc:
-            if self._salvage_open_chunk(start):
+        except DamagedRecord as exc:
+            if self._recover_open_chunk(start):
                 self._pos = self.size
                 self._damage(Loss(start, self.size, f"{exc}; what is whole at its start was kept"))
             else:
@@ -109,7 +109,7 @@ class Walk:
             self._after_bad_chunk = True
             self._damage(Loss(start, end, str(exc)))
             self._pos = end
-        except Damaged as exc:
+        except DamagedRecord as exc:
             self._resume(start, str(exc))
 
     def _resume(self, start: int, why: str) -> None:
@@ -119,34 +119,36 @@ class Walk:
     def _frame(self, pos: int) -> tuple[int, int, int]:
         """Return opcode, start and end of the record at pos, if it can be one."""
         if pos + 9 > self.size:
-            raise Damaged("it is cut inside a record")
-        opcode, length = HEAD.unpack_from(self.data, pos)
+            raise DamagedRecord("it is cut inside a record")
+        opcode, length = RECORD_HEAD.unpack_from(self.data, pos)
         end = pos + 9 + length
         if not 1 <= opcode <= DATA_END and opcode < 0x80:
-            raise Damaged(f"no record starts here (opcode {opcode:#04x})")
+            raise DamagedRecord(f"no record starts here (opcode {opcode:#04x})")
         if end > self.size:
-            raise Damaged(f"a record of {length} bytes runs past the end of the file")
-        if LENGTHS.get(opcode, length) != length:
-            raise Damaged(f"a record with opcode {opcode:#04x} has {length} bytes")
+            raise DamagedRecord(f"a record of {length} bytes runs past the end of the file")
+        if FIXED_LENGTHS.get(opcode, length) != length:
+            raise DamagedRecord(f"a record with opcode {opcode:#04x} has {length} bytes")
         return opcode, pos + 9, end
 
     def _record(self, opcode: int, body: int, end: int) -> None:
         if opcode in SUMMARY_ONLY and not self._in_summary:
-            raise Damaged(f"a record with opcode {opcode:#04x} stands before the end of the data section")
+            raise DamagedRecord(
+                f"a record with opcode {opcode:#04x} stands before the end of the data section"
+            )
         cursor = Cursor(self.data, body, end)
         contents = self.contents
-        if opcode == CHUNK:
+        if opcode == CHUNK_RECORD:
             self._chunk(cursor)
-        elif opcode in (SCHEMA, CHANNEL, MESSAGE):
+        elif opcode in (SCHEMA, CHANNEL_RECORD, MESSAGE):
             self._has_chunks &= self._in_summary
             if opcode == MESSAGE and (
                 contents.n_chunks or Cursor(self.data, body, end).number(U2) not in contents.channels
             ):
-                raise Damaged("a message stands outside the chunks, or before its channel")
+                raise DamagedRecord("a message stands outside the chunks, or before its channel")
             self._content(opcode, self.data, body, end)
         elif opcode == MESSAGE_INDEX:
             self._message_index(cursor)
-        elif opcode == HEADER:
+        elif opcode == HEADER_RECORD:
             contents.profile, contents.library = cursor.text(), cursor.text()
         elif opcode == ATTACHMENT:
             contents.attachments.append(read_attachment(cursor))
@@ -161,7 +163,7 @@ class Walk:
             crc = cursor.number(U4)
             self._in_summary = True
             if crc and self._is_whole and crc != self._crc32(0, body - 9):
-                raise Damaged("the data section does not match its checksum")
+                raise DamagedRecord("the data section does not match its checksum")
         elif opcode == FOOTER:
             self._footer(cursor, body)
         if opcode != MESSAGE_INDEX:
@@ -169,13 +171,13 @@ class Walk:
 
     def _footer(self, cursor: Cursor, body: int) -> None:
         if not self._in_summary:
-            raise Damaged("the data section has no end record")
+            raise DamagedRecord("the data section has no end record")
         summary_start, _, crc = cursor.number(U8), cursor.number(U8), cursor.number(U4)
         start = summary_start or body - 9
         if crc and self._is_whole and crc != self._crc32(start, body + 16):
-            raise Damaged("the summary does not match its checksum")
+            raise DamagedRecord("the summary does not match its checksum")
         if self.data[cursor.end : cursor.end + 8] != MAGIC:
-            raise Damaged("the file does not end with the MCAP magic")
+            raise DamagedRecord("the file does not end with the MCAP magic")
         self.contents.is_finished = True
 
     def _crc32(self, start: int, end: int) -> int:
@@ -186,7 +188,7 @@ class Walk:
         channel = cursor.number(U2)
         size = cursor.number(U4)
         if size % 16 or size != cursor.end - cursor.pos:
-            raise Damaged("an index record has a wrong size")
+            raise DamagedRecord("an index record has a wrong size")
         if self._after_bad_chunk:
             lost = self.contents.lost_messages
             lost[channel] = lost.get(channel, 0) + size // 16
@@ -197,10 +199,10 @@ class Walk:
         try:
             plain = inflate(compression, data)
             if len(plain) != size:
-                raise Damaged(f"a chunk holds {len(plain)} bytes, expected {size}")
+                raise DamagedRecord(f"a chunk holds {len(plain)} bytes, expected {size}")
             if crc and crc != zlib.crc32(plain):
-                raise Damaged("a chunk does not match its checksum")
-        except Damaged as exc:
+                raise DamagedRecord("a chunk does not match its checksum")
+        except DamagedRecord as exc:
             raise _BadChunk(str(exc)) from exc
         self._chunk_content(plain, complete=True)
 
@@ -209,7 +211,7 @@ class Walk:
         while pos < size:
             end = pos + 9
             if end <= size:
-                opcode, length = HEAD.unpack_from(plain, pos)
+                opcode, length = RECORD_HEAD.unpack_from(plain, pos)
                 end += length
             if end > size:
                 if complete:
@@ -217,7 +219,7 @@ class Walk:
                 return
             try:
                 self._content(opcode, plain, pos + 9, end)
-            except Damaged as exc:
+            except DamagedRecord as exc:
                 raise _BadChunk(str(exc)) from exc
             pos = end
 
@@ -225,7 +227,7 @@ class Walk:
         """Take a record that may stand inside a chunk."""
         if opcode == MESSAGE:
             if end - body < MESSAGE_HEAD.size:
-                raise Damaged(f"a message record has {end - body} bytes")
+                raise DamagedRecord(f"a message record has {end - body} bytes")
             self.contents.n_messages += 1
             channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(data, body)
             self.on_message(channel, sequence, log_time, publish_time, data[body + MESSAGE_HEAD.size : end])
@@ -236,15 +238,15 @@ class Walk:
             schema = Schema(cursor.text(), cursor.text(), cursor.take(cursor.number(U4)))
             cursor.finish()
             self.contents.schemas.setdefault(key, schema)
-        elif opcode == CHANNEL:
+        elif opcode == CHANNEL_RECORD:
             key, schema_id = cursor.number(U2), cursor.number(U2)
             channel = Channel(cursor.text(), schema_id, cursor.text(), cursor.mapping())
             cursor.finish()
             self.contents.channels.setdefault(key, channel)
 
-    def _salvage_open_chunk(self, pos: int) -> bool:
+    def _recover_open_chunk(self, pos: int) -> bool:
         """Take what is whole in a chunk that the end of the file cuts; tell whether it is one."""
-        if pos + 9 > self.size or self.data[pos] != CHUNK:
+        if pos + 9 > self.size or self.data[pos] != CHUNK_RECORD:
             return False
         cursor = Cursor(self.data, pos + 9, self.size)
         try:
@@ -254,14 +256,14 @@ class Walk:
             if stored <= self.size - cursor.pos:
                 return False  # not cut: its length is wrong
             self._chunk_content(inflate(compression, self.data[cursor.pos : self.size]), complete=False)
-        except Damaged:
+        except DamagedRecord:
             return True
         return True
 
     def _resync(self, pos: int) -> int:
         """Find the next place from pos on where a record stands that proves itself."""
         while pos + 9 <= self.size:
-            block = np.frombuffer(self.data[pos : pos + _BLOCK + 8], dtype=np.uint8)
+            block = np.frombuffer(self.data[pos : pos + SEARCH_BLOCK + 8], dtype=np.uint8)
             n = len(block) - 8
             likely = (block[:n] >= 1) & (block[:n] <= DATA_END)
             for i in range(5, 9):  # no record is above 4 GiB
@@ -277,7 +279,7 @@ class Walk:
         try:
             opcode, body, end = self._frame(pos)
             cursor = Cursor(self.data, body, end)
-            if opcode == CHUNK:
+            if opcode == CHUNK_RECORD:
                 chunk_fields(cursor)
                 return True
             if opcode == ATTACHMENT:
@@ -295,10 +297,10 @@ class Walk:
                     return False
             elif opcode == MESSAGE_INDEX and end - body != 6 + U4.unpack_from(self.data, body + 2)[0]:
                 return False
-        except (Damaged, struct.error):
+        except (DamagedRecord, struct.error):
             return False
         return end == self.size or depth == 0 or self._proves_itself(end, depth - 1)
 
 
-class _BadChunk(Damaged):
+class _BadChunk(DamagedRecord):
     """A chunk whose framing holds but whose content does not."""

@@ -16,27 +16,36 @@ from numpy.typing import NDArray
 from logs.errors import LogError
 
 Bytes = NDArray[np.uint8]
-Spec = tuple[tuple[str, Any], ...]
+Fields = tuple[tuple[str, Any], ...]
 
-HEADER: Spec = (("sec", "i4"), ("nanosec", "u4"), ("frame_id", "str"))
-TRANSFORM: Spec = (*HEADER, ("child_frame_id", "str"), ("transform", "f8:7"))
-SPECS: dict[str, Spec] = {
-    "sensor_msgs/msg/LaserScan": (*HEADER, ("limits", "f4:7"), ("ranges", "f4[]"), ("intensities", "f4[]")),
-    "geometry_msgs/msg/PoseStamped": (*HEADER, ("pose", "f8:7")),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": (*HEADER, ("pose", "f8:7"), ("covariance", "f8:36")),
-    "geometry_msgs/msg/TwistStamped": (*HEADER, ("twist", "f8:6")),
+HEADER_FIELDS: Fields = (("sec", "i4"), ("nanosec", "u4"), ("frame_id", "str"))
+TRANSFORM_FIELDS: Fields = (*HEADER_FIELDS, ("child_frame_id", "str"), ("transform", "f8:7"))
+MESSAGE_FIELDS: dict[str, Fields] = {
+    "sensor_msgs/msg/LaserScan": (
+        *HEADER_FIELDS,
+        ("limits", "f4:7"),
+        ("ranges", "f4[]"),
+        ("intensities", "f4[]"),
+    ),
+    "geometry_msgs/msg/PoseStamped": (*HEADER_FIELDS, ("pose", "f8:7")),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": (
+        *HEADER_FIELDS,
+        ("pose", "f8:7"),
+        ("covariance", "f8:36"),
+    ),
+    "geometry_msgs/msg/TwistStamped": (*HEADER_FIELDS, ("twist", "f8:6")),
     "geometry_msgs/msg/Twist": (("twist", "f8:6"),),
     "nav_msgs/msg/Odometry": (
-        *HEADER,
+        *HEADER_FIELDS,
         ("child_frame_id", "str"),
         ("pose", "f8:7"),
         ("pose_covariance", "f8:36"),
         ("twist", "f8:6"),
         ("twist_covariance", "f8:36"),
     ),
-    "tf2_msgs/msg/TFMessage": (("transforms", TRANSFORM),),
+    "tf2_msgs/msg/TFMessage": (("transforms", TRANSFORM_FIELDS),),
     "nav_msgs/msg/OccupancyGrid": (
-        *HEADER,
+        *HEADER_FIELDS,
         ("load_sec", "i4"),
         ("load_nanosec", "u4"),
         ("resolution", "f4"),
@@ -52,7 +61,7 @@ _U4 = struct.Struct("<I")
 
 
 @dataclass(frozen=True)
-class _Place:
+class _FieldLayout:
     """Where a field of numbers lies in a message."""
 
     offset: int
@@ -64,7 +73,7 @@ class _Place:
 class _Layout:
     """Where every field of one message lies; `fixed` are the bytes that make the layout what it is."""
 
-    places: dict[str, _Place] = field(default_factory=dict)
+    places: dict[str, _FieldLayout] = field(default_factory=dict)
     strings: dict[str, str] = field(default_factory=dict)
     fixed: list[tuple[int, bytes]] = field(default_factory=list)
     end: int = 4
@@ -78,7 +87,7 @@ class _Layout:
         dtype = np.dtype("<" + code)
         if count:
             self.align(dtype.itemsize)
-        self.places[name] = _Place(self.end, dtype, count)
+        self.places[name] = _FieldLayout(self.end, dtype, count)
         self.end += dtype.itemsize * count
 
     def keep(self, data: bytes) -> None:
@@ -96,7 +105,7 @@ class MessageColumns:
     """The text fields, the same in all of them."""
     rows: Bytes
     """(m, size) the messages."""
-    places: Mapping[str, _Place]
+    places: Mapping[str, _FieldLayout]
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Return the column `name`, (m, count)."""
@@ -130,7 +139,7 @@ def unpack(
     messages: Sequence[bytes], msgtype: str, topic: str, encoding: str = "cdr"
 ) -> Iterator[MessageColumns]:
     """Yield columns of `messages`, one block for each layout met; the encoding is `cdr` or `ros1`."""
-    spec = SPECS[msgtype]
+    spec = MESSAGE_FIELDS[msgtype]
     sizes = np.array([len(message) for message in messages], dtype=np.int64)
     for size in np.unique(sizes):
         index = np.flatnonzero(sizes == size)
@@ -171,7 +180,7 @@ def pack(
     """
     layout = _Layout()
     layout.fixed.append((0, _ENCAPSULATION))
-    _lay(layout, SPECS[msgtype], "", strings, columns, parts)
+    _lay_out(layout, MESSAGE_FIELDS[msgtype], "", strings, columns, parts)
     template = np.zeros(layout.end, dtype=np.uint8)
     for offset, data in layout.fixed:
         template[offset : offset + len(data)] = np.frombuffer(data, dtype=np.uint8)
@@ -186,9 +195,9 @@ def pack(
     return rows
 
 
-def _lay(
+def _lay_out(
     layout: _Layout,
-    spec: Spec,
+    spec: Fields,
     head: str,
     strings: Mapping[str, str],
     columns: Mapping[str, NDArray[Any]],
@@ -200,7 +209,7 @@ def _lay(
             layout.align(4)
             layout.keep(_U4.pack(parts))
             for i in range(parts):
-                _lay(layout, kind, f"{head}{i}.", strings, columns, parts)
+                _lay_out(layout, kind, f"{head}{i}.", strings, columns, parts)
         elif kind == "str":
             text = strings.get(head + name, "").encode() + b"\x00"
             layout.align(4)
@@ -215,7 +224,7 @@ def _lay(
             layout.numbers(head + name, code, int(count_text or 1))
 
 
-def _walk(spec: Spec, data: bytes, *, is_ros1: bool) -> _Layout:
+def _walk(spec: Fields, data: bytes, *, is_ros1: bool) -> _Layout:
     """Find where the fields of one message lie.
 
     ROS 1 has the same fields in the same order, without alignment and encapsulation, and counts its headers.
@@ -232,7 +241,7 @@ def _walk(spec: Spec, data: bytes, *, is_ros1: bool) -> _Layout:
     return layout
 
 
-def _find(layout: _Layout, spec: Spec, head: str, data: bytes) -> None:
+def _find(layout: _Layout, spec: Fields, head: str, data: bytes) -> None:
     for name, kind in spec:
         if isinstance(kind, str) and kind != "str" and not kind.endswith("[]"):
             code, _, count_text = kind.partition(":")

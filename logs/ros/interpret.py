@@ -11,10 +11,10 @@ from logs.errors import LogError
 from logs.ros import own_record
 from logs.ros.laser_scan import LaserScans, clean_ranges, order_rays, read_scans
 from logs.ros.recording import (
-    ODOMETRY,
+    ODOMETRY_TYPE,
     ROLES,
-    SCAN,
-    TF,
+    SCAN_TYPE,
+    TF_TYPE,
     Recording,
     Track,
     check_roles,
@@ -29,18 +29,24 @@ from logs.run import PoseFrame, RangeSensor, Run
 from logs.transforms import to_planar
 from logs.types import Floats
 
-MAPS, BASES = ("map", "world"), ("base_link", "base_footprint", "base")
-UPRIGHT = 0.98  # cosine of the tilt (11°) up to which a laser counts as level
+MAP_FRAMES, BASE_FRAMES = ("map", "world"), ("base_link", "base_footprint", "base")
+MIN_UPRIGHT_COSINE = 0.98  # cosine of the tilt (11°) up to which a laser counts as level
 
 
 def to_run(recording: Recording, source: str, topics: Mapping[str, str] | None = None) -> Run:
-    """Interpret a recording."""
+    """Interpret a recording as a run.
+
+    Raises
+    ------
+    LogError
+        if it has no scans, or several topics could play a role and none was named
+    """
     check_roles(topics)
     if own_record.is_own(recording, topics):
         return _led_by_odometry(own_record.to_run(recording, source))
     scan_name = choose(recording, "scan", topics)
     if scan_name is None:
-        several = recording.of_type((SCAN,))
+        several = recording.of_type((SCAN_TYPE,))
         if several:
             raise LogError(
                 f"{source} has {len(several)} scan topics; choose with {choices(recording, 'scan')}"
@@ -51,7 +57,7 @@ def to_run(recording: Recording, source: str, topics: Mapping[str, str] | None =
     tree = transform_tree(recording)
     odom_name, cmd_name = choose(recording, "odom", topics), choose(recording, "cmd", topics)
     odom = _odometry(recording, odom_name)
-    base = tree.first_ancestor(scans.frame, (*BASES, *((odom.child,) if odom and odom.child else ())))
+    base = tree.first_ancestor(scans.frame, (*BASE_FRAMES, *((odom.child,) if odom and odom.child else ())))
     mount, height, upside_down = _mount(tree, base, scans)
     pose, frame, pose_source = _reference(recording, topics, tree, base, scans, odom, odom_name)
     order_rays(scans, upside_down=upside_down)
@@ -92,13 +98,13 @@ def _odometry(recording: Recording, name: str | None) -> Track | None:
 
 def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Floats, float, bool]:
     """Return the laser in base_link (3,), its height [m] and whether it hangs upside down."""
-    if scans.frame in BASES:
+    if scans.frame in BASE_FRAMES:
         return np.zeros(3), 0.0, False
     place = tree.place(base, scans.frame) if base is not None else None
     if place is None:
         scans.notes.append(f"no transform base_link -> {scans.frame or 'laser'}: the mount was taken as 0")
         return np.zeros(3), 0.0, False
-    if abs(place.up) < UPRIGHT:
+    if abs(place.up) < MIN_UPRIGHT_COSINE:
         scans.notes.append(
             f"the laser is tilted by {np.degrees(np.arccos(abs(place.up))):.0f}°, taken as level"
         )
@@ -118,16 +124,16 @@ def _reference(
 ) -> tuple[Track | None, PoseFrame, str]:
     """Return the poses, whose they are, and where they come from: /pose, then /tf, then any pose, then /odom."""
     name = choose(recording, "pose", topics)
-    asked = (topics or {}).get("pose") is not None
-    if name is not None and (asked or name == ROLES["pose"][0]) and recording.topics[name].type != TF:
+    is_named = (topics or {}).get("pose") is not None
+    if name is not None and (is_named or name == ROLES["pose"][0]) and recording.topics[name].type != TF_TYPE:
         return _poses(recording, name), "base_link", _pose_source(recording, name, odom_name)
-    for root in MAPS:
+    for root in MAP_FRAMES:
         for frame, whose in ((base, "base_link"), ("base_link", "base_link"), (scans.frame, "laser")):
             place = tree.place(root, frame) if frame else None
             if place is not None and frame != root and not place.is_static:
                 found = Track(place.stamps, place.poses, root)
                 return found, ("laser" if whose == "laser" else "base_link"), f"/tf {root} -> {frame}"
-    if name is not None and recording.topics[name].type != TF:
+    if name is not None and recording.topics[name].type != TF_TYPE:
         return _poses(recording, name), "base_link", _pose_source(recording, name, odom_name)
     if odom is not None:
         return Track(odom.stamps, odom.values[:, :3], odom.frame), "base_link", f"odometry {odom_name}"
@@ -139,7 +145,7 @@ def _reference(
 
 
 def _pose_source(recording: Recording, name: str, odom_name: str | None) -> str:
-    is_odometry = recording.topics[name].type == ODOMETRY and ("odom" in name or name == odom_name)
+    is_odometry = recording.topics[name].type == ODOMETRY_TYPE and ("odom" in name or name == odom_name)
     return f"odometry {name}" if is_odometry else name
 
 

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from logs.errors import LogError
 from logs.ros import cdr
-from logs.ros.recording import ODOMETRY, POSE, SCAN, TF, TWIST_STAMPED
+from logs.ros.recording import ODOMETRY_TYPE, POSE_TYPE, SCAN_TYPE, TF_TYPE, TWIST_STAMPED_TYPE
 from logs.run import OccupancyMap, RangeSensor
 from logs.transforms import Stamps, to_translation_quaternion
 from logs.types import Floats
 
-GRID = "nav_msgs/msg/OccupancyGrid"
+GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
 
 
 def zero_time(epoch_ns: int, first: float) -> int:
@@ -49,26 +49,26 @@ def scan_messages(sensor: RangeSensor, ns: Stamps, ranges: Floats) -> cdr.Bytes:
         sensor.range_min, sensor.range_max,
     ])  # fmt: skip
     columns = {**header(ns), "limits": limits, "ranges": ranges}
-    return cdr.pack(SCAN, len(ns), strings={"frame_id": "laser"}, columns=columns)
+    return cdr.pack(SCAN_TYPE, len(ns), strings={"frame_id": "laser"}, columns=columns)
 
 
 def pose_messages(ns: Stamps, poses: Floats) -> cdr.Bytes:
     """Pack PoseStamped messages in map (n, size)."""
     columns = {**header(ns), "pose": to_translation_quaternion(poses)}
-    return cdr.pack(POSE, len(ns), strings={"frame_id": "map"}, columns=columns)
+    return cdr.pack(POSE_TYPE, len(ns), strings={"frame_id": "map"}, columns=columns)
 
 
 def odometry_messages(ns: Stamps, poses: Floats, twists: Floats) -> cdr.Bytes:
     """Pack Odometry messages (n, size)."""
     columns = {**header(ns), "pose": to_translation_quaternion(poses), "twist": _six(twists)}
     strings = {"frame_id": "odom", "child_frame_id": "base_link"}
-    return cdr.pack(ODOMETRY, len(ns), strings=strings, columns=columns)
+    return cdr.pack(ODOMETRY_TYPE, len(ns), strings=strings, columns=columns)
 
 
 def command_messages(ns: Stamps, twists: Floats) -> cdr.Bytes:
     """Pack TwistStamped messages (n, size)."""
     columns = {**header(ns), "twist": _six(twists)}
-    return cdr.pack(TWIST_STAMPED, len(ns), strings={"frame_id": "base_link"}, columns=columns)
+    return cdr.pack(TWIST_STAMPED_TYPE, len(ns), strings={"frame_id": "base_link"}, columns=columns)
 
 
 def transform_messages(ns: Stamps, *edges: tuple[str, str, Floats], z: float = 0.0) -> cdr.Bytes:
@@ -79,7 +79,7 @@ def transform_messages(ns: Stamps, *edges: tuple[str, str, Floats], z: float = 0
         strings |= {f"{i}.frame_id": parent, f"{i}.child_frame_id": child}
         columns |= {f"{i}.{name}": values for name, values in header(ns).items()}
         columns[f"{i}.transform"] = to_translation_quaternion(poses, z)
-    return cdr.pack(TF, len(ns), strings=strings, columns=columns, parts=len(edges))
+    return cdr.pack(TF_TYPE, len(ns), strings=strings, columns=columns, parts=len(edges))
 
 
 def map_message(ns: Stamps, occupancy: OccupancyMap) -> cdr.Bytes:
@@ -93,7 +93,7 @@ def map_message(ns: Stamps, occupancy: OccupancyMap) -> cdr.Bytes:
         "origin": to_translation_quaternion(occupancy.origin[None]),
         "data": occupancy.data.reshape(1, ny * nx),
     }
-    return cdr.pack(GRID, 1, strings={"frame_id": "map"}, columns=columns)
+    return cdr.pack(GRID_TYPE, 1, strings={"frame_id": "map"}, columns=columns)
 
 
 def _six(twists: Floats) -> Floats:

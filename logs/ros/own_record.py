@@ -13,79 +13,94 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.ros import cdr
-from logs.ros.recording import ODOMETRY, POSE, SCAN, TWIST_STAMPED, Recording, Track, settle, track
+from logs.ros.recording import (
+    ODOMETRY_TYPE,
+    POSE_TYPE,
+    SCAN_TYPE,
+    TWIST_STAMPED_TYPE,
+    Recording,
+    Track,
+    settle,
+    track,
+)
 from logs.run import RangeSensor, Run
 from logs.transforms import to_planar
 from logs.types import Floats
 
-RECORD = "sensorgraph"
-VERSION = "1"
-TOPICS = {"scan": "/scan", "pose": "/pose", "odom": "/odom", "cmd": "/cmd_vel"}
-SCALARS = ("range_min", "range_max", "sigma", "resolution", "rate", "sweep_time", "height")
+METADATA_NAME = "sensorgraph"
+RECORD_VERSION = "1"
+TOPIC_OF_ROLE = {"scan": "/scan", "pose": "/pose", "odom": "/odom", "cmd": "/cmd_vel"}
+SENSOR_SCALARS = ("range_min", "range_max", "sigma", "resolution", "rate", "sweep_time", "height")
 
 
-def facts(
+def sensor_facts(
     sensor: RangeSensor, *, pose_frame: str, epoch_ns: int, zero_ns: int, meta: Mapping[str, str]
 ) -> dict[str, str]:
     """Return the metadata record of a run; `zero_ns` [ns] is the time of stamp 0 in the file."""
-    said = {
-        "version": VERSION,
+    record = {
+        "version": RECORD_VERSION,
         "bearings": _bearings_text(sensor.bearings),
         "mount": " ".join(map(repr, sensor.mount.tolist())),
-        **{name: repr(float(getattr(sensor, name))) for name in SCALARS},
+        **{name: repr(float(getattr(sensor, name))) for name in SENSOR_SCALARS},
         "pose_frame": pose_frame,
         "epoch_ns": str(int(epoch_ns)),
         "zero_ns": str(int(zero_ns)),
         **{f"meta.{name}": str(value) for name, value in meta.items()},
     }
-    return said | {"crc32": _checksum(said)}
+    return record | {"crc32": _checksum(record)}
 
 
-def is_intact(said: Mapping[str, str]) -> bool:
+def is_intact(record: Mapping[str, str]) -> bool:
     """Tell whether a record is as it was written; MCAP itself gives metadata no checksum."""
-    return said.get("crc32") == _checksum(said)
+    return record.get("crc32") == _checksum(record)
 
 
-def _checksum(said: Mapping[str, str]) -> str:
-    lines = [f"{name}={value}" for name, value in sorted(said.items()) if name != "crc32"]
+def _checksum(record: Mapping[str, str]) -> str:
+    lines = [f"{name}={value}" for name, value in sorted(record.items()) if name != "crc32"]
     return f"{zlib.crc32(chr(10).join(lines).encode()):08x}"
 
 
 def is_own(recording: Recording, topics: Mapping[str, str] | None) -> bool:
     """Tell whether the file is ours and the caller asks for no other topic than ours."""
     asked = {role: "/" + name.lstrip("/") for role, name in (topics or {}).items()}
-    return RECORD in recording.metadata and all(TOPICS[role] == name for role, name in asked.items())
+    return METADATA_NAME in recording.metadata and all(
+        TOPIC_OF_ROLE[role] == name for role, name in asked.items()
+    )
 
 
-def sensor_of(facts: Mapping[str, str]) -> RangeSensor:
+def sensor_of(sensor_facts: Mapping[str, str]) -> RangeSensor:
     """Rebuild the sensor from the metadata record."""
     return RangeSensor(
-        bearings=parse_bearings(facts["bearings"]),
-        mount=np.array([float(word) for word in facts["mount"].split()]),
-        **{name: float(facts[name]) for name in SCALARS},
+        bearings=parse_bearings(sensor_facts["bearings"]),
+        mount=np.array([float(word) for word in sensor_facts["mount"].split()]),
+        **{name: float(sensor_facts[name]) for name in SENSOR_SCALARS},
     )
 
 
 def to_run(recording: Recording, source: str) -> Run:
     """Rebuild the run that was written."""
-    said = recording.metadata[RECORD]
-    if said.get("version") != VERSION:
-        raise LogError(f"{source} was written in version {said.get('version')}, this reads {VERSION}; update")
-    if not is_intact(said):
+    record = recording.metadata[METADATA_NAME]
+    if record.get("version") != RECORD_VERSION:
         raise LogError(
-            f"{source}: its `{RECORD}` record is not as it was written; "
+            f"{source} was written in version {record.get('version')}, this reads {RECORD_VERSION}; update"
+        )
+    if not is_intact(record):
+        raise LogError(
+            f"{source}: its `{METADATA_NAME}` record is not as it was written; "
             f"save the messages without it: sensorgraph recover {source} -o OUT.mcap"
         )
     try:
-        sensor, zero = sensor_of(said), int(said["zero_ns"])
-        epoch = int(said["epoch_ns"])
+        sensor, zero = sensor_of(record), int(record["zero_ns"])
+        epoch = int(record["epoch_ns"])
     except (KeyError, ValueError) as exc:
-        raise LogError(f"{source}: its `{RECORD}` record is not whole ({exc}); was it edited?") from exc
+        raise LogError(
+            f"{source}: its `{METADATA_NAME}` record is not whole ({exc}); was it edited?"
+        ) from exc
     stamps, ranges = _scans(recording, sensor.n_rays, source)
-    pose = _track(recording, "pose", POSE, "pose", 7)
-    odom = _track(recording, "odom", ODOMETRY, "pose", 7)
-    twist = _track(recording, "odom", ODOMETRY, "twist", 6)
-    command = _track(recording, "cmd", TWIST_STAMPED, "twist", 6)
+    pose = _track(recording, "pose", POSE_TYPE, "pose", 7)
+    odom = _track(recording, "odom", ODOMETRY_TYPE, "pose", 7)
+    twist = _track(recording, "odom", ODOMETRY_TYPE, "twist", 6)
+    command = _track(recording, "cmd", TWIST_STAMPED_TYPE, "twist", 6)
     return Run(
         sensor=sensor,
         stamps=(stamps - zero) / 1e9,
@@ -97,30 +112,30 @@ def to_run(recording: Recording, source: str) -> Run:
         odom_twists=twist.values[:, [0, 5]],
         cmd_stamps=(command.stamps - zero) / 1e9,
         commands=command.values[:, [0, 5]],
-        pose_frame="laser" if said.get("pose_frame") == "laser" else "base_link",
+        pose_frame="laser" if record.get("pose_frame") == "laser" else "base_link",
         epoch_ns=epoch,
-        meta={k.removeprefix("meta."): v for k, v in said.items() if k.startswith("meta.")},
+        meta={k.removeprefix("meta."): v for k, v in record.items() if k.startswith("meta.")},
         attachments=dict(recording.attachments),
     )
 
 
 def _track(recording: Recording, role: str, msgtype: str, column: str, width: int) -> Track:
-    topic = recording.topics.get(TOPICS[role])
+    topic = recording.topics.get(TOPIC_OF_ROLE[role])
     if topic is None or topic.type != msgtype or not topic.payloads:
         return Track(np.zeros(0, dtype=np.int64), np.zeros((0, width)))
     return track(topic, column, width, absolute=True)
 
 
 def _scans(recording: Recording, n_rays: int, source: str) -> tuple[np.ndarray, Floats]:
-    topic = recording.topics.get(TOPICS["scan"])
-    if topic is None or topic.type != SCAN or not topic.payloads:
+    topic = recording.topics.get(TOPIC_OF_ROLE["scan"])
+    if topic is None or topic.type != SCAN_TYPE or not topic.payloads:
         return np.zeros(0, dtype=np.int64), np.zeros((0, n_rays))
     stamps = np.zeros(len(topic.payloads), dtype=np.int64)
     ranges = np.empty((len(stamps), n_rays))
     for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
         if block.places["ranges"].count != n_rays:
             raise LogError(
-                f"{source}: a scan has {block.places['ranges'].count} ranges, its `{RECORD}` record says {n_rays}; "
+                f"{source}: a scan has {block.places['ranges'].count} ranges, its `{METADATA_NAME}` record says {n_rays}; "
                 f"read it as a foreign file by removing that record"
             )
         stamps[block.index], ranges[block.index] = block.stamps_ns, block["ranges"]

@@ -14,21 +14,26 @@ from logs.ros.transform_tree import TransformTree
 from logs.transforms import Stamps
 from logs.types import Floats
 
-SCAN, TF = "sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"
-POSE, POSE_COV = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
-ODOMETRY, TWIST, TWIST_STAMPED = (
+SCAN_TYPE, TF_TYPE = "sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"
+POSE_TYPE, POSE_COVARIANCE_TYPE = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+)
+ODOMETRY_TYPE, TWIST_TYPE, TWIST_STAMPED_TYPE = (
     "nav_msgs/msg/Odometry",
     "geometry_msgs/msg/Twist",
     "geometry_msgs/msg/TwistStamped",
 )
-KNOWN = frozenset({SCAN, TF, POSE, POSE_COV, ODOMETRY, TWIST, TWIST_STAMPED})
+KEPT_TYPES = frozenset(
+    {SCAN_TYPE, TF_TYPE, POSE_TYPE, POSE_COVARIANCE_TYPE, ODOMETRY_TYPE, TWIST_TYPE, TWIST_STAMPED_TYPE}
+)
 """Types whose messages are kept in memory; others are only counted."""
 ENCODINGS = ("cdr", "ros1")
 ROLES: dict[str, tuple[str, tuple[str, ...]]] = {
-    "scan": ("/scan", (SCAN,)),
-    "pose": ("/pose", (POSE, POSE_COV, ODOMETRY)),
-    "odom": ("/odom", (ODOMETRY,)),
-    "cmd": ("/cmd_vel", (TWIST_STAMPED, TWIST)),
+    "scan": ("/scan", (SCAN_TYPE,)),
+    "pose": ("/pose", (POSE_TYPE, POSE_COVARIANCE_TYPE, ODOMETRY_TYPE)),
+    "odom": ("/odom", (ODOMETRY_TYPE,)),
+    "cmd": ("/cmd_vel", (TWIST_STAMPED_TYPE, TWIST_TYPE)),
 }
 """Role -> (the name that needs no telling, the types that can play it)."""
 
@@ -44,7 +49,7 @@ class Topic:
     log_times: list[int] = field(default_factory=list)
     """[ns] of each message, in the order of the file."""
     payloads: list[bytes] = field(default_factory=list)
-    """The messages, where their type is one of `KNOWN`."""
+    """The messages, where their type is one of `KEPT_TYPES`."""
 
 
 @dataclass
@@ -80,7 +85,7 @@ def full_type(msgtype: str) -> str:
     package, _, name = msgtype.partition("/")
     name = name.removeprefix("msg/")
     if (package, name) == ("tf", "tfMessage"):
-        return TF
+        return TF_TYPE
     return f"{package}/msg/{name}" if name else msgtype
 
 
@@ -94,14 +99,14 @@ def choose(recording: Recording, role: str, topics: Mapping[str, str] | None) ->
             if (
                 topic is not None
                 and topic.payloads
-                and topic.type in types + ((TF,) if role == "pose" else ())
+                and topic.type in types + ((TF_TYPE,) if role == "pose" else ())
             ):
                 return name
         raise LogError(
             f"{role}={named} is no topic with messages of {' or '.join(types)}; "
             f"there are {listing(recording) or 'no topics'}"
         )
-    names = recording.of_type(types if role != "pose" else (POSE, POSE_COV))
+    names = recording.of_type(types if role != "pose" else (POSE_TYPE, POSE_COVARIANCE_TYPE))
     if preferred in names:
         return preferred
     if role == "pose":  # a goal or a first guess is a pose too, but not where the robot was
@@ -169,7 +174,7 @@ def transform_tree(recording: Recording) -> TransformTree:
     """Collect every transform of the recording."""
     tree = TransformTree()
     for topic in recording.topics.values():
-        if topic.type != TF or not topic.payloads:
+        if topic.type != TF_TYPE or not topic.payloads:
             continue
         edges: dict[tuple[str, str], list[tuple[Stamps, Floats]]] = {}
         for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
