@@ -1,4 +1,4 @@
-"""fit: from records to a model, in one call."""
+"""`fit`: from records to a model, in one call."""
 
 from __future__ import annotations
 
@@ -55,6 +55,14 @@ def fit(
     denominator : candidate terms below the line of a rational model, without a constant
     estimator : `ls`; `els`; `pem` (the default with noise or a denominator); `simulation` (least error in free run)
     covariance : `classical`; `sandwich`; `hac` (the default for `simulation`, whose residuals are correlated)
+
+    Raises
+    ------
+    IdentError
+        if the records do not allow it: a signal is missing, the output is never known, no row is left, a term
+        explains the output by itself, or a ratio has noise terms
+    ValueError
+        if an option is none of those listed
     """
     records = as_records(records)
     if len(denominator) and noise:
@@ -81,7 +89,7 @@ def fit(
     if len(denominator):
         model = as_ratio(selection.select(), records, denominator)
         if criterion in INFORMATION:
-            model = RationalStructureSearch(records, terms, denominator, criterion).settle(model)
+            model = RationalStructureSearch(records, terms, denominator, criterion).search(model)
     elif len(noise_terms):
         model = with_noise(selection, noise_terms)
     else:

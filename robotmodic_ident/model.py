@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -23,14 +24,18 @@ from robotmodic_ident.terms import CONSTANT, Terms
 from robotmodic_ident.types import Floats
 
 NO_TERMS = Terms(())
+REPR_WIDTH = 200
+"""[characters] of the equation that `repr` shows."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Narmax:
     """A model of one output; without lagged inputs it is a static equation.
 
     ŷ(k) = Σ theta * terms / (1 + Σ denominator_theta * denominator) + Σ noise_theta * noise_terms, where
     noise terms hold e(k-1), ...: what the one-step prediction left unexplained. Mostly both are empty.
+
+    One class, though a long one: its equation, its predictions and its file all read the same few fields.
     """
 
     output: str
@@ -202,8 +207,25 @@ class Narmax:
             text += f" - {tail[1:]}" if tail.startswith("-") else f" + {tail}"
         return f"{form.output}(k) = {text}" if form.is_dynamic else f"{form.output} = {text}"
 
+    def __repr__(self) -> str:
+        """Print the equation, cut where it is long, and in one line where it comes from."""
+        equation = shorten(self.equation(), REPR_WIDTH, placeholder=" ...")
+        groups = ((self.terms, "terms"), (self.denominator, "below the line"), (self.noise_terms, "of noise"))
+        counts = ", ".join(f"{len(terms)} {name}" for terms, name in groups if len(terms))
+        return (
+            f"Narmax: {equation}\n"
+            f"  {counts}; {self.estimator} of {self.n_samples:,} samples, sigma {self.sigma:.3g}, "
+            f"selection stopped by {self.stop}"
+        )
+
     def predict_osa(self, record: Record | Mapping[str, Floats]) -> Floats:
-        """Predict each sample from the measured past and the noise found in it (n,); nan where not known."""
+        """Predict each sample from the measured past and the noise found in it (n,); nan where not known.
+
+        Raises
+        ------
+        IdentError
+            if the record lacks a signal that the model reads
+        """
         return self._predict(record, lambda recursion, segment: recursion.run(segment, free=False)[0])
 
     def predict_mpo(self, record: Record | Mapping[str, Floats]) -> Floats:
@@ -215,7 +237,15 @@ class Narmax:
         return self._predict(record, lambda recursion, segment: recursion.run(segment, free=True)[0])
 
     def predict_k(self, record: Record | Mapping[str, Floats], steps: int) -> Floats:
-        """Predict each sample from what was measured up to `steps` samples before it (n,); inputs are known."""
+        """Predict each sample from what was measured up to `steps` samples before it (n,); inputs are known.
+
+        Raises
+        ------
+        ValueError
+            if `steps` is below 1
+        IdentError
+            if the record lacks a signal
+        """
         if steps < 1:
             raise ValueError(f"steps is {steps}, expected 1 or more")
         return self._predict(record, lambda recursion, segment: recursion.run_ahead(segment, steps))
@@ -258,14 +288,28 @@ class Narmax:
         return to_plain(values, np.sqrt(np.diagonal(self.covariance)))
 
     def save(self, path: Path) -> None:
-        """Write JSON."""
+        """Write the model as JSON; `load` reads it.
+
+        Raises
+        ------
+        OSError
+            if the file cannot be written
+        """
         part = path.with_name(path.name + ".part")
         part.write_text(json.dumps(self.to_dict(), indent=1) + "\n")
         part.replace(path)
 
     @classmethod
     def load(cls, path: Path) -> Narmax:
-        """Read what `save` wrote."""
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        IdentError
+            if the file is no model
+        OSError
+            if it cannot be read
+        """
         try:
             data = json.loads(path.read_text())
             return cls.from_dict(data)

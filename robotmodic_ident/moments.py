@@ -62,6 +62,13 @@ class Moments:
         ----------
         columns : signal (`y(k-1)`, `x`) -> (n,); a row that is not finite is left out
         y : (n, n_outputs) or (n,); nan: not known
+
+        Raises
+        ------
+        ValueError
+            if shapes do not fit
+        IdentError
+            if a column is missing or an output is too large for its square
         """
         data = {name: np.asarray(columns[name], dtype=np.float64) for name in columns}
         y = _as_rows(y, self.n_outputs)

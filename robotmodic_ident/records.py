@@ -117,6 +117,13 @@ def lagged(
 
     `skip` [samples] leaves out the start of every segment (default: the largest lag, the least possible),
     so that models of different lags can be judged on the same rows.
+
+    Raises
+    ------
+    IdentError
+        if a record lacks a signal, or no row is left
+    ValueError
+        if `skip` is below the largest lag
     """
     look_back = terms.max_lag if skip is None else skip
     if look_back < terms.max_lag:

@@ -165,7 +165,13 @@ class Terms:
 
     @classmethod
     def parse(cls, *names: str) -> Terms:
-        """Read terms from their names, one name a term."""
+        """Read terms from their names, one name a term.
+
+        Raises
+        ------
+        IdentError
+            if a name is no term, or a term is given twice
+        """
         return cls(tuple(map(_parse_term, names)))
 
     @cached_property

@@ -8,7 +8,7 @@ import pytest
 from robotmodic_ident import BASES, Scale, Terms, bspline, chebyshev, fit, legendre, polynomial, wavelet
 from robotmodic_ident.basis_functions import evaluate
 from robotmodic_ident.prediction import kernels
-from robotmodic_ident.prediction.recursion import KINDS
+from robotmodic_ident.prediction.recursion import KIND_OF_FUNCTION
 
 SHAPES = [
     ("P", 1, (0, 0)),
@@ -27,9 +27,9 @@ SHAPES = [
 @pytest.mark.parametrize("letter,order,part", SHAPES)
 def test_compiled_shape_equals_plain_numpy_and_its_slope_is_the_slope(letter, order, part) -> None:
     t = np.linspace(-0.999, 0.999, 333)  # no knot among them
-    value = [kernels.shape(KINDS[letter], order, *part, x) for x in t]
+    value = [kernels.shape(KIND_OF_FUNCTION[letter], order, *part, x) for x in t]
     np.testing.assert_allclose(value, evaluate(letter, order, part, t), atol=1e-13)
-    slope = [kernels.slope(KINDS[letter], order, *part, x) for x in t]
+    slope = [kernels.slope(KIND_OF_FUNCTION[letter], order, *part, x) for x in t]
     up, down = evaluate(letter, order, part, t + 1e-6), evaluate(letter, order, part, t - 1e-6)
     np.testing.assert_allclose(slope, (up - down) / 2e-6, atol=1e-7)
 

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import logs
 from logs.ros import cdr
-from logs.ros.recording import ODOMETRY, POSE, POSE_COV, SCAN, TF, TWIST
+from logs.ros.recording import ODOMETRY_TYPE, POSE_COVARIANCE_TYPE, POSE_TYPE, SCAN_TYPE, TF_TYPE, TWIST_TYPE
 
 EPOCH = 1_600_000_000_000_000_000
 Message = tuple[str, str, int, bytes]
@@ -32,7 +32,7 @@ def message(
     **columns: Any,
 ) -> Message:  # fmt: skip
     at = ns(stamp)
-    heads = [f"{i}." for i in range(parts)] or ([""] if msgtype != TWIST else [])
+    heads = [f"{i}." for i in range(parts)] or ([""] if msgtype != TWIST_TYPE else [])
     stamps = {
         f"{h}{k}": np.array([v]) for h in heads for k, v in (("sec", at // 10**9), ("nanosec", at % 10**9))
     }
@@ -49,7 +49,7 @@ def scan(
     ranges = np.asarray(ranges, dtype=np.float64)
     last = angle_min + increment * (len(ranges) - 1)
     limits = [angle_min, last, increment, time_increment, 0.1, range_min, range_max]
-    return message(topic, SCAN, stamp, {"frame_id": frame}, log=log, limits=limits, ranges=ranges)
+    return message(topic, SCAN_TYPE, stamp, {"frame_id": frame}, log=log, limits=limits, ranges=ranges)
 
 
 def quaternion(yaw: float, roll: float = 0.0) -> list[float]:
@@ -63,10 +63,14 @@ def transform(
 ) -> Message:  # fmt: skip
     strings = {"0.frame_id": parent, "0.child_frame_id": child}
     values = [x, y, z, *quaternion(yaw, roll)]
-    return message("/tf_static" if static else "/tf", TF, stamp, strings, parts=1, **{"0__transform": values})
+    return message(
+        "/tf_static" if static else "/tf", TF_TYPE, stamp, strings, parts=1, **{"0__transform": values}
+    )
 
 
-def pose(stamp: float, x: float, y: float, yaw: float, *, topic: str = "/pose", kind: str = POSE) -> Message:
+def pose(
+    stamp: float, x: float, y: float, yaw: float, *, topic: str = "/pose", kind: str = POSE_TYPE
+) -> Message:
     return message(topic, kind, stamp, {"frame_id": "map"}, pose=[x, y, 0, *quaternion(yaw)])
 
 
@@ -75,12 +79,12 @@ def odometry(
 ) -> Message:
     strings = {"frame_id": "odom", "child_frame_id": "base_link"}
     return message(
-        topic, ODOMETRY, stamp, strings, pose=[x, y, 0, *quaternion(yaw)], twist=[v, 0, 0, 0, 0, 0.5]
+        topic, ODOMETRY_TYPE, stamp, strings, pose=[x, y, 0, *quaternion(yaw)], twist=[v, 0, 0, 0, 0, 0.5]
     )
 
 
 def command(stamp: float, v: float, omega: float) -> Message:
-    return message("/cmd_vel", TWIST, stamp, {}, twist=[v, 0, 0, 0, 0, omega])
+    return message("/cmd_vel", TWIST_TYPE, stamp, {}, twist=[v, 0, 0, 0, 0, omega])
 
 
 def write_bag2(
@@ -112,7 +116,7 @@ def to_ros1(store: Any, value: Any) -> Any:
 
 def write_bag1(path: Path, messages: list[Message]) -> Path:
     store = get_typestore(Stores.ROS1_NOETIC)
-    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF_TYPE))
     with Writer1(path) as writer:
         connections: dict[str, Any] = {}
         for topic, msgtype, at, data in messages:
@@ -263,7 +267,10 @@ def test_file_without_scans_says_what_it_has(tmp_path: Path) -> None:
     [
         ([pose(0, 1, 2, 0.5, topic="/goal_pose"), odometry(0, 7, 8, 0)], "odometry /odom"),
         ([pose(0, 1, 2, 0.5, topic="/ground_truth"), odometry(0, 7, 8, 0)], "/ground_truth"),
-        ([pose(0, 1, 2, 0.5, topic="/amcl_pose", kind=POSE_COV), odometry(0, 7, 8, 0)], "/amcl_pose"),
+        (
+            [pose(0, 1, 2, 0.5, topic="/amcl_pose", kind=POSE_COVARIANCE_TYPE), odometry(0, 7, 8, 0)],
+            "/amcl_pose",
+        ),
         ([odometry(0, 7, 8, 0)], "odometry /odom"),
         ([], "none"),
     ],

@@ -16,12 +16,15 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.types import Floats
 
 N_RADII = 24
-LOW, HIGH = 1e-4, 0.1
+"""Radii at which pairs are counted."""
+SLOPE_REGION = (1e-4, 0.1)
 """Shares of all pairs between which the slope is taken, where no other region is asked for."""
-MOST = 4000
+N_REFERENCE = 4000
 """Reference points, where no other number is asked for."""
-BLOCKS = 20
-"""Stretches of reference points that the interval is resampled from."""
+N_REFERENCE_BLOCKS = 20
+"""Contiguous blocks of reference points that the interval is resampled from."""
+N_BOOTSTRAP = 200
+"""Resamplings behind the interval."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,8 +51,8 @@ def correlation_dimension(
     lag: int = 1,
     theiler: int,
     n_surrogates: int = 0,
-    n_reference: int = MOST,
-    region: tuple[float, float] = (LOW, HIGH),
+    n_reference: int = N_REFERENCE,
+    region: tuple[float, float] = SLOPE_REGION,
     rng: np.random.Generator,
 ) -> CorrelationDimension:
     """Return the correlation dimension of a series (n,) or (n, n_signals).
@@ -66,7 +69,7 @@ def correlation_dimension(
     radii, counts, pairs = _counts(points, theiler, n_reference)
     correlation = counts.sum(axis=0) / pairs.sum()
     value, used = _slope(radii, correlation, region)
-    spread = [_resampled(radii[used], counts[:, used], pairs, rng) for _ in range(200)]
+    spread = [_resampled(radii[used], counts[:, used], pairs, rng) for _ in range(N_BOOTSTRAP)]
     half = len(radii[used]) // 2
     ends = [
         float(np.polyfit(np.log(radii[used][part]), np.log(correlation[used][part]), 1)[0])
@@ -93,19 +96,21 @@ def correlation_dimension(
 
 
 def _counts(points: Floats, theiler: int, most: int) -> tuple[Floats, Floats, Floats]:
-    """Return radii, pairs nearer than each (BLOCKS, n_radii), and all pairs (BLOCKS,), by block of reference points."""
+    """Return radii, pairs nearer than each (N_REFERENCE_BLOCKS, n_radii), and all pairs (N_REFERENCE_BLOCKS,), by block of reference points."""
     n = len(points)
-    if n < 10 * BLOCKS or n <= 4 * theiler:
-        raise IdentError(f"{n} embedded samples are too few; a dimension needs {10 * BLOCKS} and 4 * theiler")
+    if n < 10 * N_REFERENCE_BLOCKS or n <= 4 * theiler:
+        raise IdentError(
+            f"{n} embedded samples are too few; a dimension needs {10 * N_REFERENCE_BLOCKS} and 4 * theiler"
+        )
     reference = np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.intp))
     some = reference[:: max(1, len(reference) // 200)]
     sample = np.concatenate([np.linalg.norm(points - points[i], axis=1) for i in some])
     largest = float(np.quantile(sample, 0.5))
     least = max(float(np.quantile(sample[sample > 0], 1e-5)), 1e-9 * largest)
     radii = np.geomspace(least, largest, N_RADII)
-    counts, pairs = np.zeros((BLOCKS, N_RADII)), np.zeros(BLOCKS)
+    counts, pairs = np.zeros((N_REFERENCE_BLOCKS, N_RADII)), np.zeros(N_REFERENCE_BLOCKS)
     when = np.arange(n)
-    for b, block in enumerate(np.array_split(reference, BLOCKS)):
+    for b, block in enumerate(np.array_split(reference, N_REFERENCE_BLOCKS)):
         for i in block.tolist():
             gap = np.linalg.norm(points - points[i], axis=1)[np.abs(when - i) > theiler]
             counts[b] += np.searchsorted(np.sort(gap), radii, side="right")

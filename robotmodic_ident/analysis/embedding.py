@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.types import Floats
 
-CANDIDATES = 64
+N_NEIGHBOUR_CANDIDATES = 64
 """Neighbours looked through for one that is far enough in time."""
 
 
@@ -29,7 +29,7 @@ def embed(series: ArrayLike, dimension: int, lag: int = 1) -> Floats:
 
 def neighbours(points: Floats, theiler: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return pairs (i, j): j is i's nearest neighbour more than `theiler` samples away and not the same point."""
-    k = min(CANDIDATES + 2 * theiler, len(points))
+    k = min(N_NEIGHBOUR_CANDIDATES + 2 * theiler, len(points))
     near, index = (np.asarray(part) for part in cKDTree(points).query(points, k=k))
     other = (np.abs(index - np.arange(len(points))[:, None]) > theiler) & (near > 0)
     found = other.any(axis=1)

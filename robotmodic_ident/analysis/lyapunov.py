@@ -19,9 +19,9 @@ from robotmodic_ident.model import Narmax
 from robotmodic_ident.records import Record, lagged
 from robotmodic_ident.types import Floats
 
-STRETCHES = 10
+N_ORBIT_PARTS = 10
 """Of an orbit, between which an exponent's spread is taken."""
-FAR = 1e6
+LOST_SIZE = 1e6
 """Times the size of the start at which a trajectory counts as lost."""
 
 
@@ -71,7 +71,7 @@ def lyapunov(
     state = np.array(starts, dtype=np.float64, ndmin=2)
     if state.shape[1] != step.n_states:
         raise ValueError(f"starts has shape {state.shape}, expected (n_trajectories, {step.n_states})")
-    size = FAR * max(float(np.abs(state).max()), 1.0)
+    size = LOST_SIZE * max(float(np.abs(state).max()), 1.0)
     n, d = state.shape
     alive = np.ones(n, dtype=np.bool_)
     frame = np.broadcast_to(np.eye(d), (n, d, d)).copy()
@@ -160,8 +160,8 @@ def lyapunov_along(
         raise IdentError("the model reads no past output; it has no exponents")
     slopes = [evaluate(_slope(total, f"{model.output}(k-{lag})"), rows.columns) for lag in range(1, d + 1)]
     n = len(rows.sample)
-    if n < 10 * STRETCHES:
-        raise IdentError(f"{n} samples are too few; exponents along an orbit need {10 * STRETCHES}")
+    if n < 10 * N_ORBIT_PARTS:
+        raise IdentError(f"{n} samples are too few; exponents along an orbit need {10 * N_ORBIT_PARTS}")
     tangent = np.zeros((n, d, d))
     for j, slope in enumerate(slopes):
         tangent[:, 0, j] = slope
@@ -170,10 +170,10 @@ def lyapunov_along(
     for k in range(n):
         frame, upper = np.linalg.qr(tangent[k] @ frame)
         stretching[k] = np.log(np.maximum(np.abs(np.diagonal(upper)), 1e-300))
-    parts = np.array([part.mean(axis=0) for part in np.array_split(stretching, STRETCHES)]) / period
+    parts = np.array([part.mean(axis=0) for part in np.array_split(stretching, N_ORBIT_PARTS)]) / period
     return LyapunovExponents(
         values=stretching.mean(axis=0) / period,
-        stderr=parts.std(axis=0, ddof=1) / np.sqrt(STRETCHES),
+        stderr=parts.std(axis=0, ddof=1) / np.sqrt(N_ORBIT_PARTS),
         lost=0.0,
     )
 

@@ -21,11 +21,20 @@ from robotmodic_ident.records import Record, as_records
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
-TIGHTER = (1.0, 0.3, 0.1, 0.03, 0.01)
-"""tau over sigma, from a first guess to nearly exact dynamics."""
-STEPS = 12
-"""Gauss-Newton steps at each."""
-ENOUGH = 1e-9
+
+@dataclass(frozen=True, kw_only=True)
+class OrbitDescent:
+    """How the orbit is tied to the model step by step; numerical, none is fitted to data."""
+
+    taus: tuple[float, ...] = (1.0, 0.3, 0.1, 0.03, 0.01)
+    """tau over sigma, from a first guess to nearly exact dynamics."""
+    max_steps: int = 12
+    """Gauss-Newton steps at each tau."""
+    converged: float = 1e-9
+    """Largest move of the orbit over its span below which the steps end."""
+
+
+ORBIT_DESCENT = OrbitDescent()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,10 +61,10 @@ def without_noise(model: Narmax, record: Record | Mapping[str, Floats]) -> Denoi
     problem = _OrbitProblem(plain, record)
     x, theta = problem.measured.copy(), plain.theta.copy()
     covariance = plain.covariance
-    for tau in TIGHTER:
-        for _ in range(STEPS):
+    for tau in ORBIT_DESCENT.taus:
+        for _ in range(ORBIT_DESCENT.max_steps):
             x, theta, covariance, moved = problem.step(x, theta, tau)
-            if moved < ENOUGH:
+            if moved < ORBIT_DESCENT.converged:
                 break
     noise = float(np.std(problem.measured - x))
     return DenoisedOrbit(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,17 +18,28 @@ from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 from robotmodic_ident.validation.residual_tests import validate
 
-ROUNDS = 8
-"""Times that terms are chosen anew with the noise found so far."""
-ELS_STEPS = 30
-MOST = 8
-"""Noise lags that `auto` looks at."""
-PATIENCE = 2
-"""Noise lags in a row that may lower EBIC by nothing: of e(k-2) alone, the first one does not."""
-ALARM = 0.05
-"""p-value of the residual's test below which another lag is looked at."""
-TESTED_LAGS = (10, 5, 2)
-"""[samples] the most that the data allow."""
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseSearch:
+    """How long terms and noise are fitted in turn, and how many noise lags are tried."""
+
+    max_rounds: int = 8
+    """Times that terms are chosen anew with the noise found so far; 2 or 3 are usual."""
+    max_els_steps: int = 30
+    """Of extended least squares; it ends where it gains nothing."""
+    els_converged: float = 1e-10
+    """Relative gain of such a step below which it ends."""
+    max_lags: int = 8
+    """[samples] noise lags that `auto` looks at."""
+    patience: int = 2
+    """Noise lags in a row that may fail to lower EBIC: of e(k-2) alone, the first one does not."""
+    alarm: float = 0.05
+    """p-value of the residual's test below which another lag is tried; the convention."""
+    tested_lags: tuple[int, ...] = (10, 5, 2)
+    """[samples] of that test; the largest that the data allow is taken."""
+
+
+NOISE_SEARCH = NoiseSearch()
 
 
 def noise_terms_of(noise: int | Terms) -> Terms:
@@ -49,19 +60,19 @@ def with_noise(selection: ProcessTermSelection, noise: Terms) -> Narmax:
     filter. Returns the extended least squares of the last selection.
     """
     model = selection.select()
-    for _ in range(ROUNDS):
-        model = _extended(model, selection.records, noise)
-        chosen = selection.select_beside(_descended(model, selection.records))
+    for _ in range(NOISE_SEARCH.max_rounds):
+        model = _extended_least_squares(model, selection.records, noise)
+        chosen = selection.select_beside(_with_least_prediction_error(model, selection.records))
         if set(chosen.terms.names) == set(model.terms.names):
             return model
         model = chosen
     return replace(
-        _extended(model, selection.records, noise),
+        _extended_least_squares(model, selection.records, noise),
         notes=("terms and noise did not settle on each other; the last choice was kept",),
     )
 
 
-def _descended(model: Narmax, records: Sequence[Record]) -> Narmax:
+def _with_least_prediction_error(model: Narmax, records: Sequence[Record]) -> Narmax:
     """Return the coefficients of least prediction error."""
     theta = NonlinearLeastSquares(model.recursion(), records, free=False).minimise(model.parameters).theta
     n = len(model.terms)
@@ -73,7 +84,7 @@ def _noise_of(model: Narmax, records: Sequence[Record]) -> list[Floats]:
     return [np.nan_to_num(model.residuals(record), nan=0.0) for record in records]
 
 
-def _extended(model: Narmax, records: Sequence[Record], noise: Terms) -> Narmax:
+def _extended_least_squares(model: Narmax, records: Sequence[Record], noise: Terms) -> Narmax:
     """Iterate least squares with the residuals of the last round as regressors; keep the best round."""
     n, size = len(model.terms), len(model.terms) + len(noise)
     terms = model.terms + noise
@@ -86,13 +97,15 @@ def _extended(model: Narmax, records: Sequence[Record], noise: Terms) -> Narmax:
     )
     problem = NonlinearLeastSquares(best.recursion(), records, free=False)
     least, *_ = problem.evaluate(best.parameters)
-    for _ in range(ELS_STEPS):
+    for _ in range(NOISE_SEARCH.max_els_steps):
         rows = lagged(_with_signal(records, _noise_of(best, records)), terms, [model.output])
         known = np.isfinite(rows.targets[:, 0])
         phi = terms.matrix(rows.columns, model.scale, n=len(known))[known]
         theta = np.linalg.lstsq(phi, rows.targets[known, 0], rcond=None)[0]
         cost, *_ = problem.evaluate(theta)
-        if not cost < least * (1.0 - 1e-10):  # no better, or the noise model is not invertible
+        if not cost < least * (
+            1.0 - NOISE_SEARCH.els_converged
+        ):  # no better, or the noise model is not invertible
             break
         best, least = replace(best, theta=theta[:n], noise_theta=theta[n:]), cost
     return best
@@ -119,8 +132,8 @@ def best_order(fitted: Callable[[int], Narmax], records: Sequence[Record], n_can
     best = model = fitted(0)
     order, tried, count = 0, 0, model.n_samples
     least = _cost(model, count, n_candidates)
-    for lag in range(1, MOST + 1):
-        if lag - order > PATIENCE or _is_white(model, records):
+    for lag in range(1, NOISE_SEARCH.max_lags + 1):
+        if lag - order > NOISE_SEARCH.patience or _is_white(model, records):
             break
         try:
             model = fitted(lag)
@@ -148,10 +161,10 @@ def _cost(model: Narmax, count: int, n_candidates: int) -> float:
 
 def _is_white(model: Narmax, records: Sequence[Record]) -> bool:
     """Tell whether the residual is uncorrelated as far as its test can see."""
-    for max_lag in TESTED_LAGS:
+    for max_lag in NOISE_SEARCH.tested_lags:
         try:
             (check,) = validate(model, records, max_lag=max_lag, inputs=())
         except IdentError:
             continue
-        return check.p_value >= ALARM
+        return check.p_value >= NOISE_SEARCH.alarm
     return True

@@ -18,9 +18,26 @@ from robotmodic_ident.records import Record
 from robotmodic_ident.types import Floats
 
 Covariance = Literal["classical", "sandwich", "hac"]
-MAX_STEPS = 200
-CONVERGED = 1e-11
-"""Relative gain of a step below which nothing more is to be had."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevenbergMarquardt:
+    """When a descent ends and how far its steps are damped; numerical, none is fitted to data."""
+
+    max_steps: int = 200
+    converged: float = 1e-11
+    """Relative gain of a step below which nothing more is to be had: rounding of the sum of squares."""
+    damping: float = 1e-6
+    """Of the first step, for columns of unit norm."""
+    min_damping: float = 1e-9
+    """Before it is raised after a step that failed."""
+    max_damping: float = 1e10
+    """Above this no step downhill is left."""
+    factor: float = 10.0
+    """By which the damping falls after a step that helped, and rises after one that did not."""
+
+
+DESCENT = LevenbergMarquardt()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,25 +136,31 @@ class NonlinearLeastSquares:
         return J, r + J @ theta
 
     def minimise(self, start: Floats) -> Estimate:
-        """Descend by Levenberg-Marquardt from `start` (n_parameters,)."""
-        theta, damping, converged = np.array(start, dtype=np.float64), 1e-6, False
+        """Descend by Levenberg-Marquardt from `start` (n_parameters,).
+
+        Raises
+        ------
+        IdentError
+            if the starting model diverges
+        """
+        theta, damping, converged = np.array(start, dtype=np.float64), DESCENT.damping, False
         cost, residuals, gradients = self.evaluate(theta, gradient=True)
         if not np.isfinite(cost):
             raise IdentError("the starting model diverges on these records, so it cannot be refined")
-        for _ in range(MAX_STEPS):
+        for _ in range(DESCENT.max_steps):
             step, expected = _step(residuals, gradients, damping)
             trial = theta + step
             new, *_ = self.evaluate(trial)
             if new <= cost:
                 gain = cost - new
-                theta, damping = trial, damping / 10
+                theta, damping = trial, damping / DESCENT.factor
                 cost, residuals, gradients = self.evaluate(theta, gradient=True)
-                if gain <= CONVERGED * cost:
+                if gain <= DESCENT.converged * cost:
                     converged = True
                     break
             else:
-                damping = max(damping, 1e-9) * 10
-                if damping > 1e10 or expected <= CONVERGED * cost:
+                damping = max(damping, DESCENT.min_damping) * DESCENT.factor
+                if damping > DESCENT.max_damping or expected <= DESCENT.converged * cost:
                     converged = True  # no step downhill is left
                     break
         return Estimate(

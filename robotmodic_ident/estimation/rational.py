@@ -2,7 +2,7 @@
 
 Multiplied out, y = N - y (D - 1) + D e: linear in all coefficients, but y (D - 1) holds the noise of y, which biases
 least squares (Billings and Zhu 1991). Dividing the rows by the last D (Sanathanan and Koerner 1963) takes out most
-of it, and Gauss-Newton on e itself, in `estimate`, the rest. Terms are then added and dropped by what they do to e.
+of it, and Gauss-Newton on e itself, in `prediction_error`, the rest. Terms are then added and dropped by what they do to e.
 """
 
 from __future__ import annotations
@@ -20,9 +20,24 @@ from robotmodic_ident.selection.criteria import penalties
 from robotmodic_ident.terms import CONSTANT, Terms
 from robotmodic_ident.types import Floats
 
-REWEIGHTED = 20
-STEPS = 30
-"""Terms added at most on the way to the structure."""
+
+@dataclass(frozen=True, kw_only=True)
+class RationalSearch:
+    """How long a rational model is searched; numerical limits that the examples of the tests do not reach."""
+
+    max_reweightings: int = 20
+    """Solutions of the linear form with rows divided by the last denominator."""
+    reweighting_converged: float = 1e-10
+    """Relative gain of such a solution below which they end."""
+    max_additions: int = 30
+    """Terms added at most on the way to the structure."""
+    min_gain: float = 1e-9
+    """Relative fall of the criterion that a larger structure must bring."""
+    min_new_share: float = 1e-12
+    """Of a term's squared norm that terms already chosen do not explain; below it depends on them."""
+
+
+RATIONAL_SEARCH = RationalSearch()
 
 
 def times_output(denominator: Terms, output: str) -> Terms:
@@ -54,12 +69,12 @@ def _reweighted(model: Narmax, records: Sequence[Record], upper: Terms, lower: T
     bottom = lower.matrix(rows.columns, model.scale, n=len(known))[known]
     d, least = np.ones(len(y)), np.inf
     best: Floats = np.zeros(len(upper) + len(lower))
-    for _ in range(REWEIGHTED):
+    for _ in range(RATIONAL_SEARCH.max_reweightings):
         phi = np.column_stack([top, -y[:, None] * bottom])
         theta = np.linalg.lstsq(phi / d[:, None], y / d, rcond=None)[0]
         d = 1.0 + bottom @ theta[len(upper) :]
         cost = float(np.sum((y - top @ theta[: len(upper)] / d) ** 2))
-        if not np.isfinite(cost) or cost >= least * (1.0 - 1e-10):
+        if not np.isfinite(cost) or cost >= least * (1.0 - RATIONAL_SEARCH.reweighting_converged):
             break
         best, least = theta, cost
     err = dict(zip(model.terms.names, model.err.tolist(), strict=True))
@@ -92,10 +107,10 @@ class RationalStructureSearch:
     lower: Terms
     criterion: str
 
-    def settle(self, model: Narmax) -> Narmax:
+    def search(self, model: Narmax) -> Narmax:
         """Add the term that promises most and drop what is not worth its place, until the criterion rests."""
         best = self._trial(model, model.parameters)
-        for _ in range(STEPS):
+        for _ in range(RATIONAL_SEARCH.max_additions):
             name, start = self._most_promising(best)
             if start is None:
                 break
@@ -104,7 +119,7 @@ class RationalStructureSearch:
                 shrunk := self._without_least(grown, keep=name)
             ) is not None and shrunk.value < grown.value:
                 grown = shrunk
-            if not grown.value < best.value - 1e-9 * abs(best.value):
+            if not grown.value < best.value - RATIONAL_SEARCH.min_gain * abs(best.value):
                 break
             best = grown
         while (shrunk := self._without_least(best)) is not None and shrunk.value < best.value:
@@ -136,7 +151,7 @@ class RationalStructureSearch:
         basis = np.linalg.qr(J[:, present])[0]
         rest = J[:, absent] - basis @ (basis.T @ J[:, absent])
         power = (rest**2).sum(axis=0)
-        alive = power > 1e-12 * (J[:, absent] ** 2).sum(axis=0)
+        alive = power > RATIONAL_SEARCH.min_new_share * (J[:, absent] ** 2).sum(axis=0)
         gain = np.where(alive, (rest.T @ r) ** 2 / np.where(alive, power, 1.0), 0.0)
         best = int(absent[gain.argmax()])
         if best < len(above):

@@ -13,11 +13,11 @@ import numpy as np
 from robotmodic_ident.kernel import kernel
 from robotmodic_ident.types import Floats, Ints
 
-POWER, COS, SIN, LEGENDRE, CHEBYSHEV, SPLINE, WAVELET = range(7)
+KIND_POWER, KIND_COS, KIND_SIN, KIND_LEGENDRE, KIND_CHEBYSHEV, KIND_SPLINE, KIND_WAVELET = range(7)
 """Kinds of factors."""
-LAG, OF_NOISE, KIND, HARMONIC, FIRST, SECOND, EXPONENT = range(7)
+COL_LAG, COL_OF_NOISE, COL_KIND, COL_HARMONIC, COL_FIRST, COL_SECOND, COL_EXPONENT = range(7)
 """Columns of the integer table of factors."""
-NUMERATOR, DENOMINATOR, NOISE = range(3)
+GROUP_NUMERATOR, GROUP_DENOMINATOR, GROUP_NOISE = range(3)
 """Where a term stands: ŷ = Σ numerator / (1 + Σ denominator) + Σ noise."""
 DIVERGED = 1e150
 
@@ -40,21 +40,21 @@ def spline(degree: int, index: int, count: int, t: float) -> float:
 @kernel
 def shape(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
     """Evaluate one function of one (scaled) variable."""
-    if kind == COS:
+    if kind == KIND_COS:
         return math.cos(harmonic * t)
-    if kind == SIN:
+    if kind == KIND_SIN:
         return math.sin(harmonic * t)
-    if kind in (LEGENDRE, CHEBYSHEV):
+    if kind in (KIND_LEGENDRE, KIND_CHEBYSHEV):
         before, value = 1.0, t
         for n in range(1, harmonic):
             ahead = 2.0 * t * value - before
-            if kind == LEGENDRE:
+            if kind == KIND_LEGENDRE:
                 ahead = ((2 * n + 1) * t * value - n * before) / (n + 1)
             before, value = value, ahead
         return value
-    if kind == SPLINE:
+    if kind == KIND_SPLINE:
         return spline(harmonic, first, second, t)
-    if kind == WAVELET:
+    if kind == KIND_WAVELET:
         r = 2.0**harmonic * (t + 1.0) / 2.0 - first
         return (1.0 - r * r) * math.exp(-0.5 * r * r)
     return t
@@ -63,29 +63,29 @@ def shape(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
 @kernel
 def slope(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
     """Differentiate `shape` by t."""
-    if kind == COS:
+    if kind == KIND_COS:
         return -harmonic * math.sin(harmonic * t)
-    if kind == SIN:
+    if kind == KIND_SIN:
         return harmonic * math.cos(harmonic * t)
-    if kind == LEGENDRE:  # P'(n+1) = P'(n-1) + (2n+1) P(n)
+    if kind == KIND_LEGENDRE:  # P'(n+1) = P'(n-1) + (2n+1) P(n)
         before, value, d_before, d_value = 1.0, t, 0.0, 1.0
         for n in range(1, harmonic):
             ahead = ((2 * n + 1) * t * value - n * before) / (n + 1)
             d_ahead = d_before + (2 * n + 1) * value
             before, value, d_before, d_value = value, ahead, d_value, d_ahead
         return d_value
-    if kind == CHEBYSHEV:  # T'(n) = n U(n-1)
+    if kind == KIND_CHEBYSHEV:  # T'(n) = n U(n-1)
         before, value = 0.0, 1.0
         for _ in range(1, harmonic):
             before, value = value, 2.0 * t * value - before
         return harmonic * value
-    if kind == SPLINE:
+    if kind == KIND_SPLINE:
         if harmonic == 0:
             return 0.0
         low = spline(harmonic - 1, first - 1, second - 1, t) if first > 0 else 0.0
         high = spline(harmonic - 1, first, second - 1, t) if first < second - 1 else 0.0
         return (low - high) * (second - harmonic) / 2.0
-    if kind == WAVELET:
+    if kind == KIND_WAVELET:
         r = 2.0**harmonic * (t + 1.0) / 2.0 - first
         return (r * r - 3.0) * r * math.exp(-0.5 * r * r) * 2.0**harmonic / 2.0
     return 1.0
@@ -94,9 +94,9 @@ def slope(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
 @kernel
 def factor(row: Ints, centre: float, width: float, v: float) -> float:
     """Evaluate one factor of a term at the value of its signal."""
-    value = shape(row[KIND], row[HARMONIC], row[FIRST], row[SECOND], (v - centre) / width)
+    value = shape(row[COL_KIND], row[COL_HARMONIC], row[COL_FIRST], row[COL_SECOND], (v - centre) / width)
     out = value
-    for _ in range(1, row[EXPONENT]):
+    for _ in range(1, row[COL_EXPONENT]):
         out *= value
     return out
 
@@ -105,10 +105,14 @@ def factor(row: Ints, centre: float, width: float, v: float) -> float:
 def factor_slope(row: Ints, centre: float, width: float, v: float) -> float:
     """Differentiate one factor by the value of its signal."""
     t = (v - centre) / width
-    out = row[EXPONENT] * slope(row[KIND], row[HARMONIC], row[FIRST], row[SECOND], t) / width
-    if row[EXPONENT] > 1:
-        value = shape(row[KIND], row[HARMONIC], row[FIRST], row[SECOND], t)
-        for _ in range(1, row[EXPONENT]):
+    out = (
+        row[COL_EXPONENT]
+        * slope(row[COL_KIND], row[COL_HARMONIC], row[COL_FIRST], row[COL_SECOND], t)
+        / width
+    )
+    if row[COL_EXPONENT] > 1:
+        value = shape(row[COL_KIND], row[COL_HARMONIC], row[COL_FIRST], row[COL_SECOND], t)
+        for _ in range(1, row[COL_EXPONENT]):
             out *= value
     return float(out)
 
@@ -131,12 +135,12 @@ def value_at(
     for j in range(len(theta)):
         v = base[k, j]
         for i in range(starts[j], starts[j + 1]):
-            source = noise if table[i, OF_NOISE] else past
-            v *= factor(table[i], scales[i, 0], scales[i, 1], source[k - table[i, LAG]])
+            source = noise if table[i, COL_OF_NOISE] else past
+            v *= factor(table[i], scales[i, 0], scales[i, 1], source[k - table[i, COL_LAG]])
         phi[j] = v
-        if group[j] == NUMERATOR:
+        if group[j] == GROUP_NUMERATOR:
             top += theta[j] * v
-        elif group[j] == DENOMINATOR:
+        elif group[j] == GROUP_DENOMINATOR:
             bottom += theta[j] * v
         else:
             noise_part += theta[j] * v
@@ -218,20 +222,20 @@ def fill_gradient(
     m = len(theta)
     ratio = 0.0
     for j in range(m):
-        if group[j] == NUMERATOR:
+        if group[j] == GROUP_NUMERATOR:
             ratio += theta[j] * phi[j] / bottom
     for j in range(m):
         outer = 1.0
-        if group[j] == NUMERATOR:
+        if group[j] == GROUP_NUMERATOR:
             outer = 1.0 / bottom
-        elif group[j] == DENOMINATOR:
+        elif group[j] == GROUP_DENOMINATOR:
             outer = -ratio / bottom
         gradient[k, j] += outer * phi[j]
         for i in range(starts[j], starts[j + 1]):
-            of_noise = table[i, OF_NOISE] == 1
+            of_noise = table[i, COL_OF_NOISE] == 1
             if of_noise == free:
                 continue  # measured outputs do not depend on theta, and free runs have no noise
-            before = k - table[i, LAG]
+            before = k - table[i, COL_LAG]
             if of_noise and not math.isfinite(past[before]):
                 continue  # noise that is not known counts as 0 whatever theta is
             source = noise if of_noise else past
@@ -239,8 +243,8 @@ def fill_gradient(
             for other in range(starts[j], starts[j + 1]):
                 if other != i:
                     row = table[other]
-                    side = noise if row[OF_NOISE] else past
-                    inner *= factor(row, scales[other, 0], scales[other, 1], side[k - row[LAG]])
+                    side = noise if row[COL_OF_NOISE] else past
+                    inner *= factor(row, scales[other, 0], scales[other, 1], side[k - row[COL_LAG]])
             weight = outer * theta[j] * inner * (-1.0 if of_noise else 1.0)
             if weight != 0.0:
                 for parameter in range(m):

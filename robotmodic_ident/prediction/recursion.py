@@ -16,14 +16,14 @@ from robotmodic_ident.types import Floats
 
 NOISE_NAME = "e"
 """The variable of noise terms: what the model left unexplained at past samples."""
-KINDS = {
-    "": kernels.POWER,
-    "cos": kernels.COS,
-    "sin": kernels.SIN,
-    "P": kernels.LEGENDRE,
-    "T": kernels.CHEBYSHEV,
-    "B": kernels.SPLINE,
-    "W": kernels.WAVELET,
+KIND_OF_FUNCTION = {
+    "": kernels.KIND_POWER,
+    "cos": kernels.KIND_COS,
+    "sin": kernels.KIND_SIN,
+    "P": kernels.KIND_LEGENDRE,
+    "T": kernels.KIND_CHEBYSHEV,
+    "B": kernels.KIND_SPLINE,
+    "W": kernels.KIND_WAVELET,
 }
 
 
@@ -58,7 +58,7 @@ class Recursion:
         rows = [self._row(f) for some in feeds for f in some]
         self.table = np.array([row for row, _ in rows], dtype=np.int64).reshape(-1, 7)
         self.scales = np.array([pair for _, pair in rows], dtype=np.float64).reshape(-1, 2)
-        self.feeds_back = bool((self.table[:, kernels.OF_NOISE] == 0).any())
+        self.feeds_back = bool((self.table[:, kernels.COL_OF_NOISE] == 0).any())
         """Whether past outputs come in."""
 
     def _check(self, feeds: list[list[Factor]]) -> None:
@@ -72,7 +72,7 @@ class Recursion:
     def _row(self, f: Factor) -> tuple[list[int], tuple[float, float]]:
         of_noise = int(f.variable == NOISE_NAME)
         pair = (0.0, 1.0) if f.function in ("cos", "sin") else f.domain or self.scale.pair(f.variable)
-        return [f.lag or 0, of_noise, KINDS[f.function], f.harmonic, *f.part, f.power], pair
+        return [f.lag or 0, of_noise, KIND_OF_FUNCTION[f.function], f.harmonic, *f.part, f.power], pair
 
     def segments(self, record: Record) -> Iterator[Segment]:
         """Evaluate the input part of every term over each segment of a record."""

@@ -10,14 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from robotmodic_ident.kernel import kernel
+from robotmodic_ident.selection.forward import DEPENDENCE_TOLERANCE, TIE_TOLERANCE
 from robotmodic_ident.types import Bools, Floats, Ints
 
-DEPENDENCE_TOLERANCE = 1e-12
-"""Remaining share of a candidate's squared norm below which it depends on the chosen terms."""
 MIN_EXCHANGE_GAIN = 1e-10
 """An exchange must lower the residual sum by this share."""
 MAX_PASSES = 6
-"""Passes up and down over all sizes at most."""
+"""Passes up and down over all sizes at most; most outputs need 2."""
+EXCHANGES_PER_SIZE = 4
+"""Exchanges at one size at most, times the number of sizes: rounding must not exchange for ever."""
 
 
 @kernel
@@ -45,7 +46,7 @@ def best_addition(a: Floats, inside: Bools, usable: Bools) -> int:
     for j in range(m):
         if usable[j] and not inside[j] and a[j, j] > DEPENDENCE_TOLERANCE:
             gain = a[j, m] * a[j, m] / a[j, j]
-            if gain > best * (1.0 + 1e-9):
+            if gain > best * (1.0 + TIE_TOLERANCE):
                 best, choice = gain, j
     return choice
 
@@ -135,7 +136,7 @@ def climb(
         inside[j] = True
         size += 1
         if swap:
-            settle(a, inside, locked, usable, 4 * len(rss))
+            settle(a, inside, locked, usable, EXCHANGES_PER_SIZE * len(rss))
         better = remember(a, inside, size, rss, sets) or better
     return better
 
@@ -155,7 +156,7 @@ def descend(
         inside[i] = False
         size -= 1
         if swap:
-            settle(a, inside, locked, usable, 4 * len(rss))
+            settle(a, inside, locked, usable, EXCHANGES_PER_SIZE * len(rss))
         better = remember(a, inside, size, rss, sets) or better
     return better
 
@@ -174,7 +175,7 @@ def thin(a: Floats, original: Floats, locked: Bools, usable: Bools, rss: Floats,
         if i >= 0:
             sweep(a, i)
             inside[i] = False
-            settle(a, inside, locked, usable, 4 * len(rss))
+            settle(a, inside, locked, usable, EXCHANGES_PER_SIZE * len(rss))
             better = remember(a, inside, size - 1, rss, sets) or better
     return better
 

@@ -9,11 +9,9 @@ from robotmodic_ident.scale import Scale
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
-FAR = 1e5
-"""A variable is centred when its middle lies FAR^(1/degree) half-spans from 0: beyond, its powers look alike."""
-
-
-FAR_OUTPUT = 100.0
+MAX_POWER_OFFSET = 1e5
+"""A variable is centred when its middle lies MAX_POWER_OFFSET^(1/degree) half-spans from 0: beyond, its powers look alike."""
+MAX_OUTPUT_OFFSET = 100.0
 """The output is taken from its middle when that lies so many half-spans from 0: squares of it hold nothing else."""
 
 
@@ -34,7 +32,7 @@ def scale_for(terms: Terms, rows: LaggedData) -> Scale:
         middle, half = (low + high) / 2, (high - low) / 2
         centre = 0.0
         degree = max(sum(f.degree for f in term if f.variable == variable) for term in terms)
-        if half > 0 and abs(middle) > FAR ** (1 / degree) * half:
+        if half > 0 and abs(middle) > MAX_POWER_OFFSET ** (1 / degree) * half:
             centre = _round(middle, half)
         width = max(abs(low - centre), abs(high - centre))
         names.append(variable)
@@ -47,7 +45,7 @@ def middle_of(targets: Floats) -> float:
     """Return a round number in the middle of the output (n, 1), 0 where that is not far from 0."""
     low, high = float(np.nanmin(targets)), float(np.nanmax(targets))
     middle, half = low / 2 + high / 2, high / 2 - low / 2
-    return _round(middle, half) if half > 0 and abs(middle) > FAR_OUTPUT * half else 0.0
+    return _round(middle, half) if half > 0 and abs(middle) > MAX_OUTPUT_OFFSET * half else 0.0
 
 
 def _round(middle: float, half: float) -> float:

@@ -13,26 +13,10 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.moments import Moments
 from robotmodic_ident.scale import UNSCALED, Scale
 from robotmodic_ident.selection.criteria import Criterion
-from robotmodic_ident.selection.forward import (
-    DEPENDENCE_TOLERANCE,
-    TIE_TOLERANCE,
-    SelectionPath,
-    forward,
-    invert_upper,
-)
+from robotmodic_ident.selection.forward import invert_upper
 from robotmodic_ident.selection.model_size import Search, SizeSearch, cross_validated
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
-
-__all__ = [
-    "DEPENDENCE_TOLERANCE",
-    "TIE_TOLERANCE",
-    "Selection",
-    "SelectionPath",
-    "forward",
-    "invert_upper",
-    "select",
-]
 
 MAX_SEARCHED_SIZE = 50
 """Largest model that exchange and restart look at unless n_terms says otherwise."""
@@ -104,6 +88,13 @@ def select(
     search : `forward` (greedy, by ERR); `restart` (greedy again from each term of the best model: iOFR);
         `exchange` (terms are exchanged while that helps, at every size)
     folds : moments of parts of the data of `moments`, left out one at a time for criterion `cv`
+
+    Raises
+    ------
+    ValueError
+        if criterion, search, folds and n_terms do not fit together
+    IdentError
+        if an output has no known value, or a term to keep is not there
     """
     criterion = criterion or ("bic" if n_terms is None else "n_terms")
     _check(moments, n_terms, criterion, keep, search, folds)

@@ -64,6 +64,11 @@ def validate(
     max_lag : [samples]
     inputs : signals to test against; None: those that the model reads
     fitted : whether the model was fitted on these records; on others nothing was removed beforehand
+
+    Raises
+    ------
+    IdentError
+        if a signal is missing, or the residuals are too few for `max_lag` lags
     """
     records = as_records(records)
     if inputs is None:

@@ -93,7 +93,13 @@ def _mean(values: NDArray[Any]) -> float:
 
 
 def score(measured: Floats, predicted: Floats) -> Score:
-    """Compare two series (n,); samples that either does not know are left out."""
+    """Compare two series (n,); samples that either does not know are left out.
+
+    Raises
+    ------
+    IdentError
+        if both know fewer than 3 samples
+    """
     known = np.isfinite(measured) & np.isfinite(predicted)
     y, f = measured[known], predicted[known]
     if len(y) < 3:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robotmodic_ident import Moments, Scale, Terms
-from robotmodic_ident.selection.select import forward, invert_upper
+from robotmodic_ident.selection.forward import forward, invert_upper
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Scans
 from sensorgraph.types import Floats, Ints, Progress
