@@ -2,4 +2,4 @@
 
 
 class LogError(ValueError):
-    """Say what came, what was expected and what to do, in one line."""
+    """A file cannot be used as asked; the message says in one line what came, what was expected, what to do."""

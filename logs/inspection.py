@@ -96,7 +96,7 @@ class Inspection:
     """The run, where the file can be read as one: for checks that need more than the file."""
 
     def lines(self) -> list[str]:
-        """Say it all, one thing a line."""
+        """Return everything as text, one thing a line."""
         out = [f"{self.path}: {self.format}, {self.n_bytes:,} bytes", "topics"]
         width = max((len(topic.name) for topic in self.topics), default=0)
         for topic in self.topics:
@@ -115,8 +115,8 @@ class Inspection:
                 out += [title, *(f"  {item}" for item in items)]
         return out + (["pairing", f"  {self.pairing}"] if self.pairing else [])
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values for a JSON file."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return the inspection as plain data, without the run."""
         shown = {
             name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("run", "topics")
         }
@@ -286,7 +286,7 @@ def _ros_warnings(recording: Recording) -> list[str]:
 
 
 def warnings_of(run: Run) -> list[str]:
-    """Say what looks wrong in a run."""
+    """Return what looks wrong in a run, one line each."""
     out = [note for note in run.meta.get("notes", "").split("; ") if note]
     source = run.meta.get("pose_source", "")
     if source == "slam":

@@ -1,4 +1,4 @@
-"""Recorder: keep a run while it happens, message by message, so that a crash loses the open chunk at most."""
+"""Recorder: write a run while it happens, message by message; a crash loses the open chunk at most."""
 
 from __future__ import annotations
 

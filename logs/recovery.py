@@ -1,4 +1,4 @@
-"""Save every complete message of a cut or damaged MCAP file; nothing is guessed, and every loss is said."""
+"""Save every complete message of a cut or damaged MCAP file; nothing is guessed, and every loss is listed."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Recovery:
         return sum(loss.end - loss.start for loss in self.losses)
 
     def lines(self) -> list[str]:
-        """Say it all, one thing a line."""
+        """Return everything as text, one thing a line."""
         out = [f"saved {sum(self.written.values()):,} messages"]
         out += [f"  {topic}: {count:,}" for topic, count in self.written.items()]
         if self.attachments:
@@ -77,8 +77,8 @@ class Recovery:
 def recover(path: Path | str, out: Path | str, *, progress: Progress | None = None) -> Recovery:
     """Write every complete message of a damaged MCAP file to `out`, with its attachments and metadata.
 
-    Chunks that do not match their checksum are left out; after damaged framing the next record that proves itself
-    is searched. What stands whole at the start of a chunk that the end of the file cuts is kept.
+    Chunks that do not match their checksum are left out; after damaged framing the next plausible record is
+    searched. What stands whole at the start of a chunk that the end of the file cuts is kept.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def _add(losses: list[Loss], loss: Loss) -> None:
 
 
 def _read_contents(data: bytes | mmap) -> Contents:
-    """Learn all that the file says of itself; a channel may be described after its messages.
+    """Read everything but the messages first: a channel may be described after its messages.
 
     Header and definitions carry no checksum of their own: in a damaged file they are restored where they are known.
     """

@@ -188,7 +188,7 @@ class _Window:
         return len(self.scans)
 
     def keep(self, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
-        """Keep a message, if anyone can use it."""
+        """Keep a message of a topic that is read."""
         name = self.names.get(channel)
         if name is None:
             return

@@ -1,4 +1,4 @@
-"""The array types that the whole package shares, and how long work tells its progress."""
+"""The array types that the whole package shares, and the callback for progress."""
 
 from __future__ import annotations
 

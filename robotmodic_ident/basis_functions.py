@@ -35,7 +35,7 @@ def check_shape(
 
 
 def evaluate(letter: str, order: int, part: tuple[int, int], t: Floats) -> Floats:
-    """Evaluate a shape at scaled values t (n,); splines and Legendre are 0 and unbounded outside [-1, 1]."""
+    """Evaluate a shape at scaled values t (n,); outside [-1, 1] splines are 0 and polynomials grow."""
     if letter == "P":
         return np.asarray(legendre.legval(t, _unit(order)), dtype=np.float64)
     if letter == "T":

@@ -2,4 +2,4 @@
 
 
 class IdentError(ValueError):
-    """Say what came, what was expected and what to do, in one line."""
+    """The data do not allow what was asked; the message says in one line what came, what was expected, what to do."""

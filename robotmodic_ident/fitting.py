@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Literal, get_args
+from typing import Literal
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimation.noise_model import best_order, noise_terms_of, with_noise
 from robotmodic_ident.estimation.prediction_error import Covariance, Estimate, NonlinearLeastSquares
 from robotmodic_ident.estimation.rational import RationalStructureSearch, as_ratio, times_output
-from robotmodic_ident.model import NO_TERMS, Narmax
+from robotmodic_ident.model import NO_TERMS, Estimator, Narmax
 from robotmodic_ident.records import Record, Records, as_records
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.selection.criteria import INFORMATION, Criterion
@@ -19,7 +19,8 @@ from robotmodic_ident.selection.model_size import Search
 from robotmodic_ident.selection.process_terms import ProcessTermSelection
 from robotmodic_ident.terms import Terms
 
-Estimator = Literal["ls", "els", "pem", "simulation"]
+ESTIMATORS: tuple[Estimator, ...] = ("ls", "els", "pem", "simulation")
+"""Those that `fit` offers."""
 
 
 def fit(
@@ -77,8 +78,8 @@ def fit(
     noise_terms = noise_terms_of(noise)
     if estimator is None:
         estimator = "pem" if len(noise_terms) or len(denominator) else "ls"
-    if estimator not in get_args(Estimator):
-        raise ValueError(f"estimator is {estimator!r}, expected one of {', '.join(get_args(Estimator))}")
+    if estimator not in ESTIMATORS:
+        raise ValueError(f"estimator is {estimator!r}, expected one of {', '.join(ESTIMATORS)}")
     criterion = criterion or ("ebic" if n_terms is None else "n_terms")
     _check_causal(terms + denominator, output)
     candidates = terms + times_output(denominator, output)

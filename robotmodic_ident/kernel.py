@@ -21,8 +21,11 @@ def kernel(function: Function) -> Function:
     """Compile a function on its first call and keep the result on disk; x / 0 is inf, as in numpy."""
     compiled = numba.njit(cache=True, error_model="numpy")(function)
     store = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
-    if store is not None and hasattr(store, "_source_stamp"):
-        store._source_stamp = (store._source_stamp, _stamp())
+    if store is not None and hasattr(store, "_version"):
+        store._version = (
+            store._version,
+            _stamp(),
+        )  # numba reads the rest of a cache file only if this agrees
     else:  # another numba: rather compile anew than run what is stale
         compiled = numba.njit(error_model="numpy")(function)
     return cast(Function, compiled)

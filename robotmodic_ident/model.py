@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from textwrap import shorten
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -19,11 +19,14 @@ from robotmodic_ident.notation.printing import max_cancellation, ratio_text, sum
 from robotmodic_ident.prediction.recursion import Recursion, Segment
 from robotmodic_ident.records import Record, as_records
 from robotmodic_ident.scale import UNSCALED, Scale
+from robotmodic_ident.selection.criteria import Stop
 from robotmodic_ident.selection.select import Selection
 from robotmodic_ident.terms import CONSTANT, Terms
 from robotmodic_ident.types import Floats
 
 NO_TERMS = Terms(())
+Estimator = Literal["ls", "els", "pem", "simulation", "orbit"]
+"""Least squares; extended least squares; prediction error; error of the free run; the orbit of `without_noise`."""
 REPR_WIDTH = 200
 """[characters] of the equation that `repr` shows."""
 
@@ -52,7 +55,7 @@ class Narmax:
     n_samples: int
     """Rows it was fitted on."""
     scale: Scale = field(default=UNSCALED)
-    stop: str = "n_terms"
+    stop: Stop = "n_terms"
     """Why the selection ended."""
     denominator: Terms = NO_TERMS
     """Of a rational model, without its constant 1."""
@@ -62,8 +65,7 @@ class Narmax:
     """Terms with past noise e(k-1), kept in the predictor."""
     noise_theta: Floats = field(default_factory=lambda: np.empty(0))
     """(len(noise_terms),)"""
-    estimator: str = "ls"
-    """`ls`, `els`, `pem` (prediction error) or `simulation` (error of the free run)."""
+    estimator: Estimator = "ls"
     spans: Mapping[str, float] = field(default_factory=dict)
     """Variable -> half its span in the fit, where the scale no longer says; tells what cancels far from 0."""
     notes: tuple[str, ...] = ()

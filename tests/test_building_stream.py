@@ -52,8 +52,7 @@ def path(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cut logs into many pieces and blocks."""
-    monkeypatch.setattr(stream, "SETTINGS", stream.StreamSettings(piece=90))
-    monkeypatch.setattr(stream, "MARGIN", 1_000_000_000)
+    monkeypatch.setattr(stream, "SETTINGS", stream.StreamSettings(piece=90, margin_ns=1_000_000_000))
     for module in (training_data, reduction):
         monkeypatch.setattr(module, "SCANS_PER_BLOCK", 128)
 

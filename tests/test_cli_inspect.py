@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from logs_samples import DATA, some_run
-from test_logs_ros import odometry, pose, scan, transform, trip, write_bag2
+from test_logs_formats_rosbag import odometry, pose, scan, transform, trip, write_bag2
 
 import logs
 from logs import Run

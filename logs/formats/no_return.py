@@ -1,4 +1,4 @@
-"""What number a laser wrote when it saw nothing: told from the ranges themselves."""
+"""The code that a laser wrote for "no return", found from the ranges themselves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SICK_CODES = (81.83, 81.87, 81.91, 32.767, 8.191, 8.183, 327.67)
 
 @dataclass(frozen=True, kw_only=True)
 class CodeSearch:
-    """When a value counts as a code; set on the public CARMEN logs (`pytest tests/test_logs_carmen.py`)."""
+    """When a value counts as a code; set on the public CARMEN logs (`pytest tests/test_logs_formats_carmen.py`)."""
 
     spread: float = 0.101
     """[m] several codes can lie this close together: 51.05 and 51.10, 81.83 to 81.91."""

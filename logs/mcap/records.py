@@ -1,4 +1,4 @@
-"""MCAP records and how their fields are read; the walk from one to the next is in `mcap_walk`."""
+"""MCAP records and how their fields are read; `walk` goes from one to the next."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FIXED_LENGTHS = {FOOTER: 20, DATA_END: 4, SUMMARY_OFFSET: 17}
 
 
 class DamagedRecord(ValueError):
-    """Say why a record cannot be trusted."""
+    """A record that cannot be trusted; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Attachment:
 
 @dataclass(frozen=True)
 class Loss:
-    """A stretch of the file that says nothing."""
+    """A stretch of the file that could not be used."""
 
     start: int
     end: int
@@ -95,21 +95,25 @@ class Cursor:
         self.data, self.pos, self.end = data, pos, end
 
     def take(self, size: int) -> bytes:
+        """Read so many bytes."""
         if self.pos + size > self.end:
             raise DamagedRecord("a field runs past the end of its record")
         self.pos += size
         return self.data[self.pos - size : self.pos]
 
     def number(self, kind: struct.Struct) -> int:
+        """Read one integer."""
         return int(kind.unpack(self.take(kind.size))[0])
 
     def text(self) -> str:
+        """Read a counted UTF-8 text."""
         try:
             return self.take(self.number(U4)).decode()
         except UnicodeDecodeError as exc:
             raise DamagedRecord("a text field is not UTF-8") from exc
 
     def mapping(self) -> dict[str, str]:
+        """Read a counted map of texts."""
         inner = Cursor(self.data, self.pos + 4, self.pos + 4 + self.number(U4))
         if inner.end > self.end:
             raise DamagedRecord("a map runs past the end of its record")
@@ -121,6 +125,7 @@ class Cursor:
         return pairs
 
     def finish(self) -> None:
+        """Check that nothing is left of the record."""
         if self.pos != self.end:
             raise DamagedRecord(f"{self.end - self.pos} bytes are left over in a record")
 
@@ -144,6 +149,7 @@ def inflate(compression: str, data: bytes) -> bytes:
 
 
 def chunk_fields(cursor: Cursor) -> tuple[int, int, str, bytes]:
+    """Return size and checksum of a chunk's content, its compression, and its stored bytes."""
     _, _, size, crc = CHUNK_HEAD.unpack(cursor.take(CHUNK_HEAD.size))
     compression = cursor.text()
     data = cursor.take(cursor.number(U8))
@@ -152,6 +158,7 @@ def chunk_fields(cursor: Cursor) -> tuple[int, int, str, bytes]:
 
 
 def read_attachment(cursor: Cursor) -> Attachment:
+    """Read an attachment and check its checksum."""
     start = cursor.pos
     log_time, create_time = cursor.number(U8), cursor.number(U8)
     name, media_type = cursor.text(), cursor.text()

@@ -1,6 +1,6 @@
 """Walk an MCAP file record by record, check every checksum, and find the next sound record after damage.
 
-What the messages mean is said in `ros_run`; what is written is said in `mcap_file`.
+What the messages mean is told by `ros.interpret`; `formats.mcap_file` reads and writes whole files.
 """
 
 from __future__ import annotations
@@ -261,7 +261,7 @@ class RecordWalk:
         return True
 
     def _resync(self, pos: int) -> int:
-        """Find the next place from pos on where a record stands that proves itself."""
+        """Return the next position from pos on where a plausible record starts."""
         while pos + 9 <= self.size:
             block = np.frombuffer(self.data[pos : pos + SEARCH_BLOCK + 8], dtype=np.uint8)
             n = len(block) - 8
@@ -269,13 +269,13 @@ class RecordWalk:
             for i in range(5, 9):  # no record is above 4 GiB
                 likely &= block[i : n + i] == 0
             for offset in np.flatnonzero(likely).tolist():
-                if self._proves_itself(pos + offset):
+                if self._is_plausible(pos + offset):
                     return pos + int(offset)
             pos += n
         return self.size
 
-    def _proves_itself(self, pos: int, depth: int = 2) -> bool:
-        """Tell whether the record at pos is whole and followed by such another."""
+    def _is_plausible(self, pos: int, depth: int = 2) -> bool:
+        """Tell whether the record at pos is whole and followed by another whole one."""
         try:
             opcode, body, end = self._frame(pos)
             cursor = Cursor(self.data, body, end)
@@ -299,7 +299,7 @@ class RecordWalk:
                 return False
         except (DamagedRecord, struct.error):
             return False
-        return end == self.size or depth == 0 or self._proves_itself(end, depth - 1)
+        return end == self.size or depth == 0 or self._is_plausible(end, depth - 1)
 
 
 class _BadChunk(DamagedRecord):

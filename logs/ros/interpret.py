@@ -43,7 +43,7 @@ def to_run(recording: Recording, source: str, topics: Mapping[str, str] | None =
     """
     check_roles(topics)
     if own_record.is_own(recording, topics):
-        return _led_by_odometry(own_record.to_run(recording, source))
+        return _odometry_as_poses(own_record.to_run(recording, source))
     scan_name = choose(recording, "scan", topics)
     if scan_name is None:
         several = recording.of_type((SCAN_TYPE,))
@@ -149,8 +149,8 @@ def _pose_source(recording: Recording, name: str, odom_name: str | None) -> str:
     return f"odometry {name}" if is_odometry else name
 
 
-def _led_by_odometry(run: Run) -> Run:
-    """Return a run that has odometry and no other poses with the odometry as its poses, and say so."""
+def _odometry_as_poses(run: Run) -> Run:
+    """Take the odometry as the poses of a run that has no others; the meta notes it."""
     if len(run.pose_stamps) or not len(run.odom_stamps):
         return run
     return replace(

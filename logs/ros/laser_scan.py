@@ -15,7 +15,7 @@ from logs.types import Floats
 
 @dataclass
 class LaserScans:
-    """LaserScans of one geometry, as the driver sent them."""
+    """Scans of one geometry, as the driver sent them."""
 
     stamps: Stamps
     ranges: Floats

@@ -1,4 +1,4 @@
-"""What our own MCAP files say beyond their messages, so that a Run written is the Run read again.
+"""The metadata record of our own MCAP files, so that a Run read equals the Run that was written.
 
 The metadata record `sensorgraph` holds plain text: the sensor as float64 (LaserScan has float32 and no sigma),
 whose pose /pose is, the time of stamp 0, and the run's meta as `meta.NAME`.

@@ -1,4 +1,4 @@
-"""What a ROS file holds, before anybody says what it means: topics, and which of them plays which role."""
+"""The contents of a ROS file before they are interpreted: topics, and which of them plays which role."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Topic:
 
 @dataclass
 class Recording:
-    """What a ROS file holds, before anybody says what it means."""
+    """The contents of a ROS file, not yet interpreted."""
 
     format: str
     topics: dict[str, Topic] = field(default_factory=dict)
@@ -115,7 +115,7 @@ def choose(recording: Recording, role: str, topics: Mapping[str, str] | None) ->
 
 
 def choices(recording: Recording, role: str) -> str:
-    """Return what the user may type to name a topic for a role."""
+    """Return the topics that could play a role, as the command line takes them."""
     return ", ".join(f"--topic {role}={name}" for name in recording.of_type(ROLES[role][1]))
 
 
@@ -153,7 +153,7 @@ def track(topic: Topic, column: str, width: int, *, absolute: bool = False) -> T
 
 
 def settle(name: str, stamps: Stamps, logged: Stamps) -> tuple[Stamps, NDArray[np.intp], list[str]]:
-    """Replace stamps that are 0 by the log time, and sort; say what was done."""
+    """Replace stamps that are 0 by the log time, and sort; return notes on what was done."""
     notes = []
     absent = (stamps == 0) & (logged != 0)
     if absent.any():

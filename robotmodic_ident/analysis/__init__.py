@@ -1,4 +1,4 @@
-"""What an equation says: slopes, shares of variance, frequency response, chaos; beside it the same from a series."""
+"""Questions to a model: slopes, shares of variance, frequency response, chaos; and the last from a series alone."""
 
 from robotmodic_ident.analysis.calculus import (
     antiderivative_model,

@@ -1,4 +1,4 @@
-"""Correlation dimension of a series, with an interval and against surrogates: never a bare number.
+"""Correlation dimension of a series, with an interval and against surrogates.
 
 Grassberger and Procaccia, Physica D 9 (1983); pairs that are near in time do not count (Theiler, Phys. Rev. A 34,
 1986); what surrogates of linear noise give as well is no dimension of an attractor (Theiler et al., Physica D 58, 1992).
@@ -96,7 +96,7 @@ def correlation_dimension(
 
 
 def _counts(points: Floats, theiler: int, most: int) -> tuple[Floats, Floats, Floats]:
-    """Return radii, pairs nearer than each (N_REFERENCE_BLOCKS, n_radii), and all pairs (N_REFERENCE_BLOCKS,), by block of reference points."""
+    """Return radii, pairs nearer than each (n_blocks, n_radii) and all pairs (n_blocks,), by block of reference points."""
     n = len(points)
     if n < 10 * N_REFERENCE_BLOCKS or n <= 4 * theiler:
         raise IdentError(

@@ -1,4 +1,4 @@
-"""Generalised frequency response functions of a model with one input: what comes out at which sum of frequencies.
+"""Generalised frequency response functions of a model with one input: how sums of input frequencies appear in the output.
 
 Harmonic probing (Bedrosian and Rice 1971; Billings and Peyton Jones, Int. J. Control 52, 1990): a sum of n
 exponentials goes in, each to be used once. A signal is kept as one amplitude for each set of exponentials, a

@@ -1,4 +1,4 @@
-"""Lyapunov exponents, from a model by its tangent map and from a series by the parting of neighbours.
+"""Lyapunov exponents, from a model by its tangent map and from a series by the divergence of neighbours.
 
 From a model: Benettin et al., Meccanica 15 (1980); Eckmann and Ruelle, Rev. Mod. Phys. 57 (1985). From a series:
 Rosenstein, Collins and De Luca, Physica D 65 (1993).
@@ -198,7 +198,7 @@ def states_of(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NeighbourDivergence:
-    """How neighbours part on average."""
+    """How fast neighbours diverge on average."""
 
     exponent: float
     """[1/s] slope of the mean log distance over the samples that were asked for."""

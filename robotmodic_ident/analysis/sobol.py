@@ -1,4 +1,4 @@
-"""SobolIndices indices of a model in closed form: which signal, alone and with others, makes the output vary.
+"""Sobol indices of a model in closed form: which signal, alone and with others, makes the output vary.
 
 For independent signals, a sum of products is a finite expansion in an orthonormal product basis, and the
 indices are sums of squared coefficients (Sudret, Reliability Engineering & System Safety 93, 2008). LaggedData
@@ -65,7 +65,7 @@ class SobolIndices:
 
 
 def sobol(model: Narmax, signals: Mapping[str, Distribution] | Mapping[str, Floats]) -> SobolIndices:
-    """Return the SobolIndices indices of one step of a model.
+    """Return the Sobol indices of one step of a model.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Noise terms e(k-1), e(k-2), ...: found together with the process terms, and how many of them there are."""
+"""Noise models: terms e(k-1), e(k-2), ... estimated together with the process terms, and how many are needed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from robotmodic_ident.validation.residual_tests import validate
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseSearch:
-    """How long terms and noise are fitted in turn, and how many noise lags are tried."""
+    """How often terms and noise are fitted in turn, and how many noise lags are tried."""
 
     max_rounds: int = 8
     """Times that terms are chosen anew with the noise found so far; 2 or 3 are usual."""
@@ -149,7 +149,7 @@ def best_order(fitted: Callable[[int], Narmax], records: Sequence[Record], n_can
 
 
 def _cost(model: Narmax, count: int, n_candidates: int) -> float:
-    """Return EBIC; a noise lag costs log(count), as its place is given. A lag more loses rows: `count` is for all."""
+    """Return EBIC over `count` rows, the same for all numbers of lags; a noise lag costs log(count)."""
     k = len(model.terms)
     price = penalties("ebic", k, n_candidates, np.array([count]))[0, k] + len(model.noise_terms) * np.log(
         count
@@ -160,7 +160,7 @@ def _cost(model: Narmax, count: int, n_candidates: int) -> float:
 
 
 def _is_white(model: Narmax, records: Sequence[Record]) -> bool:
-    """Tell whether the residual is uncorrelated as far as its test can see."""
+    """Tell whether the correlation test finds nothing in the residual."""
     for max_lag in NOISE_SEARCH.tested_lags:
         try:
             (check,) = validate(model, records, max_lag=max_lag, inputs=())

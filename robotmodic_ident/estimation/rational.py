@@ -1,8 +1,9 @@
-"""Rational models y = N / D + e: structure and start from the linear form, then freed of its bias.
+"""Rational models y = N / D + e: structure and start from the linear form, whose bias is then removed.
 
 Multiplied out, y = N - y (D - 1) + D e: linear in all coefficients, but y (D - 1) holds the noise of y, which biases
-least squares (Billings and Zhu 1991). Dividing the rows by the last D (Sanathanan and Koerner 1963) takes out most
-of it, and Gauss-Newton on e itself, in `prediction_error`, the rest. Terms are then added and dropped by what they do to e.
+least squares (Billings and Zhu 1991). Dividing the rows by the last D (Sanathanan and Koerner 1963) removes most of
+it, and Gauss-Newton on e itself (`prediction_error`) removes the rest. Terms are then added and dropped by their
+effect on e.
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ class _Candidate:
 
 @dataclass(frozen=True, eq=False)
 class RationalStructureSearch:
-    """Search of the terms above and below the line by the prediction error itself."""
+    """Search for the terms of numerator and denominator by the prediction error itself."""
 
     records: Sequence[Record]
     upper: Terms
@@ -108,7 +109,7 @@ class RationalStructureSearch:
     criterion: str
 
     def search(self, model: Narmax) -> Narmax:
-        """Add the term that promises most and drop what is not worth its place, until the criterion rests."""
+        """Add the most promising term and drop the least significant ones until the criterion no longer falls."""
         best = self._trial(model, model.parameters)
         for _ in range(RATIONAL_SEARCH.max_additions):
             name, start = self._most_promising(best)

@@ -1,4 +1,4 @@
-"""Rewrite a polynomial of scaled variables as one of the user's variables, exactly."""
+"""From a polynomial of scaled variables to one of the user's variables, in exact arithmetic."""
 
 from __future__ import annotations
 

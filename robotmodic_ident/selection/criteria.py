@@ -11,6 +11,8 @@ from scipy.special import gammaln
 from robotmodic_ident.types import Floats
 
 Criterion = Literal["aic", "bic", "ebic", "cv", "n_terms", "err_tol"]
+Stop = Criterion | Literal["exhausted"]
+"""Why a selection ended: its criterion, or `exhausted` where no term was left before it."""
 INFORMATION = ("aic", "bic", "ebic")
 
 

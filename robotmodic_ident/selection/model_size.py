@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.moments import Moments
-from robotmodic_ident.selection.criteria import INFORMATION, Criterion, information, penalties
+from robotmodic_ident.selection.criteria import INFORMATION, Criterion, Stop, information, penalties
 from robotmodic_ident.selection.exchange import search as search_sets
 from robotmodic_ident.selection.forward import SelectionPath, forward
 from robotmodic_ident.terms import Terms
@@ -24,7 +24,7 @@ EXTRA_SIZES = 8
 
 @dataclass(frozen=True)
 class SizeSearch:
-    """What a selection is asked for, whatever the data."""
+    """The settings of a selection, and the search for the best model of every size."""
 
     terms: Terms
     n_max: int
@@ -46,7 +46,7 @@ class SizeSearch:
         power: Floats,
         count: NDArray[np.int64],
         sizes: NDArray[np.intp] | None = None,
-    ) -> tuple[SelectionPath, NDArray[np.intp], list[str]]:
+    ) -> tuple[SelectionPath, NDArray[np.intp], list[Stop]]:
         """Return the order of choice, how much of it to keep, and why it ends there."""
         order = self.terms.canonical_order
         if self.search == "forward":
@@ -86,7 +86,7 @@ class SizeSearch:
 
     def _cut(
         self, rest: Floats, count: NDArray[np.int64], sizes: NDArray[np.intp] | None
-    ) -> tuple[NDArray[np.intp], list[str]]:
+    ) -> tuple[NDArray[np.intp], list[Stop]]:
         """Return how many terms to keep (n,) given the unexplained share of each size, and why."""
         k = np.arange(self.n_max + 1)
         exists = np.isfinite(rest) & (k >= len(self.keep)) & (k >= 1)

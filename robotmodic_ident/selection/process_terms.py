@@ -1,4 +1,4 @@
-"""ProcessTermSelection: the process terms of one output, chosen by least squares or, beside noise terms, by the prediction error."""
+"""The process terms of one output: chosen by least squares or, beside noise terms, by the prediction error."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MIN_OUTPUT = 1e-150
 
 @dataclass(kw_only=True)
 class ProcessTermSelection:
-    """The selection of process terms, which noise found later may repeat."""
+    """The selection of process terms; it is repeated when a noise model has been found."""
 
     records: list[Record]
     output: str

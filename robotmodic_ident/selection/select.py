@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.moments import Moments
 from robotmodic_ident.scale import UNSCALED, Scale
-from robotmodic_ident.selection.criteria import Criterion
+from robotmodic_ident.selection.criteria import Criterion, Stop
 from robotmodic_ident.selection.forward import invert_upper
 from robotmodic_ident.selection.model_size import Search, SizeSearch, cross_validated
 from robotmodic_ident.terms import Terms
@@ -44,7 +44,7 @@ class Selection:
     """(n_outputs,) rows it rests on."""
     rcond: Floats
     """(n_outputs,) least over largest pivot of the scaled factor: below 1e-7, doubt the coefficients."""
-    stop: tuple[str, ...]
+    stop: tuple[Stop, ...]
     """(n_outputs,) why the selection ended: the criterion, or `exhausted` where no term was left before it."""
 
     @property

@@ -53,7 +53,7 @@ def inspect(
         oriented = orientation(found.run, walls)
         lines += ["orientation", *(f"  {line}" for line in oriented.lines())] if oriented is not None else []
     if json is not None:
-        facts = {**found.to_json(), "orientation": None}
+        facts = {**found.to_dict(), "orientation": None}
         if oriented is not None:
             facts["orientation"] = {"best": oriented.best, "against": oriented.against, "fits": oriented.fits}
         write_json(json, facts)
