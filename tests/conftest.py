@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+
+for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(
+        _threads, "1"
+    )  # `-n auto` has a process for each core already; read when numpy loads
 
 import numpy as np
 import pytest
