@@ -1,4 +1,4 @@
-"""Commands against odometry: lag, dead time and saturation of the motors.
+"""CommandSignal against odometry: lag, dead time and saturation of the motors.
 
 Every set of effects is a small simulation of the motors (dead time, first order, limited acceleration), fitted to
 what the wheels say they did.

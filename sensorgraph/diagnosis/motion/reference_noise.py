@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
-from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.whitening import WhiteningFilter, filter_of, huber_loss
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
@@ -106,7 +106,7 @@ def fit_limited_noise(
 
 def robust_log_likelihood(noise: WhiteningFilter, residual: Floats, valid: Bools) -> float:
     """Return the log-likelihood of a residual (n,) by Huber's loss, without constants [nats]."""
-    loss = huber_loss(noise(residual)[valid], ODOMETRY.evidence.huber_limit)
+    loss = huber_loss(noise(residual)[valid], EVIDENCE.huber_limit)
     return -float(loss.sum()) - float(valid.sum()) * float(np.log(noise.sigma))
 
 

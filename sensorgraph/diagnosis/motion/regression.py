@@ -14,6 +14,11 @@ import numpy as np
 from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
 from sensorgraph.types import Floats
 
+SHUT_SIGMA = 1e-9
+"""Prior standard deviation of a coefficient that is to be 0."""
+RIDGE = 1e-8
+"""Of the mean square of the columns: keeps normal equations without a prior regular."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoundedPrior:
@@ -107,3 +112,9 @@ class Regression:
         ratio = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(fit.covariance), 1e-300), 1.0))
         out: Floats = fit.covariance * ratio[:, None] * ratio[None, :]
         return out
+
+
+def ridge_solution(A: Floats, y: Floats) -> Floats:
+    """Return the least-squares solution (k,) of whitened rows, kept regular by a small ridge."""
+    G = A.T @ A
+    return np.asarray(np.linalg.solve(G + RIDGE * np.trace(G) / len(G) * np.eye(len(G)), A.T @ y))

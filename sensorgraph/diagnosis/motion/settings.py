@@ -1,7 +1,8 @@
 """Settings of the motion channels: every tuned number of `diagnosis/motion` with its unit, its meaning and what set it.
 
-Two frozen dataclasses: `OdometrySettings` (odometry against reference poses) and `DriveSettings` (commands against
-odometry); `ODOMETRY` and `DRIVE` are the instances that the modules use.
+Three frozen dataclasses: `OdometryChannelSettings` (odometry against reference poses), `DriveChannelSettings` (commands
+against odometry) and `EvidenceSettings` (what a name takes in either). `ODOMETRY`, `DRIVE` and `EVIDENCE` are the
+instances that the modules use.
 
 Unless a field says otherwise, its number was set on the development cases of the hidden-effects benchmark:
 
@@ -187,10 +188,9 @@ class PatchSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OdometrySettings:
+class OdometryChannelSettings:
     """All tuned numbers of the odometry channel."""
 
-    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     rows: RowSettings = field(default_factory=RowSettings)
     noise: LimitedNoiseSettings = field(default_factory=LimitedNoiseSettings)
     structure: OdometryStructureSettings = field(default_factory=OdometryStructureSettings)
@@ -240,10 +240,9 @@ class DriveStructureSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveSettings:
+class DriveChannelSettings:
     """All tuned numbers of the drive channel."""
 
-    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     structure: DriveStructureSettings = field(default_factory=DriveStructureSettings)
     step: float = 0.01
     """[s] of the simulated motors."""
@@ -281,7 +280,9 @@ class DriveSettings:
     """Steps of the fit of the simulated motors."""
 
 
-ODOMETRY = OdometrySettings()
+EVIDENCE = EvidenceSettings()
+"""The settings of both channels."""
+ODOMETRY = OdometryChannelSettings()
 """The settings of the odometry channel."""
-DRIVE = DriveSettings()
+DRIVE = DriveChannelSettings()
 """The settings of the drive channel."""

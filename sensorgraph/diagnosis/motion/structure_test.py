@@ -13,12 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.motion.reference_noise import robust_log_likelihood
-from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.regression import RIDGE
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds
 from sensorgraph.types import Bools, Floats
-
-RIDGE = 1e-8
-"""Of the mean square of the model's own columns: keeps the normal equations regular."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +74,7 @@ class StructureTest:
 
         A ratio of variances: that of the blocks' sums over what uncorrelated whitened rows, `period` [s] apart, give.
         """
-        limit = ODOMETRY.evidence.huber_limit
+        limit = EVIDENCE.huber_limit
         block = np.arange(self.n) // max(round(span / period), 1)
         sums, squares = 0.0, 0.0
         for noise, part in zip(self.whitener.filters, both_kinds(self.residual, self.n), strict=True):
@@ -108,7 +106,7 @@ class StructureTest:
     def _fit_noise(self, residual: Floats) -> None:
         translation, rotation = both_kinds(residual, self.n)
         filters = self.fit_noise(0, translation, self.valid), self.fit_noise(1, rotation, self.valid)
-        self.whitener = Whitener.robust(filters, self.valid, residual, ODOMETRY.evidence.huber_limit)
+        self.whitener = Whitener.robust(filters, self.valid, residual, EVIDENCE.huber_limit)
 
     def _normal_equations(self, own: Floats, family: StructureFamily | None) -> tuple[Floats, Floats, Floats]:
         """Return columns (2 n, k + m) in units of their norm or prior, and their whitened normal equations."""

@@ -23,13 +23,14 @@ from sensorgraph.diagnosis.scan.nuisance import (
     widths,
 )
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.wall_sums import wall_sums
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
 
-MOST_CORNERS = 400  # a map with more is taken as it is
-CLIP = 3.5  # Mahalanobis length that the pose error of a scan may have
+MOST_CORNERS = SCAN.nuisance.max_corners
+CHI2_MEDIAN_1, CHI2_MEDIAN_3 = 0.455, 2.366
+"""Medians of chi-squared with one and with three degrees of freedom."""
 
 
 @dataclass(eq=False)
@@ -196,7 +197,7 @@ class Solver:
         return tau
 
     def poses_at(self, system: System, x: Floats) -> Floats:
-        """Return the pose errors (n_scans, 3) for (g, p), none longer than CLIP."""
+        """Return the pose errors (n_scans, 3) for (g, p), before their length is limited."""
         return np.asarray(system.start - system.gain @ x)
 
     def objective(
@@ -219,7 +220,14 @@ class Solver:
 
 
 def boxed(matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools) -> tuple[Floats, Floats]:
-    """Maximise right'x - x'Mx/2 - |g/tau|²/2 with |g| <= box; the first len(tau) unknowns are g, the rest is free."""
+    """Maximise right'x - x'Mx/2 - |g/tau|²/2 with |g| <= box; return g and the other unknowns, which are free.
+
+    Parameters
+    ----------
+    matrix, right : (k, k), (k,) normal equations; the first n unknowns are the nuisances g
+    tau, box : (n,) prior standard deviations and bounds
+    locked : (n,) nuisances that stay 0
+    """
     n, k = len(tau), len(right)
     a = matrix.copy()
     a[np.arange(n), np.arange(n)] += 1 / tau**2
@@ -278,7 +286,7 @@ def iterate(
                 system=system,
                 covariance=covariance,
             )
-            if gained < 0.05 and turn > 1:
+            if gained < SCAN.fit.min_round_gain and turn > 1:
                 break
         elif turn > 2:
             break
@@ -297,7 +305,8 @@ def iterate(
         if poses_free:
             delta = solver.poses_at(system, np.concatenate([g, p]))
             length = np.sqrt(np.einsum("ni,nij,nj->n", delta, inverse, delta))
-            state.delta = delta * np.minimum(1.0, CLIP / np.maximum(length, 1e-9))[:, None]
+            most = SCAN.nuisance.max_pose_error
+            state.delta = delta * np.minimum(1.0, most / np.maximum(length, 1e-9))[:, None]
         if noise_free:
             state.noise = fitted_noise(solver, responsibilities, state.noise, noise_bounds)
         if scales_free:
@@ -330,21 +339,21 @@ def _scales(solver: Solver, system: System, state: State, noise_bounds: NoiseBou
     spread = prior - np.linalg.inv(system.poses)  # covariance of the estimate under the prior
     spread = spread + 1e-3 * prior
     q = np.einsum("ni,nij,nj->n", state.delta, np.linalg.inv(spread), state.delta)
-    pose = state.pose_scale * float(np.sqrt(np.median(q) / 2.366))
+    pose = state.pose_scale * float(np.sqrt(np.median(q) / CHI2_MEDIAN_3))
     n = solver.n_g
     corners = np.arange(len(Nuisance), n)
     scale = state.map_scale
-    if len(corners) >= 6:
+    if len(corners) >= SCAN.fit.min_known_corners:
         tau = solver.scaled(state)
         a = system.matrix[:n, :n].copy()
         a[np.arange(n), np.arange(n)] += 1 / tau**2
         left = (
             np.diag(np.linalg.inv(a))[corners] / tau[corners] ** 2
         )  # share of the prior's variance that is left
-        seen = left < 0.6
-        if seen.sum() >= 6:
+        seen = left < SCAN.fit.max_prior_share
+        if seen.sum() >= SCAN.fit.min_known_corners:
             ratio = (state.g[corners] / tau[corners])[seen] ** 2 / (1 - left[seen])
-            scale = state.map_scale * float(np.sqrt(np.median(ratio) / 0.455))
+            scale = state.map_scale * float(np.sqrt(np.median(ratio) / CHI2_MEDIAN_1))
     low, most = noise_bounds.min_pose_scale, noise_bounds.max_scale
     return float(np.clip(pose, low, max(most, low))), float(np.clip(scale, 1.0, most))
 

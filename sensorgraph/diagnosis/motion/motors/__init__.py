@@ -1,1 +1,1 @@
-"""Commands against odometry: lag, dead time and saturation of the motors."""
+"""CommandSignal against odometry: lag, dead time and saturation of the motors."""

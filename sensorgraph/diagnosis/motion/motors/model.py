@@ -12,10 +12,10 @@ from enum import IntEnum
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.motors.rows import Commands, DriveRows
+from sensorgraph.diagnosis.motion.motors.rows import CommandSignal, DriveRows
 from sensorgraph.diagnosis.motion.motors.simulation import MotorParameters, MotorSimulation
-from sensorgraph.diagnosis.motion.regression import BoundedPrior, Regression, RegressionFit
-from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.diagnosis.motion.regression import SHUT_SIGMA, BoundedPrior, Regression, RegressionFit
+from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.whitening import (
     Whitener,
@@ -30,10 +30,6 @@ from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
-
-SHUT = 1e-9
-"""[m/s] prior standard deviation of the largest speed where no saturation is in the model."""
-UNLIMITED = float("inf")
 
 
 class Column(IntEnum):
@@ -59,7 +55,7 @@ class MotorTerm:
     """[unit of the parameter] by which the controller blurs it."""
 
 
-TERMS = (
+MOTOR_TERMS = (
     MotorTerm(ACTUATOR_LAG, Column.LAG, lambda fitted, nominal, step: fitted.tau + step - nominal.tau),
     MotorTerm(
         DEAD_TIME,
@@ -92,12 +88,12 @@ class DriveFit:
 class DriveModel:
     """One run's regression of odometry on commands."""
 
-    def __init__(self, commands: Commands, rows: DriveRows, robot: Robot) -> None:
+    def __init__(self, commands: CommandSignal, rows: DriveRows, robot: Robot) -> None:
         self.rows, self.robot = rows, robot
         self.top_speed = commands.top_speed
         limits = robot.limits
         self.simulation = MotorSimulation(commands, rows, np.array([limits.a, limits.alpha]))
-        block = ((rows.start - rows.start[0]) / DRIVE.evidence.cluster).astype(np.intp)
+        block = ((rows.start - rows.start[0]) / EVIDENCE.cluster).astype(np.intp)
         self.clusters = np.concatenate([block, block]).astype(np.float64)
         sigmas = (robot.wheels.sigma_v, robot.wheels.sigma_omega)
         first, second = (WhiteningFilter.white(DRIVE.filter_order, sigma) for sigma in sigmas)
@@ -109,7 +105,7 @@ class DriveModel:
     def terms(self) -> list[MotorTerm]:
         """Effects that this run could show."""
         can_saturate = self.top_speed > DRIVE.min_top_speed
-        return [term for term in TERMS if term.effect is not SPEED_SATURATION or can_saturate]
+        return [term for term in MOTOR_TERMS if term.effect is not SPEED_SATURATION or can_saturate]
 
     def linearised(self, motors: MotorParameters) -> tuple[Floats, Floats]:
         """Return the simulated rows (2 n,) and the columns (2 n, 6 + structure)."""
@@ -145,7 +141,7 @@ class DriveModel:
                 DRIVE.gain_sigma,
                 DRIVE.gain_sigma,
                 DRIVE.turn_sigma / base,
-                SHUT,
+                SHUT_SIGMA,
             ]
         )
         n_more = 0 if self.structure is None else self.structure.columns.shape[1]
@@ -153,7 +149,7 @@ class DriveModel:
         mean = np.zeros(len(sigma))
         mean[Column.LAG] = self.nominal.tau - motors.tau
         mean[Column.DELAY] = self.nominal.delay - motors.delay
-        prior = BoundedPrior.of(sigma, mean, DRIVE.evidence.max_tolerances)
+        prior = BoundedPrior.of(sigma, mean, EVIDENCE.max_tolerances)
         return prior.freed([term.column for term in terms]).unbounded_from(len(Column))
 
     def fit(self, terms: Sequence[MotorTerm], start: MotorParameters | None = None) -> DriveFit:
@@ -163,7 +159,7 @@ class DriveModel:
         if has_limit and not np.isfinite(motors.v_max):
             motors = replace(motors, v_max=self._first_v_max())
         if not has_limit:
-            motors = replace(motors, v_max=UNLIMITED)
+            motors = replace(motors, v_max=float("inf"))
         best: DriveFit | None = None
         for _ in range(DRIVE.max_gauss_newton):
             base, A = self.linearised(motors)
@@ -197,9 +193,7 @@ class DriveModel:
         first, second = (
             fitted_noise(k, part, self.rows.valid) for k, part in enumerate(both_kinds(residual, self.rows.n))
         )
-        self.whitener = Whitener.robust(
-            (first, second), self.rows.valid, residual, DRIVE.evidence.huber_limit
-        )
+        self.whitener = Whitener.robust((first, second), self.rows.valid, residual, EVIDENCE.huber_limit)
 
     def residual(self, fit: DriveFit) -> Floats:
         """Return what a fit leaves (2 n,)."""
@@ -208,6 +202,6 @@ class DriveModel:
 
 def fitted_noise(kind: int, residual: Floats, valid: Bools) -> WhiteningFilter:
     """Return autoregressive noise as a residual (n,) shows it, whichever kind of row it is."""
-    cut = clipped(residual, valid, DRIVE.evidence.clip_limit, 1e-9)
+    cut = clipped(residual, valid, EVIDENCE.clip_limit, 1e-9)
     found = fit_autoregression(cut, valid, DRIVE.filter_order)
     return replace(found, sigma=max(found.sigma, 1e-6))

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.motors.model import TERMS, Column, DriveFit, DriveModel, MotorTerm
-from sensorgraph.diagnosis.motion.motors.selection import Selection
+from sensorgraph.diagnosis.motion.motors.model import MOTOR_TERMS, Column, DriveFit, DriveModel, MotorTerm
+from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
 from sensorgraph.diagnosis.motion.regression import Regression
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
-from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
@@ -21,7 +21,6 @@ from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 
-SETTINGS = DRIVE.evidence
 FAST, MODERATE = 0.85, 0.4
 """Shares of the largest commanded speed between which speeds are listed."""
 CHANGING, STEADY, MOVING = 0.1, 0.02, 0.02
@@ -30,7 +29,7 @@ CHANGING, STEADY, MOVING = 0.1, 0.02, 0.02
 
 def drive_result(
     model: DriveModel,
-    selected: Selection,
+    selected: MotorSelection,
     evidence: Mapping[MotorTerm, float],
     deviations: tuple[Deviation, ...],
 ) -> ChannelResult:
@@ -50,11 +49,11 @@ def drive_result(
         found.append(
             replace(
                 _sized(model, term, fit, error),
-                probability=probability(evidence[term], alternatives.values(), SETTINGS),
+                probability=probability(evidence[term], alternatives.values(), EVIDENCE),
                 evidence=evidence[term],
             )
         )
-        rival = strongest_rival(term.effect, alternatives, SETTINGS)
+        rival = strongest_rival(term.effect, alternatives, EVIDENCE)
         if rival is None and term.effect is DEAD_TIME and not rows.has_reference:
             rival = _late_clock(evidence[term])
         if rival is not None:
@@ -85,13 +84,13 @@ def _sized(model: DriveModel, term: MotorTerm, fit: DriveFit, error: float) -> A
     return replace(term.effect(**{key: value}), stderr={key: float(np.hypot(error, term.blur))})
 
 
-def _alternatives(model: DriveModel, term: MotorTerm, selected: Selection) -> dict[Effect, float]:
+def _alternatives(model: DriveModel, term: MotorTerm, selected: MotorSelection) -> dict[Effect, float]:
     """Return the evidence of each effect that could stand in an effect's place [nats]."""
     rest = [other for other in selected.terms if other != term]
     start = selected.fit.motors
     without = model.fit(rest, start).log_posterior
     return {
-        other.effect: model.fit([*rest, other], start).log_posterior - without - SETTINGS.price
+        other.effect: model.fit([*rest, other], start).log_posterior - without - EVIDENCE.price
         for other in model.terms
         if other not in selected.terms
     }
@@ -138,7 +137,7 @@ def deviations_before_naming(model: DriveModel) -> tuple[Deviation, ...]:
         e = left * np.sign(direction) * mask
         sums = np.bincount(model.clusters[:n].astype(np.intp), weights=e)
         z = float(e.sum() / np.sqrt(max((sums**2).sum(), mask.sum(), 1.0)))
-        if abs(z) > SETTINGS.listed_z:
+        if abs(z) > EVIDENCE.listed_z:
             out.append(
                 Deviation(
                     family="bias",
@@ -175,7 +174,7 @@ def _unknown(model: DriveModel, structure: AcceptedStructure) -> Unknown:
 def _gap(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> Gap:
     """Fit on every other 5 s, measure on the rest, and the other way round."""
     rows, regression, prior = model.rows, fit.regression, model.prior(terms, fit.motors)
-    block = ((rows.start - rows.start[0]) // SETTINGS.held_out_block).astype(np.intp)
+    block = ((rows.start - rows.start[0]) // EVIDENCE.held_out_block).astype(np.intp)
     half = np.concatenate([block, block]) % 2
     after = np.zeros(len(rows.y))
     for side in (0, 1):
@@ -205,13 +204,13 @@ def _quality(model: DriveModel, residual: Floats) -> FitQuality:
 def _not_observable(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> dict[str, str]:
     """Say which effects could not have been seen at three times their materiality."""
     out = {}
-    for term in TERMS:
+    for term in MOTOR_TERMS:
         if term in terms or not term.effect.sizes:
             continue
-        size = SETTINGS.observable_size * next(iter(term.effect.sizes.values()))
+        size = EVIDENCE.observable_size * next(iter(term.effect.sizes.values()))
         covariance = fit.regression.solve(model.prior([*terms, term], fit.motors)).covariance
         expected = 0.5 * size**2 / max(float(covariance[term.column, term.column]), 1e-18)
-        if expected - SETTINGS.price < SETTINGS.threshold:
+        if expected - EVIDENCE.price < EVIDENCE.threshold:
             out[term.effect.name] = (
                 f"{term.effect.diagnostics.why_unseen}: it would bring {expected:.0f} nats at three times its materiality"
             )

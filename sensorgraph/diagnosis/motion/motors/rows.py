@@ -8,18 +8,18 @@ import numpy as np
 
 from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION, ChannelSkippedError, WheelIncrements
-from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.wheels.model import clock_sigma
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
-SURE = 0.999
+TOP_QUANTILE = 0.999
 """Quantile of the commanded speeds that counts as the largest: one odd command does not."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Commands:
-    """Commands of a run; each acts from its stamp on."""
+class CommandSignal:
+    """CommandSignal of a run; each acts from its stamp on."""
 
     stamps: Floats
     """(n,) [s]"""
@@ -29,10 +29,10 @@ class Commands:
     @property
     def top_speed(self) -> float:
         """Largest commanded speed [m/s]."""
-        return float(np.quantile(np.abs(self.values[:, 0]), SURE))
+        return float(np.quantile(np.abs(self.values[:, 0]), TOP_QUANTILE))
 
 
-def commands_of(run: Run) -> Commands:
+def commands_of(run: Run) -> CommandSignal:
     """Take the commands from a run.
 
     Raises
@@ -49,7 +49,7 @@ def commands_of(run: Run) -> Commands:
         )
     if np.ptp(values, axis=0).max() < MIN_MOTION:
         raise ChannelSkippedError("the commands of this run never change")
-    return Commands(stamps=stamps, values=values)
+    return CommandSignal(stamps=stamps, values=values)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,7 +95,7 @@ class DriveRows:
 
 
 def drive_rows(
-    wheels: WheelIncrements, commands: Commands, robot: Robot, clock: tuple[float, float] | None
+    wheels: WheelIncrements, commands: CommandSignal, robot: Robot, clock: tuple[float, float] | None
 ) -> DriveRows:
     """Lay the odometry out on the clock of the commands.
 
@@ -106,9 +106,9 @@ def drive_rows(
     Raises
     ------
     ChannelSkippedError
-        Commands and odometry hardly overlap.
+        CommandSignal and odometry hardly overlap.
     """
-    sigma = clock_sigma(robot, DRIVE.evidence)
+    sigma = clock_sigma(robot, EVIDENCE)
     offset, error = clock if clock is not None else (0.0, 0.0)
     is_late = abs(offset) > max(2 * sigma, 3 * error, DRIVE.min_clock_offset)
     late = offset if is_late else 0.0

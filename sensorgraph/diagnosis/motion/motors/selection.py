@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm, fitted_noise
 from sensorgraph.diagnosis.motion.motors.structure import drive_families
-from sensorgraph.diagnosis.motion.settings import DRIVE
+from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureTest
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 
-PRICE, THRESHOLD = DRIVE.evidence.price, DRIVE.evidence.threshold
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Selection:
+class MotorSelection:
     """Effects of the motors, and their fit."""
 
     terms: tuple[MotorTerm, ...]
@@ -23,21 +21,23 @@ class Selection:
     structure: AcceptedStructure | None = None
 
 
-def select(model: DriveModel) -> Selection:
+def select(model: DriveModel) -> MotorSelection:
     """Start from all effects free, for the noise; then add and take back by evidence."""
     _fit_noise_with_all_effects(model)
     terms: list[MotorTerm] = []
     here = model.fit([])
     for _ in range(DRIVE.max_effects):
         trials = {term: model.fit([*terms, term], here.motors) for term in model.terms if term not in terms}
-        gains = {term: trial.log_posterior - here.log_posterior - PRICE for term, trial in trials.items()}
+        gains = {
+            term: trial.log_posterior - here.log_posterior - EVIDENCE.price for term, trial in trials.items()
+        }
         best = max(gains, key=lambda term: gains[term], default=None)
-        if best is None or gains[best] < THRESHOLD:
+        if best is None or gains[best] < EVIDENCE.threshold:
             break
         terms.append(best)
         here = trials[best]
         terms, here = _without_superfluous(model, terms, here, keep=1)
-    return Selection(terms=tuple(terms), fit=here)
+    return MotorSelection(terms=tuple(terms), fit=here)
 
 
 def _fit_noise_with_all_effects(model: DriveModel) -> None:
@@ -63,7 +63,7 @@ def _without_superfluous(
             break
         rest = [other for other in terms if other != term]
         without = model.fit(rest, here.motors)
-        if here.log_posterior - without.log_posterior - PRICE < THRESHOLD:
+        if here.log_posterior - without.log_posterior - EVIDENCE.price < EVIDENCE.threshold:
             terms, here = rest, without
     return terms, here
 
@@ -73,11 +73,11 @@ def evidence_of_each(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFi
     out = {}
     for term in terms:
         rest = [other for other in terms if other != term]
-        out[term] = fit.log_posterior - model.fit(rest, fit.motors).log_posterior - PRICE
+        out[term] = fit.log_posterior - model.fit(rest, fit.motors).log_posterior - EVIDENCE.price
     return out
 
 
-def with_structure(model: DriveModel, selected: Selection) -> Selection:
+def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelection:
     """Let structure that no effect makes stand beside the effects, or in their stead."""
     terms, here = list(selected.terms), selected.fit
     has_limit = any(term.effect is SPEED_SATURATION for term in terms)
@@ -85,7 +85,7 @@ def with_structure(model: DriveModel, selected: Selection) -> Selection:
     test = StructureTest(model.rows.valid, model.rows.masked(model.rows.y - here.simulated), fitted_noise)
     family, gain = test.best(own, drive_families(model, here))
     strongest = max(evidence_of_each(model, terms, here).values(), default=0.0)
-    needed = max(THRESHOLD, DRIVE.structure.share * strongest)
+    needed = max(EVIDENCE.threshold, DRIVE.structure.share * strongest)
     if gain < needed:
         return selected
     model.structure = family
@@ -93,19 +93,19 @@ def with_structure(model: DriveModel, selected: Selection) -> Selection:
     model.fit_noise(model.residual(full))
     full = model.fit(terms, full.motors)
     terms, full = _without_superfluous(model, terms, full)
-    return Selection(
+    return MotorSelection(
         terms=tuple(terms),
         fit=full,
         structure=AcceptedStructure(family=family, evidence=gain, threshold=needed),
     )
 
 
-def confirmed(model: DriveModel, selected: Selection) -> tuple[Selection, dict[MotorTerm, float]]:
+def confirmed(model: DriveModel, selected: MotorSelection) -> tuple[MotorSelection, dict[MotorTerm, float]]:
     """Drop effects whose evidence has fallen below the threshold; return the rest and their evidence [nats]."""
     evidence = evidence_of_each(model, selected.terms, selected.fit)
-    if all(value >= THRESHOLD for value in evidence.values()):
+    if all(value >= EVIDENCE.threshold for value in evidence.values()):
         return selected, evidence
-    terms = tuple(term for term in selected.terms if evidence[term] >= THRESHOLD)
+    terms = tuple(term for term in selected.terms if evidence[term] >= EVIDENCE.threshold)
     fit = model.fit(terms, selected.fit.motors)
-    kept = Selection(terms=terms, fit=fit, structure=selected.structure)
+    kept = MotorSelection(terms=terms, fit=fit, structure=selected.structure)
     return kept, evidence_of_each(model, terms, fit)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_banded
 
-from sensorgraph.diagnosis.motion.motors.rows import Commands, DriveRows
+from sensorgraph.diagnosis.motion.motors.rows import CommandSignal, DriveRows
 from sensorgraph.diagnosis.motion.settings import DRIVE
 from sensorgraph.types import Floats
 
@@ -33,7 +33,7 @@ class MotorParameters:
 class MotorSimulation:
     """The motors' answer to the commands of one run."""
 
-    def __init__(self, commands: Commands, rows: DriveRows, slew: Floats) -> None:
+    def __init__(self, commands: CommandSignal, rows: DriveRows, slew: Floats) -> None:
         """Simulate from a second before the first command to a second after the last.
 
         Parameters

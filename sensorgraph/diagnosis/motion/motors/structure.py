@@ -12,8 +12,6 @@ from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.types import Bools, Floats
 
-SETTINGS = DRIVE.structure
-
 
 def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     """Return differences that no effect makes, with columns (2 n, k)."""
@@ -21,12 +19,12 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     v, omega = both_kinds(fit.simulated, rows.n)
     middle = (rows.start + rows.end) / 2
     share = (middle - middle[rows.valid][0]) / np.ptp(middle[rows.valid])
-    n = SETTINGS.n_pieces
+    n = DRIVE.structure.n_pieces
     piece = np.clip((n * share).astype(np.intp), 0, n - 1)
     pieces = [piece == k for k in range(1, n)]
     top_v, top_omega = max(float(np.abs(v).max()), 1e-3), max(float(np.abs(omega).max()), 1e-3)
-    slow = [np.abs(v) < q * top_v for q in SETTINGS.speed_cuts]
-    slow_turns = [np.abs(omega) < q * top_omega for q in SETTINGS.rate_cuts]
+    slow = [np.abs(v) < q * top_v for q in DRIVE.structure.speed_cuts]
+    slow_turns = [np.abs(omega) < q * top_omega for q in DRIVE.structure.rate_cuts]
     by_delay = fit.columns[:, Column.DELAY]
     timing = np.stack([by_delay * np.concatenate([mask, mask]) for mask in pieces], axis=1)
     return [
@@ -44,7 +42,7 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             kind="timing",
             columns=timing,
             labels=[],
-            sigma=SETTINGS.delay_sigma,
+            sigma=DRIVE.structure.delay_sigma,
             statement="by a delay that changes in time",
         ),
         *_jumps(model, fit, share),
@@ -70,7 +68,7 @@ def _gains(
         kind=kind,
         columns=model.rows.masked(np.stack(columns, axis=1)),
         labels=[],
-        sigma=SETTINGS.gain_sigma,
+        sigma=DRIVE.structure.gain_sigma,
         statement=statement,
         choice_price=choice_price,
     )
@@ -83,7 +81,7 @@ def _jumps(model: DriveModel, fit: DriveFit, share: Floats) -> list[StructureFam
     ----------
     share : (n,) of the run that has passed
     """
-    n = SETTINGS.n_jumps
+    n = DRIVE.structure.n_jumps
     later = [share > k / (n + 1) for k in range(1, n + 1)]
     statement, price = "by a gain that changes once", float(np.log(n))
     return [_gains("jump", statement, model, fit, [mask], [mask], price) for mask in later]
@@ -95,7 +93,7 @@ def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     top = np.maximum(np.abs(commands).max(axis=0), 1e-3)
     columns = []
     for kind in (0, 1):
-        for share in SETTINGS.deadbands:
+        for share in DRIVE.structure.deadbands:
             without = commands.copy()
             without[np.abs(commands[:, kind]) < share * top[kind], kind] = 0.0
             columns.append(model.simulation.rates_of(fit.motors, without) - fit.simulated)
@@ -104,7 +102,7 @@ def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             kind="deadband",
             columns=column[:, None],
             labels=[],
-            sigma=SETTINGS.deadband_sigma,
+            sigma=DRIVE.structure.deadband_sigma,
             statement="where commands are small",
             choice_price=float(np.log(len(columns))),
         )

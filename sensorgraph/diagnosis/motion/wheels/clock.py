@@ -10,12 +10,12 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
 from sensorgraph.diagnosis.motion.settings import ODOMETRY
-from sensorgraph.diagnosis.motion.wheels.columns import CLOCK, columns_and_rows
+from sensorgraph.diagnosis.motion.wheels.columns import CLOCK_COLUMN, columns_and_rows
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows, rows_at
 from sensorgraph.diagnosis.motion.wheels.signals import MotionSignals
 from sensorgraph.types import Floats
 
-SETTINGS = ODOMETRY.rows
+ROWS = ODOMETRY.rows
 NOMINAL_BASE = 0.4
 """[m] wheelbase for the alignment: it scales a column that is free, and so changes nothing."""
 MAX_STEPS = 3
@@ -33,7 +33,7 @@ def aligned_rows(signals: MotionSignals) -> OdometryRows:
     rows = _enough_rows(signals, _coarse_offset(signals))
     for _ in range(MAX_STEPS):
         step = _offset_left(rows, signals)
-        if abs(step) < SETTINGS.clock_resolution:
+        if abs(step) < ROWS.clock_resolution:
             break
         rows = _enough_rows(signals, rows.clock + step)
     return rows
@@ -42,9 +42,9 @@ def aligned_rows(signals: MotionSignals) -> OdometryRows:
 def _enough_rows(signals: MotionSignals, clock: float) -> OdometryRows:
     rows = rows_at(signals, clock)
     n = 0 if rows is None else int(rows.valid.sum())
-    if rows is None or n < SETTINGS.min_rows:
+    if rows is None or n < ROWS.min_rows:
         raise ChannelSkippedError(
-            f"poses and odometry overlap in {n} tenths of a second, expected at least {SETTINGS.min_rows}"
+            f"poses and odometry overlap in {n} tenths of a second, expected at least {ROWS.min_rows}"
         )
     return rows
 
@@ -60,16 +60,16 @@ def _offset_left(rows: OdometryRows, signals: MotionSignals) -> float:
         scale = np.repeat(spreads, rows.n)
         theta = np.asarray(np.linalg.lstsq((A / scale[:, None])[some], (y / scale)[some], rcond=1e-9)[0])
         residual = np.asarray(y - A @ theta)
-    most = SETTINGS.max_clock_correction
-    return float(np.clip(theta[CLOCK], -most, most))
+    most = ROWS.max_clock_correction
+    return float(np.clip(theta[CLOCK_COLUMN], -most, most))
 
 
 def _coarse_offset(signals: MotionSignals) -> float:
     """Return the clock offset [s] at which turn rate and speed of wheels and reference go together best."""
     stamps, poses, wheels = signals.stamps, signals.poses, signals.wheels
-    reach, step, half = SETTINGS.max_clock, SETTINGS.clock_step, SETTINGS.clock_half_window
+    reach, step, half = ROWS.max_clock, ROWS.clock_step, ROWS.clock_half_window
     first, last = max(stamps[0], wheels.start[0]) + reach, min(stamps[-1], wheels.end[-1]) - reach
-    if last - first < SETTINGS.min_clock_overlap:
+    if last - first < ROWS.min_clock_overlap:
         return 0.0
     grid = np.arange(first - reach, last + reach, step)
     before, after = (

@@ -19,26 +19,27 @@ from sensorgraph.types import Floats
 
 
 @dataclass(frozen=True)
-class Term:
+class WheelTerm:
     """An effect and its column in the regression."""
 
     effect: Effect
     column: int
 
 
-REGRESSORS: tuple[tuple[Effect, WheelRegressor], ...] = tuple(
+WHEEL_REGRESSORS: tuple[tuple[Effect, WheelRegressor], ...] = tuple(
     (effect, effect.diagnostics.wheel_regressor)
     for effect in EFFECTS.values()
     if effect.diagnostics.wheel_regressor is not None
 )
 """Wheel effects that act everywhere, and how they enter."""
-TERMS: tuple[Term, ...] = tuple(
-    Term(effect, k) for k, effect in enumerate([*(effect for effect, _ in REGRESSORS), POSE_CLOCK_OFFSET])
+WHEEL_TERMS: tuple[WheelTerm, ...] = tuple(
+    WheelTerm(effect, k)
+    for k, effect in enumerate([*(effect for effect, _ in WHEEL_REGRESSORS), POSE_CLOCK_OFFSET])
 )
 """Effects that act everywhere, the clock last."""
-CLOCK = len(REGRESSORS)
+CLOCK_COLUMN = len(WHEEL_REGRESSORS)
 """Column of the clock offset."""
-N_COLUMNS = CLOCK + 2
+N_COLUMNS = CLOCK_COLUMN + 2
 """Columns before those of patches: the last is that of the marker."""
 
 
@@ -51,7 +52,7 @@ def columns_and_rows(rows: OdometryRows, wheels: WheelIncrements, base: float) -
     """
     distance, turn = rows.D_along @ wheels.distance, rows.D_yaw @ wheels.turn
     motion = WheelMotion(distance=distance, turn=turn, path=rows.D_yaw @ wheels.distance, base=base)
-    columns = [np.concatenate(regressor.column(motion)) for _, regressor in REGRESSORS]
+    columns = [np.concatenate(regressor.column(motion)) for _, regressor in WHEEL_REGRESSORS]
     columns.append(rows.slopes.T.ravel())
     columns.append(
         np.concatenate([-turn, np.zeros(rows.n)])

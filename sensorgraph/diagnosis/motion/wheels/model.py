@@ -12,15 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
-from sensorgraph.diagnosis.motion.regression import BoundedPrior, Regression
-from sensorgraph.diagnosis.motion.settings import ODOMETRY, EvidenceSettings
+from sensorgraph.diagnosis.motion.regression import SHUT_SIGMA, BoundedPrior, Regression, ridge_solution
+from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY, EvidenceSettings
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
 from sensorgraph.diagnosis.motion.wheels.columns import (
-    CLOCK,
+    CLOCK_COLUMN,
     N_COLUMNS,
-    REGRESSORS,
-    TERMS,
-    Term,
+    WHEEL_REGRESSORS,
+    WHEEL_TERMS,
+    WheelTerm,
     columns_and_rows,
 )
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
@@ -29,11 +29,6 @@ from sensorgraph.diagnosis.motion.whitening import fit_autoregression as fit_fil
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
-
-SHUT = 1e-9
-"""Prior standard deviation of a coefficient that is to be 0."""
-RIDGE = 1e-8
-"""Of the mean square of the columns: keeps the fit of the noise regular."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,7 +73,7 @@ class WheelModel:
     def __init__(self, rows: OdometryRows, wheels: WheelIncrements, robot: Robot) -> None:
         self.rows, self.wheels, self.robot = rows, wheels, robot
         self.A, self.y = columns_and_rows(rows, wheels, robot.wheels.base)
-        block = ((rows.stamps - rows.stamps[0]) / ODOMETRY.evidence.cluster).astype(np.intp)
+        block = ((rows.stamps - rows.stamps[0]) / EVIDENCE.cluster).astype(np.intp)
         self.clusters = np.concatenate([block, block]).astype(np.float64)
         self.patches: list[SlipPatch] = []
         self.structure: AcceptedStructure | None = None
@@ -124,9 +119,9 @@ class WheelModel:
     def _fitted_noise(self, columns: Floats) -> Whitener:
         """Fit columns and noise in turn, twice, from where the noise stands."""
         scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
-        settings, valid, whitener = ODOMETRY.evidence, self.rows.valid, self.whitener
+        settings, valid, whitener = EVIDENCE, self.rows.valid, self.whitener
         for _ in range(2):
-            theta = ridge(whitener(scaled), whitener(self.y))
+            theta = ridge_solution(whitener(scaled), whitener(self.y))
             residual = self.y - scaled @ theta
             taken = 1 / np.sqrt(1 - 0.5 * len(theta) / max(2 * valid.sum(), 1))
             first, second = (
@@ -146,44 +141,38 @@ class WheelModel:
 
     # evidence
 
-    def patch_term(self, i: int) -> Term:
+    def patch_term(self, i: int) -> WheelTerm:
         """Return the term of a patch."""
-        return Term(WHEEL_SLIP, N_COLUMNS + i)
+        return WheelTerm(WHEEL_SLIP, N_COLUMNS + i)
 
-    def prior(self, terms: Sequence[Term]) -> BoundedPrior:
+    def prior(self, terms: Sequence[WheelTerm]) -> BoundedPrior:
         """Return the prior of the columns with some effects free; other patches are shut out."""
-        sigma = [regressor.tolerance for _, regressor in REGRESSORS]
-        sigma += [clock_sigma(self.robot, ODOMETRY.evidence), ODOMETRY.marker_sigma]
-        sigma += [SHUT] * len(self.patches)
+        sigma = [regressor.tolerance for _, regressor in WHEEL_REGRESSORS]
+        sigma += [clock_sigma(self.robot, EVIDENCE), ODOMETRY.marker_sigma]
+        sigma += [SHUT_SIGMA] * len(self.patches)
         k = len(sigma)
         if self.structure is not None:
             sigma += [self.structure.family.sigma] * self.structure.family.columns.shape[1]
         mean = np.zeros(len(sigma))
-        mean[CLOCK] = -self.rows.clock
-        prior = BoundedPrior.of(np.array(sigma), mean, ODOMETRY.evidence.max_tolerances)
+        mean[CLOCK_COLUMN] = -self.rows.clock
+        prior = BoundedPrior.of(np.array(sigma), mean, EVIDENCE.max_tolerances)
         return prior.freed([term.column for term in terms]).unbounded_from(k)
 
     def clock_left(self) -> float:
         """Return how far the assumed clock is still off, all effects free [s]."""
         most = ODOMETRY.max_clock_shift
-        return float(np.clip(self.regression.solve(self.prior(TERMS)).theta[CLOCK], -most, most))
+        return float(np.clip(self.regression.solve(self.prior(WHEEL_TERMS)).theta[CLOCK_COLUMN], -most, most))
 
-    def log_posterior(self, terms: Sequence[Term]) -> float:
+    def log_posterior(self, terms: Sequence[WheelTerm]) -> float:
         """Return the penalised log-likelihood of a set of effects [nats]."""
         return self.regression.solve(self.prior(terms)).log_posterior
 
-    def evidence(self, terms: Sequence[Term], term: Term) -> float:
+    def evidence(self, terms: Sequence[WheelTerm], term: WheelTerm) -> float:
         """Return how much the data prefer a set with an effect to the set without it, less its price [nats]."""
         rest = [other for other in terms if other != term]
         return self.log_posterior([*rest, term]) - self.log_posterior(rest) - price(term)
 
 
-def ridge(Z: Floats, y: Floats) -> Floats:
-    """Return the least-squares solution of whitened rows, kept regular."""
-    G = Z.T @ Z
-    return np.asarray(np.linalg.solve(G + RIDGE * np.trace(G) / len(G) * np.eye(len(G)), Z.T @ y))
-
-
-def price(term: Term) -> float:
+def price(term: WheelTerm) -> float:
     """Return the price of an effect's parameters [nats]."""
-    return ODOMETRY.evidence.price * len(term.effect.parameters)
+    return EVIDENCE.price * len(term.effect.parameters)

@@ -6,46 +6,46 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.settings import ODOMETRY
-from sensorgraph.diagnosis.motion.wheels.columns import Term
+from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
+from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
 from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
-SETTINGS = ODOMETRY.patch
-PRICE = ODOMETRY.evidence.price * len(WHEEL_SLIP.parameters)
+PATCH = ODOMETRY.patch
+PATCH_PRICE = EVIDENCE.price * len(WHEEL_SLIP.parameters)
 """[nats] of a patch."""
 
 
 def best_patch(
-    model: WheelModel, terms: Sequence[Term], rng: np.random.Generator
+    model: WheelModel, terms: Sequence[WheelTerm], rng: np.random.Generator
 ) -> tuple[SlipPatch, float] | None:
     """Return the patch that the data ask for most beside other effects, and its evidence [nats].
 
     None where the robot hardly moved.
     """
-    is_moving = np.abs(model.wheels.distance) > SETTINGS.min_moving
+    is_moving = np.abs(model.wheels.distance) > PATCH.min_moving
     positions = model.rows.increment_poses[is_moving, :2]
-    if len(positions) < SETTINGS.min_positions:
+    if len(positions) < PATCH.min_positions:
         return None
-    cells = np.unique(np.round(positions / SETTINGS.cell).astype(np.intp), axis=0)
-    if len(cells) > SETTINGS.max_centres:
-        cells = cells[:: len(cells) // SETTINGS.max_centres + 1]
-    centres = cells * SETTINGS.cell
-    discs = np.concatenate([np.column_stack([centres, np.full(len(centres), r)]) for r in SETTINGS.radii])
+    cells = np.unique(np.round(positions / PATCH.cell).astype(np.intp), axis=0)
+    if len(cells) > PATCH.max_centres:
+        cells = cells[:: len(cells) // PATCH.max_centres + 1]
+    centres = cells * PATCH.cell
+    discs = np.concatenate([np.column_stack([centres, np.full(len(centres), r)]) for r in PATCH.radii])
     gains, _ = gains_of_discs(model, discs, terms)
     disc = discs[int(np.argmax(gains))]
-    for step in SETTINGS.first_steps:
+    for step in PATCH.first_steps:
         near = disc + step * rng.uniform(-1.5, 1.5, size=(120, 3))
-        near[:, 2] = np.clip(near[:, 2], *SETTINGS.radius_range)
+        near[:, 2] = np.clip(near[:, 2], *PATCH.radius_range)
         near = np.concatenate([disc[None], near])
         gains, _ = gains_of_discs(model, near, terms)
         disc = near[int(np.argmax(gains))]
     x, y, r = (float(value) for value in disc)
-    return SlipPatch(x=x, y=y, r=r, covariance=np.zeros((4, 4))), float(gains.max()) - PRICE
+    return SlipPatch(x=x, y=y, r=r, covariance=np.zeros((4, 4))), float(gains.max()) - PATCH_PRICE
 
 
-def gains_of_discs(model: WheelModel, discs: Floats, terms: Sequence[Term]) -> tuple[Floats, Floats]:
+def gains_of_discs(model: WheelModel, discs: Floats, terms: Sequence[WheelTerm]) -> tuple[Floats, Floats]:
     """Return likelihood gained [nats] and share of the motion lost (n_discs,), given a set of effects."""
     regression = model.regression
     fit = regression.solve(model.prior(terms))
@@ -57,18 +57,18 @@ def gains_of_discs(model: WheelModel, discs: Floats, terms: Sequence[Term]) -> t
     total = np.einsum("ij,ij->j", Z, Z)
     information = total - np.einsum("ij,ij->j", cross[free], C @ cross[free])
     information = np.maximum(information, 1e-9 + 1e-6 * total)
-    lost = np.clip(score / information, 0.0, SETTINGS.max_slip)
+    lost = np.clip(score / information, 0.0, PATCH.max_slip)
     gains = lost * score - 0.5 * lost**2 * information
-    gains[information < SETTINGS.min_information] = 0.0
+    gains[information < PATCH.min_information] = 0.0
     return gains, lost
 
 
-def refine_patch(model: WheelModel, i: int, terms: Sequence[Term], rng: np.random.Generator) -> None:
+def refine_patch(model: WheelModel, i: int, terms: Sequence[WheelTerm], rng: np.random.Generator) -> None:
     """Move a patch to the middle of its likelihood and take its spread from there."""
     rest = [term for term in terms if term != model.patch_term(i)]
     discs = _grid_about(model.patches[i].disc)
     gains, lost = gains_of_discs(model, discs, rest)
-    for step in SETTINGS.refining_steps:
+    for step in PATCH.refining_steps:
         near = _random_steps(discs[int(np.argmax(gains))], step, rng)
         if not len(near):
             continue
@@ -95,9 +95,9 @@ def _random_steps(disc: Floats, step: float, rng: np.random.Generator, n: int = 
     turn = rng.uniform(-np.pi, np.pi, size=n)
     growth = 2 * step * rng.normal(size=n)
     ridge = disc + growth[:, None] * np.stack([np.cos(turn), np.sin(turn), np.ones(n)], axis=1)
-    ridge += SETTINGS.rim * rng.normal(size=ridge.shape)
+    ridge += PATCH.rim * rng.normal(size=ridge.shape)
     near = np.concatenate([disc + step * rng.normal(size=(n, 3)), ridge])
-    low, high = SETTINGS.refined_radius_range
+    low, high = PATCH.refined_radius_range
     return near[(near[:, 2] > low) & (near[:, 2] < high)]
 
 
@@ -105,11 +105,11 @@ def _posterior_mean(discs: Floats, gains: Floats, lost: Floats) -> SlipPatch:
     """Return the disc nearest to the posterior mean of discs (n, 3), and the spread of s, x, y, r about it."""
     # one disc for each cell of the search: it is dense where it was searched, not where a disc is likely
     best = np.argsort(-gains)
-    best = best[gains[best] > gains[best[0]] - SETTINGS.credible_fall]
+    best = best[gains[best] > gains[best[0]] - PATCH.credible_fall]
     _, first = np.unique(np.round(discs[best] / 0.05), axis=0, return_index=True)
     best = best[first]
     # a patch of unknown size: the prior is the same at every magnification, 1 / r³
-    weight = np.exp((gains[best] - gains.max()) / ODOMETRY.evidence.temperature) / discs[best, 2] ** 3
+    weight = np.exp((gains[best] - gains.max()) / EVIDENCE.temperature) / discs[best, 2] ** 3
     weight /= weight.sum()
     values = np.column_stack([lost, discs])[best]
     middle = weight @ values

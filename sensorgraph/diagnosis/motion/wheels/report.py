@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.regression import Regression, RegressionFit
+from sensorgraph.diagnosis.motion.regression import Regression, RegressionFit, ridge_solution
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
-from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
-from sensorgraph.diagnosis.motion.wheels.columns import CLOCK, N_COLUMNS, TERMS, Term
-from sensorgraph.diagnosis.motion.wheels.model import WheelModel, ridge
+from sensorgraph.diagnosis.motion.wheels.columns import CLOCK_COLUMN, N_COLUMNS, WHEEL_TERMS, WheelTerm
+from sensorgraph.diagnosis.motion.wheels.model import WheelModel
 from sensorgraph.diagnosis.motion.wheels.patch_search import best_patch
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
@@ -21,15 +21,14 @@ from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
-SETTINGS = ODOMETRY.evidence
-RADIUS_COLUMN = next(term.column for term in TERMS if term.effect is WHEEL_RADIUS)
+RADIUS_COLUMN = next(term.column for term in WHEEL_TERMS if term.effect is WHEEL_RADIUS)
 RMSE_WINDOW = 1.0
 """[s] over which the gap is averaged to speeds."""
 
 
 def odometry_result(
     model: WheelModel,
-    terms: Sequence[Term],
+    terms: Sequence[WheelTerm],
     families: Sequence[StructureFamily],
     deviations: tuple[Deviation, ...],
     notes: Mapping[str, object],
@@ -57,7 +56,7 @@ def odometry_result(
         not_observable=_not_observable(model, terms),
         notes={
             **notes,
-            "clock_offset_s": model.rows.clock + float(fit.theta[CLOCK]),
+            "clock_offset_s": model.rows.clock + float(fit.theta[CLOCK_COLUMN]),
             "rows": int(model.rows.valid_rows.sum()),
         },
     )
@@ -65,15 +64,15 @@ def odometry_result(
 
 def _amendment(
     model: WheelModel,
-    term: Term,
-    terms: Sequence[Term],
+    term: WheelTerm,
+    terms: Sequence[WheelTerm],
     fit: RegressionFit,
     covariance: Floats,
     rng: np.random.Generator,
 ) -> Amendment:
     """Return an effect with sizes, errors, evidence and probability."""
     evidence = model.evidence(terms, term)
-    sure = probability(evidence, _alternatives(model, term, terms, rng).values(), SETTINGS)
+    sure = probability(evidence, _alternatives(model, term, terms, rng).values(), EVIDENCE)
     theta, error = float(fit.theta[term.column]), float(np.sqrt(covariance[term.column, term.column]))
     if term.effect is WHEEL_SLIP:
         amendment = _slip(model, term.column - N_COLUMNS, theta, error)
@@ -118,11 +117,11 @@ def _is_material(a: Amendment) -> bool:
 
 
 def _alternatives(
-    model: WheelModel, term: Term, terms: Sequence[Term], rng: np.random.Generator
+    model: WheelModel, term: WheelTerm, terms: Sequence[WheelTerm], rng: np.random.Generator
 ) -> dict[Effect, float]:
     """Return the evidence of each effect that could stand in an effect's place [nats]."""
     rest = [other for other in terms if other != term]
-    out = {other.effect: model.evidence([*rest, other], other) for other in TERMS if other not in terms}
+    out = {other.effect: model.evidence([*rest, other], other) for other in WHEEL_TERMS if other not in terms}
     if term.effect is not WHEEL_SLIP:
         found = best_patch(model, rest, rng)
         out[WHEEL_SLIP] = -np.inf if found is None else found[1]
@@ -130,11 +129,11 @@ def _alternatives(
 
 
 def _rivals(
-    model: WheelModel, terms: Sequence[Term], named: Sequence[Amendment], rng: np.random.Generator
+    model: WheelModel, terms: Sequence[WheelTerm], named: Sequence[Amendment], rng: np.random.Generator
 ) -> list[Rival]:
     material = [term for term in terms if any(a.effect is term.effect for a in named)]
     found = (
-        strongest_rival(term.effect, _alternatives(model, term, terms, rng), SETTINGS) for term in material
+        strongest_rival(term.effect, _alternatives(model, term, terms, rng), EVIDENCE) for term in material
     )
     return [rival for rival in found if rival is not None]
 
@@ -160,7 +159,7 @@ def deviations_before_naming(model: WheelModel, families: Sequence[StructureFami
         information = (Z**2).sum(axis=0)
         variance = np.maximum(information, (sums**2).sum(axis=1))
         z = Z.T @ residual / np.sqrt(np.maximum(variance, 1e-12))
-        for i in np.flatnonzero((np.abs(z) > SETTINGS.listed_z) & (information > 1e-6)).tolist():
+        for i in np.flatnonzero((np.abs(z) > EVIDENCE.listed_z) & (information > 1e-6)).tolist():
             out.append(
                 Deviation(
                     family="bias",
@@ -197,10 +196,10 @@ def _unknown(model: WheelModel) -> Unknown | None:
     )
 
 
-def _gap(model: WheelModel, terms: Sequence[Term], families: Sequence[StructureFamily]) -> Gap:
+def _gap(model: WheelModel, terms: Sequence[WheelTerm], families: Sequence[StructureFamily]) -> Gap:
     """Fit on every other 5 s, measure on the rest, and the other way round."""
     rows, regression, prior, columns = model.rows, model.regression, model.prior(terms), model.columns
-    block = ((rows.stamps - rows.stamps[0]) // SETTINGS.held_out_block).astype(np.intp)
+    block = ((rows.stamps - rows.stamps[0]) // EVIDENCE.held_out_block).astype(np.intp)
     half = np.concatenate([block, block]) % 2
     after = np.zeros(len(model.y))
     for side in (0, 1):
@@ -208,10 +207,10 @@ def _gap(model: WheelModel, terms: Sequence[Term], families: Sequence[StructureF
         fit = Regression.of(regression.A[train], regression.y[train]).solve(prior)
         after[~train] = (model.y - columns @ fit.theta)[~train]
     nominal = np.zeros(columns.shape[1])
-    nominal[CLOCK] = -rows.clock
+    nominal[CLOCK_COLUMN] = -rows.clock
     # the floor: what is left when all structure is fitted, too
     rich = np.concatenate([columns, *[family.columns for family in _steady(families)]], axis=1)
-    theta = ridge(model.whitener(rich), regression.y)
+    theta = ridge_solution(model.whitener(rich), regression.y)
     n_valid = rows.valid_rows.sum()
     floor = (model.y - rich @ theta) * np.sqrt(n_valid / max(int(n_valid) - len(theta), 1))
     return Gap(
@@ -235,16 +234,16 @@ def _quality(model: WheelModel, residual: Floats) -> FitQuality:
     return FitQuality(rmse_m=rmse, normalised=rms, nats_per_ray=nats)
 
 
-def _not_observable(model: WheelModel, terms: Sequence[Term]) -> dict[str, str]:
+def _not_observable(model: WheelModel, terms: Sequence[WheelTerm]) -> dict[str, str]:
     """Say which effects could not have been seen at three times their materiality."""
     out = {}
-    for term in TERMS:
+    for term in WHEEL_TERMS:
         if term in terms:
             continue
-        size = SETTINGS.observable_size * next(iter(term.effect.sizes.values()))
+        size = EVIDENCE.observable_size * next(iter(term.effect.sizes.values()))
         covariance = model.regression.solve(model.prior([*terms, term])).covariance
         expected = 0.5 * size**2 / max(float(covariance[term.column, term.column]), 1e-18)
-        if expected - SETTINGS.price < SETTINGS.threshold:
+        if expected - EVIDENCE.price < EVIDENCE.threshold:
             out[term.effect.name] = (
                 f"{term.effect.diagnostics.why_unseen}: at three times its materiality it would bring {max(expected, 0):.0f} nats"
             )

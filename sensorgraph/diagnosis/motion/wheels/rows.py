@@ -16,7 +16,7 @@ from sensorgraph.diagnosis.motion.settings import ODOMETRY
 from sensorgraph.diagnosis.motion.wheels.signals import MotionSignals
 from sensorgraph.types import Bools, Floats, Ints
 
-SETTINGS = ODOMETRY.rows
+ROWS = ODOMETRY.rows
 CLOCK_STEP = 0.01
 """[s] to either side, of the difference quotient by the clock offset."""
 MIN_POSES = 10
@@ -87,7 +87,7 @@ def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
     if len(stamps) < MIN_POSES:
         return None
     period = float(np.median(np.diff(stamps)))
-    m = max(1, round(SETTINGS.averaging_time / period))
+    m = max(1, round(ROWS.averaging_time / period))
     n = len(stamps) // m
     t = stamps[: n * m].reshape(n, m)
     averages = poses[: n * m].reshape(n, m, 3).mean(axis=1)
@@ -96,12 +96,12 @@ def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
     # headings are the wheels', carried by the reference's over a second
     total = np.concatenate([[0.0], np.cumsum(wheels.turn)])
     offset = averages[:, 2] - np.interp(t, ends, total).mean(axis=1)
-    offset = _moving_average(offset, SETTINGS.heading_window / (m * period))
+    offset = _moving_average(offset, ROWS.heading_window / (m * period))
     heading = np.interp(middle, ends, total) + np.interp(middle, centre, offset)
     phi = np.interp(border, ends, total) + np.interp(border, centre, offset)
     step = np.diff(averages, axis=0)
-    is_dense = np.ptp(t, axis=1) < SETTINGS.max_gap + m * period
-    valid = (np.diff(centre) < max(SETTINGS.max_gap, 2.5 * m * period)) & is_dense[1:] & is_dense[:-1]
+    is_dense = np.ptp(t, axis=1) < ROWS.max_gap + m * period
+    valid = (np.diff(centre) < max(ROWS.max_gap, 2.5 * m * period)) & is_dense[1:] & is_dense[:-1]
     weights, index, has_room = _overlaps(t, start, end)
     smooth = _smooth_positions(averages, wheels, heading, centre, ends, m * period)
     increment_poses = [np.interp(middle, centre, column) for column in smooth.T]
@@ -127,7 +127,7 @@ def _smooth_positions(
     steps = wheels.distance[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     trail = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     by_wheels = np.stack([np.interp(centre, ends, column) for column in trail.T], axis=1)
-    width = SETTINGS.position_window / period
+    width = ROWS.position_window / period
     offsets = [_moving_average(column, width) for column in (averages[:, :2] - by_wheels).T]
     return np.asarray(by_wheels + np.stack(offsets, axis=1))
 
@@ -150,7 +150,7 @@ def _overlaps(t: Floats, start: Floats, end: Floats) -> tuple[Floats, Ints, Bool
     weights = np.clip((t[1:, None, :] - a) / span, 0, 1).mean(axis=2)
     weights -= np.clip((t[:-1, None, :] - a) / span, 0, 1).mean(axis=2)
     weights[beyond] = 0.0
-    ok = (last - first < room) & ((end - start)[index].max(axis=1) < SETTINGS.max_gap)
+    ok = (last - first < room) & ((end - start)[index].max(axis=1) < ROWS.max_gap)
     return weights, index, ok
 
 

@@ -8,34 +8,33 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, noise_limits
-from sensorgraph.diagnosis.motion.settings import ODOMETRY
+from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import (
     AcceptedStructure,
     StructureFamily,
     StructureTest,
 )
-from sensorgraph.diagnosis.motion.wheels.columns import TERMS, Term
+from sensorgraph.diagnosis.motion.wheels.columns import WHEEL_TERMS, WheelTerm
 from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel, share_inside
-from sensorgraph.diagnosis.motion.wheels.patch_search import PRICE, best_patch, refine_patch
+from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_patch, refine_patch
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
-SETTINGS = ODOMETRY.structure
-THRESHOLD = ODOMETRY.evidence.threshold
 
-
-def select(model: WheelModel, families: Sequence[StructureFamily], rng: np.random.Generator) -> list[Term]:
+def select(
+    model: WheelModel, families: Sequence[StructureFamily], rng: np.random.Generator
+) -> list[WheelTerm]:
     """Add effects to the model while the evidence lasts, then take superfluous ones back.
 
     Structure that no effect makes competes with them: where it explains more, it enters in their stead.
     """
-    terms: list[Term] = []
+    terms: list[WheelTerm] = []
     for _ in range(ODOMETRY.max_effects):
-        gains = {term: model.evidence(terms, term) for term in TERMS if term not in terms}
+        gains = {term: model.evidence(terms, term) for term in WHEEL_TERMS if term not in terms}
         best = max(gains, key=lambda term: gains[term], default=None)
         top = max(gains.values(), default=-np.inf)
         patch, patch_gain = _patch(model, terms, max(top, 0.0), rng)
-        if max(top, patch_gain) < THRESHOLD:
+        if max(top, patch_gain) < EVIDENCE.threshold:
             break
         if patch is not None and patch_gain >= top:
             model.patches.append(patch)
@@ -56,21 +55,21 @@ def select(model: WheelModel, families: Sequence[StructureFamily], rng: np.rando
 
 
 def _patch(
-    model: WheelModel, terms: Sequence[Term], rival_gain: float, rng: np.random.Generator
+    model: WheelModel, terms: Sequence[WheelTerm], rival_gain: float, rng: np.random.Generator
 ) -> tuple[SlipPatch | None, float]:
     """Return the best further patch and its evidence [nats]; -inf where there is none."""
     found = best_patch(model, terms, rng) if len(model.patches) < ODOMETRY.patch.max_patches else None
     if found is None:
         return None, -np.inf
     patch, gain = found
-    if gain + PRICE > ODOMETRY.patch.min_gain and gain < max(ODOMETRY.patch.clear_gain, rival_gain):
+    if gain + PATCH_PRICE > ODOMETRY.patch.min_gain and gain < max(ODOMETRY.patch.clear_gain, rival_gain):
         # a patch that is not modelled looks like noise to the filter: judge it by a noise of its own
         alone = model.profile_gain(model.slip_columns(patch.disc[None]))
-        gain = max(gain, alone - PRICE - ODOMETRY.patch.noise_price)
+        gain = max(gain, alone - PATCH_PRICE - ODOMETRY.patch.noise_price)
     return patch, gain
 
 
-def _take_back(model: WheelModel, terms: list[Term]) -> None:
+def _take_back(model: WheelModel, terms: list[WheelTerm]) -> None:
     """Remove superfluous effects, the weakest first."""
     while terms:
         spare = {term: model.evidence(terms, term) - _needed(model, terms, term) for term in terms}
@@ -80,13 +79,13 @@ def _take_back(model: WheelModel, terms: list[Term]) -> None:
         terms.remove(weakest)
 
 
-def _needed(model: WheelModel, terms: Sequence[Term], term: Term) -> float:
+def _needed(model: WheelModel, terms: Sequence[WheelTerm], term: WheelTerm) -> float:
     """Return the evidence that an effect must bring beside the others [nats]."""
     others = [other for other in terms if other.effect is WHEEL_SLIP and other != term]
     if term.effect is not WHEEL_SLIP or not others:
-        return THRESHOLD
+        return EVIDENCE.threshold
     total = model.log_posterior(terms) - model.log_posterior([])
-    return max(THRESHOLD, ODOMETRY.patch.further_share * total)
+    return max(EVIDENCE.threshold, ODOMETRY.patch.further_share * total)
 
 
 # structure -----------------------------------------------------------------------------------------------------------
@@ -99,17 +98,19 @@ class _Candidate:
     replaces_patches: bool
 
 
-def _admit_structure(model: WheelModel, terms: list[Term], families: Sequence[StructureFamily]) -> None:
+def _admit_structure(model: WheelModel, terms: list[WheelTerm], families: Sequence[StructureFamily]) -> None:
     """Let structure that no effect makes stand beside the effects, or in the stead of patches."""
     limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
     test = StructureTest(model.rows.valid, model.y, LimitedNoiseFitter(limits))
     own = np.concatenate([model.columns, _rim_columns(model, terms)], axis=1)
     family, gain = test.best(own, families)
-    dispersion = test.dispersion(ODOMETRY.evidence.cluster, limits[0].period)
+    dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
     candidate = _Candidate(family=family, evidence=gain, replaces_patches=False)
     if model.patches:
         candidate = _in_stead_of_patches(model, test, own, candidate, families)
-    needed = max(SETTINGS.threshold * dispersion, SETTINGS.min_gain_per_row * model.rows.n)
+    needed = max(
+        ODOMETRY.structure.threshold * dispersion, ODOMETRY.structure.min_gain_per_row * model.rows.n
+    )
     if not candidate.replaces_patches:
         needed = max(needed, _inexactness(model, terms))
     if candidate.evidence < needed:
@@ -141,21 +142,21 @@ def _in_stead_of_patches(
         if gain <= beside.evidence
         else _Candidate(family=family, evidence=gain, replaces_patches=False)
     )
-    is_instead = gain + PRICE * len(model.patches) > beside.evidence
+    is_instead = gain + PATCH_PRICE * len(model.patches) > beside.evidence
     return _Candidate(family=better.family, evidence=better.evidence, replaces_patches=is_instead)
 
 
-def _inexactness(model: WheelModel, terms: Sequence[Term]) -> float:
+def _inexactness(model: WheelModel, terms: Sequence[WheelTerm]) -> float:
     """Return what the models of the effects themselves may leave for structure to explain [nats]."""
     wheels = [term for term in terms if term.effect is not WHEEL_SLIP]
     patch = max(model.log_posterior(terms) - model.log_posterior(wheels), 0.0)
     if len(terms) - len(wheels) > 1:  # several patches and still structure: they mimic something else
         patch = 0.0
     gain = model.log_posterior(wheels) - model.log_posterior([])
-    return SETTINGS.wheel_share * gain + SETTINGS.patch_share * patch
+    return ODOMETRY.structure.wheel_share * gain + ODOMETRY.structure.patch_share * patch
 
 
-def _rim_columns(model: WheelModel, terms: Sequence[Term]) -> Floats:
+def _rim_columns(model: WheelModel, terms: Sequence[WheelTerm]) -> Floats:
     """Return what small changes of a patch's place and radius would do (2 n, 3 per patch), so that they are no news."""
     parts = [np.zeros((len(model.y), 0))]
     shift = ODOMETRY.patch.rim_shift * np.eye(3)

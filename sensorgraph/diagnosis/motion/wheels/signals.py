@@ -19,7 +19,7 @@ from sensorgraph.diagnosis.motion.increments import (
 from sensorgraph.diagnosis.motion.settings import ODOMETRY
 from sensorgraph.types import Bools, Floats
 
-SETTINGS = ODOMETRY.rows
+ROWS = ODOMETRY.rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,12 +48,12 @@ def motion_signals(run: Run) -> MotionSignals:
     good: Bools = np.asarray(np.isfinite(run.poses).all(axis=1))
     good[1:] &= np.diff(run.pose_stamps) > SAME_STAMP
     stamps, poses = run.pose_stamps[good], run.poses[good].copy()
-    if len(stamps) < SETTINGS.min_rows:
+    if len(stamps) < ROWS.min_rows:
         raise ChannelSkippedError(
-            f"this run has {len(stamps)} reference poses, expected at least {SETTINGS.min_rows}"
+            f"this run has {len(stamps)} reference poses, expected at least {ROWS.min_rows}"
         )
     travel, rotation = np.ptp(poses[:, :2], axis=0).max(), np.ptp(wrap(poses[:, 2] - poses[0, 2]))
-    if travel < SETTINGS.min_travel and rotation < SETTINGS.min_rotation:
+    if travel < ROWS.min_travel and rotation < ROWS.min_rotation:
         raise ChannelSkippedError("the reference poses of this run do not move")
     poses[:, 2] = np.unwrap(poses[:, 2])
     if run.pose_frame == "laser":
@@ -64,7 +64,7 @@ def motion_signals(run: Run) -> MotionSignals:
     notes: dict[str, object] = {"odometry_from": wheels.source}
     first, last = max(stamps[0], wheels.start[0]), min(stamps[-1], wheels.end[-1])
     whole = max(stamps[-1], wheels.end[-1]) - min(stamps[0], wheels.start[0])
-    if last - first < SETTINGS.min_overlap * whole:
+    if last - first < ROWS.min_overlap * whole:
         notes["overlap"] = (
             f"poses and odometry overlap from {first:.1f} to {last:.1f} s, {last - first:.1f} of {whole:.1f} s; the rest is not used"
         )

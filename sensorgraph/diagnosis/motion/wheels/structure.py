@@ -14,7 +14,6 @@ from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.types import Bools, Floats
 
-SETTINGS = ODOMETRY.structure
 Part = Literal["way", "turn", "way and turn"]
 PARTS: tuple[Part, Part] = ("way", "turn")
 Scale = tuple[str, Part, Bools]
@@ -48,7 +47,7 @@ def odometry_families(rows: OdometryRows, wheels: WheelIncrements) -> list[Struc
     if cells := _cells(rows, wheels):
         families.append(_scales(rows, wheels, "place", "by a scale that depends on the place", cells))
     families.append(_clock_pieces(rows, wheels))
-    if np.ptp(rows.averages[:, :2], axis=0).max() >= SETTINGS.min_extent:
+    if np.ptp(rows.averages[:, :2], axis=0).max() >= ODOMETRY.structure.min_extent:
         families += _distorted_reference(rows, rows.D_along @ wheels.distance)
     return families
 
@@ -71,14 +70,14 @@ def _scales(
         kind=kind,
         columns=np.stack(columns, axis=1),
         labels=[f"{label}, {part}" for label, part, _ in scales],
-        sigma=SETTINGS.scale_sigma,
+        sigma=ODOMETRY.structure.scale_sigma,
         statement=statement,
         choice_price=choice_price,
     )
 
 
 def _pieces(wheels: WheelIncrements) -> list[Scale]:
-    n = SETTINGS.n_pieces
+    n = ODOMETRY.structure.n_pieces
     span = wheels.end[-1] - wheels.start[0]
     piece = np.clip((n * (wheels.middle - wheels.start[0]) / span).astype(np.intp), 0, n - 1)
     labels = _spans(wheels, n)
@@ -87,7 +86,7 @@ def _pieces(wheels: WheelIncrements) -> list[Scale]:
 
 def _jumps(rows: OdometryRows, wheels: WheelIncrements) -> list[StructureFamily]:
     """Return one family for each moment at which scales may change once."""
-    n, whole = SETTINGS.n_jumps, np.ptp(wheels.middle)
+    n, whole = ODOMETRY.structure.n_jumps, np.ptp(wheels.middle)
     out = []
     for k in range(1, n + 1):
         moment = wheels.start[0] + k / (n + 1) * whole
@@ -108,9 +107,9 @@ def _jumps(rows: OdometryRows, wheels: WheelIncrements) -> list[StructureFamily]
 
 def _speeds(wheels: WheelIncrements) -> list[Scale]:
     v, omega = np.abs(wheels.rates).T
-    fastest = float(np.quantile(v, 0.98)) / SETTINGS.reference_speed
-    cuts = np.array(SETTINGS.speed_cuts) * max(1.0, fastest)
-    rate_cuts = np.array(SETTINGS.rate_cuts) * max(1.0, float(np.quantile(omega, 0.98)))
+    fastest = float(np.quantile(v, 0.98)) / ODOMETRY.structure.reference_speed
+    cuts = np.array(ODOMETRY.structure.speed_cuts) * max(1.0, fastest)
+    rate_cuts = np.array(ODOMETRY.structure.rate_cuts) * max(1.0, float(np.quantile(omega, 0.98)))
     out: list[Scale] = [(f"|v| above {c:.2f} m/s", "way", v > c) for c in cuts]
     return out + [(f"|omega| above {c:.2f} rad/s", "turn", omega > c) for c in rate_cuts]
 
@@ -121,7 +120,7 @@ def _accelerations(wheels: WheelIncrements) -> list[Scale]:
         [np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in wheels.rates.T], axis=1
     )
     acceleration = np.abs(np.gradient(smooth, wheels.middle, axis=0))
-    a, alpha = np.quantile(acceleration, SETTINGS.acceleration_quantile, axis=0)
+    a, alpha = np.quantile(acceleration, ODOMETRY.structure.acceleration_quantile, axis=0)
     return [
         (f"above {a:.2f} m/s²", "way", acceleration[:, 0] > a),
         (f"above {alpha:.2f} rad/s²", "turn", acceleration[:, 1] > alpha),
@@ -130,12 +129,12 @@ def _accelerations(wheels: WheelIncrements) -> list[Scale]:
 
 def _cells(rows: OdometryRows, wheels: WheelIncrements) -> list[Scale]:
     """Return the cells of the raster that the robot drove through most."""
-    cells = np.floor(rows.increment_poses[:, :2] / SETTINGS.cell).astype(np.intp)
+    cells = np.floor(rows.increment_poses[:, :2] / ODOMETRY.structure.cell).astype(np.intp)
     keys, cell = np.unique(cells, axis=0, return_inverse=True)
     travel = np.bincount(cell.ravel(), weights=np.abs(wheels.distance))
-    large = np.argsort(-travel)[: SETTINGS.max_cells]
-    large = large[travel[large] > SETTINGS.min_cell_travel]
-    centres = (keys + 0.5) * SETTINGS.cell
+    large = np.argsort(-travel)[: ODOMETRY.structure.max_cells]
+    large = large[travel[large] > ODOMETRY.structure.min_cell_travel]
+    centres = (keys + 0.5) * ODOMETRY.structure.cell
     return [
         (f"round ({centres[k][0]:.1f}, {centres[k][1]:.1f})", "way and turn", cell.ravel() == k)
         for k in large
@@ -144,7 +143,7 @@ def _cells(rows: OdometryRows, wheels: WheelIncrements) -> list[Scale]:
 
 def _clock_pieces(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
     """Return the family of clock offsets that change in time."""
-    n = SETTINGS.n_clock_pieces
+    n = ODOMETRY.structure.n_clock_pieces
     share = (rows.stamps - rows.stamps[0]) / np.ptp(rows.stamps)
     piece = np.clip((n * share).astype(np.intp), 0, n - 1)
     columns = [rows.masked(((piece == k)[:, None] * rows.slopes).T.ravel()) for k in range(n)]
@@ -152,7 +151,7 @@ def _clock_pieces(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamil
         kind="clock",
         columns=np.stack(columns, axis=1),
         labels=[f"{span}, clock" for span in _spans(wheels, n)],
-        sigma=SETTINGS.scale_sigma,
+        sigma=ODOMETRY.structure.scale_sigma,
         statement="by a clock offset that changes in time",
     )
 
@@ -192,14 +191,14 @@ def _distorted_reference(rows: OdometryRows, distance: Floats) -> list[Structure
             kind="reference yaw",
             columns=np.stack(yaw, axis=1),
             labels=["yaw of the reference by place"] * len(yaw),
-            sigma=SETTINGS.yaw_sigma,
+            sigma=ODOMETRY.structure.yaw_sigma,
             statement="by a yaw of the reference that depends on the place",
         ),
         StructureFamily(
             kind="reference place",
             columns=np.stack(position, axis=1),
             labels=["position of the reference by place"] * len(position),
-            sigma=SETTINGS.position_sigma,
+            sigma=ODOMETRY.structure.position_sigma,
             statement="by a position of the reference that is distorted over the place",
         ),
     ]
