@@ -3,7 +3,7 @@
     python -m benchmarks.coverage_planners                     # square, office, the coverage search, stops and spins
     python -m benchmarks.coverage_planners --arena --random 10 --planner coverage   # ten random offices
     python -m benchmarks.coverage_planners --drive dubins --arena square
-    python -m benchmarks.coverage_planners --race square office -o docs/coverage_by_time.png
+    python -m benchmarks.coverage_planners --race square office -o docs/pages/pictures/coverage_by_time.png
 
 The random offices are those of `benchmarks/offices.py`, made by code of their own: seeds 1001 on for reports, on which
 nothing was tuned, and `--first 1` for development. `s/10k` is the time to plan 10,000 bins, `cpu` the processor time in

@@ -1,6 +1,6 @@
 """What driving buys: error of the graph against minutes driven, for ways of driving with one robot in one place.
 
-    OPENBLAS_NUM_THREADS=1 python -m benchmarks.error_by_minutes [--arena office] [--seed 1] [--out docs/error_by_minutes.png]
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.error_by_minutes [--arena office] [--seed 1] [--out docs/pages/pictures/error_by_minutes.png]
 
 Each way is planned, driven by the embedded robot (lag, slip, noise of robot.yaml) and scanned; graphs are built from
 its first minutes. A graph is asked for 1,000 fresh poses spread evenly over the floor and all headings. `views` are
@@ -225,7 +225,7 @@ def main() -> None:
     parser.add_argument("--arena", default="office")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--thin", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("docs/error_by_minutes.png"))
+    parser.add_argument("--out", type=Path, default=Path("docs/pages/pictures/error_by_minutes.png"))
     options = parser.parse_args()
     arena, robot = load_arena(options.arena), default_robot()
     check = check_run(arena, robot, np.random.default_rng([options.seed, 99]))

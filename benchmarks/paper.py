@@ -1,7 +1,7 @@
 """The two experiments of the paper that this project starts from, each one command, on the embedded robot.
 
-    python -m benchmarks.paper environment -o docs
-    python -m benchmarks.paper task -o docs
+    python -m benchmarks.paper environment -o docs/pages/pictures
+    python -m benchmarks.paper task -o docs/pages/pictures
 
 Environment: a wall-following run in the square arena, logged every 250 ms, one sample in 15; the range of the ray at
 67° from (x, y) now and at the two samples before, degree 2; the first half trains, the second validates. Then the

@@ -1,4 +1,4 @@
-"""Print the table of effects that stands in docs/effects.md: python docs/effects_table.py > docs/effects.md."""
+"""Print the table of effects that is the page reference/effects.md: python docs/effects_table.py > docs/pages/reference/effects.md."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CHANNELS = {
 
 
 def page() -> str:
-    """Return docs/effects.md."""
+    """Return the page."""
     parts = [HEAD]
     for channel, title in CHANNELS.items():
         rows = [row(effect) for effect in EFFECTS.values() if effect.channel == channel]

@@ -2,7 +2,7 @@
 
 apt-get install -y --no-install-recommends mesa-vulkan-drivers libvulkan1 libgl1-mesa-dri libegl1
 sensorgraph demo -o runs/picture
-python docs/screenshot.py runs/picture/review.rrd docs/review.png --time 640
+python docs/screenshot.py runs/picture/review.rrd docs/pages/pictures/review.png --time 640
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What README and docs show works as shown: code runs, commands and linked files exist."""
+"""What README and the site's pages show works as shown: code runs, commands, links and included files exist."""
 
 from __future__ import annotations
 
@@ -7,43 +7,82 @@ import runpy
 from pathlib import Path
 
 import pytest
+import yaml
 
 import logs
+import sensorgraph
 from sensorgraph.cli import COMMANDS
 from sensorgraph.effects.effects_file import loads
 
 ROOT = Path(__file__).parent.parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+SITE = ROOT / "docs" / "pages"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted(SITE.rglob("*.md"))]
 
 
 def test_the_recording_example_writes_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "recording.md").read_text(), re.S)
+    page = SITE / "how-to" / "record.md"
+    (code,) = re.findall(r"```python\n(.*?)```", page.read_text(), re.S)
     monkeypatch.chdir(tmp_path)
-    exec(compile(code, "docs/recording.md", "exec"), {})
+    exec(compile(code, str(page), "exec"), {})
     run = logs.read(tmp_path / "run.mcap")
     assert (run.n_scans, len(run.poses), len(run.odometry), len(run.commands)) == (1, 1, 1, 1)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_commands_and_links_exist(page: Path) -> None:
+def test_the_loop_in_the_readme_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = ROOT / "README.md"
+    (code,) = re.findall(r"```python\n(.*?)```", page.read_text(), re.S)
+    assert len(code.splitlines()) <= 16
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, str(page), "exec"), {})
+    printed = capsys.readouterr().out
+    assert "face" in printed
+    assert "omega(k) = " in printed
+    assert (tmp_path / "review.rrd").stat().st_size > 0
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_commands_links_and_included_files_exist(page: Path) -> None:
     text = page.read_text()
     for command in re.findall(r"(?:^|`|/)sensorgraph ([a-z]+)", text, re.M):
         assert command in COMMANDS, command
-    for link in re.findall(r"\]\(([^)#]+)\)", text):
-        assert (page.parent / link).exists(), link
-    for script in re.findall(r"python ((?:benchmarks|docs)/\S+\.py)", text):
+    for link in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text):
+        assert link.startswith("https://") or (page.parent / link).exists(), link
+    for script in re.findall(r"python (docs/[\w/]+\.py)", text):
         assert (ROOT / script).exists(), script
+    assert "python benchmarks/" not in text  # they are run as modules
+    for module in re.findall(r"python\s-m (benchmarks[\w.]*\w)", text):
+        path = ROOT / module.replace(".", "/")
+        assert path.with_suffix(".py").exists() or (path / "__main__.py").exists(), module
+    assert "--8 <" not in text  # a formatter has taken an included script for Python
+    for included in re.findall(r'--8<-- "([^":]+)', text):
+        assert (ROOT / included).exists(), included
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    text = re.sub(r"!!?(?:relative|python\S*)", "", (ROOT / "docs" / "mkdocs.yml").read_text())
+    listed = re.findall(r"[\w/-]+\.md", str(yaml.safe_load(text)["nav"]))
+    assert sorted(listed) == sorted(page.relative_to(SITE).as_posix() for page in SITE.rglob("*.md"))
 
 
 def test_the_page_of_effects_is_the_registry() -> None:
     printed = runpy.run_path(str(ROOT / "docs" / "effects_table.py"))["page"]()
-    assert (ROOT / "docs" / "effects.md").read_text() == printed, (
-        "python docs/effects_table.py > docs/effects.md"
+    assert (SITE / "reference" / "effects.md").read_text() == printed, (
+        "python docs/effects_table.py > docs/pages/reference/effects.md"
     )
 
 
-def test_the_example_of_effects_can_be_read() -> None:
-    (text,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "effects.md").read_text(), re.S)
+def test_the_picture_of_the_architecture_is_what_its_script_draws() -> None:
+    drawn = runpy.run_path(str(ROOT / "docs" / "architecture_picture.py"))["picture"]()
+    assert (SITE / "pictures" / "architecture.svg").read_text() == drawn, (
+        "python docs/architecture_picture.py > docs/pages/pictures/architecture.svg"
+    )
+
+
+@pytest.mark.parametrize("page", ["reference/effects.md", "how-to/simulate-effects.md"])
+def test_the_example_of_effects_can_be_read(page: str) -> None:
+    (text,) = re.findall(r"```yaml\n(.*?)```", (SITE / page).read_text(), re.S)
     assert [a.name for a in loads(text)] == ["glass", "wheel_radius"]
 
 
@@ -53,3 +92,9 @@ def test_readme_holds_the_two_commands_that_ci_runs() -> None:
         block = re.search(rf"<!-- {name} -->\n```sh\n(.+)\n```\n<!-- end -->", text)
         assert block is not None
         assert block.group(1).startswith("python3 -m venv .venv && ")
+
+
+def test_one_version_stands_everywhere() -> None:
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert cited["version"] == sensorgraph.__version__
+    assert f"## {cited['version']} — {cited['date-released']}" in (ROOT / "CHANGELOG.md").read_text()

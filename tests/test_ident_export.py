@@ -124,9 +124,9 @@ def test_export_is_in_the_users_units() -> None:
 
 
 def test_the_page_of_the_analysis_runs_as_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    page = Path(__file__).parent.parent / "docs" / "analysis.md"
+    page = Path(__file__).parent.parent / "docs" / "pages" / "how-to" / "analyse.md"
     (code,) = re.findall(r"```python\n(.*?)```", page.read_text(), re.S)
-    exec(compile(code, "docs/analysis.md", "exec"), {})
+    exec(compile(code, str(page), "exec"), {})
     said = capsys.readouterr().out
     assert "v(k) = 0.8" in said
     assert "a(k) = " in said

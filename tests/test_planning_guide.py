@@ -1,4 +1,4 @@
-"""The code of docs/planning.md drives a plan: Nav2's actions in order, and the tracking law to millimetres."""
+"""The code of the page on Nav2 drives a plan: Nav2's actions in order, and the tracking law to millimetres."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from planners.trajectory import read_csv
 from planners.types import Floats
 from sensorgraph.cli import run as cli
 
-TEXT = (Path(__file__).parent.parent / "docs" / "planning.md").read_text()
-ACTIONS, TRACKER, NODE = re.findall(r"```python\n(.*?)```", TEXT, re.S)
+PAGE = Path(__file__).parent.parent / "docs" / "pages" / "how-to" / "nav2.md"
+ACTIONS, TRACKER, NODE = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_the_actions_of_the_guide_bring_the_robot_through_the_plan(
         monkeypatch.setitem(sys.modules, name.split(".")[0], ModuleType(name.split(".")[0]))
         monkeypatch.setitem(sys.modules, name, module)
     guide: dict[str, Any] = {}
-    exec(compile(ACTIONS, "docs/planning.md", "exec"), guide)
+    exec(compile(ACTIONS, str(PAGE), "exec"), guide)
     trajectory = read_csv(plans / "stops" / "trajectory.csv")
     robot = Navigator(trajectory.poses[0])
     assert guide["drive"](robot, str(plans / "stops")) is None
@@ -101,7 +101,7 @@ def test_the_actions_of_the_guide_bring_the_robot_through_the_plan(
 
 def test_the_tracker_of_the_guide_keeps_a_late_robot_on_the_plan(plans: Path) -> None:
     guide: dict[str, Any] = {}
-    exec(compile(TRACKER, "docs/planning.md", "exec"), guide)
+    exec(compile(TRACKER, str(PAGE), "exec"), guide)
     tracker = guide["Tracker"](str(plans / "drift"), lead=0.125)
     trajectory = read_csv(plans / "drift" / "trajectory.csv")
     pose, twist, off = trajectory.poses[0] + [0.05, -0.05, 0.1], np.zeros(2), []
@@ -119,4 +119,4 @@ def test_the_tracker_of_the_guide_keeps_a_late_robot_on_the_plan(plans: Path) ->
 
 
 def test_the_node_of_the_guide_is_python() -> None:
-    compile(NODE, "docs/planning.md", "exec")
+    compile(NODE, str(PAGE), "exec")
