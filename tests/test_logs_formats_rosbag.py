@@ -247,7 +247,7 @@ def test_last_ray_that_repeats_the_first_is_dropped(tmp_path: Path) -> None:
 
 def test_two_lasers_ask_for_a_choice(tmp_path: Path) -> None:
     bag = [scan(0, [1, 2], topic="/front/scan"), scan(0, [3, 4], topic="/rear/scan")]
-    with pytest.raises(logs.LogError, match="--topic scan=/front/scan, --topic scan=/rear/scan"):
+    with pytest.raises(logs.LogError, match="`topics` scan=/front/scan, `topics` scan=/rear/scan"):
         read(tmp_path, bag)
     path = tmp_path / "bag"
     np.testing.assert_array_equal(logs.read(path, topics={"scan": "/rear/scan"}).ranges, [[3, 4]])

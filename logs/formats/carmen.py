@@ -22,7 +22,7 @@ from logs.transforms import compose, invert, twists_of, wrap
 from logs.types import Floats, Progress
 
 SCAN_KEYWORDS = ("FLASER", "ROBOTLASER1", "RAWLASER1", "RLASER", "ROBOTLASER2", "RAWLASER2")
-"""Kinds of scan lines; the first kind that a log holds is read unless `--topic scan=RLASER` says otherwise."""
+"""Kinds of scan lines; the first kind that a log holds is read unless `topics` says otherwise, for example scan=RLASER."""
 KEYWORDS = frozenset({*SCAN_KEYWORDS, "ODOM", "TRUEPOS", "PARAM", "SYNC", "NEFF", "POSITION", "GPGGA", "IMU"})
 # readings -> (first bearing [°], step [°]): the configurations of SICK and Hokuyo that CARMEN knew
 LAYOUTS = {
@@ -96,7 +96,7 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
         notes.append(f"{len(lines.broken)} broken lines left out, the first is line {lines.broken[0]}")
     others = [f"{len(found)} {name}" for name, found in lines.scans.items() if name != kind]
     if others:
-        notes.append(f"other scans in the log: {', '.join(others)}; choose with --topic scan=NAME")
+        notes.append(f"other scans in the log: {', '.join(others)}; choose with `topics` scan=NAME")
     stamps, order, epoch = _times(scans, notes)
     laser = np.array([scan.laser or (np.nan,) * 3 for scan in scans])
     robot = np.array([scan.robot or (np.nan,) * 3 for scan in scans])

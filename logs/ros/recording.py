@@ -115,8 +115,8 @@ def choose(recording: Recording, role: str, topics: Mapping[str, str] | None) ->
 
 
 def choices(recording: Recording, role: str) -> str:
-    """Return the topics that could play a role, as the command line takes them."""
-    return ", ".join(f"--topic {role}={name}" for name in recording.of_type(ROLES[role][1]))
+    """Return the topics that could play a role."""
+    return ", ".join(f"`topics` {role}={name}" for name in recording.of_type(ROLES[role][1]))
 
 
 def listing(recording: Recording) -> str:

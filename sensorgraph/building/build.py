@@ -108,7 +108,7 @@ def _updated(
     model = graph.model
     if not isinstance(model, Faces) or options:
         asked = f", and option {', '.join(sorted(options))} is of a new fit" if options else ""
-        raise SensorgraphError(f"--update adds runs to a graph of faces; this one is of {model.name}{asked}")
+        raise SensorgraphError(f"`update` adds runs to a graph of faces; this one is of {model.name}{asked}")
     if not is_same_sensor(graph.sensor.bearings, feed.sensor.bearings):
         raise SensorgraphError(
             f"{feed.names[0]} has {feed.sensor.n_rays} rays at other bearings than the {graph.sensor.n_rays} of "
@@ -195,5 +195,5 @@ def _too_few(n: int, inputs: Sequence[dict[str, Any]]) -> str:
     )
     return (
         f"{n} scans to fit, expected {MIN_SCANS} or more ({reasons}); "
-        "record poses with the scans, or name their topic with --topic pose=NAME"
+        "record poses with the scans, or name their topic with `topics` pose=NAME"
     )

@@ -22,19 +22,19 @@ def cluster(address: str) -> Iterator[MapBlocks]:
         from distributed import Client
     except ImportError:
         raise SensorgraphError(
-            "--dask needs Dask; install it with: pip install 'sensorgraph[dask]'"
+            "a cluster needs Dask; install it with: pip install 'sensorgraph[dask]'"
         ) from None
     try:
         client: Any = Client(address, timeout=TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TimeoutError) as exc:
         raise SensorgraphError(
-            f"--dask {address}: no scheduler answers ({exc}); start one with `dask scheduler`"
+            f"Dask at {address}: no scheduler answers ({exc}); start one with `dask scheduler`"
         ) from exc
     with client:
         n_threads = sum(client.nthreads().values())
         if n_threads == 0:
             raise SensorgraphError(
-                f"--dask {address}: the scheduler has no workers; start some with `dask worker`"
+                f"Dask at {address}: the scheduler has no workers; start some with `dask worker`"
             )
 
         def map_blocks(function: Callable[[Block], Reduction], items: Iterable[Block]) -> Iterator[Reduction]:

@@ -157,7 +157,7 @@ class _Intake:
         if n > 1 and (self.box[1] - self.box[0] < STILL).all():
             raise SensorgraphError(
                 f"{self.name}: the pose never changes over {n} scans; did the robot move, does the reference run? "
-                "Record while driving, or name the topic of the poses with --topic pose=NAME"
+                "Record while driving, or name the topic of the poses with `topics` pose=NAME"
             )
         pairing = f"{self.counts['paired']} of {self.counts['n_scans']} scans paired with poses"
         logger.info("%s: %s", self.name, pairing)

@@ -20,6 +20,7 @@ from sensorgraph.cli.diagnose import diagnose
 from sensorgraph.cli.evaluate import evaluate
 from sensorgraph.cli.identify import identify
 from sensorgraph.cli.inspect import inspect
+from sensorgraph.cli.messages import with_flags
 from sensorgraph.cli.plan import plan
 from sensorgraph.cli.predict import predict
 from sensorgraph.cli.record import record
@@ -74,7 +75,7 @@ def _root(
 
 
 def _one_line(exc: BaseException) -> str:
-    return " ".join(str(exc).split()) or type(exc).__name__
+    return with_flags(" ".join(str(exc).split())) or type(exc).__name__
 
 
 def run(arguments: list[str] | None = None) -> int:

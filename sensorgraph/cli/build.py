@@ -3,53 +3,46 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
+from sensorgraph.cli.messages import with_flags
+from sensorgraph.cli.options import (
+    BuildArena,
+    BuildCalibrate,
+    BuildDask,
+    BuildDegree,
+    BuildHarmonics,
+    BuildModel,
+    BuildOutput,
+    BuildRobot,
+    BuildRuns,
+    BuildSplit,
+    BuildTerms,
+    BuildUpdate,
+    Topics,
+)
 from sensorgraph.cli.progress import progress
+
+if TYPE_CHECKING:
+    from sensorgraph.graph import Sensorgraph
 
 
 def build(
-    runs: Annotated[
-        list[Path], typer.Argument(metavar="RUN...", help="Recordings (MCAP, bag, CARMEN log) with poses.")
-    ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="GRAPH", help="File to write, *.sensorgraph.")
-    ],
-    arena: Annotated[
-        str | None, typer.Option(help="GeoJSON, map yaml, or a shipped one: its bounds set the scale.")
-    ] = None,
-    robot: Annotated[
-        Path | None, typer.Option(help="Robot yaml: its sensor must be the one that recorded.")
-    ] = None,
-    model: Annotated[
-        str, typer.Option(help="What to fit: faces, cells, or polynomial, the form of 2004.")
-    ] = "faces",
-    split: Annotated[str | None, typer.Option(help="Hold scans out: every10 or block.")] = None,
-    degree: Annotated[str, typer.Option(help="Of polynomial: degree in x and y, or auto.")] = "auto",
-    harmonics: Annotated[
-        str, typer.Option(help="Of polynomial: harmonics of the heading, or auto.")
-    ] = "auto",
-    terms: Annotated[str, typer.Option(help="Of polynomial: terms kept for each ray, or auto.")] = "auto",
-    calibrate: Annotated[
-        bool | None,
-        typer.Option(
-            "--calibrate/--no-calibrate",
-            help="Of faces: identify the laser with them (mount, ray terms, training poses); where it pays.",
-        ),
-    ] = None,
-    update: Annotated[
-        Path | None, typer.Option(metavar="GRAPH", help="Add the runs to this graph of faces.")
-    ] = None,
-    dask: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Scheduler of a Dask cluster that reduces the scans of faces."),
-    ] = None,
-    topic: Annotated[
-        list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
-    ] = None,
+    runs: BuildRuns,
+    output: BuildOutput,
+    arena: BuildArena = None,
+    robot: BuildRobot = None,
+    model: BuildModel = "faces",
+    split: BuildSplit = None,
+    degree: BuildDegree = "auto",
+    harmonics: BuildHarmonics = "auto",
+    terms: BuildTerms = "auto",
+    calibrate: BuildCalibrate = None,
+    update: BuildUpdate = None,
+    dask: BuildDask = None,
+    topic: Topics = None,
 ) -> None:
     """Identify what every ray perceives at each (x, y, phi).
 
@@ -80,11 +73,7 @@ def build(
         )
     if model not in MODELS:
         raise SensorgraphError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
-    options: dict[str, Any] = {
-        "n_terms" if name == "terms" else name: value
-        for name, text in (("degree", degree), ("harmonics", harmonics), ("terms", terms))
-        if (value := _number(name, text)) != "auto"
-    }
+    options: dict[str, Any] = _options(degree=degree, harmonics=harmonics, terms=terms)
     if calibrate is not None:
         options["calibrate"] = calibrate
     space = None if arena is None else load_arena(arena)
@@ -114,6 +103,12 @@ def build(
             **options,
         )
     graph.save(output)
+    _report(graph, split)
+    typer.echo(f"wrote {output}: {graph.sensor.n_rays} rays, poses of {graph.pose_frame}")
+
+
+def _report(graph: Sensorgraph, split: str | None) -> None:
+    """Say what became of each run, and what was fitted."""
     for entry in graph.origin["inputs"]:
         dropped = "".join(f", {count} {why}" for why, count in entry["dropped"].items())
         held = f", {entry['held_out']} held out ({split})" if split else ""
@@ -122,10 +117,19 @@ def build(
             f"{entry['trained']} fitted"
         )
         for text in entry.get("warnings", ()):
-            typer.echo(f"warning: {entry['name']}: {text}", err=True)
+            typer.echo(f"warning: {entry['name']}: {with_flags(text)}", err=True)
     for label, text in graph.model.summary().items():
         typer.echo(f"{label}: {text}")
-    typer.echo(f"wrote {output}: {graph.sensor.n_rays} rays, poses of {graph.pose_frame}")
+
+
+def _options(**texts: str) -> dict[str, int]:
+    """Return the options of the polynomial that are not chosen automatically."""
+    numbers = {name: _number(name, text) for name, text in texts.items()}
+    return {
+        "n_terms" if name == "terms" else name: number
+        for name, number in numbers.items()
+        if isinstance(number, int)
+    }
 
 
 def _number(name: str, text: str) -> int | str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
+
+from sensorgraph.cli.options import DemoArena, DemoOut, DemoSeed, RobotFile
 
 if TYPE_CHECKING:
     from sensorgraph.demo import Trip
@@ -13,12 +15,10 @@ if TYPE_CHECKING:
 
 
 def demo(
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Folder to write; default: runs/demo-DATE-TIME.")
-    ] = None,
-    arena: Annotated[str, typer.Option(help="GeoJSON, map_server yaml, or a shipped one.")] = "square",
-    robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of planning and all noise.")] = 0,
+    out: DemoOut = None,
+    arena: DemoArena = "square",
+    robot: RobotFile = None,
+    seed: DemoSeed = 0,
 ) -> None:
     """Plan, record, build, evaluate, review on the shipped arena; hide an effect and find it. Offline, no display.
 

@@ -4,9 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+from sensorgraph.cli.options import (
+    DiagnoseArena,
+    DiagnoseCommissioning,
+    DiagnoseEffects,
+    DiagnoseOut,
+    DiagnoseRobot,
+    DiagnoseRuns,
+    DiagnoseSeed,
+    Topics,
+)
 
 if TYPE_CHECKING:
     from logs.run import Run
@@ -18,36 +29,14 @@ if TYPE_CHECKING:
 
 
 def diagnose(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RUN...",
-            help="A run; a second one of the same place is used for nothing but the proof.",
-        ),
-    ],
-    arena: Annotated[
-        str | None,
-        typer.Option(help="GeoJSON, map_server yaml, or a shipped one; default: the one kept in the run."),
-    ] = None,
-    robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the one kept in the run.")] = None,
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the report.")] = Path(
-        "diagnosis"
-    ),
-    effects: Annotated[
-        Path | None, typer.Option(help="effects.yaml: effects that are part of the model already.")
-    ] = None,
-    commissioning: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="RUN",
-            help="A run of the same robot and place that is known to be good; what differs from it is found. "
-            "Repeat it for several: they show how far good runs spread.",
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the replicates: same seed, same report.")] = 0,
-    topic: Annotated[
-        list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
-    ] = None,
+    runs: DiagnoseRuns,
+    arena: DiagnoseArena = None,
+    robot: DiagnoseRobot = None,
+    out: DiagnoseOut = Path("diagnosis"),
+    effects: DiagnoseEffects = None,
+    commissioning: DiagnoseCommissioning = None,
+    seed: DiagnoseSeed = 0,
+    topic: Topics = None,
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, and show the gap shrink.
 

@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
+from sensorgraph.cli.options import (
+    EvaluateCap,
+    EvaluateEffects,
+    EvaluateJson,
+    EvaluatePoint,
+    EvaluateRun,
+    EvaluateSplit,
+    GraphFile,
+    Topics,
+)
 from sensorgraph.cli.progress import progress
 
 if TYPE_CHECKING:
@@ -33,29 +43,14 @@ ROWS = (
 
 
 def evaluate(
-    graph: Annotated[Path, typer.Argument(metavar="GRAPH", help="A *.sensorgraph file.")],
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A recording with poses.")],
-    split: Annotated[
-        str | None, typer.Option(help="Score only scans that this split holds out: every10 or block.")
-    ] = None,
-    cap: Annotated[
-        float | None,
-        typer.Option(help="Longest return that counts, in m; default: 10, or the sensor's range."),
-    ] = None,
-    point: Annotated[
-        str | None,
-        typer.Option(help="Point value for all numbers: mode, median or mean [default: each its own]"),
-    ] = None,
-    effects: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="effects.yaml: score the simulator too, as mapped and amended."),
-    ] = None,
-    json: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers here.")
-    ] = None,
-    topic: Annotated[
-        list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
-    ] = None,
+    graph: GraphFile,
+    run: EvaluateRun,
+    split: EvaluateSplit = None,
+    cap: EvaluateCap = None,
+    point: EvaluatePoint = None,
+    effects: EvaluateEffects = None,
+    json: EvaluateJson = None,
+    topic: Topics = None,
 ) -> None:
     """Compare what a sensorgraph predicts with what a run measured.
 

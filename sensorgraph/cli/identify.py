@@ -5,9 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
+
+from sensorgraph.cli.options import (
+    IdentifyCriterion,
+    IdentifyDegree,
+    IdentifyEvery,
+    IdentifyFile,
+    IdentifyInputs,
+    IdentifyLags,
+    IdentifyNoiseLags,
+    IdentifyOut,
+    IdentifyOutput,
+    IdentifyOutputLags,
+    IdentifySplit,
+    IdentifyTerms,
+    Topics,
+)
 
 if TYPE_CHECKING:
     from robotmodic_ident.validation.score import Extrapolation, Score
@@ -21,36 +37,19 @@ ALARM = 0.001
 
 
 def identify(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FILE", help="A CSV with columns by name (`record` separates records), or a run."
-        ),
-    ],
-    output: Annotated[str, typer.Option(metavar="NAME", help="The signal to explain.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.json", help="The model to write.")],
-    inputs: Annotated[
-        str, typer.Option(metavar="NAME,...", help="The signals that explain it, separated by commas.")
-    ] = "",
-    lags: Annotated[int, typer.Option(min=0, max=1000, help="Inputs at k, k-1, ..., k-N.")] = 2,
-    output_lags: Annotated[int, typer.Option(min=0, max=1000, help="Past outputs k-1, ..., k-N.")] = 0,
-    degree: Annotated[int, typer.Option(min=1, max=8, help="Of the polynomial.")] = 2,
-    noise_lags: Annotated[
-        str, typer.Option(metavar="N|auto", help="Past noise e(k-1), ..., e(k-N); auto: as many as it takes.")
-    ] = "0",
-    split: Annotated[
-        str, typer.Option(help="half: first half trains; block: every second tenth is held out; none.")
-    ] = "half",
-    every: Annotated[int, typer.Option(min=1, help="Use every K-th sample.", metavar="K")] = 1,
-    criterion: Annotated[
-        str | None, typer.Option(help="How many terms: bic, aic, ebic, cv, err_tol, n_terms.")
-    ] = None,
-    terms: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Terms to keep, or the most to look at.")
-    ] = None,
-    topic: Annotated[
-        list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
-    ] = None,
+    file: IdentifyFile,
+    output: IdentifyOutput,
+    out: IdentifyOut,
+    inputs: IdentifyInputs = "",
+    lags: IdentifyLags = 2,
+    output_lags: IdentifyOutputLags = 0,
+    degree: IdentifyDegree = 2,
+    noise_lags: IdentifyNoiseLags = "0",
+    split: IdentifySplit = "half",
+    every: IdentifyEvery = 1,
+    criterion: IdentifyCriterion = None,
+    terms: IdentifyTerms = None,
+    topic: Topics = None,
 ) -> None:
     """Find the polynomial that explains one signal by others, and test it on data it has not seen.
 

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
 import typer
+
+from sensorgraph.cli.messages import with_flags
+from sensorgraph.cli.options import InspectArena, InspectFile, InspectJson, InspectTopic
 
 
 def inspect(
-    file: Annotated[Path, typer.Argument(help="MCAP, rosbag2 folder, ROS 1 bag, CARMEN log or CSV table.")],
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(help="ROLE=NAME for other names than ours; roles scan, pose, odom, cmd. Repeatable."),
-    ] = None,
-    arena: Annotated[
-        str | None, typer.Option(help="Test the scan against this map; default: the arena kept in the run.")
-    ] = None,
-    json: Annotated[Path | None, typer.Option(help="Write the findings there, too.")] = None,
+    file: InspectFile,
+    topic: InspectTopic = None,
+    arena: InspectArena = None,
+    json: InspectJson = None,
 ) -> None:
     """Say what is in a file: topics, rates, frames, what is usable, what is missing, what looks wrong.
 
@@ -57,4 +52,4 @@ def inspect(
         if oriented is not None:
             facts["orientation"] = {"best": oriented.best, "against": oriented.against, "fits": oriented.fits}
         write_json(json, facts)
-    typer.echo("\n".join(lines))
+    typer.echo(with_flags("\n".join(lines)))

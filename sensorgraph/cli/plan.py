@@ -4,67 +4,51 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
+from sensorgraph.cli.options import (
+    PlanArena,
+    PlanBattery,
+    PlanBudget,
+    PlanCell,
+    PlanDock,
+    PlanDuration,
+    PlanEnd,
+    PlanHeadings,
+    PlanNoGo,
+    PlanOut,
+    PlanPlanner,
+    PlanPriority,
+    PlanResume,
+    PlanSeed,
+    PlanStart,
+    PlanViews,
+    RobotFile,
+)
+
 INTERRUPTED = 130
-MOST_VIEWS = 1000
-"""More take longer than filling (x, y, φ)."""
 
 
 def plan(
-    arena: Annotated[str, typer.Argument(help="GeoJSON, map_server yaml, or a shipped one: square, office.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write the plan to.")],
-    robot: Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")] = None,
-    planner: Annotated[
-        str, typer.Option(help="coverage, stop_and_spin, random_bounce or wall_following.")
-    ] = "coverage",
-    views: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=MOST_VIEWS,
-            help="Instead of filling (x, y, φ), visit so many poses: those that show most surface.",
-        ),
-    ] = None,
-    cell: Annotated[float, typer.Option(help="Side of a position cell, in m.")] = 0.25,
-    headings: Annotated[int, typer.Option(help="Heading bins of a full turn.")] = 16,
-    start: Annotated[
-        str | None, typer.Option(help="X,Y,PHI in m, m, rad; default: where the planner likes.")
-    ] = None,
-    end: Annotated[str | None, typer.Option(help="X,Y,PHI where to end; default: at the last bin.")] = None,
-    battery: Annotated[
-        float | None,
-        typer.Option(
-            metavar="MIN", help="Part the plan into runs so long, each from the dock and back to it."
-        ),
-    ] = None,
-    dock: Annotated[
-        str | None, typer.Option(help="X,Y,PHI of the dock; default: where the plan starts.")
-    ] = None,
-    budget: Annotated[
-        float | None, typer.Option(metavar="MIN", help="Drive so long at most; said is what that covers.")
-    ] = None,
-    no_go: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="FILE|x,y,x,y,...",
-            help="Where the robot may not enter, and its laser sees through: GeoJSON polygons of kind no_go, or "
-            "corners in m; may be repeated.",
-        ),
-    ] = None,
-    duration: Annotated[
-        float | None,
-        typer.Option(help="Of random_bounce and wall_following, in s; default: the reference time."),
-    ] = None,
-    resume: Annotated[
-        Path | None, typer.Option(help="A run already driven: plan only what its poses have not covered.")
-    ] = None,
-    priority: Annotated[
-        Path | None, typer.Option(help="A sensorgraph: first where it has not been, then where it is unsure.")
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Same seed, same bytes.")] = 0,
+    arena: PlanArena,
+    out: PlanOut,
+    robot: RobotFile = None,
+    planner: PlanPlanner = "coverage",
+    views: PlanViews = None,
+    cell: PlanCell = 0.25,
+    headings: PlanHeadings = 16,
+    start: PlanStart = None,
+    end: PlanEnd = None,
+    battery: PlanBattery = None,
+    dock: PlanDock = None,
+    budget: PlanBudget = None,
+    no_go: PlanNoGo = None,
+    duration: PlanDuration = None,
+    resume: PlanResume = None,
+    priority: PlanPriority = None,
+    seed: PlanSeed = 0,
 ) -> None:
     """Plan a drive that fills (x, y, φ): every reachable place, in every heading.
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
 import typer
+
+from sensorgraph.cli.options import GraphFile, PredictOutput, PredictPoint, PredictPoses
 
 ARRAYS = ("ranges", "median", "mode", "mean", "sigma", "p_no_return", "answered")
 
 
 def predict(
-    graph: Annotated[Path, typer.Argument(metavar="GRAPH", help="A *.sensorgraph file.")],
-    poses: Annotated[Path, typer.Option(help="CSV with columns x,y,phi in m, m, rad.")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="NPZ", help="File to write.")],
-    point: Annotated[str, typer.Option(help="Which value `ranges` is: mode, median or mean.")] = "mode",
+    graph: GraphFile,
+    poses: PredictPoses,
+    output: PredictOutput,
+    point: PredictPoint = "mode",
 ) -> None:
     """Predict every ray at given poses.
 

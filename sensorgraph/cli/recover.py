@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
 import typer
+
+from sensorgraph.cli.options import RecoverFile, RecoverOut
 
 
 def recover(
-    file: Annotated[
-        Path, typer.Argument(help="A cut or damaged MCAP file; also the .part of a killed recorder.")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Where to write what was saved.")],
+    file: RecoverFile,
+    out: RecoverOut,
 ) -> None:
     """Write every complete message of a broken file, and say what was lost.
 

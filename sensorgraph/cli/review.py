@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
 import typer
+
+from sensorgraph.cli.options import (
+    ReviewArena,
+    ReviewGraph,
+    ReviewOut,
+    ReviewPlan,
+    ReviewRay,
+    ReviewRun,
+    ReviewShow,
+    TopicsByExample,
+)
 
 
 def review(
-    run: Annotated[Path, typer.Argument(help="MCAP, rosbag2 folder, ROS 1 bag, CARMEN log or CSV.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="The review to write, *.rrd.")],
-    graph: Annotated[Path | None, typer.Option(help="A sensorgraph to hold against the run.")] = None,
-    plan: Annotated[Path | None, typer.Option(help="The plan's folder: its path is drawn too.")] = None,
-    arena: Annotated[
-        str | None, typer.Option(help="Walls to draw; default: the arena kept in the run.")
-    ] = None,
-    ray: Annotated[
-        int | None, typer.Option(help="The ray whose series is shown; default: straight ahead.")
-    ] = None,
-    topic: Annotated[list[str] | None, typer.Option(help="ROLE=NAME, for example scan=/front/scan.")] = None,
-    show: Annotated[bool, typer.Option("--show", help="Open it in rerun's viewer when done.")] = False,
+    run: ReviewRun,
+    out: ReviewOut,
+    graph: ReviewGraph = None,
+    plan: ReviewPlan = None,
+    arena: ReviewArena = None,
+    ray: ReviewRay = None,
+    topic: TopicsByExample = None,
+    show: ReviewShow = False,
 ) -> None:
     """Show a run, and a sensorgraph against it: coverage, error by place, heading and ray.
 

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
+
+from sensorgraph.cli.options import GraphFile, ShowFigure, ShowRay, ShowRun, TopicsByExample
 
 if TYPE_CHECKING:
     from sensorgraph.graph import Sensorgraph
 
 
 def show(
-    graph: Annotated[Path, typer.Argument(metavar="GRAPH", help="A *.sensorgraph file.")],
-    ray: Annotated[int | None, typer.Option(help="Print the equation of this ray, given by index.")] = None,
-    figure: Annotated[
-        Path | None, typer.Option(help="Draw faces, visibility and what was never looked through, *.png.")
-    ] = None,
-    run: Annotated[
-        Path | None, typer.Option(help="With --figure: a run whose mean residuals are drawn on the faces.")
-    ] = None,
-    topic: Annotated[list[str] | None, typer.Option(help="ROLE=NAME, for example scan=/front/scan.")] = None,
+    graph: GraphFile,
+    ray: ShowRay = None,
+    figure: ShowFigure = None,
+    run: ShowRun = None,
+    topic: TopicsByExample = None,
 ) -> None:
     """Say what a sensorgraph is, print the equation of one ray, or draw its faces.
 

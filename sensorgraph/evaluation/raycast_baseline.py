@@ -38,7 +38,7 @@ def compare(
     """
     if not is_same_sensor(sensor.bearings, run.sensor.bearings):
         raise SensorgraphError(
-            "the robot kept in the run has another sensor than the run; --effects cannot be evaluated"
+            "the robot kept in the run has another sensor than the run; effects cannot be evaluated"
         )
     scored, measured = np.isfinite(result.residual), run.ranges[result.scan_indices]
     out: dict[str, Metrics] = {}

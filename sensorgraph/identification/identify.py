@@ -55,16 +55,16 @@ class Question:
         if self.criterion is not None and self.criterion not in CRITERIA:
             raise SensorgraphError(f"criterion is {self.criterion!r}, expected one of {', '.join(CRITERIA)}")
         if self.criterion == "n_terms" and self.n_terms is None:
-            raise SensorgraphError("criterion n_terms needs --terms N")
+            raise SensorgraphError("criterion n_terms needs `n_terms` N")
         if not self.inputs and not self.output_lags:
             raise SensorgraphError(
-                "nothing to explain the output by; give --inputs, or --output-lags above 0"
+                "nothing to explain the output by; give `inputs`, or `output_lags` above 0"
             )
         if "record" in (self.output, *self.inputs):
             raise SensorgraphError("record separates records and is no signal; name others")
         if self.output in self.inputs:
             raise SensorgraphError(
-                f"{self.output} cannot explain itself; its past is read with --output-lags N"
+                f"{self.output} cannot explain itself; its past is read with `output_lags` N"
             )
         if len(set(self.inputs)) < len(self.inputs):
             raise SensorgraphError(f"an input is given twice: {', '.join(self.inputs)}")
@@ -79,7 +79,7 @@ class Question:
         if size > MOST_TERMS:
             raise SensorgraphError(
                 f"{len(signals)} lagged signals of degree {self.degree} make {size:,} candidate terms, more than "
-                f"{MOST_TERMS:,}; lower --degree or --lags, or give fewer inputs"
+                f"{MOST_TERMS:,}; lower `degree` or `lags`, or give fewer inputs"
             )
         return polynomial(signals, self.degree)
 
@@ -256,7 +256,7 @@ def _check(
         holes = ", ".join(f"{name} {share:.0%} unknown" for name, share in unknown.items() if share)
         raise SensorgraphError(
             f"{usable} whole samples cannot train a dictionary of {len(question.terms)} terms"
-            f"{f' ({holes})' if holes else ''}; lower --degree or --lags, or give more data"
+            f"{f' ({holes})' if holes else ''}; lower `degree` or `lags`, or give more data"
         )
     if question.noise_lags != "auto" and question.noise_lags > usable // ROWS_PER_NOISE_LAG:
         raise SensorgraphError(

@@ -36,7 +36,7 @@ def arena_of(graph: Sensorgraph) -> Arena:
     model = graph.model
     if not isinstance(model, Faces):
         raise SensorgraphError(
-            f"the graph's model is {model.name}, which has no walls; build it with --model faces, or give a map"
+            f"the graph's model is {model.name}, which has no walls; build one of faces, or give a map"
         )
     walls, normals = _walls(model)
     if len(walls) == 0:

@@ -145,7 +145,7 @@ def prepare_scans(
     if kept.sum() < LEAST_SCANS:
         raise SensorgraphError(
             f"only {int(kept.sum())} of {run.n_scans} scans have a pose ({pairing}), expected {LEAST_SCANS} or more; "
-            "record a longer run, or name the topic of its poses with --topic pose=..."
+            "record a longer run, or name the topic of its poses with `topics` pose=..."
         )
     laser_frame = run.pose_frame == "laser"
     sensor = _sensor(run, robot, laser_frame)

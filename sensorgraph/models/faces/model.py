@@ -80,7 +80,7 @@ class Faces:
         if unknown := sorted(options.keys() - {"calibrate", "cells"}):
             raise SensorgraphError(
                 f"option {', '.join(unknown)} is not known to the model faces, which takes calibrate and cells; "
-                "give --model polynomial"
+                "give `model` polynomial"
             )
         fitted = cls.fit_blocks(
             blocks_of(scans),

@@ -1,0 +1,27 @@
+"""Library messages in the words of the command line: a parameter in backticks becomes the option that sets it."""
+
+from __future__ import annotations
+
+import re
+
+FLAGS = {
+    "battery": "--battery",
+    "degree": "--degree",
+    "end": "--end",
+    "inputs": "--inputs",
+    "lags": "--lags",
+    "model": "--model",
+    "n_terms": "--terms",
+    "no_go": "--no-go",
+    "output_lags": "--output-lags",
+    "priority": "--priority",
+    "start": "--start",
+    "topics": "--topic",
+    "update": "--update",
+}
+"""Parameter, as a message of the library names it in backticks -> option of the command line."""
+
+
+def with_flags(message: str) -> str:
+    """Replace each parameter in backticks by its option."""
+    return re.sub(r"`(\w+)`", lambda match: FLAGS.get(match[1], match[0]), message)

@@ -1,0 +1,251 @@
+"""Arguments and options of the commands, with the help that `sensorgraph COMMAND --help` prints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+MAX_VIEWS = 1000
+"""More take longer than filling (x, y, φ)."""
+
+# several commands
+Topics = Annotated[
+    list[str] | None, typer.Option(metavar="ROLE=NAME", help="Topic of a role: scan, pose, odom, cmd.")
+]
+RobotFile = Annotated[Path | None, typer.Option(help="robot.yaml; default: the shipped robot.")]
+GraphFile = Annotated[Path, typer.Argument(metavar="GRAPH", help="A *.sensorgraph file.")]
+TopicsByExample = Annotated[list[str] | None, typer.Option(help="ROLE=NAME, for example scan=/front/scan.")]
+
+# demo
+DemoOut = Annotated[
+    Path | None, typer.Option("-o", "--out", help="Folder to write; default: runs/demo-DATE-TIME.")
+]
+DemoArena = Annotated[str, typer.Option(help="GeoJSON, map_server yaml, or a shipped one.")]
+DemoSeed = Annotated[int, typer.Option(min=0, help="Of planning and all noise.")]
+
+# plan
+PlanArena = Annotated[str, typer.Argument(help="GeoJSON, map_server yaml, or a shipped one: square, office.")]
+PlanOut = Annotated[Path, typer.Option("-o", "--out", help="Folder to write the plan to.")]
+PlanPlanner = Annotated[str, typer.Option(help="coverage, stop_and_spin, random_bounce or wall_following.")]
+PlanViews = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        max=MAX_VIEWS,
+        help="Instead of filling (x, y, φ), visit so many poses: those that show most surface.",
+    ),
+]
+PlanCell = Annotated[float, typer.Option(help="Side of a position cell, in m.")]
+PlanHeadings = Annotated[int, typer.Option(help="Heading bins of a full turn.")]
+PlanStart = Annotated[
+    str | None, typer.Option(help="X,Y,PHI in m, m, rad; default: where the planner likes.")
+]
+PlanEnd = Annotated[str | None, typer.Option(help="X,Y,PHI where to end; default: at the last bin.")]
+PlanBattery = Annotated[
+    float | None,
+    typer.Option(metavar="MIN", help="Part the plan into runs so long, each from the dock and back to it."),
+]
+PlanDock = Annotated[str | None, typer.Option(help="X,Y,PHI of the dock; default: where the plan starts.")]
+PlanBudget = Annotated[
+    float | None, typer.Option(metavar="MIN", help="Drive so long at most; said is what that covers.")
+]
+PlanNoGo = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="FILE|x,y,x,y,...",
+        help="Where the robot may not enter, and its laser sees through: GeoJSON polygons of kind no_go, or "
+        "corners in m; may be repeated.",
+    ),
+]
+PlanDuration = Annotated[
+    float | None,
+    typer.Option(help="Of random_bounce and wall_following, in s; default: the reference time."),
+]
+PlanResume = Annotated[
+    Path | None, typer.Option(help="A run already driven: plan only what its poses have not covered.")
+]
+PlanPriority = Annotated[
+    Path | None, typer.Option(help="A sensorgraph: first where it has not been, then where it is unsure.")
+]
+PlanSeed = Annotated[int, typer.Option(help="Same seed, same bytes.")]
+
+# inspect
+InspectFile = Annotated[
+    Path, typer.Argument(help="MCAP, rosbag2 folder, ROS 1 bag, CARMEN log or CSV table.")
+]
+InspectTopic = Annotated[
+    list[str] | None,
+    typer.Option(help="ROLE=NAME for other names than ours; roles scan, pose, odom, cmd. Repeatable."),
+]
+InspectArena = Annotated[
+    str | None, typer.Option(help="Test the scan against this map; default: the arena kept in the run.")
+]
+InspectJson = Annotated[Path | None, typer.Option(help="Write the findings there, too.")]
+
+# recover
+RecoverFile = Annotated[
+    Path, typer.Argument(help="A cut or damaged MCAP file; also the .part of a killed recorder.")
+]
+RecoverOut = Annotated[Path, typer.Option("--out", "-o", help="Where to write what was saved.")]
+
+# build
+BuildRuns = Annotated[
+    list[Path], typer.Argument(metavar="RUN...", help="Recordings (MCAP, bag, CARMEN log) with poses.")
+]
+BuildOutput = Annotated[
+    Path, typer.Option("--output", "-o", metavar="GRAPH", help="File to write, *.sensorgraph.")
+]
+BuildArena = Annotated[
+    str | None, typer.Option(help="GeoJSON, map yaml, or a shipped one: its bounds set the scale.")
+]
+BuildRobot = Annotated[
+    Path | None, typer.Option(help="Robot yaml: its sensor must be the one that recorded.")
+]
+BuildModel = Annotated[str, typer.Option(help="What to fit: faces, cells, or polynomial, the form of 2004.")]
+BuildSplit = Annotated[str | None, typer.Option(help="Hold scans out: every10 or block.")]
+BuildDegree = Annotated[str, typer.Option(help="Of polynomial: degree in x and y, or auto.")]
+BuildHarmonics = Annotated[str, typer.Option(help="Of polynomial: harmonics of the heading, or auto.")]
+BuildTerms = Annotated[str, typer.Option(help="Of polynomial: terms kept for each ray, or auto.")]
+BuildCalibrate = Annotated[
+    bool | None,
+    typer.Option(
+        "--calibrate/--no-calibrate",
+        help="Of faces: identify the laser with them (mount, ray terms, training poses); where it pays.",
+    ),
+]
+BuildUpdate = Annotated[
+    Path | None, typer.Option(metavar="GRAPH", help="Add the runs to this graph of faces.")
+]
+BuildDask = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Scheduler of a Dask cluster that reduces the scans of faces."),
+]
+
+# evaluate
+EvaluateRun = Annotated[Path, typer.Argument(metavar="RUN", help="A recording with poses.")]
+EvaluateSplit = Annotated[
+    str | None, typer.Option(help="Score only scans that this split holds out: every10 or block.")
+]
+EvaluateCap = Annotated[
+    float | None,
+    typer.Option(help="Longest return that counts, in m; default: 10, or the sensor's range."),
+]
+EvaluatePoint = Annotated[
+    str | None,
+    typer.Option(help="Point value for all numbers: mode, median or mean [default: each its own]"),
+]
+EvaluateEffects = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="effects.yaml: score the simulator too, as mapped and amended."),
+]
+EvaluateJson = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers here.")]
+
+# predict
+PredictPoses = Annotated[Path, typer.Option(help="CSV with columns x,y,phi in m, m, rad.")]
+PredictOutput = Annotated[Path, typer.Option("--output", "-o", metavar="NPZ", help="File to write.")]
+PredictPoint = Annotated[str, typer.Option(help="Which value `ranges` is: mode, median or mean.")]
+
+# show
+ShowRay = Annotated[int | None, typer.Option(help="Print the equation of this ray, given by index.")]
+ShowFigure = Annotated[
+    Path | None, typer.Option(help="Draw faces, visibility and what was never looked through, *.png.")
+]
+ShowRun = Annotated[
+    Path | None, typer.Option(help="With --figure: a run whose mean residuals are drawn on the faces.")
+]
+
+# review
+ReviewRun = Annotated[Path, typer.Argument(help="MCAP, rosbag2 folder, ROS 1 bag, CARMEN log or CSV.")]
+ReviewOut = Annotated[Path, typer.Option("-o", "--out", help="The review to write, *.rrd.")]
+ReviewGraph = Annotated[Path | None, typer.Option(help="A sensorgraph to hold against the run.")]
+ReviewPlan = Annotated[Path | None, typer.Option(help="The plan's folder: its path is drawn too.")]
+ReviewArena = Annotated[str | None, typer.Option(help="Walls to draw; default: the arena kept in the run.")]
+ReviewRay = Annotated[
+    int | None, typer.Option(help="The ray whose series is shown; default: straight ahead.")
+]
+ReviewShow = Annotated[bool, typer.Option("--show", help="Open it in rerun's viewer when done.")]
+
+# diagnose
+DiagnoseRuns = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="RUN...",
+        help="A run; a second one of the same place is used for nothing but the proof.",
+    ),
+]
+DiagnoseArena = Annotated[
+    str | None,
+    typer.Option(help="GeoJSON, map_server yaml, or a shipped one; default: the one kept in the run."),
+]
+DiagnoseRobot = Annotated[Path | None, typer.Option(help="robot.yaml; default: the one kept in the run.")]
+DiagnoseOut = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the report.")]
+DiagnoseEffects = Annotated[
+    Path | None, typer.Option(help="effects.yaml: effects that are part of the model already.")
+]
+DiagnoseCommissioning = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="RUN",
+        help="A run of the same robot and place that is known to be good; what differs from it is found. "
+        "Repeat it for several: they show how far good runs spread.",
+    ),
+]
+DiagnoseSeed = Annotated[int, typer.Option(min=0, help="Of the replicates: same seed, same report.")]
+
+# identify
+IdentifyFile = Annotated[
+    Path,
+    typer.Argument(metavar="FILE", help="A CSV with columns by name (`record` separates records), or a run."),
+]
+IdentifyOutput = Annotated[str, typer.Option(metavar="NAME", help="The signal to explain.")]
+IdentifyOut = Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.json", help="The model to write.")]
+IdentifyInputs = Annotated[
+    str, typer.Option(metavar="NAME,...", help="The signals that explain it, separated by commas.")
+]
+IdentifyLags = Annotated[int, typer.Option(min=0, max=1000, help="Inputs at k, k-1, ..., k-N.")]
+IdentifyOutputLags = Annotated[int, typer.Option(min=0, max=1000, help="Past outputs k-1, ..., k-N.")]
+IdentifyDegree = Annotated[int, typer.Option(min=1, max=8, help="Of the polynomial.")]
+IdentifyNoiseLags = Annotated[
+    str, typer.Option(metavar="N|auto", help="Past noise e(k-1), ..., e(k-N); auto: as many as it takes.")
+]
+IdentifySplit = Annotated[
+    str, typer.Option(help="half: first half trains; block: every second tenth is held out; none.")
+]
+IdentifyEvery = Annotated[int, typer.Option(min=1, help="Use every K-th sample.", metavar="K")]
+IdentifyCriterion = Annotated[
+    str | None, typer.Option(help="How many terms: bic, aic, ebic, cv, err_tol, n_terms.")
+]
+IdentifyTerms = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Terms to keep, or the most to look at.")
+]
+
+# record
+RecordPlan = Annotated[
+    Path,
+    typer.Argument(help="A plan's folder, its trajectory.csv, or a run whose /cmd_vel is driven again."),
+]
+RecordOut = Annotated[Path, typer.Option("-o", "--out", help="The run to write, *.mcap.")]
+RecordArena = Annotated[
+    str | None, typer.Option(help="GeoJSON, map_server yaml, or a shipped one: square, office.")
+]
+RecordGraph = Annotated[
+    Path | None,
+    typer.Option(metavar="GRAPH", help="Drive in the world that a sensorgraph has identified."),
+]
+RecordController = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="plan, wall_following, random_bounce, a MODEL.json of `identify`, or TURN.json,SPEED.json; "
+        "several are compared."
+    ),
+]
+RecordStart = Annotated[
+    str | None, typer.Option(help="X,Y,PHI in m, m, rad: where a replay of commands begins.")
+]
+RecordEffects = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="effects.yaml: what robot, sensor and room have beyond the map."),
+]
+RecordSeed = Annotated[int, typer.Option(min=0, help="Of all noise: same seed, same bytes.")]

@@ -1,0 +1,87 @@
+"""Controllers driven one after another in the same arena or identified world, so that their drives compare."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from logs.run import Run
+from planners.arena import Arena
+from planners.trajectory import Trajectory
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.recording.controllers import CONTROLLERS, controller_label
+from sensorgraph.recording.identified_world import PLAN, ArenaWorld, IdentifiedWorld, record_in
+from sensorgraph.recording.record import silent
+from sensorgraph.types import ProgressBars
+from sensorgraph.world.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClosedLoopDrive:
+    """What one controller drove."""
+
+    label: str
+    run: Run
+    n_rays: int | None
+    """Rays drawn in the identified world; None: driven in an arena."""
+    n_unanswered: int | None
+    """Of those, rays that the sensorgraph does not answer; drawn all the same."""
+
+
+def files_of_controllers(controllers: Sequence[str], path: Path) -> dict[str, Path]:
+    """Return the file of each controller's run: `path` of the first, beside it the others by their labels.
+
+    Parameters
+    ----------
+    controllers : each `plan`, one of CONTROLLERS, or a MODEL.json of `identify`
+
+    Raises
+    ------
+    SensorgraphError : a controller is not known, is named twice, or two share a label
+    """
+    known = (PLAN, *CONTROLLERS)
+    for name in controllers:
+        if (name not in known and not name.endswith(".json")) or controllers.count(name) > 1:
+            raise SensorgraphError(
+                f"controller is {name!r}, expected each of {', '.join(known)}, or a MODEL.json, at most once"
+            )
+    labels = [controller_label(name) for name in controllers]
+    if len(set(labels)) < len(labels):
+        raise SensorgraphError(f"controllers {', '.join(controllers)} share a name; rename one of the files")
+    return {
+        name: path if i == 0 else path.with_suffix(f".{label}.mcap")
+        for i, (name, label) in enumerate(zip(controllers, labels, strict=True))
+    }
+
+
+def drive_closed_loop(
+    files: Mapping[str, Path],
+    trajectory: Trajectory,
+    arena: Arena,
+    robot: Robot,
+    *,
+    graph: Sensorgraph | None = None,
+    graph_name: str = "",
+    seed: int = 0,
+    progress: ProgressBars = silent,
+) -> Iterator[ClosedLoopDrive]:
+    """Let each controller drive from the start of a plan for as long as the plan takes; all meet the same noise.
+
+    Parameters
+    ----------
+    files : controller -> run to write, as `files_of_controllers` returns them
+    arena : what stops the robot's body
+    graph : readings are drawn from it; None: cast in the arena
+    graph_name : what the runs call the graph
+    """
+    for name, file in files.items():
+        world = ArenaWorld(arena, robot, seed) if graph is None else IdentifiedWorld(graph, robot, seed)
+        run = record_in(file, world, arena, robot, trajectory, name, name=graph_name, progress=progress)
+        yield ClosedLoopDrive(
+            label=controller_label(name),
+            run=run,
+            n_rays=world.n_rays if isinstance(world, IdentifiedWorld) else None,
+            n_unanswered=world.unanswered if isinstance(world, IdentifiedWorld) else None,
+        )

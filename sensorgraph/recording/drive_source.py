@@ -1,0 +1,124 @@
+"""What a file says to drive: a plan's trajectory, or the commands of a run that is driven again."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import logs
+from planners.arena import Arena
+from planners.maps import load
+from planners.trajectory import Trajectory, read_csv
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.recording.record import Commands
+from sensorgraph.types import Floats
+from sensorgraph.world.robot import Robot, load_robot
+from sensorgraph.world.wall_distance import WallDistance
+
+SAME_WALLS = 1e-6
+"""[m] between the corners of two arenas that are the same."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DriveSource:
+    """A drive as read from a file, and what lies beside it in a plan's folder."""
+
+    path: Path
+    way: Trajectory | Commands
+
+    @property
+    def start(self) -> Floats:
+        """(3,) [m, m, rad] where the drive begins."""
+        return self.way.poses[0] if isinstance(self.way, Trajectory) else self.way.start
+
+    def arena(self) -> Arena | None:
+        """Read the arena that was planned for; None: there is none in the folder."""
+        kept = self.path / "arena.geojson"
+        return load(kept) if kept.is_file() else None
+
+    def robot(self) -> Robot | None:
+        """Read the robot that was planned for; None: there is none in the folder."""
+        kept = self.path / "robot.yaml"
+        return load_robot(kept) if kept.is_file() else None
+
+    def attachments(self) -> dict[str, bytes]:
+        """Return plan.json for a run to keep, without the time that planning took: the same seed, the same bytes.
+
+        Raises
+        ------
+        SensorgraphError : plan.json is not JSON
+        """
+        path = self.path / "plan.json" if self.path.is_dir() else self.path.with_name("plan.json")
+        if not isinstance(self.way, Trajectory) or not path.is_file():
+            return {}
+        try:
+            report = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as exc:
+            raise SensorgraphError(f"{path}: not JSON ({exc}); plan again, or take the file away") from exc
+        if isinstance(report, dict):
+            report.pop("planning_s", None)
+        return {"plan.json": (json.dumps(report, indent=1) + "\n").encode()}
+
+
+def open_drive(path: Path, *, start: Floats | None = None) -> DriveSource:
+    """Open a plan's folder, its trajectory.csv, or a run whose commands are driven again.
+
+    Parameters
+    ----------
+    start : (3,) [m, m, rad] where a replay of commands begins; None: at the run's first pose
+
+    Raises
+    ------
+    SensorgraphError : there is no such file, the run has no commands or no pose, or a plan is given a start
+    """
+    trajectory = _trajectory(path)
+    if trajectory is not None:
+        if start is not None:
+            raise SensorgraphError(
+                "`start` is where a replay of commands begins; a plan begins where it was planned"
+            )
+        return DriveSource(path=path, way=trajectory)
+    if not path.exists():
+        raise SensorgraphError(
+            f"{path} does not exist; give a plan's folder (`sensorgraph plan` makes one) or a run"
+        )
+    run = logs.read(path)
+    if len(run.cmd_stamps) < 2:
+        raise SensorgraphError(
+            f"{path} has {len(run.cmd_stamps)} commands; give a plan, or a run with /cmd_vel"
+        )
+    if start is None:
+        if not len(run.poses):
+            raise SensorgraphError("the run has no pose to begin from; give `start` X,Y,PHI")
+        start = np.asarray(run.poses[0])
+    return DriveSource(path=path, way=Commands(stamps=run.cmd_stamps, twists=run.commands, start=start))
+
+
+def _trajectory(path: Path) -> Trajectory | None:
+    inside = path / "trajectory.csv"
+    if path.is_dir() and inside.is_file():
+        return read_csv(inside)
+    return read_csv(path) if path.suffix.lower() == ".csv" else None
+
+
+def check_start(pose: Floats, arena: Arena, robot: Robot, *, arena_name: str = "the arena") -> None:
+    """Check that the robot stands clear of walls at the start (3,) of a drive.
+
+    Raises
+    ------
+    SensorgraphError : it does not
+    """
+    distance = float(WallDistance(arena)(float(pose[0]), float(pose[1])))
+    if distance < robot.footprint_radius:
+        raise SensorgraphError(
+            f"the start ({pose[0]:.2f}, {pose[1]:.2f}) is {distance:.2f} m from a wall of {arena_name}, less than the "
+            f"footprint_radius of {robot.footprint_radius} m; is this the arena of the plan?"
+        )
+
+
+def is_same_arena(a: Arena, b: Arena) -> bool:
+    """Tell whether two arenas have the same walls."""
+    return a.walls.shape == b.walls.shape and bool(abs(a.walls - b.walls).max(initial=0.0) <= SAME_WALLS)
