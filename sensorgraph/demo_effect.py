@@ -11,8 +11,9 @@ import numpy as np
 from planners import plan as make_plan
 from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
-from sensorgraph.diagnosis.report.files import effect_dict, save
-from sensorgraph.diagnosis.report.files import to_dict as report_dict
+from sensorgraph.diagnosis.report.data import effect_dict
+from sensorgraph.diagnosis.report.data import to_dict as report_dict
+from sensorgraph.diagnosis.report.files import save_report
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.recording.record import record
 from sensorgraph.types import Floats, ProgressBars
@@ -68,7 +69,7 @@ def hide_and_find(folder: Path, arena: Arena, robot: Robot, *, seed: int, progre
         finding = diagnose(runs[0], arena, robot, second=runs[1], seed=seed, progress=tick)
     settings = {"seed": seed, "runs": ["first.mcap", "second.mcap"], "tolerances": vars(robot.tolerances)}
     with progress("reporting", "files") as tick:
-        save(finding, folder, name="first.mcap", settings=settings, progress=tick)
+        save_report(finding, folder, name="first.mcap", settings=settings, progress=tick)
     return Hidden(planted=planted, finding=finding)
 
 

@@ -18,7 +18,7 @@ import logs
 from logs.run import Run
 from planners.maps import geojson
 from sensorgraph.cli import run as cli
-from sensorgraph.diagnosis.report import figures
+from sensorgraph.diagnosis.report.figures import draw as figures
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effects_file import write as write_effects
 from sensorgraph.loading import load_arena

@@ -19,8 +19,10 @@ from sensorgraph.cli import run as cli
 from sensorgraph.demo_effect import Hidden
 from sensorgraph.demo_effect import to_dict as hidden_dict
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
-from sensorgraph.diagnosis.report.files import plain, save, to_dict
-from sensorgraph.diagnosis.report.phrases import gap_sentence, number, parameters, percent, said
+from sensorgraph.diagnosis.report.data import plain, to_dict
+from sensorgraph.diagnosis.report.files import save_report
+from sensorgraph.diagnosis.report.quantities import number, parameters, percent
+from sensorgraph.diagnosis.report.summary import gap_sentence, summarise
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import EFFECTS, effects_file
 from sensorgraph.world.raycast import cast
@@ -65,7 +67,7 @@ def silent(room: Arena) -> Finding:
 def saved(found: Finding, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a saved report."""
     folder = tmp_path_factory.mktemp("report") / "out"
-    save(found, folder, name="lab.mcap", settings={"seed": 3})
+    save_report(found, folder, name="lab.mcap", settings={"seed": 3})
     return folder
 
 
@@ -160,8 +162,8 @@ def test_amended_scans_lie_nearer_than_nominal_ones(found: Finding) -> None:
 
 
 def test_nothing_found_is_said(silent: Finding, tmp_path: Path) -> None:
-    save(silent, tmp_path)
-    assert said(silent).kind == "nothing"
+    save_report(silent, tmp_path)
+    assert summarise(silent).outcome == "nothing"
     assert "Nothing material found." in (tmp_path / "report.html").read_text()
     assert effects_file.read(tmp_path / "effects.yaml") == ()
     columns = {
@@ -172,17 +174,17 @@ def test_nothing_found_is_said(silent: Finding, tmp_path: Path) -> None:
 
 def test_the_same_finding_gives_the_same_bytes(silent: Finding, tmp_path: Path) -> None:
     for name in ("a", "b"):
-        save(silent, tmp_path / name)
+        save_report(silent, tmp_path / name)
     for path in (tmp_path / "a").iterdir():
         if path.suffix != ".rrd":  # chunks of a recording carry ids
             assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
 
 
 def test_something_unknown_is_said_with_its_place(unknown: Finding, tmp_path: Path) -> None:
-    what = said(unknown)
-    assert (what.kind, what.headline) == ("unknown", "Something unknown at wall w/edge_1.")
+    what = summarise(unknown)
+    assert (what.outcome, what.headline) == ("unknown", "Something unknown at wall w/edge_1.")
     assert "2.1 cm too long" in what.details[0]
-    save(unknown, tmp_path)
+    save_report(unknown, tmp_path)
     assert json.loads((tmp_path / "report.json").read_text())["unknown"]["where"]["label"] == "w/edge_1"
     assert "Something unknown at wall w/edge_1." in (tmp_path / "report.html").read_text()
 
@@ -224,10 +226,10 @@ def test_wide_tolerances_say_what_they_hide(room: Arena, silent: Finding) -> Non
     )
     hidden = diagnose(replace(run, ranges=ranges), room, machine, plan_next=False)
     assert "mount_yaw" not in [a.name for a in hidden.effects]
-    text = said(hidden).details[-1]
+    text = summarise(hidden).details[-1]
     assert re.search(r"wide \(mount_yaw\): .*mounting yaw up to 4\.\d+° \(here 1\.[67]\d*°\)", text)
     assert not any(
-        "tolerances" in line for line in said(silent).details
+        "tolerances" in line for line in summarise(silent).details
     )  # those of a careful set-up hide nothing
 
 
@@ -236,12 +238,12 @@ def test_a_close_runner_up_leaves_it_undecided(found: Finding) -> None:
     rival = Rival(
         name="range_scale", instead_of=a.name, evidence_nats=(a.evidence or 0) - 2, separates="near and far"
     )
-    what = said(with_scan(found, rivals=(rival,)))
-    assert what.kind == "undecided"
+    what = summarise(with_scan(found, rivals=(rival,)))
+    assert what.outcome == "undecided"
     assert what.headline.startswith("Undecided between range bias")
     assert "near and far" in what.details[0]
     far = replace(rival, evidence_nats=(a.evidence or 0) - 50)
-    assert said(with_scan(found, rivals=(far,))).kind == "found"
+    assert summarise(with_scan(found, rivals=(far,))).outcome == "found"
 
 
 @pytest.mark.parametrize(("lead", "named"), [(2.0, False), (-2.0, False), (5.0, True), (-40.0, True)])
@@ -260,7 +262,7 @@ def test_a_name_that_its_rival_equals_is_no_name(found: Finding, lead: float, na
     assert [e["name"] for e in report["undecided"]] == ([] if named else [a.name])
     assert report["runner_up"]["name"] == "range_scale"
     if not named:
-        assert said(one).headline.startswith("Undecided between range bias")
+        assert summarise(one).headline.startswith("Undecided between range bias")
         also = replace(result, effects=(EFFECTS["range_scale"](s=0.01),), undecided=())
         assert replace(also, effects=(*also.effects, a)).settled().undecided == ()  # both are there
 
@@ -270,7 +272,7 @@ def test_skipped_channels_and_missing_parts_leave_a_report(silent: Finding, tmp_
         name: ChannelResult(channel=name, skipped=f"no {name}") for name in ("scan", "odometry", "drive")
     }
     bare = replace(silent, channels=skipped, explained=None, verdict=None, next_run=None)
-    files = save(bare, tmp_path)
+    files = save_report(bare, tmp_path)
     assert {path.name for path in files} == {"report.json", "report.html", "effects.yaml"}
     html = (tmp_path / "report.html").read_text()
     assert "Nothing could be compared." in html
@@ -290,7 +292,7 @@ def test_the_next_run_is_shown_where_one_is_planned(found: Finding, tmp_path: Pa
     planned = SimpleNamespace(trajectory=SimpleNamespace(poses=way), to_dict=lambda: plan)
     object.__setattr__(found, "next_run", planned)
     try:
-        save(found, tmp_path)
+        save_report(found, tmp_path)
     finally:
         object.__setattr__(found, "next_run", None)
     html = (tmp_path / "report.html").read_text()
@@ -308,7 +310,7 @@ def test_a_failure_leaves_no_part_behind(
 
     monkeypatch.setattr(Path, "write_text", full)
     with pytest.raises(OSError, match="No space left"):
-        save(found, tmp_path)
+        save_report(found, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -59,7 +59,7 @@ def demo(
     if out is None:
         _point_to(folder)
     typer.echo("\n".join(table(trips)))
-    typer.echo("\n" + "\n".join(told(hidden)))
+    typer.echo("\n" + "\n".join(hidden_effect_lines(hidden)))
     typer.echo(f"\n{time.monotonic() - began:.0f} s; all of it is in {folder}")
     typer.echo(f"look at it:      rerun {folder / 'review.rrd'}   and   {folder / 'coverage.png'}")
     typer.echo(f"the diagnosis:   {folder / 'diagnosis' / 'report.html'}")
@@ -67,16 +67,16 @@ def demo(
     typer.echo(f"what is logged:  sensorgraph inspect {folder / 'coverage.mcap'}")
 
 
-def told(hidden: Hidden) -> list[str]:
+def hidden_effect_lines(hidden: Hidden) -> list[str]:
     """Say what was hidden, what was found, and what it brought."""
-    from sensorgraph.diagnosis.report.phrases import said
+    from sensorgraph.diagnosis.report.summary import summarise
 
     planted = hidden.planted
     place = f" at {planted.place}" if planted.place else ""
     values = ", ".join(f"{k} {v:g}" for k, v in planted.parameters.items())
     lines = [
         f"hidden by seed:  {planted.effect.title}{place} ({values})",
-        f"diagnose says:   {said(hidden.finding).headline}",
+        f"diagnose says:   {summarise(hidden.finding).headline}",
     ]
     gap = hidden.finding.second_gap
     if gap is not None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -52,7 +52,8 @@ def diagnose(
     """
     from sensorgraph.cli.inputs import check_folder
     from sensorgraph.cli.progress import progress
-    from sensorgraph.diagnosis.diagnose import diagnose as work
+    from sensorgraph.diagnosis.diagnose import diagnose as diagnose_run
+    from sensorgraph.diagnosis.report.files import save_diagnosis
 
     _check_runs(runs)
     check_folder(out)
@@ -61,7 +62,7 @@ def diagnose(
     known = _known(effects, walls)
     baseline = None if not commissioning else _commission(commissioning, topic, walls, machine, seed)
     with progress("diagnosing", "parts") as tick:
-        finding = work(
+        finding = diagnose_run(
             loaded[0],
             walls,
             machine,
@@ -82,7 +83,8 @@ def diagnose(
         if baseline and commissioning
         else None,
     }
-    _save(finding, out, walls, machine, name=runs[0].name, settings=settings)
+    with progress("reporting", "files") as tick:
+        save_diagnosis(finding, out, walls, machine, name=runs[0].name, settings=settings, progress=tick)
     for line in _lines(finding, out):
         typer.echo(line)
 
@@ -144,29 +146,14 @@ def _commission(
         return commission_all(good, walls, machine, seed=seed)
 
 
-def _save(
-    finding: Finding, out: Path, walls: Arena, machine: Robot, *, name: str, settings: Mapping[str, Any]
-) -> None:
-    """Write report and next run; all of it, or nothing if it is interrupted."""
-    from sensorgraph.cli.progress import progress
-    from sensorgraph.diagnosis.report.files import clear, save
-    from sensorgraph.files import together
-
-    with progress("reporting", "files") as tick, together(out) as part:
-        save(finding, part, name=name, settings=settings, progress=tick)
-        if finding.next_run is not None:
-            finding.next_run.save(part / "next_run", walls, machine)
-        clear(out)
-
-
 def _lines(finding: Finding, out: Path) -> list[str]:
-    """Return what is said on the console."""
-    from sensorgraph.diagnosis.report.phrases import intake_sentences, said
+    """Return the lines for the console."""
+    from sensorgraph.diagnosis.report.summary import intake_sentences, summarise
 
-    what = said(finding)
-    shown = "" if finding.explained is None else ", review.rrd"
-    lines = [what.headline, *what.details, *intake_sentences(finding)]
-    lines.append(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml{shown}")
+    summary = summarise(finding)
+    review = "" if finding.explained is None else ", review.rrd"
+    lines = [summary.headline, *summary.details, *intake_sentences(finding)]
+    lines.append(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml{review}")
     if finding.next_run is not None:
         plan = out / "next_run"
         kept = f"--arena {plan / 'arena.geojson'} --robot {plan / 'robot.yaml'}"

@@ -1,4 +1,4 @@
-"""Compared: measured against simulated, before and after the amendment, as plain arrays for pictures and views.
+"""ComparedScans: measured against simulated, before and after the amendment, as plain arrays for pictures and views.
 
 Both are the bare simulator at the reference poses, as `record --effects` would simulate it: no nuisance is fitted
 here, so that pictures show what a user of the simulator would see. The gap in numbers is that of `prove`.
@@ -21,15 +21,15 @@ from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats, Ints
 
-EDGE = 0.002  # chance of the other side of an edge in depth, above which a ray is not compared
-ENLARGED = (1, 2, 3, 5, 10, 20, 30, 50)  # times that residuals are drawn
-CLIP = 10.0  # sigmas at which a residual is cut for means
-LEAST = 40  # rays in a bin
-BLOCK = 1.0  # [s] of scans that share their errors
+MAX_P_ALTERNATIVE = 0.002  # chance of the other side of an edge in depth, above which a ray is not compared
+MAGNIFICATIONS = (1, 2, 3, 5, 10, 20, 30, 50)  # times that residuals are drawn
+CLIP_SIGMAS = 10.0  # sigmas at which a residual is cut for means
+MIN_RAYS = 40  # rays in a bin
+BLOCK_DURATION = 1.0  # [s] of scans that share their errors
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Side:
+class SimulatedScans:
     """One model against what was measured; arrays (n_scans, n_rays)."""
 
     simulated: Floats
@@ -38,7 +38,7 @@ class Side:
     """[m] where the ray would end if it returned; inf where nothing is hit."""
     residual: Floats
     """[m] measured - simulated; nan where there is nothing to compare."""
-    strange: Bools
+    unexpected: Bools
     """Not as expected: missing, or returned where nothing should, or far off."""
     missing: Bools
     """No return where one is expected."""
@@ -50,7 +50,7 @@ class Side:
     """(n_walls, 2, 2) [m] of this model."""
 
     @classmethod
-    def of(cls, fitted: Fitted, effects: Sequence[Amendment]) -> Side:
+    def of(cls, fitted: Fitted, effects: Sequence[Amendment]) -> SimulatedScans:
         """Simulate with some effects, and compare; strays are those of a fit."""
         data = fitted.solver.data
         at = cast(data, effects)
@@ -59,7 +59,7 @@ class Side:
         returned, lost = np.isfinite(z), np.isinf(z)
         aimed = np.isfinite(mu)
         likely = aimed & (expected.p_return > 0.5)
-        clear = expected.p_alternative < EDGE
+        clear = expected.p_alternative < MAX_P_ALTERNATIVE
         missing = lost & likely & (mu < range_max - 3 * expected.sigma) & (mu > data.sensor.range_min) & clear
         compared = returned & likely
         residual = np.full(z.shape, np.nan)
@@ -68,7 +68,7 @@ class Side:
             simulated=np.where(likely & (mu < range_max), mu, np.inf),
             aimed=np.where(aimed, mu, np.inf),
             residual=residual,
-            strange=missing
+            unexpected=missing
             | (returned & ~likely)
             | (returned & (fitted.solution.responsibilities.stray > 0.5)),
             missing=missing,
@@ -78,12 +78,12 @@ class Side:
         )
 
     def rms(self, sigma: float) -> Floats:
-        """Return the RMS [m] of each scan (n_scans,), residuals cut at CLIP sigmas."""
+        """Return the RMS [m] of each scan (n_scans,), residuals cut at CLIP_SIGMAS sigmas."""
         return _rms(self.clipped(sigma))
 
     def clipped(self, sigma: float) -> Floats:
-        """Return residuals away from edges in depth, cut at CLIP sigmas; nan elsewhere."""
-        cut = np.where(self.clear, np.clip(self.residual, -CLIP * sigma, CLIP * sigma), np.nan)
+        """Return residuals away from edges in depth, cut at CLIP_SIGMAS sigmas; nan elsewhere."""
+        cut = np.where(self.clear, np.clip(self.residual, -CLIP_SIGMAS * sigma, CLIP_SIGMAS * sigma), np.nan)
         return np.asarray(cut)
 
 
@@ -94,7 +94,7 @@ def _rms(values: Floats) -> Floats:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Compared:
+class ComparedScans:
     """Scans with both models."""
 
     arena: Arena
@@ -111,8 +111,8 @@ class Compared:
     measured: Floats
     """(n_scans, n_rays) [m]"""
     incidence: Floats
-    before: Side
-    after: Side
+    before: SimulatedScans
+    after: SimulatedScans
     is_amended: bool
     """The two differ: an effect of the scan channel is named."""
 
@@ -122,16 +122,18 @@ class Compared:
         return self.sensor.sigma or 0.01
 
     @cached_property
-    def typical(self) -> float:
+    def typical_residual(self) -> float:
         """[m] size of a residual before, that nine of ten do not exceed."""
         clipped = np.abs(self.before.clipped(self.sigma))
         return float(np.nanquantile(clipped, 0.9)) if np.isfinite(clipped).any() else self.sigma
 
     @cached_property
-    def enlarged(self) -> int:
+    def magnification(self) -> int:
         """How many times as large residuals are drawn, so that they can be seen in the arena."""
         room = 0.022 * self.diagonal
-        return max((k for k in ENLARGED if k * max(self.typical, self.sigma) <= room), default=1)
+        return max(
+            (k for k in MAGNIFICATIONS if k * max(self.typical_residual, self.sigma) <= room), default=1
+        )
 
     @property
     def diagonal(self) -> float:
@@ -140,7 +142,7 @@ class Compared:
         return float(np.hypot(x1 - x0, y1 - y0))
 
     @cached_property
-    def frame(self) -> tuple[float, float, float, float]:
+    def limits(self) -> tuple[float, float, float, float]:
         """x0, y0, x1, y1 [m] of what is drawn: the arena with a margin, wider where rays end behind its walls."""
         x0, y0, x1, y1 = self.arena.bounds
         side = max(x1 - x0, y1 - y0)
@@ -152,9 +154,9 @@ class Compared:
             high = np.clip(np.quantile(ends, 0.996, axis=0) + 0.03 * side, high, high + 0.4 * side)
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
-    def set_off(self, side: Side) -> Floats:
+    def enlarged_ranges(self, side: SimulatedScans) -> Floats:
         """Return ranges (n_scans, n_rays) [m] with residuals enlarged; large ones stay as measured."""
-        large = self.enlarged * side.residual
+        large = self.magnification * side.residual
         with np.errstate(invalid="ignore"):
             return np.asarray(
                 side.simulated + np.where(np.abs(large) < 0.06 * self.diagonal, large, side.residual)
@@ -168,7 +170,7 @@ class Compared:
         way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return np.asarray(lasers[:, :2] + ranges[:, None] * way)
 
-    def variables(self) -> dict[str, tuple[Floats, Floats]]:
+    def covariates(self) -> dict[str, tuple[Floats, Floats]]:
         """Return what residuals are sorted by: label -> (values (n_scans, n_rays), edges)."""
         shape = self.measured.shape
         bearings = np.degrees(self.sensor.bearings)
@@ -194,7 +196,7 @@ class Compared:
 
     def profile(self, values: Floats, index: Ints, count: int) -> tuple[Floats, Floats]:
         """Return mean and standard error (clustered by blocks of time) of values in each bin."""
-        blocks = (self.stamps / BLOCK).astype(np.intp)
+        blocks = (self.stamps / BLOCK_DURATION).astype(np.intp)
         n_blocks = int(blocks.max(initial=0)) + 1
         ok = (index >= 0) & np.isfinite(values)
         group = np.where(ok, blocks[:, None] * count + index, n_blocks * count).ravel()
@@ -202,7 +204,7 @@ class Compared:
         n = np.bincount(group, minlength=size)[:-1].reshape(n_blocks, count)
         s = np.bincount(group, np.where(ok, values, 0.0).ravel(), size)[:-1].reshape(n_blocks, count)
         rays = n.sum(axis=0)
-        mean = np.where(rays >= LEAST, s.sum(axis=0) / np.maximum(rays, 1), np.nan)
+        mean = np.where(rays >= MIN_RAYS, s.sum(axis=0) / np.maximum(rays, 1), np.nan)
         scatter = np.sqrt(((s - np.nan_to_num(mean) * n) ** 2).sum(axis=0))
         return mean, scatter / np.maximum(rays, 1)
 
@@ -211,7 +213,7 @@ def bare_gap(finding: Finding) -> Gap | None:
     """Return the gap of the bare simulator on the held-out scans, beside the nominal noise; None: no scan effect.
 
     `prove.gap` lets poses and map shift within their tolerances before and after, which hides a part of what an
-    effect does. Here nothing shifts; residuals beyond CLIP sigmas are cut. It has no likelihood: nats are nan.
+    effect does. Here nothing shifts; residuals beyond CLIP_SIGMAS sigmas are cut. It has no likelihood: nats are nan.
     """
     named = _named(finding)
     if not named:
@@ -226,9 +228,9 @@ def bare_gap(finding: Finding) -> Gap | None:
         expected = cast(data, effects).expected
         with np.errstate(invalid="ignore"):
             off = np.abs(z - expected.reading)
-        there = np.isfinite(off) & (expected.p_return > 0.5) & (expected.p_alternative < EDGE)
+        there = np.isfinite(off) & (expected.p_return > 0.5) & (expected.p_alternative < MAX_P_ALTERNATIVE)
         count = int(there.sum())
-        squares.append(float(np.mean(np.minimum(off[there], CLIP * sigma) ** 2)) if count else 0.0)
+        squares.append(float(np.mean(np.minimum(off[there], CLIP_SIGMAS * sigma) ** 2)) if count else 0.0)
     before, after = (
         FitQuality(rmse_m=s**0.5, normalised=s**0.5 / sigma, nats_per_ray=float("nan")) for s in squares
     )
@@ -240,18 +242,7 @@ def _named(finding: Finding) -> tuple[Amendment, ...]:
     return tuple(a for a in finding.effects if a.effect.channel == "scan")
 
 
-def sections(arena: Arena, a: Amendment) -> list[Floats]:
-    """Return the walls, or the part of one, that an effect sits on; each (2, 2) [m]."""
-    pairs = zip(arena.names, arena.walls, strict=True)
-    chosen = [wall for name, wall in pairs if a.place and a.place in (name, name.rsplit("/", 1)[0])]
-    if len(chosen) == 1 and {"a", "b"} <= set(a.parameters):
-        first, last = chosen[0]
-        way = (last - first) / max(float(np.hypot(*(last - first))), 1e-9)
-        return [np.stack([first + a["a"] * way, first + a["b"] * way])]
-    return chosen
-
-
-def compare(finding: Finding) -> Compared | None:
+def compare(finding: Finding) -> ComparedScans | None:
     """Collect what pictures need; None where nothing was fitted."""
     if finding.explained is None:
         return None
@@ -266,8 +257,8 @@ def compare(finding: Finding) -> Compared | None:
         ]
     )
     named = _named(finding)
-    before = Side.of(null, ())
-    return Compared(
+    before = SimulatedScans.of(null, ())
+    return ComparedScans(
         arena=data.arena,
         sensor=data.sensor,
         stamps=data.stamps - data.begin,
@@ -278,6 +269,6 @@ def compare(finding: Finding) -> Compared | None:
         measured=data.ranges,
         incidence=beams.incidence,
         before=before,
-        after=Side.of(final, named) if named else before,
+        after=SimulatedScans.of(final, named) if named else before,
         is_amended=bool(named),
     )

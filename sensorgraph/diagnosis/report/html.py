@@ -10,18 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from sensorgraph.diagnosis.diagnose import Finding
-from sensorgraph.diagnosis.report.phrases import (
-    deviation,
-    main_channel,
+from sensorgraph.diagnosis.report.quantities import (
+    deviation_text,
     minus,
     parameters,
     percent,
-    place_words,
-    said,
+    place_text,
     title_of,
-    tolerance,
-    undecided,
+    tolerance_text,
 )
+from sensorgraph.diagnosis.report.summary import main_channel, summarise, undecided_rivals
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.effects import Amendment
 
@@ -92,7 +90,7 @@ def page(
     title : what to call the run
     settings : configuration, listed at the end
     """
-    what = said(finding)
+    summary = summarise(finding)
     body = [
         _where(finding, pictures),
         _gap(finding, pictures),
@@ -100,9 +98,9 @@ def page(
         _ranking(finding, pictures),
     ]
     parts = [
-        f'<header class="{what.kind}"><p class="eyebrow">sensorgraph diagnose: {escape(title)}</p>',
-        f"<h1>{_glued(what.headline)}</h1>",
-        *(f'<p class="lead">{_glued(text)}</p>' for text in what.details),
+        f'<header class="{summary.outcome}"><p class="eyebrow">sensorgraph diagnose: {escape(title)}</p>',
+        f"<h1>{_glued(summary.headline)}</h1>",
+        *(f'<p class="lead">{_glued(text)}</p>' for text in summary.details),
         "</header>",
         *(body if main_channel(finding) == "scan" else [*body[1:], body[0]]),
         _deviations(finding, pictures),
@@ -116,7 +114,7 @@ def page(
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(what.headline)}</title><style>{STYLE}</style></head>\n<body><main>\n{text}\n</main></body></html>\n"
+        f"<title>{escape(summary.headline)}</title><style>{STYLE}</style></head>\n<body><main>\n{text}\n</main></body></html>\n"
     )
 
 
@@ -174,7 +172,7 @@ def _effect(a: Amendment) -> str:
         "probability": percent(a.probability),
         "evidence": "–" if a.evidence is None else f"{a.evidence:,.0f} nats",
         "size": f"{a.ratio:.1f} × the tolerance" if a.ratio != float("inf") else "",
-        "place": place_words(a),
+        "place": place_text(a),
         "channel": CHANNELS[a.effect.channel],
     }
     cells = "".join(f"<div><span>{k}</span>{escape(v)}</div>" for k, v in facts.items() if v)
@@ -223,7 +221,7 @@ def _ranking(finding: Finding, pictures: Mapping[str, Path]) -> str:
         "Evidence of what was tried, one round after another. Every nat makes a name e = 2.7 times likelier than the model "
         "without it; the baseline already has the freedom of a careful set-up (map, mount, poses, clock, noise)."
     )
-    close = undecided(finding)
+    close = undecided_rivals(finding)
     lead = "<p>The best two are too close to call.</p>" if close else ""
     return f"<h2>How the names rank</h2>{lead}{_picture(pictures.get('ranking'), 'Ranking of the candidates', caption)}{table}"
 
@@ -233,8 +231,8 @@ def _deviations(finding: Finding, pictures: Mapping[str, Path]) -> str:
     found = [] if scan is None else list(scan.deviations)
     if not found and "residuals" not in pictures:
         return ""
-    rows = "".join(f"<li>{escape(deviation(w))}</li>" for w in found[:6])
-    rest = "".join(f"<li>{escape(deviation(w))}</li>" for w in found[6:])
+    rows = "".join(f"<li>{escape(deviation_text(w))}</li>" for w in found[:6])
+    rest = "".join(f"<li>{escape(deviation_text(w))}</li>" for w in found[6:])
     more = f"<details><summary>{len(found) - 6} more</summary><ul>{rest}</ul></details>" if rest else ""
     text = (
         f"<p>By more than chance, and more than a careful set-up may be off in map, mount, poses and clock:</p><ul>{rows}</ul>{more}"
@@ -253,7 +251,7 @@ def _tolerated(finding: Finding) -> str:
     if not small:
         return ""
     rows = "".join(
-        f"<tr><td>{escape(', '.join(filter(None, [a.effect.title, place_words(a)])))}</td><td>{escape(', '.join(parameters(a)))}</td>"
+        f"<tr><td>{escape(', '.join(filter(None, [a.effect.title, place_text(a)])))}</td><td>{escape(', '.join(parameters(a)))}</td>"
         f'<td class="n">{"–" if a.evidence is None else f"{a.evidence:,.0f} nats"}</td></tr>'
         for a in small
     )
@@ -270,7 +268,7 @@ def _channels(finding: Finding) -> str:
         for name, result in finding.channels.items()
     )
     notes = "".join(
-        f"<li>{escape(deviation(w) if name == 'scan' else _plain(w))}</li>"
+        f"<li>{escape(deviation_text(w) if name == 'scan' else _plain(w))}</li>"
         for name, result in finding.channels.items()
         if name != "scan"
         for w in result.deviations[:4]
@@ -375,7 +373,7 @@ def _flat(data: Mapping[str, Any], lead: str = "") -> list[tuple[str, str]]:
         if isinstance(value, Mapping):
             out += _flat({k: v for k, v in value.items() if v}, f"{label}: ")
         elif isinstance(value, float) and lead.startswith("tolerances"):
-            out.append((label, tolerance(key, value)))
+            out.append((label, tolerance_text(key, value)))
         elif isinstance(value, float):
             out.append((label, f"{value:.4g}"))
         elif isinstance(value, list | tuple):

@@ -9,16 +9,16 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from sensorgraph.diagnosis.report.comparison import CLIP, Compared, Side
+from sensorgraph.diagnosis.report.comparison import CLIP_SIGMAS, ComparedScans, SimulatedScans
 from sensorgraph.show.rerun_file import BACKGROUND, DIM, ORANGE, WALL, WHITE, folded, recorded
 from sensorgraph.types import Floats
 
-MOST_SCANS = 400
+MAX_SCANS = 400
 MARK, BLUE, TEAL = (255, 90, 120), (110, 160, 255), (70, 220, 190)
 
 
 def write(
-    compared: Compared,
+    compared: ComparedScans,
     path: Path,
     *,
     report: str,
@@ -34,8 +34,8 @@ def write(
     walls : (2, 2) [m] sections of walls to mark
     """
     n = len(compared.stamps)
-    shown = np.linspace(0, n - 1, min(n, MOST_SCANS)).round().astype(np.intp)
-    ray = telling_ray(compared)
+    shown = np.linspace(0, n - 1, min(n, MAX_SCANS)).round().astype(np.intp)
+    ray = most_improved_ray(compared)
     models = [("nominal", compared.before, ORANGE)]
     if compared.is_amended:
         models.append(("amended", compared.after, TEAL))
@@ -45,7 +45,7 @@ def write(
         _scans(recording, compared, models, shown, ray)
 
 
-def telling_ray(compared: Compared) -> int:
+def most_improved_ray(compared: ComparedScans) -> int:
     """Return the ray whose readings the amendment explains most; without one, the ray that is off most."""
     before = np.nansum(compared.before.clipped(compared.sigma) ** 2, axis=0)
     after = np.nansum(compared.after.clipped(compared.sigma) ** 2, axis=0) if compared.is_amended else 0.0
@@ -54,8 +54,8 @@ def telling_ray(compared: Compared) -> int:
 
 def _still(
     recording: rr.RecordingStream,
-    compared: Compared,
-    models: Sequence[tuple[str, Side, tuple[int, int, int]]],
+    compared: ComparedScans,
+    models: Sequence[tuple[str, SimulatedScans, tuple[int, int, int]]],
     report: str,
 ) -> None:
     """Log walls, path, styles, bars and report."""
@@ -67,7 +67,7 @@ def _still(
     recording.log("plan/robot", rr.Arrows2D.from_fields(colors=BLUE, radii=-2.0), static=True)
     recording.log("plan/measured", rr.Points2D.from_fields(colors=WHITE, radii=-2.2), static=True)
     recording.log("report", rr.TextDocument(report, media_type="text/markdown"), static=True)
-    for name, side, colour in models:
+    for name, model, colour in models:
         recording.log(f"plan/{name}", rr.Points2D.from_fields(colors=colour, radii=-1.6), static=True)
         recording.log(
             f"plan/enlarged/{name}", rr.Points2D.from_fields(colors=colour, radii=-2.2), static=True
@@ -75,7 +75,7 @@ def _still(
         for series in ("gap", "residual"):
             style = rr.SeriesLines(colors=colour, names=name, widths=1.4)
             recording.log(f"{series}/{name}", style, static=True)
-        clipped = side.clipped(compared.sigma)
+        clipped = model.clipped(compared.sigma)
         seen = np.isfinite(clipped)
         mean = 100 * np.where(seen, clipped, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
         bars = rr.BarChart(mean, abscissa=np.degrees(compared.sensor.bearings), color=colour)
@@ -99,8 +99,8 @@ def _marks(
 
 def _scans(
     recording: rr.RecordingStream,
-    compared: Compared,
-    models: Sequence[tuple[str, Side, tuple[int, int, int]]],
+    compared: ComparedScans,
+    models: Sequence[tuple[str, SimulatedScans, tuple[int, int, int]]],
     shown: np.ndarray[tuple[int], np.dtype[np.intp]],
     ray: int,
 ) -> None:
@@ -112,21 +112,21 @@ def _scans(
     arrows = size * np.stack([np.cos(lasers[:, 2]), np.sin(lasers[:, 2])], axis=1)
     recording.send_columns("plan/robot", time, rr.Arrows2D.columns(origins=lasers[:, :2], vectors=arrows))
     clouds = {"plan/measured": compared.measured}
-    for name, side, _ in models:
-        clouds[f"plan/{name}"] = side.simulated
-        clouds[f"plan/enlarged/{name}"] = compared.set_off(side)
+    for name, model, _ in models:
+        clouds[f"plan/{name}"] = model.simulated
+        clouds[f"plan/enlarged/{name}"] = compared.enlarged_ranges(model)
     for entity, ranges in clouds.items():
         points = _points(compared, ranges[shown], lasers)
         columns = rr.Points2D.columns(positions=np.concatenate(points)).partition([len(p) for p in points])
         recording.send_columns(entity, time, columns)
-    for name, side, _ in models:
-        gap = 100 * side.rms(compared.sigma)[shown]
+    for name, model, _ in models:
+        gap = 100 * model.rms(compared.sigma)[shown]
         recording.send_columns(f"gap/{name}", time, rr.Scalars.columns(scalars=gap))
-        residual = 100 * side.clipped(compared.sigma)[shown, ray]
+        residual = 100 * model.clipped(compared.sigma)[shown, ray]
         recording.send_columns(f"residual/{name}", time, rr.Scalars.columns(scalars=residual))
 
 
-def _points(compared: Compared, ranges: Floats, lasers: Floats) -> list[Floats]:
+def _points(compared: ComparedScans, ranges: Floats, lasers: Floats) -> list[Floats]:
     angle = lasers[:, 2:] + compared.sensor.bearings
     seen = np.isfinite(ranges)
     far = np.where(seen, ranges, 0.0)
@@ -134,9 +134,9 @@ def _points(compared: Compared, ranges: Floats, lasers: Floats) -> list[Floats]:
     return [scan[hit] for scan, hit in zip(ends, seen, strict=True)]
 
 
-def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
+def _layout(compared: ComparedScans, ray: int) -> rrb.Blueprint:
     """Scans on the arena, the gap enlarged and the report above; gap over time, one ray, and bearing below."""
-    x0, y0, x1, y1 = compared.frame
+    x0, y0, x1, y1 = compared.limits
     bounds = rrb.VisualBounds2D(x_range=[x0, x1], y_range=[-y1, -y0])
     amended = ", amended (teal)" if compared.is_amended else ""
     plan = rrb.Spatial2DView(
@@ -146,7 +146,7 @@ def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
         visual_bounds=bounds,
         background=BACKGROUND,
     )
-    larger = f", {compared.enlarged} times as large" if compared.enlarged > 1 else ""
+    larger = f", {compared.magnification} times as large" if compared.magnification > 1 else ""
     off = rrb.Spatial2DView(
         name=f"the gap{larger}: on the wall is right",
         origin="/",
@@ -162,13 +162,13 @@ def _layout(compared: Compared, ray: int) -> rrb.Blueprint:
         axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * max(top, 100 * compared.sigma))),
         plot_legend=rrb.Corner2D.LeftTop,
     )
-    reach = 100 * CLIP * compared.sigma * 1.05
+    reach = 100 * CLIP_SIGMAS * compared.sigma * 1.05
     far = 100 * np.abs(compared.before.clipped(compared.sigma)[:, ray])
     if np.isfinite(far).any():
         reach = min(reach, 1.3 * float(np.nanquantile(far, 0.98)))
     degrees = np.degrees(compared.sensor.bearings[ray])
     one = rrb.TimeSeriesView(
-        name=f"residual of ray {ray} at {degrees:.0f} degrees [cm], cut at {CLIP:g} sigmas",
+        name=f"residual of ray {ray} at {degrees:.0f} degrees [cm], cut at {CLIP_SIGMAS:g} sigmas",
         origin="/residual",
         axis_y=rrb.ScalarAxis(range=(-reach, reach)),
         plot_legend=rrb.Corner2D.LeftTop,

@@ -1,0 +1,122 @@
+"""report.json: a finding as plain data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.report.comparison import bare_gap
+from sensorgraph.diagnosis.report.summary import main_channel
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, Gap, Unknown
+from sensorgraph.effects import Amendment
+
+
+def to_dict(finding: Finding) -> dict[str, Any]:
+    """Return the report as plain data; `gap`, `where` and `runner_up` begin with what the headline is about."""
+    main = main_channel(finding)
+    results = dict(sorted(finding.channels.items(), key=lambda item: item[0] != main))
+    unknown = finding.unknown
+    bare = bare_gap(finding)
+    rivals = [asdict(r) for result in results.values() for r in result.rivals]
+    return {
+        "effects": [effect_dict(a) for a in finding.effects],
+        "undecided": [effect_dict(a) for a in finding.undecided],
+        "unknown": None if unknown is None else unknown_dict(unknown),
+        "where": [where_dict(w) for result in results.values() for w in result.deviations],
+        "runner_up": runner_up(finding, rivals),
+        "rivals": rivals,
+        "gap": next((gap_dict(one.gap, name) for name, one in results.items() if one.gap is not None), None),
+        "gap_bare_simulator": None if bare is None else gap_dict(bare),
+        "gap_second_run": None if finding.second_gap is None else gap_dict(finding.second_gap),
+        "within_tolerance": [effect_dict(a) for result in results.values() for a in result.within_tolerance],
+        "not_observable": [
+            {"name": name, "why": why}
+            for result in results.values()
+            for name, why in result.not_observable.items()
+        ],
+        "next_run": next_run(finding),
+        "intake": finding.intake,
+        "channels": {name: channel_dict(result) for name, result in finding.channels.items()},
+        "cpu_s": finding.seconds,
+    }
+
+
+def effect_dict(a: Amendment) -> dict[str, Any]:
+    """Return one effect as plain data."""
+    location = None
+    if a.location is not None:
+        location = {"name": a.location.name, "xy": None if a.location.xy is None else list(a.location.xy)}
+    return {
+        "name": a.name,
+        "parameters": {k: float(v) for k, v in a.parameters.items()},
+        "stderr": {k: float(v) for k, v in a.stderr.items()},
+        "location": location,
+        "probability": a.probability,
+        "evidence_nats": a.evidence,
+        "channel": a.effect.channel,
+    }
+
+
+def runner_up(finding: Finding, rivals: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
+    """Return the rival of the first-named effect; where it has none, the first rival of another."""
+    first = next((a.name for a in (*finding.effects, *finding.undecided)), "")
+    return next((r for r in rivals if r["instead_of"] == first), rivals[0] if rivals else None)
+
+
+def where_dict(where: Deviation) -> dict[str, Any]:
+    """Return one deviation as plain data."""
+    return {**asdict(where), "statement": where.sentence()}
+
+
+def unknown_dict(unknown: Unknown) -> dict[str, Any]:
+    """Return what no effect explains as plain data."""
+    return {
+        "statement": unknown.statement,
+        "where": None if unknown.deviation is None else asdict(unknown.deviation),
+        "statistic": unknown.statistic,
+        "threshold": unknown.threshold,
+    }
+
+
+def gap_dict(gap: Gap, channel: str = "scan") -> dict[str, Any]:
+    """Return a gap as plain data, with its channel and the unit of `rmse_m` (m/s but for scans)."""
+    return {"channel": channel, "unit": "m" if channel == "scan" else "m/s", **asdict(gap)}
+
+
+def channel_dict(result: ChannelResult) -> dict[str, Any]:
+    """Return what one channel says."""
+    return {
+        "effects": [a.name for a in result.effects],
+        "within_tolerance": [a.name for a in result.within_tolerance],
+        "unknown": None if result.unknown is None else result.unknown.statement,
+        "skipped": result.skipped,
+        "gap": None if result.gap is None else gap_dict(result.gap, result.channel),
+        "where": [where_dict(w) for w in result.deviations],
+        "notes": dict(result.notes),
+    }
+
+
+def next_run(finding: Finding) -> dict[str, Any] | None:
+    """Return the next run as plain data, where one is planned."""
+    plan = getattr(finding, "next_run", None)
+    if plan is None:
+        return None
+    return dict(plan.to_dict()) if hasattr(plan, "to_dict") else dict(plan)
+
+
+def plain(data: Any) -> Any:
+    """Return data that JSON can hold: numpy becomes Python, what is not finite becomes None."""
+    if isinstance(data, Mapping):
+        return {str(k): plain(v) for k, v in data.items()}
+    if isinstance(data, list | tuple):
+        return [plain(v) for v in data]
+    if hasattr(data, "tolist"):
+        return plain(data.tolist())
+    if isinstance(data, float):
+        return data if math.isfinite(data) else None
+    if data is None or isinstance(data, str | bool | int):
+        return data
+    return str(data)

@@ -1,0 +1,195 @@
+"""The arena from above: where measured rays ended, coloured by residual, before and after the amendment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.report.comparison import ComparedScans, SimulatedScans
+from sensorgraph.diagnosis.report.places import point_of, wall_sections
+from sensorgraph.diagnosis.result import Unknown
+from sensorgraph.effects import Amendment
+from sensorgraph.show.figures.style import (
+    ALARM,
+    AMBER,
+    INK,
+    SOFT,
+    TEAL,
+    colour_bar,
+    draw_floor,
+    new_figure,
+    save_figure,
+)
+from sensorgraph.types import Floats
+
+MAX_POINTS, MAX_LOST_POINTS = 6000, 1500
+"""End points, and lost rays, that are drawn."""
+LOST_SHARE = 0.003
+"""Share of lost rays above which they are drawn; a careful set-up loses one in a thousand."""
+MIN_SHIFT = 1e-3
+"""[m] along its normal by which a wall must have moved to be drawn as moved."""
+
+
+def arena_picture(finding: Finding, compared: ComparedScans, path: Path) -> None:
+    """Draw where the rays ended, coloured by residual, before and after."""
+    from matplotlib.collections import LineCollection
+
+    x0, y0, x1, y1 = compared.limits
+    aspect = (y1 - y0) / (x1 - x0)
+    models = [
+        ("before: the simulator as mapped", compared.before),
+        ("after: with what was found", compared.after),
+    ]
+    if not compared.is_amended:
+        models = [("measured against the simulator as mapped", compared.before)]
+    stacked = aspect < 0.5
+    across, down = (1, len(models)) if stacked else (len(models), 1)
+    wide = float(min(8.6 if across == 1 else 4.1, 6.6 / aspect))
+    figure = new_figure(
+        max(wide * across + 1.5, 5.5), wide * aspect * down + 0.5 + 0.4 * down + 0.35 * _loses_rays(compared)
+    )
+    charts = list(figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel())
+    factor = compared.magnification
+    top = float(f"{100 * max(1.2 * compared.typical_residual, 2.5 * compared.sigma):.1g}")
+    colours = _diverging()
+    for axes, (title, model) in zip(charts, models, strict=False):
+        draw_floor(axes, compared.arena)
+        axes.plot(compared.poses[:, 0], compared.poses[:, 1], color=SOFT, lw=0.6, alpha=0.5, zorder=1)
+        dots = _points(axes, compared, model, top, colours)
+        axes.set_title(title, fontsize=9.5, color=INK, loc="left")
+        axes.set(xlim=(x0, x1), ylim=(y0, y1))
+        moved = _displaced(compared.before.walls, model.walls)
+        axes.add_collection(
+            LineCollection(list(moved), colors=TEAL, linewidths=1.4, linestyles=(0, (4, 2)), zorder=6)
+        )
+        _marks(axes, compared, finding.effects, finding.unknown)
+    if len(charts) == 2 and not stacked:
+        charts[1].set_ylabel("")
+    enlarged = f", drawn {factor} times as large" if factor > 1 else ""
+    label = f"measured − simulated [cm]{enlarged}"
+    colour_bar(
+        figure, dots, charts, label, location="right", shrink=0.75, aspect=35, pad=0.015, extend="both"
+    )
+    handles, labels = charts[0].get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside lower left", frameon=False, fontsize=8, labelcolor=INK)
+    save_figure(figure, path)
+
+
+def _loses_rays(compared: ComparedScans) -> bool:
+    """Tell whether more rays are lost than a careful set-up loses."""
+    return bool(compared.before.missing.mean() > LOST_SHARE)
+
+
+def _displaced(walls: Floats, other: Floats) -> Floats:
+    """Return the walls of `other` that have moved along their normal; one that is only longer or shorter has not."""
+    if walls.shape != other.shape or len(walls) == 0:
+        return np.zeros((0, 2, 2))
+    way = walls[:, 1] - walls[:, 0]
+    normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.maximum(np.hypot(*way.T), 1e-9)[:, None]
+    off = np.abs(((other - walls) * normal[:, None]).sum(axis=2)).max(axis=1)
+    return np.asarray(other[off > MIN_SHIFT])
+
+
+def _diverging() -> Any:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("short-long", ["#0b4f6c", TEAL, "#cfd4dc", ALARM, "#7d1130"])
+
+
+def _points(axes: Any, compared: ComparedScans, model: SimulatedScans, top: float, colours: Any) -> Any:
+    """Draw a random sample of end points, coloured by residual, and where lost rays should have ended."""
+    rng = np.random.default_rng(0)
+    shown = np.isfinite(model.residual) & model.clear
+    flat = np.flatnonzero(shown)
+    flat = np.sort(rng.choice(flat, MAX_POINTS, replace=False)) if len(flat) > MAX_POINTS else flat
+    residual = model.residual.ravel()[flat]
+    ends = compared.ends(flat, compared.enlarged_ranges(model).ravel()[flat])
+    dots = axes.scatter(
+        ends[:, 0],
+        ends[:, 1],
+        c=100 * residual,
+        s=3.0,
+        cmap=colours,
+        vmin=-top,
+        vmax=top,
+        linewidths=0,
+        zorder=5,
+        rasterized=True,
+    )
+    missing = np.flatnonzero(model.missing)
+    share = len(missing) / max(model.missing.size, 1)
+    missing = (
+        np.sort(rng.choice(missing, MAX_LOST_POINTS, replace=False))
+        if len(missing) > MAX_LOST_POINTS
+        else missing
+    )
+    if len(missing) and _loses_rays(compared):
+        ends = compared.ends(missing, model.aimed.ravel()[missing])
+        label = f"no return where one is expected ({100 * share:.1f} % of all rays)"
+        axes.scatter(
+            ends[:, 0],
+            ends[:, 1],
+            s=9,
+            facecolors="none",
+            edgecolors=AMBER,
+            linewidths=0.7,
+            zorder=5,
+            label=label,
+        )
+    return dots
+
+
+def _marks(axes: Any, compared: ComparedScans, effects: Sequence[Amendment], unknown: Unknown | None) -> None:
+    """Mark where effects sit, and where something unknown is left."""
+    for a in effects:
+        xy = point_of(a)
+        if a.place:
+            _mark_walls(axes, compared, a)
+        elif xy is not None:
+            _ring(axes, compared, xy, a.effect.title)
+    if unknown is not None and unknown.deviation is not None and unknown.deviation.xy is not None:
+        deviation = unknown.deviation
+        if deviation.partition.startswith("wall"):
+            name = deviation.label.split(",")[0]
+            _line(
+                axes,
+                [w for n, w in zip(compared.arena.names, compared.arena.walls, strict=True) if n == name],
+            )
+        _ring(axes, compared, deviation.xy or (0.0, 0.0), "unknown")
+
+
+def _mark_walls(axes: Any, compared: ComparedScans, a: Amendment) -> None:
+    chosen = wall_sections(compared.arena, a)
+    if chosen:
+        _line(axes, chosen)
+        middle = np.mean([wall.mean(axis=0) for wall in chosen], axis=0)
+        _label(axes, compared, (float(middle[0]), float(middle[1])), a.effect.title)
+
+
+def _line(axes: Any, walls: Sequence[Floats]) -> None:
+    from matplotlib.collections import LineCollection
+
+    axes.add_collection(
+        LineCollection(list(walls), colors=ALARM, linewidths=5.0, alpha=0.35, zorder=3.5, capstyle="round")
+    )
+
+
+def _ring(axes: Any, compared: ComparedScans, xy: tuple[float, float], text: str) -> None:
+    axes.plot(*xy, "o", ms=20, mfc="none", mec=ALARM, mew=1.6, zorder=7)
+    _label(axes, compared, xy, text)
+
+
+def _label(axes: Any, compared: ComparedScans, xy: tuple[float, float], text: str) -> None:
+    x0, y0, x1, y1 = compared.arena.bounds
+    right, upper = xy[0] > (x0 + x1) / 2, xy[1] > (y0 + y1) / 2
+    axes.annotate(
+        text, xy, xytext=(-16 if right else 16, -22 if upper else 22), textcoords="offset points",
+        ha="right" if right else "left", va="center", fontsize=8.5, color=ALARM, zorder=8,
+        bbox={"boxstyle": "round,pad=0.25", "fc": "white", "ec": "none", "alpha": 0.85},
+        arrowprops={"arrowstyle": "-", "color": ALARM, "lw": 0.8},
+    )  # fmt: skip

@@ -1,0 +1,44 @@
+"""All pictures of a diagnosis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.report.comparison import ComparedScans, bare_gap
+from sensorgraph.diagnosis.report.figures.arena import arena_picture
+from sensorgraph.diagnosis.report.figures.gap import gap_picture
+from sensorgraph.diagnosis.report.figures.next_run import next_run_picture
+from sensorgraph.diagnosis.report.figures.ranking import ranking_picture
+from sensorgraph.diagnosis.report.figures.residuals import residuals_picture
+from sensorgraph.diagnosis.result import Gap
+
+
+def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> dict[str, Path]:
+    """Draw every picture for which the finding has something; return name -> file."""
+    out: dict[str, Path] = {}
+    if compared is not None:
+        out["arena"] = folder / "arena.png"
+        arena_picture(finding, compared, out["arena"])
+        out["residuals"] = folder / "residuals.png"
+        residuals_picture(finding, compared, out["residuals"])
+    gaps = _gaps(finding)
+    if gaps:
+        out["gap"] = folder / "gap.png"
+        others = {"scan, bare simulator": bare_gap(finding), "scan, second run": finding.second_gap}
+        gap_picture(gaps, {k: g for k, g in others.items() if g is not None}, out["gap"])
+    if finding.explained is not None and any(step.tried for step in finding.explained.steps):
+        out["ranking"] = folder / "ranking.png"
+        ranking_picture(finding, out["ranking"])
+    if finding.next_run is not None:
+        out["next_run"] = folder / "next_run.png"
+        next_run_picture(finding.next_run.trajectory.poses, finding.data.arena, out["next_run"])
+    return out
+
+
+def _gaps(finding: Finding) -> dict[str, Gap]:
+    """Return the gaps worth a picture: where something was found first, and the scan channel's."""
+    measured = {name: result for name, result in finding.channels.items() if result.gap is not None}
+    first = [n for n, result in measured.items() if result.effects or result.unknown is not None]
+    names = dict.fromkeys([*first, *(n for n in measured if n == "scan")]) or dict.fromkeys(measured)
+    return {name: gap for name in names if (gap := measured[name].gap) is not None}

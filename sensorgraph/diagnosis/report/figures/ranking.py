@@ -1,0 +1,93 @@
+"""How the candidates rank, one round of the selection after another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.report.quantities import (
+    place_text,
+)
+from sensorgraph.diagnosis.scan.model_selection import THRESHOLD
+from sensorgraph.effects import Amendment
+from sensorgraph.show.figures.style import (
+    ALARM,
+    INK,
+    SOFT,
+    TEAL,
+    new_figure,
+    reduce_frame,
+    save_figure,
+)
+
+MAX_ROUNDS, MAX_CANDIDATES = 5, 5
+"""Rounds, and candidates of each, that are drawn."""
+
+
+def ranking_picture(finding: Finding, path: Path) -> None:
+    """Draw the evidence of what was tried, round by round."""
+    assert finding.explained is not None
+    rounds = [(step.chosen, _distinct(step.tried)) for step in finding.explained.steps if step.tried][
+        :MAX_ROUNDS
+    ]
+    lines = sum(len(tried) for _, tried in rounds) + 0.9 * len(rounds)
+    height = max(0.27 * lines + 0.5, 1.5)
+    figure = new_figure(10.0, height, layout=None)
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.30, right=0.97, top=1 - 0.08 / height, bottom=0.42 / height)
+    y = 0.0
+    ticks: list[float] = []
+    labels: list[str] = []
+    best = max(gain for _, tried in rounds for _, gain in tried)
+    top = max(best, 2 * THRESHOLD)
+    for k, (chosen, tried) in enumerate(rounds, start=1):
+        none = "nothing more is accepted" if k > 1 else "nothing is accepted"
+        outcome = "the first is accepted" if chosen else none
+        axes.text(
+            0.008 * top,
+            y + 0.05,
+            f"round {k}: {outcome}",
+            fontsize=8,
+            color=SOFT,
+            va="center",
+            fontweight="bold",
+        )
+        y -= 0.9
+        lead = tried[0][1]
+        for i, (a, gain) in enumerate(tried):
+            taken = bool(chosen) and i == 0
+            axes.barh(y, max(gain, 0.0), color=TEAL if taken else "#b9c0cc", height=0.7)
+            behind = "" if i == 0 else f"   ({gain - lead:+,.0f} to the first)"
+            axes.text(
+                max(gain, 0) + 0.006 * top,
+                y,
+                f"{gain:,.0f}{behind}".replace("-", "−"),
+                va="center",
+                fontsize=8,
+                color=INK,
+            )
+            ticks.append(y)
+            labels.append(", ".join(filter(None, [a.effect.title, place_text(a)])))
+            y -= 1.0
+    axes.set_yticks(ticks, labels, fontsize=8.5, color=INK)
+    axes.set(xlim=(0, 1.25 * top), ylim=(y + 0.4, 0.6))
+    axes.axvline(THRESHOLD, color=ALARM, lw=0.9, ls=(0, (4, 3)))
+    axes.set_xlabel(
+        f"evidence [nats] beyond the price of the parameters; dashed: the {THRESHOLD:g} that a name takes",
+        fontsize=8,
+        color=INK,
+    )
+    reduce_frame(axes)
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    save_figure(figure, path)
+
+
+def _distinct(tried: Sequence[tuple[Amendment, float]]) -> list[tuple[Amendment, float]]:
+    """Return the first candidates, each effect at each place once."""
+    out: list[tuple[Amendment, float]] = []
+    for a, gain in tried:
+        if not any(a.name == b.name and (a.place == b.place and abs(gain - g) < 1) for b, g in out):
+            out.append((a, gain))
+    return out[:MAX_CANDIDATES]

@@ -1,0 +1,117 @@
+"""Residuals of the bare simulator over what they may depend on: bearing, range, incidence, time, turn rate, speed."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.report.comparison import ComparedScans, SimulatedScans
+from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.show.figures.style import (
+    ALARM,
+    INK,
+    SOFT,
+    TEAL,
+    new_figure,
+    reduce_frame,
+    save_figure,
+)
+from sensorgraph.types import Floats
+
+BAND_STDERRS = 2.0
+"""Standard errors on either side that the bands show."""
+PALE = "#eceef2"
+
+
+class Measure(Enum):
+    """What is averaged in each bin; the value is the label of the axis."""
+
+    MEAN = "mean residual [cm]"
+    SCATTER = "scatter over noise"
+    UNEXPECTED = "not as expected [%]"
+
+
+def residuals_picture(finding: Finding, compared: ComparedScans, path: Path) -> None:
+    """Draw the mean residual, and below it scatter or the share of unexpected rays, over each covariate."""
+    covariates = compared.covariates()
+    measures = (Measure.MEAN, _second_measure(finding.channels.get("scan")))
+    figure = new_figure(11.0, 3.9, layout=None)
+    grid = figure.subplots(2, len(covariates), sharey="row")
+    figure.subplots_adjust(left=0.06, right=0.995, top=0.90, bottom=0.115, wspace=0.10, hspace=0.18)
+    for charts, measure in zip(grid, measures, strict=True):
+        ranges = [
+            _draw_profiles(axes, compared, measure, values, edges)
+            for axes, (values, edges) in zip(charts, covariates.values(), strict=True)
+        ]
+        for axes in charts[1:]:
+            axes.tick_params(left=False)
+        low, high = min(r[0] for r in ranges), max(r[1] for r in ranges)
+        if high >= low:
+            charts[0].set_ylim(_axis_limits(low, high, measure, compared.sigma))
+        charts[0].set_ylabel(measure.value, fontsize=8.5, color=INK)
+    for axes in grid[0]:
+        axes.tick_params(labelbottom=False)
+    for axes, name in zip(grid[1], covariates, strict=True):
+        axes.set_xlabel(name, fontsize=8.5, color=INK)
+    if compared.is_amended:
+        grid[0][0].legend(
+            loc="lower left", bbox_to_anchor=(0, 1.0), ncols=2, frameon=False, fontsize=8.5, labelcolor=INK,
+            borderaxespad=0.2,
+        )  # fmt: skip
+    save_figure(figure, path)
+
+
+def _draw_profiles(
+    axes: Any, compared: ComparedScans, measure: Measure, covariate: Floats, edges: Floats
+) -> tuple[float, float]:
+    """Draw one panel: the profile of each model with its error band; return the range of the profiles."""
+    models = [("before", compared.before, ALARM)]
+    if compared.is_amended:
+        models.append(("after", compared.after, TEAL))
+    low, high = np.inf, -np.inf
+    centres = (edges[1:] + edges[:-1]) / 2
+    index = np.searchsorted(edges, covariate, side="right") - 1
+    index = np.where((index >= 0) & (index < len(centres)) & np.isfinite(covariate), index, -1)
+    for label, model, colour in models:
+        width = 2.4 if label == "before" and compared.is_amended else 1.2
+        mean, stderr = compared.profile(_values(model, measure, compared.sigma), index, len(centres))
+        known = np.isfinite(mean)
+        if not known.any():
+            continue
+        x, y, band = centres[known], mean[known], BAND_STDERRS * stderr[known]
+        axes.fill_between(x, y - band, y + band, color=colour, alpha=0.18, lw=0)
+        axes.plot(x, y, color=colour, lw=width, marker="o", ms=1.5 * width, label=label)
+        low, high = min(low, float(y.min())), max(high, float(y.max()))
+    axes.axhline(1.0 if measure is Measure.SCATTER else 0.0, color=SOFT, lw=0.7, zorder=0)
+    axes.grid(color=PALE, lw=0.6)
+    reduce_frame(axes)
+    axes.tick_params(labelsize=7)
+    axes.set_xlim(edges[0], edges[-1])
+    return low, high
+
+
+def _axis_limits(low: float, high: float, measure: Measure, sigma: float) -> tuple[float, float]:
+    """Return the limits of the axis for profiles between `low` and `high`, no closer than half the noise."""
+    least = 100 * sigma * 0.5 if measure is Measure.MEAN else 0.5
+    middle, half = (low + high) / 2, max(0.62 * (high - low), least)
+    bottom = -0.06 * half if measure is Measure.UNEXPECTED else middle - half
+    return bottom, middle + half
+
+
+def _second_measure(result: ChannelResult | None) -> Measure:
+    """Return what the lower row shows: scatter where that is the strongest deviation beside a bias."""
+    families = [] if result is None else [d.family for d in result.deviations if d.family != "bias"]
+    return Measure.SCATTER if families and families[0] == "spread" else Measure.UNEXPECTED
+
+
+def _values(model: SimulatedScans, measure: Measure, sigma: float) -> Floats:
+    """Return what is averaged (n_scans, n_rays); nan where a ray does not count."""
+    if measure is Measure.MEAN:
+        return 100 * model.clipped(sigma)
+    if measure is Measure.SCATTER:
+        return np.asarray(np.abs(model.clipped(sigma)) / model.sigma / np.sqrt(2 / np.pi))
+    return np.where(model.clear, 100.0 * model.unexpected, np.nan)

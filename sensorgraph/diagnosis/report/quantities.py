@@ -1,0 +1,130 @@
+"""Numbers for people: parameters with their errors in cm, degrees and ms, probabilities, places."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from sensorgraph.diagnosis.result import Deviation
+from sensorgraph.effects import EFFECTS, Amendment, Parameter
+
+SYMBOLS = {
+    "delta": "δ", "tau": "τ", "gamma": "γ", "beta": "β", "theta0": "θ₀", "theta1": "θ₁", "theta2": "θ₂",
+    "alpha_ret": "α_ret", "alpha_max": "α_max", "r0": "r₀", "b1": "b₁",
+}  # fmt: skip
+SCALES = {"rad": (180 / math.pi, "°"), "m/m": (1000.0, "mm per m"), "m/s": (1.0, "m/s")}
+SIGNED = {"b", "b1", "s", "d", "dx", "dy", "delta", "tau", "T"}
+"""Parameters whose sign means something, if they are sizes."""
+
+
+def symbol(name: str) -> str:
+    """Return a parameter as it stands in equations."""
+    return SYMBOLS.get(name, name)
+
+
+def scaled(parameter: Parameter, value: float, size: float | None = None) -> tuple[float, str]:
+    """Return factor and unit in which people state a value of this parameter."""
+    size = abs(value) if size is None else size
+    if parameter.unit == "m":
+        if parameter.materiality is not None:
+            return (100.0, "cm") if size < 1 else (1.0, "m")
+        return (1000.0, "mm") if 0 < size < 0.1 and parameter.name == "q" else (1.0, "m")
+    if parameter.unit == "s":
+        return (1000.0, "ms") if size < 1 else (1.0, "s")
+    if parameter.unit == "":
+        return 100.0, "%"
+    return SCALES.get(parameter.unit, (1.0, parameter.unit))
+
+
+def number(value: float, error: float | None = None, *, signed: bool = False) -> str:
+    """Round to the digits that the error leaves; to three where it is not known."""
+    if not math.isfinite(value):
+        return str(value)
+    known = error is not None and math.isfinite(error) and error > 0
+    if known and error is not None:
+        digits = -math.floor(math.log10(error)) + (1 if f"{error:.1e}"[0] in "12" else 0)
+    else:
+        digits = 2 if value == 0 else 2 - math.floor(math.log10(abs(value)))
+    digits = min(max(digits, 0), 6)
+    text = f"{value:{'+' if signed else ''}.{digits}f}"
+    if known and error is not None:
+        text += f" ± {error:.{digits}f}"
+    return minus(text)
+
+
+def minus(text: str) -> str:
+    """Set a proper sign before negative numbers."""
+    return re.sub(r"(?<!\w)-(?=\d)", "−", text)
+
+
+def quantity(a: Amendment, name: str) -> str:
+    """Return one parameter of an effect with its standard error and unit: `+0.41° ± 0.01°`."""
+    parameter = next((p for p in a.effect.parameters if p.name == name), None)
+    value, error = a.parameters[name], a.stderr.get(name)
+    if parameter is None:
+        return number(value, error)
+    factor, unit = scaled(parameter, value)
+    text = number(
+        factor * value, None if error is None else factor * error, signed=name in SIGNED & set(a.effect.sizes)
+    )
+    if unit == "°":
+        return text.replace(" ± ", "° ± ") + "°"
+    return f"{text} {unit}".strip()
+
+
+def parameters(a: Amendment) -> list[str]:
+    """Return `b = −2.4 ± 0.1 cm` for every parameter."""
+    return [f"{symbol(name)} = {quantity(a, name)}" for name in a.parameters]
+
+
+def brief(a: Amendment) -> str:
+    """Return an effect in a few words: `mounting yaw, +0.41° ± 0.01°`."""
+    sizes = [name for name in a.parameters if name in a.effect.sizes] or list(a.parameters)
+    plain = len(sizes) == 1 and "%" not in quantity(a, sizes[0])
+    shown = [quantity(a, n) if plain else f"{symbol(n)} = {quantity(a, n)}" for n in sizes[:3]]
+    place = f" at {place_text(a)}" if place_text(a) else ""
+    return ", ".join([a.effect.title + place, *shown])
+
+
+def largest(a: Amendment) -> str:
+    """Return the size of an effect, several sizes taken together, without a sign."""
+    name = next(iter(a.effect.sizes))
+    size = math.hypot(*(a.parameters.get(key, 0.0) for key in a.effect.sizes))
+    return quantity(a.effect(**{name: size}), name).lstrip("+")
+
+
+def place_text(a: Amendment) -> str:
+    """Return where an effect sits, empty where it has no place."""
+    if a.location is None:
+        return ""
+    if a.location.name:
+        return a.location.name
+    return "" if a.location.xy is None else minus(f"({a.location.xy[0]:.2f}, {a.location.xy[1]:.2f}) m")
+
+
+def percent(p: float | None) -> str:
+    """Return a probability as a percentage, never 0 or 100."""
+    if p is None:
+        return "–"
+    if p > 0.995:
+        return "> 99 %"
+    return "< 1 %" if p < 0.01 else f"{100 * p:.0f} %"
+
+
+def tolerance_text(name: str, value: float) -> str:
+    """Return one of robot.yaml's tolerances with a unit."""
+    if name.endswith("yaw"):
+        return f"{math.degrees(value):.3g}°"
+    return f"{1000 * value:.3g} {'ms' if name == 'stamp' else 'mm'}"
+
+
+def title_of(name: str) -> str:
+    """Return the readable title of an effect."""
+    return EFFECTS[name].title if name in EFFECTS else name
+
+
+def deviation_text(where: Deviation) -> str:
+    """Say one deviation in words."""
+    text = where.sentence().replace(" and half of the run ", " ").replace("at hit place around", "around")
+    text = re.sub(r"-?\d\.\d+e-\d+", "0", text)  # what rounding leaves of an edge at zero
+    return minus(text.replace(" at omega ", " at turn rate "))

@@ -1,0 +1,207 @@
+"""What a diagnosis says in one line and a few sentences: the top of the report, and the console."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.report.quantities import (
+    brief,
+    deviation_text,
+    largest,
+    minus,
+    percent,
+    title_of,
+)
+from sensorgraph.diagnosis.report.tolerated import tolerated
+from sensorgraph.diagnosis.result import Deviation, Gap, Rival, Unknown
+from sensorgraph.diagnosis.scan.map_alignment import PARTLY
+from sensorgraph.effects import Amendment
+
+MIN_LEAD = 6.0
+"""[nats] by which an effect must lead its runner-up to be called found."""
+UNCHANGED = 0.97
+"""Of the RMS gap: when more than this is left, the gap is said to hardly change."""
+
+
+class Outcome(StrEnum):
+    """What kind of result a diagnosis has."""
+
+    FOUND = "found"
+    UNDECIDED = "undecided"
+    """A rival explains the data almost as well."""
+    UNKNOWN = "unknown"
+    """No effect of the library explains what differs."""
+    NOTHING = "nothing"
+    MISPLACED = "misplaced"
+    """Arena and run do not belong together."""
+    SKIPPED = "skipped"
+    """No channel could be compared."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """What the top of the report says."""
+
+    outcome: Outcome
+    headline: str
+    details: tuple[str, ...]
+    """Further sentences."""
+
+
+def summarise(finding: Finding) -> Summary:
+    """Summarise a finding: one headline, and the sentences that go with it."""
+    effects, unknown, undecided = finding.effects, finding.unknown, undecided_rivals(finding)
+    details = gap_sentences(finding)
+    if finding.explained is None and unknown is not None and unknown.deviation is None:
+        return _misplaced(unknown)
+    compared = [name for name, one in finding.channels.items() if not one.skipped]
+    if not compared:
+        why = "; ".join(f"{name}: {one.skipped}" for name, one in finding.channels.items())
+        return Summary(outcome=Outcome.SKIPPED, headline="Nothing could be compared.", details=(why,))
+    if undecided:
+        a, rival = undecided[0]
+        headline = f"Undecided between {brief(a)} and {title_of(rival.name)}."
+        details.insert(0, f"What would tell them apart: {rival.separates}.")
+        rest = [b for b in effects if b is not a]
+        if rest:
+            details.insert(0, f"Found besides: {'; '.join(brief(b) for b in rest)}.")
+        outcome = Outcome.UNDECIDED
+    elif unknown is not None and all((a.probability or 0.0) <= 0.5 for a in effects):
+        headline, outcome = f"Something unknown {_place_phrase(unknown.deviation)}.", Outcome.UNKNOWN
+        if effects:
+            details.insert(0, f"Part of it is explained by {'; '.join(brief(a) for a in effects)}.")
+    elif effects:
+        named = [f"{brief(a)} ({percent(a.probability)})" for a in effects]
+        headline = (
+            f"Found: {named[0]}." if len(named) == 1 else f"Found {len(named)} effects: {'; '.join(named)}."
+        )
+        outcome = Outcome.FOUND
+    else:
+        headline, outcome = "Nothing material found.", Outcome.NOTHING
+        details.insert(0, "Simulation and measurement agree within what a careful set-up holds.")
+    if unknown is not None:
+        text = deviation_text(unknown.deviation) if unknown.deviation is not None else unknown.statement
+        text = text.removeprefix("something no effect of the library explains: ")
+        lead = (
+            "Besides, something unknown is left: "
+            if outcome is not Outcome.UNKNOWN
+            else "No effect of the library explains it: "
+        )
+        details.insert(0, f"{lead}{text}.")
+        if finding.intake.get("share_at_walls", 1.0) < PARTLY:  # said first: names mean little there
+            fit, _, why = str(finding.intake["arena"]).partition(": ")
+            details[:0] = [sentence_case(why), headline]
+            headline = sentence_case(fit)
+    details += tolerance_sentences(finding)
+    return Summary(outcome=outcome, headline=headline, details=tuple(details))
+
+
+def _misplaced(unknown: Unknown) -> Summary:
+    """Say that arena and run do not belong together, before anything else."""
+    head, _, rest = unknown.statement.partition(": ")
+    details = tuple(map(sentence_case, rest.split("; ")))
+    return Summary(outcome=Outcome.MISPLACED, headline=sentence_case(head), details=details)
+
+
+def sentence_case(text: str) -> str:
+    """Return text as a sentence: capital first, one full stop at the end."""
+    return text[:1].upper() + text[1:].rstrip(".") + "."
+
+
+def undecided_rivals(finding: Finding) -> list[tuple[Amendment, Rival]]:
+    """Return named effects with a rival that explains the data almost as well; an effect that is named is no rival."""
+    names = {a.name for a in finding.effects}
+    out = []
+    for a in (*finding.undecided, *finding.effects):
+        for result in finding.channels.values():
+            for rival in result.rivals:
+                close = (a.evidence or 0.0) - rival.evidence_nats < MIN_LEAD
+                if rival.instead_of == a.name and rival.name not in names and close:
+                    out.append((a, rival))
+    return out
+
+
+def tolerance_sentences(finding: Finding) -> list[str]:
+    """Say what robot.yaml's tolerances are too wide to show, and what they took in this run."""
+    found = tolerated(finding)
+    if not found:
+        return []
+    passed = [
+        f"{one.most.effect.title} up to {largest(one.most)}"
+        + (f" (here {largest(one.taken)})" if one.taken is not None else "")
+        for one in found
+    ]
+    keys = ", ".join(one.tolerance for one in found)
+    return [f"The tolerances in robot.yaml are wide ({keys}): without a name pass {'; '.join(passed)}."]
+
+
+def intake_sentences(finding: Finding) -> list[str]:
+    """Say which scans were dropped and which channels were not looked at, one line each."""
+    out = []
+    scans, used = finding.intake.get("scans", 0), finding.intake.get("used", 0)
+    dropped = {why: n for why, n in finding.intake.get("dropped", {}).items() if n}
+    if dropped and used < scans:
+        counted = ", ".join(f"{n:,} {why}" for why, n in dropped.items())
+        out.append(f"used {used:,} of {scans:,} scans; dropped: {counted}")
+    for name, result in finding.channels.items():
+        if result.skipped and finding.explained is not None:
+            out.append(f"{name}: not looked at, {result.skipped}")
+    return out
+
+
+def _place_phrase(deviation: Deviation | None) -> str:
+    """Say where something unknown is."""
+    if deviation is None:
+        return "is left"
+    part = deviation.partition.removesuffix(" and half of the run")
+    words = {"hit place": "", "robot place": "where the robot is"}
+    return f"{words.get(part, 'at ' + part)} {deviation.label}".strip()
+
+
+def main_channel(finding: Finding) -> str:
+    """Return the channel that the headline is about: the first-named effect's, or that of the unknown."""
+    if finding.effects or finding.undecided:
+        return (*finding.effects, *finding.undecided)[0].effect.channel
+    for name, result in finding.channels.items():
+        if result.unknown is not None:
+            return name
+    return next(iter(finding.channels))
+
+
+def gap_sentences(finding: Finding) -> list[str]:
+    """Say how far the gap shrinks in each channel with a named effect; without one, how large the gap is."""
+    named = [name for name, result in finding.channels.items() if result.effects]
+    out = []
+    for name in named or [main_channel(finding)]:
+        result = finding.channels[name]
+        text = gap_sentence(result.gap, channel=name, n_effects=len(result.effects))
+        out.append(f"{name.capitalize()}: {text[0].lower()}{text[1:]}" if text and len(named) > 1 else text)
+    return [text for text in out if text]
+
+
+def gap_sentence(gap: Gap | None, *, channel: str = "scan", n_effects: int = 1) -> str:
+    """Say how far the gap shrinks, in units of the noise floor."""
+    if gap is None or gap.noise_floor.normalised <= 0:
+        return ""
+    before, after, floor = (f.normalised for f in (gap.before, gap.after, gap.noise_floor))
+    unit, factor = ("cm", 100.0) if channel == "scan" else ("cm/s", 100.0)
+    if not n_effects:
+        return (
+            f"The gap is {after / floor:.2f} times the noise floor "
+            f"({factor * gap.after.rmse_m:.2f} {unit} over {factor * gap.noise_floor.rmse_m:.2f} {unit})."
+        )
+    it = "it" if n_effects == 1 else "them"
+    gained = minus(f"{gap.before.nats_per_ray - gap.after.nats_per_ray:.3g} nats")
+    if after > UNCHANGED * before:
+        return (
+            f"With {it} in the model every reading is better explained, by {gained} on average over {gap.n_rays:,} "
+            "readings that no fit has seen; the RMS gap, which it hardly changes, is "
+            f"{after / floor:.2f} times the noise floor."
+        )
+    return (
+        f"With {it} in the model the gap shrinks from {before / floor:.2f} to {after / floor:.2f} times the noise floor "
+        f"({factor * gap.before.rmse_m:.2f} to {factor * gap.after.rmse_m:.2f} {unit}, and {gained} per reading), "
+        "on readings that no fit has seen."
+    )
