@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 import logs
 from logs.run import Run
 from planners.arena import Arena
-from planners.trajectory import Trajectory, read_csv
+from planners.trajectory import Trajectory
 from sensorgraph.building import build as building
 from sensorgraph.diagnosis import diagnose as diagnosing
 from sensorgraph.diagnosis.commissioning import commission_all
@@ -24,9 +24,11 @@ from sensorgraph.evaluation.evaluate import evaluate as evaluate_run
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification import identify as identifying
 from sensorgraph.identification.signals import Data, is_table, of_run, of_table
-from sensorgraph.loading import arena_in, load_arena, robot_for, robot_in
+from sensorgraph.loading import arena_in, load_arena, read_poses, robot_for, robot_in
 from sensorgraph.models.base import Point, Prediction
 from sensorgraph.planning.plan import CoveragePlan, plan
+from sensorgraph.recording.drive_source import check_start, kept_plan, open_drive
+from sensorgraph.recording.record import Commands
 from sensorgraph.recording.record import record as record_drive
 from sensorgraph.show.review.contents import Review
 from sensorgraph.show.review.review import review as write_review
@@ -73,7 +75,7 @@ def record(
 
     Parameters
     ----------
-    drive : a plan, its folder, a trajectory or its CSV
+    drive : a plan, its folder, a trajectory or its CSV; or the file of a run, whose commands are driven again
     arena, robot : None: those of the plan
     effects : what robot, sensor and room have beyond robot.yaml and the map; or an effects.yaml
     seed : of all noise; the same seed gives the same run, byte for byte
@@ -81,17 +83,17 @@ def record(
 
     Raises
     ------
-    SensorgraphError : no arena is known, or an effect names a place that the arena does not have
+    SensorgraphError : no arena is known, the drive starts in a wall, or an effect names a place that the arena lacks
     """
-    trajectory, plan_arena, plan_robot = _drive(drive)
+    way, plan_arena, plan_robot, attachments = _drive(drive)
     walls = plan_arena if arena is None else _arena(arena)
     if walls is None:
         raise SensorgraphError("a trajectory alone names no arena; give the arena to drive in")
     machine = (plan_robot or load_robot()) if robot is None else _robot(robot)
     amendments = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else effects
-    return record_drive(
-        None if path is None else Path(path), walls, machine, trajectory, effects=amendments, seed=seed
-    )
+    check_start(way.poses[0] if isinstance(way, Trajectory) else way.start, walls, machine)
+    file = None if path is None else Path(path)
+    return record_drive(file, walls, machine, way, effects=amendments, seed=seed, attachments=attachments)
 
 
 @as_sensorgraph_error
@@ -139,12 +141,12 @@ def evaluate(
 
 
 @as_sensorgraph_error
-def predict(graph: GraphLike, poses: ArrayLike, *, point: Point = "mode") -> Prediction:
+def predict(graph: GraphLike, poses: ArrayLike | Path, *, point: Point = "mode") -> Prediction:
     """Predict every ray at given poses.
 
     Parameters
     ----------
-    poses : (n_poses, 3) or (3,) [m, m, rad] x, y, phi of the graph's `pose_frame` in map
+    poses : (n_poses, 3) or (3,) [m, m, rad] x, y, phi of the graph's `pose_frame` in map; or a CSV with these columns
     point : which value of the mixture `ranges` is
 
     Returns
@@ -155,7 +157,8 @@ def predict(graph: GraphLike, poses: ArrayLike, *, point: Point = "mode") -> Pre
     ------
     SensorgraphError : a pose is not finite, or is far from any arena
     """
-    return _graph(graph).predict(np.atleast_2d(np.asarray(poses, dtype=np.float64)), point=point)
+    where = read_poses(Path(poses)) if isinstance(poses, str | Path) else np.asarray(poses, dtype=np.float64)
+    return _graph(graph).predict(np.atleast_2d(where), point=point)
 
 
 @as_sensorgraph_error
@@ -276,18 +279,11 @@ def _robot(robot: RobotLike) -> Robot:
 
 def _drive(
     drive: CoveragePlan | Trajectory | Path | str,
-) -> tuple[Trajectory, Arena | None, Robot | None]:
-    """Return a trajectory with the arena and the robot that it was planned for, where they are known."""
+) -> tuple[Trajectory | Commands, Arena | None, Robot | None, dict[str, bytes]]:
+    """Return what to drive, the arena and the robot that it was planned for if they are known, and what a run keeps."""
     if isinstance(drive, CoveragePlan):
-        return drive.trajectory, drive.arena, drive.robot
+        return drive.trajectory, drive.arena, drive.robot, kept_plan(drive.to_dict())
     if isinstance(drive, Trajectory):
-        return drive, None, None
-    folder = Path(drive)
-    if not folder.is_dir():
-        return read_csv(folder), None, None
-    arena, robot = folder / "arena.geojson", folder / "robot.yaml"
-    return (
-        read_csv(folder / "trajectory.csv"),
-        load_arena(arena) if arena.is_file() else None,
-        load_robot(robot) if robot.is_file() else None,
-    )
+        return drive, None, None, {}
+    source = open_drive(Path(drive))
+    return source.way, source.arena(), source.robot(), source.attachments()

@@ -28,15 +28,16 @@ from sensorgraph.world.scene import limited
 from sensorgraph.world.simulate import EPOCH_NS, occupancy
 from sensorgraph.world.wall_distance import WallDistance
 
-N_CHECK = 1000
+N_CHECK_POSES = 1000
 BASELINE = "polynomial"
-"""What the faces are shown beside: the form of 2004."""
-MARGIN = 0.02  # [m] that the checked poses keep from walls, beyond the robot's radius
+"""The model that the faces are compared with: the form of 2004."""
+MARGIN = 0.02
+"""[m] between checked poses and walls, beyond the robot's radius."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Trip:
-    """One way of driving, and what came of it."""
+class DemoDrive:
+    """One drive with one model fitted to it, and how well it predicts."""
 
     planner: str
     model: str
@@ -51,27 +52,27 @@ class Trip:
     """On poses spread evenly over the arena that no run has seen."""
 
 
-def demo(folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: ProgressBars) -> list[Trip]:
+def demo(folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: ProgressBars) -> list[DemoDrive]:
     """Run the loop; leave plan, runs, graphs, review and `demo.json` in `folder`."""
     check = check_run(arena, robot, np.random.default_rng([seed, 99]))
     logs.write(check, folder / "check.mcap", occupancy=occupancy(arena))
-    trips: list[Trip] = []
+    drives: list[DemoDrive] = []
     for planner in ("coverage", "random_bounce"):
-        trips.append(_trip(folder, arena, robot, planner, trips, check, seed=seed, progress=progress))
+        drives.append(_drive(folder, arena, robot, planner, drives, check, seed=seed, progress=progress))
     with progress("build polynomial", "blocks") as tick:
         run = logs.read(folder / "coverage.mcap")
         plain = build([run], arena=arena, model=BASELINE, names=["coverage.mcap"], progress=tick)
     plain.save(folder / f"coverage.{BASELINE}.sensorgraph")
-    trips.append(replace(trips[0], model=BASELINE, graph=plain, checked=evaluate(plain, check)))
+    drives.append(replace(drives[0], model=BASELINE, graph=plain, checked=evaluate(plain, check)))
     races = {
-        label: (trip.growth[0] / 60, trip.growth[1], trip.coverage)
-        for label, trip in zip(("planned", "random"), trips[:2], strict=True)
+        label: (drive.growth[0] / 60, drive.growth[1], drive.coverage)
+        for label, drive in zip(("planned", "random"), drives[:2], strict=True)
     }
     race_picture(races, arena, folder / "coverage.png")
-    return trips
+    return drives
 
 
-def check_run(arena: Arena, robot: Robot, rng: np.random.Generator, n: int = N_CHECK) -> Run:
+def check_run(arena: Arena, robot: Robot, rng: np.random.Generator, n: int = N_CHECK_POSES) -> Run:
     """Scan from poses spread evenly over the free space and all headings: what a sensorgraph should know."""
     x0, y0, x1, y1 = arena.bounds
     clearance, poses = WallDistance(arena), np.zeros((0, 3))
@@ -90,32 +91,32 @@ def check_run(arena: Arena, robot: Robot, rng: np.random.Generator, n: int = N_C
     )  # fmt: skip
 
 
-def to_dict(trips: list[Trip]) -> dict[str, Any]:
+def to_dict(drives: list[DemoDrive]) -> dict[str, Any]:
     """Return the numbers of the demo as plain data."""
     return {
-        trip.planner if trip.model != BASELINE else f"{trip.planner}_{BASELINE}": {
-            "model": trip.model,
-            "drive_time_s": trip.drive_time,
-            "coverage": trip.coverage.fraction,
-            "answered": trip.checked.answered,
-            "all": trip.checked.all,
-            "answered_only": trip.checked.answered_only,
+        drive.planner if drive.model != BASELINE else f"{drive.planner}_{BASELINE}": {
+            "model": drive.model,
+            "drive_time_s": drive.drive_time,
+            "coverage": drive.coverage.fraction,
+            "answered": drive.checked.answered,
+            "all": drive.checked.all,
+            "answered_only": drive.checked.answered_only,
         }
-        for trip in trips
+        for drive in drives
     }
 
 
-def _trip(
+def _drive(
     folder: Path,
     arena: Arena,
     robot: Robot,
     planner: str,
-    before: list[Trip],
+    before: list[DemoDrive],
     check: Run,
     *,
     seed: int,
     progress: ProgressBars,
-) -> Trip:
+) -> DemoDrive:
     """Plan, record, build and evaluate one way of driving; a baseline drives as long as the coverage plan."""
     with progress(f"plan {planner}", "cells") as tick:
         planned = make_plan(
@@ -143,7 +144,7 @@ def _trip(
             arena=arena,
             name=f"{planner}.mcap",
         )
-    return Trip(
+    return DemoDrive(
         planner=planner,
         model=graph.model.name,
         drive_time=planned.trajectory.duration,

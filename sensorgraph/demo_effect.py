@@ -14,18 +14,29 @@ from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.diagnosis.report.data import effect_dict
 from sensorgraph.diagnosis.report.data import to_dict as report_dict
 from sensorgraph.diagnosis.report.files import save_report
-from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.effects import Amendment
+from sensorgraph.effects.glass import GLASS
+from sensorgraph.effects.latency import LATENCY
+from sensorgraph.effects.mount_xy import MOUNT_XY
+from sensorgraph.effects.mount_yaw import MOUNT_YAW
+from sensorgraph.effects.moved_wall import MOVED_WALL
+from sensorgraph.effects.range_bias import RANGE_BIAS
+from sensorgraph.effects.range_scale import RANGE_SCALE
+from sensorgraph.effects.unmapped_obstacle import UNMAPPED_OBSTACLE
 from sensorgraph.recording.record import record
 from sensorgraph.types import Floats, ProgressBars
 from sensorgraph.world.robot import Robot
 from sensorgraph.world.wall_distance import WallDistance
 
-DURATION = 60.0  # [s] that the robot drives
+DURATION = 60.0
+"""[s] that the robot drives."""
+MIN_WALL, PANE = 1.2, 0.9
+"""[m] of a wall that may be moved or hold a pane of glass, and of the pane."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Hidden:
-    """What was hidden, and what was found."""
+class HiddenEffect:
+    """An effect that was hidden, and what diagnosis found."""
 
     planted: Amendment
     finding: Finding
@@ -36,7 +47,7 @@ class Hidden:
         return next((a for a in self.finding.effects if a.name == self.planted.name), None)
 
 
-def to_dict(hidden: Hidden) -> dict[str, Any]:
+def to_dict(hidden: HiddenEffect) -> dict[str, Any]:
     """Return as plain data what was planted, what was found in its place, and the gap before and after."""
     report = report_dict(hidden.finding)
     planted, found = hidden.planted, hidden.found
@@ -49,13 +60,15 @@ def to_dict(hidden: Hidden) -> dict[str, Any]:
     }
 
 
-def hide_and_find(folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: ProgressBars) -> Hidden:
+def hide_and_find(
+    folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: ProgressBars
+) -> HiddenEffect:
     """Drive twice with an effect that the map and robot.yaml lack; diagnose one run, prove it on the other."""
-    planted = chosen(arena, robot, np.random.default_rng([seed, 7]))
+    planted = random_effect(arena, robot, np.random.default_rng([seed, 7]))
     folder.mkdir(parents=True, exist_ok=True)
     runs = []
     for k, name in enumerate(("first", "second")):
-        way = make_plan(
+        trajectory = make_plan(
             arena,
             robot,
             planner="random_bounce",
@@ -64,38 +77,40 @@ def hide_and_find(folder: Path, arena: Arena, robot: Robot, *, seed: int, progre
             duration=DURATION,
         ).trajectory
         path = folder / f"{name}.mcap"
-        runs.append(record(path, arena, robot, way, effects=[planted], seed=seed + k, progress=progress))
+        runs.append(
+            record(path, arena, robot, trajectory, effects=[planted], seed=seed + k, progress=progress)
+        )
     with progress("diagnosing", "parts") as tick:
         finding = diagnose(runs[0], arena, robot, second=runs[1], seed=seed, progress=tick)
     settings = {"seed": seed, "runs": ["first.mcap", "second.mcap"], "tolerances": vars(robot.tolerances)}
     with progress("reporting", "files") as tick:
         save_report(finding, folder, name="first.mcap", settings=settings, progress=tick)
-    return Hidden(planted=planted, finding=finding)
+    return HiddenEffect(planted=planted, finding=finding)
 
 
-def chosen(arena: Arena, robot: Robot, rng: np.random.Generator) -> Amendment:
+def random_effect(arena: Arena, robot: Robot, rng: np.random.Generator) -> Amendment:
     """Draw an effect, its size and its place."""
     sign = float(rng.choice([-1.0, 1.0]))
     outline = arena.names[0].rsplit("/", 1)[0]
     long = [
         i
         for i, name in enumerate(arena.names)
-        if name.rsplit("/", 1)[0] == outline and _length(arena, i) > 1.2
+        if name.rsplit("/", 1)[0] == outline and _length(arena, i) > MIN_WALL
     ]
     wall = int(rng.choice(long)) if long else 0
     start = rng.uniform(0.1, 0.4) * _length(arena, wall)
     point = _free_point(arena, robot, rng)
     choices = [
-        EFFECTS["range_bias"](b=sign * rng.uniform(0.015, 0.04)),
-        EFFECTS["range_scale"](s=sign * rng.uniform(0.008, 0.02)),
-        EFFECTS["mount_yaw"](delta=sign * np.radians(rng.uniform(0.8, 2.0))),
-        EFFECTS["mount_xy"](dx=sign * rng.uniform(0.02, 0.05), dy=rng.uniform(-0.03, 0.03)),
-        EFFECTS["latency"](tau=rng.uniform(0.03, 0.08)),
-        EFFECTS["moved_wall"](d=sign * rng.uniform(0.04, 0.1)).at(arena.names[wall], _middle(arena, wall)),
-        EFFECTS["glass"](a=start, b=start + 0.9, alpha_ret=np.radians(rng.uniform(15, 35)), depth=1.5).at(
+        RANGE_BIAS(b=sign * rng.uniform(0.015, 0.04)),
+        RANGE_SCALE(s=sign * rng.uniform(0.008, 0.02)),
+        MOUNT_YAW(delta=sign * np.radians(rng.uniform(0.8, 2.0))),
+        MOUNT_XY(dx=sign * rng.uniform(0.02, 0.05), dy=rng.uniform(-0.03, 0.03)),
+        LATENCY(tau=rng.uniform(0.03, 0.08)),
+        MOVED_WALL(d=sign * rng.uniform(0.04, 0.1)).at(arena.names[wall], _middle(arena, wall)),
+        GLASS(a=start, b=start + PANE, alpha_ret=np.radians(rng.uniform(15, 35)), depth=1.5).at(
             arena.names[wall], _middle(arena, wall)
         ),
-        EFFECTS["unmapped_obstacle"](x=point[0], y=point[1], r=rng.uniform(0.06, 0.15)).at("", point),
+        UNMAPPED_OBSTACLE(x=point[0], y=point[1], r=rng.uniform(0.06, 0.15)).at("", point),
     ]
     made = choices[int(rng.integers(len(choices)))]
     return made.moved_to({k: round(float(v), 4) for k, v in made.parameters.items()})

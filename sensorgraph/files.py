@@ -1,4 +1,4 @@
-"""Files that are whole or not there: written beside their name, then renamed; gone if anything goes wrong."""
+"""Atomic writes: a file, or all files of a folder, are complete or not there."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """Yield the name to write under; on leaving the file takes its name, after an exception it is removed."""
+def atomic_file(path: Path) -> Iterator[Path]:
+    """Yield a temporary name to write to; on leaving it becomes `path`, after an exception it is removed."""
     part = path.with_name(path.name + ".part")
     try:
         yield part
@@ -21,8 +21,8 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def together(folder: Path) -> Iterator[Path]:
-    """Yield a folder to write in; on leaving all of its files move to `folder`, after an exception none does."""
+def atomic_folder(folder: Path) -> Iterator[Path]:
+    """Yield a temporary folder to write in; on leaving its files move to `folder`, after an exception none does."""
     part = folder / ".part"
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from logs.run import PoseFrame, RangeSensor
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.files import whole
+from sensorgraph.files import atomic_file
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import POINTS, Model, Point, Prediction
 from sensorgraph.types import Floats
@@ -103,7 +103,10 @@ class Sensorgraph:
             buffer = io.BytesIO()
             np.lib.format.write_array(buffer, np.ascontiguousarray(arrays[name]), allow_pickle=False)
             members[f"{name}.npy"] = buffer.getvalue()
-        with whole(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as file:
+        with (
+            atomic_file(path) as part,
+            zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as file,
+        ):
             for name, data in members.items():
                 info = zipfile.ZipInfo(name, date_time=_EPOCH)
                 info.compress_type = zipfile.ZIP_DEFLATED

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
+
+import numpy as np
 
 from logs.run import Run
 from planners import maps
@@ -14,6 +17,7 @@ from planners.maps import geojson
 from sensorgraph.building.build import is_same_sensor
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.robot import Robot, load_robot, parse_robot
 
@@ -49,6 +53,43 @@ def load_arena(source: str | Path) -> Arena:
     if name.endswith(".sensorgraph"):
         return arena_of(Sensorgraph.load(Path(name)))
     return maps.load(Path(name))
+
+
+def read_poses(path: Path) -> Floats:
+    """Read columns x, y, phi of a CSV file; (n_poses, 3) [m, m, rad].
+
+    Raises
+    ------
+    SensorgraphError : a column is missing, a line holds no numbers, or there is no pose
+    """
+    rows: list[list[float]] = []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            names = [name.strip() for name in reader.fieldnames or []]
+            reader.fieldnames = names
+            missing = [name for name in ("x", "y", "phi") if name not in names]
+            if missing:
+                raise SensorgraphError(
+                    f"{path}: no column {', '.join(missing)}; expected a header line x,y,phi"
+                )
+            for row in reader:
+                try:
+                    rows.append([float(row[name]) for name in ("x", "y", "phi")])
+                except (TypeError, ValueError):
+                    raise SensorgraphError(
+                        f"{path}: line {reader.line_num}: cannot read numbers in {list(row.values())}; "
+                        "expected x,y,phi"
+                    ) from None
+    except (UnicodeDecodeError, csv.Error) as exc:
+        raise SensorgraphError(f"{path}: not a CSV file ({exc}); expected a header line x,y,phi") from exc
+    poses = np.array(rows, dtype=np.float64).reshape(-1, 3)
+    if len(poses) == 0:
+        raise SensorgraphError(f"{path}: no pose below the header; expected lines of x,y,phi")
+    if not np.isfinite(poses).all():
+        line = 2 + int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
+        raise SensorgraphError(f"{path}: line {line}: a number is not finite; leave such poses out")
+    return poses
 
 
 def arena_in(run: Run) -> Arena | None:

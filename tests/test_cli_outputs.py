@@ -12,7 +12,7 @@ import pytest
 
 from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
-from sensorgraph.files import whole
+from sensorgraph.files import atomic_file
 
 
 @pytest.fixture(scope="module")
@@ -141,9 +141,9 @@ def test_part_of_an_arena_behind_a_narrow_door_is_warned_of(
 
 
 def test_a_file_is_whole_or_not_there(tmp_path: Path) -> None:
-    with whole(tmp_path / "a") as part:
+    with atomic_file(tmp_path / "a") as part:
         part.write_text("done")
-    with pytest.raises(KeyboardInterrupt), whole(tmp_path / "b") as part:
+    with pytest.raises(KeyboardInterrupt), atomic_file(tmp_path / "b") as part:
         part.write_text("half")
         raise KeyboardInterrupt
     assert [p.name for p in tmp_path.iterdir()] == ["a"]

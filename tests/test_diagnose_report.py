@@ -16,7 +16,7 @@ from logs import write
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.cli import run as cli
-from sensorgraph.demo_effect import Hidden
+from sensorgraph.demo_effect import HiddenEffect
 from sensorgraph.demo_effect import to_dict as hidden_dict
 from sensorgraph.diagnosis.diagnose import Finding, diagnose
 from sensorgraph.diagnosis.report.data import plain, to_dict
@@ -208,11 +208,11 @@ def test_a_script_reads_the_gap_of_the_channel_that_the_headline_is_about(found:
 
 
 def test_the_demo_keeps_what_was_planted_and_what_was_found(found: Finding) -> None:
-    kept = hidden_dict(Hidden(planted=EFFECTS["range_bias"](b=0.03), finding=found))
+    kept = hidden_dict(HiddenEffect(planted=EFFECTS["range_bias"](b=0.03), finding=found))
     assert (kept["planted"], kept["planted_parameters"]) == ("range_bias", {"b": 0.03})
     assert kept["found"]["parameters"]["b"] == found.effects[0]["b"]
     assert kept["gap"]["before"]["rmse_m"] > kept["gap"]["after"]["rmse_m"] > 0
-    other = hidden_dict(Hidden(planted=EFFECTS["latency"](tau=0.1), finding=found))
+    other = hidden_dict(HiddenEffect(planted=EFFECTS["latency"](tau=0.1), finding=found))
     assert other["found"] is None
 
 

@@ -10,8 +10,8 @@ import typer
 from sensorgraph.cli.options import DemoArena, DemoOut, DemoSeed, RobotFile
 
 if TYPE_CHECKING:
-    from sensorgraph.demo import Trip
-    from sensorgraph.demo_effect import Hidden
+    from sensorgraph.demo import DemoDrive
+    from sensorgraph.demo_effect import HiddenEffect
 
 
 def demo(
@@ -52,13 +52,13 @@ def demo(
         "seed": seed,
     }
     (folder / "config.json").write_text(json.dumps(config, indent=1) + "\n")
-    trips = run_demo(folder, walls, machine, seed=seed, progress=progress)
+    drives = run_demo(folder, walls, machine, seed=seed, progress=progress)
     hidden = hide_and_find(folder / "diagnosis", walls, machine, seed=seed, progress=progress)
-    results = {**to_dict(trips), "hidden_effect": hidden_dict(hidden)}
+    results = {**to_dict(drives), "hidden_effect": hidden_dict(hidden)}
     (folder / "demo.json").write_text(json.dumps(results, indent=1) + "\n")
     if out is None:
-        _point_to(folder)
-    typer.echo("\n".join(table(trips)))
+        _link_latest(folder)
+    typer.echo("\n".join(comparison_table(drives)))
     typer.echo("\n" + "\n".join(hidden_effect_lines(hidden)))
     typer.echo(f"\n{time.monotonic() - began:.0f} s; all of it is in {folder}")
     typer.echo(f"look at it:      rerun {folder / 'review.rrd'}   and   {folder / 'coverage.png'}")
@@ -67,7 +67,7 @@ def demo(
     typer.echo(f"what is logged:  sensorgraph inspect {folder / 'coverage.mcap'}")
 
 
-def hidden_effect_lines(hidden: Hidden) -> list[str]:
+def hidden_effect_lines(hidden: HiddenEffect) -> list[str]:
     """Say what was hidden, what was found, and what it brought."""
     from sensorgraph.diagnosis.report.summary import summarise
 
@@ -88,16 +88,18 @@ def hidden_effect_lines(hidden: Hidden) -> list[str]:
     return lines
 
 
-def table(trips: list[Trip]) -> list[str]:
+def comparison_table(drives: list[DemoDrive]) -> list[str]:
     """Return the demo's table, markdown."""
     names = {"coverage": "planned", "random_bounce": "random, as long"}
-    heads = [names[trip.planner] + (", 2004 form" if trip.model == "polynomial" else "") for trip in trips]
+    heads = [
+        names[drive.planner] + (", 2004 form" if drive.model == "polynomial" else "") for drive in drives
+    ]
     rows = [
-        ("driven", [f"{trip.drive_time / 60:.0f} min" for trip in trips]),
-        ("reachable (x, y, φ) bins visited", [f"{100 * trip.coverage.fraction:.1f} %" for trip in trips]),
+        ("driven", [f"{drive.drive_time / 60:.0f} min" for drive in drives]),
+        ("reachable (x, y, φ) bins visited", [f"{100 * drive.coverage.fraction:.1f} %" for drive in drives]),
         (
             "rays answered, anywhere in the arena",
-            [f"{100 * trip.checked.answered:.1f} %" for trip in trips],
+            [f"{100 * drive.checked.answered:.1f} %" for drive in drives],
         ),
     ]
     for label, name, scale, unit in (
@@ -106,7 +108,7 @@ def table(trips: list[Trip]) -> list[str]:
         ("RMSE", "rmse_m", 100, "cm"),
         ("Pearson r", "pearson_r", 1, ""),
     ):
-        values = [trip.checked.all[name] for trip in trips]
+        values = [drive.checked.all[name] for drive in drives]
         rows.append((label, ["–" if v is None else f"{scale * v:.3g} {unit}".strip() for v in values]))
     width = max(len(label) for label, _ in rows)
     columns = [max(len(head), *(len(cells[k]) for _, cells in rows)) for k, head in enumerate(heads)]
@@ -122,7 +124,7 @@ def table(trips: list[Trip]) -> list[str]:
     return [line("", heads), ruler, *(line(label, cells) for label, cells in rows)]
 
 
-def _point_to(folder: Path) -> None:
+def _link_latest(folder: Path) -> None:
     """Let runs/latest lead to the folder, where links are possible."""
     latest = folder.parent / "latest"
     try:

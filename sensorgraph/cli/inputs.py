@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.files import whole
+from sensorgraph.files import atomic_file
 
 if TYPE_CHECKING:
     from logs.run import RangeSensor
@@ -54,45 +53,11 @@ def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) ->
             )
 
 
-def read_poses(path: Path) -> Floats:
-    """Read columns x, y, phi of a CSV file; (n_poses, 3) [m, m, rad]."""
-    import numpy as np
-
-    rows: list[list[float]] = []
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            names = [name.strip() for name in reader.fieldnames or []]
-            reader.fieldnames = names
-            missing = [name for name in ("x", "y", "phi") if name not in names]
-            if missing:
-                raise SensorgraphError(
-                    f"{path}: no column {', '.join(missing)}; expected a header line x,y,phi"
-                )
-            for row in reader:
-                try:
-                    rows.append([float(row[name]) for name in ("x", "y", "phi")])
-                except (TypeError, ValueError):
-                    raise SensorgraphError(
-                        f"{path}: line {reader.line_num}: cannot read numbers in {list(row.values())}; "
-                        "expected x,y,phi"
-                    ) from None
-    except (UnicodeDecodeError, csv.Error) as exc:
-        raise SensorgraphError(f"{path}: not a CSV file ({exc}); expected a header line x,y,phi") from exc
-    poses = np.array(rows, dtype=np.float64).reshape(-1, 3)
-    if len(poses) == 0:
-        raise SensorgraphError(f"{path}: no pose below the header; expected lines of x,y,phi")
-    if not np.isfinite(poses).all():
-        line = 2 + int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
-        raise SensorgraphError(f"{path}: line {line}: a number is not finite; leave such poses out")
-    return poses
-
-
 def write_json(path: Path, data: Any) -> None:
     """Write JSON under a temporary name, then rename; a number that is not finite is refused."""
     import json
 
-    with whole(path) as part:
+    with atomic_file(path) as part:
         part.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 

@@ -6,8 +6,6 @@ import typer
 
 from sensorgraph.cli.options import GraphFile, PredictOutput, PredictPoint, PredictPoses
 
-ARRAYS = ("ranges", "median", "mode", "mean", "sigma", "p_no_return", "answered")
-
 
 def predict(
     graph: GraphFile,
@@ -25,19 +23,16 @@ def predict(
     """
     from typing import cast
 
-    import numpy as np
-
-    from sensorgraph.cli.inputs import check_output, read_poses
-    from sensorgraph.files import whole
+    from sensorgraph.cli.inputs import check_output
     from sensorgraph.graph import Sensorgraph
+    from sensorgraph.loading import read_poses
     from sensorgraph.models.base import Point
 
     check_output(output, graph, poses)
     model = Sensorgraph.load(graph)
     where = read_poses(poses)
     result = model.predict(where, point=cast(Point, point))
-    with whole(output) as part, part.open("wb") as file:
-        np.savez_compressed(file, **{name: getattr(result, name) for name in ARRAYS})
+    result.save(output)
     typer.echo(
         f"wrote {output}: {len(where)} poses of {model.pose_frame} x {model.sensor.n_rays} rays, "
         f"{100 * float(result.answered.mean()):.1f} % answered"

@@ -16,7 +16,7 @@ from planners.arena import Arena
 from sensorgraph.effects import EFFECTS, Amendment, Effect, Location
 from sensorgraph.effects.places import named_walls
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.files import whole
+from sensorgraph.files import atomic_file
 
 logger = logging.getLogger(__name__)
 
@@ -27,7 +27,7 @@ OPTIONAL = {"map_scale": ("dx", "dy"), "range_drift": ("tau",)}
 
 def write(amendments: Iterable[Amendment], path: Path) -> None:
     """Write effects.yaml, whole or not at all."""
-    with whole(path) as part:
+    with atomic_file(path) as part:
         part.write_text(dumps(amendments), encoding="utf-8")
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import PoseFrame, RangeSensor
+from sensorgraph.files import atomic_file
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
 Point = Literal["mode", "median", "mean"]
@@ -47,6 +49,10 @@ class Scans:
         return len(self.poses)
 
 
+SAVED_ARRAYS = ("ranges", "median", "mode", "mean", "sigma", "p_no_return", "answered")
+"""Of a prediction, in its file."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prediction:
     """What the sensor should see; every array is (n_poses, n_rays), lengths in m."""
@@ -70,6 +76,11 @@ class Prediction:
         shapes = {name: np.shape(getattr(self, name)) for name in self.__dataclass_fields__}
         if len(set(shapes.values())) != 1:
             raise ValueError(f"a prediction has shapes {shapes}, expected one shape (n_poses, n_rays)")
+
+    def save(self, path: Path) -> None:
+        """Write the arrays of SAVED_ARRAYS, each (n_poses, n_rays), as NPZ."""
+        with atomic_file(path) as part, part.open("wb") as file:
+            np.savez_compressed(file, **{name: getattr(self, name) for name in SAVED_ARRAYS})
 
     def point(self, name: Point) -> Floats:
         """Return one point value given a return."""

@@ -21,7 +21,7 @@ from planners.curve import Curve
 from planners.export import commands_csv, stops_yaml
 from planners.holes import holes_csv
 from planners.maps import geojson
-from sensorgraph.files import whole
+from sensorgraph.files import atomic_file
 from sensorgraph.show.figures.headings import headings_picture
 from sensorgraph.show.figures.plan import plan_picture, reach_picture
 from sensorgraph.types import Floats
@@ -93,7 +93,7 @@ def _save_drive(
 
 def _write(folder: Path, texts: dict[str, str]) -> None:
     for name, text in texts.items():
-        with whole(folder / name) as part:
+        with atomic_file(folder / name) as part:
             part.write_text(text, encoding="utf-8")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class DriveSource:
         return load_robot(kept) if kept.is_file() else None
 
     def attachments(self) -> dict[str, bytes]:
-        """Return plan.json for a run to keep, without the time that planning took: the same seed, the same bytes.
+        """Return plan.json for a run to keep.
 
         Raises
         ------
@@ -58,9 +59,14 @@ class DriveSource:
             report = json.loads(path.read_text(encoding="utf-8"))
         except ValueError as exc:
             raise SensorgraphError(f"{path}: not JSON ({exc}); plan again, or take the file away") from exc
-        if isinstance(report, dict):
-            report.pop("planning_s", None)
-        return {"plan.json": (json.dumps(report, indent=1) + "\n").encode()}
+        return kept_plan(report)
+
+
+def kept_plan(report: Any) -> dict[str, bytes]:
+    """Return plan.json as an attachment, without the time that planning took: the same seed gives the same bytes."""
+    if isinstance(report, dict):
+        report = {key: value for key, value in report.items() if key != "planning_s"}
+    return {"plan.json": (json.dumps(report, indent=1) + "\n").encode()}
 
 
 def open_drive(path: Path, *, start: Floats | None = None) -> DriveSource:

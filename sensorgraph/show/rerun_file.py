@@ -14,7 +14,7 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
-from sensorgraph.files import whole
+from sensorgraph.files import atomic_file
 
 WHITE, ORANGE = (235, 235, 240), (255, 150, 40)
 """Measured; predicted or simulated."""
@@ -28,7 +28,7 @@ def recorded(path: Path, name: str, layout: rrb.Blueprint) -> Iterator[rr.Record
     was_strict = rr.strict_mode()
     rr.set_strict_mode(True)
     try:
-        with whole(path) as part:
+        with atomic_file(path) as part:
             recording = rr.RecordingStream("sensorgraph", recording_id=name, send_properties=False)
             recording.save(part, default_blueprint=layout)
             yield recording

@@ -32,7 +32,7 @@ from sensorgraph.diagnosis.next_run.drives import build_drives, random_drive
 from sensorgraph.diagnosis.next_run.forecast import EvidenceForecast, MotionSamples, OpenQuestion
 from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.diagnosis.next_run.time_allocation import allocate_time
-from sensorgraph.files import whole
+from sensorgraph.files import atomic_file
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.robot import Robot
@@ -92,7 +92,7 @@ class NextRun:
             "plan.json": json.dumps({"planner": "next_run", **self.to_dict()}, indent=1) + "\n",
         }
         for name, text in texts.items():
-            with whole(folder / name) as part:
+            with atomic_file(folder / name) as part:
                 part.write_text(text, encoding="utf-8")
 
 

@@ -1,7 +1,8 @@
-"""ComparedScans: measured against simulated, before and after the amendment, as plain arrays for pictures and views.
+"""Measured against simulated scans, before and after the amendment, as plain arrays for pictures and views.
 
-Both are the bare simulator at the reference poses, as `record --effects` would simulate it: no nuisance is fitted
-here, so that pictures show what a user of the simulator would see. The gap in numbers is that of `prove`.
+Both are the bare simulator at the reference poses, as `record` would simulate it with the effects: no nuisance is
+fitted here, so that pictures show what a user of the simulator would see. The gap in numbers is that of
+`held_out_gap`.
 """
 
 from __future__ import annotations
@@ -21,16 +22,21 @@ from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats, Ints
 
-MAX_P_ALTERNATIVE = 0.002  # chance of the other side of an edge in depth, above which a ray is not compared
-MAGNIFICATIONS = (1, 2, 3, 5, 10, 20, 30, 50)  # times that residuals are drawn
-CLIP_SIGMAS = 10.0  # sigmas at which a residual is cut for means
-MIN_RAYS = 40  # rays in a bin
-BLOCK_DURATION = 1.0  # [s] of scans that share their errors
+MAX_P_ALTERNATIVE = 0.002
+"""Chance of the other side of an edge in depth, above which a ray is not compared."""
+CLIP_SIGMAS = 10.0
+"""Standard deviations at which a residual is cut before it is averaged."""
+MAGNIFICATIONS = (1, 2, 3, 5, 10, 20, 30, 50)
+"""Times as large as they are, that residuals may be drawn."""
+MIN_RAYS = 40
+"""Of a mean."""
+BLOCK_DURATION = 1.0
+"""[s] of scans whose errors are taken to be correlated."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulatedScans:
-    """One model against what was measured; arrays (n_scans, n_rays)."""
+    """The scans as one model simulates them, against what was measured; arrays (n_scans, n_rays)."""
 
     simulated: Floats
     """[m] expected reading, +inf where no return is the likelier outcome."""
@@ -51,7 +57,7 @@ class SimulatedScans:
 
     @classmethod
     def of(cls, fitted: Fitted, effects: Sequence[Amendment]) -> SimulatedScans:
-        """Simulate with some effects, and compare; strays are those of a fit."""
+        """Simulate with some effects and compare; which readings are strays is taken from a fit."""
         data = fitted.solver.data
         at = cast(data, effects)
         mu, expected, z = at.expected.reading, at.expected, data.ranges
@@ -95,7 +101,7 @@ def _rms(values: Floats) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ComparedScans:
-    """Scans with both models."""
+    """The scans of a run, and two simulators of them: as mapped, and with the effects that were found."""
 
     arena: Arena
     sensor: RangeSensor
@@ -118,18 +124,18 @@ class ComparedScans:
 
     @cached_property
     def sigma(self) -> float:
-        """[m] nominal noise, or 1 cm where none is told."""
+        """[m] nominal noise, or 1 cm if the sensor states none."""
         return self.sensor.sigma or 0.01
 
     @cached_property
     def typical_residual(self) -> float:
-        """[m] size of a residual before, that nine of ten do not exceed."""
+        """[m] 90 % quantile of the residuals before the amendment."""
         clipped = np.abs(self.before.clipped(self.sigma))
         return float(np.nanquantile(clipped, 0.9)) if np.isfinite(clipped).any() else self.sigma
 
     @cached_property
     def magnification(self) -> int:
-        """How many times as large residuals are drawn, so that they can be seen in the arena."""
+        """Times as large as they are, that residuals are drawn so that they can be seen in the arena."""
         room = 0.022 * self.diagonal
         return max(
             (k for k in MAGNIFICATIONS if k * max(self.typical_residual, self.sigma) <= room), default=1
@@ -171,7 +177,7 @@ class ComparedScans:
         return np.asarray(lasers[:, :2] + ranges[:, None] * way)
 
     def covariates(self) -> dict[str, tuple[Floats, Floats]]:
-        """Return what residuals are sorted by: label -> (values (n_scans, n_rays), edges)."""
+        """Return what residuals may depend on: label -> (values (n_scans, n_rays), edges)."""
         shape = self.measured.shape
         bearings = np.degrees(self.sensor.bearings)
         aimed = np.where(np.isfinite(self.before.aimed), self.before.aimed, np.nan)
@@ -212,7 +218,7 @@ class ComparedScans:
 def bare_gap(finding: Finding) -> Gap | None:
     """Return the gap of the bare simulator on the held-out scans, beside the nominal noise; None: no scan effect.
 
-    `prove.gap` lets poses and map shift within their tolerances before and after, which hides a part of what an
+    `held_out_gap.gap` lets poses and map shift within their tolerances before and after, which hides a part of what an
     effect does. Here nothing shifts; residuals beyond CLIP_SIGMAS sigmas are cut. It has no likelihood: nats are nan.
     """
     named = _named(finding)

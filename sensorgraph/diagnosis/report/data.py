@@ -25,7 +25,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
         "effects": [effect_dict(a) for a in finding.effects],
         "undecided": [effect_dict(a) for a in finding.undecided],
         "unknown": None if unknown is None else unknown_dict(unknown),
-        "where": [where_dict(w) for result in results.values() for w in result.deviations],
+        "where": [deviation_dict(d) for result in results.values() for d in result.deviations],
         "runner_up": runner_up(finding, rivals),
         "rivals": rivals,
         "gap": next((gap_dict(one.gap, name) for name, one in results.items() if one.gap is not None), None),
@@ -37,7 +37,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
             for result in results.values()
             for name, why in result.not_observable.items()
         ],
-        "next_run": next_run(finding),
+        "next_run": None if finding.next_run is None else finding.next_run.to_dict(),
         "intake": finding.intake,
         "channels": {name: channel_dict(result) for name, result in finding.channels.items()},
         "cpu_s": finding.seconds,
@@ -66,9 +66,9 @@ def runner_up(finding: Finding, rivals: Sequence[Mapping[str, Any]]) -> Mapping[
     return next((r for r in rivals if r["instead_of"] == first), rivals[0] if rivals else None)
 
 
-def where_dict(where: Deviation) -> dict[str, Any]:
+def deviation_dict(deviation: Deviation) -> dict[str, Any]:
     """Return one deviation as plain data."""
-    return {**asdict(where), "statement": where.sentence()}
+    return {**asdict(deviation), "statement": deviation.sentence()}
 
 
 def unknown_dict(unknown: Unknown) -> dict[str, Any]:
@@ -94,17 +94,9 @@ def channel_dict(result: ChannelResult) -> dict[str, Any]:
         "unknown": None if result.unknown is None else result.unknown.statement,
         "skipped": result.skipped,
         "gap": None if result.gap is None else gap_dict(result.gap, result.channel),
-        "where": [where_dict(w) for w in result.deviations],
+        "where": [deviation_dict(d) for d in result.deviations],
         "notes": dict(result.notes),
     }
-
-
-def next_run(finding: Finding) -> dict[str, Any] | None:
-    """Return the next run as plain data, where one is planned."""
-    plan = getattr(finding, "next_run", None)
-    if plan is None:
-        return None
-    return dict(plan.to_dict()) if hasattr(plan, "to_dict") else dict(plan)
 
 
 def plain(data: Any) -> Any:

@@ -17,7 +17,7 @@ from sensorgraph.diagnosis.report.markdown import markdown
 from sensorgraph.diagnosis.report.places import marks, wall_sections
 from sensorgraph.diagnosis.report.rerun_view import write as write_review
 from sensorgraph.effects import effects_file
-from sensorgraph.files import together, whole
+from sensorgraph.files import atomic_file, atomic_folder
 from sensorgraph.types import Progress
 from sensorgraph.version import __version__
 from sensorgraph.world.robot import Robot
@@ -45,7 +45,7 @@ def save_diagnosis(
     arena, robot : what the run was diagnosed with; the next run keeps them
     name, settings, progress : see `save_report`
     """
-    with together(folder) as part:
+    with atomic_folder(folder) as part:
         save_report(finding, part, name=name, settings=settings, progress=progress)
         if finding.next_run is not None:
             finding.next_run.save(part / "next_run", arena, robot)
@@ -77,7 +77,7 @@ def save_report(
     kept = {"version": __version__, **(settings or {})}
     report = plain({**to_dict(finding), "settings": kept})
     files = {key: folder / key for key in ("report.json", "effects.yaml", "report.html", "review.rrd")}
-    with whole(files["report.json"]) as part:
+    with atomic_file(files["report.json"]) as part:
         part.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     done(1)
     effects_file.write(finding.effects, files["effects.yaml"])
@@ -86,7 +86,7 @@ def save_report(
     pictures = draw_all(finding, compared, folder)
     done(3)
     html = page(finding, pictures, title=name, settings=kept, next_run=report["next_run"])
-    with whole(files["report.html"]) as part:
+    with atomic_file(files["report.html"]) as part:
         part.write_text(html, encoding="utf-8")
     done(4)
     if compared is None:

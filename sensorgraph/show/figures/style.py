@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from planners.arena import Arena
-from sensorgraph.files import whole
+from sensorgraph.files import atomic_file
 from sensorgraph.types import Floats
 
 INK, SOFT = "#23262f", "#8b90a0"
@@ -34,7 +34,7 @@ def new_figure(width: float, height: float, *, layout: Any = "constrained") -> A
 
 def save_figure(figure: Any, path: Path) -> None:
     """Write a figure as PNG; the file is complete or not there."""
-    with whole(path) as part:
+    with atomic_file(path) as part:
         figure.savefig(part, format="png", metadata={"Software": None})
 
 
