@@ -84,28 +84,30 @@ def run(arguments: list[str] | None = None) -> int:
     try:
         code = int(command.main(args=arguments, prog_name="sensorgraph", standalone_mode=False) or 0)
         if code == INTERRUPTED:  # typer turns Ctrl-C into an exit code
-            _say("interrupted")
+            _print_error("interrupted")
         return code
     except (KeyboardInterrupt, typer.Abort):
-        _say("interrupted")
+        _print_error("interrupted")
         return INTERRUPTED
     except Exception as exc:
-        return _answer(exc)
+        return _report_error(exc)
 
 
-def _answer(exc: Exception) -> int:
-    """Say in one line what went wrong, and return the exit code."""
+def _report_error(exc: Exception) -> int:
+    """Print in one line what went wrong; return the exit code."""
     if hasattr(exc, "format_message") and hasattr(exc, "exit_code"):  # a usage error of the command line
         if type(exc).__name__ == "NoArgsIsHelpError":
             typer.echo(exc.format_message())
             return 0
-        _say(f"error: {' '.join(exc.format_message().split())}; see `sensorgraph --help`")
+        _print_error(f"error: {' '.join(exc.format_message().split())}; see `sensorgraph --help`")
         return int(exc.exit_code)
     if isinstance(exc, OSError) and exc.filename is None and exc.errno is not None:
-        _say(f"error: {exc.strerror}; the output cannot be written")
+        _print_error(f"error: {exc.strerror}; the output cannot be written")
         return 2
     if isinstance(exc, OSError) and exc.filename is not None:
-        _say(f"error: {exc.filename}: {exc.strerror}; give a path that exists and can be read or written")
+        _print_error(
+            f"error: {exc.filename}: {exc.strerror}; give a path that exists and can be read or written"
+        )
         return 2
     from logs.errors import LogError
     from planners.errors import PlanError
@@ -113,18 +115,18 @@ def _answer(exc: Exception) -> int:
     from sensorgraph.errors import SensorgraphError
 
     if isinstance(exc, LogError | PlanError | IdentError | SensorgraphError):
-        _say(f"error: {_one_line(exc)}")
+        _print_error(f"error: {_one_line(exc)}")
         return 2
     if os.environ.get("SENSORGRAPH_DEBUG"):
         raise exc
-    _say(
+    _print_error(
         f"error: internal: {type(exc).__name__}: {_one_line(exc)}; this is our fault, please report it "
         "with the traceback that SENSORGRAPH_DEBUG=1 prints"
     )
     return 1
 
 
-def _say(line: str) -> None:
+def _print_error(line: str) -> None:
     sys.stderr.write(line + "\n")
 
 

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from sensorgraph.identification.identify import Identified
     from sensorgraph.identification.signals import Data
 
-MOST_NOISE_LAGS = 100
-MOST_NOTES = 4
-ALARM = 0.001
+MAX_NOISE_LAGS = 100
+MAX_NOTES = 4
+MIN_P_VALUE = 0.001
 """p-value of the residual's test below which the standard errors are doubted."""
 
 
@@ -82,7 +82,7 @@ def identify(
     )  # fmt: skip
     data = _read(file, [question.output, *question.inputs], every, topic)
     found = identify_model(data, question)
-    for line in said(found):
+    for line in summary_lines(found):
         typer.echo(line)
     write_json(out, {**found.report(), "every": every, "source": file.name})
     picture = out.with_suffix(".png")
@@ -96,9 +96,9 @@ def _noise_lags(text: str) -> int | Literal["auto"]:
     word = text.strip().lower()
     if word == "auto":
         return "auto"
-    if word.isdecimal() and int(word) <= MOST_NOISE_LAGS:
+    if word.isdecimal() and int(word) <= MAX_NOISE_LAGS:
         return int(word)
-    raise SensorgraphError(f"--noise-lags is {text}, expected 0 to {MOST_NOISE_LAGS}, or auto")
+    raise SensorgraphError(f"--noise-lags is {text}, expected 0 to {MAX_NOISE_LAGS}, or auto")
 
 
 def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> Data:
@@ -118,7 +118,7 @@ def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> 
     return of_run(run, names, every=every)
 
 
-def said(found: Identified) -> list[str]:
+def summary_lines(found: Identified) -> list[str]:
     """Return the printed lines: what was used, the terms, the scores, the tests."""
     q, model, scores = found.question, found.model, found.scores
     parts = {"half": "the second half", "block": "every second tenth", "none": "the training data itself"}
@@ -133,18 +133,18 @@ def said(found: Identified) -> list[str]:
         f"{found.n_train:,} samples{period} train, {scores['one_step'].n:,} are scored ({parts[q.split]}); "
         f"{len(model.terms)} of {len(q.terms)} terms, stopped by {model.stop}"
     )
-    lines += _noted(model.notes)
+    lines += _notes(model.notes)
     lines += ["", f"{'term':<28}{'theta':>13}{'stderr':>12}{'err':>10}"]
     for name, theta, stderr, err in zip(
         model.terms.names, model.theta.tolist(), model.stderr.tolist(), model.err.tolist(), strict=True
     ):
         lines.append(
-            f"{name:<28}{_settled(theta, stderr):>13}{_known(stderr, '.2g'):>12}{_known(err, '.5f'):>10}"
+            f"{name:<28}{_coefficient(theta, stderr):>13}{_or_dash(stderr, '.2g'):>12}{_or_dash(err, '.5f'):>10}"
         )
     for name, theta, stderr in zip(
         model.noise_terms.names, model.noise_theta.tolist(), model.noise_stderr.tolist(), strict=True
     ):
-        lines.append(f"{name:<28}{theta:>13.6g}{_known(stderr, '.2g'):>12}{'noise':>10}")
+        lines.append(f"{name:<28}{theta:>13.6g}{_or_dash(stderr, '.2g'):>12}{'noise':>10}")
     lines += ["", f"{'':<14}{'rmse':>11}{'rrse':>8}{'r':>8}  95 % interval      p      n (effective)"]
     for label, key in (
         ("one step", "one_step"), ("free run", "free_run"), ("persistence", "persistence"), ("mean", "constant")
@@ -158,34 +158,32 @@ def said(found: Identified) -> list[str]:
         lines.append(
             f"{q.output} does not vary in what is scored: there is no r; score more, or --split block"
         )
-    lines += _reach(found.outside)
+    lines += _extrapolation(found.outside)
     if found.validation:
         lines += ["", f"{'residual test':<32}{'statistic':>12}{'p':>10}"]
         lines += [f"{t['test']:<32}{t['statistic']:>12.4g}{t['p_value']:>10.3g}" for t in found.validation]
-        lines += _doubted(found)
+        lines += _doubt_of_stderr(found)
     return [*lines, ""]
 
 
-def _noted(notes: Sequence[str]) -> list[str]:
-    """Say what the model notes; of many dependent terms, the first."""
+def _notes(notes: Sequence[str]) -> list[str]:
+    """Return the notes of the model; of many dependent terms, the first."""
     given = [note for note in notes if note.endswith("was left out")]
     rest = [note for note in notes if note not in given]
-    more = (
-        [f"{len(given) - MOST_NOTES} more such terms (in the model file)"] if len(given) > MOST_NOTES else []
-    )
-    return [f"note: {note}" for note in [*given[:MOST_NOTES], *more, *rest]]
+    more = [f"{len(given) - MAX_NOTES} more such terms (in the model file)"] if len(given) > MAX_NOTES else []
+    return [f"note: {note}" for note in [*given[:MAX_NOTES], *more, *rest]]
 
 
-def _doubted(found: Identified) -> list[str]:
-    """Say where the residual's own test takes the ground from under the standard errors."""
+def _doubt_of_stderr(found: Identified) -> list[str]:
+    """Say so if the residual is correlated, so that the standard errors are too small."""
     p_value = next((t["p_value"] for t in found.validation if t["test"] == "e-e"), 1.0)
-    if p_value >= ALARM:
+    if p_value >= MIN_P_VALUE:
         return []
     hint = "try --noise-lags auto" if not found.question.noise_lags else "more terms or lags may be missing"
     return [f"what is left is correlated (e-e): the standard errors are too small; {hint}"]
 
 
-def _reach(outside: Extrapolation) -> list[str]:
+def _extrapolation(outside: Extrapolation) -> list[str]:
     """Say how much of what is scored lies where the model was not fitted."""
     if math.isnan(outside.share):
         return []
@@ -197,19 +195,19 @@ def _reach(outside: Extrapolation) -> list[str]:
     return [f"{outside.share:.1%} of it lies outside where the model was fitted (one step: {there})"]
 
 
-def _settled(theta: float, stderr: float) -> str:
-    """Print a coefficient, far from 0 with as many digits as are settled."""
+def _coefficient(theta: float, stderr: float) -> str:
+    """Print a coefficient with as many digits as its standard error leaves."""
     sure = math.log10(abs(theta) / stderr) if stderr > 0 and theta else 0.0
     return f"{theta:.{min(max(6, math.ceil(sure) + 1), 13)}g}"
 
 
-def _known(value: float, form: str) -> str:
+def _or_dash(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else "–"
 
 
 def _row(label: str, s: Score) -> str:
     if not math.isfinite(s.r):
-        return f"{label:<14}{_known(s.rmse, '.4g'):>11}{_known(s.rrse, '.3f'):>8}{'–':>8}"
+        return f"{label:<14}{_or_dash(s.rmse, '.4g'):>11}{_or_dash(s.rrse, '.3f'):>8}{'–':>8}"
     return (
         f"{label:<14}{s.rmse:>11.4g}{s.rrse:>8.3f}{s.r:>8.3f}  {s.r_low:>6.3f} to {s.r_high:<6.3f}"
         f"{s.p_value:>9.2g}  {s.n:,} ({s.n_effective:,.0f})"

@@ -55,16 +55,16 @@ def _bar(label: str, unit: str) -> Iterator[Progress]:
 
 def _plain(label: str, unit: str) -> Progress:
     start: float | None = None
-    said = 0.0
+    last_line = 0.0
 
     def tick(done: int, total: int) -> None:
-        nonlocal start, said
+        nonlocal start, last_line
         now = time.monotonic()
         if start is None:
-            start = said = now
-        if now - said < PLAIN_EVERY or done <= 0:
+            start = last_line = now
+        if now - last_line < PLAIN_EVERY or done <= 0:
             return
-        said = now
+        last_line = now
         rate = done / (now - start)
         left = (total - done) / rate
         counted = f"{done:,} of {total:,} {unit}".rstrip()

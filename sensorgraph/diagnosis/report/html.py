@@ -69,7 +69,7 @@ CHANNELS = {
 }
 FILES = {
     "report.json": "all numbers, SI units",
-    "effects.yaml": "the amendment: record, evaluate and diagnose take it with --effects",
+    "effects.yaml": "the amendment: record, evaluate and diagnose take it as effects",
     "review.rrd": "measured, nominal and amended scans on one timeline: rerun review.rrd",
 }
 
@@ -92,23 +92,23 @@ def page(
     """
     summary = summarise(finding)
     body = [
-        _where(finding, pictures),
-        _gap(finding, pictures),
-        _effects(finding),
-        _ranking(finding, pictures),
+        _arena_section(finding, pictures),
+        _gap_section(finding, pictures),
+        _effects_section(finding),
+        _ranking_section(finding, pictures),
     ]
     parts = [
         f'<header class="{summary.outcome}"><p class="eyebrow">sensorgraph diagnose: {escape(title)}</p>',
-        f"<h1>{_glued(summary.headline)}</h1>",
-        *(f'<p class="lead">{_glued(text)}</p>' for text in summary.details),
+        f"<h1>{_without_breaks(summary.headline)}</h1>",
+        *(f'<p class="lead">{_without_breaks(text)}</p>' for text in summary.details),
         "</header>",
         *(body if main_channel(finding) == "scan" else [*body[1:], body[0]]),
-        _deviations(finding, pictures),
-        _tolerated(finding),
-        _channels(finding),
-        _not_observable(finding),
-        _next_run(next_run, pictures),
-        _facts(finding, settings),
+        _deviations_section(finding, pictures),
+        _tolerated_section(finding),
+        _channels_section(finding),
+        _not_observable_section(finding),
+        _next_run_section(next_run, pictures),
+        _settings_section(finding, settings),
     ]
     text = "\n".join(part for part in parts if part)
     return (
@@ -129,7 +129,7 @@ def _picture(path: Path | None, alt: str, caption: str) -> str:
     )
 
 
-def _where(finding: Finding, pictures: Mapping[str, Path]) -> str:
+def _arena_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
     if "arena" not in pictures:
         return ""
     amended = any(a.effect.channel == "scan" for a in finding.effects)
@@ -143,7 +143,7 @@ def _where(finding: Finding, pictures: Mapping[str, Path]) -> str:
     return f"<h2>{title}</h2>{_picture(pictures['arena'], 'Residuals in the arena', caption)}"
 
 
-def _gap(finding: Finding, pictures: Mapping[str, Path]) -> str:
+def _gap_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
     if "gap" not in pictures:
         return ""
     gap = finding.channels["scan"].gap if "scan" in finding.channels else None
@@ -158,15 +158,15 @@ def _gap(finding: Finding, pictures: Mapping[str, Path]) -> str:
     )
 
 
-def _effects(finding: Finding) -> str:
+def _effects_section(finding: Finding) -> str:
     if not finding.effects:
         return ""
     return "<h2>What was found</h2>" + "".join(_effect(a) for a in finding.effects)
 
 
 def _effect(a: Amendment) -> str:
-    numbers = ", ".join(f"<b>{_lowered(text)}</b>" for text in parameters(a))
-    equation = _lowered(a.effect.equation)
+    numbers = ", ".join(f"<b>{_with_subscripts(text)}</b>" for text in parameters(a))
+    equation = _with_subscripts(a.effect.equation)
     joined = "<br>".join(filter(None, [equation, numbers]))
     facts = {
         "probability": percent(a.probability),
@@ -185,7 +185,7 @@ def _effect(a: Amendment) -> str:
     )
 
 
-def _glued(text: str) -> str:
+def _without_breaks(text: str) -> str:
     """Keep numbers with their units and errors on one line."""
     glued = re.sub(
         r"(?<=\d) (?=(%|cm|mm|ms|m|s|nats)\b|%)|(?<=[\d°]) (?=±)|(?<=[±<>=]) (?=[\d+−])", "\u00a0", text
@@ -193,12 +193,12 @@ def _glued(text: str) -> str:
     return escape(glued)
 
 
-def _lowered(text: str) -> str:
+def _with_subscripts(text: str) -> str:
     """Set `α_max` with an index."""
     return re.sub(r"_([a-z]+)", r"<sub>\1</sub>", escape(text))
 
 
-def _ranking(finding: Finding, pictures: Mapping[str, Path]) -> str:
+def _ranking_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
     rivals = [rival for result in finding.channels.values() for rival in result.rivals]
     if "ranking" not in pictures and not rivals:
         return ""
@@ -226,7 +226,7 @@ def _ranking(finding: Finding, pictures: Mapping[str, Path]) -> str:
     return f"<h2>How the names rank</h2>{lead}{_picture(pictures.get('ranking'), 'Ranking of the candidates', caption)}{table}"
 
 
-def _deviations(finding: Finding, pictures: Mapping[str, Path]) -> str:
+def _deviations_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
     scan = finding.channels.get("scan")
     found = [] if scan is None else list(scan.deviations)
     if not found and "residuals" not in pictures:
@@ -246,7 +246,7 @@ def _deviations(finding: Finding, pictures: Mapping[str, Path]) -> str:
     return f"<h2>What differs, before any name</h2><p>After the small corrections that every set-up is allowed (map, mount, clocks and poses within tolerance):</p>{text}{_picture(pictures.get('residuals'), 'Residuals by bearing, range, incidence, time, turn rate, speed', caption)}"
 
 
-def _tolerated(finding: Finding) -> str:
+def _tolerated_section(finding: Finding) -> str:
     small = [a for result in finding.channels.values() for a in result.within_tolerance]
     if not small:
         return ""
@@ -262,13 +262,13 @@ def _tolerated(finding: Finding) -> str:
     )
 
 
-def _channels(finding: Finding) -> str:
+def _channels_section(finding: Finding) -> str:
     rows = "".join(
-        f"<tr><td>{escape(CHANNELS.get(name, name))}</td><td>{escape(_channel(result))}</td></tr>"
+        f"<tr><td>{escape(CHANNELS.get(name, name))}</td><td>{escape(_channel_text(result))}</td></tr>"
         for name, result in finding.channels.items()
     )
     notes = "".join(
-        f"<li>{escape(deviation_text(w) if name == 'scan' else _plain(w))}</li>"
+        f"<li>{escape(_motion_deviation(w))}</li>"
         for name, result in finding.channels.items()
         if name != "scan"
         for w in result.deviations[:4]
@@ -277,12 +277,12 @@ def _channels(finding: Finding) -> str:
     return f"<h2>Channels</h2><table class='pairs'>{rows}</table>{listed}"
 
 
-def _plain(where: Any) -> str:
+def _motion_deviation(where: Any) -> str:
     label = f"{where.partition} {where.label}".strip()
     return f"{where.family} at {label}: {abs(where.z):.1f} standard errors"
 
 
-def _channel(result: ChannelResult) -> str:
+def _channel_text(result: ChannelResult) -> str:
     if result.skipped:
         return f"not looked at: {result.skipped}"
     out = []
@@ -300,7 +300,7 @@ def _channel(result: ChannelResult) -> str:
     return "; ".join(out) if out else "nothing material"
 
 
-def _not_observable(finding: Finding) -> str:
+def _not_observable_section(finding: Finding) -> str:
     rows = "".join(
         f"<tr><td>{escape(title_of(name))}</td><td>{escape(why)}</td></tr>"
         for result in finding.channels.values()
@@ -317,7 +317,7 @@ def _not_observable(finding: Finding) -> str:
     return f"<h2>What this run could not show</h2><table class='pairs'>{head}{rows}{skipped}</table>"
 
 
-def _next_run(plan: Mapping[str, Any] | None, pictures: Mapping[str, Path]) -> str:
+def _next_run_section(plan: Mapping[str, Any] | None, pictures: Mapping[str, Path]) -> str:
     if not plan:
         return ""
     why = str(plan.get("why") or "")
@@ -358,20 +358,20 @@ def _value(value: Any) -> str:
     return minus(escape(f"{value:.3g}" if isinstance(value, float) else str(value)))
 
 
-def _facts(finding: Finding, settings: Mapping[str, Any]) -> str:
-    rows = [*_flat(finding.intake), *_flat(settings)]
+def _settings_section(finding: Finding, settings: Mapping[str, Any]) -> str:
+    rows = [*_lines_of(finding.intake), *_lines_of(settings)]
     body = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in rows)
     files = "".join(f"<li><code>{name}</code> {escape(what)}</li>" for name, what in FILES.items())
     return f"<h2>What came in, and the settings</h2><table class='pairs'>{body}</table><footer><p>Beside this page:</p><ul>{files}</ul></footer>"
 
 
-def _flat(data: Mapping[str, Any], lead: str = "") -> list[tuple[str, str]]:
+def _lines_of(data: Mapping[str, Any], lead: str = "") -> list[tuple[str, str]]:
     """Return nested plain data as lines; what is empty or zero in a nest is left out."""
     out: list[tuple[str, str]] = []
     for key, value in data.items():
         label = f"{lead}{key}".replace("_", " ")
         if isinstance(value, Mapping):
-            out += _flat({k: v for k, v in value.items() if v}, f"{label}: ")
+            out += _lines_of({k: v for k, v in value.items() if v}, f"{label}: ")
         elif isinstance(value, float) and lead.startswith("tolerances"):
             out.append((label, tolerance_text(key, value)))
         elif isinstance(value, float):

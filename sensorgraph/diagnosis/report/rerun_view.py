@@ -40,9 +40,9 @@ def write(
     if compared.is_amended:
         models.append(("amended", compared.after, TEAL))
     with recorded(path, "diagnosis", _layout(compared, ray)) as recording:
-        _still(recording, compared, models, report)
-        _marks(recording, marks, walls)
-        _scans(recording, compared, models, shown, ray)
+        _log_static(recording, compared, models, report)
+        _log_marks(recording, marks, walls)
+        _send_scans(recording, compared, models, shown, ray)
 
 
 def most_improved_ray(compared: ComparedScans) -> int:
@@ -52,7 +52,7 @@ def most_improved_ray(compared: ComparedScans) -> int:
     return int(np.argmax(before - after))
 
 
-def _still(
+def _log_static(
     recording: rr.RecordingStream,
     compared: ComparedScans,
     models: Sequence[tuple[str, SimulatedScans, tuple[int, int, int]]],
@@ -82,7 +82,7 @@ def _still(
         recording.log(f"bearing/{name}", bars, static=True)
 
 
-def _marks(
+def _log_marks(
     recording: rr.RecordingStream,
     marks: Sequence[tuple[str, tuple[float, float]]],
     walls: Sequence[Floats],
@@ -97,7 +97,7 @@ def _marks(
         )
 
 
-def _scans(
+def _send_scans(
     recording: rr.RecordingStream,
     compared: ComparedScans,
     models: Sequence[tuple[str, SimulatedScans, tuple[int, int, int]]],

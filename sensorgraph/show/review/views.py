@@ -36,12 +36,12 @@ def write(review: Review, path: Path, *, ray: int | None = None) -> None:
             f"ray {ray} does not exist; this sensor has rays 0 to {review.run.sensor.n_rays - 1}"
         )
     with recorded(path, "review", _layout(review, ray)) as recording:
-        _still(recording, review)
+        _log_static(recording, review)
         for start in range(0, len(review.shown), SCANS_PER_CHUNK):
-            _scans(recording, review, slice(start, start + SCANS_PER_CHUNK), ray)
+            _send_scans(recording, review, slice(start, start + SCANS_PER_CHUNK), ray)
 
 
-def _still(recording: rr.RecordingStream, review: Review) -> None:
+def _log_static(recording: rr.RecordingStream, review: Review) -> None:
     """Log what does not change: walls, paths, maps, cells, bars, report."""
     flip = rr.Transform3D(scale=[1, -1, 1])  # the 2-D view's y points down
     recording.log("plan", flip, static=True)
@@ -75,7 +75,7 @@ def _still(recording: rr.RecordingStream, review: Review) -> None:
         recording.log(f"ray/{name}", style, static=True)
 
 
-def _scans(recording: rr.RecordingStream, review: Review, part: slice, ray: int) -> None:
+def _send_scans(recording: rr.RecordingStream, review: Review, part: slice, ray: int) -> None:
     """Send a block of scans, poses and the series of one ray."""
     stamps = review.run.stamps[review.shown[part]]
     time = [rr.TimeColumn("time", duration=stamps), rr.TimeColumn("scan", sequence=review.shown[part])]
