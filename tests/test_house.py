@@ -24,7 +24,7 @@ OWNERS = {
     "shapely": {"planners/", "sensorgraph/world/"},
     "matplotlib": {
         "sensorgraph/show/figures/",
-        "sensorgraph/diagnosis/report/figures.py",
+        "sensorgraph/diagnosis/report/figures/",
     },
     "typer": {"sensorgraph/cli/"},
     "rich": {"sensorgraph/cli/"},
