@@ -26,8 +26,10 @@ import numpy as np
 from benchmarks.planted_changes import FULL_SIZE, HALF_SIZE, OTHERS, Plant
 from benchmarks.planted_site import LogWindow, measurement, robot_of, windows
 from logs import Run, read
-from sensorgraph.diagnosis.commissioning import Commissioned, commission, merged
-from sensorgraph.diagnosis.diagnose import Finding, diagnose
+from sensorgraph.diagnosis.commissioning import commission, merged
+from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.world.robot import Robot
 
 LOG = Path(__file__).parents[2] / "shared" / "data" / "ple-freiburg-079" / "freiburg-079-corrected.log.gz"
@@ -91,7 +93,7 @@ def diagnose_window(
     window: LogWindow,
     robot: Robot,
     plants: Sequence[Plant],
-    reference: Commissioned | None,
+    reference: SiteBaseline | None,
     *,
     number: int,
     quiet: bool,
@@ -105,7 +107,7 @@ def diagnose_window(
             print(f"  {plant.label}: this window has no place for it")
             continue
         start = time.process_time()
-        finding = diagnose(planted, window.arena, robot, commissioned=reference, plan_next=False)
+        finding = diagnose(planted, window.arena, robot, baseline=reference, plan_next=False)
         results.seconds.append(time.process_time() - start)
         if plant is None:
             results.untouched.append((window.name, finding))
@@ -147,9 +149,11 @@ def main() -> None:
     robot = robot_of(log, 0.001 if arguments.undithered else 0.01)
     start = time.process_time()
     parts = list(windows(log))
-    known_good: list[Commissioned] = []
+    known_good: list[SiteBaseline] = []
     if not arguments.undithered:
-        known_good = [commission(measurement(log, w.scans), w.arena, robot, learn=False) for w in parts]
+        known_good = [
+            commission(measurement(log, w.scans), w.arena, robot, learn_effects=False) for w in parts
+        ]
     took = time.process_time() - start
     print(f"{len(parts)} windows, maps and commissioning {took:.0f} s", flush=True)
     results = Results()
@@ -161,7 +165,7 @@ def main() -> None:
         if not arguments.quiet:
             print(f"window {number}, scans {window.name}, {window.arena.n_walls} surfaces")
             if reference is not None:
-                print(f"  {reference.said('the others')}")
+                print(f"  {reference.to_dict('the others')}")
         diagnose_window(results, log, window, robot, plants, reference, number=number, quiet=arguments.quiet)
     for line in results.lines():
         print(line)

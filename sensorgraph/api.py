@@ -16,7 +16,7 @@ from planners.trajectory import Trajectory
 from sensorgraph.building import build as building
 from sensorgraph.diagnosis import diagnose as diagnosing
 from sensorgraph.diagnosis.commissioning import commission_all
-from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.effects import Amendment, effects_file
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.evaluation.evaluate import Evaluation
@@ -200,7 +200,7 @@ def diagnose(
         machine,
         second=None if second is None else _run(second),
         known=known,
-        commissioned=commission_all(good, walls, machine, seed=seed) if good else None,
+        baseline=commission_all(good, walls, machine, seed=seed) if good else None,
         seed=seed,
     )
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from planners import plan as make_plan
 from planners.arena import Arena
-from sensorgraph.diagnosis.diagnose import Finding, diagnose
+from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.data import effect_dict
 from sensorgraph.diagnosis.report.data import to_dict as report_dict
 from sensorgraph.diagnosis.report.files import save_report

@@ -15,10 +15,13 @@ from logs import read
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
 from planners.types import Floats
-from sensorgraph.diagnosis.commissioning import Commissioned, commission, commission_all
-from sensorgraph.diagnosis.diagnose import Finding, diagnose
+from sensorgraph.diagnosis.commissioning import commission, commission_all
+from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
-from sensorgraph.diagnosis.scan.site_variation import WindowEstimate, usual_sizes
+from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
+from sensorgraph.diagnosis.scan.site_variation import baseline_intervals
+from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot import default_robot
 
@@ -71,12 +74,12 @@ def ranges_in(arena: Arena, origins: Floats, angle: Floats) -> Floats:
 
 
 @pytest.fixture(scope="module")
-def good() -> Commissioned:
+def good() -> SiteBaseline:
     return commission(site_run(1), ARENA, ROBOT)
 
 
-def against(good: Commissioned | None, run: Run) -> Finding:
-    return diagnose(run, ARENA, ROBOT, commissioned=good, plan_next=False)
+def against(good: SiteBaseline | None, run: Run) -> Finding:
+    return diagnose(run, ARENA, ROBOT, baseline=good, plan_next=False)
 
 
 def names(finding: Finding) -> list[str]:
@@ -84,7 +87,7 @@ def names(finding: Finding) -> list[str]:
 
 
 @pytest.mark.slow
-def test_what_the_site_always_shows_is_silent_against_a_good_run(good: Commissioned) -> None:
+def test_what_the_site_always_shows_is_silent_against_a_good_run(good: SiteBaseline) -> None:
     finding = against(good, site_run(2))
     assert names(finding) == []
     assert finding.unknown is None
@@ -93,37 +96,37 @@ def test_what_the_site_always_shows_is_silent_against_a_good_run(good: Commissio
 
 
 @pytest.mark.slow
-def test_a_bias_that_the_good_run_lacks_is_named_first_with_its_size(good: Commissioned) -> None:
+def test_a_bias_that_the_good_run_lacks_is_named_first_with_its_size(good: SiteBaseline) -> None:
     effect = against(good, site_run(3, bias=0.04)).effects[0]
     assert effect.name == "range_bias"
     assert effect["b"] == pytest.approx(0.04, abs=0.006)
 
 
 @pytest.mark.slow
-def test_a_turned_laser_is_named_though_the_poses_are_its_own(good: Commissioned) -> None:
+def test_a_turned_laser_is_named_though_the_poses_are_its_own(good: SiteBaseline) -> None:
     effect = against(good, site_run(4, turn=0.02)).effects[0]
     assert effect.name == "mount_yaw"
     assert effect["delta"] == pytest.approx(0.02, abs=0.004)
     bare, _ = prepare_scans(site_run(4), ARENA, ROBOT)
     assert bare.laser_frame
-    assert not good.told(bare).laser_frame
+    assert not good.apply_to(bare).laser_frame
 
 
-def test_the_good_run_loosens_pose_tolerances_to_what_its_poses_deserve(good: Commissioned) -> None:
+def test_the_good_run_loosens_pose_tolerances_to_what_its_poses_deserve(good: SiteBaseline) -> None:
     t = good.robot.tolerances
     assert 0.006 < t.pose_xy < 0.02  # 10 mm planted
     assert 0.002 < t.pose_yaw < 0.008  # 4 mrad planted
     assert 0.01 < good.noise_bounds.stray[1] < 0.2
 
 
-def sightings(
-    name: str, key: str, values: list[float], wobbles: list[float] | None = None
+def windows(
+    name: str, key: str, values: list[float], stderrs: list[float] | None = None
 ) -> list[WindowEstimate]:
     """Make windows of 100 scans that show these sizes."""
-    errors = [0.5] * len(values) if wobbles is None else wobbles
+    errors = [0.5] * len(values) if stderrs is None else stderrs
     return [
         WindowEstimate(
-            n_scans=100, n_readings=9000, gains={}, sizes={name: {key: v}}, wobbles={name: w}, misfit=0.0
+            n_scans=100, n_readings=9000, gains={}, sizes={name: {key: v}}, stderrs={name: w}, misfit=0.0
         )
         for v, w in zip(values, errors, strict=True)
     ]
@@ -134,39 +137,43 @@ def test_usual_sizes_contain_a_further_window_of_the_same_site_and_not_what_is_f
     missed = 0
     for _ in range(400):
         values = [float(v) for v in rng.normal(0.003, 0.004, 12)]
-        usual = usual_sizes(sightings("range_bias", "b", values[:11]), 100)["range_bias"]
-        missed += not usual.contains(EFFECTS["range_bias"](b=values[11]))
-        assert not usual.contains(EFFECTS["range_bias"](b=0.05))
+        interval = baseline_intervals(windows("range_bias", "b", values[:11]), 100)["range_bias"]
+        missed += not interval.contains(EFFECTS["range_bias"](b=values[11]))
+        assert not interval.contains(EFFECTS["range_bias"](b=0.05))
     assert missed <= 6  # 0.8 expected: 99.9 % either side
 
 
 def test_a_window_whose_parts_disagree_does_not_widen_what_is_usual() -> None:
     values = [0.001, 0.003, 0.0, 0.002, 0.001, 0.03]
-    calm = usual_sizes(sightings("range_drift", "b1", values[:5]), 100)["range_drift"]
-    wobbles = [0.5, 0.5, 0.5, 0.5, 0.5, 3.0]
-    odd = usual_sizes(sightings("range_drift", "b1", values, wobbles), 100)["range_drift"]
-    assert odd.reach == calm.reach
-    even = usual_sizes(sightings("range_drift", "b1", values), 100)["range_drift"]
-    assert even.reach["b1"] > 2 * calm.reach["b1"]
+    calm = baseline_intervals(windows("range_drift", "b1", values[:5]), 100)["range_drift"]
+    stderrs = [0.5, 0.5, 0.5, 0.5, 0.5, 3.0]
+    odd = baseline_intervals(windows("range_drift", "b1", values, stderrs), 100)["range_drift"]
+    assert odd.half_width == calm.half_width
+    even = baseline_intervals(windows("range_drift", "b1", values), 100)["range_drift"]
+    assert even.half_width["b1"] > 2 * calm.half_width["b1"]
 
 
-def test_wobble_shrinks_with_the_root_of_the_length_and_disagreement_is_judged_at_that_length() -> None:
-    usual = usual_sizes(sightings("range_drift", "b1", [0.0, 0.001, 0.002, 0.003]), 400)["range_drift"]
-    assert usual.wobble == pytest.approx(0.25)
-    assert usual.is_unsteady(1.0)
-    assert not usual.is_unsteady(0.4)
+def test_jackknife_error_shrinks_with_the_root_of_the_length_and_disagreement_is_judged_at_that_length() -> (
+    None
+):
+    interval = baseline_intervals(windows("range_drift", "b1", [0.0, 0.001, 0.002, 0.003]), 400)[
+        "range_drift"
+    ]
+    assert interval.jackknife_stderr == pytest.approx(0.25)
+    assert interval.is_exceeded_by(1.0)
+    assert not interval.is_exceeded_by(0.4)
 
 
 def test_shares_are_usual_on_the_scale_of_their_root() -> None:
-    usual = usual_sizes(sightings("people", "p", [0.01, 0.04, 0.09, 0.04]), 100)["people"]
-    assert usual.middle["p"] == pytest.approx(0.2)
-    low, high = usual.said("people")["p"]
+    interval = baseline_intervals(windows("people", "p", [0.01, 0.04, 0.09, 0.04]), 100)["people"]
+    assert interval.mean["p"] == pytest.approx(0.2)
+    low, high = interval.limits("people")["p"]
     assert low >= 0.0
     assert high > 0.09
 
 
 def test_too_few_windows_say_nothing_of_what_is_usual() -> None:
-    assert usual_sizes(sightings("range_bias", "b", [0.0, 0.001, 0.002]), 100) == {}
+    assert baseline_intervals(windows("range_bias", "b", [0.0, 0.001, 0.002]), 100) == {}
 
 
 @pytest.mark.slow
@@ -195,9 +202,9 @@ def test_real_log_is_silent_untouched_and_names_a_planted_bias(real_logs: Path) 
     told = planted_site.robot_of(log, 0.01)
     good = commission(planted_site.measurement(log, other.scans), other.arena, told)
     run = planted_site.measurement(log, window.scans)
-    untouched = diagnose(run, window.arena, told, commissioned=good, plan_next=False)
+    untouched = diagnose(run, window.arena, told, baseline=good, plan_next=False)
     assert names(untouched) == []
     longer = planted_changes.bias(run, log, window.scans, 0.03, np.random.default_rng(0))
-    named = diagnose(longer, window.arena, told, commissioned=good, plan_next=False).effects[0]
+    named = diagnose(longer, window.arena, told, baseline=good, plan_next=False).effects[0]
     assert named.name == "range_bias"
     assert named["b"] == pytest.approx(0.03, abs=0.01)  # the map of scans has an offset of its own

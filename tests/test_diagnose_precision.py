@@ -11,7 +11,7 @@ from scipy.stats import norm
 from test_diagnose_scan import drive
 
 from planners.arena import Arena
-from sensorgraph.diagnosis.diagnose import is_known
+from sensorgraph.diagnosis.naming import is_measured
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import searched
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
@@ -111,6 +111,6 @@ def test_the_end_of_a_part_that_is_the_end_of_its_wall_has_an_error(hall: Arena)
 
 def test_a_size_that_the_run_does_not_tell_is_no_name() -> None:
     pillar = EFFECTS["unmapped_obstacle"](x=1.0, y=2.0, r=3.0)
-    assert is_known(replace(pillar, stderr={"x": 0.01, "y": 0.01, "r": 0.1}))
-    assert not is_known(replace(pillar, stderr={"x": 0.01, "y": 0.01, "r": 31623.0}))
-    assert is_known(replace(EFFECTS["max_range"](R=3.0), stderr={"R": 100.0}))  # it has no size
+    assert is_measured(replace(pillar, stderr={"x": 0.01, "y": 0.01, "r": 0.1}))
+    assert not is_measured(replace(pillar, stderr={"x": 0.01, "y": 0.01, "r": 31623.0}))
+    assert is_measured(replace(EFFECTS["max_range"](R=3.0), stderr={"R": 100.0}))  # it has no size

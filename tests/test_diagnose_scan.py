@@ -11,13 +11,15 @@ from conftest import polygon_arena
 from logs.run import Run
 from planners.arena import Arena, wrap
 from planners.types import Floats
-from sensorgraph.diagnosis.diagnose import diagnose, is_material
+from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.naming import is_material
+from sensorgraph.diagnosis.scan.deviations import dispersion
 from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.gauss_newton import boxed
-from sensorgraph.diagnosis.scan.goodness_of_fit import check, dispersion, replicate
+from sensorgraph.diagnosis.scan.goodness_of_fit import check, replicate
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings, plain_e_step
-from sensorgraph.diagnosis.scan.map_alignment import placement
+from sensorgraph.diagnosis.scan.map_alignment import align
 from sensorgraph.diagnosis.scan.nuisance import BOX, BeamNoise, pose_prior
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
@@ -138,7 +140,7 @@ def test_a_nuisance_does_what_its_effect_does(
 
 def test_eliminating_the_poses_solves_the_whole_system(quiet: ScanData, null: Fitted) -> None:
     """Schur complement against one dense least-squares problem with every pose error as an unknown."""
-    few = quiet.part(np.arange(6))
+    few = quiet.subset(np.arange(6))
     solver, _ = solver_for(few, (EFFECTS["range_bias"](b=0.0),))
     weight = np.random.default_rng(0).uniform(0.5, 1.5, solver.shape) / SIGMA**2
     system = solver.assemble(weight, 1.0)
@@ -220,7 +222,7 @@ def test_the_compiled_likelihood_is_the_plain_one(quiet: ScanData, short: float,
         short=short,
         lattice=lattice,
     )
-    data = replace(quiet.part(np.arange(40)), ranges=z)
+    data = replace(quiet.subset(np.arange(40)), ranges=z)
     asked = (
         data,
         expected,
@@ -237,7 +239,7 @@ def test_the_compiled_likelihood_is_the_plain_one(quiet: ScanData, short: float,
 def test_a_reading_has_a_probability_of_one_in_all(quiet: ScanData) -> None:
     """Integrate the density over every reading a ray may give, lost and too close among them."""
     at = cast(quiet, ())
-    few = quiet.part(np.arange(3))
+    few = quiet.subset(np.arange(3))
     beams = at.beams
     beams = replace(
         beams, reading=np.tile(np.linspace(0.5, 7.9, 61), (3, 1)), p_return=0.8, sigma=0.02, ox=beams.ox[:3]
@@ -349,12 +351,12 @@ def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, tur
         [c * run.poses[:, 0] - s * run.poses[:, 1] + 3.0, s * run.poses[:, 0] + c * run.poses[:, 1] - 1.5, wrap(run.poses[:, 2] + turn)]
     )  # fmt: skip
     data, _ = prepare_scans(replace(run, poses=poses), hall, parse_robot("sensor: {n_rays: 61}"))
-    place = placement(data, np.random.default_rng(0))
-    assert not place.fits
+    place = align(data, np.random.default_rng(0))
+    assert not place.is_good
     assert place.best_share > 0.85
     assert abs(wrap(place.dphi + turn)) < 0.05
-    there = placement(evidence_of(hall), np.random.default_rng(0))
-    assert there.fits
+    there = align(evidence_of(hall), np.random.default_rng(0))
+    assert there.is_good
     assert there.share > 0.95
 
 
@@ -394,11 +396,11 @@ def test_a_run_in_an_arena_full_of_walls_is_of_another_place_though_rays_end_at_
     ]
     store = polygon_arena([(0, 0), (6, 0), (6, 5), (0, 5)], *shelves)
     data, _ = prepare_scans(drive(hall), store, parse_robot("sensor: {n_rays: 61}"))
-    place = placement(data, np.random.default_rng(0))
+    place = align(data, np.random.default_rng(0))
     assert place.share > 0.6  # by chance
-    assert place.alike < 0.3 and not place.fits
+    assert place.matching < 0.3 and not place.is_good
     assert "as long as the arena would make them" in place.sentence()
-    assert placement(evidence_of(hall), np.random.default_rng(0)).alike > 0.95
+    assert align(evidence_of(hall), np.random.default_rng(0)).matching > 0.95
 
 
 def with_box(hall: Arena) -> Arena:

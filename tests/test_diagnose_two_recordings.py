@@ -12,7 +12,8 @@ from logs.run import RangeSensor, Run
 from planners.arena import Arena
 from planners.types import Floats
 from sensorgraph.building.build import build
-from sensorgraph.diagnosis.diagnose import Finding, diagnose
+from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.robot import default_robot

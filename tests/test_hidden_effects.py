@@ -6,7 +6,8 @@ import pytest
 
 from benchmarks.hidden_effects.cases import CaseSpec, make_case
 from planners.maps import geojson
-from sensorgraph.diagnosis.diagnose import Finding, diagnose
+from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.world.robot import parse_robot
 
 
@@ -45,7 +46,7 @@ def test_a_hidden_effect_is_named_first_on_a_dirty_background(name: str) -> None
     finding, truth = found(suite="singles", index=5, background="dirty", effect=name, strength=0.7)
     assert [a.name for a in finding.effects][:1] == [name], truth
     assert finding.unknown is None
-    gap = finding.ledgers["scan"].gap
+    gap = finding.channels["scan"].gap
     assert gap is not None
     effect = finding.effects[0].effect
     if effect.channel == "scan" and not effect.absorber:  # the seconds held out may hold hardly anybody

@@ -22,8 +22,8 @@ from sensorgraph.cli.options import (
 if TYPE_CHECKING:
     from logs.run import Run
     from planners.arena import Arena
-    from sensorgraph.diagnosis.commissioning import Commissioned
-    from sensorgraph.diagnosis.diagnose import Finding
+    from sensorgraph.diagnosis.finding import Finding
+    from sensorgraph.diagnosis.site_baseline import SiteBaseline
     from sensorgraph.effects import Amendment
     from sensorgraph.world.robot import Robot
 
@@ -68,7 +68,7 @@ def diagnose(
             machine,
             second=loaded[1] if len(loaded) > 1 else None,
             known=known,
-            commissioned=baseline,
+            baseline=baseline,
             seed=seed,
             progress=tick,
         )
@@ -79,7 +79,7 @@ def diagnose(
         "robot": machine.name,
         "tolerances": vars(machine.tolerances),
         "known_effects": [a.name for a in known],
-        "commissioning": baseline.said(", ".join(path.name for path in commissioning))
+        "commissioning": baseline.to_dict(", ".join(path.name for path in commissioning))
         if baseline and commissioning
         else None,
     }
@@ -136,7 +136,7 @@ def _known(path: Path | None, walls: Arena) -> Sequence[Amendment]:
 
 def _commission(
     runs: list[Path], topic: list[str] | None, walls: Arena, machine: Robot, seed: int
-) -> Commissioned:
+) -> SiteBaseline:
     """Learn from a run that is known to be good."""
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.commissioning import commission_all

@@ -1,9 +1,9 @@
-"""What a diagnosis says: one Ledger per channel, and the Finding that holds them."""
+"""What one channel of a diagnosis shows: names, deviations, rivals, the gap, and what is left unknown."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from sensorgraph.effects import Amendment
@@ -90,10 +90,6 @@ class Rival:
     """What would tell them apart."""
 
 
-CLOSE = 3.0
-"""[nats] between a name and its rival within which neither is said to be found."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChannelResult:
     """What one channel shows."""
@@ -116,15 +112,3 @@ class ChannelResult:
     """Why the channel was not looked at; empty if it was."""
     notes: Mapping[str, Any] = field(default_factory=dict)
     """What else is worth knowing, plain data."""
-
-    def settled(self) -> ChannelResult:
-        """Take the name from effects that a rival explains as well, one that is not itself named."""
-        names = {a.name for a in self.effects}
-        close = [a for a in self.effects if any(_is_close(a, r) for r in self.rivals if r.name not in names)]
-        named = tuple(a for a in self.effects if a not in close)
-        return replace(self, effects=named, undecided=(*self.undecided, *close))
-
-
-def _is_close(a: Amendment, rival: Rival) -> bool:
-    """Tell whether evidence does not choose; where a rival is well ahead, something else chose with reason."""
-    return rival.instead_of == a.name and abs((a.evidence or 0.0) - rival.evidence_nats) < CLOSE

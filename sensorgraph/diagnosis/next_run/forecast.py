@@ -246,7 +246,7 @@ def _solver_of(solver: Solver, walls: Floats, rows: slice) -> Solver:
 
     some = np.arange(n)[rows]
     return Solver(
-        solver.data.part(some),
+        solver.data.subset(some),
         cut(solver.expected),
         cut(solver.jacobian),
         walls,

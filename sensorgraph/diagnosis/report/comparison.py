@@ -15,7 +15,7 @@ import numpy as np
 
 from logs.run import RangeSensor
 from planners.arena import Arena
-from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.result import FitQuality, Gap
 from sensorgraph.diagnosis.scan.fit import Fitted, cast
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
@@ -225,7 +225,7 @@ def bare_gap(finding: Finding) -> Gap | None:
     if not named:
         return None
     held = held_out(finding.data)
-    data = finding.data.part(held)
+    data = finding.data.subset(held)
     sigma = data.sensor.sigma or 0.01
     z = data.ranges
     squares: list[float] = []

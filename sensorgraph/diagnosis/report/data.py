@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import bare_gap
 from sensorgraph.diagnosis.report.summary import main_channel
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Gap, Unknown

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from planners.arena import Arena
-from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import compare
 from sensorgraph.diagnosis.report.data import plain, to_dict
 from sensorgraph.diagnosis.report.figures.draw import draw_all

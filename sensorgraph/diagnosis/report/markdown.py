@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.quantities import (
     deviation_text,
     parameters,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planners.arena import Arena
-from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Floats
 

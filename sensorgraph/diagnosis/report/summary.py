@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.quantities import (
     brief,
     deviation_text,
@@ -16,7 +16,7 @@ from sensorgraph.diagnosis.report.quantities import (
 )
 from sensorgraph.diagnosis.report.tolerated import tolerated
 from sensorgraph.diagnosis.result import Deviation, Gap, Rival, Unknown
-from sensorgraph.diagnosis.scan.map_alignment import PARTLY
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 
 MIN_LEAD = 6.0
@@ -90,7 +90,9 @@ def summarise(finding: Finding) -> Summary:
             else "No effect of the library explains it: "
         )
         details.insert(0, f"{lead}{text}.")
-        if finding.intake.get("share_at_walls", 1.0) < PARTLY:  # said first: names mean little there
+        if (
+            finding.intake.get("share_at_walls", 1.0) < SCAN.alignment.good_share
+        ):  # said first: names mean little there
             fit, _, why = str(finding.intake["arena"]).partition(": ")
             details[:0] = [sentence_case(why), headline]
             headline = sentence_case(fit)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.scan.nuisance import BOX, widths
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance

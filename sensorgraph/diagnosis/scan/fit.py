@@ -96,7 +96,7 @@ def _bent(data: ScanData, model: Sequence[Amendment], beams: Beams) -> tuple[Boo
     rows = np.flatnonzero(which.any(axis=1))
     if len(rows) == 0:
         return None
-    few = data.part(rows)
+    few = data.subset(rows)
     quotients = np.zeros((data.n_scans, 3, data.n_rays))
     smooth = which.copy()
     steepness = np.zeros(which.shape)
@@ -383,7 +383,7 @@ def _peaked(
 
 def thin(data: ScanData, every: int) -> ScanData:
     """Return every n-th scan."""
-    return data.part(np.arange(0, data.n_scans, every))
+    return data.subset(np.arange(0, data.n_scans, every))
 
 
 def thin_state(state: State, every: int) -> State:

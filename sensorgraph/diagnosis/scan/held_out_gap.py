@@ -1,4 +1,4 @@
-"""Prove: the gap between simulator and measurement on rays that no fit and no choice has seen."""
+"""The gap between simulator and measurement on rays that no fit and no choice has seen."""
 
 from __future__ import annotations
 
@@ -13,25 +13,23 @@ from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
 from sensorgraph.diagnosis.scan.likelihood import Responsibilities, e_step, sample
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats
-
-BLOCK = 1.0  # [s] of scans that are held out together
-NEXT_TO_EDGE = 0.002  # chance of reading the other side of an edge; such rays count in the nats only
-EVERY = 8  # one block in so many
 
 
 def held_out(data: ScanData) -> Bools:
     """Return the scans (n_scans,) that are kept from every fit and choice: one block of a second in eight."""
-    block = np.floor((data.stamps - data.begin) / BLOCK).astype(np.intp)
-    held = block % EVERY == EVERY // 2
+    every = SCAN.held_out.every
+    block = np.floor((data.stamps - data.begin) / SCAN.held_out.block).astype(np.intp)
+    held = block % every == every // 2
     if not held.any() or held.all():
-        held = np.arange(data.n_scans) % EVERY == EVERY // 2
+        held = np.arange(data.n_scans) % every == every // 2
     return np.asarray(held)
 
 
-class _Side:
-    """One model on the held-out scans: poses from every other ray, judged on the rays between."""
+class _HeldOutFit:
+    """One model on the held-out scans: poses from every other ray, likelihood on the rays between."""
 
     def __init__(self, data: ScanData, model: Sequence[Amendment], fitted: Fitted, noise: BeamNoise) -> None:
         at = cast(data, model)
@@ -43,8 +41,8 @@ class _Side:
         )
         self.fitted, self.noise = fitted, noise
 
-    def responsibilities(self, data: ScanData) -> tuple[Responsibilities, Floats]:
-        """Return the judgement of every reading, and the expected readings."""
+    def e_step(self, data: ScanData) -> tuple[Responsibilities, Floats]:
+        """Return responsibilities and expected readings (n_scans, n_rays) [m], poses fitted to the even rays."""
         solver, expected = self.solver, self.expected
         solver.data = data
         with np.errstate(invalid="ignore"):
@@ -60,7 +58,7 @@ class _Side:
         even = np.zeros(expected.reading.shape, dtype=np.bool_)
         even[:, ::2] = True
         none = np.zeros(0)
-        for _ in range(3):
+        for _ in range(SCAN.held_out.pose_rounds):
             responsibilities = e_step(data, expected, solver.shift(state, none), state.noise)
             system = solver.assemble(np.where(even, responsibilities.weight, 0.0), state.pose_scale)
             state.delta = solver.poses_at(system, state.g)
@@ -68,42 +66,46 @@ class _Side:
         return e_step(data, expected, shift, state.noise), expected.reading + shift
 
 
-def gap(
+def held_out_gap(
     data: ScanData,
     null: Fitted,
     final: Fitted,
     named: Sequence[Amendment],
     *,
     rng: np.random.Generator,
-    replicates: int = 4,
+    n_replicates: int = SCAN.held_out.n_replicates,
 ) -> Gap:
     """Measure the gap before and after on held-out scans, beside what a perfect model would leave.
 
     Before: the nominal simulator; after: with the named effects. Both have the small corrections of the set-up (map,
-    mount, clocks within tolerance) of the final fit, so that what they differ in is the effects alone.
+    mount, clocks within tolerance) of the final fit, so that they differ in the effects alone.
 
-    The pose error of each scan is estimated on its even rays and the gap is measured on the odd ones. Readings that
-    the amended model takes for strays, rays that a hair would put on the other side of an edge, and rays that all but
-    graze their wall are left out of the RMS, not of the nats.
+    The pose error of each scan is estimated on its even rays, and the gap is measured on the odd ones. The RMS leaves
+    out strays of the amended model, rays beside an edge in depth and rays that graze their wall; the nats count all.
+
+    Parameters
+    ----------
+    null, final : fits without effects and of the accepted model, to other scans
+    named : the effects of the amended simulator
+    n_replicates : that the noise floor is averaged over
     """
-    before = _Side(data, (), final, null.state.noise)
-    after = _Side(data, named, final, final.state.noise if named else null.state.noise)
-    judged_before, mu_before = before.responsibilities(data)
-    judged_after, mu_after = after.responsibilities(data)
+    before = _HeldOutFit(data, (), final, null.state.noise)
+    after = _HeldOutFit(data, named, final, final.state.noise if named else null.state.noise)
+    judged_before, mu_before = before.e_step(data)
+    judged_after, mu_after = after.e_step(data)
     odd = np.zeros(mu_after.shape, dtype=np.bool_)
     odd[:, 1::2] = True
     odd &= ~np.isnan(data.ranges)
     sigma = data.sensor.sigma
-    seen = (
-        odd & (after.expected.p_alternative < NEXT_TO_EDGE) & (before.expected.p_alternative < NEXT_TO_EDGE)
-    )
-    seen &= judged_after.stray <= 0.5
+    edge, stray = SCAN.likelihood.min_edge_chance, SCAN.likelihood.stray_responsibility
+    seen = odd & (after.expected.p_alternative < edge) & (before.expected.p_alternative < edge)
+    seen &= judged_after.stray <= stray
     seen &= (after.steep < sigma) & (before.steep < sigma)
     floors = []
-    for _ in range(replicates):
+    for _ in range(n_replicates):
         drawn = _drawn(data, after, final, rng)
-        responsibilities, mu = after.responsibilities(drawn)
-        clear = seen & (responsibilities.stray <= 0.5)
+        responsibilities, mu = after.e_step(drawn)
+        clear = seen & (responsibilities.stray <= stray)
         floors.append(_fit(drawn, mu, responsibilities, clear, odd, sigma))
     floor = FitQuality(
         rmse_m=float(np.mean([f.rmse_m for f in floors])),
@@ -131,7 +133,7 @@ def _fit(
     )
 
 
-def _drawn(data: ScanData, side: _Side, final: Fitted, rng: np.random.Generator) -> ScanData:
+def _drawn(data: ScanData, side: _HeldOutFit, final: Fitted, rng: np.random.Generator) -> ScanData:
     """Draw readings of the held-out scans from the final model."""
     expected, state = side.expected, final.state
     prior = pose_prior(data, state.pose_scale)

@@ -7,31 +7,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
+from logs.run import Run
+from sensorgraph.diagnosis.result import Unknown
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Floats
+from sensorgraph.world.orientation import orientation
 from sensorgraph.world.raycast import cast_laser, laser_poses
 
-CELL = 0.1  # [m] of the raster
-NEAR = 0.15  # [m] from a wall: the ray ends at it
-HARDLY = 0.3  # share of rays that end at walls, below which no name would mean anything
-POORLY = 0.45  # share of rays that end at walls, below which a better place is looked for
-PARTLY = 0.8  # share of rays that end at walls, below which another scale of the map is looked for
-ALIKE = 0.45  # share of readings as long as the arena makes them, below which the run is of another place
-LONGER = (0.15, 0.05)  # [m], of the range, that a reading may differ for that
-LOOKED = 100  # scans that are cast for it
-CLEARLY = 0.25  # by which another place must be better
-SCALES = np.geomspace(0.5, 2.0, 47)  # of the map that are tried, 3 % apart
-MARGIN = 0.05  # by which another scale must be better than another place
-N_POINTS = 3000
-N_TURNS = 90
+SETTINGS = SCAN.alignment
+SCALES = np.geomspace(*SETTINGS.scale_range, SETTINGS.n_scales)
+"""Of the map, that are tried."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Placement:
+class Alignment:
     """How many rays end at walls, as the map lies and as it would have to lie."""
 
     share: float
-    """Of the returns that end within NEAR of a wall."""
+    """Of the returns that end at a wall."""
     best_share: float
     """The same after the motion below."""
     dx: float = 0.0
@@ -39,28 +33,30 @@ class Placement:
     dy: float = 0.0
     dphi: float = 0.0
     """[rad] by which the poses are to be turned about their middle."""
-    alike: float = 1.0
-    """Share of the readings that are about as long as the arena makes them."""
+    matching: float = 1.0
+    """Share of the returns that are about as long as the arena makes them."""
     scale: float = 1.0
     """How many times as large as the place the arena is drawn; then it, not the poses, is to be mended."""
 
     @property
-    def fits(self) -> bool:
+    def is_good(self) -> bool:
         """Tell whether the map may stay where it is."""
-        is_lost = max(self.share, self.best_share) < HARDLY or self.alike < ALIKE
-        return not is_lost and self.best_share < max(self.share + CLEARLY, POORLY)
+        is_lost = (
+            max(self.share, self.best_share) < SETTINGS.min_share or self.matching < SETTINGS.min_matching
+        )
+        return not is_lost and self.best_share < max(self.share + SETTINGS.min_gain, SETTINGS.poor_share)
 
     def sentence(self) -> str:
         """Say how well the arena fits the run, and what would mend it."""
-        now = f"{100 * self.share:.0f} % of the returns end within {100 * NEAR:.0f} cm of a wall"
-        if self.fits and self.share >= PARTLY:
+        now = f"{100 * self.share:.0f} % of the returns end within {100 * SETTINGS.wall_distance:.0f} cm of a wall"
+        if self.is_good and self.share >= SETTINGS.good_share:
             return now
-        if self.fits:
+        if self.is_good:
             return (
                 f"the arena fits the run only in part: {now}; it lacks something, or holds what is not there"
             )
-        if self.best_share < self.share + CLEARLY:
-            longs = f"{100 * self.alike:.0f} % of the readings are as long as the arena would make them"
+        if self.best_share < self.share + SETTINGS.min_gain:
+            longs = f"{100 * self.matching:.0f} % of the readings are as long as the arena would make them"
             return f"the arena does not fit the run: {now}, {longs}; no turn, shift or scale of it would mend that"
         if self.scale != 1.0:
             dx, dy = (round(-d / self.scale, 2) + 0.0 for d in (self.dx, self.dy))
@@ -75,43 +71,75 @@ class Placement:
         return f"{lead}: {now}; {mend} it would be {100 * self.best_share:.0f} %"
 
 
-def placement(data: ScanData, rng: np.random.Generator) -> Placement:
+def align(data: ScanData, rng: np.random.Generator) -> Alignment:
     """Lay the ends of the measured rays over the walls; where few meet, look for a better place."""
     points = _ends(data, rng)
-    if len(points) < 100:
-        return Placement(share=1.0, best_share=1.0)
+    if len(points) < SETTINGS.min_points:
+        return Alignment(share=1.0, best_share=1.0)
     raster = _Raster(data)
-    share, alike = raster.share(points), _alike(data)
-    if share >= PARTLY and alike >= ALIKE:
-        return Placement(share=share, best_share=share, alike=alike)
-    moved = Placement(share=share, best_share=share)
-    if share <= POORLY or alike < ALIKE:
+    share, matching = raster.share(points), _matching_share(data)
+    if share >= SETTINGS.good_share and matching >= SETTINGS.min_matching:
+        return Alignment(share=share, best_share=share, matching=matching)
+    moved = Alignment(share=share, best_share=share)
+    if share <= SETTINGS.poor_share or matching < SETTINGS.min_matching:
         moved = _moved(data, raster, points, share)
     scaled = _scaled(raster, points, share)
-    is_better = scaled.best_share > max(moved.best_share + MARGIN, PARTLY)
-    return replace(scaled if is_better and not scaled.fits else moved, alike=alike)
+    is_better = scaled.best_share > max(moved.best_share + SETTINGS.min_scale_gain, SETTINGS.good_share)
+    return replace(scaled if is_better and not scaled.is_good else moved, matching=matching)
 
 
-def _alike(data: ScanData) -> float:
+def misalignment(alignment: Alignment, run: Run, data: ScanData) -> Unknown | None:
+    """Return why the run cannot be compared with the arena, and what would mend that; None where it can."""
+    statement = _wrong_orientation(alignment, run, data)
+    if not statement and alignment.is_good:
+        return None
+    return Unknown(
+        statement=statement or alignment.sentence(),
+        statistic=alignment.share,
+        threshold=alignment.best_share,
+    )
+
+
+def _wrong_orientation(alignment: Alignment, run: Run, data: ScanData) -> str:
+    """Say that the scan is mirrored or turned, if that is why few rays end at walls; else nothing."""
+    if alignment.share > SETTINGS.poor_share:
+        return ""
+    found = orientation(replace(run, sensor=data.sensor), data.arena)
+    if found is None or found.best == "as logged":
+        return ""
+    now, then = found.fits["as logged"], found.fits[found.best]
+    if then > min(SETTINGS.max_orientation_error, 0.5 * now):
+        return ""
+    return (
+        f"the scan fits the arena {found.best}: median error {100 * then:.0f} cm instead of {100 * now:.0f} cm; check "
+        "the sign of angle_increment, the mount's yaw and the driver's `inverted` setting"
+    )
+
+
+def _matching_share(data: ScanData) -> float:
     """Return the share of the returns that are about as long as the arena makes them.
 
     In an arena full of walls rays end at one by chance; that they are as long as the first wall allows, they are not.
     """
-    some = np.linspace(0, data.n_scans - 1, min(data.n_scans, LOOKED)).astype(np.intp)
+    n = min(data.n_scans, SETTINGS.matching_scans)
+    some = np.linspace(0, data.n_scans - 1, n).astype(np.intp)
     sensor, measured = data.sensor, data.ranges[some]
     lasers = laser_poses(data.poses[some], sensor.mount)
     cast, _ = cast_laser(data.arena.walls, lasers, sensor.bearings, sensor.range_max)
     returned = np.isfinite(measured)
+    if not returned.any():
+        return 1.0
     off = np.abs(measured[returned] - cast[returned])
-    return float((off < LONGER[0] + LONGER[1] * measured[returned]).mean()) if returned.any() else 1.0
+    margin, share = SETTINGS.matching_error
+    return float((off < margin + share * measured[returned]).mean())
 
 
-def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Placement:
+def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Alignment:
     """Look for the rigid motion of the poses that lays most ends of rays on walls."""
     middle = data.poses[:, :2].mean(axis=0)
     points = points - middle
     best = (share, 0.0, middle)
-    for turn in np.linspace(-np.pi, np.pi, N_TURNS, endpoint=False):
+    for turn in np.linspace(-np.pi, np.pi, SETTINGS.n_turns, endpoint=False):
         turned = points @ _rotation(turn).T
         shift, count = raster.correlated(turned)
         if count / len(points) > best[0] - 0.1:
@@ -119,20 +147,20 @@ def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Pla
             if got[0] > best[0]:
                 best = got
     shift = best[2] - middle
-    return Placement(
+    return Alignment(
         share=share, best_share=best[0], dx=float(shift[0]), dy=float(shift[1]), dphi=float(best[1])
     )
 
 
-def _scaled(raster: _Raster, points: Floats, share: float) -> Placement:
+def _scaled(raster: _Raster, points: Floats, share: float) -> Alignment:
     """Look for the scale (about the origin, then moved) of all that was measured that lays most ends on walls."""
     shifts, counts = zip(*(raster.correlated(scale * points) for scale in SCALES), strict=True)
-    if max(counts) < (share + CLEARLY - 0.1) * len(points):
-        return Placement(share=share, best_share=share)
+    if max(counts) < (share + SETTINGS.min_gain - 0.1) * len(points):
+        return Alignment(share=share, best_share=share)
     found = [_rescaled(raster, points, float(SCALES[k]), shifts[k]) for k in np.argsort(counts)[-3:]]
     _, scale, shift = max(found, key=lambda one: one[0])
     best_share = raster.share(scale * points + shift)
-    return Placement(share=share, best_share=best_share, dx=float(shift[0]), dy=float(shift[1]), scale=scale)
+    return Alignment(share=share, best_share=best_share, dx=float(shift[0]), dy=float(shift[1]), scale=scale)
 
 
 def _rescaled(raster: _Raster, points: Floats, scale: float, shift: Floats) -> tuple[float, float, Floats]:
@@ -161,8 +189,8 @@ def _ends(data: ScanData, rng: np.random.Generator) -> Floats:
     """Return where some of the measured rays end, (n, 2) [m, map]."""
     lasers = laser_poses(data.poses, data.sensor.mount)
     scan, ray = np.nonzero(data.returned)
-    if len(scan) > N_POINTS:
-        some = rng.choice(len(scan), N_POINTS, replace=False)
+    if len(scan) > SETTINGS.n_points:
+        some = rng.choice(len(scan), SETTINGS.n_points, replace=False)
         scan, ray = scan[some], ray[some]
     phi = lasers[scan, 2] + data.sensor.bearings[ray]
     r = data.ranges[scan, ray]
@@ -181,7 +209,7 @@ class _Raster:
         walls = data.arena.walls
         low = walls.reshape(-1, 2).min(axis=0) - 1.0
         high = walls.reshape(-1, 2).max(axis=0) + 1.0
-        self.cell = max(CELL, float((high - low).max()) / 600)
+        self.cell = max(SETTINGS.cell, float((high - low).max()) / SETTINGS.max_cells)
         self.low = low
         shape = np.ceil((high - low) / self.cell).astype(int) + 1
         taken = np.zeros(shape, dtype=np.bool_)
@@ -190,17 +218,17 @@ class _Raster:
             at = ((a + np.linspace(0, 1, n)[:, None] * (b - a) - low) / self.cell).round().astype(int)
             taken[at[:, 0], at[:, 1]] = True
         self.distance = distance_transform_edt(~taken) * self.cell
-        self.near = (self.distance < NEAR).astype(np.float64)
+        self.near = (self.distance < SETTINGS.wall_distance).astype(np.float64)
         self.middle = (low + high) / 2
 
     def score(self, points: Floats) -> float:
-        """Return how near the points are to walls: 1 on them, falling over NEAR."""
+        """Return how near the points are to walls: 1 on them, falling over the wall distance."""
         at = (points - self.low) / self.cell
         distance = map_coordinates(self.distance, at.T, order=1, mode="nearest")
-        return float(np.exp(-0.5 * (distance / (0.5 * NEAR)) ** 2).mean())
+        return float(np.exp(-0.5 * (distance / (0.5 * SETTINGS.wall_distance)) ** 2).mean())
 
     def share(self, points: Floats) -> float:
-        """Return the share of points within NEAR of a wall."""
+        """Return the share of points that end at a wall."""
         at = ((points - self.low) / self.cell).round().astype(int)
         inside = ((at >= 0) & (at < self.near.shape)).all(axis=1)
         got = np.zeros(len(points))

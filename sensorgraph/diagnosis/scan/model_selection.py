@@ -73,7 +73,7 @@ def price(amendment: Amendment, data: ScanData) -> float:
         v != 0.0 or not amendment.effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items()
     ]
     paid = PRICE * max(sum(counted), 1) + float(np.log(max(places, 1)))
-    return paid + data.floors.get(amendment.name, 0.0)
+    return paid + data.clutter_nats.get(amendment.name, 0.0)
 
 
 def explain(
@@ -252,7 +252,7 @@ def shortlist(
                 continue
             if (c.amendment.name, c.amendment.place) in struck:
                 continue
-            if data.floors.get(c.amendment.name) == np.inf:
+            if data.clutter_nats.get(c.amendment.name) == np.inf:
                 continue
             if c.gain < _least(current.model, c.amendment, gained):
                 continue

@@ -19,7 +19,7 @@ from sensorgraph.effects.proposals import PROPOSAL
 
 def proposed_candidates(residuals: FitResiduals) -> list[Candidate]:
     """Return what the effects propose, best first."""
-    effects = [e for e in EFFECTS.values() if residuals.data.floors.get(e.name) != np.inf]
+    effects = [e for e in EFFECTS.values() if residuals.data.clutter_nats.get(e.name) != np.inf]
     found = [c for effect in effects for c in _proposed(effect, residuals)]
     found += _swept(effects, residuals)
     return sorted((c for c in found if c.gain > PROPOSAL.min_gain), key=lambda c: -c.gain)

@@ -1,31 +1,24 @@
-"""Evidence: the scans of a run with the poses they were taken at, ready to be compared with a simulator."""
+"""The scans of a run with the poses they were taken at, ready to be compared with the simulator."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot, Tolerances
 from sensorgraph.world.scene import Scene
-
-if TYPE_CHECKING:
-    from sensorgraph.diagnosis.scan.site_variation import BaselineInterval
-
-LEAST_SCANS = 50
-MOST_RAYS = 100_000  # more say little new: map and poses, not noise, then bound what can be told
-LEAST_RAYS = 3
-LEAST_SIGMA = 5e-4  # [m] of a return
-SMOOTH = 0.2  # [s] either side, over which the reference is fitted to tell the speed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,15 +43,15 @@ class ScanData:
     span: float
     """[s] length of the run."""
     laser_frame: bool
-    """The reference is the laser's own pose, so that no mount can be told."""
+    """The reference poses are those of the laser itself, so that its mount cannot be estimated."""
     known: tuple[Amendment, ...] = ()
     """Effects that are part of the simulator already."""
-    floors: Mapping[str, float] = field(default_factory=dict)
-    """Effect -> [nats] further evidence that its name takes at this site (see `commissioning`)."""
-    usual: Mapping[str, BaselineInterval] = field(default_factory=dict)
+    clutter_nats: Mapping[str, float] = field(default_factory=dict)
+    """Effect -> [nats] further evidence that its name takes at this site (see `commissioning`); inf: do not look."""
+    baseline_intervals: Mapping[str, BaselineInterval] = field(default_factory=dict)
     """Effect -> the sizes that the site shows though nothing is wrong."""
     memo: dict[bytes, object] = field(default_factory=dict)
-    """Casts made before."""
+    """Results kept by content, such as the edges of a cast."""
 
     @property
     def n_scans(self) -> int:
@@ -99,8 +92,8 @@ class ScanData:
             memo=self.memo,
         )
 
-    def part(self, scans: NDArray[np.intp] | Bools) -> ScanData:
-        """Return the evidence of some scans only."""
+    def subset(self, scans: NDArray[np.intp] | Bools) -> ScanData:
+        """Return the data of some scans only: indices, or a mask (n_scans,)."""
         return replace(
             self,
             stamps=self.stamps[scans],
@@ -110,23 +103,41 @@ class ScanData:
             memo={},
         )
 
-    def rays(self, every: int) -> ScanData:
-        """Return the evidence of every n-th ray only."""
-        rays = np.arange(every // 2, self.n_rays, every)
-        sensor = replace(self.sensor, bearings=self.sensor.bearings[rays])
-        if self.sensor.sweep_time > 0:
-            return self
-        return replace(self, sensor=sensor, ranges=np.ascontiguousarray(self.ranges[:, rays]), memo={})
+    def windows(self, n: int) -> list[ScanData]:
+        """Cut the run into n windows with the same count of scans; none where they would be too short for a run."""
+        if self.n_scans < n * SCAN.intake.min_scans:
+            return []
+        ends = np.linspace(0, self.n_scans, n + 1).astype(np.intp)
+        out = []
+        for low, high in pairwise(ends):
+            window = self.subset(np.arange(low, high))
+            span = float(window.stamps[-1] - window.stamps[0])
+            out.append(replace(window, begin=float(window.stamps[0]), span=max(span, 1e-9)))
+        return out
 
 
 def prepare_scans(
     run: Run, arena: Arena, robot: Robot, known: Sequence[Amendment] = ()
 ) -> tuple[ScanData, dict[str, object]]:
-    """Pair scans with poses; return the evidence and what is worth saying about the pairing."""
+    """Pair the scans of a run with poses, and thin out a long run.
+
+    Parameters
+    ----------
+    known : effects that are part of the model already; those of other channels are left out
+
+    Returns
+    -------
+    the data, and what is worth saying about the pairing under the keys of report.json
+
+    Raises
+    ------
+    SensorgraphError
+        The run is too short, has no returns or no poses, or another sensor than the robot.
+    """
     pairing = pair(run)
-    kept = pairing.paired & ~np.isnan(run.ranges).all(axis=1)
-    broken = int((pairing.paired & ~kept).sum())
-    kept, thinned = _thinned(kept, run.sensor.n_rays)
+    paired = pairing.paired & ~np.isnan(run.ranges).all(axis=1)
+    broken = int((pairing.paired & ~paired).sum())
+    kept, thinned = _thinned(paired, run.sensor.n_rays)
     notes: dict[str, object] = {
         "scans": run.n_scans,
         "used": int(kept.sum()),
@@ -136,28 +147,28 @@ def prepare_scans(
             **thinned,
         },
     }
-    if run.n_scans < LEAST_SCANS:
+    least = SCAN.intake.min_scans
+    if run.n_scans < least:
         raise SensorgraphError(
-            f"the run has {run.n_scans} scans, expected {LEAST_SCANS} or more; record a longer run"
+            f"the run has {run.n_scans} scans, expected {least} or more; record a longer run"
         )
     if not np.isfinite(run.ranges).any():
         raise SensorgraphError("no ray of the run ever returned; there is nothing to compare with the arena")
-    if kept.sum() < LEAST_SCANS:
+    if kept.sum() < least:
         raise SensorgraphError(
-            f"only {int(kept.sum())} of {run.n_scans} scans have a pose ({pairing}), expected {LEAST_SCANS} or more; "
+            f"only {int(kept.sum())} of {run.n_scans} scans have a pose ({pairing}), expected {least} or more; "
             "record a longer run, or name the topic of its poses with `topics` pose=..."
         )
     laser_frame = run.pose_frame == "laser"
     sensor = _sensor(run, robot, laser_frame)
-    poses = run.poses.copy()
-    finite = np.isfinite(poses).all(axis=1)
-    stamps, poses = run.pose_stamps[finite], poses[finite]
+    finite = np.isfinite(run.poses).all(axis=1)
+    stamps, poses = run.pose_stamps[finite], run.poses[finite]
     poses[:, 2] = np.unwrap(poses[:, 2])
     when = run.stamps[kept]
     data = ScanData(
         arena=arena,
         sensor=sensor,
-        tolerances=_tolerances(robot.tolerances),
+        tolerances=_positive_tolerances(robot.tolerances),
         stamps=when,
         ranges=run.ranges[kept],
         poses=np.stack([np.interp(when, stamps, column) for column in poses.T], axis=-1),
@@ -174,7 +185,7 @@ def prepare_scans(
 def _thinned(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:
     """Keep every n-th of the usable scans of a long run; say how many that leaves out."""
     count = int(kept.sum())
-    step = -(-count * n_rays // MOST_RAYS)
+    step = -(-count * n_rays // SCAN.intake.max_readings)
     if step <= 1:
         return kept, {}
     some = np.zeros_like(kept)
@@ -183,13 +194,13 @@ def _thinned(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:
 
 
 def velocities(stamps: Floats, poses: Floats, when: Floats) -> Floats:
-    """Fit a line to the poses around each time; return its slope (n, 3) [1/s]."""
-    low = np.searchsorted(stamps, when - SMOOTH)
-    high = np.searchsorted(stamps, when + SMOOTH, side="right")
+    """Return the slope (n, 3) [1/s] of a line fitted to the poses around each of n times."""
+    window = SCAN.intake.velocity_window
+    low = np.searchsorted(stamps, when - window)
+    high = np.searchsorted(stamps, when + window, side="right")
     low = np.minimum(low, np.maximum(high - 2, 0))
     high = np.maximum(high, np.minimum(low + 2, len(stamps)))
-    middle = stamps[0]
-    t = stamps - middle
+    t = stamps - stamps[0]
     sums = [np.concatenate([[0.0], np.cumsum(v)]) for v in (np.ones_like(t), t, t * t)]
     n, s1, s2 = (c[high] - c[low] for c in sums)
     slopes = []
@@ -204,37 +215,44 @@ def velocities(stamps: Floats, poses: Floats, when: Floats) -> Floats:
     return np.stack(slopes, axis=1)
 
 
-def _tolerances(told: Tolerances) -> Tolerances:
-    """Return tolerances that are never nothing: no set-up is perfect, and a zero has no logarithm."""
-    least = {
-        "map": 2e-4,
-        "mount_xy": 1e-4,
-        "mount_yaw": 2e-5,
-        "pose_xy": 2e-4,
-        "pose_yaw": 1e-4,
-        "stamp": 1e-4,
-    }
-    return replace(told, **{name: max(getattr(told, name), value) for name, value in least.items()})
+def _positive_tolerances(tolerances: Tolerances) -> Tolerances:
+    """Return tolerances that are never zero."""
+    least = SCAN.intake.min_tolerances
+    return replace(
+        tolerances, **{name: max(getattr(tolerances, name), value) for name, value in least.items()}
+    )
 
 
 def _sensor(run: Run, robot: Robot, laser_frame: bool) -> RangeSensor:
-    """Return what robot.yaml says of the sensor, at the bearings that the run has."""
-    told, seen = robot.sensor, run.sensor
-    if seen.n_rays != told.n_rays or np.abs(seen.bearings - told.bearings).max() > 0.02:
+    """Return the sensor of robot.yaml, at the bearings that the run has.
+
+    Raises
+    ------
+    SensorgraphError
+        The run is of another sensor, or the sensor has too few rays.
+    """
+    settings, described, recorded = SCAN.intake, robot.sensor, run.sensor
+    if (
+        recorded.n_rays != described.n_rays
+        or np.abs(recorded.bearings - described.bearings).max() > settings.max_bearing_mismatch
+    ):
         raise SensorgraphError(
-            f"the run has {seen.n_rays} rays from {seen.bearings[0]:.3f} to {seen.bearings[-1]:.3f} rad, robot.yaml "
-            f"describes {told.n_rays} from {told.bearings[0]:.3f} to {told.bearings[-1]:.3f}; give the robot that recorded it"
+            f"the run has {recorded.n_rays} rays from {recorded.bearings[0]:.3f} to {recorded.bearings[-1]:.3f} rad, "
+            f"robot.yaml describes {described.n_rays} from {described.bearings[0]:.3f} to "
+            f"{described.bearings[-1]:.3f}; give the robot that recorded it"
         )
-    if told.n_rays < LEAST_RAYS:
+    if described.n_rays < settings.min_rays:
         raise SensorgraphError(
-            f"the sensor has {told.n_rays} rays, expected {LEAST_RAYS} or more to tell effects apart"
+            f"the sensor has {described.n_rays} rays, expected {settings.min_rays} or more to tell effects apart"
         )
-    beyond = float((np.where(np.isfinite(run.ranges), run.ranges, 0.0) > 1.02 * told.range_max + 0.05).mean())
-    if beyond > 0.01:
+    factor, slack = settings.range_max_slack
+    returned = np.where(np.isfinite(run.ranges), run.ranges, 0.0)
+    beyond = float((returned > factor * described.range_max + slack).mean())
+    if beyond > settings.max_share_beyond_range:
         raise SensorgraphError(
-            f"{100 * beyond:.0f} % of the readings are beyond sensor.range_max = {told.range_max:g} m of robot.yaml; "
-            "give the robot that recorded the run"
+            f"{100 * beyond:.0f} % of the readings are beyond sensor.range_max = {described.range_max:g} m of "
+            "robot.yaml; give the robot that recorded the run"
         )
-    mount = np.zeros(3) if laser_frame else told.mount
-    sigma = max(told.sigma, told.resolution / np.sqrt(12), LEAST_SIGMA)
-    return replace(told, mount=mount, sigma=float(sigma))
+    mount = np.zeros(3) if laser_frame else described.mount
+    sigma = max(described.sigma, described.resolution / np.sqrt(12), settings.min_sigma)
+    return replace(described, mount=mount, sigma=float(sigma))

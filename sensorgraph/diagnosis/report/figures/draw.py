@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import ComparedScans, bare_gap
 from sensorgraph.diagnosis.report.figures.arena import arena_picture
 from sensorgraph.diagnosis.report.figures.gap import gap_picture

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.quantities import (
     place_text,
 )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sensorgraph.diagnosis.diagnose import Finding
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import ComparedScans, SimulatedScans
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.show.figures.style import (

@@ -1,0 +1,219 @@
+"""Which effects of an accepted model get a name, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import expit
+
+from planners.clearance import Barriers
+from sensorgraph.diagnosis.result import ChannelResult, Deviation, Rival, Unknown
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
+from sensorgraph.diagnosis.scan.model_selection import Explained
+from sensorgraph.diagnosis.scan.observability import separation
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
+from sensorgraph.diagnosis.scan.standard_errors import material_probability
+from sensorgraph.effects import Amendment
+from sensorgraph.effects.effect import size_ratio
+
+WRONG_BY_HALF = 0.5
+"""Scale error of a wheel beyond which odometry and reference do not belong together."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScanNames:
+    """What is named in the scan channel."""
+
+    result: ChannelResult
+    accepted: tuple[Amendment, ...]
+    """Effects as fitted that are material and that no doubt concerns, in the order of the model."""
+    rivals: tuple[Amendment, ...]
+    """The second-best explanations, in the order of `result.rivals`."""
+
+    @property
+    def named(self) -> list[Amendment]:
+        """Accepted effects that no rival explains as well."""
+        undecided = {(a.name, a.place) for a in self.result.undecided}
+        return [a for a in self.accepted if (a.name, a.place) not in undecided]
+
+
+def name_scan_effects(
+    data: ScanData, explained: Explained, fit: GoodnessOfFit, deviations: Sequence[Deviation]
+) -> ScanNames:
+    """Turn the accepted model into names, sizes within tolerance, rivals and what is left unexplained.
+
+    Parameters
+    ----------
+    fit : how well the accepted model fits
+    deviations : from the simulator without any effect
+    """
+    final = explained.final
+    complete = [
+        replace(
+            located(amendment, data),
+            evidence=explained.gains[index],
+            probability=probability(explained, index, fit),
+        )
+        for index, amendment in enumerate(final.model)
+    ]
+    material = {index for index, a in enumerate(final.model) if is_material(final, a)}
+    accepted = [i for i in sorted(material) if not is_doubted(explained, i, fit)]
+    order = sorted(accepted, key=lambda i: -explained.gains[i])
+    rivals = [(i, *explained.rivals[i]) for i in order if i in explained.rivals]
+    result = ChannelResult(
+        channel="scan",
+        effects=tuple(complete[i] for i in order),
+        within_tolerance=tuple(a for i, a in enumerate(complete) if i not in material),
+        unknown=_unknown(fit),
+        rivals=tuple(
+            Rival(
+                name=rival.name,
+                instead_of=complete[i].name,
+                evidence_nats=explained.gains[i] - short,
+                separates=separation(complete[i], rival),
+            )
+            for i, rival, short in rivals
+        ),
+        deviations=tuple(deviations),
+    )
+    return ScanNames(
+        result=without_close_calls(result),
+        accepted=tuple(final.model[i] for i in accepted),
+        rivals=tuple(rival for _, rival, _ in rivals),
+    )
+
+
+def without_close_calls(result: ChannelResult) -> ChannelResult:
+    """Take the name from effects that a rival explains as well, unless the rival is itself named."""
+    names = {a.name for a in result.effects}
+    rivals = [rival for rival in result.rivals if rival.name not in names]
+    close = [a for a in result.effects if any(_is_close(a, rival) for rival in rivals)]
+    named = tuple(a for a in result.effects if a not in close)
+    return replace(result, effects=named, undecided=(*result.undecided, *close))
+
+
+def _is_close(a: Amendment, rival: Rival) -> bool:
+    """Tell whether evidence does not choose; where a rival is well ahead, something else chose with reason."""
+    margin = abs((a.evidence or 0.0) - rival.evidence_nats)
+    return rival.instead_of == a.name and margin < SCAN.naming.rival_margin
+
+
+def located(amendment: Amendment, data: ScanData) -> Amendment:
+    """Return an effect with its point moved to where its fitted parameters put it."""
+    values = amendment.parameters
+    if amendment.name == "unmapped_obstacle":
+        return amendment.at("", (values["x"], values["y"]))
+    if {"a", "b"} <= set(values) and amendment.place in data.arena.names:
+        start, end = data.arena.walls[data.arena.names.index(amendment.place)]
+        along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
+        return amendment.at(amendment.place, start + along * (values["a"] + values["b"]) / 2)
+    return amendment
+
+
+def is_material(fitted: Fitted, amendment: Amendment) -> bool:
+    """Tell whether an effect is large enough for a name, and surely so."""
+    return not (
+        _is_blurred_corner(amendment)
+        or is_within_baseline(fitted, amendment)
+        or not is_measured(amendment)
+        or is_map_error(fitted, amendment)
+    ) and (
+        material_probability(amendment, amendment.stderr, required_ratio(fitted))
+        >= SCAN.naming.min_material_probability
+    )
+
+
+def _is_blurred_corner(amendment: Amendment) -> bool:
+    """Tell whether a part of a wall is so short that it may be a blurred corner."""
+    values = amendment.parameters
+    is_part = amendment.effect.place == "wall" and {"a", "b"} <= set(values)
+    return is_part and values["b"] - values["a"] < SCAN.naming.min_part
+
+
+def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
+    """Tell whether an obstacle stands out of a mapped one by no more than the map may be wrong there."""
+    if amendment.name != "unmapped_obstacle":
+        return False
+    data, values = fitted.solver.data, amendment.parameters
+    place = np.array([[values["x"], values["y"]]])
+    if data.arena.contains(place)[0]:
+        return False
+    stands_out = values["r"] - float(Barriers(data.arena).distances(place)[0])
+    return stands_out < SCAN.naming.map_sigmas * data.tolerances.map * required_ratio(fitted)
+
+
+def is_measured(amendment: Amendment) -> bool:
+    """Tell whether the run says how large an effect is: no size is less than its own standard error."""
+    sizes = [k for k in amendment.effect.sizes if k in amendment.parameters]
+    error = sum((amendment.stderr.get(k, 0.0) / amendment.effect.sizes[k]) ** 2 for k in sizes) ** 0.5
+    return not sizes or error < size_ratio(amendment.effect, amendment.parameters)
+
+
+def required_ratio(fitted: Fitted) -> float:
+    """Return how many materialities an effect must have: more, where the tolerances proved too tight."""
+    scale = max(fitted.state.map_scale, fitted.state.pose_scale)
+    is_stretched = scale > SCAN.nuisance.stretched_scale
+    return SCAN.naming.stretched_factor * scale if is_stretched else max(1.0, scale)
+
+
+def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
+    """Tell whether an effect loses its name because too much of its own kind is left unexplained."""
+    if index in fit.failed:
+        return True
+    if (
+        explained.final.model[index].name == "quantisation"
+    ):  # every reading lies on it, whatever else is amiss
+        return False
+    return fit.is_doubted and fit.misfit > SCAN.naming.max_unexplained_share * explained.gains[index]
+
+
+def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
+    """Return the chance that a name is right and its size material, calibrated on development cases."""
+    naming, fitted, gain = SCAN.naming, explained.final, explained.gains[index]
+    margin = explained.rivals[index][1] if index in explained.rivals else gain
+    p = naming.max_probability * float(expit(naming.probability_per_nat * min(gain, margin)))
+    if fit.is_doubted:
+        p *= naming.doubted_factor
+    amendment = fitted.model[index]
+    return float(p * material_probability(amendment, amendment.stderr, required_ratio(fitted)))
+
+
+def _unknown(fit: GoodnessOfFit) -> Unknown | None:
+    if not fit.is_doubted:
+        return None
+    return Unknown(
+        statement=f"something no effect of the library explains: {fit.statement}",
+        deviation=fit.deviation,
+        statistic=fit.statistic,
+        threshold=fit.threshold,
+    )
+
+
+def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> ChannelResult:
+    """Leave names that are known already, implausible or doubtful out of the result of a motion channel."""
+    is_absurd = any(
+        a.effect.channel == "odometry" and abs(a.parameters.get("s", 0.0)) > WRONG_BY_HALF
+        for a in result.effects
+    )
+    if is_absurd:
+        words = "odometry and reference do not belong together: way or turn differ in sign or by half"
+        return without_close_calls(replace(result, effects=(), unknown=Unknown(statement=words)))
+    slips = [a for a in result.effects if a.name == "wheel_slip"]
+    mimics = slips if len(slips) > 1 and result.unknown is not None else []  # of the unknown, patch by patch
+    expected = {a.name: a.parameters for a in known if a.name not in ("actuator_lag", "dead_time")}
+    named = tuple(a for a in result.effects if a not in mimics and not _is_expected(a, expected))
+    return without_close_calls(replace(result, effects=named))
+
+
+def _is_expected(amendment: Amendment, known: Mapping[str, Mapping[str, float]]) -> bool:
+    """Tell whether an effect is known already, with a size that differs by less than its materiality."""
+    if amendment.name not in known:
+        return False
+    values = known[amendment.name]
+    off = {k: amendment[k] - values.get(k, 0.0) for k in amendment.effect.sizes}
+    return size_ratio(amendment.effect, off) < 1.0

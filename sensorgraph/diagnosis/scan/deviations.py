@@ -1,0 +1,176 @@
+"""Where measured and simulated readings differ more than chance allows, before any effect is named.
+
+Residuals are summed over the bins of a dozen partitions (wall, bearing, range, …). A bin's z is clustered: its variance
+comes from the scatter between blocks of about a second, so that neighbouring rays and scans, which share their errors,
+count once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from planners.clearance import Barriers
+from sensorgraph.diagnosis.result import Deviation
+from sensorgraph.diagnosis.scan.partitions import Partition, partitions
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.types import Bools, Floats, Ints
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scores:
+    """How every ray deviates from what the model expects, per kind of deviation; arrays (n_scans, n_rays)."""
+
+    values: dict[str, Floats]
+    """0 expected."""
+    counted: dict[str, Bools]
+    """Which rays have a score; elsewhere it is 0."""
+
+
+def scores(view: FitResiduals) -> Scores:
+    """Score every ray: clipped residual, its square, whether it is a stray, whether it is missing."""
+    settings, likelihood = SCAN.goodness_of_fit, SCAN.likelihood
+    responsibilities, expected = view.fitted.solution.responsibilities, view.fitted.cast.expected
+    is_stray = responsibilities.stray > likelihood.stray_responsibility
+    off_edge = expected.p_alternative < likelihood.min_edge_chance
+    clear = view.returned & view.aimed & off_edge & view.fitted.cast.jacobian.valid
+    if view.beams.straight is not None:
+        bent = view.returned & view.aimed & ~view.beams.straight
+        clear = clear | (bent & (responsibilities.stray < likelihood.stray_responsibility))
+    u = np.where(clear, responsibilities.residual / view.sigma, 0.0)
+    explained = clear & (responsibilities.stray < likelihood.stray_responsibility)
+    if expected.short > 0:
+        explained &= responsibilities.core + responsibilities.tail > 0.5
+    clipped = np.clip(u, -settings.clip, settings.clip)
+    tail = view.noise.tail
+    lattice_variance = expected.lattice**2 / 12 if expected.lattice > 0 else 0.0
+    expected_square = (
+        (1 - tail) * settings.clipped_variance
+        + tail * settings.clipped_tail_variance
+        + lattice_variance / np.square(view.sigma)
+    )
+    returned = view.returned & view.aimed & off_edge
+    p_stray = view.noise.stray + expected.stray + expected.short
+    due = view.aimed & off_edge & ~np.isnan(view.z)
+    inside = np.clip((view.range_max - np.where(view.aimed, view.mu, 0.0)) / (4 * view.sigma), 0.0, 1.0)
+    due = due & (inside >= 1.0)
+    p_lost = 1 - expected.p_return * (1 - view.noise.loss)
+    outline = _outlines(view)
+    if outline is not None:
+        explained, returned, due = explained & ~outline, returned & ~outline, due & ~outline
+    return Scores(
+        values={
+            "bias": np.where(explained, clipped, 0.0),
+            "spread": np.where(explained, clipped**2 - expected_square, 0.0),
+            "outliers": np.where(returned, is_stray - p_stray, 0.0),
+            "misses": np.where(due, view.lost - p_lost, 0.0),
+        },
+        counted={"bias": explained, "spread": explained, "outliers": returned, "misses": due},
+    )
+
+
+def _outlines(view: FitResiduals) -> Bools | None:
+    """Tell which rays pass the outline of an unmapped obstacle that stands free: a disc hardly describes it there."""
+    aside = SCAN.goodness_of_fit.outline_distance
+    arena, beams, out = view.data.arena, view.beams, None
+    for a in view.fitted.model:
+        if a.name != "unmapped_obstacle":
+            continue
+        place, r = np.array([[a["x"], a["y"]]]), a["r"]
+        if not arena.contains(place)[0] or Barriers(arena).distances(place)[0] < r + aside:
+            continue
+        x, y = place[0, 0] - beams.ox, place[0, 1] - beams.oy
+        ahead = x * beams.ux + y * beams.uy > 0
+        near = ahead & (np.abs(x * beams.uy - y * beams.ux) < r + max(r, aside))
+        out = near if out is None else out | near
+    return out
+
+
+def deviations(
+    view: FitResiduals,
+    parts: Sequence[Partition] | None = None,
+    *,
+    min_z: float = SCAN.goodness_of_fit.listed_z,
+) -> list[Deviation]:
+    """Return the bins of material size whose z is above `min_z`, largest first; spread and shares one-sided.
+
+    Parameters
+    ----------
+    parts : partitions to look at; None: all
+    """
+    score = scores(view)
+    blocks = ((view.data.stamps - view.data.begin) / SCAN.goodness_of_fit.block).astype(np.intp)
+    blocks -= blocks.min(initial=0)
+    found = [
+        deviation
+        for part in (partitions(view) if parts is None else parts)
+        for deviation in _in_partition(view, part, score, blocks, min_z)
+    ]
+    return sorted(found, key=lambda d: -abs(d.z))
+
+
+def _in_partition(
+    view: FitResiduals, part: Partition, score: Scores, blocks: Ints, min_z: float
+) -> list[Deviation]:
+    """Return the deviating bins of one partition; `blocks` (n_scans,) tells the block of each scan."""
+    settings, sigma = SCAN.goodness_of_fit, view.data.sensor.sigma
+    n_blocks = int(blocks.max(initial=0)) + 1
+    size = n_blocks * part.count + 1
+    bins = np.where(part.index >= 0, blocks[:, None] * part.count + part.index, size - 1).ravel()
+
+    def by_block(values: Floats | Bools) -> Floats:
+        sums = np.bincount(bins, values.ravel(), size)[:-1].reshape(n_blocks, -1)
+        return np.asarray(sums, dtype=np.float64)
+
+    found, counts = [], dict[int, Floats]()
+    for family, value in score.values.items():
+        counted = score.counted[family]
+        if id(counted) not in counts:
+            counts[id(counted)] = by_block(counted)
+        n, s = counts[id(counted)], by_block(value)
+        total, rays = s.sum(axis=0), n.sum(axis=0)
+        mean = total / np.maximum(rays, 1)
+        scatter = np.sqrt(((s - mean * n) ** 2).sum(axis=0) + 1e-12)
+        min_scatter = settings.min_scatter[family] * np.sqrt(rays)
+        z = total / np.maximum(np.maximum(scatter, min_scatter), 1e-9)
+        enough = (rays >= settings.min_rays) & ((n > 0).sum(axis=0) >= settings.min_blocks)
+        is_strong = (np.abs(z) > min_z) if family == "bias" else (z > min_z)
+        unit = sigma if family == "bias" else 1.0
+        for k in np.flatnonzero(enough & is_strong & (np.abs(mean) > settings.min_size[family])):
+            found.append(
+                Deviation(
+                    family=family,
+                    partition=part.name,
+                    label=part.label(int(k)),
+                    z=float(z[k]),
+                    size=float(mean[k] * unit),
+                    n_rays=int(rays[k]),
+                    xy=part.place(int(k)),
+                )
+            )
+    return found
+
+
+def largest_z(found: Sequence[Deviation]) -> dict[str, float]:
+    """Return the largest |z| per kind of deviation."""
+    out = dict.fromkeys(SCAN.goodness_of_fit.min_z, 0.0)
+    for deviation in found:
+        out[deviation.family] = max(out[deviation.family], abs(deviation.z))
+    return out
+
+
+def dispersion(view: FitResiduals) -> float:
+    """Return how much more the scans differ from each other than their rays explain: variance ratio, 1 expected."""
+    score = scores(view)
+    value, counted = score.values["spread"], score.counted["spread"]
+    n = counted.sum(axis=1)
+    some = n > 10
+    if some.sum() < 30:
+        return 1.0
+    mean = value.sum(axis=1)[some] / n[some]
+    within = float(value[counted].var())
+    within_expected = within * float((1 / n[some]).mean())
+    return float(np.var(mean) / max(within_expected, 1e-12))

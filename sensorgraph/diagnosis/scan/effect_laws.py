@@ -1,0 +1,158 @@
+"""Whether the effects of a model obey their own laws: what they absorb, where they are, which come together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sensorgraph.diagnosis.result import Deviation
+from sensorgraph.diagnosis.scan.fit import log_p_at
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects.proposals import best_run
+from sensorgraph.types import Bools
+
+TELLTALES: tuple[
+    tuple[tuple[str, ...], int, str], ...
+] = (  # names, how many of them (0: each once), what to say
+    (
+        ("range_scale", "map_scale"),
+        0,
+        "map and readings both seem stretched: the poses' own scale may be wrong",
+    ),
+    (("sector_bias",), 2, "the bias varies with the bearing in a way that no single sector describes"),
+    (
+        ("glass", "mirror", "black_surface"),
+        3,
+        "rays are lost or long on many walls, as if by direction, not by wall",
+    ),
+    (("moved_wall",), 3, "several walls seem moved: the error may not be the map's"),
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Doubt:
+    """One way in which a model is not enough."""
+
+    statement: str
+    misfit: float
+    """[nats] that it is worth, roughly."""
+    statistic: float
+    threshold: float
+    """Of the statistic."""
+    deviation: Deviation | None = None
+    """Where it shows."""
+    failed: frozenset[int] = frozenset()
+    """Indices of the effects whose own law fails."""
+
+
+def broken_laws(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
+    """Check what effects that absorb anything claim of the readings they absorb, and tell-tale combinations.
+
+    Parameters
+    ----------
+    gains : [nats] that each effect of the model brings
+    """
+    settings = SCAN.goodness_of_fit
+    out = []
+    responsibilities = view.fitted.solution.responsibilities
+    off_edge = view.fitted.cast.expected.p_alternative < SCAN.likelihood.min_edge_chance
+    odd = view.returned & (responsibilities.core + responsibilities.tail < 0.5) & off_edge
+    with np.errstate(invalid="ignore"):
+        short = odd & (view.z < np.where(view.aimed, view.mu, view.range_max))
+    model = view.fitted.model
+    for index, a in enumerate(model):
+        words = ""
+        if a.name == "people" and short.sum() > settings.min_absorbed_rays:
+            words = _not_people(view, short)
+        elif a.name == "random_outliers" and odd.sum() > settings.min_absorbed_rays:
+            words = _not_random(view, odd)
+        if words:
+            worth = (
+                settings.failed_law_share * gains[index]
+            )  # a fringe of a strong effect's own rays is no doubt
+            out.append(
+                Doubt(statement=words, misfit=worth, statistic=0.0, threshold=0.0, failed=frozenset([index]))
+            )
+    for names, least, words in TELLTALES:
+        members = [i for i, a in enumerate(model) if a.name in names]
+        enough = len({model[i].name for i in members}) if least == 0 else len(members)
+        if enough >= (least or len(names)):
+            out.append(
+                Doubt(
+                    statement=words,
+                    misfit=settings.failed_law_share * sum(gains[i] for i in members),
+                    statistic=float(enough),
+                    threshold=float(least or len(names)),
+                    failed=frozenset(members),
+                )
+            )
+    return out
+
+
+def absences(view: FitResiduals) -> list[Doubt]:
+    """Doubt what stands in the world but seems to be away for one stretch of the run: a door, not a pane."""
+    settings, data, fitted = SCAN.goodness_of_fit, view.data, view.fitted
+    out = []
+    for index, a in enumerate(fitted.model):
+        if a.effect.place not in ("wall", "obstacle", "spot"):
+            continue
+        rest = (*fitted.model[:index], *fitted.model[index + 1 :])
+        bare = log_p_at(data, rest, fitted.state)
+        off_edge = fitted.cast.expected.p_alternative < SCAN.likelihood.min_edge_chance
+        better = np.where(off_edge, bare - view.log_p, 0.0)
+        first, last, gain = best_run(better.sum(axis=1)[None])
+        some = better[first[0] : last[0] + 1]
+        if gain[0] > settings.min_absence_gain and (some > 1.0).sum() > settings.min_absence_rays:
+            begin, end = data.stamps[first[0]], data.stamps[last[0]]
+            out.append(
+                Doubt(
+                    statement=f"{a.effect.title} at {a.place or 'its spot'} is not there from "
+                    f"{begin - data.begin:.0f} s to {end - data.begin:.0f} s of the run",
+                    misfit=float(gain[0]),
+                    statistic=float(gain[0]),
+                    threshold=settings.min_absence_gain,
+                    failed=frozenset([index]),
+                )
+            )
+    return out
+
+
+def _not_people(view: FitResiduals, short: Bools) -> str:
+    """Return why short readings are no people, or nothing."""
+    share = float(short.mean())
+    if clustered(view, short) < 0.5:
+        return f"{100 * share:.1f} % of the readings are short, one by one: too scattered for people"
+    z = view.z[short]
+    counts, _ = np.histogram(z, bins=np.arange(0, view.range_max + 0.06, 0.06))
+    if counts.max() > 0.4 * len(z):
+        return f"{100 * share:.1f} % of the readings are short, most of them at {0.06 * (counts.argmax() + 0.5):.2f} m"
+    return ""
+
+
+def _not_random(view: FitResiduals, odd: Bools) -> str:
+    """Return why stray readings are not uniform, or nothing."""
+    share = float(odd.mean())
+    u = np.sort(view.z[odd] / view.range_max)
+    n = len(u)
+    d = float(np.abs(u - (np.arange(n) + 0.5) / n).max())
+    if d > max(0.15, 2.2 / np.sqrt(n)):
+        return f"{100 * share:.1f} % of the readings are strays, but not from anywhere: their ranges are not uniform"
+    if clustered(view, odd) > 0.35 + 3 * share:
+        return f"{100 * share:.1f} % of the readings are strays that come in clusters"
+    return ""
+
+
+def clustered(view: FitResiduals, some: Bools) -> float:
+    """Return the share of readings with a neighbour of their kind at a similar range in the same scan."""
+    if not some.any():
+        return 0.0
+    z = np.where(some, view.z, np.nan)
+    with np.errstate(invalid="ignore"):
+        near = np.abs(np.diff(z, axis=1)) < 0.3
+    has = np.zeros(some.shape, dtype=np.bool_)
+    has[:, 1:] |= near
+    has[:, :-1] |= near
+    return float(has[some].mean())
