@@ -20,11 +20,11 @@ from sensorgraph.diagnosis.scan.goodness_of_fit import check, replicate
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings, plain_e_step
 from sensorgraph.diagnosis.scan.map_alignment import align
-from sensorgraph.diagnosis.scan.nuisance import BOX, BeamNoise, pose_prior
+from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
-from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.nuisance import Nuisance
@@ -128,7 +128,7 @@ def test_a_nuisance_does_what_its_effect_does(
     moved = cast(quiet, (EFFECTS[name](**values),))
     same = at.jacobian.valid & (moved.beams.wall == at.beams.wall)
     quotient = (moved.expected.reading - at.expected.reading)[same] / 1e-6
-    got = at.jacobian.dense[:, column][same]
+    got = at.jacobian.nuisances[:, column][same]
     if column in (
         Nuisance.DELAY,
         Nuisance.SKEW,
@@ -192,13 +192,15 @@ def test_the_box_holds_and_binds_only_where_it_must() -> None:
     matrix, tau = a.T @ a, np.full(5, 0.1)
     right = matrix @ np.array([0.02, -0.01, 3.0, 0.0, 0.03, 2.0])
     locked = np.array([False, False, False, True, False])
-    g, p = boxed(matrix, right, tau, BOX * tau, locked)
-    assert (np.abs(g) <= BOX * tau * (1 + 1e-9)).all()
+    g, p = boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, locked)
+    assert (np.abs(g) <= SCAN.nuisance.max_tolerances * tau * (1 + 1e-9)).all()
     assert g[3] == 0.0
-    assert abs(abs(g[2]) - BOX * 0.1) < 1e-9
+    assert abs(abs(g[2]) - SCAN.nuisance.max_tolerances * 0.1) < 1e-9
     x = np.concatenate([g, p])
     slope = right - matrix @ x - np.concatenate([g / tau**2, [0.0]])
-    free = np.array([abs(v) < BOX * 0.1 - 1e-9 for v in g] + [True]) & ~np.append(locked, False)
+    free = np.array([abs(v) < SCAN.nuisance.max_tolerances * 0.1 - 1e-9 for v in g] + [True]) & ~np.append(
+        locked, False
+    )
     np.testing.assert_allclose(slope[free], 0.0, atol=1e-5)
 
 

@@ -20,8 +20,8 @@ from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.diagnosis.scan.fit import cast, solver_for
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings
-from sensorgraph.diagnosis.scan.nuisance import BOX
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
@@ -152,7 +152,9 @@ class EvidenceForecast:
 
     def refitted(self, quadratic: EvidenceQuadratic) -> Floats:
         """Return the nuisances and parameters (k,) with which the alternative does best."""
-        g, p = boxed(quadratic.matrix, quadratic.right, self.tau, BOX * self.tau, self.locked)
+        g, p = boxed(
+            quadratic.matrix, quadratic.right, self.tau, SCAN.nuisance.max_tolerances * self.tau, self.locked
+        )
         return np.concatenate([g, p])
 
     def nats(self, quadratic: EvidenceQuadratic) -> float:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.scan.nuisance import BOX, widths
+from sensorgraph.diagnosis.scan.nuisance import prior_widths
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.robot import Tolerances
@@ -57,9 +58,9 @@ def _largest(effect: Effect, tolerances: Tolerances) -> Amendment:
     """Return the largest size of an effect that a tolerance takes along, along its first parameter."""
     first, *others = effect.steps
     if effect.nuisances:
-        bound = BOX * widths(tolerances)[effect.nuisances[0]]
+        bound = SCAN.nuisance.max_tolerances * prior_widths(tolerances)[effect.nuisances[0]]
     else:
-        bound = BOX * getattr(tolerances, effect.diagnostics.tolerance)
+        bound = SCAN.nuisance.max_tolerances * getattr(tolerances, effect.diagnostics.tolerance)
     return effect(**{first: float(bound)}, **dict.fromkeys(others, 0.0))
 
 

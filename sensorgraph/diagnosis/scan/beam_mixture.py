@@ -1,4 +1,8 @@
-"""The chance of one reading, term by term, compiled; `likelihood.plain_judge` says the same in numpy."""
+"""The beam mixture of one reading, compiled: core, tail, far side of an edge, short, stray, lost.
+
+A beam model after Thrun, Burgard and Fox 2005, section 6.3, with a wide tail and edges in depth added.
+`likelihood.plain_e_step` computes the same in numpy.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +13,28 @@ import numpy as np
 from planners.kernel import kernel
 from sensorgraph.types import Floats
 
-ROOT2, ROOT_TAU = math.sqrt(2.0), math.sqrt(2 * math.pi)
+SQRT_2, SQRT_TAU = math.sqrt(2.0), math.sqrt(2 * math.pi)
+# The next six are settings of the mixture that stand here, not in `settings`: numba keeps their values with the kernel.
+EDGE_WIDTH = 2.0
+"""Standard deviation at the far side of an edge over that of the core."""
+EDGE_NEAR, EDGE_BETWEEN = 0.9, 0.1
+"""Shares, of the readings at an edge, that are at its far side, and anywhere between the sides."""
+MIN_EDGE_STEP = 0.01
+"""[m] least distance between the sides of an edge."""
+MIN_SHORT_RANGE = 0.05
+"""[m] least range over which short readings are spread."""
+LATTICE_SLACK = 0.51
+"""Resolutions by which a reading may be off its lattice."""
+OFF_LATTICE = 1e-9
+"""Chance of a reading farther off."""
+
 LOG_P, WEIGHT, RESIDUAL, CORE, TAIL, LOST, STRAY = range(7)
 
 
 @kernel
-def _below(x: float) -> float:
+def _normal_cdf(x: float) -> float:
     """Return the standard normal's integral up to x."""
-    return 0.5 * math.erfc(-x / ROOT2)
+    return 0.5 * math.erfc(-x / SQRT_2)
 
 
 @kernel
@@ -29,12 +47,12 @@ def mixture(
     p_alternative: Floats,
     limits: tuple[float, float, float],
     noise: tuple[float, float, float, float],
-    often: tuple[float, float],
+    chances: tuple[float, float],
     lattice: float,
-    wide: float,
-    floor: float,
+    tail_width: float,
+    unexplained: float,
 ) -> Floats:
-    """Judge n readings.
+    """Return log-likelihood and responsibilities of n readings.
 
     Parameters
     ----------
@@ -45,10 +63,10 @@ def mixture(
     alternative, p_alternative : (n,) [m] on the other side of an edge, nan for none, and the chance of being there
     limits : [m] least and largest range, cell of a reading
     noise : share of the tail, of lost, of stray readings, and stray ones that an effect adds
-    often : chance of a short reading and of one that is lost beside an edge
+    chances : of a short reading and of one that is lost beside an edge
     lattice : [m] step that effects put readings on; 0 none
-    wide : tail's sigma over the core's
-    floor : chance of a reading that nothing explains
+    tail_width : standard deviation of the tail over that of the core
+    unexplained : chance of a reading that nothing explains
 
     Returns
     -------
@@ -56,7 +74,7 @@ def mixture(
     """
     nearest, farthest, cell = limits
     share, loss, stray_noise, stray_effect = noise
-    short, lost_at_edge = often
+    short, lost_at_edge = chances
     stray = 1 - (1 - stray_effect) * (1 - stray_noise)
     rest = (1 - stray) * (1 - short)
     p_stray = stray / farthest
@@ -66,7 +84,7 @@ def mixture(
         aimed, returned = math.isfinite(expected), math.isfinite(reading)
         if math.isnan(reading):
             continue
-        inside = _below((farthest - expected) / s) if aimed else 0.0
+        inside = _normal_cdf((farthest - expected) / s) if aimed else 0.0
         p_core = p_tail = 0.0
         edge = p_alternative[k] > 0
         if returned:
@@ -78,43 +96,43 @@ def mixture(
                 own = rest * p_back * (1 - p_alternative[k])
                 if lattice > 0:
                     steps = reading / lattice
-                    if abs(steps - np.round(steps)) * lattice > 0.51 * cell + 1e-9:
-                        own = 1e-9
+                    if abs(steps - np.round(steps)) * lattice > LATTICE_SLACK * cell + 1e-9:
+                        own = OFF_LATTICE
                     half = lattice / 2
-                    t = wide * s
-                    core = (_below((e + half) / s) - _below((e - half) / s)) / cell
-                    tail = (_below((e + half) / t) - _below((e - half) / t)) / cell
+                    t = tail_width * s
+                    core = (_normal_cdf((e + half) / s) - _normal_cdf((e - half) / s)) / cell
+                    tail = (_normal_cdf((e + half) / t) - _normal_cdf((e - half) / t)) / cell
                 else:
                     u = e / s
-                    core = math.exp(-0.5 * u * u) / (ROOT_TAU * s)
-                    u /= wide
-                    tail = math.exp(-0.5 * u * u) / (ROOT_TAU * s * wide)
+                    core = math.exp(-0.5 * u * u) / (SQRT_TAU * s)
+                    u /= tail_width
+                    tail = math.exp(-0.5 * u * u) / (SQRT_TAU * s * tail_width)
                 p_core, p_tail = own * (1 - share) * core, own * share * tail
                 p = p_core + p_tail
             there = alternative[k]
             if edge and math.isfinite(there):
-                u = (reading - there) / (2 * s)
-                near = math.exp(-0.5 * u * u) / (2 * ROOT_TAU * s)
+                u = (reading - there) / (EDGE_WIDTH * s)
+                near = math.exp(-0.5 * u * u) / (EDGE_WIDTH * SQRT_TAU * s)
                 low, high = min(there, expected), max(there, expected)
-                flat = 1 / max(high - low, 0.01) if low < reading < high else 0.0
-                p += rest * p_back * p_alternative[k] * (0.9 * near + 0.1 * flat)
+                flat = 1 / max(high - low, MIN_EDGE_STEP) if low < reading < high else 0.0
+                p += rest * p_back * p_alternative[k] * (EDGE_NEAR * near + EDGE_BETWEEN * flat)
             if short > 0:
                 top = min(expected, farthest) if aimed else farthest
                 if reading < top:
-                    p += (1 - stray) * short / max(top, 0.05)
-            total = p + p_stray + floor / farthest
+                    p += (1 - stray) * short / max(top, MIN_SHORT_RANGE)
+            total = p + p_stray + unexplained / farthest
             out[CORE, k], out[TAIL, k], out[STRAY, k] = p_core / total, p_tail / total, p_stray / total
-            out[WEIGHT, k] = (out[CORE, k] + out[TAIL, k] / (wide * wide)) / (s * s)
+            out[WEIGHT, k] = (out[CORE, k] + out[TAIL, k] / (tail_width * tail_width)) / (s * s)
         else:
             seen = p_return[k] * inside if aimed else 0.0
             gone = rest * (1 - seen)
             if reading > 0:
                 p_lost = (1 - stray) * seen * loss
                 p_gone = p_lost + gone + (lost_at_edge if edge else 0.0)
-                total = p_gone * (1 - short) + floor
+                total = p_gone * (1 - short) + unexplained
                 out[LOST, k] = p_lost / total
             else:
-                too_near = _below((nearest - expected) / s) if aimed else 0.0
-                total = rest * too_near + 0.5 * gone + floor
+                too_near = _normal_cdf((nearest - expected) / s) if aimed else 0.0
+                total = rest * too_near + 0.5 * gone + unexplained
         out[LOG_P, k] = math.log(total)
     return out

@@ -14,10 +14,9 @@ import numpy as np
 from sensorgraph.diagnosis.scan.fit import Fitted, columns_of
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
 from sensorgraph.diagnosis.scan.model_selection import price
-from sensorgraph.diagnosis.scan.nuisance import BOX
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Hypothesis, hypotheses
-from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
@@ -157,7 +156,7 @@ def _missing(
         big = np.eye(k, k + free.shape[1])
         big[:n, k:] = free
         matrix, right = big.T @ matrix @ big, big.T @ right
-    g, p = boxed(matrix, right, tau, BOX * tau, held)
+    g, p = boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, held)
     x = np.concatenate([g, p])
     taken = float(right @ x - 0.5 * x @ matrix @ x - 0.5 * np.sum((g / tau) ** 2))
     return max(0.5 * square - taken, 0.0)

@@ -14,13 +14,11 @@ import numpy as np
 from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, e_step
 from sensorgraph.diagnosis.scan.nuisance import (
-    BOX,
-    TAIL,
     BeamNoise,
     Corners,
     Jacobian,
     pose_prior,
-    widths,
+    prior_widths,
 )
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
@@ -110,9 +108,11 @@ class Solver:
         if self.map is not None:
             facing = np.sign(jacobian.nx * d[:, 1][jacobian.wall] - jacobian.ny * d[:, 0][jacobian.wall])
             self.ends = jacobian.ends * facing
-        self.tau = np.concatenate([widths(data.tolerances), np.full(2 * corners.count, data.tolerances.map)])
+        self.tau = np.concatenate(
+            [prior_widths(data.tolerances), np.full(2 * corners.count, data.tolerances.map)]
+        )
         self.locked = locked  # (8 + 2 n_corners,)
-        self.stack = np.concatenate([jacobian.dense, effects], axis=1)  # (n_scans, 8 + k, n_rays)
+        self.stack = np.concatenate([jacobian.nuisances, effects], axis=1)  # (n_scans, 8 + k, n_rays)
         with np.errstate(invalid="ignore"):
             self.y = np.where(jacobian.valid & data.returned, data.ranges - expected.reading, 0.0)
         self.y[~np.isfinite(self.y)] = 0.0
@@ -186,7 +186,7 @@ class Solver:
     def maximise(self, system: System, state: State) -> tuple[Floats, Floats]:
         """Solve for (g, p) under prior and boxes."""
         tau = self.scaled(state)
-        g, p = boxed(system.matrix, system.right, tau, BOX * tau, self.locked)
+        g, p = boxed(system.matrix, system.right, tau, SCAN.nuisance.max_tolerances * tau, self.locked)
         return g, p
 
     def scaled(self, state: State) -> Floats:
@@ -322,7 +322,10 @@ def fitted_noise(
     both = responsibilities.core + responsibilities.tail
     count = max(float(both.sum()), 1.0)
     e2 = (responsibilities.residual / solver.expected.sigma) ** 2
-    variance = float((responsibilities.core * e2 + responsibilities.tail * e2 / TAIL**2).sum()) / count
+    variance = (
+        float((responsibilities.core * e2 + responsibilities.tail * e2 / SCAN.likelihood.tail_width**2).sum())
+        / count
+    )
     returnable = max(float((solver.expected.p_return * np.isfinite(solver.expected.reading)).sum()), 1.0)
     n = max(float(solver.data.returned.sum()), 1.0)
     return BeamNoise(

@@ -1,4 +1,4 @@
-"""How likely measured readings are under predicted beams: a mixture of core, tail, other side of an edge, short, stray, lost."""
+"""How likely measured readings are under expected ones: the beam mixture, its edges in depth, and draws from it."""
 
 from __future__ import annotations
 
@@ -7,24 +7,42 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from sensorgraph.diagnosis.scan.beam_mixture import CORE, LOG_P, LOST, RESIDUAL, STRAY, WEIGHT, mixture
-from sensorgraph.diagnosis.scan.beam_mixture import TAIL as OUTER
-from sensorgraph.diagnosis.scan.nuisance import TAIL, BeamNoise
+from sensorgraph.diagnosis.scan.beam_mixture import (
+    CORE,
+    EDGE_BETWEEN,
+    EDGE_NEAR,
+    EDGE_WIDTH,
+    LATTICE_SLACK,
+    LOG_P,
+    LOST,
+    MIN_EDGE_STEP,
+    MIN_SHORT_RANGE,
+    OFF_LATTICE,
+    RESIDUAL,
+    STRAY,
+    TAIL,
+    WEIGHT,
+    mixture,
+)
+from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.scene import Beams, limited
 
-ROOT = np.sqrt(2 * np.pi)
-FLOOR = 1e-5  # chance of a reading that nothing explains
-LOST_AT_EDGE = 0.02  # chance that a beam which passes an edge does not come back
-FINEST = 1e-4  # [m] cell of a reading whose resolution is not told
+SQRT_TAU = np.sqrt(2 * np.pi)
+SETTINGS = SCAN.likelihood
+MIN_END_RANGE = 0.05
+"""[m] range of the nearer side of an edge, at least: map and pose errors turn it by their size over the range."""
+GRAZING = -0.02
+"""Cosine against the normal, above which a ray does not meet the extension of a wall."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Edges:
-    """Rays that pass so near a corner in depth that a small error of pose or map takes them to the other side."""
+    """Rays so near a step in depth that a small error of pose or map takes them to its other side."""
 
-    at: tuple[Ints, Ints]
+    index: tuple[Ints, Ints]
     """Indices (scan, ray) of k rays."""
     other: Floats
     """(k,) [m] what they would read on the other side."""
@@ -41,23 +59,36 @@ class ExpectedReadings:
     sigma: Floats
     """[m] nominal, with what slanting rays have in addition."""
     p_return: Floats
+    """Chance that the ray returns."""
     alternative: Floats
     """[m] on the other side of an edge; nan where there is none."""
     p_alternative: Floats
+    """Chance of being there."""
     stray: float
+    """Chance of a stray reading that effects add."""
     short: float
+    """Chance of a short reading that effects add."""
     lattice: float
+    """[m] step that effects put readings on; 0: none."""
 
 
 def expected_readings(
     beams: Beams, steep: Floats, edges: Edges | None, stray: float, short: float, lattice: float
 ) -> ExpectedReadings:
-    """Collect what the likelihood needs of a cast."""
+    """Collect what the likelihood needs of a cast.
+
+    Parameters
+    ----------
+    steep : (n_scans, n_rays) [m] further standard deviation of slanting rays
+    edges : None: there are none
+    stray, short : chance of a stray and of a short reading that effects add
+    lattice : [m] step that effects put readings on; 0: none
+    """
     shape = beams.reading.shape
     alternative, chance = np.full(shape, np.nan), np.zeros(shape)
     if edges is not None:
-        alternative[edges.at] = edges.other
-        chance[edges.at] = edges.chance
+        alternative[edges.index] = edges.other
+        chance[edges.index] = edges.chance
     if beams.straight is not None:
         chance = np.where(beams.straight, chance, 0.0)
     sigma = np.sqrt(np.square(beams.sigma) + steep**2)
@@ -75,7 +106,7 @@ def expected_readings(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Responsibilities:
-    """Log-likelihood of every reading, and what an update of the parameters needs; arrays (n_scans, n_rays)."""
+    """Log-likelihood of every reading, and the chance that each component made it; arrays (n_scans, n_rays)."""
 
     log_p: Floats
     """[nats] 0 where the reading is broken."""
@@ -84,15 +115,22 @@ class Responsibilities:
     residual: Floats
     """[m] measured - expected; 0 where either is not a number."""
     core: Floats
-    """Chance that the reading is of the core."""
+    """Chance that the core made the reading."""
     tail: Floats
+    """Chance that the tail did."""
     lost: Floats
-    """Chance that it was lost by chance."""
+    """Chance that a ray without a return was lost by chance."""
     stray: Floats
+    """Chance that the reading is a stray."""
 
 
 def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: BeamNoise) -> Responsibilities:
-    """Judge every reading against `expected.reading + shift`."""
+    """Return the responsibilities of the mixture's components for every reading (the E step of EM).
+
+    Parameters
+    ----------
+    shift : (n_scans, n_rays) [m] added to the expected readings by nuisances and effects
+    """
     z, sensor = data.ranges, data.sensor
     found = mixture(
         z.ravel(),
@@ -101,19 +139,23 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
         expected.p_return.ravel(),
         expected.alternative.ravel(),
         expected.p_alternative.ravel(),
-        (float(sensor.range_min), float(sensor.range_max), max(float(sensor.resolution), FINEST)),
+        (
+            float(sensor.range_min),
+            float(sensor.range_max),
+            max(float(sensor.resolution), SETTINGS.min_resolution),
+        ),
         (float(noise.tail), float(noise.loss), float(noise.stray), float(expected.stray)),
-        (float(expected.short), LOST_AT_EDGE),
+        (float(expected.short), SETTINGS.lost_at_edge),
         float(expected.lattice),
-        float(TAIL),
-        FLOOR,
+        SETTINGS.tail_width,
+        SETTINGS.unexplained,
     ).reshape(7, *z.shape)
     return Responsibilities(
         log_p=found[LOG_P],
         weight=found[WEIGHT],
         residual=found[RESIDUAL],
         core=found[CORE],
-        tail=found[OUTER],
+        tail=found[TAIL],
         lost=found[LOST],
         stray=found[STRAY],
     )
@@ -122,7 +164,7 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
 def plain_e_step(
     data: ScanData, expected: ExpectedReadings, shift: Floats, noise: BeamNoise
 ) -> Responsibilities:
-    """Judge as `e_step` does, in numpy; tests hold the compiled one against it."""
+    """Return what `e_step` does, in numpy; tests hold the compiled kernel against it."""
     z, sensor = data.ranges, data.sensor
     returned = data.returned
     mu = expected.reading + shift
@@ -133,15 +175,18 @@ def plain_e_step(
     sigma = noise.core * expected.sigma
     inside = ndtr((sensor.range_max - np.where(aimed, mu, 1e9)) / sigma)
     p_back = expected.p_return * (1 - noise.loss) * np.where(aimed, inside, 0.0)
-    cell = max(sensor.resolution, FINEST)
-    core, tail = _density(e, sigma, expected.lattice, cell), _density(e, TAIL * sigma, expected.lattice, cell)
+    cell = max(sensor.resolution, SETTINGS.min_resolution)
+    core, tail = (
+        _density(e, sigma, expected.lattice, cell),
+        _density(e, SETTINGS.tail_width * sigma, expected.lattice, cell),
+    )
     stray = 1 - (1 - expected.stray) * (1 - noise.stray)
     rest = (1 - stray) * (1 - expected.short)
     own = rest * p_back * (1 - expected.p_alternative)
     if expected.lattice > 0:
         steps = np.where(returned, z, 0.0) / expected.lattice
-        off = np.abs(steps - np.round(steps)) * expected.lattice > 0.51 * cell + 1e-9
-        own = np.where(off & both, 1e-9, own)
+        off = np.abs(steps - np.round(steps)) * expected.lattice > LATTICE_SLACK * cell + 1e-9
+        own = np.where(off & both, OFF_LATTICE, own)
     p_core = own * (1 - noise.tail) * core * both
     p_tail = own * noise.tail * tail * both
     p = p_core + p_tail
@@ -149,34 +194,38 @@ def plain_e_step(
     if edge.any():
         there = np.isfinite(expected.alternative) & edge & returned
         off_there = np.where(there, z - np.where(there, expected.alternative, 0.0), 0.0)
-        near = np.exp(-0.5 * (off_there / (2 * sigma)) ** 2) / (2 * ROOT * sigma)
+        near = np.exp(-0.5 * (off_there / (EDGE_WIDTH * sigma)) ** 2) / (EDGE_WIDTH * SQRT_TAU * sigma)
         low = np.minimum(expected.alternative, mu)
         high = np.maximum(expected.alternative, mu)
         with np.errstate(invalid="ignore"):
             between = there & (z > low) & (z < high)
-            flat = np.where(between, 1 / np.maximum(high - low, 0.01), 0.0)
-        p = p + rest * p_back * expected.p_alternative * (0.9 * near + 0.1 * flat) * there
+            flat = np.where(between, 1 / np.maximum(high - low, MIN_EDGE_STEP), 0.0)
+        p = p + rest * p_back * expected.p_alternative * (EDGE_NEAR * near + EDGE_BETWEEN * flat) * there
     if expected.short > 0:
         top = np.minimum(np.where(aimed, mu, sensor.range_max), sensor.range_max)
-        p = p + (1 - stray) * expected.short * (returned & (z < top)) / np.maximum(top, 0.05)
+        p = p + (1 - stray) * expected.short * (returned & (z < top)) / np.maximum(top, MIN_SHORT_RANGE)
     p_stray = stray / sensor.range_max
     p_lost = (1 - stray) * np.where(aimed, expected.p_return * inside * noise.loss, 0.0)
     gone = (1 - stray) * (1 - expected.short) * np.where(aimed, 1 - expected.p_return * inside, 1.0)
-    p_gone = p_lost + gone + edge * LOST_AT_EDGE
+    p_gone = p_lost + gone + edge * SETTINGS.lost_at_edge
     if expected.short > 0:
         p_gone = p_gone * (1 - expected.short)
     near_limit = np.where(aimed, ndtr((sensor.range_min - np.where(aimed, mu, 1e9)) / sigma), 0.0)
     total = np.where(
         returned,
-        p + p_stray + FLOOR / sensor.range_max,
-        np.where(z > 0, p_gone + FLOOR, rest * near_limit + 0.5 * gone + FLOOR),
+        p + p_stray + SETTINGS.unexplained / sensor.range_max,
+        np.where(
+            z > 0,
+            p_gone + SETTINGS.unexplained,
+            rest * near_limit + 0.5 * gone + SETTINGS.unexplained,
+        ),
     )
     broken = np.isnan(z)
     total = np.where(broken, 1.0, total)
     inverse = 1 / total
     core_share = np.where(returned, p_core * inverse, 0.0)
     tail_share = np.where(returned, p_tail * inverse, 0.0)
-    weight = (core_share + tail_share / TAIL**2) / sigma**2
+    weight = (core_share + tail_share / SETTINGS.tail_width**2) / sigma**2
     lost = np.where(~returned & ~broken & (z > 0), p_lost * inverse, 0.0)
     return Responsibilities(
         log_p=np.log(total),
@@ -192,7 +241,7 @@ def plain_e_step(
 def _density(e: Floats, sigma: Floats, lattice: float, cell: float) -> Floats:
     """Return the density [1/m] of a residual; on a lattice, the mass of its step over the resolution's cell."""
     if lattice <= 0:
-        return np.asarray(np.exp(-0.5 * (e / sigma) ** 2) / (ROOT * sigma))
+        return np.asarray(np.exp(-0.5 * (e / sigma) ** 2) / (SQRT_TAU * sigma))
     half = lattice / 2
     return np.asarray((ndtr((e + half) / sigma) - ndtr((e - half) / sigma)) / cell)
 
@@ -212,7 +261,7 @@ def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
     rows: list[tuple[Ints, Ints, Floats, Floats]] = []
     # where the nearer surface ends, as an angle from the left ray
     edge = _end_angle(beams, walls, scan, left, near, gap)
-    r_near = np.maximum(ranges[scan, near], 0.05)
+    r_near = np.maximum(ranges[scan, near], MIN_END_RANGE)
     blur = np.sqrt(t.pose_yaw**2 + t.mount_yaw**2 + (t.pose_xy**2 + t.map**2 + t.mount_xy**2) / r_near**2)
     for ray, other, away in ((left, left + 1, edge), (left + 1, left, gap - edge)):
         chance = np.minimum(ndtr(-away / blur), 0.5)
@@ -220,14 +269,14 @@ def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
         own = ranges[scan, ray]
         with np.errstate(invalid="ignore"):
             keep = (
-                (chance > 0.002)
-                & (np.abs(beyond - own) > 2 * data.sensor.sigma)
+                (chance > SETTINGS.min_edge_chance)
+                & (np.abs(beyond - own) > SETTINGS.min_edge_step * data.sensor.sigma)
                 & np.isfinite(own)
                 & (beyond > 0)
             )
         rows.append((scan[keep], ray[keep], beyond[keep], chance[keep]))
     return Edges(
-        at=(np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])),
+        index=(np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])),
         other=np.concatenate([r[2] for r in rows]),
         chance=np.concatenate([r[3] for r in rows]),
     )
@@ -266,18 +315,18 @@ def _extended(beams: Beams, walls: Floats, scan: Ints, ray: Ints, other: Ints) -
     across = beams.ux[scan, ray] * nx + beams.uy[scan, ray] * ny
     with np.errstate(divide="ignore", invalid="ignore"):
         r = ((a[:, 0] - ox) * nx + (a[:, 1] - oy) * ny) / across
-    usable = (index >= 0) & (across < -0.02)
+    usable = (index >= 0) & (across < GRAZING)
     return np.asarray(np.where(usable, r, fallback))
 
 
 def sample(
     data: ScanData, expected: ExpectedReadings, mu: Floats, noise: BeamNoise, rng: np.random.Generator
 ) -> Floats:
-    """Draw readings (n_scans, n_rays) [m] around `mu` from the mixture that `e_step` judges by; broken ones stay broken."""
+    """Draw readings (n_scans, n_rays) [m] around `mu` from the mixture of `e_step`; broken ones stay broken."""
     shape, sensor = mu.shape, data.sensor
     other = (rng.random(shape) < expected.p_alternative) & np.isfinite(expected.alternative)
     mu = np.where(other, expected.alternative, mu)
-    wide = np.where(rng.random(shape) < noise.tail, TAIL, 1.0)
+    wide = np.where(rng.random(shape) < noise.tail, SETTINGS.tail_width, 1.0)
     z = np.where(np.isfinite(mu), mu + rng.normal(size=shape) * wide * noise.core * expected.sigma, np.inf)
     z = np.where(rng.random(shape) < expected.p_return * (1 - noise.loss), z, np.inf)
     stray = rng.random(shape) < 1 - (1 - noise.stray) * (1 - expected.stray)

@@ -1,7 +1,8 @@
-"""What every careful set-up has and nobody calls an effect: small errors of map, mount, clock, pose and noise.
+"""What a careful set-up may hide: small errors of map, mount, clock and pose, and the noise of a reading.
 
-Every tolerance is a Gaussian parameter in a box: prior N(0, tau²), |g| <= BOX tau. The box keeps a large effect
-visible, which a bare prior would let the data overrule. `Layout` says which number stands where in g.
+Every tolerance is a Gaussian parameter in a box: prior N(0, tau²), and |g| <= `max_tolerances` tau. The box keeps a
+large effect visible, which the prior alone would let the data absorb. The unknowns g are one number per `Nuisance`,
+then x and y of each corner of the map.
 """
 
 from __future__ import annotations
@@ -11,29 +12,32 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Effect
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.robot import Tolerances
 from sensorgraph.world.scene import Beams
 
-BOX = 2.5
-STEEP = 0.12  # cosine of the incidence below which a ray tells little: 83 degrees
-TAIL = 3.0  # the tail's width over the core's
+SETTINGS = SCAN.nuisance
+MIN_COSINE = 1e-3
+"""Of the incidence, as a divisor."""
+MIN_BENT_RANGE = 0.1
+"""[m] range of a ray that a surface has bent, as a divisor."""
 
 
-def widths(tolerances: Tolerances) -> Floats:
+def prior_widths(tolerances: Tolerances) -> Floats:
     """Return the prior standard deviations of each Nuisance, (8,) [m, m, rad, m, 1, m, s, s]."""
     return np.array(
         [
             tolerances.mount_xy,
             tolerances.mount_xy,
             tolerances.mount_yaw,
-            0.0012,
-            0.0005,
-            0.0015,
-            0.43 * tolerances.stamp,
-            0.7 * tolerances.stamp,
+            SETTINGS.bias,
+            SETTINGS.scale,
+            SETTINGS.drift,
+            SETTINGS.steady_stamp_share * tolerances.stamp,
+            SETTINGS.skew_stamp_share * tolerances.stamp,
         ]
     )
 
@@ -67,13 +71,14 @@ class Jacobian:
 
     pose: Floats
     """(n_scans, 3, n_rays) by x, y, phi of the scan's pose."""
-    dense: Floats
+    nuisances: Floats
     """(n_scans, 8, n_rays) by Nuisance."""
     ends: Floats
     """(2, n_scans, n_rays) by a shift of the first and second end of the wall along the ray's normal."""
     wall: Ints
     """(n_scans, n_rays) wall index, 0 where there is none (then `ends` is 0)."""
     nx: Floats
+    """(n_scans, n_rays) normal of the wall."""
     ny: Floats
     valid: Bools
     """(n_scans, n_rays) the columns hold; elsewhere they are 0."""
@@ -98,7 +103,7 @@ def linearise(
     cosine = beams.cosine
     hit = np.isfinite(beams.ranges) & np.isfinite(beams.reading)
     straight = hit if beams.straight is None else hit & beams.straight
-    valid = straight & (cosine > STEEP)
+    valid = straight & (cosine > SETTINGS.min_cosine)
     slope = np.where(valid, beams.slope, 0.0)
     safe = np.where(valid, cosine, 1.0)
     r = np.where(valid, beams.ranges, 0.0)
@@ -119,7 +124,7 @@ def linearise(
         r = np.where(which, beams.reading, r)
         slope = np.where(which, np.where(np.abs(dx) + np.abs(dy) > 0, 1.0, 0.0), slope)
         t = data.tolerances
-        near = np.maximum(np.where(np.isfinite(beams.ranges), beams.ranges, 1.0), 0.1)
+        near = np.maximum(np.where(np.isfinite(beams.ranges), beams.ranges, 1.0), MIN_BENT_RANGE)
         blur = t.map / near + 0.5 * t.mount_yaw
         blur = np.where(which, blur, np.hypot(blur, t.pose_yaw + t.pose_xy / near))
         slack = steepness * blur
@@ -127,27 +132,35 @@ def linearise(
     n_rays = beams.ranges.shape[1]
     carried = np.einsum("nkm,nk->nm", pose, data.twists)
     late = (data.stamps - data.begin) / data.span
-    dense = np.empty((len(phi), len(Nuisance), n_rays))
-    dense[:, 0] = c * dx + s * dy
-    dense[:, 1] = c * dy - s * dx
-    dense[:, 2] = turn
-    dense[:, 3] = valid
-    dense[:, 4] = r * slope
-    dense[:, 5] = valid * late[:, None]
-    dense[:, 6] = -carried
-    dense[:, 7] = carried * (np.arange(n_rays) / n_rays)
+    nuisances = np.empty((len(phi), len(Nuisance), n_rays))
+    nuisances[:, Nuisance.MOUNT_X] = c * dx + s * dy
+    nuisances[:, Nuisance.MOUNT_Y] = c * dy - s * dx
+    nuisances[:, Nuisance.MOUNT_YAW] = turn
+    nuisances[:, Nuisance.BIAS] = valid
+    nuisances[:, Nuisance.SCALE] = r * slope
+    nuisances[:, Nuisance.DRIFT] = valid * late[:, None]
+    nuisances[:, Nuisance.DELAY] = -carried
+    nuisances[:, Nuisance.SKEW] = carried * (np.arange(n_rays) / n_rays)
     wall = np.where(on, beams.wall, 0)
     share = _share(beams, walls, wall)
     ends = np.stack([-(1 - share) * inverse * on, -share * inverse * on])
-    blunt = straight & ~valid
-    steep = np.where(
-        blunt,
-        np.minimum(0.004 / np.maximum(cosine, 1e-3) + 0.003 * beams.ranges / np.maximum(cosine, 1e-3), 1.0),
-        0.0,
+    grazing = straight & ~valid
+    divisor = np.maximum(cosine, MIN_COSINE)
+    constant, share_of_range = SETTINGS.grazing_sigma
+    sigma = np.minimum(
+        constant / divisor + share_of_range * beams.ranges / divisor, SETTINGS.max_grazing_sigma
     )
-    steep = np.where(slack > 0, np.minimum(slack, 0.5), steep)
+    steep = np.where(grazing, sigma, 0.0)
+    steep = np.where(slack > 0, np.minimum(slack, SETTINGS.max_bent_sigma), steep)
     return Jacobian(
-        pose=pose, dense=dense, ends=ends, wall=wall, nx=beams.nx, ny=beams.ny, valid=valid, steep=steep
+        pose=pose,
+        nuisances=nuisances,
+        ends=ends,
+        wall=wall,
+        nx=beams.nx,
+        ny=beams.ny,
+        valid=valid,
+        steep=steep,
     )
 
 
@@ -168,9 +181,9 @@ class BeamNoise:
     """The noise of a reading, as free as a careful set-up leaves it."""
 
     core: float = 1.0
-    """Scale of the nominal sigma, CORE[0] … CORE[1]."""
+    """Scale of the nominal standard deviation."""
     tail: float = 0.03
-    """Share of returns TAIL times wider."""
+    """Share of returns with the wide standard deviation."""
     loss: float = 1e-3
     """Chance that a ray which should return does not."""
     stray: float = 1e-3
@@ -178,7 +191,12 @@ class BeamNoise:
 
 
 def pose_prior(data: ScanData, scale: float) -> Floats:
-    """Return P_s, (n_scans, 3, 3): the reference's own error, and a stamp error along the velocity."""
+    """Return the prior covariance of the pose errors (n_scans, 3, 3): the reference's own, and a stamp's along the velocity.
+
+    Parameters
+    ----------
+    scale : of the tolerances
+    """
     t = data.tolerances
     own = np.diag([max(t.pose_xy, 1e-5) ** 2, max(t.pose_xy, 1e-5) ** 2, max(t.pose_yaw, 1e-6) ** 2])
     u = data.twists

@@ -9,13 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.likelihood import FLOOR
-from sensorgraph.diagnosis.scan.nuisance import TAIL
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.interfaces import Present
 from sensorgraph.types import Bools, Floats
 
-ROOT = np.sqrt(2 * np.pi)
+SQRT_TAU = np.sqrt(2 * np.pi)
 
 
 @dataclass(eq=False)
@@ -46,7 +45,7 @@ class FitResiduals:
         self.model: Sequence[Present] = self.fitted.model
         self.nominal_sigma = expected.sigma
         self.sigma = self.noise.core * expected.sigma
-        self.strange = self.returned & (self.stray > 0.5)
+        self.strange = self.returned & (self.stray > SCAN.likelihood.stray_responsibility)
         self.range_max = self.data.sensor.range_max
         with np.errstate(invalid="ignore"):
             self.short = self.strange & (
@@ -57,7 +56,7 @@ class FitResiduals:
     @cached_property
     def certain_loss(self) -> Floats:
         """[nats] gained by the claim that a ray cannot return."""
-        floor = np.log((self.noise.stray + FLOOR) / self.range_max)
+        floor = np.log((self.noise.stray + SCAN.likelihood.unexplained) / self.range_max)
         return np.asarray(np.where(self.returned, floor, np.where(self.lost, 0.0, -12.0)) - self.log_p)
 
     @cached_property
@@ -86,8 +85,15 @@ class FitResiduals:
         off = np.where(returned & aimed, z - np.where(aimed, mu, 0.0), np.inf)
         q = (off / sigma) ** 2
         tail = self.noise.tail
-        density = ((1 - tail) * np.exp(-0.5 * q) + tail / TAIL * np.exp(-0.5 * q / TAIL**2)) / (ROOT * sigma)
+        density = (
+            (1 - tail) * np.exp(-0.5 * q)
+            + tail / SCAN.likelihood.tail_width * np.exp(-0.5 * q / SCAN.likelihood.tail_width**2)
+        ) / (SQRT_TAU * sigma)
         back = (1 - self.noise.loss) * aimed
-        hit = back * density + (self.noise.stray + FLOOR) / self.range_max
-        out = np.where(returned, hit, np.where(z > 0, 1 - back + FLOOR, FLOOR))
+        hit = back * density + (self.noise.stray + SCAN.likelihood.unexplained) / self.range_max
+        out = np.where(
+            returned,
+            hit,
+            np.where(z > 0, 1 - back + SCAN.likelihood.unexplained, SCAN.likelihood.unexplained),
+        )
         return np.asarray(np.log(np.where(np.isnan(z), 1.0, out)))

@@ -13,8 +13,9 @@ import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import Fitted, columns_of, corners_of
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
-from sensorgraph.diagnosis.scan.nuisance import BOX, effects_with_nuisances
+from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
@@ -149,7 +150,7 @@ def _padded(directions: Floats, size: int) -> Floats:
 
 def _solved(matrix: Floats, right: Floats, tau: Floats, held: Bools, n: int) -> tuple[float, Floats]:
     """Return the maximum of the quadratic and where it is."""
-    g, p = boxed(matrix, right, tau, BOX * tau, held)
+    g, p = boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, held)
     x = np.concatenate([g, p])
     value = float(right @ x - 0.5 * x @ matrix @ x - 0.5 * np.sum((g / tau) ** 2))
     return value, x

@@ -15,10 +15,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, log_p_at
-from sensorgraph.diagnosis.scan.likelihood import FINEST
-from sensorgraph.diagnosis.scan.nuisance import widths
+from sensorgraph.diagnosis.scan.nuisance import prior_widths
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.set_up import SetUp
@@ -84,7 +83,7 @@ def _silhouette_errors(
 
 def lattice_error(data: ScanData, q: float) -> float:
     """Return how far the step of a lattice may be off [m] before the farthest reading leaves its lattice point."""
-    cell = max(data.sensor.resolution, FINEST)
+    cell = max(data.sensor.resolution, SCAN.likelihood.min_resolution)
     farthest = float(data.ranges[data.returned].max(initial=q))
     return 0.5 * cell * q / max(farthest, q)
 
@@ -162,7 +161,7 @@ def _by_block(data: ScanData, slope: Floats) -> float:
 def hidden_widths(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
     """Return what a careful set-up may hide of an effect, by parameter."""
     data = fitted.solver.data
-    nuisances = widths(data.tolerances)
+    nuisances = prior_widths(data.tolerances)
     set_up = set_up_of(data)
     out = {}
     for p in amendment.effect.parameters:
