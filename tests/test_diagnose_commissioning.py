@@ -19,8 +19,7 @@ from sensorgraph.diagnosis.commissioning import commission, commission_all
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
-from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
-from sensorgraph.diagnosis.scan.site_variation import baseline_intervals
+from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate, baseline_intervals
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot import default_robot

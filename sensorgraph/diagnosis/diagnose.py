@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.naming import ScanNames, name_motion_effects, name_scan_effects
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import open_questions
-from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.diagnosis.result import ChannelResult, Gap
 from sensorgraph.diagnosis.scan.deviations import deviations
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.held_out_gap import held_out, held_out_gap
@@ -78,16 +79,13 @@ def diagnose(
     clock = _StageClock(progress)
     if baseline is not None:
         robot, known, noise_bounds = baseline.robot, (*baseline.known, *known), baseline.noise_bounds
-    data, intake = prepare_scans(run, arena, robot, known)
-    data = data if baseline is None else baseline.apply_to(data)
+    data, intake = _prepare(run, arena, robot, known, baseline)
     alignment = align(data, rng)
     intake["arena"], intake["share_at_walls"] = alignment.sentence(), alignment.share
     problem = misalignment(alignment, run, data)
     if problem is not None:
         return misaligned(data, intake, problem, clock.seconds)
-    second_data = (
-        None if second is None else prepare_second_run(second, data, robot, baseline, alignment, rng)
-    )
+    second_data = None if second is None else _prepare_second(second, data, robot, baseline, alignment, rng)
     held = held_out(data)
     train, unseen = data.subset(~held), data.subset(held)
     clock.finish("intake")
@@ -104,8 +102,11 @@ def diagnose(
     names = name_scan_effects(train, explained, fit, listed)
     clock.finish("criticise")
 
-    gap = held_out_gap(unseen, null, final, names.named, rng=rng)
-    second_gap = None if second_data is None else held_out_gap(second_data, null, final, names.named, rng=rng)
+    def gap_on(other: ScanData) -> Gap:
+        return held_out_gap(other, null, final, names.named, rng=rng)
+
+    gap = gap_on(unseen)
+    second_gap = None if second_data is None else gap_on(second_data)
     clock.finish("prove")
 
     odometry, drive = diagnose_motion(run, robot, known, seed)
@@ -152,7 +153,15 @@ def _max_effects(alignment: Alignment) -> int:
     return selection.max_effects_if_partly_matching if is_partial else selection.max_effects
 
 
-def prepare_second_run(
+def _prepare(
+    run: Run, arena: Arena, robot: Robot, known: Sequence[Amendment], baseline: SiteBaseline | None
+) -> tuple[ScanData, dict[str, Any]]:
+    """Return the scans of a run, to be judged against the baseline if there is one, and notes for the report."""
+    data, notes = prepare_scans(run, arena, robot, known)
+    return data if baseline is None else baseline.apply_to(data), dict(notes)
+
+
+def _prepare_second(
     run: Run,
     first: ScanData,
     robot: Robot,
@@ -160,26 +169,21 @@ def prepare_second_run(
     alignment: Alignment,
     rng: np.random.Generator,
 ) -> ScanData:
-    """Return the scans of a further run of the same robot and place.
+    """Return the scans of a further run; refuse one of another place.
 
     Parameters
     ----------
     first : scans of the first run
     alignment : of the first run with the arena
-
-    Raises
-    ------
-    SensorgraphError
-        The run is too short, has no returns or no poses, or is of another sensor or place.
     """
-    data, _ = prepare_scans(run, first.arena, robot, first.known)
+    data, _ = _prepare(run, first.arena, robot, first.known, baseline)
     share = align(data, rng).share
     if share < min(SCAN.alignment.poor_share, SCAN.alignment.second_run_share * alignment.share):
         raise SensorgraphError(
             f"the second run does not fit the arena: {100 * share:.0f} % of its returns end at walls, "
             f"{100 * alignment.share:.0f} % of the first run's; give a run of the same place"
         )
-    return data if baseline is None else baseline.apply_to(data)
+    return data
 
 
 def diagnose_motion(

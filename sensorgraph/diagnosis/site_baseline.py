@@ -12,8 +12,7 @@ from scipy.special import stdtrit
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval, WindowEstimate
-from sensorgraph.diagnosis.scan.site_variation import baseline_intervals
+from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval, WindowEstimate, baseline_intervals
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot

@@ -55,7 +55,11 @@ def scores(view: FitResiduals) -> Scores:
     returned = view.returned & view.aimed & off_edge
     p_stray = view.noise.stray + expected.stray + expected.short
     due = view.aimed & off_edge & ~np.isnan(view.z)
-    inside = np.clip((view.range_max - np.where(view.aimed, view.mu, 0.0)) / (4 * view.sigma), 0.0, 1.0)
+    inside = np.clip(
+        (view.range_max - np.where(view.aimed, view.mu, 0.0)) / (settings.range_max_margin * view.sigma),
+        0.0,
+        1.0,
+    )
     due = due & (inside >= 1.0)
     p_lost = 1 - expected.p_return * (1 - view.noise.loss)
     outline = _outlines(view)
@@ -167,8 +171,8 @@ def dispersion(view: FitResiduals) -> float:
     score = scores(view)
     value, counted = score.values["spread"], score.counted["spread"]
     n = counted.sum(axis=1)
-    some = n > 10
-    if some.sum() < 30:
+    some = n > SCAN.goodness_of_fit.min_rays_of_scan
+    if some.sum() < SCAN.goodness_of_fit.min_scans:
         return 1.0
     mean = value.sum(axis=1)[some] / n[some]
     within = float(value[counted].var())

@@ -122,25 +122,30 @@ def absences(view: FitResiduals) -> list[Doubt]:
 
 def _not_people(view: FitResiduals, short: Bools) -> str:
     """Return why short readings are no people, or nothing."""
+    settings = SCAN.goodness_of_fit
     share = float(short.mean())
-    if clustered(view, short) < 0.5:
+    if clustered(view, short) < settings.min_clustered_share:
         return f"{100 * share:.1f} % of the readings are short, one by one: too scattered for people"
     z = view.z[short]
-    counts, _ = np.histogram(z, bins=np.arange(0, view.range_max + 0.06, 0.06))
-    if counts.max() > 0.4 * len(z):
-        return f"{100 * share:.1f} % of the readings are short, most of them at {0.06 * (counts.argmax() + 0.5):.2f} m"
+    width = settings.range_bin
+    counts, _ = np.histogram(z, bins=np.arange(0, view.range_max + width, width))
+    if counts.max() > settings.max_bin_share * len(z):
+        return f"{100 * share:.1f} % of the readings are short, most of them at {width * (counts.argmax() + 0.5):.2f} m"
     return ""
 
 
 def _not_random(view: FitResiduals, odd: Bools) -> str:
     """Return why stray readings are not uniform, or nothing."""
+    settings = SCAN.goodness_of_fit
     share = float(odd.mean())
     u = np.sort(view.z[odd] / view.range_max)
     n = len(u)
     d = float(np.abs(u - (np.arange(n) + 0.5) / n).max())
-    if d > max(0.15, 2.2 / np.sqrt(n)):
+    least, per_root = settings.max_uniform_distance
+    if d > max(least, per_root / np.sqrt(n)):
         return f"{100 * share:.1f} % of the readings are strays, but not from anywhere: their ranges are not uniform"
-    if clustered(view, odd) > 0.35 + 3 * share:
+    constant, times = settings.max_clustered_strays
+    if clustered(view, odd) > constant + times * share:
         return f"{100 * share:.1f} % of the readings are strays that come in clusters"
     return ""
 
@@ -151,7 +156,7 @@ def clustered(view: FitResiduals, some: Bools) -> float:
         return 0.0
     z = np.where(some, view.z, np.nan)
     with np.errstate(invalid="ignore"):
-        near = np.abs(np.diff(z, axis=1)) < 0.3
+        near = np.abs(np.diff(z, axis=1)) < SCAN.goodness_of_fit.neighbour_distance
     has = np.zeros(some.shape, dtype=np.bool_)
     has[:, 1:] |= near
     has[:, :-1] |= near

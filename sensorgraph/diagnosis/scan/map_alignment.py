@@ -142,7 +142,7 @@ def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Ali
     for turn in np.linspace(-np.pi, np.pi, SETTINGS.n_turns, endpoint=False):
         turned = points @ _rotation(turn).T
         shift, count = raster.correlated(turned)
-        if count / len(points) > best[0] - 0.1:
+        if count / len(points) > best[0] - SETTINGS.search_slack:
             got = _refined(raster, points, turn, shift)
             if got[0] > best[0]:
                 best = got
@@ -155,9 +155,12 @@ def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Ali
 def _scaled(raster: _Raster, points: Floats, share: float) -> Alignment:
     """Look for the scale (about the origin, then moved) of all that was measured that lays most ends on walls."""
     shifts, counts = zip(*(raster.correlated(scale * points) for scale in SCALES), strict=True)
-    if max(counts) < (share + SETTINGS.min_gain - 0.1) * len(points):
+    if max(counts) < (share + SETTINGS.min_gain - SETTINGS.search_slack) * len(points):
         return Alignment(share=share, best_share=share)
-    found = [_rescaled(raster, points, float(SCALES[k]), shifts[k]) for k in np.argsort(counts)[-3:]]
+    found = [
+        _rescaled(raster, points, float(SCALES[k]), shifts[k])
+        for k in np.argsort(counts)[-SETTINGS.refined_scales :]
+    ]
     _, scale, shift = max(found, key=lambda one: one[0])
     best_share = raster.share(scale * points + shift)
     return Alignment(share=share, best_share=best_share, dx=float(shift[0]), dy=float(shift[1]), scale=scale)
@@ -168,11 +171,11 @@ def _rescaled(raster: _Raster, points: Floats, scale: float, shift: Floats) -> t
 
     It stays near where it began: all points on one spot of a wall would be a perfect fit.
     """
-    low, high = 0.95 * scale, 1.05 * scale
+    low, high = (factor * scale for factor in SETTINGS.scale_reach)
     middle = points.mean(axis=0)
     best = (raster.score(scale * points + shift), scale, shift)
-    step, size = 0.015, 0.1
-    while size > 1e-3:
+    step, size = SETTINGS.scale_step, SETTINGS.shift_step
+    while size > SETTINGS.min_shift_step:
         before = best[0]
         for ds, dx, dy in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)):
             s = float(np.clip(best[1] * (1 + ds * step), low, high))
@@ -254,7 +257,7 @@ class _Raster:
 def _refined(raster: _Raster, points: Floats, turn: float, shift: Floats) -> tuple[float, float, Floats]:
     """Improve a placement by small steps; return share, turn, shift."""
     best = (raster.score(points @ _rotation(turn).T + shift), turn, shift)
-    step, size = np.radians(2.0), 0.1
+    step, size = SETTINGS.turn_step, SETTINGS.shift_step
     for _ in range(40):
         before = best[0]
         for dt, dx, dy in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)):
@@ -267,6 +270,6 @@ def _refined(raster: _Raster, points: Floats, turn: float, shift: Floats) -> tup
                 best = (score, t, s)
         if best[0] == before:
             step, size = step * 0.5, size * 0.5
-        if size < 1e-3:
+        if size < SETTINGS.min_shift_step:
             break
     return raster.share(points @ _rotation(best[1]).T + best[2]), best[1], best[2]

@@ -109,6 +109,20 @@ class AlignmentSettings:
     """Scales of the map that are tried."""
     n_scales: int = 47
     """Count of them, 3 % apart."""
+    search_slack: float = 0.1
+    """Share of returns by which a coarse match may fall short of what is asked, and still be refined."""
+    refined_scales: int = 3
+    """Best coarse scales that are refined."""
+    scale_reach: tuple[float, float] = (0.95, 1.05)
+    """Of a coarse scale, within which it is refined: all points on one spot of a wall would be a perfect fit."""
+    scale_step: float = 0.015
+    """First step of a scale."""
+    turn_step: float = float(np.radians(2.0))
+    """[rad] first step of a turn."""
+    shift_step: float = 0.1
+    """[m] first step of a shift."""
+    min_shift_step: float = 1e-3
+    """[m] at which the refinement ends."""
     max_orientation_error: float = 0.3
     """[m] median error of a scan that is turned or mirrored the right way."""
     second_run_share: float = 0.6
@@ -333,6 +347,24 @@ class GoodnessOfFitSettings:
     """Readings that an absorbing effect must have taken before its law is tested."""
     failed_law_share: float = 0.1
     """Of an effect's evidence, that counts as unexplained where its own law fails."""
+    neighbour_distance: float = 0.3
+    """[m] between the ranges of neighbouring rays within which they meet the same thing."""
+    min_clustered_share: float = 0.5
+    """Share of short readings with a neighbour, below which they are no people."""
+    range_bin: float = 0.06
+    """[m] of a histogram of short readings."""
+    max_bin_share: float = 0.4
+    """Share of short readings in one bin, above which they are no people."""
+    max_uniform_distance: tuple[float, float] = (0.15, 2.2)
+    """Distance of the ranges of strays from uniform: at least this, and this over the root of their count."""
+    max_clustered_strays: tuple[float, float] = (0.35, 3.0)
+    """Share of strays with a neighbour: this, and so many times the share of strays of all readings."""
+    min_rays_of_scan: int = 10
+    """Scored rays, beyond which a scan counts for the dispersion."""
+    min_scans: int = 30
+    """Scans below which the dispersion is not estimated."""
+    range_max_margin: float = 4.0
+    """Standard deviations below range_max, from where a ray is due to return."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -127,3 +127,26 @@ def prediction_half_width(values: Floats, prior_spread: float | None) -> float:
         dof, squares = dof + site.prior_windows, squares + site.prior_windows * prior_spread**2
     spread = np.sqrt(squares / dof)
     return max(float(stdtrit(dof, site.confidence) * spread * np.sqrt(1 + 1 / n)), 1e-9)
+
+
+def baseline_intervals(windows: Sequence[WindowEstimate], n_scans: int) -> dict[str, BaselineInterval]:
+    """Return, per effect, what good windows show in a run of so many scans; effects of too few windows are left out."""
+    out = {}
+    for name in sorted({name for w in windows for name in w.sizes}):
+        having = [w for w in windows if name in w.sizes]
+        stderr = None
+        if EFFECTS[name].nuisances:
+            having = consistent(having, name, n_scans)
+            stderr = pooled([w.jackknife_stderr(name, n_scans) for w in having])
+        if len(having) < SCAN.site.min_windows:
+            continue
+        mean, half_width = {}, {}
+        for k in having[0].sizes[name]:
+            values = np.array([even_scale(name, w.sizes[name])[k] for w in having])
+            mean[k] = float(values.mean())
+            prior = EFFECTS[name].sizes[k] * SCAN.site.prior_share if EFFECTS[name].nuisances else None
+            half_width[k] = prediction_half_width(values, prior)
+        out[name] = BaselineInterval(
+            mean=mean, half_width=half_width, jackknife_stderr=stderr, n_windows=len(having)
+        )
+    return out

@@ -16,16 +16,8 @@ from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
 from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.site_sizes import (
-    BaselineInterval,
-    WindowEstimate,
-    consistent,
-    even_scale,
-    in_materialities,
-    pooled,
-    prediction_half_width,
-)
-from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.diagnosis.scan.site_sizes import in_materialities
+from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats, Ints
 
 
@@ -122,26 +114,3 @@ def jackknife_stderrs(
     rest = [[p for k, p in enumerate(parts) if k != left] for left in range(n)]
     values = np.array([solve_sum(some, tau, locked)[chosen] for some in rest])
     return np.asarray(np.sqrt((n - 1) * values.var(axis=0)))
-
-
-def baseline_intervals(windows: Sequence[WindowEstimate], n_scans: int) -> dict[str, BaselineInterval]:
-    """Return, per effect, what good windows show in a run of so many scans; effects of too few windows are left out."""
-    out = {}
-    for name in sorted({name for w in windows for name in w.sizes}):
-        having = [w for w in windows if name in w.sizes]
-        stderr = None
-        if EFFECTS[name].nuisances:
-            having = consistent(having, name, n_scans)
-            stderr = pooled([w.jackknife_stderr(name, n_scans) for w in having])
-        if len(having) < SCAN.site.min_windows:
-            continue
-        mean, half_width = {}, {}
-        for k in having[0].sizes[name]:
-            values = np.array([even_scale(name, w.sizes[name])[k] for w in having])
-            mean[k] = float(values.mean())
-            prior = EFFECTS[name].sizes[k] * SCAN.site.prior_share if EFFECTS[name].nuisances else None
-            half_width[k] = prediction_half_width(values, prior)
-        out[name] = BaselineInterval(
-            mean=mean, half_width=half_width, jackknife_stderr=stderr, n_windows=len(having)
-        )
-    return out
