@@ -26,7 +26,7 @@ from benchmarks.offices import office
 from logs.run import RangeSensor
 from planners.arena import Arena
 from planners.maps import geojson
-from sensorgraph.models.base import Scans
+from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.world.raycast import cast
 
@@ -119,7 +119,7 @@ def trial(which: str, seed: int, case: str, n_scans: int, calibrate: bool | None
     xy, yaw = POSE_NOISE.get(case, (0.0, 0.0))
     poses = poses + rng.normal(0, 1, poses.shape) * [xy, xy, yaw]
     stated = replace(laser.sensor(), mount=STATED)
-    scans = Scans(sensor=stated, poses=poses, ranges=ranges, run=np.zeros(n_scans, dtype=np.intp))
+    scans = TrainingScans(sensor=stated, poses=poses, ranges=ranges, run=np.zeros(n_scans, dtype=np.intp))
     start = time.process_time()
     model = Faces.fit(scans, calibrate=calibrate)
     seconds = time.process_time() - start

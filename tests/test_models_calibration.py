@@ -9,7 +9,7 @@ import pytest
 
 from logs.run import RangeSensor
 from planners.maps import geojson
-from sensorgraph.models.base import Scans
+from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.calibration.calibrate import Calibration
 from sensorgraph.models.calibration.gauge import Gauge, estimate_gauge, find_peak
 from sensorgraph.models.calibration.normal_equations import (
@@ -97,9 +97,9 @@ def readings_from(ranges: Floats) -> Readings:
     return Readings(scan=scan, ray=ray, ranges=ranges.ravel(), bearings=BEARINGS, range_max=10.0)
 
 
-def scans_of(poses: Floats, ranges: Floats, **options: object) -> Scans:
+def scans_of(poses: Floats, ranges: Floats, **options: object) -> TrainingScans:
     run = np.zeros(len(poses), dtype=np.intp)
-    return Scans(sensor=sensor_at(STATED), poses=poses, ranges=ranges, run=run, **options)  # type: ignore[arg-type]
+    return TrainingScans(sensor=sensor_at(STATED), poses=poses, ranges=ranges, run=run, **options)  # type: ignore[arg-type]
 
 
 def planted(rng: np.random.Generator) -> RayTerms:

@@ -13,29 +13,29 @@ from logs.run import RangeSensor
 from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import evaluate
-from sensorgraph.models.base import Scans
-from sensorgraph.models.cells.evidence import Evidence
-from sensorgraph.models.cells.grid import steps_within, walk, walk_plain
-from sensorgraph.models.cells.learning import newton, responsibilities, set_aside
-from sensorgraph.models.cells.local_lines import ACROSS, COS, OFFSET_STEP, SIN, faces
-from sensorgraph.models.cells.model import Cells, key_frames, shipped
-from sensorgraph.models.cells.probability_calibration import KNOTS, best_sigma, seen_for_said
+from sensorgraph.models.base import TrainingScans
+from sensorgraph.models.cells.evidence import CellEvidence
+from sensorgraph.models.cells.grid import max_cells_met, traverse, traverse_plain
+from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, list_at_risk
+from sensorgraph.models.cells.local_lines import COS, NO_LINE, OFFSET_STEP, SIN, local_lines
+from sensorgraph.models.cells.model import CellModel, is_key_frame, shipped_visibility
+from sensorgraph.models.cells.probability_calibration import KNOTS, best_sigma, calibrate_p_off
 from sensorgraph.models.cells.ray_march import (
     RATES,
-    Table,
-    candidates,
-    candidates_plain,
+    CellTable,
     list_candidates,
-    prepare,
+    stop_candidates,
+    stop_candidates_plain,
+    tabulate,
 )
 from sensorgraph.models.cells.visibility import (
     N_FEATURES,
     PAIRS,
     TERMS,
-    expand,
+    evaluate_logit,
+    expand_products,
     features,
     features_plain,
-    logit_of,
     logits,
 )
 
@@ -57,37 +57,37 @@ def some_poses(rng: np.random.Generator, n: int, low: float = 0.5, high: float =
     return np.column_stack([rng.uniform(low, high, (n, 2)), rng.uniform(-np.pi, np.pi, n)])
 
 
-def scans_of(poses: np.ndarray, ranges: np.ndarray, sensor: RangeSensor = SENSOR) -> Scans:
-    return Scans(sensor=sensor, poses=poses, ranges=ranges, run=np.zeros(len(poses), dtype=np.intp))
+def scans_of(poses: np.ndarray, ranges: np.ndarray, sensor: RangeSensor = SENSOR) -> TrainingScans:
+    return TrainingScans(sensor=sensor, poses=poses, ranges=ranges, run=np.zeros(len(poses), dtype=np.intp))
 
 
 @pytest.fixture(scope="module")
-def square() -> Cells:
+def square() -> CellModel:
     """Cells of a square room, 150 scans, sigma 1 cm."""
     rng = np.random.default_rng(1)
     poses = some_poses(rng, 150)
-    return Cells.fit(scans_of(poses, room(poses) + rng.normal(0, 0.01, (150, 91))))
+    return CellModel.fit(scans_of(poses, room(poses) + rng.normal(0, 0.01, (150, 91))))
 
 
 def test_walk_meets_the_cells_between_the_crossings_of_grid_lines() -> None:
     rng = np.random.default_rng(2)
     for far in rng.uniform(0.1, 9.0, 100):
         x, y, angle = *rng.uniform(2, 9, 2), rng.uniform(-np.pi, np.pi)
-        at, ends = np.empty((steps_within(far, 0.05), 2), dtype=np.int64), np.empty(steps_within(far, 0.05))
-        n = walk(x, y, math.cos(angle), math.sin(angle), far, 0.05, at, ends)
-        cells, stops = walk_plain(x, y, math.cos(angle), math.sin(angle), far, 0.05)
+        at, ends = np.empty((max_cells_met(far, 0.05), 2), dtype=np.int64), np.empty(max_cells_met(far, 0.05))
+        n = traverse(x, y, math.cos(angle), math.sin(angle), far, 0.05, at, ends)
+        cells, stops = traverse_plain(x, y, math.cos(angle), math.sin(angle), far, 0.05)
         np.testing.assert_allclose(ends[:n], stops, atol=1e-9)  # float64 at 10 m, 300 sums
         np.testing.assert_array_equal(at[:n], cells)
 
 
 def test_walk_along_a_grid_line_meets_one_row() -> None:
     at, ends = np.empty((400, 2), dtype=np.int64), np.empty(400)
-    n = walk(1.0, 1.0, 0.0, 1.0, 0.5, 0.1, at, ends)
+    n = traverse(1.0, 1.0, 0.0, 1.0, 0.5, 0.1, at, ends)
     assert n == 5 and set(at[:n, 0]) == {10} and ends[n - 1] == 0.5
 
 
 def test_one_ray_is_one_hit_and_its_way_in_passes() -> None:
-    evidence = Evidence.of(np.array([[0.0, 0.0, 0.3]]), np.array([[2.0]]), np.array([0.0]))
+    evidence = CellEvidence.of(np.array([[0.0, 0.0, 0.3]]), np.array([[2.0]]), np.array([0.0]))
     assert evidence.hits.sum() == 1 and evidence.interpolated.sum() == 0
     assert evidence.passes.sum() == pytest.approx((2.0 - 0.05) / 0.05, rel=1e-5)  # float32 counts
     assert evidence.hits[:, 1].sum() == 1  # 0.3 rad is 17 deg: sector 1
@@ -96,10 +96,10 @@ def test_one_ray_is_one_hit_and_its_way_in_passes() -> None:
 def test_gap_between_hits_of_one_surface_is_closed_and_between_two_surfaces_stays_open() -> None:
     gap = math.radians(1.0)
     bearings = np.array([-gap / 2, gap / 2])
-    wall = Evidence.of(np.zeros((1, 3)), np.array([[3.0, 3.0]]), bearings)
+    wall = CellEvidence.of(np.zeros((1, 3)), np.array([[3.0, 3.0]]), bearings)
     assert wall.interpolated.sum() == pytest.approx(2 / 3)  # two virtual rays of a third
     wide = np.radians([-2.0, 2.0])
-    edge = Evidence.of(np.zeros((1, 3)), np.array([[3.0, 5.0]]), wide)
+    edge = CellEvidence.of(np.zeros((1, 3)), np.array([[3.0, 5.0]]), wide)
     assert edge.interpolated.sum() == 0
     places = edge.window.places()[edge.passes[: edge.n_rows].any(axis=1)] + np.array(edge.window.low)
     middle = places[np.abs(places[:, 1] + 0.5) < 1]  # cells beside the x axis
@@ -114,11 +114,11 @@ def test_evidence_of_batches_and_runs_adds_up() -> None:
     ranges = room(poses, size=4.02)
     poses[:, :2] += 0.013  # no wall lies on a grid line
     ranges[3, 5], ranges[4, 9], ranges[5, 7] = np.inf, np.nan, -np.inf
-    whole = Evidence.of(poses, ranges, BEARINGS)
-    batches = Evidence.of(poses[:5], ranges[:5], BEARINGS)
+    whole = CellEvidence.of(poses, ranges, BEARINGS)
+    batches = CellEvidence.of(poses[:5], ranges[:5], BEARINGS)
     batches.add(poses[5:8], ranges[5:8], BEARINGS)
-    batches.merge(Evidence.of(poses[8:], ranges[8:], BEARINGS))
-    batches.merge(Evidence.empty())
+    batches.merge(CellEvidence.of(poses[8:], ranges[8:], BEARINGS))
+    batches.merge(CellEvidence.empty())
     a, b = whole.widened(0), batches.widened(0)
     shift = np.subtract(a.window.low, b.window.low)
     np.testing.assert_array_equal(a.window.places() + shift, b.window.places())
@@ -133,7 +133,7 @@ def test_evidence_of_batches_and_runs_adds_up() -> None:
 
 def test_evidence_in_other_cells_is_refused() -> None:
     with pytest.raises(ValueError, match="cannot be added"):
-        Evidence.empty(0.05).merge(Evidence.empty(0.1))
+        CellEvidence.empty(0.05).merge(CellEvidence.empty(0.1))
 
 
 def test_face_of_a_cell_is_the_line_through_the_hits_around_it() -> None:
@@ -143,36 +143,38 @@ def test_face_of_a_cell_is_the_line_through_the_hits_around_it() -> None:
         along = np.arange(-0.3, 0.3, 0.01)
         x, y = d * np.cos(angle) - along * np.sin(angle), d * np.sin(angle) + along * np.cos(angle)
         bearings, ranges = np.arctan2(y, x), np.hypot(x, y)
-        evidence = Evidence.empty()
+        evidence = CellEvidence.empty()
         for bearing, r in zip(bearings, ranges, strict=True):
             evidence.add(np.array([[0.0, 0.0, bearing]]), np.array([[r]]), np.array([0.0]))
         evidence = evidence.widened()
-        code, offset = faces(evidence)
+        code, offset = local_lines(evidence)
         place = np.floor(d * np.array([np.cos(angle), np.sin(angle)]) / 0.05).astype(int)
         row = evidence.window.index[tuple(place - evidence.window.low)]
         b = round(angle / (2 * np.pi / 16)) % 16
-        assert code[row, b] != ACROSS
+        assert code[row, b] != NO_LINE
         n = np.array([COS[code[row, b]], SIN[code[row, b]]])
         assert abs(n @ [np.cos(angle), np.sin(angle)]) > np.cos(np.radians(0.5))
         found = n @ ((place + 0.5) * 0.05) + offset[row, b] * OFFSET_STEP
         assert abs(found) == pytest.approx(d, abs=0.001)  # a byte holds half a mm; the angle 0.4 deg at 3 cm
 
 
-def a_table() -> Table:
+def a_table() -> CellTable:
     rng = np.random.default_rng(5)
     poses = some_poses(rng, 30)
-    return prepare(Evidence.of(poses, room(poses), BEARINGS).widened(), np.array(shipped()), 0.02)
+    return tabulate(
+        CellEvidence.of(poses, room(poses), BEARINGS).widened(), np.array(shipped_visibility()), 0.02
+    )
 
 
 def test_candidates_agree_with_their_plain_twin_also_from_outside() -> None:
     table = a_table()
-    size = steps_within(table.reach, table.cell)
+    size = max_cells_met(table.reach, table.cell)
     at, room_for = np.empty((size, 2), dtype=np.int64), [np.empty(size) for _ in range(5)]
     rng = np.random.default_rng(6)
     for x, y, angle in [*some_poses(rng, 40), (-30.0, 2.0, 0.0), (2.0, 50.0, 1.0)]:
         ray = x, y, math.cos(angle), math.sin(angle)
-        n, left = candidates(*ray, table, at, *room_for)
-        plain = candidates_plain(*ray, table)
+        n, left = stop_candidates(*ray, table, at, *room_for)
+        plain = stop_candidates_plain(*ray, table)
         _, r, w, sigma, unseen = (values[:n] for values in room_for)
         for fast, slow in zip((r, w, sigma, unseen), plain[:4], strict=True):
             np.testing.assert_allclose(fast, slow, atol=1e-9)
@@ -194,7 +196,7 @@ def test_lists_of_candidates_are_padded_and_add_up_to_one() -> None:
 def test_features_agree_with_their_plain_twin() -> None:
     rng = np.random.default_rng(7)
     poses = some_poses(rng, 20)
-    evidence = Evidence.of(poses, room(poses), BEARINGS).widened()
+    evidence = CellEvidence.of(poses, room(poses), BEARINGS).widened()
     rows, sectors = rng.integers(0, evidence.n_rows, 60), rng.integers(0, 16, 60)
     fast = features(evidence, rows, sectors)
     for k in range(60):
@@ -209,17 +211,17 @@ def test_polynomial_is_the_sum_of_its_named_terms() -> None:
     beta = rng.normal(size=len(TERMS))
     assert len(TERMS) == len(set(TERMS)) == 196
     np.testing.assert_allclose(
-        [logit_of(row, beta, PAIRS) for row in f], expand(f) @ beta, rtol=1e-4, atol=1e-4
+        [evaluate_logit(row, beta, PAIRS) for row in f], expand_products(f) @ beta, rtol=1e-4, atol=1e-4
     )
 
 
 def test_logits_are_the_polynomial_of_the_features() -> None:
     rng = np.random.default_rng(9)
     poses = some_poses(rng, 10)
-    evidence = Evidence.of(poses, room(poses), BEARINGS).widened()
+    evidence = CellEvidence.of(poses, room(poses), BEARINGS).widened()
     rows, sectors = rng.integers(0, evidence.n_rows, 50), rng.integers(0, 16, 50)
-    beta = np.array(shipped())
-    expected = expand(features(evidence, rows, sectors)) @ beta
+    beta = np.array(shipped_visibility())
+    expected = expand_products(features(evidence, rows, sectors)) @ beta
     np.testing.assert_allclose(
         logits(evidence, beta)[rows, sectors], expected, atol=1e-3
     )  # float32, 196 terms
@@ -231,10 +233,10 @@ def test_responsibilities_share_out_each_ray_once() -> None:
     size = 91 * 300
     rows, sectors = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     label, weight = np.empty(size), np.empty(size)
-    n = responsibilities(poses, room(poses), BEARINGS, table, rows, sectors, label, weight)
+    n = list_at_risk(poses, room(poses), BEARINGS, table, rows, sectors, label, weight)
     assert (label[:n] * weight[:n]).sum() == pytest.approx(91, abs=1.0)  # each of 91 rays stopped once
     nothing = np.full((1, 91), np.inf)
-    n = responsibilities(poses, nothing, BEARINGS, table, rows, sectors, label, weight)
+    n = list_at_risk(poses, nothing, BEARINGS, table, rows, sectors, label, weight)
     assert not label[:n].any()
     assert weight[:n].sum() == pytest.approx(91 * table.reach / table.cell, rel=1e-9)
 
@@ -245,9 +247,9 @@ def test_newton_finds_a_planted_polynomial() -> None:
     planted = np.array([-2.0, 1.5, -0.7, 0.3])
     label = (rng.uniform(size=len(phi)) < 1 / (1 + np.exp(-phi @ planted))).astype(float)
     zero = np.zeros(4)
-    found = newton(phi, label, np.ones(len(phi)), zero, zero, steps=10)
+    found = fit_logistic(phi, label, np.ones(len(phi)), zero, zero, steps=10)
     np.testing.assert_allclose(found, planted, atol=0.06)  # 3 standard errors
-    held = newton(phi[:200], label[:200], np.ones(200), zero, planted, steps=10, ridge=1e9)
+    held = fit_logistic(phi[:200], label[:200], np.ones(200), zero, planted, steps=10, ridge=1e9)
     np.testing.assert_allclose(held[1:], planted[1:], atol=1e-3)  # little data: the prior stays
 
 
@@ -267,29 +269,29 @@ def test_calibration_learns_a_planted_curve_and_keeps_what_is_said_without_data(
     summaries[..., 5] = said
     off = rng.uniform(size=said.shape) < said**2
     ranges = np.where(off, 1.0, 0.0)
-    found = seen_for_said(summaries, ranges, np.ones(said.shape, dtype=bool))
+    found = calibrate_p_off(summaries, ranges, np.ones(said.shape, dtype=bool))
     np.testing.assert_allclose(found[0], KNOTS**2, atol=0.03)
-    empty = seen_for_said(summaries, ranges, np.zeros(said.shape, dtype=bool))
+    empty = calibrate_p_off(summaries, ranges, np.zeros(said.shape, dtype=bool))
     np.testing.assert_allclose(empty, np.tile(KNOTS, (3, 1)))
 
 
 def test_set_aside_is_a_fifth_in_ten_stretches() -> None:
-    aside = set_aside(1000)
+    aside = is_set_aside(1000)
     assert aside.sum() == 200 and (np.diff(aside.astype(int)) == 1).sum() == 10
-    assert not (aside & set_aside(1000, fold=1)).any()
+    assert not (aside & is_set_aside(1000, fold=1)).any()
 
 
 def test_key_frames_are_far_from_each_other_in_place_or_heading() -> None:
     poses = np.array(
         [[0, 0, 0], [0.1, 0, 0], [0.5, 0, 0], [0.5, 0, 0.3], [0.5, 0, 0.4], [0.5, 0, 0.4]], dtype=float
     )
-    keep = key_frames(poses, np.array([0, 0, 0, 0, 0, 1]))
+    keep = is_key_frame(poses, np.array([0, 0, 0, 0, 0, 1]))
     assert keep.tolist() == [True, False, True, False, True, True]
     near_pi = np.array([[0, 0, 3.1], [0, 0, -3.1]])
-    assert key_frames(near_pi, np.zeros(2, dtype=int)).tolist() == [True, False]
+    assert is_key_frame(near_pi, np.zeros(2, dtype=int)).tolist() == [True, False]
 
 
-def test_square_room_is_predicted_to_its_noise(square: Cells) -> None:
+def test_square_room_is_predicted_to_its_noise(square: CellModel) -> None:
     poses = some_poses(np.random.default_rng(13), 50)
     said = square.predict(poses, np.arange(91), "mode")
     error = np.abs(said.mode - room(poses))
@@ -306,12 +308,12 @@ def test_mount_turned_and_shifted_gives_the_same_room() -> None:
         [poses[:, 0] + c * 0.2 + s * 0.1, poses[:, 1] + s * 0.2 - c * 0.1, poses[:, 2] + 0.7]
     )
     sensor = RangeSensor(bearings=BEARINGS, range_max=8.0, mount=mount)
-    cells = Cells.fit(scans_of(poses, room(laser), sensor))
+    cells = CellModel.fit(scans_of(poses, room(laser), sensor))
     error = np.abs(cells.predict(poses, np.arange(91), "mode").mode - room(laser))
     assert np.median(error) < 0.005
 
 
-def test_nothing_is_answered_where_no_ray_has_looked(square: Cells) -> None:
+def test_nothing_is_answered_where_no_ray_has_looked(square: CellModel) -> None:
     outside = np.array([[20.0, 20.0, 0.0], [-3.0, 2.0, np.pi]])
     assert not square.predict(outside, np.arange(91), "mode").answered.any()
 
@@ -320,7 +322,7 @@ def test_no_return_is_said_where_nothing_ever_stopped_a_ray() -> None:
     rng = np.random.default_rng(15)
     poses = some_poses(rng, 80)
     ranges = np.where(room(poses) > 2.0, np.inf, room(poses))
-    cells = Cells.fit(scans_of(poses, ranges, RangeSensor(bearings=BEARINGS, range_max=2.0)))
+    cells = CellModel.fit(scans_of(poses, ranges, RangeSensor(bearings=BEARINGS, range_max=2.0)))
     fresh = some_poses(rng, 40)
     nothing = room(fresh) > 2.0
     clear = np.abs(room(fresh) - 2.0) > 0.1
@@ -334,7 +336,7 @@ def test_no_return_is_said_where_nothing_ever_stopped_a_ray() -> None:
 def test_options_that_mean_nothing_are_refused(options: dict, words: str) -> None:
     poses = some_poses(np.random.default_rng(0), 5)
     with pytest.raises(SensorgraphError, match=words):
-        Cells.fit(scans_of(poses, room(poses)), **options)
+        CellModel.fit(scans_of(poses, room(poses)), **options)
 
 
 def test_what_returns_from_beyond_reach_is_no_missing_return_and_is_not_answered() -> None:
@@ -342,7 +344,7 @@ def test_what_returns_from_beyond_reach_is_no_missing_return_and_is_not_answered
     poses = some_poses(rng, 40)
     ranges = np.full((40, 91), 25.0)  # cells reach 10 m
     ranges[:, 45] = room(poses)[:, 45]
-    cells = Cells.fit(scans_of(poses, ranges, RangeSensor(bearings=BEARINGS, range_max=50.0)))
+    cells = CellModel.fit(scans_of(poses, ranges, RangeSensor(bearings=BEARINGS, range_max=50.0)))
     assert cells.nothing == 0.0
     said = cells.predict(np.array([[-20.0, 2.0, np.pi]]), np.arange(91), "mode")
     assert (said.p_no_return == 0.0).all() and not said.answered.any()
@@ -351,7 +353,7 @@ def test_what_returns_from_beyond_reach_is_no_missing_return_and_is_not_answered
 def test_log_without_returns_is_refused() -> None:
     poses = some_poses(np.random.default_rng(0), 20)
     with pytest.raises(SensorgraphError, match="no ray of any training scan returned"):
-        Cells.fit(scans_of(poses, np.full((20, 91), np.inf)))
+        CellModel.fit(scans_of(poses, np.full((20, 91), np.inf)))
 
 
 def test_codes_of_rates_grow_evenly() -> None:

@@ -13,7 +13,7 @@ from planners.arena import Arena
 from planners.maps import geojson
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.base import Scans
+from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid, crossed_faces
@@ -54,9 +54,9 @@ def somewhere(arena: Arena, n: int, rng: np.random.Generator, clear: float = 0.1
     return np.column_stack([points, rng.uniform(-np.pi, np.pi, len(points))])
 
 
-def scans_of(arena: Arena, poses: Floats, rng: np.random.Generator) -> Scans:
+def scans_of(arena: Arena, poses: Floats, rng: np.random.Generator) -> TrainingScans:
     ranges = cast(arena, poses, SENSOR).ranges
-    return Scans(
+    return TrainingScans(
         sensor=SENSOR,
         poses=poses,
         ranges=ranges + SIGMA * rng.normal(size=ranges.shape),
@@ -204,7 +204,7 @@ def test_file_gives_the_same_predictions_and_the_same_bytes(
 
 
 def test_no_returns_and_options_are_refused() -> None:
-    scans = Scans(
+    scans = TrainingScans(
         sensor=SENSOR,
         poses=np.zeros((20, 3)),
         ranges=np.full((20, SENSOR.n_rays), np.inf),

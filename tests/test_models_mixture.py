@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from sensorgraph.models.base import OFF, POINTS
+from sensorgraph.models.base import OFF_DISTANCE, POINTS
 from sensorgraph.models.mixture import summarise, summarise_plain, to_prediction, which_of
 
 FAR = 12.0
@@ -23,7 +23,7 @@ def test_one_candidate_is_a_gaussian() -> None:
     median, mode, mean, sigma, none, off = of([3.0], [0.75], 0.02)
     assert (median, mode, mean, none) == (3.0, 3.0, 3.0, 0.25)
     assert sigma == pytest.approx(0.02)
-    assert off == pytest.approx(2 * ndtr(-OFF / 0.02))
+    assert off == pytest.approx(2 * ndtr(-OFF_DISTANCE / 0.02))
 
 
 def test_two_equal_candidates_far_apart() -> None:
@@ -66,7 +66,7 @@ def test_said_chance_of_being_off_is_the_share_of_samples_that_are() -> None:
         point = dict(zip(("median", "mode", "mean"), values, strict=False))[name]
         which = rng.choice(3, 200_000, p=w / w.sum())
         drawn = rng.normal(r[which], s[which])
-        assert (np.abs(drawn - point) > OFF).mean() == pytest.approx(
+        assert (np.abs(drawn - point) > OFF_DISTANCE).mean() == pytest.approx(
             off, abs=0.005
         )  # 4 s.e. of 200,000 draws
 

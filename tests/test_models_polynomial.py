@@ -77,7 +77,7 @@ def test_planted_degree_and_harmonic_are_chosen_automatically(rng) -> None:
     poses = poses_in(rng, 1500, (0, 4), (0, 4))
     noisy = planted(poses) + 0.05 * rng.normal(size=(1500, 19))
     graph = build([run_at(poses, noisy, range_max=20.0)])
-    choice = graph.model.choice
+    choice = graph.model.form
     assert (choice.degree, choice.harmonics) == (2, 1)
     # centred, they are 1, x, (xy, x, y, 1) cos, (y^2, y, 1) sin: nine; noise may let in one or two
     assert 8 <= choice.n_terms <= 11

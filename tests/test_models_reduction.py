@@ -9,7 +9,7 @@ import pytest
 
 from logs.run import RangeSensor
 from planners.arena import Arena
-from sensorgraph.models.base import Scans
+from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces import reduction
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.observed_space import ObservedSpace
@@ -18,7 +18,7 @@ from sensorgraph.world.raycast import cast
 
 
 @pytest.fixture(scope="module")
-def scans(room: Arena, sensor: RangeSensor) -> Scans:
+def scans(room: Arena, sensor: RangeSensor) -> TrainingScans:
     """Return 500 scans in the room, with readings that do not count among them."""
     rng = np.random.default_rng(0)
     poses = rng.uniform([0.4, 0.4, -np.pi], [2.2, 2.6, np.pi], (500, 3))
@@ -26,10 +26,10 @@ def scans(room: Arena, sensor: RangeSensor) -> Scans:
     ranges = ranges + 0.01 * rng.normal(size=ranges.shape)
     for value in (np.nan, -np.inf, np.inf):
         ranges[rng.random(ranges.shape) < 0.02] = value
-    return Scans(sensor=sensor, poses=poses, ranges=ranges, run=np.zeros(500, dtype=np.intp))
+    return TrainingScans(sensor=sensor, poses=poses, ranges=ranges, run=np.zeros(500, dtype=np.intp))
 
 
-def reduce(scans: Scans, size: int, map_blocks=map) -> Reduction:
+def reduce(scans: TrainingScans, size: int, map_blocks=map) -> Reduction:
     left = reduce_blocks(
         blocks_of(scans, size=size), mount=scans.laser_mount, n_rays=scans.ranges.size, map_blocks=map_blocks
     )
@@ -37,7 +37,7 @@ def reduce(scans: Scans, size: int, map_blocks=map) -> Reduction:
     return left
 
 
-def test_counts_are_those_of_a_plain_count(scans: Scans) -> None:
+def test_counts_are_those_of_a_plain_count(scans: TrainingScans) -> None:
     left = reduce(scans, 500)
     assert left.n_rays == (scans.ranges > 0).sum()
     assert left.n_returns == left.hit_moments.counts.sum() == np.isfinite(scans.ranges).sum()
@@ -45,7 +45,7 @@ def test_counts_are_those_of_a_plain_count(scans: Scans) -> None:
 
 
 @pytest.mark.parametrize("size", [1, 77, 499])
-def test_blocks_of_any_size_leave_the_same(scans: Scans, size: int) -> None:
+def test_blocks_of_any_size_leave_the_same(scans: TrainingScans, size: int) -> None:
     whole, parts = reduce(scans, 500), reduce(scans, size)
     np.testing.assert_array_equal(parts.hit_moments.cells, whole.hit_moments.cells)
     np.testing.assert_allclose(parts.hit_moments.moments, whole.hit_moments.moments, rtol=1e-9, atol=1e-12)
@@ -54,7 +54,9 @@ def test_blocks_of_any_size_leave_the_same(scans: Scans, size: int) -> None:
     assert parts.observed.counts.sum() == whole.observed.counts.sum()
 
 
-def test_the_sample_is_the_same_share_of_every_part(scans: Scans, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_sample_is_the_same_share_of_every_part(
+    scans: TrainingScans, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(reduction, "MAX_SAMPLED_RAYS", 6000)
     a, b = reduce(scans, 500), reduce(scans, 61)
     np.testing.assert_array_equal(a.sample.beams, b.sample.beams)
@@ -64,7 +66,7 @@ def test_the_sample_is_the_same_share_of_every_part(scans: Scans, monkeypatch: p
     assert shares.min() > 0.5 * shares.mean()
 
 
-def test_sample_gives_the_rays_of_the_mounted_laser(scans: Scans) -> None:
+def test_sample_gives_the_rays_of_the_mounted_laser(scans: TrainingScans) -> None:
     rays = reduce(scans, 500).sample.rays(scans.sensor, scans.laser_mount)
     ends = rays.hits[np.isfinite(rays.ranges)]
     assert (ends > [-0.1, -0.1]).all() and (ends < [4.1, 3.1]).all()
@@ -80,7 +82,7 @@ def test_surfaces_merge_to_what_all_hits_give() -> None:
     np.testing.assert_allclose(merged.moments, whole.moments, atol=1e-12)
 
 
-def test_crossed_grids_of_other_cells_merge_into_the_coarser(scans: Scans) -> None:
+def test_crossed_grids_of_other_cells_merge_into_the_coarser(scans: TrainingScans) -> None:
     fine = reduce(scans, 500).observed
     coarse = fine.coarser()
     assert coarse.cell == 2 * fine.cell
@@ -100,7 +102,7 @@ def test_far_rays_make_cells_coarser_not_memory_larger() -> None:
     assert grid.supports(origins, np.array([[1.0, 0.0], [0.0, 1.0]]), np.full(2, 4.0)).all()
 
 
-def test_nothing_is_left_of_nothing(scans: Scans) -> None:
+def test_nothing_is_left_of_nothing(scans: TrainingScans) -> None:
     assert reduce_blocks([], mount=np.zeros(3), n_rays=0) is None
     blind = replace(scans, ranges=np.full_like(scans.ranges, np.inf))
     left = reduce(blind, 100)

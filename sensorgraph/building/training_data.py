@@ -14,7 +14,7 @@ from logs.run import PoseFrame, RangeSensor, Run, pair
 from logs.stream import LogStream
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import Scans
+from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.orientation import orientation
@@ -77,7 +77,7 @@ class Feed:
             self.entries.append(intake.entry())
 
     def _block(self, first: int, i: int, poses: Floats, ranges: Floats) -> Block:
-        scans = Scans(
+        scans = TrainingScans(
             sensor=self.sensor,
             poses=poses,
             ranges=ranges,
@@ -178,12 +178,12 @@ def ranges_bytes(ranges: Floats) -> bytes:
     return np.ascontiguousarray(ranges, dtype="<f8").tobytes()
 
 
-def together(feed: Feed) -> Scans | None:
+def together(feed: Feed) -> TrainingScans | None:
     """Put all blocks into memory together, for models that need that; None where there is no scan."""
     parts = [block.scans for block in feed]
     if not parts:
         return None
-    return Scans(
+    return TrainingScans(
         sensor=feed.sensor,
         poses=np.concatenate([part.poses for part in parts]),
         ranges=np.concatenate([part.ranges for part in parts]) if len(parts) > 1 else parts[0].ranges,

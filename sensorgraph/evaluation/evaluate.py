@@ -15,7 +15,7 @@ from sensorgraph.building.build import is_same_sensor, training_scans
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.base import OFF, Point, Prediction
+from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Bools, Floats, Progress
 
 NEAREST = 0.1
@@ -135,7 +135,7 @@ def evaluate(
         residual=residual,
         all=job.metrics(scored, ~np.isnan(measured), progress),
         answered_only=job.metrics(scored & prediction.answered, ~np.isnan(measured) & prediction.answered),
-        calibration=_calibration(prediction.p_off[scored], np.abs(residual[scored]) > OFF),
+        calibration=_calibration(prediction.p_off[scored], np.abs(residual[scored]) > OFF_DISTANCE),
         answered=float(prediction.answered[scored].mean()),
         settings={
             "scored": {"from_m": NEAREST, "to_m": cap, "n_scans": len(index), "of_scans": run.n_scans},
@@ -180,7 +180,7 @@ class Job:
         out["within_0.5m"] = float((off["within_0.5m"] <= 0.5).mean())
         out["within_3sigma"] = float((off["within_3sigma"] <= 3 * self.sigma).mean())
         out["within_3sigma_said"] = float((off["within_3sigma"] <= 3 * self.prediction.sigma[scored]).mean())
-        out["wrong_5cm"] = float((off["wrong_5cm"] > OFF).mean())
+        out["wrong_5cm"] = float((off["wrong_5cm"] > OFF_DISTANCE).mean())
         out["pearson_r"] = _pearson(truth, self.value("pearson_r")[scored])
         out["chamfer_m"], out["f_score"] = self.shape(scored, progress)
         return out

@@ -14,7 +14,7 @@ from sensorgraph.building.build import is_same_sensor
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import Evaluation, Job, Metrics
-from sensorgraph.models.base import OFF, Point, Prediction
+from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Ints
 from sensorgraph.world.scene import Scene, Transform, fade
 from sensorgraph.world.simulate import BLOCK
@@ -101,6 +101,6 @@ def _said(scene: Scene) -> Prediction:
         mean=value,
         sigma=sigma,
         p_no_return=p_no_return,
-        p_off=stray + (1 - stray) * 2 * ndtr(-OFF / sigma),
+        p_off=stray + (1 - stray) * 2 * ndtr(-OFF_DISTANCE / sigma),
         answered=np.ones(shape, dtype=np.bool_),
     )

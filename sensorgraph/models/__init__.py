@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from sensorgraph.models.base import Model
-from sensorgraph.models.cells.model import Cells
+from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.polynomial.model import Polynomial
 
 MODELS: dict[str, type[Model]] = {
-    "cells": Cells,
+    "cells": CellModel,
     "faces": Faces,
     "polynomial": Polynomial,
 }

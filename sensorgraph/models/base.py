@@ -16,12 +16,12 @@ from sensorgraph.types import Bools, Floats, Ints, Progress
 
 Point = Literal["mode", "median", "mean"]
 POINTS: tuple[str, ...] = get_args(Point)
-OFF = 0.05
+OFF_DISTANCE = 0.05
 """[m] farther from the measured range than this, a prediction shows another surface: it is wrong."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scans:
+class TrainingScans:
     """Scans with poses, from one or several runs, in the order of the log."""
 
     sensor: RangeSensor
@@ -41,7 +41,7 @@ class Scans:
         """(3,) [m, m, rad] laser in the frame of the poses."""
         return np.zeros(3) if self.pose_frame == "laser" else self.sensor.mount
 
-    def part(self, index: slice) -> Scans:
+    def part(self, index: slice) -> TrainingScans:
         """Return some of the scans."""
         return replace(self, poses=self.poses[index], ranges=self.ranges[index], run=self.run[index])
 
@@ -68,7 +68,7 @@ class Prediction:
     p_no_return: Floats
     """Chance that nothing is seen out to range_max."""
     p_off: Floats
-    """Said chance that a measured return is more than `OFF` from the chosen point value."""
+    """Said chance that a measured return is more than `OFF_DISTANCE` from the chosen point value."""
     answered: Bools
     """The training data support this answer."""
 
@@ -95,7 +95,7 @@ class Model(Protocol):
     name: ClassVar[str]
 
     @classmethod
-    def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
+    def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:
         """Identify the model from scans."""
         ...
 

@@ -14,10 +14,10 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from planners.kernel import kernel
-from sensorgraph.models.base import OFF, POINTS, Point, Prediction
+from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction
 from sensorgraph.types import Bools, Floats
 
-WINDOW = 6.0
+MODE_WINDOW = 6.0
 """Width of the mode's window, in standard deviations of a candidate: all of one surface, little of the next."""
 MEDIAN, MODE, MEAN, SIGMA, NO_RETURN, P_OFF = range(6)
 """Columns that `summarise` gives."""
@@ -84,12 +84,12 @@ def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
 
 @kernel
 def densest(r: Floats, w: Floats, s: Floats, n: int) -> tuple[int, int]:
-    """Return first and last (excluded) of the heaviest run of candidates within `WINDOW` sigma of its first."""
+    """Return first and last (excluded) of the heaviest run of candidates within `MODE_WINDOW` sigma of its first."""
     best, first, last = -1.0, 0, n
     for i in range(n):
         total = 0.0
         j = i
-        while j < n and r[j] <= r[i] + WINDOW * s[i]:
+        while j < n and r[j] <= r[i] + MODE_WINDOW * s[i]:
             total += w[j]
             j += 1
         if total > best:
@@ -129,7 +129,9 @@ def summarise(
     first, last = densest(r, w, s, n)
     mode = median_of(r, w, s, first, last)
     point = mode if which == 0 else (median if which == 1 else mean)
-    near = chance_below(point + OFF, r, w, s, 0, n) - chance_below(point - OFF, r, w, s, 0, n)
+    near = chance_below(point + OFF_DISTANCE, r, w, s, 0, n) - chance_below(
+        point - OFF_DISTANCE, r, w, s, 0, n
+    )
     off = min(max(1.0 - near / total, 0.0), 1.0)
     return median, mode, mean, math.sqrt(variance / total), leftover, off
 
@@ -145,12 +147,12 @@ def summarise_plain(
     mean = float(w @ r) / total
     sigma = math.sqrt(float(w @ ((r - mean) ** 2 + s**2)) / total)
     median = _median_plain(r, w, s)
-    inside = (r >= r[:, None]) & (r <= (r + WINDOW * s)[:, None])  # (window, candidate)
+    inside = (r >= r[:, None]) & (r <= (r + MODE_WINDOW * s)[:, None])  # (window, candidate)
     inside &= np.arange(n) >= np.arange(n)[:, None]
     window = inside[int(np.argmax(inside @ w))]
     mode = _median_plain(r[window], w[window], s[window])
     point = (mode, median, mean)[which]
-    near = w @ (ndtr((point + OFF - r) / s) - ndtr((point - OFF - r) / s))
+    near = w @ (ndtr((point + OFF_DISTANCE - r) / s) - ndtr((point - OFF_DISTANCE - r) / s))
     return median, mode, mean, sigma, leftover, min(max(1.0 - float(near) / total, 0.0), 1.0)
 
 

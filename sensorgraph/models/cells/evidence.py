@@ -13,28 +13,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.kernel import kernel
-from sensorgraph.models.cells.grid import N_SECTORS, Index, Whole, Window, sector, steps_within, walk
+from sensorgraph.models.cells.grid import (
+    N_SECTORS,
+    CellIndices,
+    GridWindow,
+    RowGrid,
+    max_cells_met,
+    sector_of,
+    traverse,
+)
 from sensorgraph.types import Floats
 
 Counts = NDArray[np.float32]
 T = TypeVar("T", bound=np.generic)
 
-CELL = 0.05
+CELL_SIZE = 0.05
 """[m] side of a cell; 3.5 to 7 cm do nearly as well."""
-REACH = 10.0
+MAX_REACH = 10.0
 """[m] a longer range counts as nothing seen within reach."""
-NEAREST = 0.1
+MIN_RANGE = 0.1
 """[m] a shorter range is not used."""
-SPACING = math.radians(0.34)
+MAX_RAY_SPACING = math.radians(0.34)
 """[rad] wider gaps between neighbouring rays are filled by virtual ones."""
 N_MOMENTS = 6  # count, x, y, xx, xy, yy of hits, [m] from the middle of their cell
 
 
 @dataclass(kw_only=True, eq=False)
-class Evidence:
+class CellEvidence:
     """Sums over scans, a row for each cell that any ray met."""
 
-    window: Window
+    window: GridWindow
     reach: float
     """[m] how far rays count."""
     n_rows: int
@@ -45,16 +53,16 @@ class Evidence:
     """(n, 16) hits between neighbouring rays that met one surface."""
     passes: Counts
     """(n, 8) passes in cell sides, by sector modulo 8."""
-    face: Index
+    face: RowGrid
     """(n,) row in `moments`; -1 where no hit fell."""
     n_faces: int
     moments: Floats
     """(n_faces, 16, 6) count, x, y, xx, xy, yy [m] of the hits from the middle of their cell."""
 
     @classmethod
-    def empty(cls, cell: float = CELL, reach: float = REACH) -> Evidence:
+    def empty(cls, cell: float = CELL_SIZE, reach: float = MAX_REACH) -> CellEvidence:
         """Start without any scan."""
-        window = Window(cell=cell, low=(0, 0), index=np.full((1, 1), -1, dtype=np.int32))
+        window = GridWindow(cell=cell, low=(0, 0), index=np.full((1, 1), -1, dtype=np.int32))
         return cls(
             window=window,
             reach=reach,
@@ -69,8 +77,14 @@ class Evidence:
 
     @classmethod
     def of(
-        cls, poses: Floats, ranges: Floats, bearings: Floats, *, cell: float = CELL, reach: float = REACH
-    ) -> Evidence:
+        cls,
+        poses: Floats,
+        ranges: Floats,
+        bearings: Floats,
+        *,
+        cell: float = CELL_SIZE,
+        reach: float = MAX_REACH,
+    ) -> CellEvidence:
         """Gather the evidence of scans at poses (n, 3) with ranges (n, n_rays)."""
         evidence = cls.empty(cell, reach)
         evidence.add(poses, ranges, bearings)
@@ -80,20 +94,22 @@ class Evidence:
         """Add scans at poses (n, 3) [m, m, rad] with ranges (n, n_rays) [m] at bearings (n_rays,) [rad]."""
         if len(poses) == 0:
             return
-        self._hold(Window.around(poses[:, :2], self.reach, self.window.cell))
+        self._hold(GridWindow.around(poses[:, :2], self.reach, self.window.cell))
         gaps = np.append(np.diff(bearings), 0.0)
-        between = np.maximum(np.round(gaps / SPACING).astype(np.int64) - 1, 0)  # virtual rays after each ray
-        room = (len(bearings) + int(between.sum())) * steps_within(self.reach, self.window.cell)
+        between = np.maximum(
+            np.round(gaps / MAX_RAY_SPACING).astype(np.int64) - 1, 0
+        )  # virtual rays after each ray
+        room = (len(bearings) + int(between.sum())) * max_cells_met(self.reach, self.window.cell)
         done = 0
         while done < len(poses):
             self._make_room(room, len(bearings))
-            done, self.n_rows, self.n_faces = gather(
+            done, self.n_rows, self.n_faces = add_scans(
                 done, poses, ranges, bearings, between, self.reach, self.window.cell,
                 np.array(self.window.low), self.window.index, self.n_rows, self.n_faces,
                 self.hits, self.interpolated, self.passes, self.face, self.moments,
             )  # fmt: skip
 
-    def merge(self, other: Evidence) -> None:
+    def merge(self, other: CellEvidence) -> None:
         """Add the evidence of other scans, gathered with the same cells and reach."""
         if (other.window.cell, other.reach) != (self.window.cell, self.reach):
             raise ValueError(
@@ -120,7 +136,7 @@ class Evidence:
         self.n_faces += len(fresh)
         self.moments[self.face[rows[hit]]] += other.moments[other.face[hit]]
 
-    def _hold(self, window: Window) -> None:
+    def _hold(self, window: GridWindow) -> None:
         self.window = window if self.n_rows == 0 else self.window.grown(window)
 
     def _make_room(self, rows: int, faces: int) -> None:
@@ -132,7 +148,7 @@ class Evidence:
         if self.n_faces + faces > len(self.moments):
             self.moments = _longer(self.moments, max(self.n_faces + faces, 2 * len(self.moments)))
 
-    def widened(self, cells: int = 2) -> Evidence:
+    def widened(self, cells: int = 2) -> CellEvidence:
         """Return the evidence with rows also for all cells within so many of one that was met, in the order of places."""
         seen = self.window.index >= 0
         near = seen.copy()
@@ -143,8 +159,8 @@ class Evidence:
         index = np.full(near.shape, -1, dtype=np.int32)
         index[near] = np.arange(n, dtype=np.int32)
         old, rows = self.window.index[seen], index[seen]
-        return Evidence(
-            window=Window(cell=self.window.cell, low=self.window.low, index=index),
+        return CellEvidence(
+            window=GridWindow(cell=self.window.cell, low=self.window.low, index=index),
             reach=self.reach,
             n_rows=n,
             hits=_moved(self.hits[old], rows, n),
@@ -170,7 +186,7 @@ def _moved(array: NDArray[T], rows: NDArray[np.integer], n: int, fill: int = 0) 
 
 
 @kernel
-def row_of(i: int, j: int, index: Index, n_rows: int) -> int:
+def row_of(i: int, j: int, index: RowGrid, n_rows: int) -> int:
     """Return the row of a cell, the next free one if it has none yet."""
     if index[i, j] < 0:
         index[i, j] = n_rows
@@ -178,10 +194,10 @@ def row_of(i: int, j: int, index: Index, n_rows: int) -> int:
 
 
 @kernel
-def gather(
-    start: int, poses: Floats, ranges: Floats, bearings: Floats, between: Whole, reach: float, cell: float,
-    low: Whole, index: Index, n_rows: int, n_faces: int,
-    hits: Counts, interpolated: Counts, passes: Counts, face: Index, moments: Floats,
+def add_scans(
+    start: int, poses: Floats, ranges: Floats, bearings: Floats, between: CellIndices, reach: float, cell: float,
+    low: CellIndices, index: RowGrid, n_rows: int, n_faces: int,
+    hits: Counts, interpolated: Counts, passes: Counts, face: RowGrid, moments: Floats,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Add scans from `start` on until the arrays may overflow; return the next scan and the rows in use."""
     n_rays = len(bearings)
@@ -194,11 +210,11 @@ def gather(
         x, y = poses[scan, 0] - low[0] * cell, poses[scan, 1] - low[1] * cell
         for ray in range(n_rays):
             r = ranges[scan, ray]
-            if not r > NEAREST:  # too close or broken
+            if not r > MIN_RANGE:  # too close or broken
                 continue
             angle = poses[scan, 2] + bearings[ray]
             c, s = math.cos(angle), math.sin(angle)
-            b = sector(c, s)
+            b = sector_of(c, s)
             free = r - cell if r < reach else reach
             n_rows = pass_through(x, y, c, s, b, free, 1.0, cell, index, n_rows, passes, at, ends)
             if r < reach:
@@ -211,7 +227,7 @@ def gather(
                     face[row] = n_faces
                     n_faces += 1
                 add_moments(moments[face[row], b], px - (i + 0.5) * cell, py - (j + 0.5) * cell, 1.0)
-            if between[ray] > 0 and ray + 1 < n_rays and ranges[scan, ray + 1] > NEAREST:
+            if between[ray] > 0 and ray + 1 < n_rays and ranges[scan, ray + 1] > MIN_RANGE:
                 n_rows = fill_gap(
                     x, y, angle, bearings[ray + 1] - bearings[ray], r, ranges[scan, ray + 1], between[ray],
                     reach, cell, index, n_rows, interpolated, passes, at, ends,
@@ -233,10 +249,10 @@ def add_moments(moments: Floats, x: float, y: float, weight: float) -> None:
 @kernel
 def pass_through(
     x: float, y: float, c: float, s: float, b: int, free: float, weight: float, cell: float,
-    index: Index, n_rows: int, passes: Counts, at: Whole, ends: Floats,
+    index: RowGrid, n_rows: int, passes: Counts, at: CellIndices, ends: Floats,
 ) -> int:  # fmt: skip
     """Count a pass in every cell of a ray up to `free` [m]; return the rows in use."""
-    n = walk(x, y, c, s, free, cell, at, ends)
+    n = traverse(x, y, c, s, free, cell, at, ends)
     before = 0.0
     for k in range(n):
         row = row_of(at[k, 0], at[k, 1], index, n_rows)
@@ -249,7 +265,7 @@ def pass_through(
 @kernel
 def fill_gap(
     x: float, y: float, angle: float, gap: float, r: float, q: float, n_between: int, reach: float, cell: float,
-    index: Index, n_rows: int, interpolated: Counts, passes: Counts, at: Whole, ends: Floats,
+    index: RowGrid, n_rows: int, interpolated: Counts, passes: Counts, at: CellIndices, ends: Floats,
 ) -> int:  # fmt: skip
     """Add virtual rays between two neighbours with ranges r and q [m], `gap` [rad] apart.
 
@@ -263,7 +279,7 @@ def fill_gap(
         f = (k + 1) * weight
         theta = angle + f * gap
         c, s = math.cos(theta), math.sin(theta)
-        b = sector(c, s)
+        b = sector_of(c, s)
         free = min(r, q, reach) - 0.15
         if one_surface:
             z = r * q * math.sin(gap) / (r * math.sin(f * gap) + q * math.sin((1.0 - f) * gap))

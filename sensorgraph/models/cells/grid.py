@@ -15,34 +15,34 @@ from numpy.typing import NDArray
 from planners.kernel import kernel
 from sensorgraph.types import Floats
 
-Index = NDArray[np.int32]
-Whole = NDArray[np.int64]
+RowGrid = NDArray[np.int32]
+CellIndices = NDArray[np.int64]
 
 N_SECTORS = 16
-BORDER = 6
+BORDER_CELLS = 6
 """Cells around what is covered, so that neighbours up to there need no check."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Window:
+class GridWindow:
     """The part of the grid that is held, and the row in which each of its cells is kept."""
 
     cell: float
     """[m] side of a cell."""
     low: tuple[int, int]
     """(i, j) of the window's first cell."""
-    index: Index
+    index: RowGrid
     """(nx, ny) row of each cell; -1 where nothing is kept."""
 
     @classmethod
-    def around(cls, xy: Floats, reach: float, cell: float) -> Window:
+    def around(cls, xy: Floats, reach: float, cell: float) -> GridWindow:
         """Make an empty window that holds everything within reach [m] of places (n, 2)."""
-        low = np.floor((xy.min(axis=0) - reach) / cell).astype(np.int64) - BORDER
-        high = np.floor((xy.max(axis=0) + reach) / cell).astype(np.int64) + BORDER + 1
+        low = np.floor((xy.min(axis=0) - reach) / cell).astype(np.int64) - BORDER_CELLS
+        high = np.floor((xy.max(axis=0) + reach) / cell).astype(np.int64) + BORDER_CELLS + 1
         shape = high - low
         return cls(cell=cell, low=(int(low[0]), int(low[1])), index=np.full(shape, -1, dtype=np.int32))
 
-    def holds(self, other: Window) -> bool:
+    def holds(self, other: GridWindow) -> bool:
         """Tell whether every cell of another window lies in this one."""
         return all(
             mine <= theirs and theirs + n <= mine + m
@@ -51,7 +51,7 @@ class Window:
             )
         )
 
-    def grown(self, other: Window) -> Window:
+    def grown(self, other: GridWindow) -> GridWindow:
         """Return a window with the same rows that also holds another window's cells."""
         if self.holds(other):
             return self
@@ -62,9 +62,9 @@ class Window:
         index = np.full(high - low, -1, dtype=np.int32)
         i, j = np.subtract(self.low, low)
         index[i : i + self.index.shape[0], j : j + self.index.shape[1]] = self.index
-        return Window(cell=self.cell, low=(int(low[0]), int(low[1])), index=index)
+        return GridWindow(cell=self.cell, low=(int(low[0]), int(low[1])), index=index)
 
-    def places(self) -> Whole:
+    def places(self) -> CellIndices:
         """Return (n_rows, 2) place in the window of each row's cell."""
         i, j = np.nonzero(self.index >= 0)
         places = np.empty((len(i), 2), dtype=np.int64)
@@ -73,13 +73,15 @@ class Window:
 
 
 @kernel
-def sector(c: float, s: float) -> int:
+def sector_of(c: float, s: float) -> int:
     """Return the sector of direction (c, s)."""
     return round(math.atan2(s, c) / (2 * math.pi / N_SECTORS)) % N_SECTORS
 
 
 @kernel
-def walk(x: float, y: float, c: float, s: float, far: float, cell: float, at: Whole, ends: Floats) -> int:
+def traverse(
+    x: float, y: float, c: float, s: float, far: float, cell: float, at: CellIndices, ends: Floats
+) -> int:
     """Walk a ray through the cells, Amanatides & Woo 1987.
 
     Parameters
@@ -117,13 +119,15 @@ def walk(x: float, y: float, c: float, s: float, far: float, cell: float, at: Wh
     return n
 
 
-def steps_within(far: float, cell: float) -> int:
+def max_cells_met(far: float, cell: float) -> int:
     """Return the largest count of cells that a ray of length `far` [m] can meet."""
     return int(1.4143 * far / cell) + 4
 
 
-def walk_plain(x: float, y: float, c: float, s: float, far: float, cell: float) -> tuple[Whole, Floats]:
-    """Do what `walk` does, by sorting the crossings of all grid lines: cells (n, 2) and where they end (n,)."""
+def traverse_plain(
+    x: float, y: float, c: float, s: float, far: float, cell: float
+) -> tuple[CellIndices, Floats]:
+    """Do what `traverse` does, by sorting the crossings of all grid lines: cells (n, 2) and where they end (n,)."""
     crossings = [np.array([far])]
     for start, slope in ((x, c), (y, s)):
         if slope != 0.0:

@@ -7,36 +7,36 @@ import math
 import numpy as np
 
 from planners.kernel import kernel
-from sensorgraph.models.cells.evidence import NEAREST, Evidence
-from sensorgraph.models.cells.grid import Whole, sector, walk
-from sensorgraph.models.cells.ray_march import RATES, Table, face_range
-from sensorgraph.models.cells.visibility import Small, expand, features
+from sensorgraph.models.cells.evidence import MIN_RANGE, CellEvidence
+from sensorgraph.models.cells.grid import CellIndices, sector_of, traverse
+from sensorgraph.models.cells.ray_march import RATES, CellTable, face_range
+from sensorgraph.models.cells.visibility import Floats32, expand_products, features
 from sensorgraph.types import Bools, Floats
 
-N_STRETCHES, EVERY = 50, 5
-SPREAD = 0.03
+N_STRETCHES, FOLDS = 50, 5
+RANGE_SPREAD = 0.03
 """[m] standard deviation of a range about the face that stops it, with the noise of poses."""
-NEAR = 0.15
+CANDIDATE_DISTANCE = 0.15
 """[m] from the measured range, within which a cell may be the one that stopped the ray."""
 RIDGE = 2.0
-MOST = 60_000
+MAX_PASSED_SAMPLES = 60_000
 """Samples of cells that were passed; the others stand for those left out."""
 
 
-def set_aside(n: int, fold: int = 0) -> Bools:
+def is_set_aside(n: int, fold: int = 0) -> Bools:
     """Tell which of n scans are set aside: ten stretches of 2 %, others for each fold 0 ... 4."""
     stretch = np.arange(n) * N_STRETCHES // max(n, 1)
-    return np.asarray(stretch % EVERY == (2 + fold) % EVERY)
+    return np.asarray(stretch % FOLDS == (2 + fold) % FOLDS)
 
 
 @kernel
-def responsibilities(
+def list_at_risk(
     poses: Floats,
     ranges: Floats,
     bearings: Floats,
-    table: Table,
-    rows: Whole,
-    sectors: Whole,
+    table: CellTable,
+    rows: CellIndices,
+    sectors: CellIndices,
     label: Floats,
     weight: Floats,
 ) -> int:
@@ -52,15 +52,15 @@ def responsibilities(
     for p in range(len(poses)):
         for q in range(len(bearings)):
             z = ranges[p, q]
-            if not z > NEAREST:
+            if not z > MIN_RANGE:
                 continue
             angle = poses[p, 2] + bearings[q]
             c, s = math.cos(angle), math.sin(angle)
-            b = sector(c, s)
+            b = sector_of(c, s)
             hit = z < table.reach
             x0, y0 = poses[p, 0] - table.low[0], poses[p, 1] - table.low[1]
-            far = min(z + NEAR, table.reach) if hit else table.reach
-            n_steps = walk(x0, y0, c, s, far, table.cell, at, ends)
+            far = min(z + CANDIDATE_DISTANCE, table.reach) if hit else table.reach
+            n_steps = traverse(x0, y0, c, s, far, table.cell, at, ends)
             if n + n_steps > len(rows):
                 return n
             before, left, total = 0.0, 1.0, 0.0
@@ -68,13 +68,13 @@ def responsibilities(
                 row = table.rows[at[k, 0], at[k, 1]]
                 chord = ends[k] - before
                 stop[k] = 0.0
-                if hit and ends[k] > z - NEAR:
+                if hit and ends[k] > z - CANDIDATE_DISTANCE:
                     r = face_range(
                         x0, y0, c, s, at[k, 0], at[k, 1], 0.5 * (before + ends[k]),
                         table.angle[row, b], table.offset[row, b], table.cell,
                     )  # fmt: skip
                     chance = -math.expm1(-RATES[table.rate[row, b]] * chord)
-                    stop[k] = left * chance * math.exp(-0.5 * ((z - r) / SPREAD) ** 2)
+                    stop[k] = left * chance * math.exp(-0.5 * ((z - r) / RANGE_SPREAD) ** 2)
                     left *= 1.0 - chance
                     total += stop[k]
                 before = ends[k]
@@ -98,8 +98,8 @@ def responsibilities(
     return n
 
 
-def newton(
-    phi: Small,
+def fit_logistic(
+    phi: Floats32,
     label: Floats,
     weight: Floats,
     start: Floats,
@@ -137,20 +137,25 @@ def newton(
     return beta
 
 
-def samples(
-    evidence: Evidence, poses: Floats, ranges: Floats, bearings: Floats, table: Table, most: int = MOST
-) -> tuple[Small, Floats, Floats]:
+def training_samples(
+    evidence: CellEvidence,
+    poses: Floats,
+    ranges: Floats,
+    bearings: Floats,
+    table: CellTable,
+    most: int = MAX_PASSED_SAMPLES,
+) -> tuple[Floats32, Floats, Floats]:
     """Return phi (n, n_terms), label (n,) and weight (n,) of the cells that set-aside rays were at risk in."""
     size = max(len(poses) * len(bearings) * 150, 1000)
     rows, sectors = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     label, weight = np.empty(size), np.empty(size)
-    n = responsibilities(poses, ranges, bearings, table, rows, sectors, label, weight)
+    n = list_at_risk(poses, ranges, bearings, table, rows, sectors, label, weight)
     label, weight = label[:n], weight[:n]
-    use: list[Whole] = []
+    use: list[CellIndices] = []
     weight = weight.copy()
     for group in (np.flatnonzero(label > 0.01), np.flatnonzero(label <= 0.01)):
         keep = group[:: max(1, math.ceil(len(group) / most))]
         weight[keep] *= weight[group].sum() / max(weight[keep].sum(), 1e-12)
         use.append(keep)
     chosen = np.concatenate(use)
-    return expand(features(evidence, rows[chosen], sectors[chosen])), label[chosen], weight[chosen]
+    return expand_products(features(evidence, rows[chosen], sectors[chosen])), label[chosen], weight[chosen]

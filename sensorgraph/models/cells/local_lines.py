@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.kernel import kernel
-from sensorgraph.models.cells.evidence import N_MOMENTS, Evidence
-from sensorgraph.models.cells.grid import N_SECTORS, Index, Whole
+from sensorgraph.models.cells.evidence import N_MOMENTS, CellEvidence
+from sensorgraph.models.cells.grid import N_SECTORS, CellIndices, RowGrid
 from sensorgraph.types import Floats
 
-Bytes = NDArray[np.uint8]
+Codes = NDArray[np.uint8]
 Offsets = NDArray[np.int8]
 
-ACROSS = 255
+NO_LINE = 255
 """Code of a face that stands across every ray: only a distance is known."""
 N_ANGLES = 255
 """Codes 0 ... 254 are angles of the normal in [0, pi)."""
@@ -26,8 +26,16 @@ SIN = np.sin(np.arange(N_ANGLES) * np.pi / N_ANGLES)
 
 
 @kernel
-def sum_around(
-    i: int, j: int, radius: int, cell: float, index: Index, face: Index, moments: Floats, b: int, out: Floats
+def sum_neighbourhood(
+    i: int,
+    j: int,
+    radius: int,
+    cell: float,
+    index: RowGrid,
+    face: RowGrid,
+    moments: Floats,
+    b: int,
+    out: Floats,
 ) -> None:
     """Sum moments (already over similar sectors) of b in the cells within radius, about the middle of cell (i, j)."""
     for k in range(len(out)):
@@ -48,7 +56,7 @@ def sum_around(
 
 
 @kernel
-def line_of(m: Floats, cell: float) -> tuple[bool, float, float, float]:
+def fit_line(m: Floats, cell: float) -> tuple[bool, float, float, float]:
     """Fit a line to moments (6,): is there one, angle of its normal [rad], its offset [m], spread across [m]."""
     if m[0] < 2.5:
         return False, 0.0, 0.0, 0.0
@@ -63,8 +71,14 @@ def line_of(m: Floats, cell: float) -> tuple[bool, float, float, float]:
 
 
 @kernel
-def fill_faces(
-    places: Whole, cell: float, index: Index, face: Index, moments: Floats, angle: Bytes, offset: Offsets
+def fill_local_lines(
+    places: CellIndices,
+    cell: float,
+    index: RowGrid,
+    face: RowGrid,
+    moments: Floats,
+    angle: Codes,
+    offset: Offsets,
 ) -> None:
     """Fill angle and offset (n, 16) for every place (n, 2); moments are summed over similar sectors."""
     m = np.empty(N_MOMENTS)
@@ -79,8 +93,8 @@ def fill_faces(
         if not any_near:
             continue
         for b in range(N_SECTORS):
-            sum_around(i, j, 2, cell, index, face, moments, b, m)
-            found, normal, d, _ = line_of(m, cell)
+            sum_neighbourhood(i, j, 2, cell, index, face, moments, b, m)
+            found, normal, d, _ = fit_line(m, cell)
             if found:
                 code = round(normal / math.pi * N_ANGLES)  # a turn by pi turns the normal round
                 if (code // N_ANGLES) % 2 != 0:
@@ -89,7 +103,7 @@ def fill_faces(
                 if abs(d) < 127.4 * OFFSET_STEP:
                     angle[k, b], offset[k, b] = code, round(d / OFFSET_STEP)
                     continue
-            sum_around(i, j, 1, cell, index, face, moments, b, m)
+            sum_neighbourhood(i, j, 1, cell, index, face, moments, b, m)
             if m[0] > 0.0:
                 direction = 2.0 * math.pi * b / N_SECTORS
                 d = (m[1] * math.cos(direction) + m[2] * math.sin(direction)) / m[0]
@@ -97,13 +111,13 @@ def fill_faces(
                     offset[k, b] = round(d / OFFSET_STEP)
 
 
-def faces(evidence: Evidence) -> tuple[Bytes, Offsets]:
+def local_lines(evidence: CellEvidence) -> tuple[Codes, Offsets]:
     """Return angle and offset (n_rows + 1, 16) of the face in each cell as each sector sees it, in bytes."""
-    angle = np.full((evidence.n_rows + 1, N_SECTORS), ACROSS, dtype=np.uint8)
+    angle = np.full((evidence.n_rows + 1, N_SECTORS), NO_LINE, dtype=np.uint8)
     offset = np.zeros((evidence.n_rows + 1, N_SECTORS), dtype=np.int8)
     own = evidence.moments[: evidence.n_faces]
     similar = np.sum([np.roll(own, d, axis=1) for d in range(-3, 4)], axis=0)
-    fill_faces(
+    fill_local_lines(
         evidence.window.places(),
         evidence.window.cell,
         evidence.window.index,

@@ -19,31 +19,31 @@ from numpy.typing import NDArray
 
 from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import POINTS, Point, Prediction, Scans
-from sensorgraph.models.cells.evidence import CELL, NEAREST, REACH, Evidence
-from sensorgraph.models.cells.learning import newton, samples, set_aside
-from sensorgraph.models.cells.probability_calibration import KNOTS, best_sigma, seen_for_said
-from sensorgraph.models.cells.ray_march import Table, list_candidates, march, prepare
+from sensorgraph.models.base import POINTS, Point, Prediction, TrainingScans
+from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
+from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
+from sensorgraph.models.cells.probability_calibration import KNOTS, best_sigma, calibrate_p_off
+from sensorgraph.models.cells.ray_march import CellTable, list_candidates, summarise_rays, tabulate
 from sensorgraph.models.cells.visibility import TERMS
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
-MOVED, TURNED = 0.4, np.radians(20.0)
+KEY_FRAME_DISTANCE, KEY_FRAME_TURN = 0.4, np.radians(20.0)
 """[m], [rad] a scan counts where the robot has moved or turned so far since the last one: counts are independent looks."""
-SIGMA = 0.027
+INITIAL_SIGMA = 0.027
 """[m] spread about a face before it is known."""
-LEARN_FROM = 50
+MIN_LEARNING_SCANS = 50
 """Scans below which the shipped polynomial is used as it is."""
-SURE = 0.5
+MIN_NEAR_CHANCE = 0.5
 """Least chance that a return lies within 10 cm of the median, for a ray to be answered."""
-UNSEEN = 0.10
+MAX_UNSEEN_WAY = 0.10
 """[m] of way through cells that no training ray has met, above which a ray is not answered."""
-STEPS = 4
+NEWTON_STEPS = 4
 """Newton steps; the shipped polynomial is a good start."""
 
 
 @cache
-def shipped() -> tuple[float, ...]:
+def shipped_visibility() -> tuple[float, ...]:
     """Return the coefficients that come with the software, learned from several buildings."""
     table = json.loads((files("sensorgraph.data") / "visibility.json").read_text())["beta"]
     if tuple(table) != TERMS:
@@ -52,7 +52,7 @@ def shipped() -> tuple[float, ...]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cells:
+class CellModel:
     """A table of cells, and the polynomial it was made with."""
 
     name: ClassVar[str] = "cells"
@@ -60,10 +60,10 @@ class Cells:
     sensor: RangeSensor
     mount: Floats
     """(3,) [m, m, rad] laser in the frame of the poses."""
-    table: Table
+    table: CellTable
     beta: Floats
     """(n_terms,) coefficients of visibility."""
-    said: Floats
+    reliability: Floats
     """(3, n_knots) seen chance of being off at `KNOTS` of the said one, for each of `POINTS`."""
     nothing: float
     """Share of no return at all among the readings beyond reach; the others saw something farther."""
@@ -71,31 +71,37 @@ class Cells:
     """What it was made from: scans, key_frames, set_aside, hits."""
 
     @classmethod
-    def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
+    def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:
         """Gather evidence of all key frames; learn visibility and calibration on stretches set aside before."""
         if unknown := set(options) - {"cell"}:
             raise SensorgraphError(
                 f"option {', '.join(sorted(unknown))} is not known to the model cells; expected cell [m]"
             )
-        cell = float(options.get("cell", CELL))
+        cell = float(options.get("cell", CELL_SIZE))
         if not 0.01 <= cell <= 0.5:
             raise SensorgraphError(f"cell is {cell:g} m, expected 0.01 to 0.5")
-        keep = key_frames(scans.poses, scans.run)
+        keep = is_key_frame(scans.poses, scans.run)
         mount = scans.laser_mount
-        poses, ranges, bearings = lasers(scans.poses[keep], mount), scans.ranges[keep], scans.sensor.bearings
-        reach = min(REACH, scans.sensor.range_max)
-        if not ((ranges > NEAREST) & (ranges < reach)).any():
-            raise SensorgraphError(f"no ray of any training scan returned between {NEAREST} and {reach:g} m")
+        poses, ranges, bearings = (
+            laser_poses(scans.poses[keep], mount),
+            scans.ranges[keep],
+            scans.sensor.bearings,
+        )
+        reach = min(MAX_REACH, scans.sensor.range_max)
+        if not ((ranges > MIN_RANGE) & (ranges < reach)).any():
+            raise SensorgraphError(
+                f"no ray of any training scan returned between {MIN_RANGE} and {reach:g} m"
+            )
         report = progress or (lambda done, total: None)
-        beta, sigma, said = learn(poses, ranges, bearings, cell, reach, report)
-        evidence = Evidence.of(poses, ranges, bearings, cell=cell, reach=reach)
-        table = prepare(evidence.widened(), beta, sigma)
+        beta, sigma, said = learn_visibility(poses, ranges, bearings, cell, reach, report)
+        evidence = CellEvidence.of(poses, ranges, bearings, cell=cell, reach=reach)
+        table = tabulate(evidence.widened(), beta, sigma)
         report(5, 5)
         far, none = int((ranges >= reach).sum()), int(np.isposinf(ranges).sum())
         counts = {
             "scans": len(scans),
             "key_frames": len(poses),
-            "set_aside": int(set_aside(len(poses)).sum()) if len(poses) >= LEARN_FROM else 0,
+            "set_aside": int(is_set_aside(len(poses)).sum()) if len(poses) >= MIN_LEARNING_SCANS else 0,
             "hits": int(evidence.hits[: evidence.n_rows].sum()),
         }
         return cls(
@@ -103,18 +109,22 @@ class Cells:
             mount=mount,
             table=table,
             beta=beta,
-            said=said,
+            reliability=said,
             nothing=none / max(far, 1),
             counts=counts,
         )
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
         """Predict rays (n_rays,) at poses (n_poses, 3)."""
-        out, near, dark = summaries(self.table, lasers(poses, self.mount), self.sensor.bearings[rays], point)
-        out[..., P_OFF] = np.interp(out[..., P_OFF], KNOTS, self.said[which_of(point)])
+        out, near, dark = summarise_poses(
+            self.table, laser_poses(poses, self.mount), self.sensor.bearings[rays], point
+        )
+        out[..., P_OFF] = np.interp(out[..., P_OFF], KNOTS, self.reliability[which_of(point)])
         beyond = out[..., NO_RETURN] > 0.5
         out[..., NO_RETURN] *= self.nothing
-        answered = (dark <= UNSEEN) & np.where(beyond, out[..., NO_RETURN] > 0.5, near >= SURE)
+        answered = (dark <= MAX_UNSEEN_WAY) & np.where(
+            beyond, out[..., NO_RETURN] > 0.5, near >= MIN_NEAR_CHANCE
+        )
         return to_prediction(out, point, answered)
 
     def draw(self, poses: Floats, uniform: Floats, normal: Floats) -> Floats:
@@ -123,7 +133,7 @@ class Cells:
         `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes.
         """
         out = np.full(uniform.shape, np.inf)
-        for i, pose in enumerate(lasers(poses, self.mount)):
+        for i, pose in enumerate(laser_poses(poses, self.mount)):
             r, w, sigma, left = list_candidates(self.table, pose[None], self.sensor.bearings)
             stopped = np.cumsum(
                 w[0], axis=1
@@ -179,7 +189,7 @@ class Cells:
             "offset": t.offset,
             "is_seen": t.is_seen,
             "beta": self.beta,
-            "said": self.said,
+            "said": self.reliability,
             "mount": self.mount,
         }
         return header, arrays
@@ -201,18 +211,18 @@ class Cells:
         for name, shape in expected.items():
             if arrays[name].shape != shape:
                 raise ValueError(f"{name} has shape {arrays[name].shape}, expected {shape}")
-        table = Table(
+        table = CellTable(
             low=arrays["low"], cell=float(header["cell"]), reach=float(header["reach"]), rows=index,
             rate=arrays["rate"], angle=arrays["angle"], offset=arrays["offset"],
             sigma=float(header["sigma"]), is_seen=arrays["is_seen"],
         )  # fmt: skip
         return cls(
-            sensor=sensor, mount=arrays["mount"], table=table, beta=arrays["beta"], said=arrays["said"],
+            sensor=sensor, mount=arrays["mount"], table=table, beta=arrays["beta"], reliability=arrays["said"],
             nothing=float(header["nothing"]), counts=header["counts"],
         )  # fmt: skip
 
 
-def key_frames(poses: Floats, run: Ints) -> Bools:
+def is_key_frame(poses: Floats, run: Ints) -> Bools:
     """Tell which scans count: the first of each run, and each that is far from the last one that counts."""
     keep = np.zeros(len(poses), dtype=np.bool_)
     last = -1
@@ -220,14 +230,14 @@ def key_frames(poses: Floats, run: Ints) -> Bools:
         if last >= 0 and run[i] == run[last]:
             x0, y0, phi0 = poses[last]
             turn = np.pi - abs(np.pi - abs(phi - phi0) % (2 * np.pi))
-            if np.hypot(x - x0, y - y0) < MOVED and turn < TURNED:
+            if np.hypot(x - x0, y - y0) < KEY_FRAME_DISTANCE and turn < KEY_FRAME_TURN:
                 continue
         keep[i] = True
         last = i
     return keep
 
 
-def lasers(poses: Floats, mount: Floats) -> Floats:
+def laser_poses(poses: Floats, mount: Floats) -> Floats:
     """Return the laser's pose in map (n, 3) for poses (n, 3) of the frame it is mounted in."""
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x = poses[:, 0] + cos * mount[0] - sin * mount[1]
@@ -235,38 +245,38 @@ def lasers(poses: Floats, mount: Floats) -> Floats:
     return np.column_stack([x, y, poses[:, 2] + mount[2]])
 
 
-def learn(
+def learn_visibility(
     poses: Floats, ranges: Floats, bearings: Floats, cell: float, reach: float, report: Progress
 ) -> tuple[Floats, float, Floats]:
     """Return beta (n_terms,), sigma [m] and the calibration (3, n_knots), learned on stretches the evidence leaves out."""
-    beta = np.array(shipped())
+    beta = np.array(shipped_visibility())
     said = np.tile(KNOTS, (len(POINTS), 1))
-    if len(poses) < LEARN_FROM:
-        return beta, SIGMA, said
-    aside = set_aside(len(poses))
-    evidence = Evidence.of(poses[~aside], ranges[~aside], bearings, cell=cell, reach=reach).widened()
+    if len(poses) < MIN_LEARNING_SCANS:
+        return beta, INITIAL_SIGMA, said
+    aside = is_set_aside(len(poses))
+    evidence = CellEvidence.of(poses[~aside], ranges[~aside], bearings, cell=cell, reach=reach).widened()
     report(1, 5)
-    table = prepare(evidence, beta, SIGMA)
+    table = tabulate(evidence, beta, INITIAL_SIGMA)
     report(2, 5)
     apart = poses[aside], ranges[aside], bearings
-    phi, label, weight = samples(evidence, *apart, table)
-    beta = newton(phi, label, weight, beta, beta, steps=STEPS)
+    phi, label, weight = training_samples(evidence, *apart, table)
+    beta = fit_logistic(phi, label, weight, beta, beta, steps=NEWTON_STEPS)
     report(3, 5)
-    table = prepare(evidence, beta, SIGMA)
+    table = tabulate(evidence, beta, INITIAL_SIGMA)
     table = table._replace(sigma=best_sigma(*apart, table))
     every = np.array(
-        [summaries(table, poses[aside], bearings, point)[0] for point in ("mode", "median", "mean")]
+        [summarise_poses(table, poses[aside], bearings, point)[0] for point in ("mode", "median", "mean")]
     )
-    scored = (ranges[aside] > NEAREST) & (ranges[aside] < reach)
+    scored = (ranges[aside] > MIN_RANGE) & (ranges[aside] < reach)
     report(4, 5)
-    return beta, table.sigma, seen_for_said(every, ranges[aside], scored)
+    return beta, table.sigma, calibrate_p_off(every, ranges[aside], scored)
 
 
-def summaries(
-    table: Table, poses: Floats, bearings: Floats, point: Point
+def summarise_poses(
+    table: CellTable, poses: Floats, bearings: Floats, point: Point
 ) -> tuple[NDArray[np.float64], Floats, Floats]:
     """March all rays; return (n_poses, n_rays, 6) summaries, chance within 10 cm of the median, way [m] never seen."""
     shape = (len(poses), len(bearings))
     out, near, dark = np.empty((*shape, 6)), np.empty(shape), np.empty(shape)
-    march(poses, bearings, table, which_of(point), out, near, dark)
+    summarise_rays(poses, bearings, table, which_of(point), out, near, dark)
     return out, near, dark

@@ -8,23 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.kernel import kernel
-from sensorgraph.models.base import OFF, POINTS
-from sensorgraph.models.cells.evidence import NEAREST
-from sensorgraph.models.cells.ray_march import Table, candidates
+from sensorgraph.models.base import OFF_DISTANCE, POINTS
+from sensorgraph.models.cells.evidence import MIN_RANGE
+from sensorgraph.models.cells.ray_march import CellTable, stop_candidates
 from sensorgraph.models.mixture import MEAN, MEDIAN, MODE, P_OFF
 from sensorgraph.types import Bools, Floats
 
-SIGMAS = np.geomspace(0.005, 0.08, 17)
+TRIED_SIGMAS = np.geomspace(0.005, 0.08, 17)
 """[m] spreads tried."""
-STRAY = 1e-3
+STRAY_DENSITY = 1e-3
 """[1/m] density of a return that nothing explains."""
 KNOTS = np.array([0.0, 0.03, 0.07, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95, 1.0])
 """Said chances between which the correction is a straight line."""
 
 
 @kernel
-def likelihood(
-    poses: Floats, ranges: Floats, bearings: Floats, table: Table, sigmas: Floats, out: Floats
+def log_likelihoods(
+    poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, sigmas: Floats, out: Floats
 ) -> None:
     """Fill out (n_sigmas,) with the log likelihood of all returns, were that the spread about each face."""
     size = int(1.4143 * table.reach / table.cell) + 4
@@ -34,10 +34,10 @@ def likelihood(
     for p in range(len(poses)):
         for q in range(len(bearings)):
             z = ranges[p, q]
-            if not (z > NEAREST and z < table.reach):
+            if not (z > MIN_RANGE and z < table.reach):
                 continue
             angle = poses[p, 2] + bearings[q]
-            n, _ = candidates(
+            n, _ = stop_candidates(
                 poses[p, 0],
                 poses[p, 1],
                 math.cos(angle),
@@ -51,7 +51,7 @@ def likelihood(
                 unseen,
             )
             for k in range(len(sigmas)):
-                density = STRAY
+                density = STRAY_DENSITY
                 for i in range(n):
                     e = (z - r[i]) / sigmas[k]
                     if abs(e) < 6.0:
@@ -59,18 +59,18 @@ def likelihood(
                 out[k] += math.log(density)
 
 
-def best_sigma(poses: Floats, ranges: Floats, bearings: Floats, table: Table) -> float:
+def best_sigma(poses: Floats, ranges: Floats, bearings: Floats, table: CellTable) -> float:
     """Return the spread [m] under which set-aside returns are likeliest."""
-    out = np.empty(len(SIGMAS))
-    likelihood(poses, ranges, bearings, table, SIGMAS, out)
-    k = int(np.clip(np.argmax(out), 1, len(SIGMAS) - 2))
+    out = np.empty(len(TRIED_SIGMAS))
+    log_likelihoods(poses, ranges, bearings, table, TRIED_SIGMAS, out)
+    k = int(np.clip(np.argmax(out), 1, len(TRIED_SIGMAS) - 2))
     below, here, above = out[k - 1 : k + 2]
     bend = below - 2 * here + above
     shift = 0.5 * (below - above) / bend if bend < 0 else 0.0
-    return float(SIGMAS[k] * (SIGMAS[1] / SIGMAS[0]) ** np.clip(shift, -1, 1))
+    return float(TRIED_SIGMAS[k] * (TRIED_SIGMAS[1] / TRIED_SIGMAS[0]) ** np.clip(shift, -1, 1))
 
 
-def seen_for_said(summaries: NDArray[np.float64], ranges: Floats, scored: Bools) -> Floats:
+def calibrate_p_off(summaries: NDArray[np.float64], ranges: Floats, scored: Bools) -> Floats:
     """Return (3, n_knots) what share of returns is off, for each point of `POINTS`, where the mixture says `KNOTS`.
 
     A straight line between knots, fitted by least squares to the returns, never falling; without much data it stays
@@ -80,7 +80,7 @@ def seen_for_said(summaries: NDArray[np.float64], ranges: Floats, scored: Bools)
     out = np.empty((len(POINTS), len(KNOTS)))
     for k, name in enumerate(POINTS):
         said = summaries[k][..., P_OFF][scored]
-        off = np.abs(summaries[k][..., columns[name]][scored] - ranges[scored]) > OFF
+        off = np.abs(summaries[k][..., columns[name]][scored] - ranges[scored]) > OFF_DISTANCE
         left = np.clip(np.searchsorted(KNOTS, said, side="right") - 1, 0, len(KNOTS) - 2)
         share = (said - KNOTS[left]) / np.diff(KNOTS)[left]
         hat = np.zeros((len(said), len(KNOTS)))

@@ -8,19 +8,27 @@ from typing import NamedTuple
 import numpy as np
 
 from planners.kernel import kernel
-from sensorgraph.models.base import OFF
-from sensorgraph.models.cells.evidence import NEAREST, Evidence
-from sensorgraph.models.cells.grid import N_SECTORS, Index, Whole, sector, steps_within, walk, walk_plain
-from sensorgraph.models.cells.local_lines import ACROSS, COS, OFFSET_STEP, SIN, Bytes, Offsets, faces
+from sensorgraph.models.base import OFF_DISTANCE
+from sensorgraph.models.cells.evidence import MIN_RANGE, CellEvidence
+from sensorgraph.models.cells.grid import (
+    N_SECTORS,
+    CellIndices,
+    RowGrid,
+    max_cells_met,
+    sector_of,
+    traverse,
+    traverse_plain,
+)
+from sensorgraph.models.cells.local_lines import COS, NO_LINE, OFFSET_STEP, SIN, Codes, Offsets, local_lines
 from sensorgraph.models.cells.visibility import logits
 from sensorgraph.models.mixture import summarise
 from sensorgraph.types import Floats
 
-STEEPEST = 0.17
+MIN_SINE = 0.17
 """A line seen at a flatter angle than this sine says nothing of the range."""
-GONE = 1e-4
+MIN_SURVIVAL = 1e-4
 """A ray with a smaller chance to be still under way is not followed."""
-SLIGHT = 1e-6
+MIN_STOP = 1e-6
 """A smaller chance to stop is no candidate."""
 
 
@@ -28,7 +36,7 @@ RATES = np.concatenate([[0.0], np.geomspace(2e-3, 200.0, 127)])
 """[1/m] what a code of a rate means: steps of 10 %, from one stop in 500 m to one in 5 mm."""
 
 
-class Table(NamedTuple):
+class CellTable(NamedTuple):
     """What a march looks up; row -1 of each array is a cell never seen."""
 
     low: Floats
@@ -37,29 +45,29 @@ class Table(NamedTuple):
     """[m] side of a cell."""
     reach: float
     """[m] how far rays are followed."""
-    rows: Index
+    rows: RowGrid
     """(nx, ny) row of each cell."""
-    rate: Bytes
+    rate: Codes
     """(n + 1, 16) code in `RATES` of the stops per metre under way."""
-    angle: Bytes
+    angle: Codes
     """(n + 1, 16) code of the face's normal."""
     offset: Offsets
     """(n + 1, 16) [mm] of the face from the middle of the cell."""
     sigma: float
     """[m] standard deviation of a range about the face that ended it, with the noise of poses."""
-    is_seen: Bytes
+    is_seen: Codes
     """(n + 1,) whether a training ray met the cell."""
 
 
-def prepare(
-    evidence: Evidence, beta: Floats | None, sigma: float, *, margin: int = 2, chance: float = 0.2
-) -> Table:
+def tabulate(
+    evidence: CellEvidence, beta: Floats | None, sigma: float, *, margin: int = 2, chance: float = 0.2
+) -> CellTable:
     """Look everything up once: (widened) evidence and a polynomial of visibility become a table.
 
     Without beta, every cell stops a ray with the same chance.
     """
     window = evidence.window
-    angle, offset = faces(evidence)
+    angle, offset = local_lines(evidence)
     if beta is None:
         rate = np.full(angle.shape, -math.log1p(-chance) / window.cell)
     else:
@@ -70,7 +78,7 @@ def prepare(
     seen = np.zeros(n + 1, dtype=np.uint8)
     for counts in (evidence.hits, evidence.interpolated, evidence.passes):
         seen[:-1] |= counts[:n].any(axis=1)
-    return Table(
+    return CellTable(
         low=np.array(window.low) * window.cell,
         cell=window.cell,
         reach=evidence.reach,
@@ -90,19 +98,19 @@ def face_range(
     """Return where a ray from (x, y) meets the face of cell (i, j); `middle` [m]: of its chord, if nothing is known."""
     px, py = (i + 0.5) * cell - x, (j + 0.5) * cell - y  # from the start to the middle of the cell
     d = offset * OFFSET_STEP
-    if code == ACROSS:
+    if code == NO_LINE:
         return px * c + py * s + d if offset != 0 else middle
     nx, ny = COS[code], SIN[code]
     den = nx * c + ny * s
-    if abs(den) <= STEEPEST:
+    if abs(den) <= MIN_SINE:
         return middle
     r = (nx * px + ny * py + d) / den
     return r if abs(r - middle) < 2.0 * cell else middle
 
 
 @kernel
-def candidates(
-    x: float, y: float, c: float, s: float, table: Table, at: Whole, ends: Floats,
+def stop_candidates(
+    x: float, y: float, c: float, s: float, table: CellTable, at: CellIndices, ends: Floats,
     r: Floats, w: Floats, sigma: Floats, unseen: Floats,
 ) -> tuple[int, float]:  # fmt: skip
     """List where one ray may stop.
@@ -119,8 +127,8 @@ def candidates(
     count of candidates, chance to stop at none of them
     """
     x0, y0 = x - table.low[0], y - table.low[1]
-    b = sector(c, s)
-    n_steps = walk(x0, y0, c, s, table.reach, table.cell, at, ends)
+    b = sector_of(c, s)
+    n_steps = traverse(x0, y0, c, s, table.reach, table.cell, at, ends)
     n = 0
     left, before, dark = 1.0, 0.0, 0.0
     for k in range(n_steps):
@@ -129,9 +137,9 @@ def candidates(
         if 0 <= i < table.rows.shape[0] and 0 <= j < table.rows.shape[1]:
             row = table.rows[i, j]
         chord = ends[k] - before
-        rate = RATES[table.rate[row, b]] if ends[k] > NEAREST else 0.0  # nearer ranges are not used
+        rate = RATES[table.rate[row, b]] if ends[k] > MIN_RANGE else 0.0  # nearer ranges are not used
         chance = left * -math.expm1(-rate * chord)
-        if chance > SLIGHT:
+        if chance > MIN_STOP:
             middle = 0.5 * (before + ends[k])
             at_r = max(
                 face_range(x0, y0, c, s, i, j, middle, table.angle[row, b], table.offset[row, b], table.cell),
@@ -147,19 +155,19 @@ def candidates(
         before = ends[k]
         if table.is_seen[row] == 0:
             dark += chord
-        if left < GONE:
+        if left < MIN_SURVIVAL:
             break
     return n, left
 
 
 @kernel
-def march(
-    poses: Floats, bearings: Floats, table: Table, which: int, out: Floats, near: Floats, dark: Floats
+def summarise_rays(
+    poses: Floats, bearings: Floats, table: CellTable, which: int, out: Floats, near: Floats, dark: Floats
 ) -> None:
     """Summarise every ray.
 
     Fills out (n_poses, n_rays, 6) as `mixture.summarise`, near (n_poses, n_rays) with the chance that a return lies
-    within 2 `OFF` of the median, dark (n_poses, n_rays) with the way [m] through cells never seen before the mode.
+    within 2 `OFF_DISTANCE` of the median, dark (n_poses, n_rays) with the way [m] through cells never seen before the mode.
     """
     size = int(1.4143 * table.reach / table.cell) + 4
     at = np.empty((size, 2), dtype=np.int64)
@@ -168,14 +176,14 @@ def march(
         for q in range(len(bearings)):
             angle = poses[p, 2] + bearings[q]
             c, s = math.cos(angle), math.sin(angle)
-            n, left = candidates(poses[p, 0], poses[p, 1], c, s, table, at, ends, r, w, sigma, unseen)
+            n, left = stop_candidates(poses[p, 0], poses[p, 1], c, s, table, at, ends, r, w, sigma, unseen)
             summary = summarise(r, w, sigma, n, left, table.reach, which)
             for k in range(6):
                 out[p, q, k] = summary[k]
             inside, total, way = 0.0, 0.0, 0.0
             for k in range(n):
                 total += w[k]
-                if abs(r[k] - summary[0]) <= 2.0 * OFF:
+                if abs(r[k] - summary[0]) <= 2.0 * OFF_DISTANCE:
                     inside += w[k]
                 if r[k] <= summary[1]:
                     way = unseen[k]
@@ -185,7 +193,7 @@ def march(
 
 @kernel
 def fill_candidates(
-    poses: Floats, bearings: Floats, table: Table, r: Floats, w: Floats, sigma: Floats, left: Floats
+    poses: Floats, bearings: Floats, table: CellTable, r: Floats, w: Floats, sigma: Floats, left: Floats
 ) -> int:
     """Fill r, w, sigma (n_poses, n_rays, n_max) and left (n_poses, n_rays); return the largest count of a ray."""
     size = int(1.4143 * table.reach / table.cell) + 4
@@ -195,7 +203,7 @@ def fill_candidates(
     for p in range(len(poses)):
         for q in range(len(bearings)):
             angle = poses[p, 2] + bearings[q]
-            n, left[p, q] = candidates(
+            n, left[p, q] = stop_candidates(
                 poses[p, 0], poses[p, 1], math.cos(angle), math.sin(angle), table, at, ends,
                 r[p, q], w[p, q], sigma[p, q], unseen,
             )  # fmt: skip
@@ -204,33 +212,35 @@ def fill_candidates(
     return most
 
 
-def list_candidates(table: Table, poses: Floats, bearings: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def list_candidates(
+    table: CellTable, poses: Floats, bearings: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Return what every ray may hit, sorted by range: r, w, sigma (n_poses, n_rays, n_most) and left (n_poses, n_rays).
 
     A ray with fewer candidates is filled up with r = inf, w = 0. Take few poses at a time.
     """
     shape = (len(poses), len(bearings))
-    size = steps_within(table.reach, table.cell)
+    size = max_cells_met(table.reach, table.cell)
     r, w, sigma = (np.empty((*shape, size)) for _ in range(3))
     left = np.empty(shape)
     n = fill_candidates(poses, bearings, table, r, w, sigma, left)
     return r[..., :n].copy(), w[..., :n].copy(), sigma[..., :n].copy(), left
 
 
-def candidates_plain(
-    x: float, y: float, c: float, s: float, table: Table
+def stop_candidates_plain(
+    x: float, y: float, c: float, s: float, table: CellTable
 ) -> tuple[Floats, Floats, Floats, Floats, float]:
-    """Do what `candidates` does for one ray, in numpy: r, w, sigma, unseen (n,) and what is left."""
+    """Do what `stop_candidates` does for one ray, in numpy: r, w, sigma, unseen (n,) and what is left."""
     x0, y0 = np.array([x, y]) - table.low
-    at, ends = walk_plain(x0, y0, c, s, table.reach, table.cell)
+    at, ends = traverse_plain(x0, y0, c, s, table.reach, table.cell)
     chord = np.diff(ends, prepend=0.0)
     middle = ends - chord / 2
     inside = np.all((at >= 0) & (at < np.array(table.rows.shape)), axis=1)
     row = np.where(inside, table.rows[tuple(np.where(inside[:, None], at, 0).T)], -1)
     b = round(math.atan2(s, c) / (2 * math.pi / N_SECTORS)) % N_SECTORS
-    stop = -np.expm1(-np.where(ends > NEAREST, RATES[table.rate[row, b]], 0.0) * chord)
+    stop = -np.expm1(-np.where(ends > MIN_RANGE, RATES[table.rate[row, b]], 0.0) * chord)
     survival = np.cumprod(1.0 - stop)
-    last = int(np.argmax(survival < GONE)) + 1 if (survival < GONE).any() else len(stop)
+    last = int(np.argmax(survival < MIN_SURVIVAL)) + 1 if (survival < MIN_SURVIVAL).any() else len(stop)
     w = stop * np.concatenate([[1.0], survival[:-1]])
     unseen = np.cumsum(np.where(table.is_seen[row] == 0, chord, 0.0)) - np.where(
         table.is_seen[row] == 0, chord, 0.0
@@ -241,8 +251,10 @@ def candidates_plain(
     den = n @ [c, s]
     with np.errstate(divide="ignore"):
         r = ((n * to_middle).sum(axis=1) + d) / den
-    known = np.where(code == ACROSS, d != 0, (np.abs(den) > STEEPEST) & (np.abs(r - middle) < 2 * table.cell))
+    known = np.where(
+        code == NO_LINE, d != 0, (np.abs(den) > MIN_SINE) & (np.abs(r - middle) < 2 * table.cell)
+    )
     r = np.maximum(np.where(known, r, middle), 0.0)
-    use = np.flatnonzero((w > SLIGHT) & (np.arange(len(w)) < last))
+    use = np.flatnonzero((w > MIN_STOP) & (np.arange(len(w)) < last))
     use = use[np.argsort(r[use], kind="stable")]
     return r[use], w[use], np.full(len(use), table.sigma), unseen[use], float(survival[last - 1])

@@ -1,7 +1,7 @@
 """Visibility of cells: ONE polynomial of the evidence around a cell says how likely a ray of a direction stops there.
 
 logit(chance of stopping within one cell side) = beta . phi, where phi are 1, the `FEATURES` of (cell, sector), all squares
-and products of `OWN`, and products of `AROUND` with `WITH`. One beta serves a whole building, and others too.
+and products of `SELF_PRODUCTS`, and products of `NEIGHBOUR_PRODUCTS` with `PRODUCT_PARTNERS`. One beta serves a whole building, and others too.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.kernel import kernel
-from sensorgraph.models.cells.evidence import Counts, Evidence
-from sensorgraph.models.cells.grid import N_SECTORS, Index, Whole
+from sensorgraph.models.cells.evidence import CellEvidence, Counts
+from sensorgraph.models.cells.grid import N_SECTORS, CellIndices, RowGrid
 from sensorgraph.types import Floats
 
-Small = NDArray[np.float32]
+Floats32 = NDArray[np.float32]
 
 FEATURES = (
     "Hs", "Is", "Ho", "Io", "Qs", "Qo", "Q",
@@ -29,33 +29,47 @@ FEATURES = (
 """H hits, I interpolated hits, S both, Q passes, O hits and interpolated hits of other directions; s: from similar
 directions, o: from others; + farther from the sensor, - nearer; L log ratio of hits to passes;
 5, 11: of 5 x 5 and 11 x 11 cells; both sides: the lesser one."""
-OWN = ("Hs", "Ho", "Is", "Io", "Qs", "Qo", "S side 1", "Qs side 1", "L", "L5", "S5", "seen 11", "H11")
-AROUND = (
+SELF_PRODUCTS = (
+    "Hs",
+    "Ho",
+    "Is",
+    "Io",
+    "Qs",
+    "Qo",
+    "S side 1",
+    "Qs side 1",
+    "L",
+    "L5",
+    "S5",
+    "seen 11",
+    "H11",
+)
+NEIGHBOUR_PRODUCTS = (
     "S +1", "S +2", "S -1", "S -2", "Qs +1", "Qs +2", "Qs -1", "Qs -2", "S diagonal +", "S diagonal -", "O +1", "all unseen",
     "S5 +4", "S5 -4", "S5 side 4", "S5 both sides 4",
 )  # fmt: skip
-WITH = ("Hs", "Is", "Qs", "L")
+PRODUCT_PARTNERS = ("Hs", "Is", "Qs", "L")
 N_FEATURES = len(FEATURES)
-STEP = 1.2
+NEIGHBOUR_STEP = 1.2
 """Cells between neighbours along and across a ray: more than 1, so that diagonal ones differ."""
 
-_PLACE = {name: k for k, name in enumerate(FEATURES)}
+_COLUMN = {name: k for k, name in enumerate(FEATURES)}
 PAIRS = np.array(
-    [(_PLACE[a], _PLACE[b]) for i, a in enumerate(OWN) for b in OWN[i:]]
-    + [(_PLACE[a], _PLACE[b]) for a in AROUND for b in WITH]
+    [(_COLUMN[a], _COLUMN[b]) for i, a in enumerate(SELF_PRODUCTS) for b in SELF_PRODUCTS[i:]]
+    + [(_COLUMN[a], _COLUMN[b]) for a in NEIGHBOUR_PRODUCTS for b in PRODUCT_PARTNERS]
 )
 """(n_products, 2) which features are multiplied."""
 TERMS = ("1", *FEATURES, *(f"{FEATURES[a]} * {FEATURES[b]}" for a, b in PAIRS))
 """What beta multiplies, by name."""
 
 
-def offsets(b: int) -> Whole:
+def neighbour_offsets(b: int) -> CellIndices:
     """Return (n, 2) cells from a cell to its neighbours as sector b sees them, in the order of `_NEIGHBOURS`."""
     angle = b * 2 * np.pi / N_SECTORS
     along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-    return np.array([np.round(STEP * (a * along + side * across)) for a, side in _NEIGHBOURS]).astype(
-        np.int64
-    )
+    return np.array(
+        [np.round(NEIGHBOUR_STEP * (a * along + side * across)) for a, side in _NEIGHBOURS]
+    ).astype(np.int64)
 
 
 _NEIGHBOURS = (
@@ -65,8 +79,8 @@ _NEIGHBOURS = (
 
 
 @kernel
-def maps_of(
-    b: int, n_rows: int, hits: Counts, interpolated: Counts, passes: Counts, raw: Small, logs: Small
+def fill_sector_maps(
+    b: int, n_rows: int, hits: Counts, interpolated: Counts, passes: Counts, raw: Floats32, logs: Floats32
 ) -> None:
     """Fill raw and logs (n_rows + 1, 14) with the counts of every cell as sector b sees them; the last row stays 0."""
     half = N_SECTORS // 2
@@ -96,7 +110,7 @@ def maps_of(
 
 
 @kernel
-def boxes_of(places: Whole, index: Index, raw: Small, logs: Small) -> None:
+def add_box_sums(places: CellIndices, index: RowGrid, raw: Floats32, logs: Floats32) -> None:
     """Add the sums over 5 x 5 cells of S and O to the maps of one sector."""
     for row in range(len(places)):
         i, j = places[row]
@@ -111,8 +125,8 @@ def boxes_of(places: Whole, index: Index, raw: Small, logs: Small) -> None:
 
 
 @kernel
-def surroundings_of(
-    places: Whole, index: Index, hits: Counts, interpolated: Counts, passes: Counts, logs: Small
+def add_surroundings(
+    places: CellIndices, index: RowGrid, hits: Counts, interpolated: Counts, passes: Counts, logs: Floats32
 ) -> None:
     """Add to logs what lies within 11 x 11 cells, from any sector: share of cells seen, hits and passes a 5 x 5."""
     nx, ny = index.shape
@@ -136,8 +150,10 @@ def surroundings_of(
 
 
 @kernel
-def features_of(i: int, j: int, index: Index, raw: Small, logs: Small, around: Whole, f: Small) -> None:
-    """Fill f (40,) with the features of cell (i, j) in the maps of one sector; `around` are its `offsets`."""
+def fill_features(
+    i: int, j: int, index: RowGrid, raw: Floats32, logs: Floats32, around: CellIndices, f: Floats32
+) -> None:
+    """Fill f (40,) with the features of cell (i, j) in the maps of one sector; `around` are its `neighbour_offsets`."""
     row = index[i, j]
     for k in range(7):
         f[k] = logs[row, k]
@@ -171,7 +187,7 @@ def features_of(i: int, j: int, index: Index, raw: Small, logs: Small, around: W
 
 
 @kernel
-def logit_of(f: Small, beta: Floats, pairs: Whole) -> float:
+def evaluate_logit(f: Floats32, beta: Floats, pairs: CellIndices) -> float:
     """Evaluate the polynomial at features f (40,)."""
     total = beta[0]
     for k in range(len(f)):
@@ -182,56 +198,58 @@ def logit_of(f: Small, beta: Floats, pairs: Whole) -> float:
 
 
 @kernel
-def logits_in(
-    places: Whole,
-    index: Index,
-    raw: Small,
-    logs: Small,
-    around: Whole,
+def fill_logits(
+    places: CellIndices,
+    index: RowGrid,
+    raw: Floats32,
+    logs: Floats32,
+    around: CellIndices,
     beta: Floats,
-    pairs: Whole,
-    out: Small,
+    pairs: CellIndices,
+    out: Floats32,
 ) -> None:
     """Fill out (n,) with the polynomial at every place (n, 2) of the maps of one sector."""
     f = np.zeros(N_FEATURES, dtype=np.float32)
     for k in range(len(places)):
-        features_of(places[k, 0], places[k, 1], index, raw, logs, around, f)
-        out[k] = logit_of(f, beta, pairs)
+        fill_features(places[k, 0], places[k, 1], index, raw, logs, around, f)
+        out[k] = evaluate_logit(f, beta, pairs)
 
 
 @kernel
-def features_in(places: Whole, index: Index, raw: Small, logs: Small, around: Whole, out: Small) -> None:
+def fill_all_features(
+    places: CellIndices, index: RowGrid, raw: Floats32, logs: Floats32, around: CellIndices, out: Floats32
+) -> None:
     """Fill out (n, 40) with the features at every place (n, 2) of the maps of one sector."""
     for k in range(len(places)):
-        features_of(places[k, 0], places[k, 1], index, raw, logs, around, out[k])
+        fill_features(places[k, 0], places[k, 1], index, raw, logs, around, out[k])
 
 
-def logits(evidence: Evidence, beta: Floats) -> Small:
+def logits(evidence: CellEvidence, beta: Floats) -> Floats32:
     """Return (n_rows + 1, 16) logit of the chance to stop in each cell and sector; the last row is a cell never seen."""
     places = evidence.window.places()
     raw, logs = (np.zeros((evidence.n_rows + 1, 14), dtype=np.float32) for _ in range(2))
-    surroundings_of(
+    add_surroundings(
         places, evidence.window.index, evidence.hits, evidence.interpolated, evidence.passes, logs
     )
     out = np.empty((evidence.n_rows + 1, N_SECTORS), dtype=np.float32)
     unseen = np.zeros(N_FEATURES, dtype=np.float32)
     unseen[[27, 28, 39]] = 1.0
     unseen[[29, 30]] = math.log(0.05 / 0.25)
-    out[-1] = logit_of(unseen, beta, PAIRS)
+    out[-1] = evaluate_logit(unseen, beta, PAIRS)
     column = np.empty(evidence.n_rows, dtype=np.float32)
     for b in range(N_SECTORS):
-        maps_of(b, evidence.n_rows, evidence.hits, evidence.interpolated, evidence.passes, raw, logs)
-        boxes_of(places, evidence.window.index, raw, logs)
-        logits_in(places, evidence.window.index, raw, logs, offsets(b), beta, PAIRS, column)
+        fill_sector_maps(b, evidence.n_rows, evidence.hits, evidence.interpolated, evidence.passes, raw, logs)
+        add_box_sums(places, evidence.window.index, raw, logs)
+        fill_logits(places, evidence.window.index, raw, logs, neighbour_offsets(b), beta, PAIRS, column)
         out[:-1, b] = column
     return out
 
 
-def features(evidence: Evidence, rows: Whole, sectors: Whole) -> Small:
+def features(evidence: CellEvidence, rows: CellIndices, sectors: CellIndices) -> Floats32:
     """Return the (n, 40) features of cells in rows (n,) as sectors (n,) see them."""
     places = evidence.window.places()
     raw, logs = (np.zeros((evidence.n_rows + 1, 14), dtype=np.float32) for _ in range(2))
-    surroundings_of(
+    add_surroundings(
         places, evidence.window.index, evidence.hits, evidence.interpolated, evidence.passes, logs
     )
     out = np.empty((len(rows), N_FEATURES), dtype=np.float32)
@@ -239,21 +257,21 @@ def features(evidence: Evidence, rows: Whole, sectors: Whole) -> Small:
         here = np.flatnonzero(sectors == b)
         if len(here) == 0:
             continue
-        maps_of(b, evidence.n_rows, evidence.hits, evidence.interpolated, evidence.passes, raw, logs)
-        boxes_of(places, evidence.window.index, raw, logs)
+        fill_sector_maps(b, evidence.n_rows, evidence.hits, evidence.interpolated, evidence.passes, raw, logs)
+        add_box_sums(places, evidence.window.index, raw, logs)
         part = np.empty((len(here), N_FEATURES), dtype=np.float32)
-        features_in(places[rows[here]], evidence.window.index, raw, logs, offsets(b), part)
+        fill_all_features(places[rows[here]], evidence.window.index, raw, logs, neighbour_offsets(b), part)
         out[here] = part
     return out
 
 
-def expand(f: Small) -> Small:
+def expand_products(f: Floats32) -> Floats32:
     """Return phi (n, n_terms) of features (n, 40)."""
     one = np.ones((len(f), 1), dtype=np.float32)
     return np.hstack([one, f, f[:, PAIRS[:, 0]] * f[:, PAIRS[:, 1]]])
 
 
-def features_plain(evidence: Evidence, row: int, b: int) -> Floats:
+def features_plain(evidence: CellEvidence, row: int, b: int) -> Floats:
     """Do what `features` does for one cell and sector, in numpy and as `FEATURES` reads."""
     near = [(b + d) % N_SECTORS for d in range(-2, 3)]
     far = [k for k in range(N_SECTORS) if k not in near]
@@ -275,7 +293,7 @@ def features_plain(evidence: Evidence, row: int, b: int) -> Floats:
     def log(values: list[float]) -> float:
         return float(np.mean(np.log1p(3 * np.array(values))))
 
-    steps = offsets(b)
+    steps = neighbour_offsets(b)
     around: dict[tuple[float, float], dict[str, float]]
     around = {key: counts(*(place + steps[k])) for k, key in enumerate(_NEIGHBOURS)}
     own = counts(*place)
@@ -294,7 +312,7 @@ def features_plain(evidence: Evidence, row: int, b: int) -> Floats:
     hits = own["Hs"] + 0.5 * own["Is"] + 0.3 * own["Ho"] + 0.15 * own["Io"] + 0.05
     out += [math.log(hits / free), math.log((s5 + 0.3 * o5 + 0.05) / free)]
 
-    def boxed(place: Whole) -> float:
+    def boxed(place: CellIndices) -> float:
         if evidence.window.index[tuple(place)] < 0:
             return 0.0
         box = [counts(place[0] + i, place[1] + j)["S"] for i in range(-2, 3) for j in range(-2, 3)]

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from planners.kernel import kernel
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import OFF, Point, Prediction, Scans
+from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
 from sensorgraph.models.calibration.calibrate import Calibration, calibrate_faces, corrected_rays, observed_by
 from sensorgraph.models.calibration.ray_terms import incidence_bias
-from sensorgraph.models.cells.model import Cells
+from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.fit import N_STEPS, StepCounter, fit_faces
 from sensorgraph.models.faces.observed_space import ObservedSpace, is_ray_observed
 from sensorgraph.models.faces.ray_march import (
@@ -71,11 +71,11 @@ class Faces:
     """Training rays."""
     statistics: SufficientStatistics | None = None
     """What new runs are added to."""
-    cells: Cells | None = None
+    cells: CellModel | None = None
     """What predicts where long faces do not explain enough."""
 
     @classmethod
-    def fit(cls, scans: Scans, *, progress: Progress | None = None, **options: Any) -> Self:
+    def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:
         """Identify faces from scans; options `calibrate` the laser and add `cells`: None where worth it."""
         if unknown := sorted(options.keys() - {"calibrate", "cells"}):
             raise SensorgraphError(
@@ -100,11 +100,11 @@ class Faces:
         """Tell whether faces leave so much unexplained that cells predict better."""
         return self.noise.stray > MAX_STRAY
 
-    def with_cells(self, scans: Scans, *, progress: Progress | None = None) -> Self:
+    def with_cells(self, scans: TrainingScans, *, progress: Progress | None = None) -> Self:
         """Add cells from the same scans; from then on they predict."""
         if scans.pose_frame == "base_link":
             scans = replace(scans, sensor=replace(scans.sensor, mount=self.mount))
-        return replace(self, cells=Cells.fit(scans, progress=progress))
+        return replace(self, cells=CellModel.fit(scans, progress=progress))
 
     @classmethod
     def fit_blocks(
@@ -379,12 +379,12 @@ def _calibration(
 
 def _cells(
     sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
-) -> Cells | None:
+) -> CellModel | None:
     """Restore the cells, if there are any."""
     if "cells" not in header:
         return None
     own = {name.removeprefix("cells."): array for name, array in arrays.items() if name.startswith("cells.")}
-    return Cells.restore(sensor, header["cells"], own)
+    return CellModel.restore(sensor, header["cells"], own)
 
 
 _INTEGER_FIELDS: dict[str, type] = {"first": np.intp, "neighbour": np.intp}
@@ -487,7 +487,9 @@ def _predict(
             row = table[i, b]
             if c == 1:  # most rays: one face, nothing else
                 row[0], row[1], row[2], row[3], row[4] = rho[0], rho[0], rho[0], s[0], left
-                row[5] = math.erfc(OFF / s[0] * 0.7071067811865476) if 4.5 * s[0] > OFF else 0.0
+                row[5] = (
+                    math.erfc(OFF_DISTANCE / s[0] * 0.7071067811865476) if 4.5 * s[0] > OFF_DISTANCE else 0.0
+                )
             else:
                 row[0], row[1], row[2], row[3], row[4], row[5] = summarise(
                     rho, w, s, c, left, range_max, which

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from logs.run import RangeSensor
 from planners.kernel import kernel
-from sensorgraph.models.base import Scans
+from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.visibility import Rays
@@ -92,7 +92,7 @@ class Block:
 
     first: int
     """How many scans came before, in this log and those before it."""
-    scans: Scans
+    scans: TrainingScans
 
 
 class MapBlocks(Protocol):
@@ -105,7 +105,7 @@ class MapBlocks(Protocol):
         ...
 
 
-def blocks_of(scans: Scans, first: int = 0, size: int = SCANS_PER_BLOCK) -> Iterator[Block]:
+def blocks_of(scans: TrainingScans, first: int = 0, size: int = SCANS_PER_BLOCK) -> Iterator[Block]:
     """Cut scans into blocks."""
     for start in range(0, len(scans), size):
         yield Block(first=first + start, scans=scans.part(slice(start, start + size)))

@@ -11,7 +11,7 @@ import numpy as np
 from robotmodic_ident import Moments, Scale, Terms
 from robotmodic_ident.selection.forward import forward, invert_upper
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import Scans
+from sensorgraph.models.base import TrainingScans
 from sensorgraph.types import Floats, Ints, Progress
 
 Auto = int | Literal["auto"]
@@ -22,14 +22,14 @@ N_BLOCKS = 50
 MAX_RAYS, MAX_SCANS = 16, 3000
 """Rays and scans that the choice looks at, evenly spread."""
 MAX_DEGREE, MAX_HARMONICS, MAX_TERMS, MAX_CANDIDATES = 6, 8, 80, 260
-ROWS_A_CANDIDATE = 8
+SCANS_PER_CANDIDATE = 8
 """Training scans needed for each candidate term."""
-BETTER = 0.99
+MAX_ERROR_RATIO = 0.99
 """A richer form must bring the error below this share of the poorer one's."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
+class PolynomialForm:
     """The form that all rays share, and why."""
 
     degree: int
@@ -47,8 +47,8 @@ def n_candidates(degree: int, harmonics: int) -> int:
     return (degree + 1) * (degree + 2) // 2 * (2 * harmonics + 1)
 
 
-def choose(
-    scans: Scans,
+def select_form(
+    scans: TrainingScans,
     scale: Scale,
     dictionary: Callable[[int, int], Terms],
     *,
@@ -56,14 +56,14 @@ def choose(
     harmonics: Auto = "auto",
     n_terms: Auto = "auto",
     progress: Progress | None = None,
-) -> Choice:
+) -> PolynomialForm:
     """Return the form with the least mean error on stretches of the training scans that its fit left out."""
     for name, value, least in (("degree", degree, 0), ("harmonics", harmonics, 0), ("terms", n_terms, 1)):
         if value != "auto" and value < least:
             raise SensorgraphError(f"{name} is {value}, expected {least} or more, or auto")
     if degree != "auto" and harmonics != "auto" and n_terms != "auto":
         size = min(int(n_terms), n_candidates(degree, harmonics))
-        return Choice(degree=degree, harmonics=harmonics, n_terms=size, how="as asked")
+        return PolynomialForm(degree=degree, harmonics=harmonics, n_terms=size, how="as asked")
     forms = _forms(len(scans), degree, harmonics)
     table = _Folds(scans, scale, dictionary(max(d for d, _ in forms), max(h for _, h in forms)))
     best = (np.inf, 0, 0, 1)
@@ -72,11 +72,11 @@ def choose(
             progress(k, len(forms))
         sizes, errors = table.errors(dictionary(d, h), None if n_terms == "auto" else n_terms)
         least = int(np.argmin(errors))
-        if errors[least] < BETTER * best[0]:
+        if errors[least] < MAX_ERROR_RATIO * best[0]:
             best = (float(errors[least]), d, h, int(sizes[least]))
     error, d, h, size = best
     how = f"mean error {error:.3f} m on {N_FOLDS} x {N_BLOCKS // N_FOLDS} left-out stretches of the training scans"
-    return Choice(degree=d, harmonics=h, n_terms=size, how=how)
+    return PolynomialForm(degree=d, harmonics=h, n_terms=size, how=how)
 
 
 def _forms(n: int, degree: Auto, harmonics: Auto) -> list[tuple[int, int]]:
@@ -84,14 +84,14 @@ def _forms(n: int, degree: Auto, harmonics: Auto) -> list[tuple[int, int]]:
     degrees = range(1, MAX_DEGREE + 1) if degree == "auto" else [degree]
     waves = range(MAX_HARMONICS + 1) if harmonics == "auto" else [harmonics]
     forms = sorted(((d, h) for d in degrees for h in waves), key=lambda f: (n_candidates(*f), f))
-    limit = min(MAX_CANDIDATES, n // ROWS_A_CANDIDATE)
+    limit = min(MAX_CANDIDATES, n // SCANS_PER_CANDIDATE)
     return [f for f in forms if n_candidates(*f) <= limit] or forms[:1]
 
 
 class _Folds:
     """Moments of a sample of rays and scans with each fold left out, for every sub-dictionary of one."""
 
-    def __init__(self, scans: Scans, scale: Scale, terms: Terms) -> None:
+    def __init__(self, scans: TrainingScans, scale: Scale, terms: Terms) -> None:
         q = scans.sensor.n_rays
         alive = np.flatnonzero(np.isfinite(scans.ranges).any(axis=0))
         if len(alive) == 0:

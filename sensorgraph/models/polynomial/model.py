@@ -18,16 +18,16 @@ from robotmodic_ident import Moments, Scale, Selection, Terms, fourier, polynomi
 from robotmodic_ident.notation.expand import expand
 from robotmodic_ident.notation.printing import sum_text
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import OFF, Point, Prediction, Scans
-from sensorgraph.models.polynomial.complexity import Auto, Choice, choose
+from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
+from sensorgraph.models.polynomial.complexity import Auto, PolynomialForm, select_form
 from sensorgraph.models.polynomial.support import Support
 from sensorgraph.types import Floats, Ints, Progress
 
-BLOCK = 4096
+POSES_PER_BLOCK = 4096
 """Poses taken at a time."""
-HELD = 1 << 23
+MAX_GRAM_NUMBERS = 1 << 23
 """Numbers (64 MB) that the Grams of missing returns may take; more rays go in several passes."""
-SPREAD = np.linspace(0.0, 1.0, 33)
+QUANTILES = np.linspace(0.0, 1.0, 33)
 """Shares at which the size of the residuals is kept."""
 FULL_CIRCLE = 1.95 * np.pi  # [rad] of field of view above which the sensor sees all around
 
@@ -49,7 +49,7 @@ class Polynomial:
     name: ClassVar[str] = "polynomial"
 
     sensor: RangeSensor
-    choice: Choice
+    form: PolynomialForm
     terms: Terms
     scale: Scale
     order: Ints
@@ -84,7 +84,7 @@ class Polynomial:
     @classmethod
     def fit(
         cls,
-        scans: Scans,
+        scans: TrainingScans,
         *,
         progress: Progress | None = None,
         **options: Auto,
@@ -96,20 +96,20 @@ class Polynomial:
                 "expected degree, harmonics or n_terms"
             )
         scale = _scale(scans)
-        choice = choose(scans, scale, dictionary, progress=progress, **options)
-        terms = dictionary(choice.degree, choice.harmonics)
-        fitted = _select_all(scans, terms, scale, choice.n_terms, progress)
+        form = select_form(scans, scale, dictionary, progress=progress, **options)
+        terms = dictionary(form.degree, form.harmonics)
+        fitted = _select_all(scans, terms, scale, form.n_terms, progress)
         root, limit = _leverage(scans, terms, scale, fitted.pop("gram"))
         field_of_view = np.ptp(scans.sensor.bearings) + (
             np.diff(scans.sensor.bearings).mean() if scans.sensor.n_rays > 1 else 0.0
         )
         draft = cls(
             sensor=scans.sensor,
-            choice=choice,
+            form=form,
             terms=terms,
             scale=scale,
             sigma=np.zeros(scans.sensor.n_rays),
-            spread=np.zeros((scans.sensor.n_rays, len(SPREAD))),
+            spread=np.zeros((scans.sensor.n_rays, len(QUANTILES))),
             root=root,
             leverage_limit=limit,
             support=Support.of(scans.poses, sees_around=bool(field_of_view > FULL_CIRCLE)),
@@ -117,25 +117,25 @@ class Polynomial:
         )
         return draft._with_residuals(scans)
 
-    def _with_residuals(self, scans: Scans) -> Self:
+    def _with_residuals(self, scans: TrainingScans) -> Self:
         """Fill sigma and spread from the residuals of the training scans, corrected for the terms used."""
         residual = np.empty_like(scans.ranges)
-        for start in range(0, len(scans), BLOCK):
-            rows = slice(start, start + BLOCK)
+        for start in range(0, len(scans), POSES_PER_BLOCK):
+            rows = slice(start, start + POSES_PER_BLOCK)
             phi = self.terms.matrix(columns(scans.poses[rows]), self.scale)
             residual[rows] = np.abs(scans.ranges[rows] - self._clip(phi @ self.theta.T))
-        sigma, spread = np.empty(self.n_rays), np.empty((self.n_rays, len(SPREAD)))
+        sigma, spread = np.empty(self.n_rays), np.empty((self.n_rays, len(QUANTILES)))
         used = (self.order >= 0).sum(axis=1)
         span = self.sensor.range_max - self.sensor.range_min
         for i in range(self.n_rays):
             size = residual[np.isfinite(residual[:, i]), i]
             free = len(size) - used[i]
             if free < 1:
-                sigma[i], spread[i] = span, np.linspace(0, span, len(SPREAD))
+                sigma[i], spread[i] = span, np.linspace(0, span, len(QUANTILES))
                 continue
             grow = np.sqrt(len(size) / free)
             sigma[i] = max(grow * np.sqrt(np.mean(size**2)), 1e-6)
-            spread[i] = grow * np.quantile(size, SPREAD)
+            spread[i] = grow * np.quantile(size, QUANTILES)
         return type(self)(**{**self.__dict__, "sigma": sigma, "spread": spread})
 
     def _clip(self, ranges: Floats) -> Floats:
@@ -147,8 +147,8 @@ class Polynomial:
         value, sigma, none, off = (np.empty(shape) for _ in range(4))
         trusted = np.empty(len(poses), dtype=np.bool_)
         least = 0.5 / (self.returns[rays] + self.nothing[rays] + 1.0)
-        for start in range(0, len(poses), BLOCK):
-            rows = slice(start, start + BLOCK)
+        for start in range(0, len(poses), POSES_PER_BLOCK):
+            rows = slice(start, start + POSES_PER_BLOCK)
             phi = self.terms.matrix(columns(poses[rows]), self.scale)
             value[rows] = self._clip(phi @ self.theta[rays].T)
             none[rows] = np.clip(phi @ self.theta_none[rays].T, least, 1.0 - least)
@@ -156,7 +156,7 @@ class Polynomial:
             widen = np.sqrt(1.0 + leverage)
             sigma[rows] = self.sigma[rays] * widen[:, None]
             for j, ray in enumerate(rays.tolist()):
-                off[rows, j] = 1.0 - np.interp(OFF / widen, self.spread[ray], SPREAD)
+                off[rows, j] = 1.0 - np.interp(OFF_DISTANCE / widen, self.spread[ray], QUANTILES)
             trusted[rows] = (leverage <= self.leverage_limit) & self.support.covers(poses[rows])
         known = self.returns[rays] + self.nothing[rays] > 0
         return Prediction(
@@ -205,9 +205,9 @@ class Polynomial:
         """Return the form, how it was chosen, and how well the training scans are met."""
         used = (self.order >= 0).sum(axis=1)
         return {
-            "form": f"degree {self.choice.degree} in x, y times {self.choice.harmonics} harmonics of phi: "
+            "form": f"degree {self.form.degree} in x, y times {self.form.harmonics} harmonics of phi: "
             f"{len(self.terms)} candidates, {used.min()} to {used.max()} terms a ray",
-            "chosen by": self.choice.how,
+            "chosen by": self.form.how,
             "sigma": f"{self.sigma.min():.3g} to {self.sigma.max():.3g} m, median {np.median(self.sigma):.3g} m",
             "support": f"{len(self.support.keys)} cells of {self.support.cell:g} m x "
             f"{360 / self.support.n_sectors:g} deg, leverage up to {self.leverage_limit:.3g}",
@@ -217,7 +217,7 @@ class Polynomial:
         """Return plain data and arrays that hold the whole model."""
         support, arrays = self.support.state()
         header = {
-            "choice": self.choice.to_dict(),
+            "choice": self.form.to_dict(),
             "scale": self.scale.to_dict(),
             "leverage_limit": self.leverage_limit,
             "support": support,
@@ -231,8 +231,8 @@ class Polynomial:
         cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
     ) -> Self:
         """Build the model from what `state` gave."""
-        choice = Choice(**header["choice"])
-        terms = dictionary(choice.degree, choice.harmonics)
+        form = PolynomialForm(**header["choice"])
+        terms = dictionary(form.degree, form.harmonics)
         q, m = sensor.n_rays, len(terms)
         k = arrays["order"].shape[-1]
         for name, shape in zip(_ARRAYS, _shapes(q, m, k), strict=True):
@@ -240,7 +240,7 @@ class Polynomial:
                 raise ValueError(f"{name} has shape {arrays[name].shape}, expected {shape}")
         return cls(
             sensor=sensor,
-            choice=choice,
+            form=form,
             terms=terms,
             scale=Scale.from_dict(header["scale"]),
             leverage_limit=float(header["leverage_limit"]),
@@ -253,10 +253,10 @@ _ARRAYS = ("order", "err", "stderr", "theta", "theta_none", "returns", "nothing"
 
 
 def _shapes(q: int, m: int, k: int) -> tuple[tuple[int, ...], ...]:
-    return ((q, k), (q, k), (q, k), (q, m), (q, m), (q,), (q,), (q,), (q, len(SPREAD)), (m, m))
+    return ((q, k), (q, k), (q, k), (q, m), (q, m), (q,), (q,), (q,), (q, len(QUANTILES)), (m, m))
 
 
-def _scale(scans: Scans) -> Scale:
+def _scale(scans: TrainingScans) -> Scale:
     """Scale x and y by the arena's bounds if they are known, else by the poses."""
     if scans.bounds is not None:
         x0, y0, x1, y1 = scans.bounds
@@ -265,7 +265,7 @@ def _scale(scans: Scans) -> Scale:
 
 
 def _select_all(
-    scans: Scans, terms: Terms, scale: Scale, n_terms: int, progress: Progress | None
+    scans: TrainingScans, terms: Terms, scale: Scale, n_terms: int, progress: Progress | None
 ) -> dict[str, Any]:
     """Fit the range and the chance of no return of all rays, a few rays a pass where returns are missing."""
     n, q, m = len(scans), scans.sensor.n_rays, len(terms)
@@ -284,17 +284,17 @@ def _select_all(
             "no ray of any training scan returned a range; record where the sensor sees something"
         )
     out["theta"][:, terms.names.index("1")] = np.where(out["returns"] > 0, 0.0, scans.sensor.range_max)
-    step = max(1, min(q, HELD // (2 * m * m)))
-    total = -(-n // BLOCK) * -(-q // step)
+    step = max(1, min(q, MAX_GRAM_NUMBERS // (2 * m * m)))
+    total = -(-n // POSES_PER_BLOCK) * -(-q // step)
     done = 0
     gram = np.zeros((m, m))
     for first in range(0, q, step):
         rays = np.arange(first, min(first + step, q))
         ranges = Moments(terms, len(rays), scale=scale)
         nothing = Moments(terms, len(rays), scale=scale)
-        for start in range(0, n, BLOCK):
-            block = scans.ranges[start : start + BLOCK, rays]
-            phi = terms.matrix(columns(scans.poses[start : start + BLOCK]), scale)
+        for start in range(0, n, POSES_PER_BLOCK):
+            block = scans.ranges[start : start + POSES_PER_BLOCK, rays]
+            phi = terms.matrix(columns(scans.poses[start : start + POSES_PER_BLOCK]), scale)
             ranges.add_rows(phi, np.where(np.isfinite(block), block, np.nan))
             nothing.add_rows(phi, np.where(np.isnan(block), np.nan, np.isposinf(block)))
             if first == 0:
@@ -329,7 +329,7 @@ def _store(out: dict[str, Any], rays: Ints, picked: Selection) -> None:
     out["stderr"][rays, :k] = np.nan_to_num(picked.sigma)[:, None] * spread
 
 
-def _leverage(scans: Scans, terms: Terms, scale: Scale, gram: Floats) -> tuple[Floats, float]:
+def _leverage(scans: TrainingScans, terms: Terms, scale: Scale, gram: Floats) -> tuple[Floats, float]:
     """Return W with W W' = (Φ'Φ)⁻¹ and the leverage beyond which a pose is unlike the training poses.
 
     Directions that the poses never left are kept with a tiny variance: who leaves them has a huge leverage.
@@ -337,8 +337,8 @@ def _leverage(scans: Scans, terms: Terms, scale: Scale, gram: Floats) -> tuple[F
     values, vectors = np.linalg.eigh(gram)
     root = vectors / np.sqrt(np.maximum(values, 1e-10 * values[-1]))
     parts = []
-    for start in range(0, len(scans), BLOCK):
-        phi = terms.matrix(columns(scans.poses[start : start + BLOCK]), scale)
+    for start in range(0, len(scans), POSES_PER_BLOCK):
+        phi = terms.matrix(columns(scans.poses[start : start + POSES_PER_BLOCK]), scale)
         parts.append(((phi @ root) ** 2).sum(axis=1))
     h = np.minimum(np.concatenate(parts), 1.0 - 1e-9)
     # h / (1 - h): the leverage that a training pose would have as a new one

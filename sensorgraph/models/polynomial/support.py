@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from sensorgraph.types import Bools, Floats
 
-Cells = NDArray[np.int64]
+CellKeys = NDArray[np.int64]
 
-CELLS = (0.25, 0.5, 1.0, 2.0)  # [m]
-SECTORS = 8
-ENOUGH = 0.95
+CELL_SIZES = (0.25, 0.5, 1.0, 2.0)  # [m]
+N_SECTORS = 8
+MIN_SUPPORTED = 0.95
 """Share of the training poses that their neighbours must support, for a cell size to be large enough."""
-_SPAN = 1 << 28  # cells along an axis that a key can tell apart
+_KEY_SPAN = 1 << 28  # cells along an axis that a key can tell apart
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,19 +31,19 @@ class Support:
     """Heading sectors; 1 where the sensor sees all around."""
     origin: Floats
     """(2,) [m] corner of cell (0, 0)."""
-    keys: Cells
+    keys: CellKeys
     """(n_cells,) sorted keys of the visited cells."""
 
     @classmethod
     def of(cls, poses: Floats, *, sees_around: bool) -> Support:
         """Take the smallest cell at which the poses (n, 3) support each other."""
-        n_sectors = 1 if sees_around else SECTORS
+        n_sectors = 1 if sees_around else N_SECTORS
         origin = poses[:, :2].min(axis=0)
-        for cell in CELLS:
+        for cell in CELL_SIZES:
             keys, counts = np.unique(_keys(_cells(poses, cell, origin, n_sectors)), return_counts=True)
             support = cls(cell=cell, n_sectors=n_sectors, origin=origin, keys=keys)
             near = support._near(poses, counts) > 1  # someone besides the pose itself
-            if near.mean() >= ENOUGH:
+            if near.mean() >= MIN_SUPPORTED:
                 break
         return support
 
@@ -51,7 +51,7 @@ class Support:
         """Tell which poses (n, 3) lie in a visited cell or beside one."""
         return self._near(poses, np.ones(len(self.keys), dtype=np.int64)) > 0
 
-    def _near(self, poses: Floats, counts: Cells) -> Cells:
+    def _near(self, poses: Floats, counts: CellKeys) -> CellKeys:
         """Add up the counts of each pose's cell and its neighbours."""
         home = _cells(poses, self.cell, self.origin, self.n_sectors)
         total = np.zeros(len(poses), dtype=np.int64)
@@ -83,15 +83,15 @@ class Support:
         )
 
 
-def _cells(poses: Floats, cell: float, origin: Floats, n_sectors: int) -> Cells:
+def _cells(poses: Floats, cell: float, origin: Floats, n_sectors: int) -> CellKeys:
     """Return (n, 3) cell numbers along x, y and heading; sectors are centred on multiples of their width."""
     with np.errstate(invalid="ignore", over="ignore"):
         xy = np.floor((poses[:, :2] - origin) / cell)
         sector = np.mod(np.round(poses[:, 2] / (2 * np.pi / n_sectors)), n_sectors)
-    table = np.column_stack([np.clip(xy, -_SPAN / 4, _SPAN / 4), sector])
-    return np.where(np.isfinite(table), table, -_SPAN / 4).astype(np.int64)
+    table = np.column_stack([np.clip(xy, -_KEY_SPAN / 4, _KEY_SPAN / 4), sector])
+    return np.where(np.isfinite(table), table, -_KEY_SPAN / 4).astype(np.int64)
 
 
-def _keys(cells: Cells) -> Cells:
-    shifted = cells[:, :2] + _SPAN // 2
-    return np.asarray((shifted[:, 0] * _SPAN + shifted[:, 1]) * SECTORS + cells[:, 2], dtype=np.int64)
+def _keys(cells: CellKeys) -> CellKeys:
+    shifted = cells[:, :2] + _KEY_SPAN // 2
+    return np.asarray((shifted[:, 0] * _KEY_SPAN + shifted[:, 1]) * N_SECTORS + cells[:, 2], dtype=np.int64)

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from logs.run import Run, pair
 from sensorgraph.evaluation.evaluate import evaluate, poses_for
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.cells.model import Cells
+from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.ray_march import MIN_VISIBILITY
 from sensorgraph.types import Bools, Floats, Ints
@@ -107,7 +107,7 @@ def predicted_ends(graph: Sensorgraph, run: Run) -> tuple[Floats, Floats, Floats
     """
     evaluation = evaluate(graph, run)
     poses = poses_for(graph, run.pose_frame, run.sensor.mount, pair(run).poses[evaluation.scan_indices])
-    assert isinstance(graph.model, (Faces, Cells))
+    assert isinstance(graph.model, (Faces, CellModel))
     lasers = laser_poses(poses, graph.model.mount)
     bearing = lasers[:, 2:] + graph.sensor.bearings
     directions = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)

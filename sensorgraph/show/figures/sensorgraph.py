@@ -10,7 +10,7 @@ import numpy as np
 from logs.run import Run
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.cells.model import Cells
+from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cells.ray_march import RATES
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.show.figures.face_pieces import (
@@ -58,7 +58,7 @@ def graph_picture(graph: Sensorgraph, path: Path, *, run: Run | None = None) -> 
     SensorgraphError : the model has no geometry to draw, or knows no surface
     """
     model = graph.model
-    if not isinstance(model, (Faces, Cells)):
+    if not isinstance(model, (Faces, CellModel)):
         raise SensorgraphError(
             f"the model {model.name} has neither faces nor cells to draw; build one of faces, "
             "or look at it with `sensorgraph review`"
@@ -85,7 +85,7 @@ def graph_picture(graph: Sensorgraph, path: Path, *, run: Run | None = None) -> 
     save_figure(figure, path)
 
 
-def _limits(model: Faces | Cells) -> tuple[Floats, Floats]:
+def _limits(model: Faces | CellModel) -> tuple[Floats, Floats]:
     """Return lower left and upper right corner (2,) [m] of the picture."""
     corner, side, known = _crossed_cells(model)
     index = np.argwhere(known)
@@ -100,7 +100,7 @@ def _limits(model: Faces | Cells) -> tuple[Floats, Floats]:
     return low - margin, high + margin
 
 
-def _crossed_cells(model: Faces | Cells) -> tuple[Floats, float, Bools]:
+def _crossed_cells(model: Faces | CellModel) -> tuple[Floats, float, Bools]:
     """Return corner [m], side [m] and cells (nx, ny) that training rays have crossed."""
     if isinstance(model, Faces):
         return model.observed.origin, model.observed.cell, model.observed.counts > 0
@@ -115,7 +115,7 @@ def _image(axes: Any, corner: Floats, side: float, values: Any, **style: Any) ->
     return axes.imshow(turned, origin="lower", extent=extent, interpolation="nearest", **style)
 
 
-def _looked_through(axes: Any, model: Faces | Cells) -> None:
+def _looked_through(axes: Any, model: Faces | CellModel) -> None:
     """Paint the space that training rays have crossed white, the rest grey."""
     from matplotlib.colors import to_rgb
 
@@ -125,11 +125,11 @@ def _looked_through(axes: Any, model: Faces | Cells) -> None:
     _image(axes, corner, side, paint, zorder=0)
 
 
-def _cells_of(model: Faces | Cells) -> Cells | None:
-    return model if isinstance(model, Cells) else model.cells
+def _cells_of(model: Faces | CellModel) -> CellModel | None:
+    return model if isinstance(model, CellModel) else model.cells
 
 
-def _visibility(figure: Any, axes: Any, model: Faces | Cells) -> None:
+def _visibility(figure: Any, axes: Any, model: Faces | CellModel) -> None:
     """Draw how likely a ray that meets a face or a cell stops there."""
     title = "chance that a ray stops"
     cells, image = _cells_of(model), None
@@ -169,7 +169,7 @@ def _training_returns(figure: Any, axes: Any, model: Faces) -> None:
 
 
 def _mean_residuals(
-    figure: Any, axes: Any, model: Faces | Cells, ends: Floats, directions: Floats, residual: Floats
+    figure: Any, axes: Any, model: Faces | CellModel, ends: Floats, directions: Floats, residual: Floats
 ) -> None:
     """Draw the mean residual along each face; where cells predict, in squares."""
     if _cells_of(model) is None:

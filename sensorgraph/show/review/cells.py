@@ -15,7 +15,7 @@ from planners.arena import Arena
 from planners.coverage import Coverage
 from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.base import OFF
+from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.planning.priority import doubt
 from sensorgraph.types import Bools, Floats, Ints
@@ -53,7 +53,7 @@ class RayCounts:
         """Count the rays of each scan in the cell of its pose (n_scans, 3), all on the grid."""
         scored = np.isfinite(evaluation.residual)
         answered = scored & evaluation.prediction.answered
-        wrong = answered & (np.abs(np.nan_to_num(evaluation.residual)) > OFF)
+        wrong = answered & (np.abs(np.nan_to_num(evaluation.residual)) > OFF_DISTANCE)
         return cls(**{
             name: sum_in_cells(rays.sum(axis=1), poses, grid).astype(np.intp)
             for name, rays in (("scored", scored), ("answered", answered), ("wrong", wrong))

@@ -16,7 +16,7 @@ from sensorgraph.building.build import training_scans
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.base import OFF
+from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.show.review.cells import ReviewCells, count_cells
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import laser_poses
@@ -78,7 +78,7 @@ class Review:
         out = np.full(self.measured.shape, RayVerdict.UNSCORED, dtype=np.uint8)
         if self.evaluation is not None:
             residual = self.evaluation.residual
-            answered = np.where(np.abs(residual) > OFF, RayVerdict.WRONG, RayVerdict.RIGHT)
+            answered = np.where(np.abs(residual) > OFF_DISTANCE, RayVerdict.WRONG, RayVerdict.RIGHT)
             verdict = np.where(self.evaluation.prediction.answered, answered, RayVerdict.UNANSWERED)
             out[self.evaluation.scan_indices] = np.where(np.isfinite(residual), verdict, RayVerdict.UNSCORED)
         return out
