@@ -19,7 +19,7 @@ from planners.vehicle import Drive, Limits, Vehicle
 from sensorgraph.building.build import build
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import load_arena
-from sensorgraph.planning.priority import doubt
+from sensorgraph.planning.priority import uncertainty
 from sensorgraph.world.drive import follow
 from sensorgraph.world.robot import default_robot
 from sensorgraph.world.simulate import simulate
@@ -47,7 +47,7 @@ def main() -> None:
         for drive in options.drive:
             robot = Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.4))
             without = plan(arena, robot)
-            doubts = doubt(graph, without.coverage)
+            doubts = uncertainty(graph, without.coverage)
             by_doubt = plan(arena, robot, priority=doubts)
             met = zip(growth(by_doubt, doubts), growth(without, doubts), strict=True)
             cells = " | ".join(f"{100 * a:.0f} % ({100 * b:.0f})" for a, b in met)

@@ -29,7 +29,7 @@ from sensorgraph.demo import check_run
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import load_arena
-from sensorgraph.planning.priority import doubt
+from sensorgraph.planning.priority import uncertainty
 from sensorgraph.planning.views import views_within
 from sensorgraph.show.figures.style import INK, SOLID, new_figure, reduce_frame, save_figure
 from sensorgraph.world.drive import follow
@@ -84,7 +84,7 @@ class Place:
         """Drive on from `start` (3,), first where the graph knows least."""
         made = plan(
             self.arena, self.robot, cell=1.0, seed=self.seed, rate=self.robot.sensor.rate, start=start,
-            priority=partial(doubt, graph),
+            priority=partial(uncertainty, graph),
         )  # fmt: skip
         return self.scanned(made.trajectory, minutes)
 

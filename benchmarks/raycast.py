@@ -20,7 +20,7 @@ import shapely
 
 from logs.run import RangeSensor
 from planners.arena import Arena
-from sensorgraph.world.ray_intersection import plain_nearest
+from sensorgraph.world.ray_intersection import nearest_walls_plain
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import bearings
 
@@ -81,7 +81,7 @@ def plain(arena: Arena, poses: np.ndarray, sensor: RangeSensor, chunk: int) -> n
     origins = np.repeat(poses[:, :2], sensor.n_rays, axis=0)
     ux, uy = np.cos(phi), np.sin(phi)
     parts = [slice(k, k + chunk) for k in range(0, len(phi), chunk)]
-    ranges = np.concatenate([plain_nearest(arena.walls, *origins[p].T, ux[p], uy[p])[0] for p in parts])
+    ranges = np.concatenate([nearest_walls_plain(arena.walls, *origins[p].T, ux[p], uy[p])[0] for p in parts])
     return np.where(ranges <= sensor.range_max, ranges, np.inf)
 
 

@@ -23,10 +23,10 @@ from sensorgraph.types import Floats
 FORMAT = "sensorgraph"
 VERSION = 1
 """Of the file; a reader refuses a newer one."""
-FARTHEST = 1e8
+MAX_POSE_DISTANCE = 1e8
 """[m] from the origin of map: a pose farther off is a mistake."""
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip's oldest date: the same graph gives the same bytes
-_SENSOR = ("range_min", "range_max", "sigma", "resolution", "rate", "sweep_time", "height")
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # the zip's oldest date: the same graph gives the same bytes
+_SENSOR_FIELDS = ("range_min", "range_max", "sigma", "resolution", "rate", "sweep_time", "height")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,10 +61,10 @@ class Sensorgraph:
         if not np.isfinite(poses).all():
             row = int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
             raise SensorgraphError(f"pose {row} is not finite; leave such poses out")
-        if np.abs(poses[:, :2]).max(initial=0.0) > FARTHEST:
+        if np.abs(poses[:, :2]).max(initial=0.0) > MAX_POSE_DISTANCE:
             row = int(np.abs(poses[:, :2]).max(axis=1).argmax())
             raise SensorgraphError(
-                f"pose {row} is {poses[row, :2].tolist()}, expected metres within {FARTHEST:g} of the origin"
+                f"pose {row} is {poses[row, :2].tolist()}, expected metres within {MAX_POSE_DISTANCE:g} of the origin"
             )
         if point not in POINTS:
             raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
@@ -87,7 +87,7 @@ class Sensorgraph:
     def save(self, path: Path) -> None:
         """Write one file; the same graph gives the same bytes."""
         header, arrays = self.model.state()
-        sensor = {name: getattr(self.sensor, name) for name in _SENSOR}
+        sensor = {name: getattr(self.sensor, name) for name in _SENSOR_FIELDS}
         top = {
             "format": FORMAT,
             "version": VERSION,
@@ -108,7 +108,7 @@ class Sensorgraph:
             zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as file,
         ):
             for name, data in members.items():
-                info = zipfile.ZipInfo(name, date_time=_EPOCH)
+                info = zipfile.ZipInfo(name, date_time=_ZIP_DATE)
                 info.compress_type = zipfile.ZIP_DEFLATED
                 info.external_attr = 0o644 << 16
                 file.writestr(info, data)
@@ -132,7 +132,7 @@ class Sensorgraph:
             sensor = RangeSensor(
                 bearings=arrays.pop("sensor.bearings"),
                 mount=arrays.pop("sensor.mount"),
-                **{name: float(top["sensor"][name]) for name in _SENSOR},
+                **{name: float(top["sensor"][name]) for name in _SENSOR_FIELDS},
             )
             model = MODELS[top["model"]].restore(sensor, top["state"], arrays)
             return cls(model=model, sensor=sensor, pose_frame=top["pose_frame"], origin=top["origin"])

@@ -22,7 +22,7 @@ from sensorgraph.diagnosis.report.figures import draw as figures
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effects_file import write as write_effects
 from sensorgraph.loading import load_arena
-from sensorgraph.world.drive import Driven
+from sensorgraph.world.drive import ExecutedDrive
 from sensorgraph.world.robot import load_robot, parse_robot
 from sensorgraph.world.simulate import simulate
 
@@ -52,7 +52,7 @@ def driven_run(seed: int) -> Run:
         ]
     )
     twists = np.column_stack([np.zeros(len(t)), np.gradient(path[:, 2], t)])
-    driven = Driven(
+    driven = ExecutedDrive(
         stamps=t, poses=path, twists=twists, cmd_stamps=t[::5] - 0.1, commands=twists[::5], contacts=0
     )
     attachments = {"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": ROBOT.encode()}

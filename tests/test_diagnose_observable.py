@@ -14,7 +14,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData, velocities
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot import default_robot
-from sensorgraph.world.scene import draw
+from sensorgraph.world.scene import draw_readings
 from tests.effects_samples import arena
 
 STAMPS = np.arange(0.0, 60.0, 0.2)
@@ -41,7 +41,7 @@ def evidence(poses: Floats, *, laser_frame: bool = False, stamps: Floats = STAMP
     )
     scene = found.scene()
     scene.run()
-    return replace(found, ranges=draw(scene, np.random.default_rng(0)), memo={})
+    return replace(found, ranges=draw_readings(scene, np.random.default_rng(0)), memo={})
 
 
 def null(found: ScanData) -> Fitted:

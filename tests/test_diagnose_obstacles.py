@@ -17,7 +17,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS, Amendment, moved_obstacle
 from sensorgraph.world.robot import parse_robot
-from sensorgraph.world.scene import Scene, draw
+from sensorgraph.world.scene import Scene, draw_readings
 
 ROBOT = parse_robot("sensor: {n_rays: 181}")
 
@@ -49,7 +49,7 @@ def to_and_fro(hall: Arena, effects: tuple[Amendment, ...] = (), seed: int = 0) 
     return Run(
         sensor=ROBOT.sensor,
         stamps=t,
-        ranges=draw(scene, rng),
+        ranges=draw_readings(scene, rng),
         pose_stamps=t,
         poses=np.column_stack([reference[:, :2], wrap(reference[:, 2])]),
     )

@@ -31,7 +31,7 @@ from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.effects.proposals import best_run
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.world.robot import default_robot, parse_robot
-from sensorgraph.world.scene import Scene, draw
+from sensorgraph.world.scene import Scene, draw_readings
 
 SIGMA = 0.01
 
@@ -69,7 +69,7 @@ def drive(hall: Arena, effects: tuple[Amendment, ...] = (), *, seed: int = 0, n:
     return Run(
         sensor=robot.sensor,
         stamps=t,
-        ranges=draw(scene, rng),
+        ranges=draw_readings(scene, rng),
         pose_stamps=fine,
         poses=np.column_stack([reference[:, :2], wrap(reference[:, 2])]),
     )

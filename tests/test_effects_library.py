@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from logs.run import RangeSensor
 from sensorgraph.effects import EFFECTS, Effect
 from sensorgraph.effects.effect import size_ratio
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drivetrain import Drivetrain
 from sensorgraph.world.robot import default_robot
-from sensorgraph.world.scene import STAGES, draw
+from sensorgraph.world.scene import STAGES, draw_readings
 
 NAMES = [
     "range_bias", "range_scale", "range_noise", "sector_bias", "mount_yaw", "mount_xy", "latency",
@@ -75,13 +75,13 @@ def test_neutral_values_change_no_reading(name: str, sensor: RangeSensor) -> Non
     changed.run([neutral(name)])
     np.testing.assert_array_equal(plain.beams.reading, changed.beams.reading)
     np.testing.assert_array_equal(
-        draw(plain, np.random.default_rng(0)), draw(changed, np.random.default_rng(0))
+        draw_readings(plain, np.random.default_rng(0)), draw_readings(changed, np.random.default_rng(0))
     )
 
 
 @pytest.mark.parametrize("name", [name for name in EFFECTS if name not in SCAN])
 def test_neutral_values_leave_the_machine_as_it_is(name: str) -> None:
-    plain, changed = Machine.of(default_robot()), Machine.of(default_robot(), [neutral(name)])
+    plain, changed = Drivetrain.of(default_robot()), Drivetrain.of(default_robot(), [neutral(name)])
     assert (plain.tau, plain.delay, plain.v_max, plain.odometry_lag) == (
         changed.tau, changed.delay, changed.v_max, changed.odometry_lag,
     )  # fmt: skip
@@ -94,7 +94,7 @@ def test_a_strong_effect_changes_readings(name: str) -> None:
     plain, changed = scene(box=True, seed=3), scene(box=True, seed=3)
     plain.run()
     changed.run([strong(name)])
-    before, after = (draw(s, np.random.default_rng(0)) for s in (plain, changed))
+    before, after = (draw_readings(s, np.random.default_rng(0)) for s in (plain, changed))
     assert (
         np.abs(np.where(np.isfinite(before) & np.isfinite(after), after - before, 9.0)) > 0.02
     ).mean() > 0.002
@@ -117,7 +117,7 @@ def test_any_subset_composes_in_any_order(names: list[str], order: Random) -> No
         assert not np.isnan(beams.reading).any()
         assert ((p >= 0) & (p <= 1)).all()
         assert (np.asarray(beams.sigma) > 0).all()
-        drawn.append(draw(there, np.random.default_rng(1)))
+        drawn.append(draw_readings(there, np.random.default_rng(1)))
     np.testing.assert_array_equal(drawn[0], drawn[1])
     finite = np.isfinite(drawn[0])
     assert not np.isnan(drawn[0]).any()

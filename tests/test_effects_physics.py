@@ -28,7 +28,7 @@ from planners.types import Bools, Floats
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.mixed_pixels import N_SPREAD
 from sensorgraph.world.raycast import cast
-from sensorgraph.world.scene import Scene, draw
+from sensorgraph.world.scene import Scene, draw_readings
 
 TIGHT = 1e-9  # [m] float64 at 10 m, through a few sines
 B = SENSOR.bearings
@@ -204,7 +204,7 @@ def test_rays_return_as_often_as_said(name: str) -> None:
     np.testing.assert_allclose(np.broadcast_to(beams.p_return, IDEAL.shape)[sharp], chance[sharp], atol=1e-4)
     np.testing.assert_allclose(beams.reading, IDEAL, atol=TIGHT)
     rng = np.random.default_rng(0)
-    seen = np.mean([np.isfinite(draw(there, rng)) for _ in range(20)], axis=0)
+    seen = np.mean([np.isfinite(draw_readings(there, rng)) for _ in range(20)], axis=0)
     spread = np.sqrt((chance * (1 - chance))[sharp].sum() / 20) + 1.0  # of the count of returns
     assert abs(seen[sharp].sum() - chance[sharp].sum()) < 4 * spread
 
@@ -213,7 +213,7 @@ def test_noise_grows_with_the_range() -> None:
     there = scene()
     there.run([effect("range_noise", k=0.02)])
     rng = np.random.default_rng(0)
-    off = np.array([draw(there, rng) for _ in range(200)]) - IDEAL
+    off = np.array([draw_readings(there, rng) for _ in range(200)]) - IDEAL
     expected = np.sqrt(SENSOR.sigma**2 + (0.02 * IDEAL) ** 2)
     assert (off.std(axis=0) / expected).mean() == pytest.approx(1.0, abs=0.01)
     assert np.abs(off.std(axis=0) / expected - 1).max() < 0.3  # 200 draws: 5 % each
@@ -222,7 +222,7 @@ def test_noise_grows_with_the_range() -> None:
 def test_readings_stand_on_the_lattice() -> None:
     there = scene()
     there.run([effect("quantisation", q=0.04)])
-    readings = draw(there, np.random.default_rng(0))
+    readings = draw_readings(there, np.random.default_rng(0))
     np.testing.assert_allclose(readings / 0.04, np.round(readings / 0.04), atol=1e-9)
     assert np.abs(readings - IDEAL).max() < 0.02 + 5 * SENSOR.sigma
 
@@ -230,7 +230,7 @@ def test_readings_stand_on_the_lattice() -> None:
 def test_outliers_are_uniform_and_as_many_as_said() -> None:
     there = scene()
     there.run([effect("random_outliers", p=0.2)])
-    readings = draw(there, np.random.default_rng(0))
+    readings = draw_readings(there, np.random.default_rng(0))
     stray = np.abs(readings - IDEAL) > 6 * SENSOR.sigma
     assert stray.mean() == pytest.approx(0.2, abs=0.025)  # 3321 rays: 0.7 %
     values = np.where(np.isfinite(readings), readings, 0.0)[stray]
@@ -241,7 +241,7 @@ def test_outliers_are_uniform_and_as_many_as_said() -> None:
 def test_the_likelihood_of_people_is_a_share_of_short_readings() -> None:
     there = scene()
     there.run([effect("people", p=0.1)])
-    readings = draw(there, np.random.default_rng(0))
+    readings = draw_readings(there, np.random.default_rng(0))
     short = readings < IDEAL - 6 * SENSOR.sigma
     assert there.movers.shape[1] == 0
     assert short.mean() == pytest.approx(0.1, abs=0.02)

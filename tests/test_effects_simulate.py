@@ -15,10 +15,10 @@ from planners.types import Floats
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.walkers import APART, RADIUS
 from sensorgraph.world import simulate as simulation
-from sensorgraph.world.drive import STEP, Driven, follow, odometry, replay
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drive import TRUTH_STEP, ExecutedDrive, follow, odometry, replay
+from sensorgraph.world.drivetrain import Drivetrain
 from sensorgraph.world.robot import PoseReference, Robot, Wheels, default_robot
-from sensorgraph.world.scene import DISC, Scene
+from sensorgraph.world.scene import DISC_WALL, Scene
 from sensorgraph.world.simulate import simulate
 
 ROOM = arena()
@@ -33,9 +33,9 @@ def robot(sensor: RangeSensor = SENSOR, *, sigma: float = 0.01) -> Robot:
     )
 
 
-def looping(seconds: float) -> Driven:
-    t = np.arange(0, seconds + 1e-9, STEP)
-    return Driven(
+def looping(seconds: float) -> ExecutedDrive:
+    t = np.arange(0, seconds + 1e-9, TRUTH_STEP)
+    return ExecutedDrive(
         stamps=t, poses=motion(t), twists=np.zeros((len(t), 2)),
         cmd_stamps=np.zeros(0), commands=np.zeros((0, 2)), contacts=0,
     )  # fmt: skip
@@ -59,7 +59,7 @@ def test_the_same_seed_gives_the_same_run_and_another_other_people() -> None:
 def test_blocks_give_what_the_whole_gives(monkeypatch: pytest.MonkeyPatch) -> None:
     some = [strong(n) for n in ("people", "latency", "range_drift", "moved_wall", "mixed_pixels", "tilt")]
     whole = ranges(some, sigma=0.0)
-    monkeypatch.setattr(simulation, "BLOCK", 23)
+    monkeypatch.setattr(simulation, "SCANS_PER_STEP", 23)
     np.testing.assert_array_equal(ranges(some, sigma=0.0), whole)
 
 
@@ -75,24 +75,26 @@ def test_people_take_their_share_of_rays_and_keep_clear(p: float, sensor: RangeS
     stamps = np.arange(0.0, 300.0, 0.1)
     there = Scene(arena=ROOM, sensor=sensor, stamps=stamps, motion=motion, span=stamps[-1], seed=seed)
     beams = there.run([EFFECTS["people"](p=p)])
-    share = (beams.wall == DISC - 1).mean()
+    share = (beams.wall == DISC_WALL - 1).mean()
     assert p / 1.5 < share < 1.5 * p
     apart = np.linalg.norm(there.movers[..., :2] - motion(stamps)[:, None, :2], axis=-1)
     assert apart.min() > APART + RADIUS - 1e-9
     assert beams.ranges.min() > 0.1
 
 
-def drive(commands: list[tuple[float, float, float]], *effects: Amendment) -> tuple[Driven, Machine]:
-    """Drive (stamp, v, omega) commands from (0, 0, 0) with an amended machine."""
+def drive(
+    commands: list[tuple[float, float, float]], *effects: Amendment
+) -> tuple[ExecutedDrive, Drivetrain]:
+    """Drive (stamp, v, omega) commands from (0, 0, 0) with an amended drivetrain."""
     table, car = np.array(commands), robot()
-    machine = Machine.of(car, effects)
+    drivetrain = Drivetrain.of(car, effects)
     return replay(
-        table[:, 0], table[:, 1:], np.zeros(3), car, clearance=lambda x, y: np.inf, machine=machine
-    ), machine
+        table[:, 0], table[:, 1:], np.zeros(3), car, clearance=lambda x, y: np.inf, drivetrain=drivetrain
+    ), drivetrain
 
 
-def read_wheels(driven: Driven, machine: Machine) -> tuple[Floats, Floats, Floats]:
-    return odometry(driven, robot(), np.random.default_rng(0), machine=machine)
+def read_wheels(driven: ExecutedDrive, drivetrain: Drivetrain) -> tuple[Floats, Floats, Floats]:
+    return odometry(driven, robot(), np.random.default_rng(0), drivetrain=drivetrain)
 
 
 CURVE = [(0.0, 0.3, 0.2), (6.0, 0.2, -0.4), (10.0, 0.0, 0.0)]
@@ -120,7 +122,7 @@ def test_wheels_measure_way_and_turn_as_said(
 
 def test_effects_of_the_wheels_compose_in_any_order() -> None:
     three = [EFFECTS[n](s=0.03) for n in ("wheel_radius", "wheel_base", "wheel_radius_diff")]
-    first, second = Machine.of(robot(), three), Machine.of(robot(), three[::-1])
+    first, second = Drivetrain.of(robot(), three), Drivetrain.of(robot(), three[::-1])
     np.testing.assert_array_equal(first.measured, second.measured)
 
 
@@ -134,11 +136,11 @@ def test_late_odometry_is_that_of_an_earlier_time() -> None:
 def test_a_slippery_patch_takes_its_share_of_the_way_but_not_of_the_wheels() -> None:
     straight = [(0.0, 0.4, 0.0), (10.0, 0.0, 0.0)]
     plain, _ = drive(straight)
-    slipped, machine = drive(straight, EFFECTS["wheel_slip"](s=0.25, x=1.5, y=0.0, r=0.5))
+    slipped, drivetrain = drive(straight, EFFECTS["wheel_slip"](s=0.25, x=1.5, y=0.0, r=0.5))
     np.testing.assert_array_equal(plain.twists, slipped.twists)
     lost = 1.0 / 0.75 - 1.0  # of wheel's way: 1 m of patch takes 1.333 m
-    assert plain.poses[-1, 0] - slipped.poses[-1, 0] == pytest.approx(lost, abs=2 * 0.4 * STEP)
-    assert read_wheels(slipped, machine)[1][-1, 0] == pytest.approx(plain.poses[-1, 0], abs=1e-3)
+    assert plain.poses[-1, 0] - slipped.poses[-1, 0] == pytest.approx(lost, abs=2 * 0.4 * TRUTH_STEP)
+    assert read_wheels(slipped, drivetrain)[1][-1, 0] == pytest.approx(plain.poses[-1, 0], abs=1e-3)
     turning, _ = drive([(0.0, 0.0, 0.5), (4.0, 0.0, 0.0)], EFFECTS["wheel_slip"](s=0.25, x=0.0, y=0.0, r=0.5))
     free, _ = drive([(0.0, 0.0, 0.5), (4.0, 0.0, 0.0)])
     assert turning.poses[-1, 2] == pytest.approx(0.75 * free.poses[-1, 2], abs=1e-9)
@@ -179,12 +181,12 @@ def test_the_controller_does_not_know_of_the_lag() -> None:
     car = robot()
     known = replace(car, actuators=replace(car.actuators, tau=0.4))
     behind = []
-    for driver, machine in (
-        (car, Machine.of(car, [EFFECTS["actuator_lag"](tau=0.3)])),
-        (known, Machine.of(known)),
+    for driver, drivetrain in (
+        (car, Drivetrain.of(car, [EFFECTS["actuator_lag"](tau=0.3)])),
+        (known, Drivetrain.of(known)),
     ):
         driven = follow(
-            plan, driver, clearance=lambda x, y: np.inf, rng=np.random.default_rng(0), machine=machine
+            plan, driver, clearance=lambda x, y: np.inf, rng=np.random.default_rng(0), drivetrain=drivetrain
         )
         behind.append(float((plan.at(driven.stamps)[0][:, 0] - driven.poses[:, 0]).max()))
     assert behind[0] > 3 * behind[1]

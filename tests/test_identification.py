@@ -11,8 +11,8 @@ from logs.run import RangeSensor, Run
 from robotmodic_ident import Record
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.identification.behaviour import track_dimension
-from sensorgraph.identification.identify import Question, identify, split_records
-from sensorgraph.identification.signals import Data, of_run, of_table, rays_of, variable
+from sensorgraph.identification.identify import IdentificationSpec, identify, split_records
+from sensorgraph.identification.signals import SignalData, rays_of, signals_of_run, signals_of_table, variable
 from sensorgraph.recording.controllers import PolynomialController, controller_named
 from sensorgraph.recording.identified_world import ArenaWorld
 from sensorgraph.world.drive import react
@@ -49,7 +49,7 @@ def test_rays_are_counted_from_the_robots_right() -> None:
 
 
 def test_signals_of_a_run_are_those_at_its_scans() -> None:
-    data = of_run(turning_run(), ["L67", "L45-90", "x", "sin_phi", "v", "cmd_omega"], every=2)
+    data = signals_of_run(turning_run(), ["L67", "L45-90", "x", "sin_phi", "v", "cmd_omega"], every=2)
     (record,) = data.records
     assert data.period == pytest.approx(0.2)
     assert data.names == {
@@ -68,7 +68,7 @@ def test_signals_of_a_run_are_those_at_its_scans() -> None:
 
 
 def test_no_return_is_not_known() -> None:
-    (record,) = of_run(turning_run(), ["L67", "x"]).records
+    (record,) = signals_of_run(turning_run(), ["L67", "x"]).records
     assert np.flatnonzero(np.isnan(record.signals["L67"])).tolist() == [3, 4]
 
 
@@ -81,7 +81,7 @@ def test_names_that_a_term_cannot_hold_are_replaced() -> None:
 def test_records_of_a_table_are_never_joined(tmp_path: Path) -> None:
     rows = [f"{'ab'[k // 5]},{k % 5},{k},{k * k}" for k in range(10)]
     (tmp_path / "data.csv").write_text("record,t,u,speed [m/s]\n" + "\n".join(rows) + "\n")
-    data = of_table(tmp_path / "data.csv", ["speed [m/s]", "u"])
+    data = signals_of_table(tmp_path / "data.csv", ["speed [m/s]", "u"])
     assert [r.signals["u"].tolist() for r in data.records] == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9]]
     assert data.names["speed__m_s_"] == "speed [m/s]"
     assert data.period == 1.0
@@ -96,20 +96,22 @@ def test_a_split_holds_every_sample_once(split: str, shares: tuple[float, float]
     assert sorted(kept) == list(range(100))
 
 
-def planted(n: int = 600) -> Data:
+def planted(n: int = 600) -> SignalData:
     rng = np.random.default_rng(10)
     u, w = rng.uniform(-1, 1, n), rng.uniform(-1, 1, n)
     y = np.zeros(n)
     for k in range(2, n):
         y[k] = 0.3 + 0.5 * y[k - 1] + 0.8 * u[k - 1] - 0.4 * u[k] * w[k - 2]
-    return Data(
+    return SignalData(
         records=[Record(signals={"y": y + 0.01 * rng.normal(size=n), "u": u, "w": w})],
         names={"y": "y", "u": "u", "w": "w"}, period=None,
     )  # fmt: skip
 
 
 def test_a_planted_polynomial_is_found_and_scored() -> None:
-    found = identify(planted(), Question(output="y", inputs=("u", "w"), output_lags=1, criterion="ebic"))
+    found = identify(
+        planted(), IdentificationSpec(output="y", inputs=("u", "w"), output_lags=1, criterion="ebic")
+    )
     assert set(found.model.terms.names) == {"1", "y(k-1)", "u(k-1)", "u(k)*w(k-2)"}
     report = found.report()
     assert report["one_step"]["r"] > 0.999
@@ -127,9 +129,11 @@ def test_noise_lags_take_the_bias_of_moving_average_noise_away() -> None:
     y = np.zeros(4000)
     for k in range(1, 4000):
         y[k] = 0.6 * y[k - 1] + 0.9 * u[k - 1] + e[k] + 0.8 * e[k - 1]
-    data = Data(records=[Record(signals={"y": y, "u": u})], names={"y": "y", "u": "u"}, period=None)
+    data = SignalData(records=[Record(signals={"y": y, "u": u})], names={"y": "y", "u": "u"}, period=None)
     plain, with_noise = (
-        identify(data, Question(output="y", inputs=("u",), output_lags=1, degree=1, noise_lags=n)).model
+        identify(
+            data, IdentificationSpec(output="y", inputs=("u",), output_lags=1, degree=1, noise_lags=n)
+        ).model
         for n in (0, 1)
     )
     slope = [float(m.theta[m.terms.names.index("y(k-1)")]) for m in (plain, with_noise)]
@@ -142,8 +146,8 @@ def test_a_free_run_knows_nothing_of_the_noise_before() -> None:
     rng = np.random.default_rng(12)
     u, e = rng.normal(size=2000), rng.normal(size=2000)
     y = u + np.convolve(e, [1.0, 0.9])[:2000]
-    data = Data(records=[Record(signals={"u": u, "y": y})], names={"u": "u", "y": "y"}, period=None)
-    found = identify(data, Question(output="y", inputs=("u",), lags=0, degree=1, noise_lags=1))
+    data = SignalData(records=[Record(signals={"u": u, "y": y})], names={"u": "u", "y": "y"}, period=None)
+    found = identify(data, IdentificationSpec(output="y", inputs=("u",), lags=0, degree=1, noise_lags=1))
     assert found.scores["one_step"].rmse == pytest.approx(1.0, rel=0.06)
     assert found.scores["free_run"].rmse == pytest.approx(np.sqrt(1 + 0.9**2), rel=0.06)
 
@@ -152,8 +156,8 @@ def test_a_free_run_that_leaves_for_infinity_is_reported_as_such() -> None:
     rng = np.random.default_rng(15)
     y = np.array([0.5 * 1.3 ** (k % 12) for k in range(400)]) + 1e-3 * rng.normal(size=400)
     y[np.arange(400) % 12 == 0] = np.nan
-    data = Data(records=[Record(signals={"y": y})], names={"y": "y"}, period=None)
-    found = identify(data, Question(output="y", inputs=(), output_lags=1, degree=3))
+    data = SignalData(records=[Record(signals={"y": y})], names={"y": "y"}, period=None)
+    found = identify(data, IdentificationSpec(output="y", inputs=(), output_lags=1, degree=3))
     assert found.scores["one_step"].r > 0.99
     report = found.report()["free_run"]
     assert report["rmse"] is None or report["rmse"] > 0
@@ -166,8 +170,8 @@ def test_stretches_shorter_than_the_tested_lags_are_left_out() -> None:
     stamps[1500:] += 100.0  # a gap, and pieces of 7 samples after it
     stamps[1500:] += 10.0 * (np.arange(500) // 7)
     record = Record(signals=values, stamps=stamps, max_gap=1.5)
-    data = Data(records=[record], names=data.names, period=1.0)
-    found = identify(data, Question(output="y", inputs=("u", "w"), output_lags=1))
+    data = SignalData(records=[record], names=data.names, period=1.0)
+    found = identify(data, IdentificationSpec(output="y", inputs=("u", "w"), output_lags=1))
     assert {v["max_lag"] for v in found.validation} == {20}
 
 
@@ -187,9 +191,9 @@ def test_what_cannot_be_answered_is_refused(
     n = len(next(iter(signals.values()), np.zeros(90)))
     rng = np.random.default_rng(11)
     values = {"y": rng.normal(size=n), "u": rng.normal(size=n), **signals}
-    data = Data(records=[Record(signals=values)], names={"y": "y", "u": "u"}, period=None)
+    data = SignalData(records=[Record(signals=values)], names={"y": "y", "u": "u"}, period=None)
     with pytest.raises(SensorgraphError, match=said):
-        identify(data, Question(output="y", inputs=("u",), **options))  # type: ignore[arg-type]
+        identify(data, IdentificationSpec(output="y", inputs=("u",), **options))  # type: ignore[arg-type]
 
 
 def law(readings: np.ndarray) -> tuple[float, float]:
@@ -199,7 +203,7 @@ def law(readings: np.ndarray) -> tuple[float, float]:
 
 
 @pytest.fixture(scope="module")
-def recorded(room: object) -> tuple[Robot, ArenaWorld, WallDistance, Data, np.ndarray]:
+def recorded(room: object) -> tuple[Robot, ArenaWorld, WallDistance, SignalData, np.ndarray]:
     """Return a drive of `law` as signals, with the poses of the drive."""
     robot = default_robot()
     world = ArenaWorld(room, robot, seed=3)  # type: ignore[arg-type]
@@ -215,7 +219,7 @@ def recorded(room: object) -> tuple[Robot, ArenaWorld, WallDistance, Data, np.nd
 
     driven = react(watched, world.scan, np.array([1.0, 0.6, 0.0]), 60.0, robot, clearance=clearance)
     near = np.array([r[20:51].mean() for r in seen])
-    data = Data(
+    data = SignalData(
         records=[Record(signals={"cmd_omega": np.array(turns), "L20_50": near})],
         names={"cmd_omega": "cmd_omega", "L20_50": "L20-50"}, period=0.1, held={"cmd_v": 0.12},
     )  # fmt: skip
@@ -223,10 +227,10 @@ def recorded(room: object) -> tuple[Robot, ArenaWorld, WallDistance, Data, np.nd
 
 
 def test_a_recorded_polynomial_controller_is_identified_and_drives_the_same_way(
-    recorded: tuple[Robot, ArenaWorld, WallDistance, Data, np.ndarray],
+    recorded: tuple[Robot, ArenaWorld, WallDistance, SignalData, np.ndarray],
 ) -> None:
     robot, world, clearance, data, poses = recorded
-    question = Question(output="cmd_omega", inputs=("L20-50",), lags=1, split="none", n_terms=3)
+    question = IdentificationSpec(output="cmd_omega", inputs=("L20-50",), lags=1, split="none", n_terms=3)
     found = identify(data, question)
     assert dict(zip(found.model.terms.names, found.model.theta, strict=True)) == pytest.approx(
         {"1": 0.9, "L20_50(k)": -1.3, "L20_50(k)^2": 0.1}, abs=1e-6
@@ -236,9 +240,11 @@ def test_a_recorded_polynomial_controller_is_identified_and_drives_the_same_way(
     np.testing.assert_allclose(driven.poses, poses, atol=1e-3)  # 60 s closed loop on the same noise
 
 
-def test_a_model_steps_at_its_own_period(recorded: tuple[Robot, object, object, Data, object]) -> None:
+def test_a_model_steps_at_its_own_period(recorded: tuple[Robot, object, object, SignalData, object]) -> None:
     robot, data = recorded[0], recorded[3]
-    found = identify(data, Question(output="cmd_omega", inputs=("L20-50",), lags=0, split="none", n_terms=2))
+    found = identify(
+        data, IdentificationSpec(output="cmd_omega", inputs=("L20-50",), lags=0, split="none", n_terms=2)
+    )
     slow = {**found.report(), "period_s": 0.3}
     steer = PolynomialController(found.model, slow, robot, name="slow")
     rng = np.random.default_rng(12)
@@ -250,10 +256,12 @@ def test_a_model_steps_at_its_own_period(recorded: tuple[Robot, object, object, 
 
 
 def test_a_scan_without_return_leaves_the_command_in_force(
-    recorded: tuple[Robot, object, object, Data, object],
+    recorded: tuple[Robot, object, object, SignalData, object],
 ) -> None:
     robot, data = recorded[0], recorded[3]
-    found = identify(data, Question(output="cmd_omega", inputs=("L20-50",), lags=1, split="none", n_terms=3))
+    found = identify(
+        data, IdentificationSpec(output="cmd_omega", inputs=("L20-50",), lags=1, split="none", n_terms=3)
+    )
     steer = PolynomialController(found.model, found.report(), robot, name="law")
     before = steer(np.full(robot.sensor.n_rays, 0.5))
     assert before == pytest.approx((0.12, 0.9 - 0.65 + 0.025), abs=1e-5)
@@ -261,7 +269,7 @@ def test_a_scan_without_return_leaves_the_command_in_force(
 
 
 def test_a_model_of_poses_is_no_controller() -> None:
-    model = identify(planted(), Question(output="y", inputs=("u",))).model
+    model = identify(planted(), IdentificationSpec(output="y", inputs=("u",))).model
     with pytest.raises(SensorgraphError, match="predicts y"):
         PolynomialController(model, {}, default_robot(), name="m.json")
     with pytest.raises(SensorgraphError, match="expected wall_following"):

@@ -12,7 +12,7 @@ from planners.coverage import Coverage
 from planners.vehicle import Vehicle
 from sensorgraph.building.build import build
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.planning.priority import doubt
+from sensorgraph.planning.priority import uncertainty
 from sensorgraph.world.raycast import cast
 
 
@@ -31,7 +31,7 @@ def test_doubt_is_one_where_nothing_is_answered_and_lower_elsewhere(left: Sensor
     cells = np.ones((16, 12), dtype=np.bool_)
     cells[0, 0] = False
     grid = Coverage.empty(origin=np.zeros(2), cell=0.25, cells=cells, headings=8)
-    score = doubt(left, grid)
+    score = uncertainty(left, grid)
     assert score.shape == (16, 12, 8)
     assert score[0, 0].max() == 0.0
     assert score[12:, 2:-2].min() == 1.0
@@ -39,7 +39,7 @@ def test_doubt_is_one_where_nothing_is_answered_and_lower_elsewhere(left: Sensor
 
 
 def test_the_planner_goes_first_where_the_graph_knows_least(left: Sensorgraph, room: Arena) -> None:
-    made = plan(room, Vehicle(), headings=4, priority=lambda grid: doubt(left, grid))
+    made = plan(room, Vehicle(), headings=4, priority=lambda grid: uncertainty(left, grid))
     x = made.trajectory.poses[:, 0]
     half = len(x) // 2
     assert x[:half].mean() > x[half:].mean() + 0.8

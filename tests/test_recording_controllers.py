@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planners.types import Floats
-from sensorgraph.recording.controllers import BESIDE, Controller, WallFollowing
+from sensorgraph.recording.controllers import FOLLOW_DISTANCE, Controller, WallFollowing
 from sensorgraph.world.robot import Robot, default_robot
 
 SIDE = 6.0
@@ -39,6 +39,6 @@ def test_it_follows_the_walls_wherever_it_starts(place: tuple[float, float], phi
     assert ((poses[:, :2] > robot.footprint_radius) & (poses[:, :2] < SIDE - 0.2)).all()
     late = poses[len(poses) // 2 :]
     depth = np.minimum(late[:, :2], SIDE - late[:, :2]).min(axis=1)
-    assert np.median(depth) == pytest.approx(robot.footprint_radius + BESIDE, abs=0.1)
+    assert np.median(depth) == pytest.approx(robot.footprint_radius + FOLLOW_DISTANCE, abs=0.1)
     assert np.quantile(depth, 0.95) < 0.8
     assert (np.ptp(late[:, :2], axis=0) > SIDE - 1.6).all()  # all four walls

@@ -11,9 +11,9 @@ from logs.run import RangeSensor
 from planners.arena import Arena, wrap
 from planners.trajectory import Trajectory
 from planners.types import Floats
-from sensorgraph.world.drive import STEP, Driven, follow, odometry, replay
+from sensorgraph.world.drive import TRUTH_STEP, ExecutedDrive, follow, odometry, replay
 from sensorgraph.world.robot import Actuators, PoseReference, Robot, Wheels, default_robot
-from sensorgraph.world.scene import Scene, limited
+from sensorgraph.world.scene import Scene, apply_range_limits
 from sensorgraph.world.simulate import scan_stamps, simulate
 from sensorgraph.world.wall_distance import WallDistance
 
@@ -50,7 +50,7 @@ def arc(v: float, omega: float, duration: float, start: tuple[float, float, floa
     )
 
 
-def steps(commands: list[tuple[float, float, float]], robot: Robot) -> Driven:
+def steps(commands: list[tuple[float, float, float]], robot: Robot) -> ExecutedDrive:
     """Drive (stamp, v, omega) commands from the origin."""
     table = np.array(commands)
     return replay(table[:, 0], table[:, 1:], np.zeros(3), robot, clearance=nowhere_near)
@@ -73,7 +73,7 @@ def test_commands_and_motion_keep_the_limits() -> None:
     driven = steps(wild, robot)
     limits = robot.limits
     assert np.abs(driven.commands).max(axis=0).tolist() == [limits.v, limits.omega]
-    rates = np.abs(np.diff(driven.twists, axis=0)) / STEP
+    rates = np.abs(np.diff(driven.twists, axis=0)) / TRUTH_STEP
     assert (rates <= np.array([limits.a, limits.alpha]) + 1e-9).all()
     assert (np.abs(driven.twists) <= [limits.v, limits.omega]).all()
 
@@ -135,9 +135,9 @@ def test_wall_distance_is_exact_beside_a_wall_and_nearly_so_elsewhere(room: Aren
     assert distance(-1.0, 1.0) == 0.0
 
 
-def still(seconds: float, pose: tuple[float, float, float]) -> Driven:
-    t = np.arange(0, seconds + 1e-9, STEP)
-    return Driven(
+def still(seconds: float, pose: tuple[float, float, float]) -> ExecutedDrive:
+    t = np.arange(0, seconds + 1e-9, TRUTH_STEP)
+    return ExecutedDrive(
         stamps=t, poses=np.tile(np.array(pose), (len(t), 1)), twists=np.zeros((len(t), 2)),
         cmd_stamps=np.zeros(0), commands=np.zeros((0, 2)), contacts=0,
     )  # fmt: skip
@@ -157,12 +157,12 @@ def test_noise_of_scans_and_poses_is_as_stated(room: Arena) -> None:
 def test_readings_beyond_the_limits_become_infinite() -> None:
     sensor = RangeSensor(bearings=np.array([0.0, 1.0, 2.0, 3.0]), range_min=0.5, range_max=2.0, sigma=0.0)
     ideal = np.array([[0.4, 1.0, 2.1, np.inf]])
-    assert limited(ideal, sensor).tolist() == [[-np.inf, 1.0, np.inf, np.inf]]
+    assert apply_range_limits(ideal, sensor).tolist() == [[-np.inf, 1.0, np.inf, np.inf]]
 
 
 def test_a_sweep_takes_every_ray_from_where_the_robot_then_is(room: Arena) -> None:
     """Turn at 1 rad/s: ray i of a swept scan equals ray i of a still scan taken at its own time."""
-    t = np.arange(0, 2.0 + 1e-9, STEP)
+    t = np.arange(0, 2.0 + 1e-9, TRUTH_STEP)
     poses = np.column_stack([np.full_like(t, 1.0) + 0.1 * t, np.full_like(t, 1.2), 1.0 * t])
     driven = replace(still(2.0, (0, 0, 0)), poses=poses)
     sensor = RangeSensor(bearings=np.linspace(-1.5, 1.5, 31), sweep_time=0.2, mount=np.array([0.1, 0.0, 0.2]))

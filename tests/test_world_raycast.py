@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from logs.run import RangeSensor
 from planners.arena import Arena
-from sensorgraph.world.ray_intersection import nearest, plain_nearest
+from sensorgraph.world.ray_intersection import nearest_walls, nearest_walls_plain
 from sensorgraph.world.raycast import cast, cast_rays, laser_poses
 
 FULL = RangeSensor(bearings=-np.pi + 2 * np.pi * np.arange(360) / 360, range_min=0.0, range_max=100.0)
@@ -173,13 +173,13 @@ def test_the_compiled_rays_are_the_plain_ones() -> None:
     ox[:500], ux[:500], uy[:500] = walls[rng.integers(20, 30, 500), 0, 0], 0.0, 1.0
     aim = walls[rng.integers(0, 30, 500), 1] - np.column_stack([ox, oy])[500:1000]
     ux[500:1000], uy[500:1000] = aim.T / np.hypot(*aim.T)
-    ranges, wall = nearest(walls, ox, oy, ux, uy)
-    there, other = plain_nearest(walls, ox, oy, ux, uy)
+    ranges, wall = nearest_walls(walls, ox, oy, ux, uy)
+    there, other = nearest_walls_plain(walls, ox, oy, ux, uy)
     np.testing.assert_array_equal(ranges, there)
     np.testing.assert_array_equal(wall, other)
     assert 0.5 < np.isfinite(ranges).mean() < 1
 
 
 def test_where_no_wall_is_no_ray_ends() -> None:
-    ranges, wall = nearest(np.zeros((0, 2, 2)), np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
+    ranges, wall = nearest_walls(np.zeros((0, 2, 2)), np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
     assert np.isinf(ranges).all() and (wall == -1).all()

@@ -12,7 +12,7 @@ from logs.run import Run, pair
 from logs.stream import LogStream, WholeRun
 from planners.arena import Arena
 from sensorgraph.building.split import held_out
-from sensorgraph.building.training_data import Feed, begin_digest, ranges_bytes, together
+from sensorgraph.building.training_data import TrainingData, all_scans, begin_digest, ranges_bytes
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models import MODELS
@@ -55,7 +55,7 @@ def build(
     names = [_name(run, i) for i, run in enumerate(runs)] if names is None else names
     sources = [WholeRun(head=run) if isinstance(run, Run) else run for run in runs]
     _check_alike([source.head for source in sources], names)
-    feed = Feed(sources, names, split=split, bounds=None if arena is None else arena.bounds)
+    feed = TrainingData(sources, names, split=split, bounds=None if arena is None else arena.bounds)
     if update is not None:
         return _updated(update, feed, map_blocks, progress, options)
     fitted = _fit(feed, MODELS[model], map_blocks, progress, options)
@@ -70,7 +70,11 @@ def build(
 
 
 def _fit(
-    feed: Feed, model: type[Model], map_blocks: MapBlocks, progress: Progress | None, options: dict[str, Any]
+    feed: TrainingData,
+    model: type[Model],
+    map_blocks: MapBlocks,
+    progress: Progress | None,
+    options: dict[str, Any],
 ) -> Model:
     """Fit a model to blocks, if it can take them one after the other, else to all scans together."""
     if issubclass(model, Faces) and not options.keys() - {"calibrate", "cells"}:
@@ -92,17 +96,21 @@ def _fit(
             _check_enough(feed)
         if not (fitted.is_cluttered if wanted is None else wanted):
             return fitted
-        scans = together(Feed(feed.logs, feed.names, split=feed.split, bounds=feed.bounds))
+        scans = all_scans(TrainingData(feed.logs, feed.names, split=feed.split, bounds=feed.bounds))
         assert scans is not None
         return fitted.with_cells(scans, progress=progress)
-    scans = together(feed)
+    scans = all_scans(feed)
     _check_enough(feed)
     assert scans is not None
     return model.fit(scans, progress=progress, **options)
 
 
 def _updated(
-    graph: Sensorgraph, feed: Feed, map_blocks: MapBlocks, progress: Progress | None, options: dict[str, Any]
+    graph: Sensorgraph,
+    feed: TrainingData,
+    map_blocks: MapBlocks,
+    progress: Progress | None,
+    options: dict[str, Any],
 ) -> Sensorgraph:
     """Add the runs of a feed to a graph."""
     model = graph.model
@@ -134,7 +142,7 @@ def _updated(
     return Sensorgraph(model=fitted, sensor=graph.sensor, pose_frame=graph.pose_frame, origin=origin)
 
 
-def _check_enough(feed: Feed) -> None:
+def _check_enough(feed: TrainingData) -> None:
     """Refuse to build from next to nothing, once all was read."""
     n_trained = sum(entry["trained"] for entry in feed.entries)
     if len(feed.entries) == len(feed.logs) and n_trained < MIN_SCANS:

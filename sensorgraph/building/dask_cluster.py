@@ -10,8 +10,8 @@ from typing import Any
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.faces.reduction import Block, MapBlocks, Reduction
 
-TIMEOUT = 10.0  # [s] to find the scheduler
-AHEAD = 2
+CONNECT_TIMEOUT = 10.0  # [s] to find the scheduler
+BLOCKS_AHEAD = 2
 """Blocks under way for each worker's thread: memory is bounded by them, wherever they wait."""
 
 
@@ -25,7 +25,7 @@ def cluster(address: str) -> Iterator[MapBlocks]:
             "a cluster needs Dask; install it with: pip install 'sensorgraph[dask]'"
         ) from None
     try:
-        client: Any = Client(address, timeout=TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
+        client: Any = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TimeoutError) as exc:
         raise SensorgraphError(
             f"Dask at {address}: no scheduler answers ({exc}); start one with `dask scheduler`"
@@ -41,7 +41,7 @@ def cluster(address: str) -> Iterator[MapBlocks]:
             waiting = deque[Any]()
             for item in items:
                 waiting.append(client.submit(function, item, pure=False))
-                if len(waiting) >= AHEAD * n_threads:
+                if len(waiting) >= BLOCKS_AHEAD * n_threads:
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()

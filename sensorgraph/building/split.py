@@ -12,7 +12,7 @@ from sensorgraph.types import Bools
 
 Split = Literal["every10", "block"]
 SPLITS: tuple[str, ...] = get_args(Split)
-N_STRETCHES, SHARE = 5, 0.02
+N_STRETCHES, STRETCH_SHARE = 5, 0.02
 
 
 def held_out(run: Run | int, split: str | None) -> Bools:
@@ -36,7 +36,7 @@ def held_out(run: Run | int, split: str | None) -> Bools:
     if split == "every10":
         held[9::10] = True
         return held
-    length = max(1, round(SHARE * n))
+    length = max(1, round(STRETCH_SHARE * n))
     for i in range(N_STRETCHES):
         start = round((2 * i + 1) / (2 * N_STRETCHES) * n - length / 2)
         held[start : start + length] = True

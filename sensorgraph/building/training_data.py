@@ -21,13 +21,13 @@ from sensorgraph.world.orientation import orientation
 
 logger = logging.getLogger(__name__)
 
-METRES = 60.0
+MAX_MEDIAN_RANGE = 60.0
 """[m] a median range above this is of another unit."""
-STILL = (1e-4, 1e-4, 1e-4)
+STANDSTILL = (1e-4, 1e-4, 1e-4)
 """[m, m, rad] a robot that moved less stood still."""
 
 
-class Feed:
+class TrainingData:
     """The training scans of several logs, as blocks; `entries` are complete when all blocks were taken."""
 
     def __init__(
@@ -59,7 +59,7 @@ class Feed:
     def __iter__(self) -> Iterator[Block]:
         first = 0
         for i, (log, name) in enumerate(zip(self.logs, self.names, strict=True)):
-            intake = _Intake(name, log.n_scans, self.split)
+            intake = _LogIntake(name, log.n_scans, self.split)
             rows: list[tuple[Floats, Floats]] = []
             waiting = 0
             for run in log.pieces():
@@ -88,7 +88,7 @@ class Feed:
         return Block(first=first, scans=scans)
 
 
-class _Intake:
+class _LogIntake:
     """What is known of one log, piece after piece."""
 
     def __init__(self, name: str, n_scans: int, split: str | None) -> None:
@@ -138,7 +138,7 @@ class _Intake:
         """Refuse what no map can come of, from the first piece: other units, a mirrored scan."""
         finite = run.ranges[np.isfinite(run.ranges)]
         middle = float(np.median(finite)) if len(finite) else 0.0
-        if middle > METRES:
+        if middle > MAX_MEDIAN_RANGE:
             unit, factor = ("millimetres", 1000) if middle > 1000 else ("centimetres", 100)
             raise SensorgraphError(
                 f"{self.name}: the median range is {middle:.0f}, which looks like {unit}, expected metres; "
@@ -154,7 +154,7 @@ class _Intake:
     def entry(self) -> dict[str, Any]:
         """Return what the graph keeps of the log; refuse a robot that stood still."""
         n = self.counts["trained"]
-        if n > 1 and (self.box[1] - self.box[0] < STILL).all():
+        if n > 1 and (self.box[1] - self.box[0] < STANDSTILL).all():
             raise SensorgraphError(
                 f"{self.name}: the pose never changes over {n} scans; did the robot move, does the reference run? "
                 "Record while driving, or name the topic of the poses with `topics` pose=NAME"
@@ -178,7 +178,7 @@ def ranges_bytes(ranges: Floats) -> bytes:
     return np.ascontiguousarray(ranges, dtype="<f8").tobytes()
 
 
-def together(feed: Feed) -> TrainingScans | None:
+def all_scans(feed: TrainingData) -> TrainingScans | None:
     """Put all blocks into memory together, for models that need that; None where there is no scan."""
     parts = [block.scans for block in feed]
     if not parts:

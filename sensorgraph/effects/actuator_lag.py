@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drivetrain import Drivetrain
 
 
-def transform(machine: Machine, a: Amendment) -> None:
+def transform(drivetrain: Drivetrain, a: Amendment) -> None:
     """Slow the motors down."""
-    machine.tau = max(machine.tau + a["tau"], 0.0)
+    drivetrain.tau = max(drivetrain.tau + a["tau"], 0.0)
 
 
 ACTUATOR_LAG = Effect(

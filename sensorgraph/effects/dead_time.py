@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drivetrain import Drivetrain
 
 
-def transform(machine: Machine, a: Amendment) -> None:
+def transform(drivetrain: Drivetrain, a: Amendment) -> None:
     """Let commands wait."""
-    machine.delay = max(machine.delay + a["L"], 0.0)
+    drivetrain.delay = max(drivetrain.delay + a["L"], 0.0)
 
 
 DEAD_TIME = Effect(

@@ -22,7 +22,7 @@ from sensorgraph.effects.proposals import (
 from sensorgraph.effects.set_up import end_of_part_error, third_of_map_error, wall_direction_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene, each
+from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene, nearest_from_each
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -73,7 +73,7 @@ def _panes(residuals: Residuals, wall: int, mine: Bools) -> list[Proposal]:
     walls[wall] = 1e9
     ox = np.broadcast_to(residuals.beams.ox, residuals.z.shape)[mine]
     oy = np.broadcast_to(residuals.beams.oy, residuals.z.shape)[mine]
-    behind, _ = each(
+    behind, _ = nearest_from_each(
         walls, ox[:, None], oy[:, None], residuals.beams.ux[mine][:, None], residuals.beams.uy[mine][:, None]
     )
     best: Proposal | None = None

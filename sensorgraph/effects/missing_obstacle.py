@@ -11,7 +11,7 @@ from sensorgraph.effects.exposures import UNEXPECTED, listed
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import named_walls, obstacles, walls_of
 from sensorgraph.effects.proposals import PROPOSAL, unchanged_obstacles
-from sensorgraph.world.scene import Scene, each
+from sensorgraph.world.scene import Scene, nearest_from_each
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -32,7 +32,7 @@ def propose(residuals: Residuals) -> list[Proposal]:
         bare[members] = 1e9
         ox = np.broadcast_to(beams.ox, shape)[mine][:, None]
         oy = np.broadcast_to(beams.oy, shape)[mine][:, None]
-        behind, _ = each(bare, ox, oy, beams.ux[mine][:, None], beams.uy[mine][:, None])
+        behind, _ = nearest_from_each(bare, ox, oy, beams.ux[mine][:, None], beams.uy[mine][:, None])
         gain = float((residuals.likely(behind[:, 0], mine) - residuals.log_p[mine]).sum())
         centre = walls[members].reshape(-1, 2).mean(axis=0)
         found.append(Proposal(values={}, gain=gain, place=name, xy=centre))

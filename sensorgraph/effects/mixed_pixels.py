@@ -13,7 +13,7 @@ from sensorgraph.effects.proposals import PROPOSAL
 from sensorgraph.effects.set_up import depth_edge_error
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.raycast import cast_laser
-from sensorgraph.world.scene import FAR, Scene, each
+from sensorgraph.world.scene import MAX_DISTANCE, Scene, nearest_from_each
 
 N_SPREAD = 33
 """Rays that fill one beam at an edge."""
@@ -62,10 +62,10 @@ def _spread(scene: Scene, edge: Bools, gamma: float) -> Floats:
     turn = gamma * (2 * (np.arange(N_SPREAD) + 0.5) / N_SPREAD - 1)
     if len(scene.walls) > FEW_WALLS:
         lasers = np.stack([ox, oy, np.arctan2(uy, ux)], axis=1)
-        return cast_laser(scene.walls, lasers, turn, FAR)[0]
+        return cast_laser(scene.walls, lasers, turn, MAX_DISTANCE)[0]
     c, s = np.cos(turn), np.sin(turn)
     vx, vy = ux[:, None] * c - uy[:, None] * s, uy[:, None] * c + ux[:, None] * s
-    return each(scene.walls, ox[:, None], oy[:, None], vx, vy)[0]
+    return nearest_from_each(scene.walls, ox[:, None], oy[:, None], vx, vy)[0]
 
 
 def sweep(residuals: Residuals) -> list[list[Mapping[str, float]]]:

@@ -10,7 +10,7 @@ from sensorgraph.effects.interfaces import CornerShift, Proposal, Residuals
 from sensorgraph.effects.places import named_walls, obstacles, walls_of
 from sensorgraph.effects.proposals import PROPOSAL, unchanged_obstacles
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.ray_intersection import nearest
+from sensorgraph.world.ray_intersection import nearest_walls
 from sensorgraph.world.scene import Scene
 
 NUDGE_DISTANCE = 0.12
@@ -111,13 +111,13 @@ def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
         return None
     rays = ox[some], oy[some], beams.ux[some], beams.uy[some]
     bare = np.delete(walls, members, axis=0)
-    behind, _ = nearest(bare, *rays)
+    behind, _ = nearest_walls(bare, *rays)
     usual = np.where(
         residuals.aimed[some], residuals.mu[some] - beams.ranges[some], 0.0
     )  # what nuisances add
 
     def log_p(shift: Floats) -> float:
-        there, _ = nearest(walls[members] + shift, *rays)
+        there, _ = nearest_walls(walls[members] + shift, *rays)
         reading = np.minimum(there, behind) + np.where(np.isfinite(usual), usual, 0.0)
         return float(residuals.likely(reading, some).sum())
 

@@ -8,7 +8,7 @@ from planners.arena import Arena
 from sensorgraph.effects.effect import Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.scene import Beams, Scene, each
+from sensorgraph.world.scene import Beams, Scene, nearest_from_each
 
 OFF = 1e-6  # [m] a reflected ray starts this far from the mirror
 
@@ -66,7 +66,9 @@ def seen_without(scene: Scene, beams: Beams, some: Bools, name: str) -> Floats:
     walls[walls_of(scene, name)] = 1e9
     behind = np.full(beams.ranges.shape, np.inf)
     ox, oy = (np.broadcast_to(o, beams.ranges.shape)[some] for o in (beams.ox, beams.oy))
-    ranges, _ = each(walls, ox[:, None], oy[:, None], beams.ux[some][:, None], beams.uy[some][:, None])
+    ranges, _ = nearest_from_each(
+        walls, ox[:, None], oy[:, None], beams.ux[some][:, None], beams.uy[some][:, None]
+    )
     behind[some] = ranges[:, 0]
     return behind
 
@@ -79,5 +81,5 @@ def reflected(walls: Floats, beams: Beams, some: Bools) -> Floats:
     into = ux * nx + uy * ny
     vx, vy = ux - 2 * into * nx, uy - 2 * into * ny
     x, y = ox + r * ux, oy + r * uy
-    further, _ = each(walls, x[:, None], y[:, None], vx[:, None], vy[:, None])
+    further, _ = nearest_from_each(walls, x[:, None], y[:, None], vx[:, None], vy[:, None])
     return further[:, 0]

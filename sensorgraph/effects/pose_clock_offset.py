@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drivetrain import Drivetrain
 
 
-def transform(machine: Machine, a: Amendment) -> None:
+def transform(drivetrain: Drivetrain, a: Amendment) -> None:
     """Take the odometry earlier than its stamp says."""
-    machine.odometry_lag += a["tau"]
+    drivetrain.odometry_lag += a["tau"]
 
 
 POSE_CLOCK_OFFSET = Effect(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drivetrain import Drivetrain
 
 
-def transform(machine: Machine, a: Amendment) -> None:
+def transform(drivetrain: Drivetrain, a: Amendment) -> None:
     """Cap the speed."""
-    machine.v_max = min(machine.v_max, a["v_max"])
+    drivetrain.v_max = min(drivetrain.v_max, a["v_max"])
 
 
 SPEED_SATURATION = Effect(

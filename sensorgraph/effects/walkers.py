@@ -6,7 +6,7 @@ import numpy as np
 
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.raycast import cast_laser, laser_poses
-from sensorgraph.world.scene import FAR, Scene
+from sensorgraph.world.scene import MAX_DISTANCE, Scene
 
 RADIUS = 0.18  # [m] of somebody at the height of the scan
 SPEED = (0.4, 1.3)  # [m/s]
@@ -25,7 +25,7 @@ def walkers(scene: Scene, share: float, rng: np.random.Generator) -> Floats:
     looks = scene.begin + np.linspace(0.0, scene.span, n_looks)
     robot = scene.motion(looks)
     lasers = laser_poses(robot, scene.mount)
-    ranges, _ = cast_laser(scene.walls, lasers, scene.bearings, FAR)
+    ranges, _ = cast_laser(scene.walls, lasers, scene.bearings, MAX_DISTANCE)
     blocked = np.zeros(ranges.shape, dtype=np.bool_)
     people = []
     for _ in range(MOST):

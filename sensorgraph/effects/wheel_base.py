@@ -7,12 +7,12 @@ import numpy as np
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.interfaces import WheelMotion, WheelRegressor
 from sensorgraph.types import Floats
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drivetrain import Drivetrain
 
 
-def transform(machine: Machine, a: Amendment) -> None:
+def transform(drivetrain: Drivetrain, a: Amendment) -> None:
     """Scale the turn."""
-    machine.measured = np.diag([1.0, 1 / (1 + a["s"])]) @ machine.measured
+    drivetrain.measured = np.diag([1.0, 1 / (1 + a["s"])]) @ drivetrain.measured
 
 
 def column(motion: WheelMotion) -> tuple[Floats, Floats]:

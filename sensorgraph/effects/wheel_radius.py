@@ -5,12 +5,12 @@ from __future__ import annotations
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.interfaces import WheelMotion, WheelRegressor
 from sensorgraph.types import Floats
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drivetrain import Drivetrain
 
 
-def transform(machine: Machine, a: Amendment) -> None:
+def transform(drivetrain: Drivetrain, a: Amendment) -> None:
     """Scale way and turn."""
-    machine.measured = (1 + a["s"]) * machine.measured
+    drivetrain.measured = (1 + a["s"]) * drivetrain.measured
 
 
 def column(motion: WheelMotion) -> tuple[Floats, Floats]:

@@ -7,12 +7,12 @@ import numpy as np
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.interfaces import WheelMotion, WheelRegressor
 from sensorgraph.types import Floats
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drivetrain import Drivetrain
 
 
-def transform(machine: Machine, a: Amendment) -> None:
+def transform(drivetrain: Drivetrain, a: Amendment) -> None:
     """Turn in proportion to speed."""
-    machine.measured = np.array([[1.0, 0.0], [a["s"] / machine.base, 1.0]]) @ machine.measured
+    drivetrain.measured = np.array([[1.0, 0.0], [a["s"] / drivetrain.base, 1.0]]) @ drivetrain.measured
 
 
 def column(motion: WheelMotion) -> tuple[Floats, Floats]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from sensorgraph.effects.effect import Amendment, Effect, Parameter
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drivetrain import Drivetrain
 
 
-def transform(machine: Machine, a: Amendment) -> None:
+def transform(drivetrain: Drivetrain, a: Amendment) -> None:
     """Make a patch of the floor slippery."""
-    machine.patches.append((a["x"], a["y"], a["r"], a["s"]))
+    drivetrain.patches.append((a["x"], a["y"], a["r"], a["s"]))
 
 
 WHEEL_SLIP = Effect(

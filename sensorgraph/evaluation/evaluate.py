@@ -18,13 +18,13 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Bools, Floats, Progress
 
-NEAREST = 0.1
+MIN_SCORED_RANGE = 0.1
 """[m] a shorter return does not count: the robot's own body, or a broken reading."""
-CAP = 10.0
+MAX_SCORED_RANGE = 10.0
 """[m] a longer return does not count, unless another cap is asked for."""
-MATCH = 0.1
+MATCH_DISTANCE = 0.1
 """[m] end points closer than this match in the f-score."""
-EDGES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0)
+RELIABILITY_EDGES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0)
 """Bins of the said chance of being off."""
 POINT_OF: dict[str, Point] = {
     "median_m": "mode",
@@ -101,9 +101,9 @@ def evaluate(
     is smaller). Errors compare it with the value predicted given a return; whether a return was predicted
     at all is scored by `no_return_recall` and `no_return_precision`, over all rays that are not broken.
     """
-    cap = min(CAP, run.sensor.range_max) if cap is None else cap
-    if not cap > NEAREST:
-        raise SensorgraphError(f"cap is {cap:g} m, expected more than {NEAREST} m")
+    cap = min(MAX_SCORED_RANGE, run.sensor.range_max) if cap is None else cap
+    if not cap > MIN_SCORED_RANGE:
+        raise SensorgraphError(f"cap is {cap:g} m, expected more than {MIN_SCORED_RANGE} m")
     if not is_same_sensor(graph.sensor.bearings, run.sensor.bearings):
         raise SensorgraphError(
             f"the run has {run.sensor.n_rays} rays at other bearings than the {graph.sensor.n_rays} of the graph; "
@@ -119,14 +119,14 @@ def evaluate(
     prediction = graph.predict(
         poses_for(graph, run.pose_frame, run.sensor.mount, pairing.poses[index]), point=point or "mode"
     )
-    scored = np.isfinite(measured) & (measured > NEAREST) & (measured < cap)
+    scored = np.isfinite(measured) & (measured > MIN_SCORED_RANGE) & (measured < cap)
     if not scored.any():
         raise SensorgraphError(
-            f"no ray of the run returned between {NEAREST} m and {cap:g} m; nothing to score"
+            f"no ray of the run returned between {MIN_SCORED_RANGE} m and {cap:g} m; nothing to score"
         )
     sigma = run.sensor.sigma if run.sensor.sigma > 0 else 0.01
     residual = np.where(scored, measured - prediction.point(point or "mode"), np.nan)
-    job = Job(
+    job = Comparison(
         measured=measured, prediction=prediction, bearings=run.sensor.bearings, point=point, sigma=sigma
     )
     return Evaluation(
@@ -135,20 +135,25 @@ def evaluate(
         residual=residual,
         all=job.metrics(scored, ~np.isnan(measured), progress),
         answered_only=job.metrics(scored & prediction.answered, ~np.isnan(measured) & prediction.answered),
-        calibration=_calibration(prediction.p_off[scored], np.abs(residual[scored]) > OFF_DISTANCE),
+        calibration=_reliability(prediction.p_off[scored], np.abs(residual[scored]) > OFF_DISTANCE),
         answered=float(prediction.answered[scored].mean()),
         settings={
-            "scored": {"from_m": NEAREST, "to_m": cap, "n_scans": len(index), "of_scans": run.n_scans},
+            "scored": {
+                "from_m": MIN_SCORED_RANGE,
+                "to_m": cap,
+                "n_scans": len(index),
+                "of_scans": run.n_scans,
+            },
             "point": {name: point or default for name, default in POINT_OF.items()},
             "split": split,
             "sigma_m": sigma,
-            "training": _agreement(graph, run, index, split),
+            "training": _training_overlap(graph, run, index, split),
         },
     )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Job:
+class Comparison:
     """What all metrics are computed from."""
 
     measured: Floats
@@ -205,7 +210,7 @@ class Job:
             there = np.asarray(cKDTree(said).query(seen)[0])
             back = np.asarray(cKDTree(seen).query(said)[0])
             chamfer.append((there.mean() + back.mean()) / 2)
-            recall, precision = (there <= MATCH).mean(), (back <= MATCH).mean()
+            recall, precision = (there <= MATCH_DISTANCE).mean(), (back <= MATCH_DISTANCE).mean()
             both = recall + precision
             f_score.append(2 * recall * precision / both if both > 0 else 0.0)
         return float(np.mean(chamfer)), float(np.mean(f_score))
@@ -217,11 +222,11 @@ def _pearson(a: Floats, b: Floats) -> float | None:
     return float(a @ b) / size if size > 0 else None
 
 
-def _calibration(said: Floats, wrong: Bools) -> list[dict[str, float]]:
+def _reliability(said: Floats, wrong: Bools) -> list[dict[str, float]]:
     """Compare the said chance with the seen share in every bin that holds a ray."""
-    place = np.clip(np.searchsorted(EDGES, said, side="right") - 1, 0, len(EDGES) - 2)
+    place = np.clip(np.searchsorted(RELIABILITY_EDGES, said, side="right") - 1, 0, len(RELIABILITY_EDGES) - 2)
     rows = []
-    for i in range(len(EDGES) - 1):
+    for i in range(len(RELIABILITY_EDGES) - 1):
         here = place == i
         if here.any():
             rows.append(
@@ -243,7 +248,7 @@ def poses_for(graph: Sensorgraph, frame: PoseFrame, mount: Floats, poses: Floats
     return np.column_stack([poses[:, 0] + cos * x - sin * y, poses[:, 1] + sin * x + cos * y, phi])
 
 
-def _agreement(graph: Sensorgraph, run: Run, index: NDArray[np.intp], split: str | None) -> str:
+def _training_overlap(graph: Sensorgraph, run: Run, index: NDArray[np.intp], split: str | None) -> str:
     """Say whether the evaluated scans were seen in training."""
     trained = training_scans(graph, run)
     if trained is None:
@@ -252,9 +257,9 @@ def _agreement(graph: Sensorgraph, run: Run, index: NDArray[np.intp], split: str
     if seen == 0:
         return f"held out: none of these scans was trained on (split {split})"
     built = graph.origin["split"]
-    how = f"built {_split_words(built)}, evaluated {_split_words(split)}"
+    how = f"built {_split_text(built)}, evaluated {_split_text(split)}"
     return f"{seen} of {len(index)} scans were trained on ({how}): the numbers are better than on new scans"
 
 
-def _split_words(split: str | None) -> str:
+def _split_text(split: str | None) -> str:
     return "without a split" if split is None else f"with split {split}"

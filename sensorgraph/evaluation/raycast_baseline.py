@@ -13,11 +13,11 @@ from planners.arena import Arena
 from sensorgraph.building.build import is_same_sensor
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.evaluation.evaluate import Evaluation, Job, Metrics
+from sensorgraph.evaluation.evaluate import Comparison, Evaluation, Metrics
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Ints
 from sensorgraph.world.scene import Scene, Transform, fade
-from sensorgraph.world.simulate import BLOCK
+from sensorgraph.world.simulate import SCANS_PER_STEP
 
 
 def compare(
@@ -44,7 +44,7 @@ def compare(
     out: dict[str, Metrics] = {}
     scan = [a for a in effects if a.effect.channel == "scan"]
     for name, some in (("nominal", ()), ("amended", scan)):
-        job = Job(
+        job = Comparison(
             measured=measured,
             prediction=predict(run, arena, sensor, result.scan_indices, some),
             bearings=run.sensor.bearings,
@@ -66,17 +66,17 @@ def predict(
     if run.pose_frame == "laser":
         sensor = replace(sensor, mount=np.zeros(3))
     parts = []
-    for start in range(0, len(scans), BLOCK):
+    for start in range(0, len(scans), SCANS_PER_STEP):
         scene = Scene(
             arena=arena,
             sensor=sensor,
-            stamps=run.stamps[scans[start : start + BLOCK]],
+            stamps=run.stamps[scans[start : start + SCANS_PER_STEP]],
             motion=lambda t: np.stack([np.interp(t, stamps, column) for column in track.T], axis=-1),
             span=float(run.stamps[-1] - run.stamps[0]),
             begin=float(run.stamps[0]),
         )
         scene.run(effects)
-        parts.append(_said(scene))
+        parts.append(_prediction_of(scene))
     return Prediction(
         **{
             key: np.concatenate([getattr(part, key) for part in parts])
@@ -85,7 +85,7 @@ def predict(
     )
 
 
-def _said(scene: Scene) -> Prediction:
+def _prediction_of(scene: Scene) -> Prediction:
     """Put what a scene expects into the words of a prediction."""
     beams, sensor = scene.beams, scene.sensor
     shape = beams.reading.shape

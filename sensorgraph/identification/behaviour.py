@@ -20,14 +20,14 @@ from robotmodic_ident.errors import IdentError
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 
-CELL = 0.25  # [m] of the coverage
-STEP = 0.5  # [s] between samples of the embedded track
-DELAYS = 4  # coordinates of the embedding, each DELAY apart
-DELAY = 2.0  # [s]
-APART = 20.0  # [s] neighbours nearer in time are of the same visit
-HORIZON = 8.0  # [s] over which neighbours' distance is followed
-REFERENCES = 1000  # points whose neighbours are counted for the dimension
-LEAST = 200  # samples that an exponent needs
+COVERAGE_CELL = 0.25  # [m] of the coverage
+SAMPLE_STEP = 0.5  # [s] between samples of the embedded track
+EMBEDDING_DIMENSION = 4  # coordinates of the embedding, each DELAY apart
+EMBEDDING_DELAY = 2.0  # [s]
+THEILER_WINDOW = 20.0  # [s] neighbours nearer in time are of the same visit
+DIVERGENCE_HORIZON = 8.0  # [s] over which neighbours' distance is followed
+N_REFERENCES = 1000  # points whose neighbours are counted for the dimension
+MIN_SAMPLES = 200  # samples that an exponent needs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +86,8 @@ def behaviour(run: Run, arena: Arena | None = None) -> Behaviour:
     turned = float(np.abs(np.diff(calm[:, 2])).sum())
     nearest = np.where(np.isfinite(run.ranges), run.ranges, np.inf).min(axis=1)
     nearest = nearest[np.isfinite(nearest)]
-    cells = np.unique(np.floor(poses[:, :2] / CELL).astype(np.int64), axis=0)
-    covered = len(cells) * CELL**2
+    cells = np.unique(np.floor(poses[:, :2] / COVERAGE_CELL).astype(np.int64), axis=0)
+    covered = len(cells) * COVERAGE_CELL**2
     dimension, low, high = track_dimension(stamps, poses[:, :2])
     return Behaviour(
         duration_s=duration,
@@ -107,7 +107,7 @@ def behaviour(run: Run, arena: Arena | None = None) -> Behaviour:
 
 def _means(stamps: Floats, poses: Floats) -> Floats:
     """Return the mean of poses (n, 3) in every STEP that has any."""
-    _, place = np.unique(np.floor((stamps - stamps[0]) / STEP).astype(np.int64), return_inverse=True)
+    _, place = np.unique(np.floor((stamps - stamps[0]) / SAMPLE_STEP).astype(np.int64), return_inverse=True)
     count = np.bincount(place)
     return np.stack([np.bincount(place, weights=column) / count for column in poses.T], axis=1)
 
@@ -115,40 +115,40 @@ def _means(stamps: Floats, poses: Floats) -> Floats:
 def lyapunov(stamps: Floats, track: Floats) -> float | None:
     """Estimate the largest Lyapunov exponent [1/s] of a track (n, 2) [m] at stamps (n,) [s].
 
-    The track is embedded by delays; each point's nearest neighbour of another visit is followed for `HORIZON`,
+    The track is embedded by delays; each point's nearest neighbour of another visit is followed for `DIVERGENCE_HORIZON`,
     and the exponent is the slope of the mean log distance.
     """
     t, xy = _evenly(stamps, track)
-    lag, ahead = round(DELAY / STEP), round(HORIZON / STEP)
-    n = len(t) - (DELAYS - 1) * lag
-    if n - ahead < LEAST:
+    lag, ahead = round(EMBEDDING_DELAY / SAMPLE_STEP), round(DIVERGENCE_HORIZON / SAMPLE_STEP)
+    n = len(t) - (EMBEDDING_DIMENSION - 1) * lag
+    if n - ahead < MIN_SAMPLES:
         return None
-    embedded = np.concatenate([xy[i * lag : i * lag + n] for i in range(DELAYS)], axis=1)
+    embedded = np.concatenate([xy[i * lag : i * lag + n] for i in range(EMBEDDING_DIMENSION)], axis=1)
     start = np.arange(n - ahead)
     tree = cKDTree(embedded[start])
     near, index = (np.asarray(part) for part in tree.query(embedded[start], k=min(64, len(start))))
-    other = np.abs(index - start[:, None]) * STEP > APART
+    other = np.abs(index - start[:, None]) * SAMPLE_STEP > THEILER_WINDOW
     found = other.any(axis=1) & (np.take_along_axis(near, other.argmax(axis=1)[:, None], axis=1)[:, 0] > 1e-6)
     mine = start[found]
     theirs = np.take_along_axis(index, other.argmax(axis=1)[:, None], axis=1)[found, 0]
-    if len(mine) < LEAST // 2:
+    if len(mine) < MIN_SAMPLES // 2:
         return None
     steps = np.arange(ahead)
     gaps = np.linalg.norm(embedded[mine[:, None] + steps] - embedded[theirs[:, None] + steps], axis=2)
     mean = np.log(np.maximum(gaps, 1e-6)).mean(axis=0)
-    return float(np.polyfit(steps * STEP, mean, 1)[0])
+    return float(np.polyfit(steps * SAMPLE_STEP, mean, 1)[0])
 
 
 def track_dimension(stamps: Floats, track: Floats) -> tuple[float | None, float | None, float | None]:
     """Return the correlation dimension of a track (n, 2) [m] at stamps (n,) [s], and its 95 % interval.
 
-    The track is embedded as for the exponent; pairs within `APART` of each other in time do not count.
+    The track is embedded as for the exponent; pairs within `THEILER_WINDOW` of each other in time do not count.
     """
     _, xy = _evenly(stamps, track)
     try:
         found = correlation_dimension(
-            xy, dimension=DELAYS, lag=round(DELAY / STEP), theiler=round(APART / STEP),
-            n_reference=REFERENCES, rng=np.random.default_rng(0),
+            xy, dimension=EMBEDDING_DIMENSION, lag=round(EMBEDDING_DELAY / SAMPLE_STEP), theiler=round(THEILER_WINDOW / SAMPLE_STEP),
+            n_reference=N_REFERENCES, rng=np.random.default_rng(0),
         )  # fmt: skip
     except IdentError:  # too short, or hardly moving
         return None, None, None
@@ -157,7 +157,7 @@ def track_dimension(stamps: Floats, track: Floats) -> tuple[float | None, float 
 
 def _evenly(stamps: Floats, track: Floats) -> tuple[Floats, Floats]:
     """Return stamps every STEP (m,) and the track (m, 2) at them."""
-    t = np.arange(stamps[0], stamps[-1], STEP)
+    t = np.arange(stamps[0], stamps[-1], SAMPLE_STEP)
     return t, np.stack([np.interp(t, stamps, column) for column in track.T], axis=1)
 
 

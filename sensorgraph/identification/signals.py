@@ -27,17 +27,17 @@ from sensorgraph.types import Floats, Ints
 POSE = ("x", "y", "phi", "cos_phi", "sin_phi")
 ODOMETRY = ("v", "omega")
 COMMANDS = ("cmd_v", "cmd_omega")
-RAY = re.compile(r"L(\d+(?:\.\d+)?)(?:-(\d+(?:\.\d+)?))?")
-TAKEN = ("cos", "sin", "e")
+RAY_PATTERN = re.compile(r"L(\d+(?:\.\d+)?)(?:-(\d+(?:\.\d+)?))?")
+RESERVED_NAMES = ("cos", "sin", "e")
 """Words of the terms: functions, and the noise."""
-UNEVEN, FEW = 0.2, 0.1
+STEP_TOLERANCE, MAX_UNEVEN_SHARE = 0.2, 0.1
 """Steps of time that differ from the median by more than this share, and the share of steps that may."""
-STALE = 0.5
+MAX_COMMAND_AGE = 0.5
 """[s] a command older than this when the log of commands has ended is not known."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Data:
+class SignalData:
     """Records of signals, under names that a term can hold."""
 
     records: list[Record]
@@ -54,7 +54,7 @@ class Data:
 def variable(name: str) -> str:
     """Return the name that stands for a signal in terms: letters, digits and _."""
     plain = re.sub(r"\W", "_", name.strip())
-    return f"s_{plain}" if not plain or plain[0].isdigit() or plain in TAKEN else plain
+    return f"s_{plain}" if not plain or plain[0].isdigit() or plain in RESERVED_NAMES else plain
 
 
 def variables(names: Iterable[str]) -> dict[str, str]:
@@ -71,7 +71,7 @@ def variables(names: Iterable[str]) -> dict[str, str]:
 
 def rays_of(sensor: RangeSensor, name: str) -> Ints:
     """Return the indices of the rays that a signal such as `L67` or `L45-90` stands for."""
-    found = RAY.fullmatch(name)
+    found = RAY_PATTERN.fullmatch(name)
     assert found is not None
     degrees = np.degrees(wrap(sensor.bearings + sensor.mount[2])) + 90.0
     low, high = float(found[1]), float(found[2] or found[1])
@@ -100,7 +100,7 @@ def perceived(readings: Floats, rays: Ints) -> Floats:
     return np.where(count > 0, np.nansum(some, axis=1) / np.maximum(count, 1), np.nan)
 
 
-def of_run(run: Run, names: Sequence[str], *, every: int = 1) -> Data:
+def signals_of_run(run: Run, names: Sequence[str], *, every: int = 1) -> SignalData:
     """Take signals out of a run at the stamps of its scans, one in `every`.
 
     Poses and odometry are interpolated; a command is the last one given, also after the scan's own stamp by less
@@ -108,7 +108,7 @@ def of_run(run: Run, names: Sequence[str], *, every: int = 1) -> Data:
     """
     known = _offered(run)
     for name in names:
-        if name not in known and not RAY.fullmatch(name):
+        if name not in known and not RAY_PATTERN.fullmatch(name):
             raise SensorgraphError(_unknown(name, [*known, "L67", "L45-90"]))
     stamps = run.stamps[::every]
     new = np.diff(stamps, prepend=-np.inf) > 0  # two scans of one stamp: the first counts
@@ -123,7 +123,7 @@ def of_run(run: Run, names: Sequence[str], *, every: int = 1) -> Data:
         if len(run.commands) and name not in names
     }
     notes = () if not run.meta.get("pose_source") else (f"poses from {run.meta['pose_source']}",)
-    return Data(records=[record], names=names_of, period=period, held=held, notes=notes)
+    return SignalData(records=[record], names=names_of, period=period, held=held, notes=notes)
 
 
 def _offered(run: Run) -> list[str]:
@@ -132,7 +132,7 @@ def _offered(run: Run) -> list[str]:
 
 
 def _signal(run: Run, name: str, every: int) -> Floats:
-    if RAY.fullmatch(name):
+    if RAY_PATTERN.fullmatch(name):
         return perceived(run.ranges[::every], rays_of(run.sensor, name))
     if name in POSE:
         poses = pair(run).poses[::every]
@@ -151,7 +151,7 @@ def _command(run: Run, column: int, stamps: Floats) -> Floats:
     answer = 0.5 * float(np.median(np.diff(run.cmd_stamps))) if len(run.cmd_stamps) > 1 else 0.0
     last = np.searchsorted(run.cmd_stamps, stamps + answer, side="right") - 1
     out: Floats = run.commands[np.maximum(last, 0), column].astype(np.float64)
-    out[(last < 0) | (stamps > run.cmd_stamps[-1] + STALE)] = np.nan
+    out[(last < 0) | (stamps > run.cmd_stamps[-1] + MAX_COMMAND_AGE)] = np.nan
     return out
 
 
@@ -168,7 +168,7 @@ def is_table(path: Path) -> bool:
     return not table.matches(path, first_bytes(path))
 
 
-def of_table(path: Path, names: Sequence[str], *, every: int = 1) -> Data:
+def signals_of_table(path: Path, names: Sequence[str], *, every: int = 1) -> SignalData:
     """Take columns by name out of a CSV file; a column `record` separates records, `t` [s] finds gaps."""
     header, rows = _rows(path)
     for name in names:
@@ -197,7 +197,7 @@ def of_table(path: Path, names: Sequence[str], *, every: int = 1) -> Data:
         if stamps is not None and len(stamps) > 1:
             periods.append(float(np.median(np.diff(stamps))))
         records.append(Record(signals={v: values[n][mine] for v, n in names_of.items()}, stamps=stamps))
-    return Data(
+    return SignalData(
         records=records, names=names_of, period=float(np.median(periods)) if periods else None,
         notes=_spacing(records) if "t" in values else ["no column t: samples are taken as evenly spaced"],
     )  # fmt: skip
@@ -209,7 +209,7 @@ def _spacing(records: Sequence[Record]) -> list[str]:
     notes = [f"{gaps} gaps in t; no lag crosses one"] if gaps > 1 else []
     notes += ["1 gap in t; no lag crosses it"] if gaps == 1 else []
     steps = np.concatenate([_steps(record) for record in records])
-    if len(steps) and float(np.mean(np.abs(steps - 1.0) > UNEVEN)) > FEW:
+    if len(steps) and float(np.mean(np.abs(steps - 1.0) > STEP_TOLERANCE)) > MAX_UNEVEN_SHARE:
         low, high = np.quantile(steps, [0.05, 0.95])
         notes.append(
             f"samples are unevenly spaced ({low:.2g} to {high:.2g} of the median step): lags count samples, not "

@@ -20,7 +20,7 @@ from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import load_arena
 from sensorgraph.planning import plan_folder
-from sensorgraph.planning.priority import doubt
+from sensorgraph.planning.priority import uncertainty
 from sensorgraph.planning.resume import driven_poses, other_place_warnings
 from sensorgraph.planning.views import views_within
 from sensorgraph.types import Floats, Progress
@@ -138,7 +138,7 @@ def plan(
         rate=machine.sensor.rate,
         duration=duration,
         visited=None if resume is None else _driven(resume, world),
-        priority=None if priority is None or targets is not None else partial(doubt, priority),
+        priority=None if priority is None or targets is not None else partial(uncertainty, priority),
         targets=targets,
         progress=progress,
     )

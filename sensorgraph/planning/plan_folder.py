@@ -26,7 +26,7 @@ from sensorgraph.show.figures.headings import headings_picture
 from sensorgraph.show.figures.plan import plan_picture, reach_picture
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
-from sensorgraph.world.simulate import EPOCH_NS, occupancy
+from sensorgraph.world.simulate import EPOCH_NS, occupancy_map
 
 RUN_FILES = ("trajectory.csv", "cmd_vel.csv", "waypoints.yaml", "plan.mcap", "plan.json")
 
@@ -37,7 +37,7 @@ def save(plan: Plan, folder: Path, arena: Arena, robot: Robot) -> None:
     kept = {"arena.geojson": geojson.dumps(arena), "robot.yaml": robot.text}
     attached = {name: text.encode() for name, text in kept.items()}
     grid = coverage_map(plan.coverage)
-    _save_drive(folder, plan.curve, plan.stops, grid, occupancy(arena), attached)
+    _save_drive(folder, plan.curve, plan.stops, grid, occupancy_map(arena), attached)
     plan_picture(plan, arena, folder / "plan.png")
     reach_picture(plan, arena, folder / "reach.png")
     headings_picture(plan, arena, folder / "headings.png")
@@ -49,7 +49,7 @@ def save(plan: Plan, folder: Path, arena: Arena, robot: Robot) -> None:
         own.mkdir()
         logged = np.concatenate([logged, run.driven.curve.log(plan.report["rate"])])
         so_far = coverage_map(counted(plan.coverage, logged))
-        _save_drive(own, run.driven.curve, run.driven.stops, so_far, occupancy(arena), attached)
+        _save_drive(own, run.driven.curve, run.driven.stops, so_far, occupancy_map(arena), attached)
         _write(own, {"plan.json": _json(_report_of_run(plan, number))})
 
 

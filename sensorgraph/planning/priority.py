@@ -9,12 +9,12 @@ from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.types import Floats
 
-BLOCK = 4096  # poses predicted at a time
+POSES_PER_BLOCK = 4096  # poses predicted at a time
 UNKNOWN = 1.0
 """Of a ray that the graph does not answer; an answered ray counts its chance of being off, which is less."""
 
 
-def doubt(graph: Sensorgraph, grid: Coverage) -> Floats:
+def uncertainty(graph: Sensorgraph, grid: Coverage) -> Floats:
     """Return the mean doubt (nx, ny, n_phi) over all rays at the middle of each reachable bin, 0 to 1; 0 elsewhere.
 
     An unanswered ray counts 1, an answered one half its said chance of being more than 5 cm off: where nobody
@@ -26,8 +26,10 @@ def doubt(graph: Sensorgraph, grid: Coverage) -> Floats:
     poses = poses_for(graph, "base_link", graph.sensor.mount, poses)
     out = np.zeros(grid.counts.shape)
     score = np.empty(len(bins))
-    for start in range(0, len(bins), BLOCK):
-        said = graph.predict(poses[start : start + BLOCK])
-        score[start : start + BLOCK] = np.where(said.answered, 0.5 * said.p_off, UNKNOWN).mean(axis=1)
+    for start in range(0, len(bins), POSES_PER_BLOCK):
+        said = graph.predict(poses[start : start + POSES_PER_BLOCK])
+        score[start : start + POSES_PER_BLOCK] = np.where(said.answered, 0.5 * said.p_off, UNKNOWN).mean(
+            axis=1
+        )
     out[tuple(bins.T)] = score
     return out

@@ -14,9 +14,9 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import arena_of
 
-STEP, NEAR = 0.05, 0.10
+WALL_STEP, SAME_WALL_DISTANCE = 0.05, 0.10
 """[m] between points of a wall, and how near a wall of the other arena must be to be the same."""
-SAME = 0.5
+MIN_SHARED = 0.5
 """Of the walls of a run's own arena, and of its poses: fewer in this arena, and the run is of another."""
 
 
@@ -35,14 +35,14 @@ def driven_poses(run: Run, arena: Arena, *, name: str = "the run") -> Floats:
     if not pairing.paired.any():
         raise PlanError(f"{name}: {pairing}; nothing to resume from")
     own = _own_arena(run)
-    if own is not None and (share := shared_walls(own, arena)) < SAME:
+    if own is not None and (share := shared_walls(own, arena)) < MIN_SHARED:
         raise PlanError(
             f"{name} was driven in another arena, of {_extent(own)}: {100 * share:.0f} % of its walls stand in this "
             f"one, of {_extent(arena)}; give the arena of that run, or a run of this one"
         )
     poses = pairing.poses[pairing.paired]
     share = float(arena.contains(poses[:, :2]).mean())
-    if share < SAME:
+    if share < MIN_SHARED:
         raise PlanError(
             f"{name}: {100 * share:.0f} % of its poses lie in the free space of this arena, of {_extent(arena)}; "
             "give the arena of that run, in the frame of its poses"
@@ -56,7 +56,7 @@ def other_place_warnings(graph: Sensorgraph, arena: Arena) -> list[str]:
         own = arena_of(graph)
     except SensorgraphError:
         return []
-    if (share := shared_walls(own, arena)) >= SAME:
+    if (share := shared_walls(own, arena)) >= MIN_SHARED:
         return []
     return [
         f"{100 * share:.0f} % of the walls that the sensorgraph knows stand in this arena; is it of another place?"
@@ -78,12 +78,12 @@ def shared_walls(own: Arena, other: Arena) -> float:
     if not own.n_walls:
         return 1.0
     starts, ends = own.walls[:, 0], own.walls[:, 1]
-    counts = np.maximum(np.hypot(*(ends - starts).T) / STEP, 1).astype(np.int64)
+    counts = np.maximum(np.hypot(*(ends - starts).T) / WALL_STEP, 1).astype(np.int64)
     owner = np.repeat(np.arange(own.n_walls), counts)
     number = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
     share = ((number + 0.5) / counts[owner])[:, None]
     points = starts[owner] + share * (ends - starts)[owner]  # (n, 2) even steps along the walls
-    return float((Barriers(other).distances(points) < NEAR).mean())
+    return float((Barriers(other).distances(points) < SAME_WALL_DISTANCE).mean())
 
 
 def _extent(arena: Arena) -> str:

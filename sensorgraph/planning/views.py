@@ -24,13 +24,13 @@ from sensorgraph.types import Floats, Ints, Progress
 from sensorgraph.world.raycast import cast as cast_arena
 from sensorgraph.world.raycast import laser_poses
 
-SPACE = 0.05  # [m] cell of crossed space
-SURFACE = 0.02  # [m] cell of surface
-SEEN = 3  # rays through a cell of space that make it known
+SPACE_CELL = 0.05  # [m] cell of crossed space
+SURFACE_CELL = 0.02  # [m] cell of surface
+MIN_RAYS = 3  # rays through a cell of space that make it known
 SPACE_WORTH = 2.0  # of a metre of unknown space on a ray, up to one metre
-CANDIDATES = 2500  # poses to choose from, or
-PER_VIEW = 5  # so many for each view, if that is more
-KNOWN = 0.02  # what a ray counts at least, of one that nobody can answer yet
+N_CANDIDATES = 2500  # poses to choose from, or
+CANDIDATES_PER_VIEW = 5  # so many for each view, if that is more
+MIN_RAY_WEIGHT = 0.02  # what a ray counts at least, of one that nobody can answer yet
 
 Caster = Callable[[Floats], Floats]
 """Poses (n, 3) of base_link -> ranges (n, n_rays) [m]; inf where nothing would be seen."""
@@ -56,7 +56,7 @@ def views_within(
         raise PlanError(f"{n} views are asked for, expected 1 or more")
     rng = np.random.default_rng(seed)
     nodes = np.nonzero(reach.mask)
-    pick = rng.integers(len(nodes[0]), size=max(CANDIDATES, PER_VIEW * n))
+    pick = rng.integers(len(nodes[0]), size=max(N_CANDIDATES, CANDIDATES_PER_VIEW * n))
     places = reach.nodes((nodes[0][pick], nodes[1][pick]))
     candidates = np.column_stack([places, rng.uniform(-np.pi, np.pi, len(places))])
     if graph is None:
@@ -74,15 +74,15 @@ def views_within(
         lambda poses: said(poses).ranges,
         known.sensor,
         n,
-        worth=lambda poses: doubt_of(said(poses)),
+        worth=lambda poses: uncertainty_of(said(poses)),
         progress=progress,
     )
     return candidates[chosen]
 
 
-def doubt_of(said: Prediction) -> Floats:
+def uncertainty_of(said: Prediction) -> Floats:
     """Return (n_poses, n_rays) what a look along each ray is worth: 1 where unanswered, else its chance of being off."""
-    return np.asarray(np.where(said.answered, np.maximum(said.p_off, KNOWN), 1.0), dtype=np.float64)
+    return np.asarray(np.where(said.answered, np.maximum(said.p_off, MIN_RAY_WEIGHT), 1.0), dtype=np.float64)
 
 
 def choose_views(
@@ -108,8 +108,8 @@ def choose_views(
     reach = float(ranges.max(initial=1.0)) + 1.0
     low = lasers[:, :2].min(axis=0) - reach
     high = lasers[:, :2].max(axis=0) + reach
-    space = np.zeros(np.ceil((high - low) / SPACE).astype(int) + 1, dtype=np.uint8)
-    surface = np.zeros(np.ceil((high - low) / SURFACE).astype(int) + 1, dtype=np.uint16)
+    space = np.zeros(np.ceil((high - low) / SPACE_CELL).astype(int) + 1, dtype=np.uint8)
+    surface = np.zeros(np.ceil((high - low) / SURFACE_CELL).astype(int) + 1, dtype=np.uint16)
     hit = (ranges > 0) & (ranges < sensor.range_max)
     theta = lasers[:, 2, None] + sensor.bearings
     cos, sin = np.cos(theta), np.sin(theta)
@@ -150,21 +150,21 @@ def _gain(
     """Add up what the rays of one pose would add; note them if `mark`."""
     total = 0.0
     for k in range(len(ranges)):
-        steps = int(ranges[k] / SPACE)
+        steps = int(ranges[k] / SPACE_CELL)
         unknown = 0.0
         for m in range(steps):
-            s = (m + 0.5) * SPACE
-            i, j = int((at[0] + s * cos[k]) / SPACE), int((at[1] + s * sin[k]) / SPACE)
-            if space[i, j] < SEEN:
-                unknown += SPACE
+            s = (m + 0.5) * SPACE_CELL
+            i, j = int((at[0] + s * cos[k]) / SPACE_CELL), int((at[1] + s * sin[k]) / SPACE_CELL)
+            if space[i, j] < MIN_RAYS:
+                unknown += SPACE_CELL
                 if mark:
                     space[i, j] += 1
             if unknown >= 1.0 and not mark:
                 break
         total += weight[k] * SPACE_WORTH * min(unknown, 1.0)
         if hit[k]:
-            i = int((at[0] + ranges[k] * cos[k]) / SURFACE)
-            j = int((at[1] + ranges[k] * sin[k]) / SURFACE)
+            i = int((at[0] + ranges[k] * cos[k]) / SURFACE_CELL)
+            j = int((at[1] + ranges[k] * sin[k]) / SURFACE_CELL)
             total += weight[k] / (1.0 + surface[i, j])
             if mark and surface[i, j] < 65535:
                 surface[i, j] += 1

@@ -16,32 +16,32 @@ import numpy as np
 from robotmodic_ident import Narmax
 from robotmodic_ident.errors import IdentError
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.identification.signals import RAY, perceived, rays_of
+from sensorgraph.identification.signals import RAY_PATTERN, perceived, rays_of
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
 Controller = Callable[[Floats], tuple[float, float]]
 """Readings (n_rays,) [m] -> (v, omega) [m/s, rad/s]."""
-NEAR = 0.35
+TURN_AWAY_DISTANCE = 0.35
 """[m] beyond the footprint at which a robot turns away from what is ahead."""
-BESIDE = 0.30
+FOLLOW_DISTANCE = 0.30
 """[m] beyond the footprint at which a wall is followed."""
-AWAY = 0.50
+LOST_DISTANCE = 0.50
 """[m] beyond the distance of a followed wall from which on there is none beside the robot."""
-SEARCHED = 1.5 * np.pi
+MAX_SEARCH_TURN = 1.5 * np.pi
 """[rad] that it turns to the right for a wall that it has lost, at most: round the end of one, but not in circles."""
-AHEAD = np.radians(30.0)  # half width of what counts as ahead
-CRUISE = 0.75  # of the largest speed
+AHEAD_HALF_WIDTH = np.radians(30.0)  # half width of what counts as ahead
+CRUISE_SHARE = 0.75  # of the largest speed
 
 
-class _Reactive:
+class _ReactiveController:
     """What both controllers share: the way ahead, as the nearest reading in a sector."""
 
     def __init__(self, robot: Robot, seed: int) -> None:
         self.limits, self.radius = robot.limits, robot.footprint_radius
         self.bearings = robot.sensor.bearings + robot.sensor.mount[2]
         self.reach = float(np.hypot(*robot.sensor.mount[:2]))
-        self.ahead = np.abs(self.bearings) < AHEAD
+        self.ahead = np.abs(self.bearings) < AHEAD_HALF_WIDTH
         self.rng = np.random.default_rng([seed, 4])
 
     def nearest(self, readings: Floats, sector: Bools) -> float:
@@ -54,7 +54,7 @@ class _Reactive:
         return self.nearest(readings, self.ahead) - self.radius + self.reach
 
 
-class WallFollowing(_Reactive):
+class WallFollowing(_ReactiveController):
     """Keep the wall on the right at an even distance; turn left before what is ahead; where there is no wall, drive on."""
 
     def __init__(self, robot: Robot, seed: int) -> None:
@@ -66,17 +66,17 @@ class WallFollowing(_Reactive):
     def __call__(self, readings: Floats) -> tuple[float, float]:
         """Steer by the distance to the right and the way ahead."""
         way = self.open_way(readings)
-        if way < NEAR:
+        if way < TURN_AWAY_DISTANCE:
             self.searched = 0.0
             return 0.0, 0.6 * self.limits.omega
-        off = self.nearest(readings, self.right) - self.radius - BESIDE
-        slow = min((way - NEAR) / 0.5 + 0.2, 1.0)
+        off = self.nearest(readings, self.right) - self.radius - FOLLOW_DISTANCE
+        slow = min((way - TURN_AWAY_DISTANCE) / 0.5 + 0.2, 1.0)
         turn = float(np.clip(-1.6 * off, -0.5, 0.5)) * self.limits.omega
-        self.searched = self.searched - turn * self.period if off > AWAY else 0.0
-        return CRUISE * self.limits.v * slow, turn if self.searched < SEARCHED else 0.0
+        self.searched = self.searched - turn * self.period if off > LOST_DISTANCE else 0.0
+        return CRUISE_SHARE * self.limits.v * slow, turn if self.searched < MAX_SEARCH_TURN else 0.0
 
 
-class RandomBounce(_Reactive):
+class RandomBounce(_ReactiveController):
     """Drive straight; before an obstacle turn by a random angle, on until the way is open."""
 
     def __init__(self, robot: Robot, seed: int) -> None:
@@ -88,16 +88,16 @@ class RandomBounce(_Reactive):
     def __call__(self, readings: Floats) -> tuple[float, float]:
         """Steer by the way ahead."""
         way = self.open_way(readings)
-        if self.left <= 0 and way < NEAR:
+        if self.left <= 0 and way < TURN_AWAY_DISTANCE:
             self.left = float(self.rng.uniform(np.pi / 3, np.pi))
             self.side = 1.0 if self.rng.random() < 0.5 else -1.0
         if self.left > 0:
             rate = 0.6 * self.limits.omega
             self.left -= rate * self.period
-            if self.left <= 0 and way < NEAR:
+            if self.left <= 0 and way < TURN_AWAY_DISTANCE:
                 self.left = rate * self.period
             return 0.0, self.side * rate
-        return CRUISE * self.limits.v, 0.0
+        return CRUISE_SHARE * self.limits.v, 0.0
 
 
 CONTROLLERS: dict[str, Callable[[Robot, int], Controller]] = {
@@ -106,8 +106,8 @@ CONTROLLERS: dict[str, Callable[[Robot, int], Controller]] = {
 }
 """Name -> (robot, seed) -> controller."""
 
-TURNS, SPEEDS = ("cmd_omega", "omega"), ("cmd_v", "v")
-UNEVEN = 0.05
+TURN_OUTPUTS, SPEED_OUTPUTS = ("cmd_omega", "omega"), ("cmd_v", "v")
+PERIOD_TOLERANCE = 0.05
 """Share by which the model's period may differ from a multiple of the sensor's."""
 
 
@@ -122,24 +122,24 @@ class PolynomialController:
         self.names: dict[str, str] = {
             v: facts.get("signals", {}).get(v, v) for v in self.model.terms.variables
         }
-        self.is_turn = model.output in TURNS
-        if not self.is_turn and model.output not in SPEEDS:
+        self.is_turn = model.output in TURN_OUTPUTS
+        if not self.is_turn and model.output not in SPEED_OUTPUTS:
             raise SensorgraphError(
-                f"{name} predicts {model.output}; a controller needs one of {', '.join(TURNS + SPEEDS)}"
+                f"{name} predicts {model.output}; a controller needs one of {', '.join(TURN_OUTPUTS + SPEED_OUTPUTS)}"
             )
         held = facts.get("held", {})
         self.held = float(held.get("cmd_v" if self.is_turn else "cmd_omega", 0.0))
         self.rays = {
             v: rays_of(robot.sensor, s)
             for v, s in self.names.items()
-            if v != model.output and RAY.fullmatch(s)
+            if v != model.output and RAY_PATTERN.fullmatch(s)
         }
         if strange := [s for v, s in self.names.items() if v not in self.rays and v != model.output]:
             raise SensorgraphError(
                 f"{name} reads {', '.join(strange)}, which the robot does not perceive; identify a command from "
                 "rays such as L45-90"
             )
-        self.every = _every(facts.get("period_s"), robot.sensor.rate, name)
+        self.every = _scans_per_step(facts.get("period_s"), robot.sensor.rate, name)
         self.depth = self.model.terms.max_lag + 1
         self.past: dict[str, list[float]] = {}
         self.count, self.command = 0, 0.0
@@ -189,13 +189,13 @@ class PolynomialController:
         own.pop()
 
 
-def _every(period: float | None, rate: float, name: str) -> int:
+def _scans_per_step(period: float | None, rate: float, name: str) -> int:
     """Return how many scans make one step of a model."""
     if period is None:
         return 1
     steps = float(period) * rate
     whole = max(1, round(steps))
-    if abs(steps - whole) > UNEVEN * whole:
+    if abs(steps - whole) > PERIOD_TOLERANCE * whole:
         raise SensorgraphError(
             f"{name} was identified every {period:g} s, the sensor scans every {1 / rate:g} s; the period must "
             "be a multiple of it"

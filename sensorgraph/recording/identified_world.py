@@ -23,21 +23,21 @@ from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.recording.controllers import controller_named
-from sensorgraph.recording.record import silent
+from sensorgraph.recording.record import no_progress
 from sensorgraph.types import Floats, ProgressBars
 from sensorgraph.world.drive import follow, react
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot
-from sensorgraph.world.scene import limited
-from sensorgraph.world.simulate import occupancy, simulate
+from sensorgraph.world.scene import apply_range_limits
+from sensorgraph.world.simulate import occupancy_map, simulate
 from sensorgraph.world.wall_distance import WallDistance
 
-PLAN = "plan"
+PLAN_CONTROLLER = "plan"
 """The controller that follows the plan, as `record` does without a graph."""
-NOISE_BLOCK = 256  # scans whose noise is drawn at once
+SCANS_PER_NOISE_BLOCK = 256  # scans whose noise is drawn at once
 
 
-class World(Protocol):
+class PerceivedWorld(Protocol):
     """Where a robot can be driven closed loop."""
 
     seed: int
@@ -52,7 +52,7 @@ class World(Protocol):
         ...
 
 
-class Noise:
+class ScanNoise:
     """A uniform and a normal number for each ray of each scan: the same, whoever asks."""
 
     def __init__(self, seed: int, n_rays: int) -> None:
@@ -61,10 +61,10 @@ class Noise:
 
     def of(self, number: int) -> tuple[Floats, Floats]:
         """Return uniform and normal numbers (n_rays,) of one scan."""
-        block, row = divmod(number, NOISE_BLOCK)
+        block, row = divmod(number, SCANS_PER_NOISE_BLOCK)
         if self._kept is None or self._kept[0] != block:
             rng = np.random.default_rng([self.seed, 1, block])
-            shape = (NOISE_BLOCK, self.n_rays)
+            shape = (SCANS_PER_NOISE_BLOCK, self.n_rays)
             self._kept = block, rng.random(shape), rng.normal(size=shape)
         return self._kept[1][row], self._kept[2][row]
 
@@ -74,14 +74,14 @@ class ArenaWorld:
 
     def __init__(self, arena: Arena, robot: Robot, seed: int) -> None:
         self.arena, self.sensor, self.seed = arena, robot.sensor, seed
-        self._noise = Noise(seed, robot.sensor.n_rays)
+        self._noise = ScanNoise(seed, robot.sensor.n_rays)
 
     def scans(self, first: int, poses: Floats) -> Floats:
         """Draw scans `first`, `first` + 1, ... at base_link poses (n, 3); returns readings (n, n_rays) [m]."""
         normal = np.array([self._noise.of(first + i)[1] for i in range(len(poses))])
         ranges = cast(self.arena, poses, self.sensor).ranges
         noisy = ranges + self.sensor.sigma * normal
-        return limited(np.where(np.isfinite(ranges), noisy, ranges), self.sensor)
+        return apply_range_limits(np.where(np.isfinite(ranges), noisy, ranges), self.sensor)
 
     def scan(self, number: int, pose: Floats) -> Floats:
         """Draw one scan (n_rays,) [m] at a pose (3,)."""
@@ -100,7 +100,7 @@ class IdentifiedWorld:
         self.graph, self.seed = graph, seed
         self.sensor = replace(robot.sensor, range_max=min(robot.sensor.range_max, graph.sensor.range_max))
         self.n_rays = self.unanswered = 0
-        self._noise = Noise(seed, robot.sensor.n_rays)
+        self._noise = ScanNoise(seed, robot.sensor.n_rays)
 
     def scans(self, first: int, poses: Floats) -> Floats:
         """Draw scans `first`, `first` + 1, ... at base_link poses (n, 3); returns readings (n, n_rays) [m]."""
@@ -124,19 +124,19 @@ class IdentifiedWorld:
         else:
             said = self.graph.predict(poses)
             readings = np.where(uniform < said.p_no_return, np.inf, said.mode + said.sigma * normal)
-        return limited(readings, self.sensor)
+        return apply_range_limits(readings, self.sensor)
 
 
-def record_in(
+def record_in_world(
     path: Path,
-    world: World,
+    world: PerceivedWorld,
     arena: Arena,
     robot: Robot,
     way: Trajectory,
     controller: str,
     *,
     name: str = "",
-    progress: ProgressBars = silent,
+    progress: ProgressBars = no_progress,
 ) -> Run:
     """Drive in an identified world for as long as the plan takes, and write what is perceived.
 
@@ -150,7 +150,7 @@ def record_in(
     robot = replace(robot, sensor=world.sensor)
     clearance = WallDistance(arena)
     with progress("driving", "commands") as tick:
-        if controller == PLAN:
+        if controller == PLAN_CONTROLLER:
             rng = np.random.default_rng([world.seed, 2])
             driven = follow(way, robot, clearance=clearance, rng=rng, progress=tick)
         else:
@@ -167,5 +167,5 @@ def record_in(
             progress=tick,
         )  # fmt: skip
     with progress("writing", "messages") as tick:
-        logs.write(run, path, occupancy=occupancy(arena), progress=tick)
+        logs.write(run, path, occupancy=occupancy_map(arena), progress=tick)
     return run

@@ -17,10 +17,10 @@ from planners.trajectory import Trajectory
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effects_file import check_places, dumps
 from sensorgraph.types import Floats, ProgressBars
-from sensorgraph.world.drive import Driven, follow, replay
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drive import ExecutedDrive, follow, replay
+from sensorgraph.world.drivetrain import Drivetrain
 from sensorgraph.world.robot import Robot
-from sensorgraph.world.simulate import occupancy, simulate
+from sensorgraph.world.simulate import occupancy_map, simulate
 from sensorgraph.world.wall_distance import WallDistance
 
 
@@ -36,7 +36,7 @@ class Commands:
     """(3,) [m, m, rad] pose in map."""
 
 
-def silent(label: str, unit: str) -> AbstractContextManager[Callable[[int, int], None]]:
+def no_progress(label: str, unit: str) -> AbstractContextManager[Callable[[int, int], None]]:
     """Show nothing."""
     return nullcontext(lambda done, total: None)
 
@@ -50,7 +50,7 @@ def record(
     effects: Sequence[Amendment] = (),
     seed: int = 0,
     attachments: Mapping[str, bytes] | None = None,
-    progress: ProgressBars = silent,
+    progress: ProgressBars = no_progress,
 ) -> Run:
     """Drive along a trajectory, or by commands, and return what the robot perceives; same seed, same bytes.
 
@@ -62,15 +62,21 @@ def record(
     """
     check_places(effects, arena)
     rng = np.random.default_rng(seed)
-    machine = Machine.of(robot, (a for a in effects if a.effect.channel != "scan"))
+    drivetrain = Drivetrain.of(robot, (a for a in effects if a.effect.channel != "scan"))
     clearance = WallDistance(arena)
     with progress("driving", "commands") as tick:
-        driven: Driven
+        driven: ExecutedDrive
         if isinstance(way, Trajectory):
-            driven = follow(way, robot, clearance=clearance, rng=rng, machine=machine, progress=tick)
+            driven = follow(way, robot, clearance=clearance, rng=rng, drivetrain=drivetrain, progress=tick)
         else:
             driven = replay(
-                way.stamps, way.twists, way.start, robot, clearance=clearance, machine=machine, progress=tick
+                way.stamps,
+                way.twists,
+                way.start,
+                robot,
+                clearance=clearance,
+                drivetrain=drivetrain,
+                progress=tick,
             )
     kept = {"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": robot.text.encode()}
     meta = {"simulated": "true", "seed": str(seed), "contacts": str(driven.contacts)}
@@ -85,12 +91,12 @@ def record(
             rng=rng,
             effects=[a for a in effects if a.effect.channel == "scan"],
             seed=seed,
-            machine=machine,
+            drivetrain=drivetrain,
             meta=meta,
             attachments={**kept, **(attachments or {})},
             progress=tick,
         )
     if path is not None:
         with progress("writing", "messages") as tick:
-            logs.write(run, path, occupancy=occupancy(arena), progress=tick)
+            logs.write(run, path, occupancy=occupancy_map(arena), progress=tick)
     return run

@@ -3,7 +3,7 @@
 The controller is Kanayama's tracking law on the noisy reference pose, its feed-forward shifted by the lag and
 the dead time of the motors (Kanayama, Kimura, Miyazaki and Noguchi 1990, eq. 6). The motors are first-order
 behind a dead time, with limited acceleration; the body stops at walls, and lags on slippery floor, while the
-wheels go on turning. A `Machine` says what motors, wheels and floor really are; the controller knows only
+wheels go on turning. A `Drivetrain` says what motors, wheels and floor really are; the controller knows only
 robot.yaml.
 """
 
@@ -18,18 +18,18 @@ import numpy as np
 from planners.arena import wrap
 from planners.trajectory import Trajectory
 from sensorgraph.types import Floats
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drivetrain import Drivetrain
 from sensorgraph.world.robot import Robot
 
-STEP = 0.01  # [s] of the simulated truth
-SETTLE = 0.5  # [s] that the robot is recorded standing after the last command
+TRUTH_STEP = 0.01  # [s] of the simulated truth
+STANDSTILL = 0.5  # [s] that the robot is recorded standing after the last command
 GAIN_X, GAIN_Y, GAIN_PHI = 1.2, 4.0, 2.0  # [1/s], [1/m²] and [1/m] of the tracking law
 Clearance = Callable[[float, float], float]
 Command = Callable[[float, float, float, float], tuple[float, float]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Driven:
+class ExecutedDrive:
     """What the robot truly did, on a fine grid of time, and what it was told."""
 
     stamps: Floats
@@ -56,11 +56,11 @@ def follow(
     *,
     clearance: Clearance,
     rng: np.random.Generator,
-    machine: Machine | None = None,
+    drivetrain: Drivetrain | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> Driven:
-    """Drive along a trajectory, steering by the noisy reference pose; `machine`: as in robot.yaml if not given."""
-    duration = trajectory.duration + SETTLE
+) -> ExecutedDrive:
+    """Drive along a trajectory, steering by the noisy reference pose; `drivetrain`: as in robot.yaml if not given."""
+    duration = trajectory.duration + STANDSTILL
     period = 1.0 / robot.wheels.rate
     n = _n_commands(duration, robot)
     lead = robot.actuators.tau + robot.actuators.delay + period / 2  # a held command acts half a period late
@@ -82,8 +82,8 @@ def follow(
         return v, omega_r + GAIN_Y * v_r * aside + GAIN_PHI * math.sin(turn)
 
     start = trajectory.poses[0]
-    machine = machine or Machine.of(robot)
-    return _drive(start, duration, command, robot, machine, clearance=clearance, progress=progress)
+    drivetrain = drivetrain or Drivetrain.of(robot)
+    return _drive(start, duration, command, robot, drivetrain, clearance=clearance, progress=progress)
 
 
 def replay(
@@ -93,29 +93,29 @@ def replay(
     robot: Robot,
     *,
     clearance: Clearance,
-    machine: Machine | None = None,
+    drivetrain: Drivetrain | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> Driven:
+) -> ExecutedDrive:
     """Drive open loop by recorded commands (n, 2), each held until the next, from `start` (3,)."""
     stamps = cmd_stamps - cmd_stamps[0]
     period = 1.0 / robot.wheels.rate
     last = (
         np.searchsorted(
-            stamps, period * np.arange(_n_commands(stamps[-1] + SETTLE, robot)) + 1e-9, side="right"
+            stamps, period * np.arange(_n_commands(stamps[-1] + STANDSTILL, robot)) + 1e-9, side="right"
         )
         - 1
     )
     held = commands[np.maximum(last, 0)]
-    held[period * np.arange(len(held)) > stamps[-1] + SETTLE / 2] = 0.0
+    held[period * np.arange(len(held)) > stamps[-1] + STANDSTILL / 2] = 0.0
     table = held.tolist()
 
     def command(k: float, x: float, y: float, phi: float) -> tuple[float, float]:
         v, omega = table[int(k)]
         return v, omega
 
-    machine = machine or Machine.of(robot)
-    duration = float(stamps[-1]) + SETTLE
-    return _drive(start, duration, command, robot, machine, clearance=clearance, progress=progress)
+    drivetrain = drivetrain or Drivetrain.of(robot)
+    duration = float(stamps[-1]) + STANDSTILL
+    return _drive(start, duration, command, robot, drivetrain, clearance=clearance, progress=progress)
 
 
 def react(
@@ -127,7 +127,7 @@ def react(
     *,
     clearance: Clearance,
     progress: Callable[[int, int], None] | None = None,
-) -> Driven:
+) -> ExecutedDrive:
     """Drive closed loop for `duration` [s] from `start` (3,): every new scan gives the next command.
 
     Parameters
@@ -146,21 +146,27 @@ def react(
         return held if k * period <= duration else (0.0, 0.0)
 
     return _drive(
-        start, duration + SETTLE, command, robot, Machine.of(robot), clearance=clearance, progress=progress
+        start,
+        duration + STANDSTILL,
+        command,
+        robot,
+        Drivetrain.of(robot),
+        clearance=clearance,
+        progress=progress,
     )
 
 
 def odometry(
-    driven: Driven, robot: Robot, rng: np.random.Generator, *, machine: Machine | None = None
+    driven: ExecutedDrive, robot: Robot, rng: np.random.Generator, *, drivetrain: Drivetrain | None = None
 ) -> tuple[Floats, Floats, Floats]:
     """Return stamps (n,), poses (n, 3) in odom and twists (n, 2) as the wheels measure and integrate them."""
-    machine = machine or Machine.of(robot)
-    measured = driven.twists @ machine.measured.T  # (n, 2) what the wheels take their motion for
+    drivetrain = drivetrain or Drivetrain.of(robot)
+    measured = driven.twists @ drivetrain.measured.T  # (n, 2) what the wheels take their motion for
     stamps = np.arange(0.0, driven.stamps[-1] + 1e-9, 1.0 / robot.wheels.rate)
     travelled = np.concatenate(
-        [np.zeros((1, 2)), np.cumsum((measured[1:] + measured[:-1]) / 2 * STEP, axis=0)]
+        [np.zeros((1, 2)), np.cumsum((measured[1:] + measured[:-1]) / 2 * TRUTH_STEP, axis=0)]
     )
-    taken = stamps - machine.odometry_lag
+    taken = stamps - drivetrain.odometry_lag
     at = np.stack([np.interp(taken, driven.stamps, column) for column in travelled.T], axis=1)
     twists = np.concatenate([measured[:1], np.diff(at, axis=0) * robot.wheels.rate])
     twists[1:] += rng.normal(size=(len(stamps) - 1, 2)) * [robot.wheels.sigma_v, robot.wheels.sigma_omega]
@@ -181,22 +187,22 @@ def _drive(
     duration: float,
     command: Command,
     robot: Robot,
-    machine: Machine,
+    drivetrain: Drivetrain,
     *,
     clearance: Clearance,
     progress: Callable[[int, int], None] | None,
-) -> Driven:
+) -> ExecutedDrive:
     """Integrate the robot; `command(k, x, y, phi)` is asked once per control period."""
     limits, radius = robot.limits, robot.footprint_radius
     backward = 0.0 if robot.drive == "dubins" else -limits.v
     n_commands, period = _n_commands(duration, robot), 1.0 / robot.wheels.rate
-    n_steps = round(duration / STEP)
-    keep = math.exp(-STEP / machine.tau) if machine.tau > 0 else 0.0
-    late = machine.delay / STEP
+    n_steps = round(duration / TRUTH_STEP)
+    keep = math.exp(-TRUTH_STEP / drivetrain.tau) if drivetrain.tau > 0 else 0.0
+    late = drivetrain.delay / TRUTH_STEP
     whole = math.floor(late + 1e-9)
     share = max(late - whole, 0.0)  # of a step that the older command still holds
-    v_max, is_slippery, grip = machine.v_max, bool(machine.patches), 1.0
-    dv, domega = limits.a * STEP, limits.alpha * STEP
+    v_max, is_slippery, grip = drivetrain.v_max, bool(drivetrain.patches), 1.0
+    dv, domega = limits.a * TRUTH_STEP, limits.alpha * TRUTH_STEP
     x, y, phi = (float(value) for value in start)
     v = omega = u_v = u_omega = 0.0
     given: list[tuple[float, float]] = []
@@ -204,7 +210,7 @@ def _drive(
     waiting = [(0.0, 0.0)] * (whole + 1)
     contacts, touching = 0, False
     for k in range(n_steps):
-        if len(given) < n_commands and k * STEP >= len(given) * period - 1e-9:
+        if len(given) < n_commands and k * TRUTH_STEP >= len(given) * period - 1e-9:
             w_v, w_omega = command(len(given), x, y, phi)
             u_v = min(max(w_v, backward), limits.v)
             u_omega = min(max(w_omega, -limits.omega), limits.omega)
@@ -220,10 +226,10 @@ def _drive(
         v_next = v + min(max((m_v - v) * (1 - keep), -dv), dv)
         omega_next = omega + min(max((m_omega - omega) * (1 - keep), -domega), domega)
         if is_slippery:
-            grip = machine.grip(x, y)
-        v_mid, turn = grip * (v + v_next) / 2, grip * (omega + omega_next) / 2 * STEP
-        x_next = x + v_mid * STEP * math.cos(phi + turn / 2)
-        y_next = y + v_mid * STEP * math.sin(phi + turn / 2)
+            grip = drivetrain.grip(x, y)
+        v_mid, turn = grip * (v + v_next) / 2, grip * (omega + omega_next) / 2 * TRUTH_STEP
+        x_next = x + v_mid * TRUTH_STEP * math.cos(phi + turn / 2)
+        y_next = y + v_mid * TRUTH_STEP * math.sin(phi + turn / 2)
         phi += turn
         free = clearance(x_next, y_next)
         if free >= radius or free >= clearance(x, y):
@@ -235,8 +241,8 @@ def _drive(
         twists.append((v, omega))
     if progress is not None:
         progress(n_commands, n_commands)
-    return Driven(
-        stamps=np.arange(n_steps + 1) * np.float64(STEP),
+    return ExecutedDrive(
+        stamps=np.arange(n_steps + 1) * np.float64(TRUTH_STEP),
         poses=np.array(poses),
         twists=np.array(twists),
         cmd_stamps=np.arange(len(given)) * np.float64(period),

@@ -13,7 +13,7 @@ from sensorgraph.world.scene import Transform
 
 
 @dataclass(eq=False)
-class Machine:
+class Drivetrain:
     """What turns commands into motion, and motion into odometry."""
 
     tau: float
@@ -32,12 +32,12 @@ class Machine:
     """(x, y, radius, share of the motion that is lost) of slippery floor [m, m, m, 1]."""
 
     @classmethod
-    def of(cls, robot: Robot, effects: Iterable[Transform] = ()) -> Machine:
-        """Return the machine that robot.yaml describes, changed by effects."""
-        machine = cls(tau=robot.actuators.tau, delay=robot.actuators.delay, base=robot.wheels.base)
+    def of(cls, robot: Robot, effects: Iterable[Transform] = ()) -> Drivetrain:
+        """Return the drivetrain that robot.yaml describes, changed by effects."""
+        drivetrain = cls(tau=robot.actuators.tau, delay=robot.actuators.delay, base=robot.wheels.base)
         for effect in sorted(effects, key=lambda effect: effect.key):
-            effect(machine)  # type: ignore[arg-type]
-        return machine
+            effect(drivetrain)  # type: ignore[arg-type]
+        return drivetrain
 
     def grip(self, x: float, y: float) -> float:
         """Return the share of the wheels' motion that the body makes at (x, y) [m]."""

@@ -19,13 +19,13 @@ from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.types import Floats, Ints
 
-LEAST = 0.5
+MIN_WALL_VISIBILITY = 0.5
 """Visibility above which a stretch is a wall."""
-SHORTEST = 0.01  # [m] of a wall
-CORNER = 0.004  # [m] ends this near are one corner
-TOUCHING = 0.06  # [m] walls whose ends are this near belong to one thing
-THICK = 0.05  # [m] behind a wall is not free, whatever a grid of 10 cm cells says
-SLIVER = 0.15  # [m] free space nowhere twice as wide is what the grid smeared behind a wall
+MIN_WALL_LENGTH = 0.01  # [m] of a wall
+MERGE_DISTANCE = 0.004  # [m] ends this near are one corner
+TOUCH_DISTANCE = 0.06  # [m] walls whose ends are this near belong to one thing
+WALL_THICKNESS = 0.05  # [m] behind a wall is not free, whatever a grid of 10 cm cells says
+MIN_HALF_WIDTH = 0.15  # [m] free space nowhere twice as wide is what the grid smeared behind a wall
 
 
 def arena_of(graph: Sensorgraph) -> Arena:
@@ -43,7 +43,7 @@ def arena_of(graph: Sensorgraph) -> Arena:
         raise SensorgraphError(
             "the graph has no face that is surely seen; build it from a longer log, or give a map"
         )
-    thing = _things(walls)
+    thing = _connected_walls(walls)
     size = [
         float(np.prod(np.ptp(walls[thing == k].reshape(-1, 2), axis=0) + 0.1)) for k in range(thing.max() + 1)
     ]
@@ -54,7 +54,7 @@ def arena_of(graph: Sensorgraph) -> Arena:
         name = "room" if place == 0 else f"thing_{place}"
         names += [f"{name}/edge_{i}" for i in range(int((thing == k).sum()))]
     return Arena(
-        free=_free(model.observed, walls, normals),
+        free=_free_space(model.observed, walls, normals),
         walls=walls[order],
         names=tuple(names),
         surfaces=("wall",) * len(walls),
@@ -65,52 +65,56 @@ def _walls(model: Faces) -> tuple[Floats, Floats]:
     """Return the ends (n, 2, 2) of all stretches that are surely seen, corners made one, and their normals."""
     faces = model.faces
     owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
-    at = np.flatnonzero(faces.levels > LEAST)
+    at = np.flatnonzero(faces.levels > MIN_WALL_VISIBILITY)
     joined = np.flatnonzero(
         (np.diff(at) == 1) & (owner[at[1:]] == owner[at[:-1]])
     )  # a step in visibility is no end
     starts, stops = np.delete(at, joined + 1), np.delete(at, joined) + 1
-    keep = faces.edges[stops] - faces.edges[starts] > SHORTEST
+    keep = faces.edges[stops] - faces.edges[starts] > MIN_WALL_LENGTH
     starts, stops = starts[keep], stops[keep]
     k = owner[starts]
     foot = faces.normals[k] * faces.offsets[k, None]
     tangents = faces.tangents[k]
     ends = np.stack([foot + tangents * faces.edges[e][:, None] for e in (starts, stops)], axis=1)
     flat = ends.reshape(-1, 2)
-    _, group = _linked(flat, CORNER)
+    _, group = _group_points(flat, MERGE_DISTANCE)
     total = np.zeros((group.max() + 1 if len(group) else 0, 2))
     np.add.at(total, group, flat)
     corners = total / np.bincount(group)[:, None] if len(group) else total
     return corners[group].reshape(-1, 2, 2), faces.normals[k]
 
 
-def _things(walls: Floats) -> Ints:
+def _connected_walls(walls: Floats) -> Ints:
     """Number connected walls alike: ends that touch, or an end that touches another wall's middle."""
     lines = [shapely.LineString(wall) for wall in walls]
-    a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=TOUCHING)
+    a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=TOUCH_DISTANCE)
     n = len(walls)
     return np.asarray(
         connected_components(coo_matrix((np.ones(len(a)), (a, b)), shape=(n, n)))[1], dtype=np.intp
     )
 
 
-def _linked(points: Floats, distance: float) -> tuple[int, Ints]:
+def _group_points(points: Floats, distance: float) -> tuple[int, Ints]:
     pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
     n = len(points)
     count, group = connected_components(coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(n, n)))
     return int(count), np.asarray(group, dtype=np.intp)
 
 
-def _free(crossed: ObservedSpace, walls: Floats, normals: Floats) -> Polygon | MultiPolygon:
+def _free_space(crossed: ObservedSpace, walls: Floats, normals: Floats) -> Polygon | MultiPolygon:
     """Return the crossed cells, a little wider, without what lies behind walls."""
     i, j = np.nonzero(crossed.counts)
     x, y = crossed.origin[0] + i * crossed.cell, crossed.origin[1] + j * crossed.cell
     cells = shapely.union_all(shapely.box(x, y, x + crossed.cell, y + crossed.cell))
-    behind = np.concatenate([walls, walls[:, ::-1] - THICK * normals[:, None]], axis=1)  # (n_walls, 4, 2)
+    behind = np.concatenate(
+        [walls, walls[:, ::-1] - WALL_THICKNESS * normals[:, None]], axis=1
+    )  # (n_walls, 4, 2)
     free = cells.buffer(crossed.cell / 2, join_style="mitre").difference(
         shapely.union_all(shapely.polygons(behind))
     )
-    parts = [p for p in shapely.get_parts(free) if isinstance(p, Polygon) and p.buffer(-SLIVER).area > 0]
+    parts = [
+        p for p in shapely.get_parts(free) if isinstance(p, Polygon) and p.buffer(-MIN_HALF_WIDTH).area > 0
+    ]
     if not parts:
         raise SensorgraphError("the graph knows no free space; build it from a longer log, or give a map")
     return MultiPolygon(parts) if len(parts) > 1 else parts[0]

@@ -11,16 +11,16 @@ from planners.arena import Arena
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast, laser_poses
 
-LEAST_SCANS, MOST_SCANS = 10, 300
-WORDS = {
+MIN_SCANS, MAX_SCANS = 10, 300
+CAUSES = {
     "as logged": (1, 0.0),
     "mirrored": (-1, 0.0),
     "turned 180°": (1, np.pi),
     "mirrored and turned 180°": (-1, np.pi),
 }
-BADLY = 0.1  # [m] median error above which map, poses and scans do not belong together
-CLEARLY = 0.8  # another orientation must be better by this factor to be reported
-CELL = 0.1  # [m] of the grid in which end points pile up, where the orientation is right
+MAX_MEDIAN_ERROR = 0.1  # [m] median error above which map, poses and scans do not belong together
+MAX_ERROR_RATIO = 0.8  # another orientation must be better by this factor to be reported
+END_POINT_CELL = 0.1  # [m] of the grid in which end points pile up, where the orientation is right
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,7 @@ class Orientation:
     def best(self) -> str:
         """Return the orientation that fits best, unless the logged one is nearly as good."""
         name = min(self.fits, key=lambda key: self.fits[key])
-        return name if self.fits[name] < CLEARLY * self.fits["as logged"] else "as logged"
+        return name if self.fits[name] < MAX_ERROR_RATIO * self.fits["as logged"] else "as logged"
 
     def lines(self) -> list[str]:
         """Say how well each orientation fits, and what to do if another one fits better."""
@@ -49,7 +49,7 @@ class Orientation:
                 f"WARNING: the scan fits better {self.best}: check the sign of angle_increment, the mount's yaw "
                 "and the driver's `inverted` setting"
             )
-        elif self.against == "the arena" and self.fits[self.best] > BADLY:
+        elif self.against == "the arena" and self.fits[self.best] > MAX_MEDIAN_ERROR:
             out.append(
                 f"WARNING: the scan fits the arena badly ({100 * self.fits[self.best]:.0f} cm): is it the arena of this "
                 "run, are the clocks of poses and scans the same, is the mount right?"
@@ -65,13 +65,13 @@ def orientation(run: Run, arena: Arena | None) -> Orientation | None:
     """
     pairing = pair(run)
     index = np.flatnonzero(pairing.paired & np.isfinite(run.ranges).any(axis=1))
-    if len(index) < LEAST_SCANS:
+    if len(index) < MIN_SCANS:
         return None
-    some = index[np.linspace(0, len(index) - 1, min(MOST_SCANS, len(index))).astype(np.intp)]
+    some = index[np.linspace(0, len(index) - 1, min(MAX_SCANS, len(index))).astype(np.intp)]
     ranges, poses = run.ranges[some], pairing.poses[some]
     lasers = poses if run.pose_frame == "laser" else laser_poses(poses, run.sensor.mount)
     fits = {}
-    for name, (sign, turn) in WORDS.items():
+    for name, (sign, turn) in CAUSES.items():
         if arena is not None:
             fits[name] = _against_map(ranges, lasers, run.sensor, arena, sign, turn)
         else:
@@ -93,5 +93,5 @@ def _against_itself(ranges: Floats, lasers: Floats, bearings: Floats, sign: int,
     phi = lasers[:, 2:] + sign * bearings + turn
     ends = lasers[:, None, :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
     near = np.isfinite(ranges) & (ranges > 0.1) & (ranges < 10.0)
-    cells = np.floor(ends[near] / CELL).astype(np.int64)
+    cells = np.floor(ends[near] / END_POINT_CELL).astype(np.int64)
     return float(len(np.unique(cells[:, 0] * 1_000_003 + cells[:, 1])))

@@ -9,7 +9,7 @@ from sensorgraph.types import Floats, Ints
 
 
 @kernel
-def nearest(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
+def nearest_walls(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
     """Return how far each ray goes, and to which wall.
 
     Parameters
@@ -36,8 +36,8 @@ def nearest(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tu
     return ranges, wall
 
 
-def plain_nearest(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
-    """Return what `nearest` does."""
+def nearest_walls_plain(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
+    """Return what `nearest_walls` does."""
     a = walls[:, 0]
     d = walls[:, 1] - a
     ax, ay = a[:, 0] - ox[:, None], a[:, 1] - oy[:, None]  # (n, n_walls)

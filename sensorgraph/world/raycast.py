@@ -14,18 +14,15 @@ import numpy as np
 
 from logs.run import RangeSensor
 from planners.arena import Arena, wrap
-from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.ray_intersection import nearest
+from sensorgraph.types import Floats, Ints
+from sensorgraph.world.ray_intersection import nearest_walls
+from sensorgraph.world.wall_clusters import SECTORS, ClusterView, SectorReach, WallClusters
 
-BATCH = 48  # poses at a time: the working set stays in the cache
-FEW_WALLS = 160  # up to here every pose meets every wall
-PER_CLUSTER = 10  # neighbouring walls under one bounding circle
-STAGES = (8, 32)  # clusters met, nearest first; after each stage the hidden ones are left out
-SECTORS = 64  # of the full turn (a power of two), in which it is noted how far the rays reach
-LEVELS = 5  # runs of 1, 2, 4, 8 and 16 sectors
-LEVEL_OF = np.minimum(np.frexp(np.maximum(np.arange(SECTORS + 1), 1).astype(np.float64))[1] - 1, LEVELS - 1)
-PAD = 1e-12  # [rad] a wall's window of bearings is widened by this, so that no ray slips through a shared corner
-GRAZING = 1e-3  # [rad] below this angle between ray and wall the hit is held inside the wall's ends
+POSES_PER_BATCH = 48  # poses at a time: the working set stays in the cache
+MAX_UNCLUSTERED_WALLS = 160  # up to here every pose meets every wall
+CLUSTER_STAGES = (8, 32)  # clusters met, nearest first; after each stage the hidden ones are left out
+BEARING_PAD = 1e-12  # [rad] a wall's window of bearings is widened by this, so that no ray slips through a shared corner
+GRAZING_ANGLE = 1e-3  # [rad] below this angle between ray and wall the hit is held inside the wall's ends
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +59,7 @@ def cast(arena: Arena, poses: Floats, sensor: RangeSensor) -> Hits:
     poses = np.asarray(poses, dtype=np.float64)
     if poses.ndim != 2 or poses.shape[1] != 3:
         raise ValueError(f"poses has shape {poses.shape}, expected (n_scans, 3)")
-    return _Caster(_prepared(arena), sensor)(laser_poses(poses, sensor.mount))
+    return _Caster(_prepared_walls(arena), sensor)(laser_poses(poses, sensor.mount))
 
 
 def cast_laser(walls: Floats, lasers: Floats, bearings: Floats, farthest: float) -> tuple[Floats, Ints]:
@@ -108,12 +105,12 @@ def cast_rays(arena: Arena, origins: Floats, headings: Floats, sensor: RangeSens
     shape = headings.shape
     x, y = np.ascontiguousarray(origins.reshape(-1, 2).T, dtype=np.float64)
     ux, uy = np.cos(headings).ravel(), np.sin(headings).ravel()
-    ranges, wall = nearest(arena.walls, x, y, ux, uy)
-    ranges, incidence, wall = _finish(_unit(arena.walls), ux, uy, ranges, wall, sensor)
+    ranges, wall = nearest_walls(arena.walls, x, y, ux, uy)
+    ranges, incidence, wall = _apply_limits(_unit_tangents(arena.walls), ux, uy, ranges, wall, sensor)
     return Hits(ranges=ranges.reshape(shape), incidence=incidence.reshape(shape), wall=wall.reshape(shape))
 
 
-def _finish(
+def _apply_limits(
     along: Floats, ux: Floats, uy: Floats, ranges: Floats, wall: Ints, sensor: RangeSensor
 ) -> tuple[Floats, Floats, Ints]:
     """Apply the sensor's range limits and add the incidence; return ranges, incidence, wall."""
@@ -125,7 +122,7 @@ def _finish(
     return limited, incidence, wall
 
 
-class _Scans:
+class _CastBatch:
     """A batch of scans in the making: laser poses, directions of the rays, what they have met so far."""
 
     def __init__(self, poses: Floats, bearings: Floats) -> None:
@@ -140,7 +137,7 @@ class _Caster:
     """The angular-interval method: for each pose and wall, the run of rays between the wall's two ends.
 
     With many walls, those near a pose go first; of the others only the clusters that could still shorten
-    some ray are looked at.
+    some ray are looked at (see `wall_clusters`).
     """
 
     def __init__(self, walls: _Walls, sensor: RangeSensor) -> None:
@@ -165,18 +162,18 @@ class _Caster:
         """Cast from poses (n_poses, 3) of the laser."""
         shape = (len(poses), self.n_rays)
         ranges, incidence, wall = np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.intp)
-        for start in range(0, len(poses), BATCH):
-            part = slice(start, start + BATCH)
-            scans = _Scans(poses[part], self.bearings)
+        for start in range(0, len(poses), POSES_PER_BATCH):
+            part = slice(start, start + POSES_PER_BATCH)
+            scans = _CastBatch(poses[part], self.bearings)
             if self.clusters is not None:
                 self._staged(scans, self.clusters)
             elif self.along.size:
                 self._dense(scans)
-            done = _finish(self.along, scans.ux, scans.uy, scans.ranges, scans.wall, self.sensor)
+            done = _apply_limits(self.along, scans.ux, scans.uy, scans.ranges, scans.wall, self.sensor)
             ranges[part], incidence[part], wall[part] = done
         return Hits(ranges=ranges, incidence=incidence, wall=wall)
 
-    def _dense(self, scans: _Scans) -> None:
+    def _dense(self, scans: _CastBatch) -> None:
         """Meet every wall with every pose; walls share their vertices."""
         poses, n_walls = scans.poses, len(self.along[0])
         x = self.vertices[0] - poses[:, :1]  # (n_poses, n_vertices)
@@ -187,23 +184,23 @@ class _Caster:
         pose, k = np.divmod(np.arange(len(poses) * n_walls), n_walls)
         self._meet(scans, pose, k, (ax, ay), angle[:, i].ravel(), angle[:, j].ravel())
 
-    def _staged(self, scans: _Scans, clusters: _Clusters) -> None:
+    def _staged(self, scans: _CastBatch, clusters: WallClusters) -> None:
         """Meet each pose with the clusters nearest to it, then with those that are not hidden behind these."""
-        view = _View(clusters, scans.poses, self.bearings)
+        view = ClusterView(clusters, scans.poses, self.bearings)
         n_poses, n_clusters = len(scans.poses), len(clusters.radius)
         left = np.ones((n_poses, n_clusters), dtype=np.bool_)  # still to be met
-        stages = [n for n in STAGES if n < n_clusters]
+        stages = [n for n in CLUSTER_STAGES if n < n_clusters]
         borders = np.partition(view.distance, stages, axis=1)[:, stages] if stages else np.empty((n_poses, 0))
-        reach: _Reach | None = None
+        reach: SectorReach | None = None
         for border in (*borders.T, np.full(n_poses, np.inf)):
             chosen = left & (view.distance < border[:, None])
             self._sparse(scans, *clusters.pairs(chosen), reach)
             left &= ~chosen
             if border[0] < np.inf:
-                reach = _Reach(np.minimum(scans.ranges, self.sensor.range_max), *self.sectors)
+                reach = SectorReach(np.minimum(scans.ranges, self.sensor.range_max), *self.sectors)
                 left &= ~view.hidden(reach)
 
-    def _sparse(self, scans: _Scans, pose: Ints, walls: Ints, reach: _Reach | None) -> None:
+    def _sparse(self, scans: _CastBatch, pose: Ints, walls: Ints, reach: SectorReach | None) -> None:
         """Meet some walls with some poses: pairs (pose, wall); `reach`: what the rays have met so far."""
         px, py, turn = scans.poses[:, 0][pose], scans.poses[:, 1][pose], scans.turn[pose]
         i, j = self.ends[0][walls], self.ends[1][walls]
@@ -228,7 +225,7 @@ class _Caster:
 
     def _meet(
         self,
-        scans: _Scans,
+        scans: _CastBatch,
         pose: Ints,
         walls: Ints,
         end: tuple[Floats, Floats],
@@ -251,22 +248,22 @@ class _Caster:
         across = ux * dy - uy * dx  # cosine of the incidence
         with np.errstate(divide="ignore", invalid="ignore"):
             r = side[pair] / across
-        grazing = np.flatnonzero(np.abs(across) < GRAZING)
+        grazing = np.flatnonzero(np.abs(across) < GRAZING_ANGLE)
         if len(grazing):
             g, p = grazing, pair[grazing]
             a, b = self.vertices[:, self.ends[0][k[g]]], self.vertices[:, self.ends[1][k[g]]]
-            r[g] = _inside(end[0][p], end[1][p], b[0] - a[0], b[1] - a[1], ux[g], uy[g])
-        _shorten(scans.ranges.reshape(-1), scans.wall.reshape(-1), at, r, k)
+            r[g] = _intersect_grazing(end[0][p], end[1][p], b[0] - a[0], b[1] - a[1], ux[g], uy[g])
+        _keep_nearest(scans.ranges.reshape(-1), scans.wall.reshape(-1), at, r, k)
 
     def _runs(self, right: Floats, left: Floats, base: Ints) -> tuple[Ints, Ints]:
         """List every ray between the right and left end of each wall: (index of the pair, base of the pair + ray)."""
-        wraps = left < right - 2 * PAD  # the wall straddles the direction of ray 0: two runs
-        first, last = self._window(right, np.where(wraps, 2 * np.pi + PAD, left))
-        pair, at = _expand(first, last, base)
+        wraps = left < right - 2 * BEARING_PAD  # the wall straddles the direction of ray 0: two runs
+        first, last = self._window(right, np.where(wraps, 2 * np.pi + BEARING_PAD, left))
+        pair, at = _expand_runs(first, last, base)
         where = np.flatnonzero(wraps)
         if len(where):
             _, last = self._window(left[where], left[where])
-            more, more_at = _expand(np.zeros_like(last), last, base[where])
+            more, more_at = _expand_runs(np.zeros_like(last), last, base[where])
             pair, at = np.concatenate([pair, where[more]]), np.concatenate([at, more_at])
         return pair, at
 
@@ -274,9 +271,9 @@ class _Caster:
         """Return the first and last ray between two angles counted from ray 0."""
         if self.step is None:
             relative = self.bearings - self.bearings[0]
-            first = np.searchsorted(relative, right - PAD, side="left")
-            return first, np.searchsorted(relative, left + PAD, side="right") - 1
-        pad = PAD / self.step
+            first = np.searchsorted(relative, right - BEARING_PAD, side="left")
+            return first, np.searchsorted(relative, left + BEARING_PAD, side="right") - 1
+        pad = BEARING_PAD / self.step
         first = np.ceil(right * (1 / self.step) - pad).astype(np.intp)
         last = np.floor(left * (1 / self.step) + pad).astype(np.intp)
         return first, np.minimum(last, self.n_rays - 1, out=last)
@@ -289,114 +286,21 @@ class _Walls:
         points, ends = np.unique(walls[..., 0] + 1j * walls[..., 1], return_inverse=True)
         self.vertices = np.stack([points.real, points.imag])  # (2, n_vertices)
         self.ends = np.ascontiguousarray(ends.reshape(-1, 2).T)  # (2, n_walls)
-        self.along = _unit(walls)  # (2, n_walls)
+        self.along = _unit_tangents(walls)  # (2, n_walls)
         self.length = np.hypot(*(walls[:, 1] - walls[:, 0]).T)  # (n_walls,) [m]
-        self.clusters = _Clusters(walls) if len(walls) > FEW_WALLS else None
+        self.clusters = WallClusters(walls) if len(walls) > MAX_UNCLUSTERED_WALLS else None
 
 
-_PREPARED: WeakKeyDictionary[Arena, _Walls] = WeakKeyDictionary()
+_PREPARED_WALLS: WeakKeyDictionary[Arena, _Walls] = WeakKeyDictionary()
 
 
-def _prepared(arena: Arena) -> _Walls:
-    if arena not in _PREPARED:
-        _PREPARED[arena] = _Walls(arena.walls)
-    return _PREPARED[arena]
+def _prepared_walls(arena: Arena) -> _Walls:
+    if arena not in _PREPARED_WALLS:
+        _PREPARED_WALLS[arena] = _Walls(arena.walls)
+    return _PREPARED_WALLS[arena]
 
 
-class _Clusters:
-    """Walls in groups of neighbours, each under a bounding circle."""
-
-    def __init__(self, walls: Floats) -> None:
-        length = np.hypot(*(walls[:, 1] - walls[:, 0]).T)
-        is_long = length > 8 * np.median(length)  # a long wall would blow up its neighbours' circle
-        order = _morton(walls.mean(axis=1))
-        short, long = order[~is_long[order]], order[is_long[order]]
-        n_short = -(-len(short) // PER_CLUSTER)
-        self.members = np.full((n_short + len(long), PER_CLUSTER), -1, dtype=np.intp)  # walls; -1: none
-        self.members[:n_short].reshape(-1)[: len(short)] = short
-        self.members[n_short:, 0] = long
-        filler = (self.members < 0)[..., None, None]
-        corners = walls[self.members]  # (n_clusters, PER_CLUSTER, 2, 2)
-        lower = np.where(filler, np.inf, corners).min(axis=(1, 2))
-        upper = np.where(filler, -np.inf, corners).max(axis=(1, 2))
-        self.centre = (lower + upper) / 2  # (n_clusters, 2) [m]
-        self.radius = np.hypot(*(upper - lower).T) / 2 + 1e-9  # (n_clusters,) [m]
-
-    def pairs(self, chosen: Bools) -> tuple[Ints, Ints]:
-        """List (pose, wall) for the chosen clusters (n_poses, n_clusters)."""
-        pose, cluster = np.nonzero(chosen)
-        member = self.members[cluster]
-        is_wall = member >= 0
-        return np.repeat(pose, PER_CLUSTER)[is_wall.ravel()], member[is_wall]
-
-
-class _View:
-    """Clusters as seen from a batch of poses: how far, and in which sectors of the full turn."""
-
-    def __init__(self, clusters: _Clusters, poses: Floats, bearings: Floats) -> None:
-        x, y = clusters.centre[:, 0] - poses[:, :1], clusters.centre[:, 1] - poses[:, 1:2]
-        far = np.sqrt(x * x + y * y)
-        self.distance: Floats = (
-            far - clusters.radius
-        )  # (n_poses, n_clusters) [m] least; negative inside the circle
-        per_radian = SECTORS / (2 * np.pi)
-        middle = (np.arctan2(y, x) - (poses[:, 2:] + bearings[0])) * per_radian
-        half = np.arcsin(np.minimum(clusters.radius / np.maximum(far, 1e-12), 1.0)) * per_radian + 1e-6
-        first = np.floor(middle - half).astype(np.intp)
-        last = np.floor(middle + half).astype(np.intp)
-        self.first, self.last = first, last
-        self.row = np.arange(len(poses))[:, None]
-
-    def hidden(self, reach: _Reach) -> Bools:
-        """Tell which clusters lie beyond every ray that looks their way, (n_poses, n_clusters)."""
-        return np.asarray(
-            (self.distance > 0) & (self.distance > reach(self.row, self.first, self.last) + 1e-9)
-        )
-
-
-class _Reach:
-    """How far the rays of a batch reach, by sector of the full turn counted from ray 0; -inf: no ray there."""
-
-    def __init__(self, ranges: Floats, sectors: Ints, starts: Ints) -> None:
-        reach = np.full((len(ranges), SECTORS), -np.inf)
-        reach[:, sectors] = np.maximum.reduceat(ranges, starts, axis=1)
-        table = [reach]
-        for level in range(LEVELS - 1):  # maximum over 1, 2, 4, ... sectors, round the circle
-            table.append(np.maximum(table[-1], np.roll(table[-1], -(1 << level), axis=1)))
-        self.table = np.stack(table).reshape(-1)
-        self.stride = reach.size
-
-    def __call__(self, row: Ints, first: Ints, last: Ints) -> Floats:
-        """Return the farthest reach over sectors first..last (round the circle); +inf for more than a quarter turn."""
-        count = last - first + 1
-        level = LEVEL_OF[np.minimum(count, SECTORS)]
-        start = level * self.stride + row * SECTORS
-        width = np.left_shift(1, level)
-        farthest = self.table[start + (first & (SECTORS - 1))]
-        np.maximum(farthest, self.table[start + ((last + 1 - width) & (SECTORS - 1))], out=farthest)
-        return np.where(count <= 2 * width, farthest, np.inf)
-
-    def between(self, row: Ints, low: Floats, high: Floats) -> Floats:
-        """Return the farthest reach between two angles counted from ray 0."""
-        per_radian = SECTORS / (2 * np.pi)
-        first = (low * per_radian - 1e-6).astype(np.intp)
-        return self(row, first, (high * per_radian + 1e-6).astype(np.intp))
-
-
-def _morton(points: Floats) -> Ints:
-    """Order points (n, 2) so that neighbours in the list are neighbours in the plane."""
-    if len(points) == 0:
-        return np.zeros(0, dtype=np.intp)
-    scale = max(float(np.ptp(points, axis=0).max()), 1e-9)
-    cell = ((points - points.min(axis=0)) / scale * 1023).astype(np.uint64)
-    code = np.zeros(len(points), dtype=np.uint64)
-    for bit in range(10):
-        for axis in (0, 1):
-            code |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(2 * bit + axis)
-    return np.argsort(code, kind="stable")
-
-
-def _shorten(ranges: Floats, wall: Ints, at: Ints, r: Floats, k: Ints) -> None:
+def _keep_nearest(ranges: Floats, wall: Ints, at: Ints, r: Floats, k: Ints) -> None:
     """Take the least r per ray, and its wall; of walls equally far the first."""
     before = ranges.copy()
     np.minimum.at(ranges, at, r)
@@ -406,7 +310,7 @@ def _shorten(ranges: Floats, wall: Ints, at: Ints, r: Floats, k: Ints) -> None:
     wall[at] = np.where(tied, np.minimum(wall[at], k), k)
 
 
-def _expand(first: Ints, last: Ints, base: Ints) -> tuple[Ints, Ints]:
+def _expand_runs(first: Ints, last: Ints, base: Ints) -> tuple[Ints, Ints]:
     """List (index, base[index] + ray) for every ray of the runs first..last."""
     count = last - first + 1
     some = np.flatnonzero(count > 0)
@@ -418,13 +322,13 @@ def _expand(first: Ints, last: Ints, base: Ints) -> tuple[Ints, Ints]:
     return np.repeat(some, count), at
 
 
-def _unit(walls: Floats) -> Floats:
+def _unit_tangents(walls: Floats) -> Floats:
     """Return the unit vector along each wall, (2, n_walls)."""
     d = (walls[:, 1] - walls[:, 0]).T
     return np.ascontiguousarray(d / np.maximum(np.hypot(*d), 1e-300))
 
 
-def _inside(ax: Floats, ay: Floats, dx: Floats, dy: Floats, ux: Floats, uy: Floats) -> Floats:
+def _intersect_grazing(ax: Floats, ay: Floats, dx: Floats, dy: Floats, ux: Floats, uy: Floats) -> Floats:
     """Intersect nearly parallel rays and walls, the hit held between the wall's ends (a, a + d)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.clip((ax * uy - ay * ux) / (ux * dy - uy * dx), 0.0, 1.0)

@@ -1,7 +1,7 @@
 """Scene: what the simulator knows of a run; Beams: what every ray of it would read, as a distribution.
 
 A scene goes through stages: geometry, time, mount, cast, surface, optics, range, detection, noise. Each effect of
-`sensorgraph.effects` changes one of them, so any subset composes. `Beams` are the result; `draw` samples readings
+`sensorgraph.effects` changes one of them, so any subset composes. `Beams` are the result; `draw_readings` samples readings
 from them (the simulator), and `sensorgraph.diagnose` asks how likely measured readings are (the same physics).
 """
 
@@ -19,14 +19,14 @@ from scipy.special import ndtr
 from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.ray_intersection import nearest
+from sensorgraph.world.ray_intersection import nearest_walls
 from sensorgraph.world.raycast import cast_laser, directions, laser_poses
 
 STAGES = ("geometry", "time", "mount", "surface", "optics", "range", "detection", "noise")
-FAR = 1e4  # [m] nothing is farther; the sensor's own limits come later, as part of the reading
-MOST_KEPT = 12  # casts in the memory of a scene
+MAX_DISTANCE = 1e4  # [m] nothing is farther; the sensor's own limits come later, as part of the reading
+MAX_CACHED_CASTS = 12  # casts in the memory of a scene
 RIGHT_ANGLE = 1.5707963  # [rad] an effect that begins at this incidence begins nowhere
-DISC = -2  # `wall` of a hit on a disc; a mover's is one less
+DISC_WALL = -2  # `wall` of a hit on a disc; a mover's is one less
 
 
 class Transform(Protocol):
@@ -174,19 +174,19 @@ class Scene:
             lasers = laser_poses(self.motion(self.stamps + delay[0]), self.mount)  # (n_scans, 3)
             ux, uy = directions(lasers[:, 2], bearings)
             ox, oy = lasers[:, :1], lasers[:, 1:2]
-            ranges, wall = cast_laser(self.walls, lasers, bearings, FAR)
+            ranges, wall = cast_laser(self.walls, lasers, bearings, MAX_DISTANCE)
         else:
             poses = self.motion(self.stamps[:, None] + delay)  # (n_scans, n_rays, 3)
             lasers = laser_poses(poses.reshape(-1, 3), self.mount).reshape(poses.shape)
             ox, oy, phi = lasers[..., 0], lasers[..., 1], lasers[..., 2] + bearings
             ux, uy = np.cos(phi), np.sin(phi)
-            ranges, wall = each(self.walls, ox, oy, ux, uy)
+            ranges, wall = nearest_from_each(self.walls, ox, oy, ux, uy)
         beams = _beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma)
-        for centres, index in ((self.discs[None], DISC), (self.movers, DISC - 1)):
+        for centres, index in ((self.discs[None], DISC_WALL), (self.movers, DISC_WALL - 1)):
             if centres.shape[1]:
                 _meet_discs(beams, centres, index)
         if key and self.memo is not None:
-            if len(self.memo) >= MOST_KEPT:
+            if len(self.memo) >= MAX_CACHED_CASTS:
                 self.memo.pop(next(iter(self.memo)))
             self.memo[key] = copy(beams)
         for act in self.surfaces:
@@ -205,14 +205,14 @@ class Scene:
         return self.beams
 
 
-def each(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
+def nearest_from_each(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
     """Cast rays that each have their own origin; return range [m] and wall (-1 none), shaped like `ux`."""
     x, y = (np.broadcast_to(o, ux.shape).ravel() for o in (ox, oy))
-    ranges, wall = nearest(walls, x, y, ux.ravel(), uy.ravel())
+    ranges, wall = nearest_walls(walls, x, y, ux.ravel(), uy.ravel())
     return ranges.reshape(ux.shape), wall.reshape(ux.shape)
 
 
-def draw(scene: Scene, rng: np.random.Generator, *, loss: float = 0.0) -> Floats:
+def draw_readings(scene: Scene, rng: np.random.Generator, *, loss: float = 0.0) -> Floats:
     """Sample readings (n_scans, n_rays) [m] from a scene that has run: noise, lattice, limits (REP-117).
 
     Parameters
@@ -232,10 +232,10 @@ def draw(scene: Scene, rng: np.random.Generator, *, loss: float = 0.0) -> Floats
     if scene.outliers:
         stray = rng.random(shape) < scene.outliers
         readings = np.where(stray, rng.random(shape) * sensor.range_max, readings)
-    return limited(readings, sensor, scene.lattice)
+    return apply_range_limits(readings, sensor, scene.lattice)
 
 
-def limited(readings: Floats, sensor: RangeSensor, lattice: float = 0.0) -> Floats:
+def apply_range_limits(readings: Floats, sensor: RangeSensor, lattice: float = 0.0) -> Floats:
     """Round returns to the sensor's resolution and to a lattice [m]; beyond the limits is +inf or -inf."""
     hit = np.isfinite(readings)
     for step in (lattice, sensor.resolution):

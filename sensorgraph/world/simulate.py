@@ -13,30 +13,30 @@ import shapely
 from logs.run import OccupancyMap, RangeSensor, Run
 from planners.arena import Arena, wrap
 from sensorgraph.types import Floats, Progress
-from sensorgraph.world.drive import Driven, odometry
-from sensorgraph.world.drivetrain import Machine
+from sensorgraph.world.drive import ExecutedDrive, odometry
+from sensorgraph.world.drivetrain import Drivetrain
 from sensorgraph.world.robot import Robot
-from sensorgraph.world.scene import Scene, Transform, draw
+from sensorgraph.world.scene import Scene, Transform, draw_readings
 
 EPOCH_NS = 1_704_067_200_000_000_000
 """[ns] 2024-01-01T00:00:00Z, when every simulated run starts: the same seed gives the same bytes."""
-BLOCK = 1000  # scans cast between two ticks of the progress
+SCANS_PER_STEP = 1000  # scans cast between two ticks of the progress
 
 
-def scan_stamps(driven: Driven, sensor: RangeSensor) -> Floats:
+def scan_stamps(driven: ExecutedDrive, sensor: RangeSensor) -> Floats:
     """Return the stamps (n_scans,) [s] of the first rays, at the sensor's rate; the last sweep ends in the run."""
     return np.arange(0.0, driven.stamps[-1] - sensor.sweep_time + 1e-9, 1.0 / sensor.rate)
 
 
 def simulate(
-    driven: Driven,
+    driven: ExecutedDrive,
     arena: Arena,
     robot: Robot,
     *,
     rng: np.random.Generator,
     effects: Sequence[Transform] = (),
     seed: int = 0,
-    machine: Machine | None = None,
+    drivetrain: Drivetrain | None = None,
     meta: Mapping[str, str] | None = None,
     attachments: Mapping[str, bytes] | None = None,
     perceive: Callable[[int, Floats], Floats] | None = None,
@@ -49,13 +49,13 @@ def simulate(
     effects : of the scan channel, what the sensor and the room have beyond robot.yaml and the map
     seed : of people who walk about; noise comes from `rng`
     perceive : (number of the first scan, poses (n, 3)) -> readings (n, n_rays) [m], in place of the arena
-    machine : what the odometry is measured with; as in robot.yaml if not given
+    drivetrain : what the odometry is measured with; as in robot.yaml if not given
     """
     sensor = robot.sensor
     stamps = scan_stamps(driven, sensor)
     parts = []
-    for start in range(0, len(stamps), BLOCK):
-        part = stamps[start : start + BLOCK]
+    for start in range(0, len(stamps), SCANS_PER_STEP):
+        part = stamps[start : start + SCANS_PER_STEP]
         if perceive is not None:
             parts.append(perceive(start, driven.at(part)))
         else:
@@ -63,14 +63,14 @@ def simulate(
                 arena=arena, sensor=sensor, stamps=part, motion=driven.at, span=float(stamps[-1]), seed=seed
             )
             scene.run(effects)
-            parts.append(draw(scene, rng))
+            parts.append(draw_readings(scene, rng))
         if progress is not None:
             progress(start + len(parts[-1]), len(stamps))
     ranges = np.concatenate(parts)
     pose_stamps = np.append(np.arange(0.0, driven.stamps[-1], 1.0 / robot.pose.rate), driven.stamps[-1])
     sigma = [robot.pose.sigma_xy, robot.pose.sigma_xy, robot.pose.sigma_yaw]
     poses = driven.at(pose_stamps) + rng.normal(size=(len(pose_stamps), 3)) * sigma
-    odom_stamps, odom_poses, odom_twists = odometry(driven, robot, rng, machine=machine)
+    odom_stamps, odom_poses, odom_twists = odometry(driven, robot, rng, drivetrain=drivetrain)
     return Run(
         sensor=sensor,
         stamps=stamps,
@@ -88,7 +88,7 @@ def simulate(
     )
 
 
-def occupancy(arena: Arena, *, resolution: float = 0.05, most: int = 4_000_000) -> OccupancyMap:
+def occupancy_map(arena: Arena, *, resolution: float = 0.05, most: int = 4_000_000) -> OccupancyMap:
     """Rasterise an arena for /map: free 0, crossed by a wall 100, elsewhere unknown -1.
 
     The resolution [m] is made coarser where the grid would have more than `most` cells.

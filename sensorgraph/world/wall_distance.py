@@ -9,9 +9,9 @@ import numpy as np
 from planners.arena import Arena
 from planners.clearance import Barriers
 
-CELL = 0.04  # [m] of the table, or coarser
-MOST_NODES = 1_000_000
-CAP = 2.0  # [m] farther is all the same to a robot
+NODE_SPACING = 0.04  # [m] of the table, or coarser
+MAX_NODES = 1_000_000
+MAX_DISTANCE = 2.0  # [m] farther is all the same to a robot
 
 
 class WallDistance:
@@ -23,11 +23,11 @@ class WallDistance:
 
     def __init__(self, arena: Arena) -> None:
         x0, y0, x1, y1 = arena.bounds
-        self.cell = max(CELL, math.sqrt((x1 - x0) * (y1 - y0) / MOST_NODES))
+        self.cell = max(NODE_SPACING, math.sqrt((x1 - x0) * (y1 - y0) / MAX_NODES))
         self.x0, self.y0 = x0, y0
         self.nx, self.ny = math.ceil((x1 - x0) / self.cell) + 1, math.ceil((y1 - y0) / self.cell) + 1
         x, y = (low + np.float64(self.cell) * np.arange(n) for low, n in ((x0, self.nx), (y0, self.ny)))
-        self.table: list[list[float]] = Barriers(arena).field(x, y, CAP).tolist()
+        self.table: list[list[float]] = Barriers(arena).field(x, y, MAX_DISTANCE).tolist()
 
     def __call__(self, x: float, y: float) -> float:
         """Return the distance [m] of (x, y) [m, map]."""

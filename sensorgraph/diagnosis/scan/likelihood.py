@@ -28,7 +28,7 @@ from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Floats, Ints
-from sensorgraph.world.scene import Beams, limited
+from sensorgraph.world.scene import Beams, apply_range_limits
 
 SQRT_TAU = np.sqrt(2 * np.pi)
 SETTINGS = SCAN.likelihood
@@ -334,6 +334,6 @@ def sample(
     if expected.short > 0:
         short = rng.random(shape) < expected.short
         z = np.where(short, rng.random(shape) * np.where(np.isfinite(mu), mu, sensor.range_max), z)
-    z = limited(z, sensor, expected.lattice)
+    z = apply_range_limits(z, sensor, expected.lattice)
     z[np.isnan(data.ranges)] = np.nan
     return z

@@ -11,7 +11,7 @@ from robotmodic_ident import Narmax
 from robotmodic_ident.analysis import sobol, surface
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.records import lagged
-from sensorgraph.identification.identify import Identified
+from sensorgraph.identification.identify import IdentifiedSignal
 from sensorgraph.show.figures.style import (
     ALARM,
     INK,
@@ -30,7 +30,7 @@ MAX_SAMPLES = 400
 MAX_LAGS = 25
 
 
-def identified_picture(found: Identified, path: Path) -> None:
+def identified_picture(found: IdentifiedSignal, path: Path) -> None:
     """Draw a model: the held-out series, its residual's autocorrelation, the tests, and its surface."""
     figure = new_figure(10.5, 6.2)
     top, bottom = figure.subfigures(2, 1, height_ratios=[1.15, 1.0])
@@ -46,7 +46,7 @@ def identified_picture(found: Identified, path: Path) -> None:
     save_figure(figure, path)
 
 
-def series(axes: Any, found: Identified, *, most: int = MAX_SAMPLES, unit: str = "") -> None:
+def series(axes: Any, found: IdentifiedSignal, *, most: int = MAX_SAMPLES, unit: str = "") -> None:
     """Draw the longest record held out: measured, one step ahead and, where it differs, free run."""
     i = int(np.argmax([len(m) for m in found.measured]))
     shown = slice(0, most)
@@ -80,7 +80,7 @@ def _label(text: str, r: float, low: float, high: float) -> str:
     return f"{text}: r = {r:.3f} ({low:.3f} to {high:.3f})" if np.isfinite(r) else text
 
 
-def _scatter(axes: Any, found: Identified) -> None:
+def _scatter(axes: Any, found: IdentifiedSignal) -> None:
     x, y = (np.concatenate(part) for part in (found.measured, found.free_run))
     ok = np.isfinite(x) & np.isfinite(y)
     step = max(1, int(ok.sum()) // 2000)
@@ -96,7 +96,7 @@ def _scatter(axes: Any, found: Identified) -> None:
     reduce_frame(axes)
 
 
-def _correlation(axes: Any, found: Identified) -> None:
+def _correlation(axes: Any, found: IdentifiedSignal) -> None:
     """Draw the autocorrelation of the one-step residual, and the p-values of the tests."""
     total, n = np.zeros(MAX_LAGS + 1), 0
     for m, p in zip(found.measured, found.one_step, strict=True):
@@ -124,7 +124,7 @@ def _p(value: float | None) -> str:
     return "–" if value is None else ("< 0.001" if value < 0.001 else f"= {value:.3f}")
 
 
-def _surface(figure: Any, axes: Any, found: Identified) -> None:
+def _surface(figure: Any, axes: Any, found: IdentifiedSignal) -> None:
     """Draw the output over the two signals that move it most, the others at their medians."""
     try:
         columns = lagged(found.test, found.model.terms, [found.model.output]).columns

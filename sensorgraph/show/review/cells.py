@@ -17,7 +17,7 @@ from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.faces.observed_space import ObservedSpace
-from sensorgraph.planning.priority import doubt
+from sensorgraph.planning.priority import uncertainty
 from sensorgraph.types import Bools, Floats, Ints
 
 CELL_SIZE, MAX_CELLS = 0.25, 40_000
@@ -256,7 +256,7 @@ def _doubt_map(graph: Sensorgraph, grid: Coverage) -> DoubtMap:
     nx, ny = np.array(free.shape) // 2
     whole: Bools = np.asarray(free[: 2 * nx, : 2 * ny].reshape(nx, 2, ny, 2).all(axis=(1, 3)))
     coarse = Coverage.empty(origin=grid.origin, cell=2 * grid.cell, cells=whole, headings=DOUBT_HEADINGS)
-    value = doubt(graph, coarse).mean(axis=2)
+    value = uncertainty(graph, coarse).mean(axis=2)
     return DoubtMap(origin=grid.origin, cell=coarse.cell, doubt=np.where(whole, value, np.nan))
 
 
