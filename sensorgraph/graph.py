@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import textwrap
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -54,6 +55,11 @@ class Sensorgraph:
         Returns
         -------
         Prediction with arrays (n_poses, n_rays)
+
+        Raises
+        ------
+        ValueError : poses of another shape
+        SensorgraphError : a pose that is not finite or too far off, an unknown ray or point value
         """
         poses = np.asarray(poses, dtype=np.float64)
         if poses.ndim != 2 or poses.shape[1] != 3:
@@ -72,6 +78,17 @@ class Sensorgraph:
         self._check_rays(index)
         return self.model.predict(poses, index, point)
 
+    def __repr__(self) -> str:
+        """Say in a few lines what it holds and where it came from."""
+        facts = "; ".join(f"{label}: {text}" for label, text in self.model.summary().items())
+        inputs = ", ".join(str(entry.get("name", "?")) for entry in self.origin.get("inputs", ()))
+        lines = [
+            f"Sensorgraph of model {self.model.name}: {self.sensor.n_rays} rays, poses of {self.pose_frame}",
+            facts,
+            f"built from {inputs or 'unknown runs'}",
+        ]
+        return "\n".join(textwrap.shorten(line, 160, placeholder=" ...") for line in lines)
+
     def equation(self, ray: int) -> str:
         """Print the explicit equation of one ray, given by index."""
         self._check_rays(np.array([ray]))
@@ -85,7 +102,12 @@ class Sensorgraph:
             )
 
     def save(self, path: Path) -> None:
-        """Write one file; the same graph gives the same bytes."""
+        """Write one file; the same graph gives the same bytes.
+
+        Raises
+        ------
+        OSError : the file cannot be written
+        """
         header, arrays = self.model.state()
         sensor = {name: getattr(self.sensor, name) for name in _SENSOR_FIELDS}
         top = {
@@ -115,7 +137,12 @@ class Sensorgraph:
 
     @classmethod
     def load(cls, path: Path) -> Sensorgraph:
-        """Read what `save` wrote; nothing in the file is executed."""
+        """Read what `save` wrote; nothing in the file is executed.
+
+        Raises
+        ------
+        SensorgraphError : not a sensorgraph, damaged, or written by a newer version
+        """
         top, arrays = _read(path)
         if top.get("format") != FORMAT or not isinstance(top.get("version"), int):
             raise SensorgraphError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")

@@ -10,17 +10,15 @@ import pytest
 from logs.run import RangeSensor
 from planners.maps import geojson
 from sensorgraph.models.base import TrainingScans
-from sensorgraph.models.calibration.calibrate import Calibration
 from sensorgraph.models.calibration.gauge import Gauge, estimate_gauge, find_peak
+from sensorgraph.models.calibration.laser_calibration import Calibration
+from sensorgraph.models.calibration.matching import Readings, match_readings, range_change
 from sensorgraph.models.calibration.normal_equations import (
     INCIDENCE,
     MOUNT,
     N_COMMON,
     NormalEquations,
-    Readings,
-    match_readings,
     normal_equations,
-    range_change,
     select_terms,
     standard_errors,
 )

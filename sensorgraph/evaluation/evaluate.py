@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,6 +75,16 @@ class Evaluation:
         count = np.isfinite(self.residual).sum(axis=0)
         return np.sqrt(np.where(count > 0, square / np.maximum(count, 1), np.nan))
 
+    def __repr__(self) -> str:
+        """Say how many rays were scored, and how well."""
+
+        def line(label: str, metrics: Metrics) -> str:
+            shown = [f"{name} {value:.3g}" for name, value in metrics.items() if value is not None]
+            return textwrap.shorten(f"{label}: {', '.join(shown)}", 160, placeholder=" ...")
+
+        scored = f"Evaluation of {self.n_rays} rays in {len(self.scan_indices)} scans, {100 * self.answered:.1f} % answered"
+        return "\n".join([scored, line("all", self.all), line("answered only", self.answered_only)])
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; a number that is not defined is None."""
         return {
@@ -100,6 +111,10 @@ def evaluate(
     A ray is scored where a return between 0.1 m and `cap` was measured (default: 10 m, or range_max if that
     is smaller). Errors compare it with the value predicted given a return; whether a return was predicted
     at all is scored by `no_return_recall` and `no_return_precision`, over all rays that are not broken.
+
+    Raises
+    ------
+    SensorgraphError : another sensor, nothing to evaluate, or no ray that can be scored
     """
     cap = min(MAX_SCORED_RANGE, run.sensor.range_max) if cap is None else cap
     if not cap > MIN_SCORED_RANGE:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sensorgraph.models.calibration.normal_equations import Matches, range_change
+from sensorgraph.models.calibration.matching import Matches, range_change
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.visibility import Rays, ReturnNoise, binned_faces, e_step, m_step, visible_lines
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from planners.kernel import kernel
-from sensorgraph.models.calibration.normal_equations import Matches, Readings
+from sensorgraph.models.calibration.matching import Matches, Readings
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.types import Floats
 

@@ -1,0 +1,192 @@
+"""Match readings to faces: which face each return comes from, and how far it is off by the ray terms so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planners.kernel import kernel
+from sensorgraph.models.calibration.ray_terms import N_INCIDENCE, RayTerms, incidence_bias, incidence_terms
+from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid, crossed_faces
+from sensorgraph.models.faces.visibility import ReturnNoise, variance
+from sensorgraph.types import Bools, Floats, Ints
+
+MIN_MATCH_COSINE = 0.05  # |n·u| below which a return is all leverage
+MIN_PROBABILITY = 0.5  # chance that a return comes from this face
+GATE_SIGMAS = 4.0  # standard deviations off, beyond which it does not
+MAX_RAY_BIAS = 0.3  # [m] that readings may be off before anything is known of them
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Readings:
+    """Valid readings of scans, in the order of the log."""
+
+    scan: Ints
+    """(n,)"""
+    ray: Ints
+    """(n,)"""
+    ranges: Floats
+    """(n,) [m] as measured; +inf: nothing."""
+    bearings: Floats
+    """(n_rays,) [rad]"""
+    range_max: float
+
+    def __len__(self) -> int:
+        return len(self.ranges)
+
+    def take(self, index: Ints | slice | Bools) -> Readings:
+        """Return some of the readings."""
+        return Readings(
+            scan=self.scan[index],
+            ray=self.ray[index],
+            ranges=self.ranges[index],
+            bearings=self.bearings,
+            range_max=self.range_max,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Matches:
+    """Which face each reading comes from, and where its surface is by the ray terms."""
+
+    ranges: Floats
+    """(n,) [m] corrected; +inf: nothing."""
+    face: Ints
+    """(n,) -1 for none."""
+    rho: Floats
+    """(n,) [m] range of that face."""
+    den: Floats
+    """(n,) n·u"""
+    along: Floats
+    """(n,) t·u"""
+    at: Floats
+    """(n,) [m] abscissa of the end point."""
+    probability: Floats
+    """(n,) chance that it is this face."""
+    weight: Floats
+    """(n,) [1/m²] of the residual; 0 where it must not count."""
+
+    @property
+    def residual(self) -> Floats:
+        """(n,) [m] corrected range less the face's; 0 where nothing counts."""
+        with np.errstate(invalid="ignore"):
+            return np.where(self.weight > 0, self.ranges - self.rho, 0.0)
+
+
+def directions_of(readings: Readings, lasers: Floats) -> tuple[Floats, Floats]:
+    """Return origins and directions (n, 2) of readings from lasers (n_scans, 3)."""
+    theta = lasers[readings.scan, 2] + readings.bearings[readings.ray]
+    return lasers[readings.scan, :2], np.stack([np.cos(theta), np.sin(theta)], axis=1)
+
+
+def match_readings(
+    readings: Readings, lasers: Floats, terms: RayTerms, faces: FaceSet, noise: ReturnNoise, mean_bias: float
+) -> Matches:
+    """Find the face of every reading and take the ray terms off; `mean_bias` is S [m] where no face is known."""
+    origins, directions = directions_of(readings, lasers)
+    n = len(readings)
+    values = np.zeros((n, 7))
+    values[:, 0] = readings.ranges
+    face = np.full(n, -1, dtype=np.intp)
+    _match_readings(
+        origins, directions, readings.ranges, readings.ray, readings.range_max, faces, bucket_grid(faces), noise.array,
+        terms.constant, terms.slope, terms.incidence, mean_bias, face, values,
+    )  # fmt: skip
+    columns = np.ascontiguousarray(values.T)
+    return Matches(
+        ranges=columns[0],
+        face=face,
+        rho=columns[1],
+        den=columns[2],
+        along=columns[3],
+        at=columns[4],
+        probability=columns[5],
+        weight=columns[6],
+    )
+
+
+def mean_incidence(matches: Matches, terms: RayTerms) -> float:
+    """Return the mean of S [m] over the returns whose face is known."""
+    known = matches.weight > 0
+    if not known.any() or not terms.has_incidence:
+        return 0.0
+    v, q = 1 - np.abs(matches.den[known]), np.minimum(matches.rho[known], 4.0) / 4.0
+    basis = np.empty((N_INCIDENCE, len(v)))
+    incidence_terms(v, q, basis)
+    return float((terms.incidence @ basis).mean())
+
+
+def range_change(matches: Matches, shift: float) -> Floats:
+    """Return how much farther (n,) [m] faces are that moved along their normals by `shift` [m]; 0 without a face."""
+    return np.where(
+        (matches.face >= 0) & (matches.den < -0.02), shift / np.where(matches.den < 0, matches.den, -1.0), 0.0
+    )
+
+
+@kernel
+def _match_readings(
+    origins: Any,
+    directions: Any,
+    ranges: Any,
+    ray: Any,
+    range_max: Any,
+    faces: Any,
+    buckets: Any,
+    noise: Any,
+    constant: Any,
+    slope: Any,
+    s: Any,
+    mean_bias: Any,
+    face: Any,
+    values: Any,
+) -> Any:
+    normals, _, first, _, levels, _, _ = faces
+    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
+    for i in range(len(ranges)):
+        z = ranges[i]
+        if z > 1e300:
+            continue
+        ux, uy = directions[i, 0], directions[i, 1]
+        gain = 1.0 + slope[ray[i]]
+        base = (z - constant[ray[i]]) / gain
+        n = crossed_faces(
+            origins[i, 0], origins[i, 1], ux, uy, base + MAX_RAY_BIAS, 0.0, faces, buckets, r, k, j, t
+        )
+        survival, total, best, at, best_e, best_var = 1.0, 0.0, 0.0, -1, 0.0, 1.0
+        before = 1.0
+        for m in range(n):
+            f = k[m]
+            alpha = levels[j[m]] if j[m] >= first[f] else 0.0
+            den = normals[f, 0] * ux + normals[f, 1] * uy
+            var = variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise)
+            e = base - incidence_bias(den, r[m], s) / gain - r[m]
+            if e * e < 36 * var:
+                p = survival * alpha * np.exp(-0.5 * e * e / var) / np.sqrt(2 * np.pi * var)
+                total += p
+                if p > best:
+                    best, at, best_e, best_var = p, m, e, var
+            if e > 0:
+                before = survival * (1 - alpha)
+            survival *= 1 - alpha
+        if at < 0:
+            values[i, 0] = max(base - mean_bias / gain, 1e-3)
+            continue
+        f = k[at]
+        den = normals[f, 0] * ux + normals[f, 1] * uy
+        along = -normals[f, 1] * ux + normals[f, 0] * uy
+        sure = best / (total + before * noise[3])
+        face[i] = f
+        values[i, 0] = max(r[at] + best_e, 1e-3)
+        values[i, 1], values[i, 2], values[i, 3] = r[at], den, along
+        values[i, 4] = t[at] + best_e * along
+        values[i, 5] = sure
+        if (
+            sure > MIN_PROBABILITY
+            and den < -MIN_MATCH_COSINE
+            and best_e * best_e < GATE_SIGMAS * GATE_SIGMAS * best_var
+            and z < range_max
+        ):
+            values[i, 6] = sure / best_var
