@@ -157,8 +157,8 @@ def test_selection_takes_planted_terms_and_no_others() -> None:
     y = x @ truth + rng.normal(size=4000)
     empty = np.zeros((0, 2, 20))
     normal = NormalEquations(
-        matrix=x.T @ x, rhs=x.T @ y, n_returns=4000.0, of_face=np.zeros((0, 2, 2)), face_right=np.zeros((0, 2)),
-        across=empty, centre=np.zeros(0), held=np.zeros(0),
+        matrix=x.T @ x, rhs=x.T @ y, n_returns=4000.0, face_inverse=np.zeros((0, 2, 2)), face_rhs=np.zeros((0, 2)),
+        coupling=empty, centre=np.zeros(0), gauge_weights=np.zeros(0),
     )  # fmt: skip
     values, chosen, worth = select_terms(normal, np.zeros(20), np.full(20, 0.5 * np.log(4000) + np.log(20)))
     assert set(np.flatnonzero(chosen)) == {2, 7, 11}
@@ -204,7 +204,7 @@ def test_exact_poses_are_not_worth_refining() -> None:
 @pytest.mark.parametrize("top", [0.0042, -0.011, 0.019])
 def test_search_finds_a_lopsided_cusp(top: float) -> None:
     found = find_peak(lambda x: -2e5 * abs(x - top) * (2 if x > top else 1), reach=0.012)
-    assert found.shift == pytest.approx(top, abs=0.0005) and found.width < 0.0005
+    assert found.shift == pytest.approx(top, abs=0.0005) and found.stderr < 0.0005
 
 
 @pytest.mark.parametrize("slope", [0.0, 2e5])
@@ -247,7 +247,7 @@ def test_calibration_survives_its_file() -> None:
     rng = np.random.default_rng(8)
     made = Calibration(
         terms=planted(rng), offset=OFFSET, offset_se=np.full(3, 1e-4), can_mount=True, n_own=61,
-        gauge=Gauge(shift=0.0, width=np.inf), sigma_xy=0.005, sigma_yaw=0.003,
+        gauge=Gauge(shift=0.0, stderr=np.inf), sigma_xy=0.005, sigma_yaw=0.003,
     )  # fmt: skip
     header, arrays = made.state()
     again = Calibration.restore(61, json.loads(json.dumps(header)), arrays)
