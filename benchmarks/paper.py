@@ -26,8 +26,8 @@ from robotmodic_ident.validation.score import Score
 from sensorgraph.building.build import build
 from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.identification.identify import Identified, Question, identify, score
-from sensorgraph.identification.signals import of_run, perceived, rays_of
+from sensorgraph.identification.identify import IdentificationSpec, IdentifiedSignal, identify, score
+from sensorgraph.identification.signals import perceived, rays_of, signals_of_run
 from sensorgraph.loading import load_arena
 from sensorgraph.show.figures.identified import series
 from sensorgraph.show.figures.style import (
@@ -63,8 +63,8 @@ def environment(folder: Path) -> None:
     arena, robot = load_arena("square"), robot_of_the_paper()
     follow = closed_loop("wall_following", arena, robot, START_POSE, PAPER_MINUTES * 60, REPORTED_SEED)
     elsewhere = closed_loop("random_bounce", arena, robot, START_POSE, PAPER_MINUTES * 60, REPORTED_SEED + 1)
-    data = of_run(follow, [SHOWN_RAY, "x", "y"], every=SCAN_STRIDE)
-    question = Question(output=SHOWN_RAY, inputs=("x", "y"), lags=2)
+    data = signals_of_run(follow, [SHOWN_RAY, "x", "y"], every=SCAN_STRIDE)
+    question = IdentificationSpec(output=SHOWN_RAY, inputs=("x", "y"), lags=2)
     full = identify(data, replace(question, n_terms=FULL))
     few = identify(data, question)
     path = [identify(data, replace(question, n_terms=n)) for n in range(1, FULL + 1)]
@@ -85,7 +85,7 @@ def environment(folder: Path) -> None:
         "| asked about L67 | along the wall, second half: r (95 %) | RMSE [m] | elsewhere: r (95 %) | RMSE [m] |"
     )
     print("|---|---|---:|---|---:|")
-    there = of_run(elsewhere, [SHOWN_RAY, "x", "y"], every=SCAN_STRIDE).records
+    there = signals_of_run(elsewhere, [SHOWN_RAY, "x", "y"], every=SCAN_STRIDE).records
     measured = [r.signals[SHOWN_RAY] for r in there]
     guesses = {"the polynomial of the run along the wall": [few.model.predict_osa(r) for r in there]}
     rows = {next(iter(guesses)): few.scores["one_step"]}
@@ -121,8 +121,8 @@ def _asked(graph: Sensorgraph, run: Run) -> Floats:
 def _draw_environment(
     file: Path,
     arena: Arena,
-    few: Identified,
-    path: list[Identified],
+    few: IdentifiedSignal,
+    path: list[IdentifiedSignal],
     follow: Run,
     elsewhere: Run,
     measured: Floats,
@@ -178,10 +178,10 @@ def task(folder: Path) -> None:
     print("|---|---:|---|---:|")
     found = {}
     for every in (1, SCAN_STRIDE):
-        data = of_run(follow, ["cmd_omega", "L45-90"], every=every)
+        data = signals_of_run(follow, ["cmd_omega", "L45-90"], every=every)
         for label, form in FORMS.items():
             name = f"{label}, every {250 * every / 1000:g} s"
-            found[name] = identify(data, Question(output="cmd_omega", inputs=("L45-90",), **form))
+            found[name] = identify(data, IdentificationSpec(output="cmd_omega", inputs=("L45-90",), **form))
             print(f"| {name} | {len(found[name].model.terms)} | {said(found[name].scores['one_step'])} |")
         last = found[name].scores["persistence"]
         print(f"| the last turn rate again, every {250 * every / 1000:g} s | – | {said(last)} |")

@@ -24,9 +24,9 @@ from sensorgraph.building.split import held_out
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.cells import model as cells
-from sensorgraph.models.cells.evidence import Evidence
-from sensorgraph.models.cells.learning import newton, samples, set_aside
-from sensorgraph.models.cells.ray_march import prepare
+from sensorgraph.models.cells.evidence import CellEvidence
+from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
+from sensorgraph.models.cells.ray_march import tabulate
 from sensorgraph.models.cells.visibility import TERMS
 
 Floats = NDArray[np.float64]
@@ -51,10 +51,10 @@ class TrainingLog:
         run = read(path)
         pairing = pair(run)
         train = np.flatnonzero(pairing.paired & ~held_out(run, split))
-        keep = train[cells.key_frames(pairing.poses[train], np.zeros(len(train), dtype=np.intp))]
+        keep = train[cells.is_key_frame(pairing.poses[train], np.zeros(len(train), dtype=np.intp))]
         poses = pairing.poses[keep]
         if run.pose_frame == "base_link":
-            poses = cells.lasers(poses, run.sensor.mount)
+            poses = cells.laser_poses(poses, run.sensor.mount)
         return cls(name=path.name, run=run, poses=poses, ranges=run.ranges[keep])
 
 
@@ -64,17 +64,17 @@ def learned_from(logs: list[TrainingLog]) -> Floats:
     for steps in (10, 4):
         parts = []
         for log in logs:
-            aside, bearings = set_aside(len(log.poses)), log.run.sensor.bearings
-            evidence = Evidence.of(log.poses[~aside], log.ranges[~aside], bearings).widened()
-            table = prepare(evidence, beta, cells.SIGMA)
-            phi, label, weight = samples(
+            aside, bearings = is_set_aside(len(log.poses)), log.run.sensor.bearings
+            evidence = CellEvidence.of(log.poses[~aside], log.ranges[~aside], bearings).widened()
+            table = tabulate(evidence, beta, cells.INITIAL_SIGMA)
+            phi, label, weight = training_samples(
                 evidence, log.poses[aside], log.ranges[aside], bearings, table, N_SAMPLES
             )
             parts.append((phi, label, weight * (WEIGHT_PER_LOG / weight.sum())))
         phi, label, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
         zero = np.zeros(len(TERMS))
         start = np.append(-4.0, zero[1:]) if beta is None else beta
-        beta = newton(phi, label, weight, start, zero, steps=steps)
+        beta = fit_logistic(phi, label, weight, start, zero, steps=steps)
     assert beta is not None
     return beta
 
@@ -109,9 +109,9 @@ def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
         print(calibration(result), flush=True)
         if others:
             beta = learned_from([other for other in logs if other is not log])
-            evidence = Evidence.of(log.poses, log.ranges, log.run.sensor.bearings).widened()
-            model = cells.Cells(
-                **{**vars(graph.model), "beta": beta, "table": prepare(evidence, beta, cells.SIGMA)}
+            evidence = CellEvidence.of(log.poses, log.ranges, log.run.sensor.bearings).widened()
+            model = cells.CellModel(
+                **{**vars(graph.model), "beta": beta, "table": tabulate(evidence, beta, cells.INITIAL_SIGMA)}
             )
             stranger = Sensorgraph(
                 model=model, sensor=graph.sensor, pose_frame=graph.pose_frame, origin=graph.origin
