@@ -23,7 +23,7 @@ from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.evaluation.evaluate import evaluate as evaluate_run
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification import identify as identifying
-from sensorgraph.identification.signals import Data, is_table, of_run, of_table
+from sensorgraph.identification.signals import SignalData, is_table, signals_of_run, signals_of_table
 from sensorgraph.loading import arena_in, load_arena, read_poses, robot_for, robot_in
 from sensorgraph.models.base import Point, Prediction
 from sensorgraph.planning.plan import CoveragePlan, plan
@@ -207,8 +207,8 @@ def diagnose(
 
 @as_sensorgraph_error
 def identify(
-    data: RunLike | Data, *, output: str, inputs: Sequence[str] = (), every: int = 1, **options: Any
-) -> identifying.Identified:
+    data: RunLike | SignalData, *, output: str, inputs: Sequence[str] = (), every: int = 1, **options: Any
+) -> identifying.IdentifiedSignal:
     """Identify one signal of a run or a table as a polynomial of others.
 
     Parameters
@@ -216,20 +216,20 @@ def identify(
     data : a run, the file of one, or a CSV with a header line
     output, inputs : `x y phi v omega cmd_v cmd_omega`, `L67`, `L45-90`, or the columns of the CSV
     every : take each so-manieth sample
-    options : of `sensorgraph.identification.identify.Question`: `lags`, `output_lags`, `degree`, `noise_lags`, ...
+    options : of `sensorgraph.identification.identify.IdentificationSpec`: `lags`, `output_lags`, `degree`, `noise_lags`, ...
 
     Raises
     ------
     SensorgraphError : a signal is unknown, or the data are too few for what is asked
     SensorgraphError : the data do not determine a model
     """
-    question = identifying.Question(output=output, inputs=tuple(inputs), **options)
+    question = identifying.IdentificationSpec(output=output, inputs=tuple(inputs), **options)
     names = [output, *question.inputs]
-    if isinstance(data, Data):
+    if isinstance(data, SignalData):
         return identifying.identify(data, question)
     if isinstance(data, str | Path) and is_table(Path(data)):
-        return identifying.identify(of_table(Path(data), names, every=every), question)
-    return identifying.identify(of_run(_run(data), names, every=every), question)
+        return identifying.identify(signals_of_table(Path(data), names, every=every), question)
+    return identifying.identify(signals_of_run(_run(data), names, every=every), question)
 
 
 @as_sensorgraph_error

@@ -24,8 +24,8 @@ from sensorgraph.show.review.review import review
 from sensorgraph.types import Floats, ProgressBars
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot
-from sensorgraph.world.scene import limited
-from sensorgraph.world.simulate import EPOCH_NS, occupancy
+from sensorgraph.world.scene import apply_range_limits
+from sensorgraph.world.simulate import EPOCH_NS, occupancy_map
 from sensorgraph.world.wall_distance import WallDistance
 
 N_CHECK_POSES = 1000
@@ -55,7 +55,7 @@ class DemoDrive:
 def demo(folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: ProgressBars) -> list[DemoDrive]:
     """Run the loop; leave plan, runs, graphs, review and `demo.json` in `folder`."""
     check = check_run(arena, robot, np.random.default_rng([seed, 99]))
-    logs.write(check, folder / "check.mcap", occupancy=occupancy(arena))
+    logs.write(check, folder / "check.mcap", occupancy=occupancy_map(arena))
     drives: list[DemoDrive] = []
     for planner in ("coverage", "random_bounce"):
         drives.append(_drive(folder, arena, robot, planner, drives, check, seed=seed, progress=progress))
@@ -83,7 +83,7 @@ def check_run(arena: Arena, robot: Robot, rng: np.random.Generator, n: int = N_C
     poses = poses[:n]
     stamps: Floats = np.arange(n) / robot.sensor.rate
     noise = rng.normal(size=(n, robot.sensor.n_rays)) * robot.sensor.sigma
-    ranges = limited(cast(arena, poses, robot.sensor).ranges + noise, robot.sensor)
+    ranges = apply_range_limits(cast(arena, poses, robot.sensor).ranges + noise, robot.sensor)
     return Run(
         sensor=robot.sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses, epoch_ns=EPOCH_NS,
         meta={"source": "check.mcap", "simulated": "true"},

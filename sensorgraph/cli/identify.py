@@ -27,8 +27,8 @@ from sensorgraph.cli.options import (
 
 if TYPE_CHECKING:
     from robotmodic_ident.validation.score import Extrapolation, Score
-    from sensorgraph.identification.identify import Identified
-    from sensorgraph.identification.signals import Data
+    from sensorgraph.identification.identify import IdentifiedSignal
+    from sensorgraph.identification.signals import SignalData
 
 MAX_NOISE_LAGS = 100
 MAX_NOTES = 4
@@ -66,7 +66,7 @@ def identify(
     """
     from sensorgraph.cli.inputs import check_output, write_json
     from sensorgraph.errors import SensorgraphError
-    from sensorgraph.identification.identify import Question
+    from sensorgraph.identification.identify import IdentificationSpec
     from sensorgraph.identification.identify import identify as identify_model
     from sensorgraph.show.figures.identified import identified_picture
 
@@ -75,7 +75,7 @@ def identify(
         raise SensorgraphError(
             f"{out}: a model is written as *.json; name it {out.with_suffix('.json').name}"
         )
-    question = Question(
+    question = IdentificationSpec(
         output=output.strip(), inputs=tuple(n.strip() for n in inputs.split(",") if n.strip()), lags=lags,
         output_lags=output_lags, degree=degree, noise_lags=_noise_lags(noise_lags), split=split,  # type: ignore[arg-type]
         criterion=criterion, n_terms=terms,  # type: ignore[arg-type]
@@ -101,24 +101,24 @@ def _noise_lags(text: str) -> int | Literal["auto"]:
     raise SensorgraphError(f"--noise-lags is {text}, expected 0 to {MAX_NOISE_LAGS}, or auto")
 
 
-def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> Data:
+def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> SignalData:
     from logs import parse_topics, read
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
-    from sensorgraph.identification.signals import is_table, of_run, of_table
+    from sensorgraph.identification.signals import is_table, signals_of_run, signals_of_table
 
     if not file.exists():
         raise SensorgraphError(f"{file} does not exist; give a CSV or a run")
     if is_table(file):
         if topic:
             raise SensorgraphError(f"{file} is a CSV; --topic names topics of a run, leave it out")
-        return of_table(file, names, every=every)
+        return signals_of_table(file, names, every=every)
     with progress("reading", "messages") as tick:
         run = read(file, topics=parse_topics(topic or []), progress=tick)
-    return of_run(run, names, every=every)
+    return signals_of_run(run, names, every=every)
 
 
-def summary_lines(found: Identified) -> list[str]:
+def summary_lines(found: IdentifiedSignal) -> list[str]:
     """Return the printed lines: what was used, the terms, the scores, the tests."""
     q, model, scores = found.question, found.model, found.scores
     parts = {"half": "the second half", "block": "every second tenth", "none": "the training data itself"}
@@ -174,7 +174,7 @@ def _notes(notes: Sequence[str]) -> list[str]:
     return [f"note: {note}" for note in [*given[:MAX_NOTES], *more, *rest]]
 
 
-def _doubt_of_stderr(found: Identified) -> list[str]:
+def _doubt_of_stderr(found: IdentifiedSignal) -> list[str]:
     """Say so if the residual is correlated, so that the standard errors are too small."""
     p_value = next((t["p_value"] for t in found.validation if t["test"] == "e-e"), 1.0)
     if p_value >= MIN_P_VALUE:

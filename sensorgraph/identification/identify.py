@@ -16,16 +16,16 @@ from robotmodic_ident.validation.residual_tests import validate
 from robotmodic_ident.validation.score import Extrapolation, Score, extrapolation
 from robotmodic_ident.validation.score import score as score_series
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.identification.signals import Data, variable
+from sensorgraph.identification.signals import SignalData, variable
 from sensorgraph.types import Floats
 
 Split = Literal["half", "block", "none"]
 SPLITS: tuple[str, ...] = get_args(Split)
 CRITERIA: tuple[str, ...] = get_args(Criterion)
-BLOCKS = 10
+N_BLOCKS = 10
 """Pieces that a record is cut into by `block`; every second one is held out."""
-MOST_TERMS = 3000
-LEAST = 3
+MAX_TERMS = 3000
+MIN_SCORED_SAMPLES = 3
 """Samples that a score needs."""
 ROWS_PER_NOISE_LAG = 10
 TESTED_LAGS = (20, 10, 5, 2)
@@ -33,7 +33,7 @@ TESTED_LAGS = (20, 10, 5, 2)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Question:
+class IdentificationSpec:
     """What is to be explained, by what, and in which form."""
 
     output: str
@@ -76,10 +76,10 @@ class Question:
         for name in self.inputs:
             signals += lags(variable(name), 0, self.lags)
         size = math.comb(len(signals) + self.degree, self.degree)
-        if size > MOST_TERMS:
+        if size > MAX_TERMS:
             raise SensorgraphError(
                 f"{len(signals)} lagged signals of degree {self.degree} make {size:,} candidate terms, more than "
-                f"{MOST_TERMS:,}; lower `degree` or `lags`, or give fewer inputs"
+                f"{MAX_TERMS:,}; lower `degree` or `lags`, or give fewer inputs"
             )
         return polynomial(signals, self.degree)
 
@@ -90,12 +90,12 @@ class Question:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Identified:
+class IdentifiedSignal:
     """The model, and how it does on the records held out."""
 
     model: Narmax
-    question: Question
-    data: Data
+    question: IdentificationSpec
+    data: SignalData
     test: list[Record]
     measured: list[Floats]
     one_step: list[Floats]
@@ -122,12 +122,12 @@ class Identified:
         return {
             **self.model.to_dict(),
             "inputs": list(q.inputs),
-            "one_step": plain(self.scores["one_step"]),
-            "free_run": plain(self.scores["free_run"]),
-            "baselines": {k: plain(self.scores[k]) for k in ("persistence", "constant")},
+            "one_step": finite_numbers(self.scores["one_step"]),
+            "free_run": finite_numbers(self.scores["free_run"]),
+            "baselines": {k: finite_numbers(self.scores[k]) for k in ("persistence", "constant")},
             "validation": self.validation,
             "split": q.split,
-            "outside": plain(self.outside),
+            "outside": finite_numbers(self.outside),
             "signals": dict(self.data.names),
             "period_s": self.data.period,
             "held": dict(self.data.held),
@@ -138,7 +138,7 @@ class Identified:
         }
 
 
-def identify(data: Data, question: Question) -> Identified:
+def identify(data: SignalData, question: IdentificationSpec) -> IdentifiedSignal:
     """Fit a model on one part of the records and score it on the other."""
     output = variable(question.output)
     unknown = _shares(data)
@@ -151,14 +151,14 @@ def identify(data: Data, question: Question) -> Identified:
     reads_past = output in model.terms.variables or len(model.noise_terms) > 0
     free_run = [model.predict_mpo(r) for r in test] if reads_past else one_step
     mean = float(np.nanmean(np.concatenate([r.signals[output] for r in train])))
-    before = [_last(r, output) for r in test]
+    before = [_previous_value(r, output) for r in test]
     scores = {
         "one_step": score(measured, one_step),
         "free_run": score(measured, free_run),
         "persistence": score(measured, before),
         "constant": score(measured, [np.full(len(m), mean) for m in measured]),
     }
-    return Identified(
+    return IdentifiedSignal(
         model=model, question=question, data=data, test=test, measured=measured, one_step=one_step,
         free_run=free_run, scores=scores, validation=_validated(model, test, question),
         outside=extrapolation(model, train, test), n_train=model.n_samples,
@@ -166,12 +166,12 @@ def identify(data: Data, question: Question) -> Identified:
     )  # fmt: skip
 
 
-def _fitted(train: list[Record], output: str, terms: Terms, question: Question) -> Narmax:
+def _fitted(train: list[Record], output: str, terms: Terms, question: IdentificationSpec) -> Narmax:
     n, criterion = question.n_terms, question.criterion
     return fit(train, output, terms, n_terms=n, criterion=criterion, noise=question.noise_lags)
 
 
-def _validated(model: Narmax, test: list[Record], question: Question) -> list[dict[str, Any]]:
+def _validated(model: Narmax, test: list[Record], question: IdentificationSpec) -> list[dict[str, Any]]:
     """Return the residual tests on what was held out; none where it is too short for any lag."""
     inputs = [variable(name) for name in question.inputs]
     for max_lag in TESTED_LAGS:
@@ -198,7 +198,7 @@ def split_records(records: Sequence[Record], split: str) -> tuple[list[Record], 
     test: list[Record] = []
     for record in records:
         n = len(record)
-        n_pieces = 2 if split == "half" else BLOCKS
+        n_pieces = 2 if split == "half" else N_BLOCKS
         edges = [round(i * n / n_pieces) for i in range(n_pieces + 1)]
         for i in range(n_pieces):
             piece = cut(record, slice(edges[i], edges[i + 1]))
@@ -220,7 +220,7 @@ def cut(record: Record, piece: slice) -> Record:
     )
 
 
-def _shares(data: Data) -> dict[str, float]:
+def _shares(data: SignalData) -> dict[str, float]:
     """Return signal -> share of unknown samples, and refuse what is not known at all."""
     out = {}
     for key, name in data.names.items():
@@ -234,7 +234,11 @@ def _shares(data: Data) -> dict[str, float]:
 
 
 def _check(
-    data: Data, train: list[Record], test: list[Record], question: Question, unknown: dict[str, float]
+    data: SignalData,
+    train: list[Record],
+    test: list[Record],
+    question: IdentificationSpec,
+    unknown: dict[str, float],
 ) -> None:
     output, need = variable(question.output), question.look_back + 1
     longest = [
@@ -265,7 +269,7 @@ def _check(
         )
 
 
-def _rows(records: list[Record], question: Question) -> int:
+def _rows(records: list[Record], question: IdentificationSpec) -> int:
     """Count samples at which every signal of the dictionary is known."""
     past = [(variable(question.output), 0)] + [
         (variable(question.output), lag) for lag in range(1, question.output_lags + 1)
@@ -279,7 +283,7 @@ def _rows(records: list[Record], question: Question) -> int:
     return total
 
 
-def _last(record: Record, output: str) -> Floats:
+def _previous_value(record: Record, output: str) -> Floats:
     """Return the value before each sample (n,); nan at the start of a stretch."""
     out = np.full(len(record), np.nan)
     for piece in record.segments():
@@ -291,13 +295,13 @@ def score(measured: Sequence[Floats], predicted: Sequence[Floats]) -> Score:
     """Score predictions of several records, where both are known."""
     x, y = np.concatenate(list(measured)), np.concatenate(list(predicted))
     n = int((np.isfinite(x) & np.isfinite(y)).sum())
-    if n < LEAST:  # a free run that left for infinity, records too short for a prediction
+    if n < MIN_SCORED_SAMPLES:  # a free run that left for infinity, records too short for a prediction
         nan = math.nan
         return Score(n=n, rmse=nan, rrse=nan, r=nan, r_low=nan, r_high=nan, p_value=nan, n_effective=nan)
     with np.errstate(over="ignore", invalid="ignore"):  # on its way to infinity
         return score_series(x, y)
 
 
-def plain(s: Score | Extrapolation) -> dict[str, float | None]:
+def finite_numbers(s: Score | Extrapolation) -> dict[str, float | None]:
     """Return scores as plain data; what is not defined is None."""
     return {k: v if math.isfinite(v) else None for k, v in vars(s).items()}

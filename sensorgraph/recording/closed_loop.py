@@ -12,8 +12,13 @@ from planners.trajectory import Trajectory
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.recording.controllers import CONTROLLERS, controller_label
-from sensorgraph.recording.identified_world import PLAN, ArenaWorld, IdentifiedWorld, record_in
-from sensorgraph.recording.record import silent
+from sensorgraph.recording.identified_world import (
+    PLAN_CONTROLLER,
+    ArenaWorld,
+    IdentifiedWorld,
+    record_in_world,
+)
+from sensorgraph.recording.record import no_progress
 from sensorgraph.types import ProgressBars
 from sensorgraph.world.robot import Robot
 
@@ -41,7 +46,7 @@ def files_of_controllers(controllers: Sequence[str], path: Path) -> dict[str, Pa
     ------
     SensorgraphError : a controller is not known, is named twice, or two share a label
     """
-    known = (PLAN, *CONTROLLERS)
+    known = (PLAN_CONTROLLER, *CONTROLLERS)
     for name in controllers:
         if (name not in known and not name.endswith(".json")) or controllers.count(name) > 1:
             raise SensorgraphError(
@@ -65,7 +70,7 @@ def drive_closed_loop(
     graph: Sensorgraph | None = None,
     graph_name: str = "",
     seed: int = 0,
-    progress: ProgressBars = silent,
+    progress: ProgressBars = no_progress,
 ) -> Iterator[ClosedLoopDrive]:
     """Let each controller drive from the start of a plan for as long as the plan takes; all meet the same noise.
 
@@ -78,7 +83,7 @@ def drive_closed_loop(
     """
     for name, file in files.items():
         world = ArenaWorld(arena, robot, seed) if graph is None else IdentifiedWorld(graph, robot, seed)
-        run = record_in(file, world, arena, robot, trajectory, name, name=graph_name, progress=progress)
+        run = record_in_world(file, world, arena, robot, trajectory, name, name=graph_name, progress=progress)
         yield ClosedLoopDrive(
             label=controller_label(name),
             run=run,

@@ -17,34 +17,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor
-from planners.kernel import kernel
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
-from sensorgraph.models.calibration.calibrate import Calibration, calibrate_faces, corrected_rays, observed_by
-from sensorgraph.models.calibration.ray_terms import incidence_bias
+from sensorgraph.models.base import Point, Prediction, TrainingScans
+from sensorgraph.models.calibration.calibrate import calibrate_faces, corrected_rays, observed_by
+from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.fit import N_STEPS, StepCounter, fit_faces
-from sensorgraph.models.faces.observed_space import ObservedSpace, is_ray_observed
+from sensorgraph.models.faces.observed_space import ObservedSpace
+from sensorgraph.models.faces.prediction import predict_rays
 from sensorgraph.models.faces.ray_march import (
-    CANDIDATE_SLOTS,
-    MAX_CANDIDATES,
     MIN_VISIBILITY,
     FaceSet,
     bucket_grid,
-    crossed_faces,
 )
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block, MapBlocks, blocks_of, reduce_blocks
 from sensorgraph.models.faces.sampling import draw_rays
 from sensorgraph.models.faces.sufficient_statistics import SufficientStatistics
 from sensorgraph.models.faces.update import update_faces
-from sensorgraph.models.faces.visibility import ReturnNoise, variance
-from sensorgraph.models.mixture import NO_RETURN, P_OFF, summarise, to_prediction, which_of
+from sensorgraph.models.faces.visibility import ReturnNoise
+from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
 from sensorgraph.types import Floats, Ints, Progress
 
 MAX_P_OFF = 0.05
 """Chance of being off above which a ray is not answered."""
-SUPPORT_MARGIN = 0.10
-"""[m] before the predicted range a ray needs no support any more: the surface itself was seen."""
 MAX_STRAY = 2e-3
 """[1/m] returns that no face explains, above which cells predict; 1e-4 in clean rooms, 7e-3 on logs of real floors."""
 
@@ -215,7 +210,7 @@ class Faces:
         supported = np.empty((len(poses), len(rays)), dtype=np.bool_)
         x, y, cos, sin = self._lasers(poses)
         bearings, terms = self.sensor.bearings[rays], self.calibration.terms
-        _predict(
+        predict_rays(
             x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces, bucket_grid(self.faces),
             self.noise.array, self.observed.origin, self.observed.cell, self.observed.distance_to_unobserved, self.returns,
             terms.constant[rays], terms.slope[rays], terms.incidence, not terms.is_none,
@@ -417,84 +412,3 @@ def _sum_text(parts: list[tuple[float, str]]) -> str:
         text += f" {sign} " if text else ("-" if value < 0 else "")
         text += f"{abs(value):.5f}" + (f" {name}" if name else "")
     return text or "0"
-
-
-@kernel
-def _predict(
-    x: Any,
-    y: Any,
-    cos: Any,
-    sin: Any,
-    cos_b: Any,
-    sin_b: Any,
-    range_max: Any,
-    faces: Any,
-    buckets: Any,
-    noise: Any,
-    origin: Any,
-    cell: Any,
-    room: Any,
-    returns: Any,
-    constant: Any,
-    slope: Any,
-    incidence: Any,
-    is_biased: Any,
-    which: Any,
-    table: Any,
-    supported: Any,
-) -> Any:
-    normals, _, first, edges, levels, blur, neighbour = faces
-    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
-    rho, w, s = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    is_moved, sigma = noise[1] > 0 or noise[2] > 0, math.sqrt(noise[0])  # by noise of poses
-    for i in range(len(x)):
-        for b in range(len(cos_b)):
-            ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
-            n = crossed_faces(x[i], y[i], ux, uy, range_max, 0.001, faces, buckets, r, k, j, t)
-            left, c = 1.0, 0
-            for m in range(n):
-                f = k[m]
-                den = normals[f, 0] * ux + normals[f, 1] * uy
-                across = (noise[1] + r[m] ** 2 * noise[2]) / (den * den) if is_moved else 0.0
-                alpha = levels[j[m]] if j[m] >= first[f] else 0.0
-                e = j[m]  # the nearer edge
-                if e < first[f]:
-                    e = first[f]
-                elif e + 1 < first[f + 1] and edges[e + 1] - t[m] < t[m] - edges[e]:
-                    e += 1
-                spread = blur[e] ** 2 + across + 1e-8
-                off = t[m] - edges[e]
-                if off * off < 16.0 * spread:
-                    beside = neighbour[e]
-                    if beside < 0 or normals[beside, 0] * ux + normals[beside, 1] * uy >= 0:
-                        before = levels[e - 1] if e > first[f] else 0.0
-                        alpha = before + (levels[e] - before) * 0.5 * math.erfc(
-                            -off / math.sqrt(2.0 * spread)
-                        )
-                if alpha < 1e-4:
-                    continue
-                rho[c], w[c] = r[m], left * alpha
-                if is_biased:
-                    rho[c] += constant[b] + slope[b] * r[m] + incidence_bias(den, r[m], incidence)
-                s[c] = sigma
-                if is_moved:
-                    s[c] = math.sqrt(variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise))
-                c += 1
-                left *= 1.0 - alpha
-                if left < 0.001:
-                    break
-            row = table[i, b]
-            if c == 1:  # most rays: one face, nothing else
-                row[0], row[1], row[2], row[3], row[4] = rho[0], rho[0], rho[0], s[0], left
-                row[5] = (
-                    math.erfc(OFF_DISTANCE / s[0] * 0.7071067811865476) if 4.5 * s[0] > OFF_DISTANCE else 0.0
-                )
-            else:
-                row[0], row[1], row[2], row[3], row[4], row[5] = summarise(
-                    rho, w, s, c, left, range_max, which
-                )
-            reach = range_max if row[4] > 0.5 else row[1] - SUPPORT_MARGIN
-            supported[i, b] = r[MAX_CANDIDATES] > reach and is_ray_observed(
-                x[i], y[i], ux, uy, reach, origin, cell, room
-            )
