@@ -31,12 +31,6 @@ from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
 
-SITE_EFFECTS: dict[str, dict[str, float]] = {  # what a site or a map may always show, with first values
-    "range_noise": {"k": 0.004},
-    "range_bias": {"b": 0.0},
-    "range_scale": {"s": 0.0},
-}
-
 
 def commission_all(runs: Sequence[Run], arena: Arena, robot: Robot, *, seed: int = 0) -> SiteBaseline:
     """Learn the baseline of a site from one run that is known to be good, or from several.
@@ -110,9 +104,14 @@ def merged(several: Sequence[SiteBaseline]) -> SiteBaseline:
     """Put together what several good runs of a site show (none of them with `learn_effects`)."""
     first = several[0]
     tolerances = [b.robot.tolerances for b in several]
-    shifts = {k: np.array([getattr(t, k) for t in tolerances]) for k in ("mount_xy", "mount_yaw", "stamp")}
-    rms = {k: float(np.sqrt(np.mean(v**2))) for k, v in shifts.items()}
-    median = {k: float(np.median([getattr(t, k) for t in tolerances])) for k in ("pose_xy", "pose_yaw")}
+    merged_tolerances = replace(
+        tolerances[0],
+        mount_xy=_rms([t.mount_xy for t in tolerances]),
+        mount_yaw=_rms([t.mount_yaw for t in tolerances]),
+        stamp=_rms([t.stamp for t in tolerances]),
+        pose_xy=float(np.median([t.pose_xy for t in tolerances])),
+        pose_yaw=float(np.median([t.pose_yaw for t in tolerances])),
+    )
     bounds = [b.noise_bounds for b in several]
     noise = replace(
         bounds[0],
@@ -122,12 +121,16 @@ def merged(several: Sequence[SiteBaseline]) -> SiteBaseline:
         stray=_hull([b.stray for b in bounds]),
     )
     return SiteBaseline(
-        robot=replace(first.robot, tolerances=replace(tolerances[0], **rms, **median)),
+        robot=replace(first.robot, tolerances=merged_tolerances),
         known=(),
         noise_bounds=noise,
         not_looked_for=tuple(dict.fromkeys(name for b in several for name in b.not_looked_for)),
         runs=tuple(cuts for b in several for cuts in b.runs),
     )
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _hull(intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -155,14 +158,16 @@ def hidden_by_scraps(arena: Arena) -> tuple[str, ...]:
     if len(size) == 0 or np.median(size) > SCAN.site.min_wall:
         return ()
     whole = [name for name, effect in EFFECTS.items() if effect.place in ("wall", "obstacle")]
-    return (*whole, "mixed_pixels", "sonar_cone")
+    edges = [name for name, effect in EFFECTS.items() if effect.diagnostics.at_edges]
+    return (*whole, *edges)
 
 
 def site_effects(data: ScanData) -> tuple[Amendment, ...]:
     """Fit the effects that a site may always show, one after another, as long as each is worth its price."""
     noise = SCAN.site.wide_noise
     current = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
-    left = dict(SITE_EFFECTS)
+    starts = {name: effect.diagnostics.site_start for name, effect in EFFECTS.items()}
+    left = {name: start for name, start in starts.items() if start is not None}
     while left:
         tried = []
         for name, values in left.items():

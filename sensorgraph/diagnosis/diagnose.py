@@ -31,6 +31,8 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
+from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Progress
 from sensorgraph.world.robot import Robot
@@ -199,14 +201,13 @@ def diagnose_motion(
 
 def motion_model(robot: Robot, known: Sequence[Amendment]) -> Robot:
     """Return the robot with the motors that known effects describe, and with noise that is never zero."""
-    extra = {a.name: a.parameters for a in known if a.name in ("actuator_lag", "dead_time")}
     actuators, pose, wheels = robot.actuators, robot.pose, robot.wheels
     return replace(
         robot,
         actuators=replace(
             actuators,
-            tau=actuators.tau + extra.get("actuator_lag", {}).get("tau", 0.0),
-            delay=actuators.delay + extra.get("dead_time", {}).get("L", 0.0),
+            tau=actuators.tau + sum(a["tau"] for a in known if a.effect is ACTUATOR_LAG),
+            delay=actuators.delay + sum(a["L"] for a in known if a.effect is DEAD_TIME),
         ),
         pose=replace(
             pose, sigma_xy=max(pose.sigma_xy, LEAST_SIGMA), sigma_yaw=max(pose.sigma_yaw, LEAST_SIGMA)

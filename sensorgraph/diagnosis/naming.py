@@ -19,6 +19,8 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.scan.standard_errors import material_probability
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
+from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.effect import size_ratio
 
 WRONG_BY_HALF = 0.5
@@ -106,7 +108,7 @@ def _is_close(a: Amendment, rival: Rival) -> bool:
 def located(amendment: Amendment, data: ScanData) -> Amendment:
     """Return an effect with its point moved to where its fitted parameters put it."""
     values = amendment.parameters
-    if amendment.name == "unmapped_obstacle":
+    if amendment.effect.place == "spot":
         return amendment.at("", (values["x"], values["y"]))
     if {"a", "b"} <= set(values) and amendment.place in data.arena.names:
         start, end = data.arena.walls[data.arena.names.index(amendment.place)]
@@ -131,13 +133,12 @@ def is_material(fitted: Fitted, amendment: Amendment) -> bool:
 def _is_blurred_corner(amendment: Amendment) -> bool:
     """Tell whether a part of a wall is so short that it may be a blurred corner."""
     values = amendment.parameters
-    is_part = amendment.effect.place == "wall" and {"a", "b"} <= set(values)
-    return is_part and values["b"] - values["a"] < SCAN.naming.min_part
+    return amendment.effect.on_part_of_wall and values["b"] - values["a"] < SCAN.naming.min_part
 
 
 def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
     """Tell whether an obstacle stands out of a mapped one by no more than the map may be wrong there."""
-    if amendment.name != "unmapped_obstacle":
+    if amendment.effect.place != "spot":
         return False
     data, values = fitted.solver.data, amendment.parameters
     place = np.array([[values["x"], values["y"]]])
@@ -165,9 +166,7 @@ def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
     """Tell whether an effect loses its name because too much of its own kind is left unexplained."""
     if index in fit.failed:
         return True
-    if (
-        explained.final.model[index].name == "quantisation"
-    ):  # every reading lies on it, whatever else is amiss
+    if explained.final.model[index].effect.diagnostics.is_lattice:
         return False
     return fit.is_doubted and fit.misfit > SCAN.naming.max_unexplained_share * explained.gains[index]
 
@@ -203,9 +202,9 @@ def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> Ch
     if is_absurd:
         words = "odometry and reference do not belong together: way or turn differ in sign or by half"
         return without_close_calls(replace(result, effects=(), unknown=Unknown(statement=words)))
-    slips = [a for a in result.effects if a.name == "wheel_slip"]
+    slips = [a for a in result.effects if a.effect.place == "spot"]
     mimics = slips if len(slips) > 1 and result.unknown is not None else []  # of the unknown, patch by patch
-    expected = {a.name: a.parameters for a in known if a.name not in ("actuator_lag", "dead_time")}
+    expected = {a.name: a.parameters for a in known if a.effect not in (ACTUATOR_LAG, DEAD_TIME)}
     named = tuple(a for a in result.effects if a not in mimics and not _is_expected(a, expected))
     return without_close_calls(replace(result, effects=named))
 

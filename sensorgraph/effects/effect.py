@@ -97,6 +97,8 @@ class Diagnostics:
     """A reading is not that of one thin ray, so that edges in depth are not where that ray passes them."""
     explains: Literal["", "short readings", "strays"] = ""
     """It explains readings one by one, wherever they are, and so must be checked against their pattern."""
+    at_edges: bool = False
+    """It shows at true edges in depth, which a map made of scraps does not have."""
     is_lattice: bool = False
     """Every reading lies on its lattice, whatever else is amiss."""
 

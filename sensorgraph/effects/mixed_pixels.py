@@ -130,6 +130,7 @@ MIXED_PIXELS = Effect(
     transform=transform,
     absorber=True,
     diagnostics=Diagnostics(
+        at_edges=True,
         unobservable=unobservable,
         sweep=sweep,
         leftover_share=0.03,

@@ -128,6 +128,7 @@ SONAR_CONE = Effect(
     ),
     transform=transform,
     diagnostics=Diagnostics(
+        at_edges=True,
         unobservable=unobservable,
         sweep=sweep,
         wide_beam=True,

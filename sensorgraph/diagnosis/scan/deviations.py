@@ -81,7 +81,7 @@ def _outlines(view: FitResiduals) -> Bools | None:
     aside = SCAN.goodness_of_fit.outline_distance
     arena, beams, out = view.data.arena, view.beams, None
     for a in view.fitted.model:
-        if a.name != "unmapped_obstacle":
+        if a.effect.place != "spot":
             continue
         place, r = np.array([[a["x"], a["y"]]]), a["r"]
         if not arena.contains(place)[0] or Barriers(arena).distances(place)[0] < r + aside:

@@ -11,25 +11,10 @@ from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.fit import log_p_at
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects import EFFECTS
+from sensorgraph.effects.effect import Telltale
 from sensorgraph.effects.proposals import best_run
 from sensorgraph.types import Bools
-
-TELLTALES: tuple[
-    tuple[tuple[str, ...], int, str], ...
-] = (  # names, how many of them (0: each once), what to say
-    (
-        ("range_scale", "map_scale"),
-        0,
-        "map and readings both seem stretched: the poses' own scale may be wrong",
-    ),
-    (("sector_bias",), 2, "the bias varies with the bearing in a way that no single sector describes"),
-    (
-        ("glass", "mirror", "black_surface"),
-        3,
-        "rays are lost or long on many walls, as if by direction, not by wall",
-    ),
-    (("moved_wall",), 3, "several walls seem moved: the error may not be the map's"),
-)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,9 +50,9 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
     model = view.fitted.model
     for index, a in enumerate(model):
         words = ""
-        if a.name == "people" and short.sum() > settings.min_absorbed_rays:
+        if a.effect.diagnostics.explains == "short readings" and short.sum() > settings.min_absorbed_rays:
             words = _not_people(view, short)
-        elif a.name == "random_outliers" and odd.sum() > settings.min_absorbed_rays:
+        elif a.effect.diagnostics.explains == "strays" and odd.sum() > settings.min_absorbed_rays:
             words = _not_random(view, odd)
         if words:
             worth = (
@@ -76,20 +61,26 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
             out.append(
                 Doubt(statement=words, misfit=worth, statistic=0.0, threshold=0.0, failed=frozenset([index]))
             )
-    for names, least, words in TELLTALES:
-        members = [i for i, a in enumerate(model) if a.name in names]
-        enough = len({model[i].name for i in members}) if least == 0 else len(members)
-        if enough >= (least or len(names)):
+    for telltale in _telltales():
+        members = [i for i, a in enumerate(model) if a.effect.diagnostics.telltale == telltale]
+        count = len({model[i].name for i in members}) if telltale.distinct else len(members)
+        if count >= telltale.least:
             out.append(
                 Doubt(
-                    statement=words,
+                    statement=telltale.statement,
                     misfit=settings.failed_law_share * sum(gains[i] for i in members),
-                    statistic=float(enough),
-                    threshold=float(least or len(names)),
+                    statistic=float(count),
+                    threshold=float(telltale.least),
                     failed=frozenset(members),
                 )
             )
     return out
+
+
+def _telltales() -> list[Telltale]:
+    """Return the combinations of effects that cast doubt on themselves, each once."""
+    found = [effect.diagnostics.telltale for effect in EFFECTS.values()]
+    return list(dict.fromkeys(telltale for telltale in found if telltale is not None))
 
 
 def absences(view: FitResiduals) -> list[Doubt]:

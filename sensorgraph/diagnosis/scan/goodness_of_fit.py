@@ -24,12 +24,6 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.world.robot import Tolerances
 
-COARSE = {
-    "sonar_cone": 0.06, "mixed_pixels": 0.06, "people": 0.06, "glass": 0.012, "mirror": 0.012, "black_surface": 0.012,
-}  # fmt: skip
-"""Share of the model's gain below which a misfit does not count, for effects whose model is coarse, or sharp at an end
-that the map's tolerance blurs."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GoodnessOfFit:
@@ -74,7 +68,7 @@ def check(
     doubts = [*broken_laws(view, gains), *_stretched(view, nominal), *absences(view), *_dispersed(view)]
     doubts += _against_replicates(view, nominal, rng, n_replicates)
     share = SCAN.goodness_of_fit.min_share_of_gain
-    share = max((COARSE.get(a.name, share) for a in fitted.model), default=share)
+    share = max((a.effect.diagnostics.misfit_share or share for a in fitted.model), default=share)
     doubts = sorted((d for d in doubts if d.misfit > share * gained), key=lambda d: -d.misfit)
     if not doubts:
         return GoodnessOfFit()

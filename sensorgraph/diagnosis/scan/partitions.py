@@ -123,7 +123,7 @@ def _parts_of_walls(view: FitResiduals, t: Floats) -> list[Partition]:
     out = []
     arena, span = view.data.arena, view.data.span
     scene = view.fitted.cast.scene
-    placed = [a for a in view.fitted.model if a.name in ("glass", "mirror", "black_surface")]
+    placed = [a for a in view.fitted.model if a.effect.on_part_of_wall]
     bare = bare_cast(scene) if placed else view.beams
     along = bare.along(scene.walls) if placed else view.along
     for a in placed:

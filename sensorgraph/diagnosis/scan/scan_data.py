@@ -219,7 +219,7 @@ def _positive_tolerances(tolerances: Tolerances) -> Tolerances:
     """Return tolerances that are never zero."""
     least = SCAN.intake.min_tolerances
     return replace(
-        tolerances, **{name: max(getattr(tolerances, name), value) for name, value in least.items()}
+        tolerances, **{name: max(getattr(tolerances, name), value) for name, value in vars(least).items()}
     )
 
 

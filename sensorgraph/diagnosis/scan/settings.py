@@ -19,6 +19,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sensorgraph.world.robot import Tolerances
+
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseBounds:
@@ -58,15 +60,10 @@ class IntakeSettings:
     """Factor and [m] by which a reading may exceed range_max."""
     max_share_beyond_range: float = 0.01
     """Share of readings that may exceed even that."""
-    min_tolerances: Mapping[str, float] = field(
-        default_factory=lambda: {
-            "map": 2e-4,
-            "mount_xy": 1e-4,
-            "mount_yaw": 2e-5,
-            "pose_xy": 2e-4,
-            "pose_yaw": 1e-4,
-            "stamp": 1e-4,
-        }
+    min_tolerances: Tolerances = field(
+        default_factory=lambda: Tolerances(
+            map=2e-4, mount_xy=1e-4, mount_yaw=2e-5, pose_xy=2e-4, pose_yaw=1e-4, stamp=1e-4
+        )
     )
     """[m, m, rad, m, rad, s] least tolerances: no set-up is perfect, and a zero has no logarithm."""
 

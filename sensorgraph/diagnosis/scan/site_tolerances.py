@@ -12,7 +12,9 @@ from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
 from sensorgraph.diagnosis.scan.likelihood import e_step
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.effects import EFFECTS
+from sensorgraph.effects.latency import LATENCY
+from sensorgraph.effects.mount_xy import MOUNT_XY
+from sensorgraph.effects.mount_yaw import MOUNT_YAW
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Tolerances
 
@@ -67,8 +69,8 @@ def shift_tolerances(data: ScanData, cuts: Sequence[int]) -> Tolerances:
     ----------
     cuts : counts of windows that the run is cut into
     """
-    mount = [EFFECTS["mount_xy"](dx=0.0, dy=0.0), EFFECTS["mount_yaw"](delta=0.0)]
-    clock = [EFFECTS["latency"](tau=0.0)]
+    mount = [MOUNT_XY(dx=0.0, dy=0.0), MOUNT_YAW(delta=0.0)]
+    clock = [LATENCY(tau=0.0)]
     nominal, noise, squares = data.tolerances, SCAN.site.wide_noise, []
     for window in (window for n in cuts for window in data.windows(n)):
         xy, yaw = fit(window, mount, start_state(window, noise), noise, outer=3, inner=5).model
