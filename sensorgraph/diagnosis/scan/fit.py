@@ -25,7 +25,7 @@ from sensorgraph.diagnosis.scan.likelihood import (
 )
 from sensorgraph.diagnosis.scan.nuisance import Corners, Jacobian, linearise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
@@ -77,13 +77,6 @@ def cast(data: ScanData, model: Sequence[Amendment]) -> Cast:
     return Cast(scene=scene, beams=beams, jacobian=jacobian, expected=expected, edges=edges)
 
 
-FINE = 0.02  # relative step at which the search for a share or a width ends
-MOST_PEAKED = 9  # casts of it
-NOISE_ROUNDS = 3  # of the noise, where it is estimated again at a step of a rough parameter
-NUDGE = (5e-4, 5e-4, 3e-4)  # [m, m, rad] of the difference quotients by the pose
-RIGID = 60.0  # [1, 1, m/rad] a larger quotient is a jump to another surface
-
-
 def _bent(data: ScanData, model: Sequence[Amendment], beams: Beams) -> tuple[Bools, Floats, Floats] | None:
     """Differentiate rays that a surface, an edge or a tilt has bent by the pose, by casting again.
 
@@ -100,16 +93,16 @@ def _bent(data: ScanData, model: Sequence[Amendment], beams: Beams) -> tuple[Boo
     quotients = np.zeros((data.n_scans, 3, data.n_rays))
     smooth = which.copy()
     steepness = np.zeros(which.shape)
-    for axis, step in enumerate(NUDGE):
+    for axis, step in enumerate(SCAN.fit.pose_steps):
         scene = few.scene()
         scene.memo = None
         scene.motion = _nudged(few, axis, step)
         moved = scene.run((*data.known, *model)).reading
         with np.errstate(invalid="ignore"):
             q = (moved - beams.reading[rows]) / step
-        ok = np.isfinite(q) & (np.abs(q) < RIGID)
+        ok = np.isfinite(q) & (np.abs(q) < SCAN.fit.max_pose_slope)
         if axis == 2:
-            steepness[rows] = np.where(np.isfinite(q), np.abs(q), RIGID)
+            steepness[rows] = np.where(np.isfinite(q), np.abs(q), SCAN.fit.max_pose_slope)
         smooth[rows] &= ok
         quotients[rows, axis] = np.where(ok, q, 0.0)
     return smooth, np.where(smooth[:, None, :], quotients, 0.0), np.where(which, steepness, 0.0)
@@ -247,7 +240,7 @@ def fit(
         zero = np.zeros(solver.n_effects)
         solution = iterate(solver, state, zero, noise_bounds, rounds=inner, **held)
         got = Fitted(model=model, solution=solution, cast=at, solver=solver)
-        better = best is None or got.j > best.j + 0.3
+        better = best is None or got.j > best.j + SCAN.fit.min_cast_gain
         if best is None or got.j > best.j:
             best = got
         if solver.n_effects == 0 or not better:
@@ -263,7 +256,7 @@ def fit(
 def _settled(solution: Solution) -> bool:
     """Tell whether the last step was far below the standard errors."""
     sd = np.sqrt(np.maximum(np.diag(solution.covariance), 1e-18))
-    return bool((np.abs(solution.p) < 0.2 * sd).all())
+    return bool((np.abs(solution.p) < SCAN.fit.settled_step * sd).all())
 
 
 def log_p_at(
@@ -286,7 +279,7 @@ def log_p_at(
     responsibilities = e_step(data, at.expected, shift, noise)
     if noise_bounds is not None:
         noise_bounds = strays_taken(model, noise_bounds)
-        for _ in range(NOISE_ROUNDS):
+        for _ in range(SCAN.fit.noise_rounds):
             noise = fitted_noise(solver, responsibilities, noise, noise_bounds)
             responsibilities = e_step(data, at.expected, shift, noise)
     return responsibilities.log_p
@@ -350,7 +343,9 @@ def polish(
                     break
             else:
                 steps[name] *= 0.4
-        if not moved and all(s < 0.2 * amendment.search_steps[k] for k, s in steps.items()):
+        if not moved and all(
+            s < SCAN.fit.end_of_search * amendment.search_steps[k] for k, s in steps.items()
+        ):
             break
     return tuple(current)
 
@@ -376,7 +371,7 @@ def _peaked(
         lambda u: -log_likelihood(data, at(u), state, noise_bounds),
         bounds=(-reach, reach),
         method="bounded",
-        options={"xatol": FINE, "maxiter": MOST_PEAKED},
+        options={"xatol": SCAN.fit.profile_tolerance, "maxiter": SCAN.fit.max_profile_casts},
     )
     return at(float(found.x))
 

@@ -21,27 +21,13 @@ from sensorgraph.diagnosis.scan.propose import proposed_candidates
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
-from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
 from sensorgraph.types import Bools
 
 logger = logging.getLogger(__name__)
-
-THRESHOLD = 12.0  # [nats] of evidence, beyond the price of the parameters
-PRICE = 4.0  # [nats] per parameter
-END = 2.0  # standard deviations of where a ray meets its wall
-MOST = 5  # effects in one model
-FEW = (
-    3  # effects where the arena fits the run only in part: whatever is missing, many names would not mend it
-)
-MANY = 10  # candidates fitted on a part of the scans
-FINALISTS = 3
-LOOK = 3.5  # [nats] of expected gain that make a smooth effect worth a fit; boxes hide a part of it
-SOME = 130  # scans on which all candidates are fitted
-SEARCHED = 5  # candidates whose rough parameters are searched
-NEAR = 0.5  # of the best gain; farther candidates are not fitted to all scans
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,16 +54,22 @@ class Explained:
 
 def price(amendment: Amendment, data: ScanData) -> float:
     """Return what an effect must pay for its parameters and for the choice of its place [nats]."""
-    places = {"wall": data.arena.n_walls, "obstacle": 6}.get(amendment.effect.place or "", 1)
+    places = {"wall": data.arena.n_walls, "obstacle": SCAN.selection.n_obstacle_places}.get(
+        amendment.effect.place or "", 1
+    )
     counted = [
         v != 0.0 or not amendment.effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items()
     ]
-    paid = PRICE * max(sum(counted), 1) + float(np.log(max(places, 1)))
+    paid = SCAN.selection.price * max(sum(counted), 1) + float(np.log(max(places, 1)))
     return paid + data.clutter_nats.get(amendment.name, 0.0)
 
 
 def explain(
-    data: ScanData, noise_bounds: NoiseBounds, *, threshold: float = THRESHOLD, most: int = MOST
+    data: ScanData,
+    noise_bounds: NoiseBounds,
+    *,
+    threshold: float = SCAN.selection.threshold,
+    most: int = SCAN.selection.max_effects,
 ) -> Explained:
     """Search for the effects that the evidence asks for, at most so many."""
     null = fit(data, (), start_state(data, noise_bounds), noise_bounds, outer=1, inner=7)
@@ -86,7 +78,7 @@ def explain(
     struck: set[tuple[str, str]] = set()
     while len(current.model) < most:
         tried, also = _try(data, current, noise_bounds, struck, current.j - null.j)
-        tried = [t for t in tried if t[1] > -50]
+        tried = [t for t in tried if t[1] > SCAN.selection.hopeless_gain]
         if not tried:
             break
         order = _ranked(without_ends(data, tried))
@@ -162,17 +154,21 @@ def _try(
     come near the best of these are fitted to all scans.
     """
     noise = current.state.noise
-    stretched = max(current.state.pose_scale, current.state.map_scale) > 1.3
-    strained = noise_bounds.max_scale > 1.0 and (stretched or noise.core > 1.1 or noise.tail > 0.1)
+    stretched = max(current.state.pose_scale, current.state.map_scale) > SCAN.nuisance.stretched_scale
+    strained = noise_bounds.max_scale > 1.0 and (
+        stretched or noise.core > SCAN.sweep.max_core or noise.tail > SCAN.sweep.max_tail
+    )
     short = shortlist(data, current, struck, gained)
     if strained:  # tolerances that stretch may hide an effect: look again with the ones told
         told = replace(noise_bounds, max_scale=1.0)
         tight = fit(data, current.model, start_state(data, told), told, outer=1, inner=4)
         more = shortlist(data, tight, struck, gained)
-        short += [c for c in more if not any(_same(c.amendment, o.amendment) for o in short)][: MANY // 2]
+        short += [c for c in more if not any(_same(c.amendment, o.amendment) for o in short)][
+            : SCAN.selection.max_candidates // 2
+        ]
     if not short:
         return [], []
-    every = max(1, data.n_scans // SOME)
+    every = max(1, data.n_scans // SCAN.selection.n_scans)
     few = thin(data, every)
     base = fit(few, current.model, thin_state(current.state, every), noise_bounds, outer=1, inner=2)
     fresh = start_state(few, noise_bounds) if strained else base.state
@@ -188,21 +184,23 @@ def _try(
         )
         quick.append(((got.j - base.j) * every - price(candidate.amendment, data), got))
     quick.sort(key=lambda pair: -pair[0])
-    for k, (gain, got) in enumerate(quick[:SEARCHED]):
-        if gain > 0.2 * quick[0][0] - 20 and is_rough(got.model[-1]):
+    for k, (gain, got) in enumerate(quick[: SCAN.selection.max_searched]):
+        if gain > SCAN.selection.searched_share * quick[0][0] - SCAN.selection.gain_margin and is_rough(
+            got.model[-1]
+        ):
             better = searched(
                 few, got, noise_bounds, rounds=4, first=1.0, turns=3 if got.model[-1].effect.absorber else 1
             )
             quick[k] = (gain + (better.j - got.j) * every, better)
     quick.sort(key=lambda pair: -pair[0])
     logger.debug("quick %s", [(f.model[-1].name, f.model[-1].place, round(g)) for g, f in quick])
-    finalists = quick[:FINALISTS]
+    finalists = quick[: SCAN.selection.max_finalists]
     plain = [q for q in quick if not q[1].model[-1].effect.absorber]
     if finalists[0][1].model[-1].effect.absorber and plain and plain[0] not in finalists:
         finalists.append(plain[0])
     out, also = [], []
     for gain, got in finalists:
-        if gain < NEAR * finalists[0][0] - 20:
+        if gain < SCAN.selection.finalist_share * finalists[0][0] - SCAN.selection.gain_margin:
             also.append((got.model[-1], gain))
             continue
         begin = start_state(data, noise_bounds) if strained else current.state
@@ -237,8 +235,12 @@ def shortlist(
     data: ScanData, current: Fitted, struck: set[tuple[str, str]], gained: float
 ) -> list[Candidate]:
     """Return the candidates worth fitting, best first."""
-    sharp = [c for c in smooth_candidates(data, current) if c.gain > LOOK]
-    broad = [c for c in smooth_candidates(data, current, broad=True) if c.gain > 2 * LOOK]
+    sharp = [c for c in smooth_candidates(data, current) if c.gain > SCAN.selection.min_expected_gain]
+    broad = [
+        c
+        for c in smooth_candidates(data, current, broad=True)
+        if c.gain > 2 * SCAN.selection.min_expected_gain
+    ]
     rough = proposed_candidates(FitResiduals(data, current))
     present = {_key(a) for a in current.model}
     out: list[Candidate] = []
@@ -268,7 +270,7 @@ def shortlist(
             if taken == most:
                 break
     logger.debug("short %s", [(c.amendment.name, c.amendment.place, round(c.gain)) for c in out])
-    return out[:MANY]
+    return out[: SCAN.selection.max_candidates]
 
 
 def _same(a: Amendment, b: Amendment) -> bool:
@@ -289,13 +291,22 @@ def _ranked(tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
     if best.model[-1].effect.absorber:
         for pair in order[1:]:
             last = pair[0].model[-1]
-            if not last.effect.absorber and last.ratio >= 1 and pair[1] > 0.5 * gain and pair[1] > THRESHOLD:
+            if (
+                not last.effect.absorber
+                and last.ratio >= 1
+                and pair[1] > SCAN.selection.absorber_share * gain
+                and pair[1] > SCAN.selection.threshold
+            ):
                 order.remove(pair)
                 return [pair, *order]
     elif best.model[-1].ratio < 1:
         for pair in order[1:]:
             last = pair[0].model[-1]
-            if not last.effect.absorber and last.ratio >= 1 and pair[1] > max(gain - 6, THRESHOLD):
+            if (
+                not last.effect.absorber
+                and last.ratio >= 1
+                and pair[1] > max(gain - SCAN.selection.material_margin, SCAN.selection.threshold)
+            ):
                 order.remove(pair)
                 return [pair, *order]
     return order
@@ -323,14 +334,14 @@ def without_ends(data: ScanData, tried: list[tuple[Fitted, float]]) -> list[tupl
 
 
 def _near_ends(data: ScanData, fitted: Fitted) -> Bools:
-    """Tell which rays (n_scans, n_rays) meet the wall of the last effect within END blurs of one of its ends."""
+    """Tell which rays (n_scans, n_rays) meet the wall of the last effect within a few blurs of one of its ends."""
     a, t, scene = fitted.model[-1], data.tolerances, fitted.cast.scene
     bare = bare_cast(scene)
     on = np.isin(bare.wall, named_walls(data.arena, a.place))
     blur = (t.pose_xy + t.pose_yaw * bare.ranges) / np.maximum(bare.cosine, 0.1) + t.map
     with np.errstate(invalid="ignore"):
         along = bare.along(scene.walls)
-        near = np.minimum(np.abs(along - a["a"]), np.abs(along - a["b"])) < END * blur
+        near = np.minimum(np.abs(along - a["a"]), np.abs(along - a["b"])) < SCAN.selection.end_blur * blur
     return np.asarray(on & near)
 
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from sensorgraph.diagnosis.scan.exposure import RunExposure
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.model_selection import THRESHOLD
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment, Effect
@@ -42,7 +41,11 @@ class Alike:
 
 
 def not_observable(
-    data: ScanData, fitted: Fitted, *, threshold: float = THRESHOLD, from_scans: bool | None = None
+    data: ScanData,
+    fitted: Fitted,
+    *,
+    threshold: float = SCAN.selection.threshold,
+    from_scans: bool | None = None,
 ) -> dict[str, str]:
     """Say, effect by effect, what this run could not have shown, and why.
 
@@ -61,7 +64,7 @@ def not_observable(
     return {name: out[name] for name in EFFECTS if name in out}
 
 
-def alike(data: ScanData, fitted: Fitted, *, threshold: float = THRESHOLD) -> list[Alike]:
+def alike(data: ScanData, fitted: Fitted, *, threshold: float = SCAN.selection.threshold) -> list[Alike]:
     """List the pairs of effects that this run would show, but cannot tell apart."""
     exposure = RunExposure(data, fitted, threshold)
     return [*_alike_smooth(exposure), *_look_alikes(exposure)]

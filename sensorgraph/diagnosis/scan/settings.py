@@ -184,6 +184,8 @@ class FitSettings:
 
     min_round_gain: float = 0.05
     """[nats] of a round of expectation and maximisation, below which it is the last."""
+    end_of_search: float = 0.2
+    """Of the first step of a searched parameter, below which its search ends."""
     min_cast_gain: float = 0.3
     """[nats] of another cast, below which it is the last."""
     settled_step: float = 0.2
@@ -232,6 +234,14 @@ class SelectionSettings:
     """Scans on which all candidates are fitted."""
     min_expected_gain: float = 3.5
     """[nats] expected of a smooth effect that is worth a fit; bounds on the nuisances hide a part of it."""
+    searched_share: float = 0.2
+    """Of the best gain; searched parameters of candidates farther behind are not searched."""
+    hopeless_gain: float = -50.0
+    """[nats] below which a candidate is not compared."""
+    absorber_share: float = 0.5
+    """Of the gain of an absorber, that makes it yield to an effect that is none."""
+    material_margin: float = 6.0
+    """[nats] by which a material effect may gain less than one below its materiality, and still come first."""
     end_blur: float = 2.0
     """Standard deviations of where a ray meets its wall, within which it may miss the end of a part."""
 

@@ -23,18 +23,6 @@ from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.set_up import SetUp
 from sensorgraph.types import Floats
 
-BLOCK = 1.0  # [s] of scans that share their errors
-HALF = 0.5  # [nats] by which the log-likelihood falls over one standard error
-NEAR_HALF = (0.15, 1.5)  # [nats] a fall from which the half-width follows by the parabola
-BROAD = (
-    1.0,
-    12.0,
-)  # [nats] the same for what acts on single readings, whose likelihood is jagged in the small
-LOOKS = 7  # casts per side, at most
-NUDGED = 0.02  # [m] first step along which an obstacle is moved
-FIRST = 0.1  # of the search's first step
-FARTHEST = 20.0  # times the search's first step; beyond, a parameter is not known
-
 
 def standard_errors(fitted: Fitted, noise_bounds: NoiseBounds) -> tuple[dict[str, float], ...]:
     """Return, for every effect of a fit, its parameters' standard errors; none for what cannot be known."""
@@ -78,7 +66,10 @@ def _silhouette_errors(
         return {}
     unseen = [k for k, m in amendment.effect.sizes.items() if errors.get(k, 0.0) > m]
     map_ = fitted.solver.data.tolerances.map
-    return {k: float(np.hypot(_profiled(fitted, index, noise_bounds, k, NUDGED), map_)) for k in unseen}
+    return {
+        k: float(np.hypot(_profiled(fitted, index, noise_bounds, k, SCAN.standard_error.obstacle_step), map_))
+        for k in unseen
+    }
 
 
 def lattice_error(data: ScanData, q: float) -> float:
@@ -114,7 +105,9 @@ def _profiled(fitted: Fitted, index: int, noise_bounds: NoiseBounds, name: str, 
         return np.asarray(log_p_at(data, moved, fitted.state, shares_noise).sum(axis=1))
 
     here = log_p(at)
-    bounds = NEAR_HALF if shares_noise is None else BROAD
+    bounds = (
+        SCAN.standard_error.fall_window if shares_noise is None else SCAN.standard_error.broad_fall_window
+    )
     sides = [_fall(log_p, here, at, sign * step, bounds) for sign in (1.0, -1.0)]
     width = max(
         (width for width, _ in sides if np.isfinite(width)), default=np.inf
@@ -136,16 +129,16 @@ def _fall(
     bounds : [nats] of a fall from which the distance follows by the parabola
     """
     reach, sign = abs(step), np.sign(step)
-    h, low, high = FIRST * reach, 0.0, np.inf
+    h, low, high = SCAN.standard_error.first_step * reach, 0.0, np.inf
     change = np.zeros(len(here))
-    for _ in range(LOOKS):
+    for _ in range(SCAN.standard_error.max_casts):
         change = log_p(at + sign * h) - here
         fall = -float(change.sum())
         if bounds[0] < fall < bounds[1]:
-            scale = float(np.sqrt(HALF / fall))
+            scale = float(np.sqrt(SCAN.standard_error.fall / fall))
             return h * scale, change * scale
         low, high = (h, high) if fall < bounds[0] else (low, h)
-        if low > FARTHEST * reach:
+        if low > SCAN.standard_error.max_step * reach:
             return np.inf, change
         h = 4 * low if high == np.inf else float(np.sqrt(max(low, high / 30) * high))
     return h, change
@@ -153,7 +146,7 @@ def _fall(
 
 def _by_block(data: ScanData, slope: Floats) -> float:
     """Return the scatter between blocks of the slope of the log-likelihood, given per scan (n_scans,)."""
-    block = ((data.stamps - data.begin) / BLOCK).astype(np.intp)
+    block = ((data.stamps - data.begin) / SCAN.standard_error.block).astype(np.intp)
     sums = np.bincount(block - block.min(), slope)
     return float(np.square(sums - sums.mean()).sum())
 

@@ -9,7 +9,7 @@ from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.quantities import (
     place_text,
 )
-from sensorgraph.diagnosis.scan.model_selection import THRESHOLD
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.show.figures.style import (
     ALARM,
@@ -40,7 +40,7 @@ def ranking_picture(finding: Finding, path: Path) -> None:
     ticks: list[float] = []
     labels: list[str] = []
     best = max(gain for _, tried in rounds for _, gain in tried)
-    top = max(best, 2 * THRESHOLD)
+    top = max(best, 2 * SCAN.selection.threshold)
     for k, (chosen, tried) in enumerate(rounds, start=1):
         none = "nothing more is accepted" if k > 1 else "nothing is accepted"
         outcome = "the first is accepted" if chosen else none
@@ -72,9 +72,9 @@ def ranking_picture(finding: Finding, path: Path) -> None:
             y -= 1.0
     axes.set_yticks(ticks, labels, fontsize=8.5, color=INK)
     axes.set(xlim=(0, 1.25 * top), ylim=(y + 0.4, 0.6))
-    axes.axvline(THRESHOLD, color=ALARM, lw=0.9, ls=(0, (4, 3)))
+    axes.axvline(SCAN.selection.threshold, color=ALARM, lw=0.9, ls=(0, (4, 3)))
     axes.set_xlabel(
-        f"evidence [nats] beyond the price of the parameters; dashed: the {THRESHOLD:g} that a name takes",
+        f"evidence [nats] beyond the price of the parameters; dashed: the {SCAN.selection.threshold:g} that a name takes",
         fontsize=8,
         color=INK,
     )
