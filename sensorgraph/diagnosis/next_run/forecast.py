@@ -128,8 +128,8 @@ class EvidenceForecast:
             np.square(true_beams.sigma) / np.maximum(np.square(beams.sigma), 1e-12),
             *NEXT_RUN.forecast.variance_ratio,
         )
-        weight, self.constant = _weights(self.solver, truth, data, same_wall, variance_ratio)
-        self.weight, self.constant = rays_per_cast * weight, rays_per_cast * self.constant
+        weight, constant = _weights(self.solver, truth, data, same_wall, variance_ratio)
+        self.weight, self.constant = rays_per_cast * weight, rays_per_cast * constant
 
     def per_second(self) -> list[EvidenceQuadratic]:
         """Return the evidence of one second of each motion."""
