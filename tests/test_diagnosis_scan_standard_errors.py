@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import polygon_arena
 from scipy.stats import norm
-from test_diagnose_scan import drive
+from test_diagnosis_scan import drive
 
 from planners.arena import Arena
 from sensorgraph.diagnosis.naming import is_measured

@@ -75,15 +75,15 @@ def drive(hall: Arena, effects: tuple[Amendment, ...] = (), *, seed: int = 0, n:
     )
 
 
-def evidence_of(hall: Arena, effects: tuple[Amendment, ...] = (), **options: int) -> ScanData:
+def data_of(hall: Arena, effects: tuple[Amendment, ...] = (), **options: int) -> ScanData:
     robot = parse_robot("sensor: {n_rays: 61}")
     return prepare_scans(drive(hall, effects, **options), hall, robot)[0]
 
 
 @pytest.fixture(scope="module")
 def quiet(hall: Arena) -> ScanData:
-    """Return the evidence of a run without any effect."""
-    return evidence_of(hall)
+    """Return the scans of a run without any effect."""
+    return data_of(hall)
 
 
 @pytest.fixture(scope="module")
@@ -275,7 +275,7 @@ def test_without_an_effect_nuisances_stay_small_and_scales_at_one(null: Fitted) 
 
 
 def test_screening_foresees_the_gain_of_a_fit(hall: Arena) -> None:
-    data = evidence_of(hall, (EFFECTS["range_bias"](b=0.008),))
+    data = data_of(hall, (EFFECTS["range_bias"](b=0.008),))
     free = NoiseBounds()
     without = fit(data, (), start_state(data, free), free, outer=1, inner=6)
     foreseen = next(c for c in smooth_candidates(data, without) if c.amendment.name == "range_bias")
@@ -305,7 +305,7 @@ def test_a_fit_recovers_what_was_planted(
 ) -> None:
     planted = EFFECTS[name](**values)
     planted = planted.at(place) if place else planted
-    data = evidence_of(hall, (planted,))
+    data = data_of(hall, (planted,))
     start = planted.moved_to(
         {k: 0.8 * v for k, v in values.items() if k in planted.effect.steps and k not in "xy"}
     )
@@ -357,14 +357,14 @@ def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, tur
     assert not place.is_good
     assert place.best_share > 0.85
     assert abs(wrap(place.dphi + turn)) < 0.05
-    there = align(evidence_of(hall), np.random.default_rng(0))
+    there = align(data_of(hall), np.random.default_rng(0))
     assert there.is_good
     assert there.share > 0.95
 
 
 def test_too_few_scans_are_refused_in_one_line(hall: Arena) -> None:
     with pytest.raises(SensorgraphError, match="the run has 20 scans, expected 50"):
-        evidence_of(hall, n=20)
+        data_of(hall, n=20)
 
 
 def test_another_sensor_is_refused(hall: Arena) -> None:
@@ -386,9 +386,9 @@ def test_a_pane_that_is_away_for_a_stretch_of_the_run_is_no_pane(
     null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds())
     fitted = fit(data, (pane,), start_state(data, NoiseBounds()), NoiseBounds())
     gained = fitted.j - null.j
-    verdict = check(data, fitted, gained, {0: gained}, rng=np.random.default_rng(0))
+    doubt = check(data, fitted, gained, {0: gained}, rng=np.random.default_rng(0))
     assert gained > 500
-    assert (0 in verdict.failed) == doubted
+    assert (0 in doubt.failed) == doubted
 
 
 def test_a_run_in_an_arena_full_of_walls_is_of_another_place_though_rays_end_at_walls(hall: Arena) -> None:
@@ -402,7 +402,7 @@ def test_a_run_in_an_arena_full_of_walls_is_of_another_place_though_rays_end_at_
     assert place.share > 0.6  # by chance
     assert place.matching < 0.3 and not place.is_good
     assert "as long as the arena would make them" in place.sentence()
-    assert align(evidence_of(hall), np.random.default_rng(0)).matching > 0.95
+    assert align(data_of(hall), np.random.default_rng(0)).matching > 0.95
 
 
 def with_box(hall: Arena) -> Arena:

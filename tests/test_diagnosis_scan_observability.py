@@ -20,7 +20,7 @@ from tests.effects_samples import arena
 STAMPS = np.arange(0.0, 60.0, 0.2)
 
 
-def evidence(poses: Floats, *, laser_frame: bool = False, stamps: Floats = STAMPS) -> ScanData:
+def scan_data(poses: Floats, *, laser_frame: bool = False, stamps: Floats = STAMPS) -> ScanData:
     """Scan along poses (n, 3) at the stamps, with the noise of the default robot and nothing else."""
     robot = default_robot()
     sensor = replace(robot.sensor, bearings=robot.sensor.bearings[::3])
@@ -65,14 +65,14 @@ def straight(stamps: Floats = STAMPS) -> Floats:
 
 
 def test_standing_still_shows_no_latency_and_no_skew() -> None:
-    found = evidence(standing())
+    found = scan_data(standing())
     hidden = not_observable(found, null(found))
     assert {"latency", "scan_skew"} <= hidden.keys()
     assert "0.00 m/s" in hidden["latency"]
 
 
 def test_a_lively_run_shows_what_moves_readings() -> None:
-    found = evidence(lively())
+    found = scan_data(lively())
     hidden = not_observable(found, null(found))
     assert not hidden.keys() & {
         "range_bias", "range_scale", "range_drift", "mount_yaw", "mount_xy", "latency", "scan_skew",
@@ -83,14 +83,14 @@ def test_a_lively_run_shows_what_moves_readings() -> None:
 
 def test_a_run_at_one_speed_without_turning_cannot_tell_latency_from_the_mount() -> None:
     stamps = np.arange(0.0, 8.0, 0.1)
-    found = evidence(straight(stamps), stamps=stamps)
+    found = scan_data(straight(stamps), stamps=stamps)
     pairs = {frozenset((pair.a, pair.b)) for pair in alike(found, null(found))}
     assert frozenset(("mount_xy", "latency")) in pairs
 
 
 def test_turning_one_way_at_one_rate_cannot_tell_yaw_from_latency() -> None:
     poses = np.stack([np.full_like(STAMPS, 2.0), np.full_like(STAMPS, 2.5), 0.5 * STAMPS], axis=1)
-    found = evidence(poses)
+    found = scan_data(poses)
     pairs = {frozenset((pair.a, pair.b)): pair for pair in alike(found, null(found))}
     pair = pairs[frozenset(("mount_yaw", "latency"))]
     assert pair.correlation > 0.9
@@ -98,27 +98,27 @@ def test_turning_one_way_at_one_rate_cannot_tell_yaw_from_latency() -> None:
 
 
 def test_poses_of_the_laser_itself_hide_the_mount_and_the_clock() -> None:
-    found = evidence(lively(), laser_frame=True)
+    found = scan_data(lively(), laser_frame=True)
     hidden = not_observable(found, null(found))
     assert {"mount_xy", "mount_yaw", "latency"} <= hidden.keys()
     assert "latency" not in not_observable(found, null(found), from_scans=False)
 
 
 def test_no_wall_near_or_far_leaves_the_limits_of_range_in_the_dark() -> None:
-    found = evidence(standing())
+    found = scan_data(standing())
     hidden = not_observable(found, null(found))
     assert "no return from nearer than" in hidden["min_range"]
     assert "of 8 m" in hidden["max_range"]
 
 
 def test_a_coarse_log_hides_quantisation() -> None:
-    found = evidence(lively())
+    found = scan_data(lively())
     found = replace(found, sensor=replace(found.sensor, resolution=0.01), memo={})
     assert "10 mm" in not_observable(found, null(found))["quantisation"]
 
 
 def test_what_was_never_looked_at_is_named() -> None:
-    found = evidence(np.tile([4.3, 2.4, -np.pi / 2], (len(STAMPS), 1)))
+    found = scan_data(np.tile([4.3, 2.4, -np.pi / 2], (len(STAMPS), 1)))
     hidden = not_observable(found, null(found))
     assert "box" in hidden["missing_obstacle"]
     assert "box/edge_0" in hidden["glass"]
@@ -126,7 +126,7 @@ def test_what_was_never_looked_at_is_named() -> None:
 
 
 def test_effects_of_the_model_are_not_said_to_be_hidden() -> None:
-    found = evidence(standing())
+    found = scan_data(standing())
     state = start_state(found, NoiseBounds())
     fitted = fit(found, (EFFECTS["latency"](tau=0.0),), state, NoiseBounds(), outer=1, inner=3)
     assert "latency" not in not_observable(found, fitted)
@@ -134,7 +134,7 @@ def test_effects_of_the_model_are_not_said_to_be_hidden() -> None:
 
 @pytest.mark.parametrize("poses", [standing(), lively()], ids=["standing", "lively"])
 def test_only_effects_of_the_scan_channel_are_spoken_of(poses: Floats) -> None:
-    found = evidence(poses)
+    found = scan_data(poses)
     for name, why in not_observable(found, null(found)).items():
         assert EFFECTS[name].channel == "scan"
         assert why and not why.endswith(".")

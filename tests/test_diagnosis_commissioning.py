@@ -131,7 +131,7 @@ def windows(
     ]
 
 
-def test_usual_sizes_contain_a_further_window_of_the_same_site_and_not_what_is_far_off() -> None:
+def test_a_baseline_interval_contains_a_further_window_of_the_same_site_and_not_what_is_far_off() -> None:
     rng = np.random.default_rng(0)
     missed = 0
     for _ in range(400):
@@ -142,7 +142,7 @@ def test_usual_sizes_contain_a_further_window_of_the_same_site_and_not_what_is_f
     assert missed <= 6  # 0.8 expected: 99.9 % either side
 
 
-def test_a_window_whose_parts_disagree_does_not_widen_what_is_usual() -> None:
+def test_a_window_whose_parts_disagree_does_not_widen_the_interval() -> None:
     values = [0.001, 0.003, 0.0, 0.002, 0.001, 0.03]
     calm = baseline_intervals(windows("range_drift", "b1", values[:5]), 100)["range_drift"]
     stderrs = [0.5, 0.5, 0.5, 0.5, 0.5, 3.0]
@@ -163,7 +163,7 @@ def test_jackknife_error_shrinks_with_the_root_of_the_length_and_disagreement_is
     assert not interval.is_exceeded_by(0.4)
 
 
-def test_shares_are_usual_on_the_scale_of_their_root() -> None:
+def test_shares_have_their_interval_on_the_scale_of_their_root() -> None:
     interval = baseline_intervals(windows("people", "p", [0.01, 0.04, 0.09, 0.04]), 100)["people"]
     assert interval.mean["p"] == pytest.approx(0.2)
     low, high = interval.limits("people")["p"]
@@ -171,7 +171,7 @@ def test_shares_are_usual_on_the_scale_of_their_root() -> None:
     assert high > 0.09
 
 
-def test_too_few_windows_say_nothing_of_what_is_usual() -> None:
+def test_too_few_windows_have_no_interval() -> None:
     assert baseline_intervals(windows("range_bias", "b", [0.0, 0.001, 0.002]), 100) == {}
 
 

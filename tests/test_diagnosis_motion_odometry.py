@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnose_samples import ROBOT, make_run, without_odometry
+from diagnosis_samples import ROBOT, make_run, without_odometry
 
 from logs.run import Run
 from planners.arena import wrap

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnose_samples import ROBOT, make_run, without_commands, without_odometry
+from diagnosis_samples import ROBOT, make_run, without_commands, without_odometry
 
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 
