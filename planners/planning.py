@@ -96,7 +96,7 @@ def plan(
 ) -> Plan:
     """Plan a drive through every reachable (x, y, phi) bin.
 
-    Most of this function are its arguments and their description; the work is done by the functions below.
+    Most of this function is its arguments and their description; the work is done by the functions below.
 
     Parameters
     ----------

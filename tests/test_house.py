@@ -1,9 +1,11 @@
-"""The import rule: sensorgraph stands above planners, logs and robotmodic_ident; each third party has one owner."""
+"""The house: sensorgraph stands above planners, logs and robotmodic_ident; each third party has one owner."""
 
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -55,9 +57,19 @@ def modules() -> list[Path]:
     return [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
 
-def imports(path: Path) -> Iterator[tuple[str, bool]]:
-    """Yield (top-level package, is at module level)."""
-    tree = ast.parse(path.read_text())
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+@cache
+def imports(path: Path) -> tuple[tuple[str, bool], ...]:
+    """Return (top-level package, is at module level) of every import."""
+    return tuple(_imports(path))
+
+
+def _imports(path: Path) -> Iterator[tuple[str, bool]]:
+    tree = tree_of(path)
     top = {id(node) for node in tree.body}
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -107,3 +119,70 @@ def test_command_line_imports_nothing_heavy_at_start() -> None:
 def test_tests_lie_flat_and_none_shadows_a_package() -> None:
     assert not [p for p in (ROOT / "tests").rglob("*.py") if p.parent != ROOT / "tests"]
     assert not [p for p in PACKAGES if (ROOT / f"{p}.py").exists()]
+
+
+MOST_LINES = {"module": 400, "function": 80, "class": 250}
+REASON = re.compile(r"\bone (loop|piece|class|table)\b|most of this function", re.IGNORECASE)
+"""What is longer says so in its docstring, and why one piece is clearer."""
+
+
+def dotted(path: Path) -> str:
+    return name_of(path).removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def own_imports(node: ast.AST, known: frozenset[str]) -> set[str]:
+    """Return the modules of ours that are imported anywhere within a node."""
+    found = set()
+    for inner in ast.walk(node):
+        if isinstance(inner, ast.Import):
+            found |= {alias.name for alias in inner.names}
+        elif isinstance(inner, ast.ImportFrom):
+            names = {f"{inner.module}.{alias.name}" for alias in inner.names}
+            found |= (names & known) or {str(inner.module)}
+    return found & known
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    """Also not through type hints, nor through imports inside functions."""
+    paths = {dotted(path): path for path in modules()}
+    known = frozenset(paths)
+    left = {name: own_imports(tree_of(path), known) - {name} for name, path in paths.items()}
+    while done := {name for name, needs in left.items() if not needs & left.keys()}:
+        left = {name: needs for name, needs in left.items() if name not in done}
+    assert not left, f"a circle runs through some of {sorted(left)}"
+
+
+def test_imports_inside_functions_hide_something() -> None:
+    """A third party that is heavy or optional; our own modules only where start-up counts: commands, lazy names."""
+    known = frozenset(dotted(path) for path in modules())
+    for path in modules():
+        if any(name_of(path).startswith(room) for room in LIGHT):
+            continue
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.FunctionDef) and node.name != "__getattr__":
+                inside = own_imports(node, known)
+                assert not inside, (
+                    f"{name_of(path)}: {node.name} imports {sorted(inside)}; import it at the top"
+                )
+
+
+def test_what_is_long_says_why() -> None:
+    for path in modules():
+        tree = tree_of(path)
+        pieces = [("module", name_of(path), len(path.read_text().splitlines()), ast.get_docstring(tree))]
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                kind = "class" if isinstance(node, ast.ClassDef) else "function"
+                lines = (node.end_lineno or 0) - node.lineno + 1
+                pieces.append((kind, f"{name_of(path)}: {node.name}", lines, ast.get_docstring(node)))
+        for kind, name, lines, doc in pieces:
+            assert lines <= MOST_LINES[kind] or REASON.search(doc or ""), f"{kind} {name} has {lines} lines"
+
+
+def test_no_two_public_classes_share_a_name() -> None:
+    homes: dict[str, list[str]] = {}
+    for path in modules():
+        for node in tree_of(path).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes.setdefault(node.name, []).append(name_of(path))
+    assert not {name: places for name, places in homes.items() if len(places) > 1}

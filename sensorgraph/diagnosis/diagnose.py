@@ -61,6 +61,8 @@ def diagnose(
 ) -> Finding:
     """Compare a run with the simulator of its arena and robot, and name what is missing.
 
+    Most of this function is the description of its arguments and one line for each stage.
+
     Parameters
     ----------
     second : a further run of the same robot and place, used for nothing but the gap

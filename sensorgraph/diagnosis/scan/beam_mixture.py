@@ -54,6 +54,8 @@ def mixture(
 ) -> Floats:
     """Return log-likelihood and responsibilities of n readings.
 
+    One loop on purpose: it is the innermost of every fit.
+
     Parameters
     ----------
     z : (n,) [m] measured; inf lost, -inf too near, nan broken

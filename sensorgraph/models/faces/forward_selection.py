@@ -233,7 +233,10 @@ def _fit_run(
     shortest: Any,
     least: Any,
 ) -> Any:
-    """Fit the line near (c, s, d) to its strongest run of live cells; no members where there is none."""
+    """Fit the line near (c, s, d) to its strongest run of live cells; no members where there is none.
+
+    One loop on purpose: it runs for each candidate line, and shares its buffers between the rounds.
+    """
     nx, ny = c, s
     none = np.empty(0, np.int64)
     line = np.zeros(5)

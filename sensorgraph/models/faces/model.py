@@ -4,6 +4,7 @@ For a ray of direction u from q that meets the face n·p = d:  r = (d - n·q) / 
 from forward selection on pooled moments, their visible stretches from EM on hits and passes and from change
 points; a prediction is the mixture of all faces a ray crosses, each with the chance that it stops there.
 Where long faces leave much unexplained (clutter, poses from SLAM), short ones in cells predict instead (`cells`).
+The class is the module: one piece, since fit, prediction, update and file read the same fields.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ MAX_STRAY = 2e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Faces:
-    """Faces with their visible stretches, the noise about them, and the space that was looked through."""
+    """Faces with their visible stretches, the noise about them, and the space that was looked through.
+
+    One class, though a long one: fit, prediction, update and file read the same fields."""
 
     name: ClassVar[str] = "faces"
 

@@ -169,6 +169,8 @@ def crossed_faces(
 ) -> Any:
     """List the faces that a ray crosses up to `reach` [m], nearest first.
 
+    One loop on purpose: every ray of every prediction runs through it.
+
     Fills range r, face k, edge j before the crossing and abscissa t, arrays of length `CANDIDATE_SLOTS`; stops early once
     the chance of getting so far is under `least`. Returns how many. r[MOST] is the range at which the ray meets
     a face from behind: it can only come from where nobody has looked.
