@@ -15,7 +15,7 @@ from planners.arena import Arena, wrap
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.effects import EFFECTS, Amendment, Effect, Parameter
 from sensorgraph.world.robot import Robot, Tolerances, parse_robot
-from sensorgraph.world.scene import Scene, draw
+from sensorgraph.world.scene import Scene, draw_readings
 
 ROOT = Path(__file__).parent.parent / "sensorgraph"
 SCAN = [effect for effect in EFFECTS.values() if effect.channel == "scan"]
@@ -126,7 +126,7 @@ def plain(hall: Arena, robot: Robot) -> Run:
     return Run(
         sensor=robot.sensor,
         stamps=t,
-        ranges=draw(scene, rng),
+        ranges=draw_readings(scene, rng),
         pose_stamps=fine,
         poses=np.column_stack([reference[:, :2], wrap(reference[:, 2])]),
     )
