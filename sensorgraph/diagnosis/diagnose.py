@@ -24,7 +24,7 @@ from sensorgraph.diagnosis.scan.deviations import deviations
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.held_out_gap import held_out, held_out_gap
 from sensorgraph.diagnosis.scan.map_alignment import Alignment, align, misalignment
-from sensorgraph.diagnosis.scan.model_selection import explain
+from sensorgraph.diagnosis.scan.model_selection import Explained, explain
 from sensorgraph.diagnosis.scan.observability import alike, not_observable
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
@@ -94,9 +94,8 @@ def diagnose(
     train, unseen = data.subset(~held), data.subset(held)
     clock.finish("intake")
 
-    explained = explain(
-        train, noise_bounds or NoiseBounds(), threshold=threshold, most=_max_effects(alignment)
-    )
+    noise_bounds = noise_bounds or NoiseBounds()
+    explained = explain(train, noise_bounds, threshold=threshold, most=_max_effects(alignment))
     null, final = explained.null, explained.final
     clock.finish("explain")
 
@@ -106,11 +105,7 @@ def diagnose(
     names = name_scan_effects(train, explained, fit, listed)
     clock.finish("criticise")
 
-    def gap_on(other: ScanData) -> Gap:
-        return held_out_gap(other, null, final, names.named, rng=rng)
-
-    gap = gap_on(unseen)
-    second_gap = None if second_data is None else gap_on(second_data)
+    gap, second_gap = measure_gaps(unseen, second_data, explained, names, rng)
     clock.finish("prove")
 
     odometry, drive = diagnose_motion(run, robot, known, seed)
@@ -188,6 +183,19 @@ def _prepare_second(
             f"{100 * alignment.share:.0f} % of the first run's; give a run of the same place"
         )
     return data
+
+
+def measure_gaps(
+    unseen: ScanData,
+    second: ScanData | None,
+    explained: Explained,
+    names: ScanNames,
+    rng: np.random.Generator,
+) -> tuple[Gap, Gap | None]:
+    """Return the gap on the held-out scans, and on those of a second run if there is one."""
+    null, final = explained.null, explained.final
+    gap = held_out_gap(unseen, null, final, names.named, rng=rng)
+    return gap, None if second is None else held_out_gap(second, null, final, names.named, rng=rng)
 
 
 def diagnose_motion(

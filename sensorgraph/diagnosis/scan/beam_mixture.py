@@ -52,7 +52,7 @@ def mixture(
     tail_width: float,
     unexplained: float,
 ) -> Floats:
-    """Return log-likelihood and responsibilities of n readings.
+    """Return log-likelihood and responsibilities of n readings; one loop, since calls from compiled code cost time.
 
     One loop on purpose: it is the innermost of every fit.
 
