@@ -16,7 +16,7 @@ from planners.trajectory import Trajectory
 from sensorgraph.building import build as building
 from sensorgraph.diagnosis import diagnose as diagnosing
 from sensorgraph.diagnosis.commissioning import commission_all
-from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.report.diagnosis import Diagnosis
 from sensorgraph.effects import Amendment, effects_file
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.evaluation.evaluate import Evaluation
@@ -171,7 +171,7 @@ def diagnose(
     effects: Sequence[Amendment] | Path | str = (),
     commissioning: Sequence[RunLike] = (),
     seed: int = 0,
-) -> Finding:
+) -> Diagnosis:
     """Find where simulation and measurement disagree, and name the missing physical effect.
 
     Parameters
@@ -194,7 +194,7 @@ def diagnose(
     known = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else effects
     effects_file.check_places(known, walls)
     good = [_run(one) for one in commissioning]
-    return diagnosing.diagnose(
+    finding = diagnosing.diagnose(
         log,
         walls,
         machine,
@@ -203,6 +203,7 @@ def diagnose(
         baseline=commission_all(good, walls, machine, seed=seed) if good else None,
         seed=seed,
     )
+    return Diagnosis.of(finding, walls, machine)
 
 
 @as_sensorgraph_error
@@ -215,13 +216,12 @@ def identify(
     ----------
     data : a run, the file of one, or a CSV with a header line
     output, inputs : `x y phi v omega cmd_v cmd_omega`, `L67`, `L45-90`, or the columns of the CSV
-    every : take each so-manieth sample
+    every : take every n-th sample
     options : of `sensorgraph.identification.identify.IdentificationSpec`: `lags`, `output_lags`, `degree`, `noise_lags`, ...
 
     Raises
     ------
-    SensorgraphError : a signal is unknown, or the data are too few for what is asked
-    SensorgraphError : the data do not determine a model
+    SensorgraphError : a signal is unknown, the data are too few, or they do not determine a model
     """
     question = identifying.IdentificationSpec(output=output, inputs=tuple(inputs), **options)
     names = [output, *question.inputs]

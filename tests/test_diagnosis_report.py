@@ -22,6 +22,7 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.naming import without_close_calls
 from sensorgraph.diagnosis.report.data import plain, to_dict
+from sensorgraph.diagnosis.report.diagnosis import Diagnosis
 from sensorgraph.diagnosis.report.files import save_report
 from sensorgraph.diagnosis.report.quantities import number, parameters, percent
 from sensorgraph.diagnosis.report.summary import gap_sentence, summarise
@@ -391,3 +392,14 @@ def feature(name: str, kind: str, ring: list[list[float]]) -> dict[str, object]:
         "properties": {"name": name, "kind": kind},
         "geometry": {"type": "Polygon", "coordinates": [ring]},
     }
+
+
+def test_a_diagnosis_prints_its_headline_and_saves_its_report(
+    found: Finding, room: Arena, tmp_path: Path
+) -> None:
+    diagnosis = Diagnosis.of(found, room, parse_robot(ROBOT))
+    first, *effects = repr(diagnosis).splitlines()
+    assert first.startswith("Diagnosis: Found: range bias")
+    assert effects[0].strip().startswith("range_bias(b=0.03")
+    written = json.loads((diagnosis.save(tmp_path / "out") / "report.json").read_text())
+    assert written["effects"] == json.loads(json.dumps(diagnosis.to_dict()["effects"]))
