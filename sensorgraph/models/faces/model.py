@@ -23,6 +23,7 @@ from sensorgraph.models.base import Point, Prediction, TrainingScans
 from sensorgraph.models.calibration.calibrate import calibrate_faces, corrected_rays, observed_by
 from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.cells.model import CellModel
+from sensorgraph.models.faces.equations import face_equations
 from sensorgraph.models.faces.fit import N_STEPS, StepCounter, fit_faces
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.prediction import predict_rays
@@ -240,55 +241,14 @@ class Faces:
 
     def equation(self, ray: int) -> str:
         """Print the explicit equations of one ray, face by face, those that explain most returns first."""
-        bearing = float(self.sensor.bearings[ray] + self.mount[2])
-        lines = [
-            f"ray {ray}, bearing {math.degrees(self.sensor.bearings[ray]):.2f}°: the first of these faces that stops it",
-            "(x, y, phi: pose; c = cos phi, s = sin phi; a face counts where its denominator is negative)",
-        ]
-        for k in np.argsort(-self.hits, kind="stable"):
-            lines.append(f"face {k}: r = {self._rational(int(k), bearing)}")
-            lines.append(f"    stops it where {self._stretches(int(k))}")
-        spread = f"{self.noise.sigma:.4f} m"
-        if self.noise.sigma_xy > 0 or self.noise.sigma_yaw > 0:
-            spread += f" of range, {self.noise.sigma_xy:.4f} m and {self.noise.sigma_yaw:.5f} rad of pose"
-        lines += self._added(ray)
-        lines.append(f"returns spread by {spread}")
+        lines = face_equations(
+            self.faces, self.hits, self.noise, self.calibration.terms, self.mount,
+            ray=ray, bearing=float(self.sensor.bearings[ray]),
+        )  # fmt: skip
         if self.cells is not None:
             lines += ["", "where these leave too much unexplained, as in this log, cells predict:"]
             lines.append(self.cells.equation(ray))
         return "\n".join(lines)
-
-    def _added(self, ray: int) -> list[str]:
-        """Write what the laser adds to the range of a face."""
-        added = self.calibration.terms.equation(ray)
-        if not added:
-            return []
-        line = f"the laser shows r{added.replace('rho', 'r')}"
-        if self.calibration.terms.has_incidence:
-            line += " (v = 1 - |denominator|, q = min(r, 4 m) / 4 m)"
-        return [line]
-
-    def _rational(self, k: int, bearing: float) -> str:
-        """Write (d - n·q) / (n·u) in x, y, c, s for a ray at `bearing` [rad] in the frame of the poses."""
-        (nx, ny), d = self.faces.normals[k], self.faces.offsets[k]
-        mx, my = self.mount[:2]
-        cos, sin = math.cos(bearing), math.sin(bearing)
-        above = _sum_text(
-            [(d, ""), (-nx, "x"), (-ny, "y"), (-(nx * mx + ny * my), "c"), (nx * my - ny * mx, "s")]
-        )
-        below = _sum_text([(nx * cos + ny * sin, "c"), (ny * cos - nx * sin, "s")])
-        return f"({above}) / ({below})"
-
-    def _stretches(self, k: int) -> str:
-        """Write the visible stretches of a face over t, the abscissa along it."""
-        a, b = self.faces.first[k], self.faces.first[k + 1] - 1
-        (nx, ny), edges, levels = self.faces.normals[k], self.faces.edges, self.faces.levels
-        parts = [
-            f"{edges[j]:.3f} < t < {edges[j + 1]:.3f} (chance {levels[j]:.3f})"
-            for j in range(a, b)
-            if levels[j] > MIN_VISIBILITY
-        ]
-        return f"{', '.join(parts)}; t = {_sum_text([(-ny, 'x_hit'), (nx, 'y_hit')])}"
 
     def summary(self) -> Mapping[str, str]:
         """Return what a reader wants to know first."""
@@ -403,15 +363,3 @@ def _check_face_set(faces: FaceSet) -> None:
         )
     if len(faces.neighbour) and not (faces.neighbour.min() >= -1 and faces.neighbour.max() < k):
         raise ValueError(f"neighbours reach {faces.neighbour.max()}, expected less than {k} faces")
-
-
-def _sum_text(parts: list[tuple[float, str]]) -> str:
-    """Write a sum of products, leaving zeros out."""
-    text = ""
-    for value, name in parts:
-        if abs(value) < 5e-6:
-            continue
-        sign = "-" if value < 0 else "+"
-        text += f" {sign} " if text else ("-" if value < 0 else "")
-        text += f"{abs(value):.5f}" + (f" {name}" if name else "")
-    return text or "0"
