@@ -147,7 +147,7 @@ def test_the_recording_holds_three_kinds_of_scans(found: Finding, saved: Path) -
     ):
         assert any(f"/{entity}" in column for column in columns), entity
     assert found.explained is not None
-    scans = found.explained.null.solver.evidence.n_scans
+    scans = found.explained.null.solver.data.n_scans
     chunks = rr.chunk.RrdReader(path).stream().filter(content="/plan/amended").to_chunks()
     assert sum(c.to_record_batch().num_rows for c in chunks if not c.is_static) == min(scans, 400)
     assert len(rr.chunk.RrdReader(path).blueprints()) == 1

@@ -166,5 +166,5 @@ def test_a_primitive_may_have_any_name(tmp_path: Path) -> None:
 
 
 def test_nothing_drawn_is_an_error() -> None:
-    with pytest.raises(ValueError, match="nothing was drawn"):
+    with pytest.raises(ValueError, match="the curve is empty"):
         CurveBuilder(np.zeros(3), Limits()).curve()

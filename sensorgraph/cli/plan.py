@@ -80,6 +80,7 @@ def plan(
     if out.exists() and not out.is_dir():
         raise PlanError(f"{out} is a file; give a folder to write the plan to")
     _check_views(planner, views, resume)
+    dock_pose = None if dock is None else parse_pose(dock, "--dock")
     if dock is not None and battery is None:
         raise PlanError("a dock needs a battery; give --battery MIN too, or --start and --end")
     with progress("planning", "bins" if planner == "coverage" and views is None else "stops") as tick:
@@ -97,7 +98,7 @@ def plan(
             priority=None if priority is None else Sensorgraph.load(priority),
             budget=_seconds("--budget", budget),
             battery=_seconds("--battery", battery),
-            dock=None if dock is None else parse_pose(dock, "--dock"),
+            dock=dock_pose,
             duration=duration,
             seed=seed,
             progress=tick,
