@@ -34,7 +34,11 @@ def profile(rng: np.random.Generator, duration: float) -> Floats:
 
 
 def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect: Any) -> Run:
-    """Drive and log; effects: radius, diff, base, slip=(s, x, y, r), clock, lag, dead, v_max; memory of the camera."""
+    """Drive and log; effects: radius, diff, base, slip=(s, x, y, r), clock, lag, dead, v_max; memory of the camera.
+
+    Two that the library lacks: `scrub`, the body loses so many metres per radian that it turns; `sag`, the wheels lose
+    that share of their speed per rad/s of turning.
+    """
     rng = np.random.default_rng(seed)
     commands = profile(rng, duration)
     n, per = round(duration / STEP), round(PERIOD / STEP)
@@ -50,12 +54,13 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
         v1, w1 = u + (v - u) * keep, w + (omega - w) * keep
         grip = 1 - s if np.hypot(pose[0] - px, pose[1] - py) < pr else 1.0
         turn = (omega + w1) / 2 * STEP * grip
-        way = (v + v1) / 2 * STEP * grip
+        slow = 1 - effect.get("sag", 0.0) * np.abs([omega, w1])
+        way = (v * slow[0] + v1 * slow[1]) / 2 * STEP * grip - effect.get("scrub", 0.0) * abs(turn)
         middle = pose[2] + turn / 2
         pose = pose + [way * np.cos(middle), way * np.sin(middle), turn]
         v, omega = v1, w1
         poses.append(pose)
-        wheels.append((v, omega))
+        wheels.append((v * slow[1], omega))
     fine = np.arange(n + 1) * STEP
     truth, rates = np.array(poses), np.array(wheels)
     total = np.concatenate([np.zeros((1, 2)), np.cumsum((rates[1:] + rates[:-1]) / 2 * STEP, axis=0)])

@@ -9,11 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import polygon_arena
+from diagnosis_samples import make_run
 
 from logs.run import Run
 from planners.arena import Arena, wrap
 from sensorgraph.diagnosis.diagnose import diagnose
-from sensorgraph.effects import EFFECTS, Amendment, Effect, Parameter
+from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
+from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
+from sensorgraph.effects import EFFECTS, Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.interfaces import MotorMotion, MotorRegressor, WheelMotion, WheelRegressor
+from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot, Tolerances, parse_robot
 from sensorgraph.world.scene import Scene, draw_readings
 
@@ -168,3 +173,95 @@ def test_it_is_not_found_where_it_is_not(
     finding = diagnose(plain, hall, robot)
     assert finding.effects == ()
     assert CURVATURE.name not in finding.channels["scan"].not_observable
+
+
+# further effects of wheels and motors -----------------------------------------------------------------------------------
+
+
+def shorter_in_turns(motion: WheelMotion) -> tuple[Floats, Floats]:
+    """Let the body fall short of the wheels for every radian it turns."""
+    return -np.abs(motion.turn), np.zeros_like(motion.turn)
+
+
+def slower_in_turns(motion: MotorMotion) -> tuple[Floats, Floats]:
+    """Let the motors lose speed while they turn."""
+    return -motion.v * np.abs(motion.omega), np.zeros_like(motion.v)
+
+
+SCRUB = Effect(
+    name="wheel_scrub",
+    title="tyres that scrub in turns",
+    channel="odometry",
+    stage="wheels",
+    physics="The body loses c metres of way for every radian that it turns.",
+    source="a test",
+    varies="distance against turning, the same for both senses",
+    rivals={"wheel_radius": "a straight run"},
+    parameters=(Parameter(name="c", unit="m/rad", doc="way lost", materiality=0.003),),
+    transform=lambda drivetrain, a: None,
+    diagnostics=Diagnostics(
+        why_unseen="too little turning",
+        wheel_regressor=WheelRegressor(
+            column=shorter_in_turns, tolerance=0.0005, size=lambda coefficient, gain: coefficient
+        ),
+    ),
+)
+SAG = Effect(
+    name="battery_sag",
+    title="motors that share one weak battery",
+    channel="drive",
+    stage="motors",
+    physics="The motors lose the share c of their speed per rad/s of turning.",
+    source="a test",
+    varies="speed against turn rate",
+    rivals={"actuator_lag": "a straight run"},
+    parameters=(Parameter(name="c", unit="s/rad", doc="share of the speed lost", materiality=0.03),),
+    transform=lambda drivetrain, a: None,
+    diagnostics=Diagnostics(
+        why_unseen="too little turning at speed",
+        motor_regressor=MotorRegressor(column=slower_in_turns, tolerance=0.005),
+    ),
+)
+FURTHER_MOTION = [(SCRUB, {"scrub": 0.01}, 0.01), (SAG, {"sag": 0.2}, 0.2)]
+
+
+def driven_in_a_box(robot: Robot, **effect: float) -> tuple[Run, Arena]:
+    """Return a run of the closed-form robot, with what its laser reads in an empty box about its way."""
+    run = make_run(3, **effect)
+    low, high = run.poses[:, :2].min(axis=0) - 1.0, run.poses[:, :2].max(axis=0) + 1.0
+    box = polygon_arena([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])])
+    smooth = np.column_stack([run.poses[:, :2], np.unwrap(run.poses[:, 2])])
+    stamps = np.arange(1.0, run.pose_stamps[-1] - 1.0, 0.5)
+    scene = Scene(
+        arena=box,
+        sensor=robot.sensor,
+        stamps=stamps,
+        motion=lambda times: np.stack([np.interp(times, run.pose_stamps, c) for c in smooth.T], axis=-1),
+        span=float(stamps[-1]),
+    )
+    scene.run()
+    ranges = draw_readings(scene, np.random.default_rng(7))
+    return replace(run, sensor=robot.sensor, stamps=stamps, ranges=ranges), box
+
+
+@pytest.mark.parametrize(("effect", "planted", "truth"), FURTHER_MOTION, ids=["wheels", "motors"])
+def test_a_further_effect_of_wheels_or_motors_is_found_once_it_is_in_the_library(
+    effect: Effect, planted: dict[str, float], truth: float, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, box = driven_in_a_box(robot, **planted)
+    monkeypatch.setitem(EFFECTS, effect.name, effect)
+    finding = diagnose(run, box, robot, plan_next=False)
+    assert [a.name for a in finding.effects] == [effect.name]
+    first = finding.effects[0]
+    assert abs(first["c"] - truth) < 3 * first.stderr["c"] < 0.3 * truth
+    assert finding.channels[effect.channel].unknown is None
+
+
+@pytest.mark.parametrize("effect", [SCRUB, SAG], ids=["wheels", "motors"])
+def test_a_further_effect_of_wheels_or_motors_is_not_found_where_it_is_not(
+    effect: Effect, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(EFFECTS, effect.name, effect)
+    result = diagnose_odometry if effect.channel == "odometry" else diagnose_drive
+    found = result(make_run(1), robot)
+    assert found.effects == () and found.unknown is None and effect.name not in found.not_observable

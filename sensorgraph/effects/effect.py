@@ -12,7 +12,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from planners.arena import Arena
-from sensorgraph.effects.interfaces import CornerShift, Exposure, Proposal, Residuals, WheelRegressor
+from sensorgraph.effects.interfaces import (
+    CornerShift,
+    Exposure,
+    MotorRegressor,
+    Proposal,
+    Residuals,
+    WheelRegressor,
+)
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.effects.set_up import SetUp
 from sensorgraph.types import Floats, Ints
@@ -104,6 +111,8 @@ class Diagnostics:
 
     wheel_regressor: WheelRegressor | None = None
     """How the odometry channel fits the effect; None: not by a column of its own."""
+    motor_regressor: MotorRegressor | None = None
+    """How the drive channel fits the effect; None: not by a column of its own."""
 
     leftover_share: float = 0.0
     """Its model is coarse: what is left gains less than this share of the model's gain, and is no further effect."""

@@ -198,3 +198,28 @@ class WheelRegressor:
     """Return the effect's parameter from its coefficient and the gain of both wheels (true over measured)."""
     stderr: Callable[[float, float], float] = lambda error, gain: error
     """Return the parameter's standard error from that of the coefficient, and the gain."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotorMotion:
+    """What the simulated motors do between two stamps of the odometry; arrays (n,)."""
+
+    v: Floats
+    """[m/s] mean speed."""
+    omega: Floats
+    """[rad/s] mean turn rate."""
+    duration: Floats
+    """[s] between the stamps."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorRegressor:
+    """How an error of the motors enters the regression of odometry on simulated motors.
+
+    The coefficient is the effect's one parameter.
+    """
+
+    column: Callable[[MotorMotion], tuple[Floats, Floats]]
+    """Return the change of speed (n,) [m/s] and of turn rate (n,) [rad/s] per unit of the parameter."""
+    tolerance: float
+    """Standard deviation of the parameter in a careful set-up."""

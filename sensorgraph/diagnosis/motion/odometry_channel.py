@@ -12,7 +12,6 @@ from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
 from sensorgraph.diagnosis.motion.settings import ODOMETRY
 from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
-from sensorgraph.diagnosis.motion.wheels.columns import CLOCK_COLUMN, WHEEL_TERMS
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel
 from sensorgraph.diagnosis.motion.wheels.report import deviations_before_naming, odometry_result
 from sensorgraph.diagnosis.motion.wheels.rows import rows_at
@@ -53,6 +52,7 @@ def odometry_clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:
     except ChannelSkippedError:
         return None
     model = WheelModel(rows, signals.wheels, robot)
-    fit = model.regression.solve(model.prior(WHEEL_TERMS))
+    fit = model.regression.solve(model.prior(model.layout.terms))
     covariance = model.regression.clustered_covariance(fit, model.clusters)
-    return rows.clock + float(fit.theta[CLOCK_COLUMN]), float(np.sqrt(covariance[CLOCK_COLUMN, CLOCK_COLUMN]))
+    clock = model.layout.clock
+    return rows.clock + float(fit.theta[clock]), float(np.sqrt(covariance[clock, clock]))

@@ -24,16 +24,17 @@ from sensorgraph.diagnosis.motion.whitening import (
     clipped,
     fit_autoregression,
 )
-from sensorgraph.effects import Effect
+from sensorgraph.effects import EFFECTS, Effect
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
+from sensorgraph.effects.interfaces import MotorMotion, MotorRegressor
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
 
 class Column(IntEnum):
-    """Columns of the regression, as steps from the simulated motors."""
+    """First columns of the regression, as steps from the simulated motors."""
 
     LAG = 0
     DELAY = 1
@@ -48,14 +49,14 @@ class MotorTerm:
     """An effect of the motors and its column in the regression."""
 
     effect: Effect
-    column: Column
+    column: int
     size: Callable[[MotorParameters, MotorParameters, float], float]
     """Return the effect's parameter from the fitted motors, the nominal ones, and the last step of its column."""
     blur: float = 0.0
     """[unit of the parameter] by which the controller blurs it."""
 
 
-MOTOR_TERMS = (
+SIMULATED_TERMS = (
     MotorTerm(ACTUATOR_LAG, Column.LAG, lambda fitted, nominal, step: fitted.tau + step - nominal.tau),
     MotorTerm(
         DEAD_TIME,
@@ -65,6 +66,37 @@ MOTOR_TERMS = (
     ),
     MotorTerm(SPEED_SATURATION, Column.V_MAX, lambda fitted, nominal, step: fitted.v_max + step),
 )
+"""Effects that are parameters of the simulated motors."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorColumns:
+    """Which column is which: those of `Column`, then one for each motor effect that has its own; structure after."""
+
+    regressors: tuple[tuple[Effect, MotorRegressor], ...]
+    """Motor effects that have a column of their own, in the order of the library."""
+
+    @classmethod
+    def of_library(cls) -> MotorColumns:
+        """Return the columns of the effects that are in the library now."""
+        found = [(effect, effect.diagnostics.motor_regressor) for effect in EFFECTS.values()]
+        return cls(
+            regressors=tuple((effect, regressor) for effect, regressor in found if regressor is not None)
+        )
+
+    @property
+    def terms(self) -> tuple[MotorTerm, ...]:
+        """All effects of the motors."""
+        own = (
+            MotorTerm(effect, k, lambda fitted, nominal, step: step)
+            for k, (effect, _) in enumerate(self.regressors, start=len(Column))
+        )
+        return (*SIMULATED_TERMS, *own)
+
+    @property
+    def n(self) -> int:
+        """Count of columns before those of structure."""
+        return len(Column) + len(self.regressors)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,7 +109,7 @@ class DriveFit:
     simulated: Floats
     """(2 n,)"""
     columns: Floats
-    """(2 n, 6 + structure)"""
+    """(2 n, layout.n + structure)"""
 
     @property
     def log_posterior(self) -> float:
@@ -100,15 +132,17 @@ class DriveModel:
         self.whitener = Whitener.plain((first, second), rows.valid)
         self.nominal = MotorParameters(tau=robot.actuators.tau, delay=robot.actuators.delay)
         self.structure: StructureFamily | None = None
+        self.layout = MotorColumns.of_library()
+        self.library_terms = self.layout.terms
 
     @property
     def terms(self) -> list[MotorTerm]:
         """Effects that this run could show."""
         can_saturate = self.top_speed > DRIVE.min_top_speed
-        return [term for term in MOTOR_TERMS if term.effect is not SPEED_SATURATION or can_saturate]
+        return [term for term in self.library_terms if term.effect is not SPEED_SATURATION or can_saturate]
 
     def linearised(self, motors: MotorParameters) -> tuple[Floats, Floats]:
-        """Return the simulated rows (2 n,) and the columns (2 n, 6 + structure)."""
+        """Return the simulated rows (2 n,) and the columns (2 n, layout.n + structure)."""
         rates = self.simulation.rates
         base = rates(motors)
         d_tau = max(0.004, 0.05 * motors.tau)
@@ -126,7 +160,12 @@ class DriveModel:
             Column.TURN_PER_DISTANCE: np.concatenate([nothing, v]),
             Column.V_MAX: by_v_max,
         }
-        A = np.stack([columns[column] for column in Column], axis=1)
+        motion = MotorMotion(v=v, omega=omega, duration=self.rows.end - self.rows.start)
+        own = [
+            self.rows.masked(np.concatenate(regressor.column(motion)))
+            for _, regressor in self.layout.regressors
+        ]
+        A = np.stack([*(columns[column] for column in Column), *own], axis=1)
         if self.structure is not None:
             A = np.concatenate([A, self.structure.columns], axis=1)
         return base, A
@@ -142,6 +181,7 @@ class DriveModel:
                 DRIVE.gain_sigma,
                 DRIVE.turn_sigma / base,
                 SHUT_SIGMA,
+                *(regressor.tolerance for _, regressor in self.layout.regressors),
             ]
         )
         n_more = 0 if self.structure is None else self.structure.columns.shape[1]
@@ -150,7 +190,7 @@ class DriveModel:
         mean[Column.LAG] = self.nominal.tau - motors.tau
         mean[Column.DELAY] = self.nominal.delay - motors.delay
         prior = BoundedPrior.of(sigma, mean, EVIDENCE.max_tolerances)
-        return prior.freed([term.column for term in terms]).unbounded_from(len(Column))
+        return prior.freed([term.column for term in terms]).unbounded_from(self.layout.n)
 
     def fit(self, terms: Sequence[MotorTerm], start: MotorParameters | None = None) -> DriveFit:
         """Return the bounded optimum of a set of effects."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.motors.model import MOTOR_TERMS, Column, DriveFit, DriveModel, MotorTerm
+from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
 from sensorgraph.diagnosis.motion.regression import Regression
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
@@ -204,7 +204,7 @@ def _quality(model: DriveModel, residual: Floats) -> FitQuality:
 def _not_observable(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFit) -> dict[str, str]:
     """Say which effects could not have been seen at three times their materiality."""
     out = {}
-    for term in MOTOR_TERMS:
+    for term in model.library_terms:
         if term in terms or not term.effect.sizes:
             continue
         size = EVIDENCE.observable_size * next(iter(term.effect.sizes.values()))

@@ -81,7 +81,7 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     """Let structure that no effect makes stand beside the effects, or in their stead."""
     terms, here = list(selected.terms), selected.fit
     has_limit = any(term.effect is SPEED_SATURATION for term in terms)
-    own = here.columns[:, [column for column in Column if has_limit or column != Column.V_MAX]]
+    own = here.columns[:, [k for k in range(model.layout.n) if has_limit or k != Column.V_MAX]]
     test = StructureTest(model.rows.valid, model.rows.masked(model.rows.y - here.simulated), fitted_noise)
     family, gain = test.best(own, drive_families(model, here))
     strongest = max(evidence_of_each(model, terms, here).values(), default=0.0)

@@ -10,7 +10,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
 from sensorgraph.diagnosis.motion.settings import ODOMETRY
-from sensorgraph.diagnosis.motion.wheels.columns import CLOCK_COLUMN, columns_and_rows
+from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows, rows_at
 from sensorgraph.diagnosis.motion.wheels.signals import MotionSignals
 from sensorgraph.types import Floats
@@ -51,7 +51,8 @@ def _enough_rows(signals: MotionSignals, clock: float) -> OdometryRows:
 
 def _offset_left(rows: OdometryRows, signals: MotionSignals) -> float:
     """Return by how much the clock offset should change [s], all columns free, each kind of row by its own spread."""
-    A, y = columns_and_rows(rows, signals.wheels, NOMINAL_BASE)
+    columns = WheelColumns.of_library()
+    A, y = columns.evaluate(rows, signals.wheels, NOMINAL_BASE)
     some = rows.valid_rows
     residual = y
     theta: Floats = np.zeros(0)
@@ -61,7 +62,7 @@ def _offset_left(rows: OdometryRows, signals: MotionSignals) -> float:
         theta = np.asarray(np.linalg.lstsq((A / scale[:, None])[some], (y / scale)[some], rcond=1e-9)[0])
         residual = np.asarray(y - A @ theta)
     most = ROWS.max_clock_correction
-    return float(np.clip(theta[CLOCK_COLUMN], -most, most))
+    return float(np.clip(theta[columns.clock], -most, most))
 
 
 def _coarse_offset(signals: MotionSignals) -> float:

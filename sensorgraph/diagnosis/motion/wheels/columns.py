@@ -26,36 +26,50 @@ class WheelTerm:
     column: int
 
 
-WHEEL_REGRESSORS: tuple[tuple[Effect, WheelRegressor], ...] = tuple(
-    (effect, effect.diagnostics.wheel_regressor)
-    for effect in EFFECTS.values()
-    if effect.diagnostics.wheel_regressor is not None
-)
-"""Wheel effects that act everywhere, and how they enter."""
-WHEEL_TERMS: tuple[WheelTerm, ...] = tuple(
-    WheelTerm(effect, k)
-    for k, effect in enumerate([*(effect for effect, _ in WHEEL_REGRESSORS), POSE_CLOCK_OFFSET])
-)
-"""Effects that act everywhere, the clock last."""
-CLOCK_COLUMN = len(WHEEL_REGRESSORS)
-"""Column of the clock offset."""
-N_COLUMNS = CLOCK_COLUMN + 2
-"""Columns before those of patches: the last is that of the marker."""
+@dataclass(frozen=True, kw_only=True)
+class WheelColumns:
+    """Which column is which: wheel effects in the order of the library, the clock, the marker; patches come after."""
 
+    regressors: tuple[tuple[Effect, WheelRegressor], ...]
+    """Wheel effects that act everywhere, and how they enter."""
 
-def columns_and_rows(rows: OdometryRows, wheels: WheelIncrements, base: float) -> tuple[Floats, Floats]:
-    """Return columns (2 n, N_COLUMNS) and rows (2 n,), distances first, then turns; 0 where not valid.
+    @classmethod
+    def of_library(cls) -> WheelColumns:
+        """Return the columns of the effects that are in the library now."""
+        found = [(effect, effect.diagnostics.wheel_regressor) for effect in EFFECTS.values()]
+        return cls(
+            regressors=tuple((effect, regressor) for effect, regressor in found if regressor is not None)
+        )
 
-    Parameters
-    ----------
-    base : [m] wheelbase
-    """
-    distance, turn = rows.D_along @ wheels.distance, rows.D_yaw @ wheels.turn
-    motion = WheelMotion(distance=distance, turn=turn, path=rows.D_yaw @ wheels.distance, base=base)
-    columns = [np.concatenate(regressor.column(motion)) for _, regressor in WHEEL_REGRESSORS]
-    columns.append(rows.slopes.T.ravel())
-    columns.append(
-        np.concatenate([-turn, np.zeros(rows.n)])
-    )  # a marker beside the axle swings as the robot turns
-    y = np.concatenate([rows.along - distance, rows.yaw - turn])
-    return rows.masked(np.stack(columns, axis=1)), rows.masked(y)
+    @property
+    def terms(self) -> tuple[WheelTerm, ...]:
+        """Effects that act everywhere, the clock last."""
+        effects = [*(effect for effect, _ in self.regressors), POSE_CLOCK_OFFSET]
+        return tuple(WheelTerm(effect, k) for k, effect in enumerate(effects))
+
+    @property
+    def clock(self) -> int:
+        """Column of the clock offset."""
+        return len(self.regressors)
+
+    @property
+    def n(self) -> int:
+        """Count of columns before those of patches; the last is that of the marker."""
+        return self.clock + 2
+
+    def evaluate(self, rows: OdometryRows, wheels: WheelIncrements, base: float) -> tuple[Floats, Floats]:
+        """Return columns (2 n_rows, n) and rows (2 n_rows,), distances first, then turns; 0 where not valid.
+
+        Parameters
+        ----------
+        base : [m] wheelbase
+        """
+        distance, turn = rows.D_along @ wheels.distance, rows.D_yaw @ wheels.turn
+        motion = WheelMotion(distance=distance, turn=turn, path=rows.D_yaw @ wheels.distance, base=base)
+        columns = [np.concatenate(regressor.column(motion)) for _, regressor in self.regressors]
+        columns.append(rows.slopes.T.ravel())
+        columns.append(
+            np.concatenate([-turn, np.zeros(rows.n)])
+        )  # a marker beside the axle swings as the robot turns
+        y = np.concatenate([rows.along - distance, rows.yaw - turn])
+        return rows.masked(np.stack(columns, axis=1)), rows.masked(y)

@@ -15,14 +15,7 @@ from sensorgraph.diagnosis.motion.increments import WheelIncrements
 from sensorgraph.diagnosis.motion.regression import SHUT_SIGMA, BoundedPrior, Regression, ridge_solution
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY, EvidenceSettings
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
-from sensorgraph.diagnosis.motion.wheels.columns import (
-    CLOCK_COLUMN,
-    N_COLUMNS,
-    WHEEL_REGRESSORS,
-    WHEEL_TERMS,
-    WheelTerm,
-    columns_and_rows,
-)
+from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, WheelTerm
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds, clipped
 from sensorgraph.diagnosis.motion.whitening import fit_autoregression as fit_filter
@@ -72,7 +65,8 @@ class WheelModel:
 
     def __init__(self, rows: OdometryRows, wheels: WheelIncrements, robot: Robot) -> None:
         self.rows, self.wheels, self.robot = rows, wheels, robot
-        self.A, self.y = columns_and_rows(rows, wheels, robot.wheels.base)
+        self.layout = WheelColumns.of_library()
+        self.A, self.y = self.layout.evaluate(rows, wheels, robot.wheels.base)
         block = ((rows.stamps - rows.stamps[0]) / EVIDENCE.cluster).astype(np.intp)
         self.clusters = np.concatenate([block, block]).astype(np.float64)
         self.patches: list[SlipPatch] = []
@@ -86,7 +80,7 @@ class WheelModel:
 
     @property
     def columns(self) -> Floats:
-        """(2 n, N_COLUMNS + patches + structure)"""
+        """(2 n, layout.n + patches + structure)"""
         parts = [self.A]
         if self.patches:
             parts.append(self.slip_columns(np.stack([patch.disc for patch in self.patches])))
@@ -143,25 +137,26 @@ class WheelModel:
 
     def patch_term(self, i: int) -> WheelTerm:
         """Return the term of a patch."""
-        return WheelTerm(WHEEL_SLIP, N_COLUMNS + i)
+        return WheelTerm(WHEEL_SLIP, self.layout.n + i)
 
     def prior(self, terms: Sequence[WheelTerm]) -> BoundedPrior:
         """Return the prior of the columns with some effects free; other patches are shut out."""
-        sigma = [regressor.tolerance for _, regressor in WHEEL_REGRESSORS]
+        sigma = [regressor.tolerance for _, regressor in self.layout.regressors]
         sigma += [clock_sigma(self.robot, EVIDENCE), ODOMETRY.marker_sigma]
         sigma += [SHUT_SIGMA] * len(self.patches)
         k = len(sigma)
         if self.structure is not None:
             sigma += [self.structure.family.sigma] * self.structure.family.columns.shape[1]
         mean = np.zeros(len(sigma))
-        mean[CLOCK_COLUMN] = -self.rows.clock
+        mean[self.layout.clock] = -self.rows.clock
         prior = BoundedPrior.of(np.array(sigma), mean, EVIDENCE.max_tolerances)
         return prior.freed([term.column for term in terms]).unbounded_from(k)
 
     def clock_left(self) -> float:
         """Return how far the assumed clock is still off, all effects free [s]."""
         most = ODOMETRY.max_clock_shift
-        return float(np.clip(self.regression.solve(self.prior(WHEEL_TERMS)).theta[CLOCK_COLUMN], -most, most))
+        theta = self.regression.solve(self.prior(self.layout.terms)).theta
+        return float(np.clip(theta[self.layout.clock], -most, most))
 
     def log_posterior(self, terms: Sequence[WheelTerm]) -> float:
         """Return the penalised log-likelihood of a set of effects [nats]."""

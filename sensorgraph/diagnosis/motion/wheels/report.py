@@ -11,7 +11,7 @@ from sensorgraph.diagnosis.motion.regression import Regression, RegressionFit, r
 from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
-from sensorgraph.diagnosis.motion.wheels.columns import CLOCK_COLUMN, N_COLUMNS, WHEEL_TERMS, WheelTerm
+from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel
 from sensorgraph.diagnosis.motion.wheels.patch_search import best_patch
 from sensorgraph.diagnosis.motion.whitening import both_kinds
@@ -21,7 +21,6 @@ from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
-RADIUS_COLUMN = next(term.column for term in WHEEL_TERMS if term.effect is WHEEL_RADIUS)
 RMSE_WINDOW = 1.0
 """[s] over which the gap is averaged to speeds."""
 
@@ -56,7 +55,7 @@ def odometry_result(
         not_observable=_not_observable(model, terms),
         notes={
             **notes,
-            "clock_offset_s": model.rows.clock + float(fit.theta[CLOCK_COLUMN]),
+            "clock_offset_s": model.rows.clock + float(fit.theta[model.layout.clock]),
             "rows": int(model.rows.valid_rows.sum()),
         },
     )
@@ -75,10 +74,10 @@ def _amendment(
     sure = probability(evidence, _alternatives(model, term, terms, rng).values(), EVIDENCE)
     theta, error = float(fit.theta[term.column]), float(np.sqrt(covariance[term.column, term.column]))
     if term.effect is WHEEL_SLIP:
-        amendment = _slip(model, term.column - N_COLUMNS, theta, error)
+        amendment = _slip(model, term.column - model.layout.n, theta, error)
     else:
-        has_radius = any(other.effect is WHEEL_RADIUS for other in terms)
-        gain = 1 + float(fit.theta[RADIUS_COLUMN]) if has_radius else 1.0
+        radius = [other.column for other in terms if other.effect is WHEEL_RADIUS]
+        gain = 1 + float(fit.theta[radius[0]]) if radius else 1.0
         amendment = _everywhere(model, term.effect, theta, error, gain)
     return replace(amendment, probability=sure, evidence=evidence)
 
@@ -121,7 +120,11 @@ def _alternatives(
 ) -> dict[Effect, float]:
     """Return the evidence of each effect that could stand in an effect's place [nats]."""
     rest = [other for other in terms if other != term]
-    out = {other.effect: model.evidence([*rest, other], other) for other in WHEEL_TERMS if other not in terms}
+    out = {
+        other.effect: model.evidence([*rest, other], other)
+        for other in model.layout.terms
+        if other not in terms
+    }
     if term.effect is not WHEEL_SLIP:
         found = best_patch(model, rest, rng)
         out[WHEEL_SLIP] = -np.inf if found is None else found[1]
@@ -207,7 +210,7 @@ def _gap(model: WheelModel, terms: Sequence[WheelTerm], families: Sequence[Struc
         fit = Regression.of(regression.A[train], regression.y[train]).solve(prior)
         after[~train] = (model.y - columns @ fit.theta)[~train]
     nominal = np.zeros(columns.shape[1])
-    nominal[CLOCK_COLUMN] = -rows.clock
+    nominal[model.layout.clock] = -rows.clock
     # the floor: what is left when all structure is fitted, too
     rich = np.concatenate([columns, *[family.columns for family in _steady(families)]], axis=1)
     theta = ridge_solution(model.whitener(rich), regression.y)
@@ -237,7 +240,7 @@ def _quality(model: WheelModel, residual: Floats) -> FitQuality:
 def _not_observable(model: WheelModel, terms: Sequence[WheelTerm]) -> dict[str, str]:
     """Say which effects could not have been seen at three times their materiality."""
     out = {}
-    for term in WHEEL_TERMS:
+    for term in model.layout.terms:
         if term in terms:
             continue
         size = EVIDENCE.observable_size * next(iter(term.effect.sizes.values()))

@@ -14,7 +14,7 @@ from sensorgraph.diagnosis.motion.structure_test import (
     StructureFamily,
     StructureTest,
 )
-from sensorgraph.diagnosis.motion.wheels.columns import WHEEL_TERMS, WheelTerm
+from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
 from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel, share_inside
 from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_patch, refine_patch
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
@@ -30,7 +30,7 @@ def select(
     """
     terms: list[WheelTerm] = []
     for _ in range(ODOMETRY.max_effects):
-        gains = {term: model.evidence(terms, term) for term in WHEEL_TERMS if term not in terms}
+        gains = {term: model.evidence(terms, term) for term in model.layout.terms if term not in terms}
         best = max(gains, key=lambda term: gains[term], default=None)
         top = max(gains.values(), default=-np.inf)
         patch, patch_gain = _patch(model, terms, max(top, 0.0), rng)
@@ -92,9 +92,12 @@ def _needed(model: WheelModel, terms: Sequence[WheelTerm], term: WheelTerm) -> f
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Candidate:
+class StructureCandidate:
+    """Structure that could enter the model, beside patches or in their stead."""
+
     family: StructureFamily
     evidence: float
+    """[nats]"""
     replaces_patches: bool
 
 
@@ -105,7 +108,7 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm], families: Sequen
     own = np.concatenate([model.columns, _rim_columns(model, terms)], axis=1)
     family, gain = test.best(own, families)
     dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
-    candidate = _Candidate(family=family, evidence=gain, replaces_patches=False)
+    candidate = StructureCandidate(family=family, evidence=gain, replaces_patches=False)
     if model.patches:
         candidate = _in_stead_of_patches(model, test, own, candidate, families)
     needed = max(
@@ -129,9 +132,9 @@ def _in_stead_of_patches(
     model: WheelModel,
     test: StructureTest,
     own: Floats,
-    beside: _Candidate,
+    beside: StructureCandidate,
     families: Sequence[StructureFamily],
-) -> _Candidate:
+) -> StructureCandidate:
     """Return the better candidate of structure beside the patches and structure in their stead."""
     family, gain = beside.family, test.gain(model.A, beside.family)
     if len(model.patches) > 1:  # what several patches mimic need not be what they leave
@@ -140,10 +143,10 @@ def _in_stead_of_patches(
     better = (
         beside
         if gain <= beside.evidence
-        else _Candidate(family=family, evidence=gain, replaces_patches=False)
+        else StructureCandidate(family=family, evidence=gain, replaces_patches=False)
     )
     is_instead = gain + PATCH_PRICE * len(model.patches) > beside.evidence
-    return _Candidate(family=better.family, evidence=better.evidence, replaces_patches=is_instead)
+    return StructureCandidate(family=better.family, evidence=better.evidence, replaces_patches=is_instead)
 
 
 def _inexactness(model: WheelModel, terms: Sequence[WheelTerm]) -> float:
