@@ -11,6 +11,7 @@ Nothing heavy is imported until a name is used.
 | `formats/` | one module for each kind of file |
 | `mcap/` | MCAP records, checked one by one |
 | `ros/` | what ROS messages mean: byte layout, topics and their roles, transforms |
+| `no_return`, `resampling`, `jumps` | what drivers and clocks get wrong |
 | `transforms` | planar poses |
 """
 

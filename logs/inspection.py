@@ -11,6 +11,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.formats import FORMATS, format_of, mcap_file, rosbag
+from logs.no_return import check_no_return
 from logs.ros import cdr
 from logs.ros.interpret import to_run
 from logs.ros.recording import (
@@ -124,7 +125,11 @@ class Inspection:
 
 
 def inspect(
-    path: Path | str, topics: Mapping[str, str] | None = None, *, progress: Progress | None = None
+    path: Path | str,
+    topics: Mapping[str, str] | None = None,
+    *,
+    no_return: str | None = None,
+    progress: Progress | None = None,
 ) -> Inspection:
     """Look into a file; what cannot be a run is still described.
 
@@ -135,6 +140,7 @@ def inspect(
     """
     path = Path(path)
     check_roles(topics)
+    check_no_return(no_return)
     kind = format_of(path)
     recording: Recording | None = None
     run: Run | None = None
@@ -142,13 +148,13 @@ def inspect(
     if kind in LOADERS:
         recording = LOADERS[kind](path, progress)
         try:
-            run = to_run(recording, path.name, topics)
+            run = to_run(recording, path.name, topics, no_return)
         except LogError as exc:
             if topics:
                 raise
             missing.append(str(exc))
     else:
-        run = FORMATS[kind].read(path, topics, progress)
+        run = FORMATS[kind].read(path, topics, progress, no_return)
     warnings = _ros_warnings(recording) if recording is not None else []
     usable: list[str] = []
     pairing = ""

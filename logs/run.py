@@ -184,7 +184,8 @@ class Pairing:
 def pair(run: Run, *, max_gap: float = 0.2) -> Pairing:
     """Interpolate the reference pose at every scan's stamp; never across a gap above `max_gap` [s].
 
-    A scan whose stamp equals a pose's stamp is paired whatever the gaps around it.
+    A scan whose stamp equals a pose's stamp is paired whatever the gaps around it. Where several scans share a stamp
+    with as many poses, they are paired in their order.
     """
     n_scans = run.n_scans
     poses = np.full((n_scans, 3), np.nan)
@@ -194,6 +195,8 @@ def pair(run: Run, *, max_gap: float = 0.2) -> Pairing:
         )
     right = np.clip(np.searchsorted(run.pose_stamps, run.stamps, side="left"), 0, len(run.pose_stamps) - 1)
     left = np.clip(np.where(run.pose_stamps[right] > run.stamps, right - 1, right), 0, None)
+    twin = _twins(run.stamps, run.pose_stamps)
+    left, right = np.where(twin >= 0, twin, left), np.where(twin >= 0, twin, right)
     before = run.stamps < run.pose_stamps[0]
     after = run.stamps > run.pose_stamps[-1]
     gap = (run.pose_stamps[right] - run.pose_stamps[left] > max_gap) & ~before & ~after
@@ -214,3 +217,13 @@ def pair(run: Run, *, max_gap: float = 0.2) -> Pairing:
         "at a pose that is not finite": int(broken.sum()),
     }
     return Pairing(poses=poses, paired=paired, dropped={k: v for k, v in counts.items() if v})
+
+
+def _twins(stamps: Floats, pose_stamps: Floats) -> NDArray[np.intp]:
+    """Return the pose (n_scans,) of each scan whose stamp as many poses as scans have: the k-th of the k-th; else -1."""
+    first = np.searchsorted(pose_stamps, stamps, side="left")
+    n_poses = np.searchsorted(pose_stamps, stamps, side="right") - first
+    before = np.searchsorted(stamps, stamps, side="left")
+    n_scans = np.searchsorted(stamps, stamps, side="right") - before
+    rank = np.arange(len(stamps)) - before
+    return np.where(n_poses == n_scans, first + rank, -1)

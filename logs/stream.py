@@ -7,7 +7,7 @@ walks it again. An MCAP file is streamed; other formats are read whole and hande
 from __future__ import annotations
 
 import mmap
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +19,9 @@ from logs.errors import LogError
 from logs.formats import format_of, mcap_file, read
 from logs.mcap.records import Contents, Loss
 from logs.mcap.walk import RecordWalk
-from logs.ros import interpret
+from logs.no_return import check_no_return
+from logs.ros import interpret, own_record
+from logs.ros.laser_scan import ScanShape, shape_of
 from logs.ros.recording import ENCODINGS, KEPT_TYPES, SCAN_TYPE, Recording, Topic, check_roles, choose
 from logs.run import Run
 from logs.types import Progress
@@ -75,7 +77,11 @@ class WholeRun:
 
 
 def open_log(
-    path: Path | str, *, topics: Mapping[str, str] | None = None, progress: Progress | None = None
+    path: Path | str,
+    *,
+    topics: Mapping[str, str] | None = None,
+    no_return: str | None = None,
+    progress: Progress | None = None,
 ) -> LogStream:
     """Look through a file; a damaged one is refused before anything is made of it.
 
@@ -86,9 +92,10 @@ def open_log(
     """
     path = Path(path)
     check_roles(topics)
+    check_no_return(no_return)
     if format_of(path) == "mcap" and path.stat().st_size > 0:
-        return McapStream.open(path, topics, progress)
-    return WholeRun(head=read(path, topics=topics, progress=progress))
+        return McapStream.open(path, topics, progress, no_return)
+    return WholeRun(head=read(path, topics=topics, no_return=no_return, progress=progress))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,16 +107,34 @@ class McapStream:
     n_scans: int
     scan_topic: str
     roles: Mapping[str, str]
+    no_return: str | None
+    """As the user named it, or as it was noticed in the first messages; None: the file is ours."""
+    shapes: Mapping[str, Counter[ScanShape]]
+    """Topic -> how often each shape of scan is met."""
     _contents: Contents = field(repr=False)
 
     @classmethod
-    def open(cls, path: Path, topics: Mapping[str, str] | None, progress: Progress | None) -> McapStream:
+    def open(
+        cls,
+        path: Path,
+        topics: Mapping[str, str] | None,
+        progress: Progress | None,
+        no_return: str | None = None,
+    ) -> McapStream:
         """Check every record, count scans, and tell from the first messages what plays which role."""
         counts: dict[int, int] = {}
         look: dict[int, Topic] = {}
+        shapes: dict[int, Counter[ScanShape]] = {}
 
-        def keep(channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
+        def keep(
+            contents: Contents, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes
+        ) -> None:
             counts[channel] = counts.get(channel, 0) + 1
+            is_new = counts[channel] == 1 and channel in contents.channels
+            if is_new and mcap_file.type_of(contents, channel) == SCAN_TYPE:
+                shapes[channel] = Counter()
+            if channel in shapes and (shape := shape_of(payload)) is not None:
+                shapes[channel][shape] += 1
             if counts[channel] <= SETTINGS.first_messages:
                 kept = look.setdefault(channel, Topic("", ""))
                 kept.log_times.append(log_time)
@@ -126,7 +151,10 @@ class McapStream:
             if key in look and topic.type in KEPT_TYPES and topic.encoding in ENCODINGS:
                 topic.log_times += look[key].log_times
                 topic.payloads += look[key].payloads
-        head = interpret.to_run(recording, path.name, topics)
+        shapes_of = {contents.channels[key].topic: found for key, found in shapes.items()}
+        head = interpret.to_run(recording, path.name, topics, no_return, shapes_of)
+        if no_return is None and not own_record.is_own(recording, topics):
+            no_return = head.meta.get("no_return", "inf")
         name = head.meta.get("scan_topic") or choose(recording, "scan", topics) or "/scan"
         name = name if name in recording.topics else "/scan"
         n_scans = recording.topics[name].n_messages if name in recording.topics else 0
@@ -136,6 +164,8 @@ class McapStream:
             n_scans=n_scans,
             scan_topic=name,
             roles=dict(topics or {}),
+            no_return=no_return,
+            shapes=shapes_of,
             _contents=contents,
         )
 
@@ -151,15 +181,10 @@ class McapStream:
 
     def _run(self, recording: Recording) -> Run:
         """Interpret a piece; poses of another source than the log's are none."""
-        run = interpret.to_run(recording, self.path.name, self.roles)
+        run = interpret.to_run(recording, self.path.name, self.roles, self.no_return, self.shapes)
         if run.meta.get("pose_source") != self.head.meta.get("pose_source"):
             run = replace(
                 run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3)), pose_frame=self.head.pose_frame
-            )
-        if run.sensor.n_rays != self.head.sensor.n_rays:
-            raise LogError(
-                f"{self.path}: its scans change from {self.head.sensor.n_rays} to {run.sensor.n_rays} rays; "
-                "cut the log where the sensor changes, and build from the parts of one sensor"
             )
         return replace(run, sensor=self.head.sensor)
 
@@ -203,6 +228,8 @@ class _Window:
         """Return the first n scans with everything at hand, and forget what no later scan needs."""
         recording = _skeleton(self.contents)
         taken = [self.scans.popleft() for _ in range(n)]
+        while self.scans and self.scans[0][0] == taken[-1][0]:  # those that share a stamp are paired together
+            taken.append(self.scans.popleft())
         topic = recording.topics[self.scan_topic]
         topic.log_times, topic.payloads = [at for at, _ in taken], [payload for _, payload in taken]
         for name, at, payload in (*self.fixed, *self.others):
@@ -229,12 +256,12 @@ def _skeleton(contents: Contents) -> Recording:
 
 def _walk(
     path: Path,
-    keep: Callable[[int, int, int, int, bytes], None],
+    keep: Callable[[Contents, int, int, int, int, bytes], None],
     on_damage: Callable[[Loss], None],
     progress: Progress | None,
 ) -> Contents:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        walk = RecordWalk(data, keep, on_damage)
+        walk = RecordWalk(data, lambda *message: keep(walk.contents, *message), on_damage)
         for done, pos in enumerate(walk.steps()):
             if progress is not None and done % 64 == 0:
                 progress(pos, len(data))

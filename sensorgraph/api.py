@@ -47,18 +47,19 @@ RobotLike = Robot | Path | str
 
 
 @as_sensorgraph_error
-def read(path: Path | str, *, topics: Mapping[str, str] | None = None) -> Run:
+def read(path: Path | str, *, topics: Mapping[str, str] | None = None, no_return: str | None = None) -> Run:
     """Read a run: MCAP, a rosbag2 folder, a ROS 1 bag, a CARMEN log or a CSV table.
 
     Parameters
     ----------
     topics : role (`scan`, `pose`, `odom`, `cmd`) -> topic, where a log names them otherwise
+    no_return : how a missing return was logged: `range_max`, `zero` or `inf`; None: noticed from its frequency
 
     Raises
     ------
     SensorgraphError : the file is no log, or is damaged
     """
-    return logs.read(path, topics=topics)
+    return logs.read(path, topics=topics, no_return=no_return)
 
 
 @as_sensorgraph_error
@@ -105,11 +106,11 @@ def build(
     Parameters
     ----------
     arena : its bounds scale x and y, so that graphs of several runs share them
-    options : of `sensorgraph.building.build.build`: `model`, `split`, `calibrate`, `degree`, `update`, ...
+    options : of `sensorgraph.building.build.build`: `model`, `split`, `calibrate`, `degree`, `update`, `force`, ...
 
     Raises
     ------
-    SensorgraphError : too few scans have a pose, or the runs are of different sensors
+    SensorgraphError : too few scans have a pose, the poses jump, or the runs are of different sensors
     """
     several = [runs] if isinstance(runs, Run | Path | str) else list(runs)
     walls = None if arena is None else _arena(arena)
@@ -124,6 +125,7 @@ def evaluate(
     split: str | None = None,
     point: Point | None = None,
     cap: float | None = None,
+    force: bool = False,
 ) -> Evaluation:
     """Compare what a sensorgraph predicts with what a run measured.
 
@@ -132,12 +134,13 @@ def evaluate(
     split : `every10` or `block`: score only the scans that this split held out of the fit
     point : `mode`, `median` or `mean`; None: to each number its own
     cap : [m] longest return that counts; None: 10, or the sensor's range
+    force : compare a run whose poses jump, too
 
     Raises
     ------
     SensorgraphError : the run is of another sensor, or has no scan with a pose to score
     """
-    return evaluate_run(_graph(graph), _run(run), split=split, point=point, cap=cap)
+    return evaluate_run(_graph(graph), _run(run), split=split, point=point, cap=cap, force=force)
 
 
 @as_sensorgraph_error
@@ -171,6 +174,7 @@ def diagnose(
     effects: Sequence[Amendment] | Path | str = (),
     commissioning: Sequence[RunLike] = (),
     seed: int = 0,
+    force: bool = False,
 ) -> Diagnosis:
     """Find where simulation and measurement disagree, and name the missing physical effect.
 
@@ -181,6 +185,7 @@ def diagnose(
     effects : what is part of the model already; or an effects.yaml
     commissioning : runs known to be good; what differs from them is found
     seed : of the replicates; the same seed gives the same report
+    force : diagnose a run whose poses jump, too
 
     Raises
     ------
@@ -202,6 +207,7 @@ def diagnose(
         known=known,
         baseline=commission_all(good, walls, machine, seed=seed) if good else None,
         seed=seed,
+        force=force,
     )
     return Diagnosis.of(finding, walls, machine)
 
@@ -241,6 +247,7 @@ def review(
     plan: CoveragePlan | Path | str | None = None,
     arena: ArenaLike | None = None,
     ray: int | None = None,
+    force: bool = False,
 ) -> Review:
     """Write a rerun recording of a run: coverage, and errors of a sensorgraph by place, heading and ray.
 
@@ -251,6 +258,7 @@ def review(
     plan : a plan, or its folder, whose path is drawn
     arena : walls to draw; None: those that the run keeps
     ray : index of the ray whose series is shown; None: the one straight ahead
+    force : show a run whose poses jump, too
 
     Raises
     ------
@@ -258,7 +266,7 @@ def review(
     """
     log = _run(run)
     walls = arena_in(log) if arena is None else _arena(arena)
-    return write_review(log, path=path, graph=graph, plan=plan, arena=walls, ray=ray)
+    return write_review(log, path=path, graph=graph, plan=plan, arena=walls, ray=ray, force=force)
 
 
 def _run(run: RunLike) -> Run:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from logs_samples import DATA
 
 import logs
-from logs.formats.no_return import find_code
+from logs.no_return import find_code
 
 
 def flaser(
@@ -144,6 +145,89 @@ def test_any_clock_gives_stamps_that_do_not_go_back(
     np.testing.assert_allclose(run.stamps, want)
     assert words in run.meta.get("notes", "")
     assert run.epoch_ns == (1_600_000_000_000_000_000 if max(times) > 1e9 else 0)
+
+
+def corridor(times: list[float]) -> list[str]:
+    """A robot that drives 0.3 m a scan; each scan shows how far it has come, as does the pose in its line."""
+    lines = []
+    for i, t in enumerate(times):
+        pose = (0.3 * i, 0.0, 0.0)
+        lines += [
+            f"ODOM {0.3 * i} 0 0 1 0 0 {t} host {t}",
+            flaser(np.full(181, 1 + 0.01 * i), t, laser=pose, robot=pose),
+        ]
+    return lines
+
+
+CLOCKS = {
+    "repeat": [5.0] * 40 + [5.1, 5.2],
+    "all but two repeat": [5.0] * 404 + [5.5, 6.0],
+    "all zero": [0.0] * 42,
+    "whole seconds": [float(i // 5) for i in range(42)],
+    "go back": [0.1 * i - (0.8 if i % 10 == 9 else 0) for i in range(42)],
+    "set anew": [0.1 * (i % 21) for i in range(42)],
+    "negative": [-9 + 0.1 * i for i in range(42)],
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_a_scan_and_the_pose_in_its_line_belong_together_whatever_the_clock(
+    clock: str, tmp_path: Path
+) -> None:
+    run = logs.read(write(tmp_path / "a.log", corridor(CLOCKS[clock])))
+    for again in (run, _written_and_read(run, tmp_path)):
+        pairing = logs.pair(again)
+        assert pairing.paired.all()
+        came = (again.ranges[:, 90] - 1) / 0.01  # which scan it is
+        np.testing.assert_allclose(
+            pairing.poses[:, 0], 0.3 * came, atol=1e-4
+        )  # ranges are float32 in the file
+        np.testing.assert_allclose(again.odometry[:, 0].max(), 0.3 * (len(CLOCKS[clock]) - 1))
+        assert (np.hypot(*np.diff(again.odometry[:, :2], axis=0).T) < 0.31).all(), "odometry in its order"
+
+
+def _written_and_read(run: logs.Run, folder: Path) -> logs.Run:
+    logs.write(run, folder / "again.mcap")
+    return logs.read(folder / "again.mcap")
+
+
+def test_lines_of_one_laser_with_180_and_181_rays_are_all_kept(tmp_path: Path) -> None:
+    lines = []
+    for i in range(30):
+        ranges = np.round(2 + np.arange(181) / 100, 2)
+        pose = (0.1 * i, 0, 0)
+        lines.append(flaser(ranges[: 180 if i % 3 else 181], i / 2, laser=pose, robot=pose))
+    run = logs.read(write(tmp_path / "a.log", lines))
+    assert run.ranges.shape == (30, 180)
+    np.testing.assert_allclose(run.ranges, np.tile(2 + np.arange(180) / 100, (30, 1)))
+    assert (
+        "180 to 181 rays: 10 of 30 were resampled to the 180 rays of most, none dropped" in run.meta["notes"]
+    )
+
+
+@pytest.mark.parametrize(("named", "want"), [(None, np.inf), ("zero", np.inf), ("inf", np.nan)])
+def test_a_missing_return_of_0_is_noticed_by_its_frequency(
+    named: str | None, want: float, tmp_path: Path
+) -> None:
+    lines = walk(20)
+    rng = np.random.default_rng(1)
+    for i in range(20):
+        ranges = rng.uniform(1, 9, 181)
+        ranges[rng.permutation(181)[:9]] = 0
+        lines[i] = flaser(ranges, i / 2, laser=(i, 0, 0.1), robot=(i, 0, 0.1))
+    run = logs.read(write(tmp_path / "a.log", lines), no_return=named)
+    missing = ~np.isfinite(run.ranges)
+    assert missing.sum() == 180
+    np.testing.assert_array_equal(run.ranges[missing], want)
+
+
+def test_bzip2_is_told_by_content_and_a_cut_one_is_an_error(tmp_path: Path) -> None:
+    text = write(tmp_path / "a.log", walk()).read_bytes()
+    (tmp_path / "a.clf").write_bytes(bz2.compress(text))
+    np.testing.assert_array_equal(logs.read(tmp_path / "a.clf").ranges, logs.read(tmp_path / "a.log").ranges)
+    (tmp_path / "cut.clf.bz2").write_bytes(bz2.compress(text)[:-20])
+    with pytest.raises(logs.LogError, match="bzip2"):
+        logs.read(tmp_path / "cut.clf.bz2")
 
 
 def test_gzip_is_told_by_content_and_broken_lines_are_counted(tmp_path: Path) -> None:

@@ -308,14 +308,50 @@ def test_stamps_that_are_zero_take_the_log_time_and_disorder_is_sorted(tmp_path:
         assert words in run.meta["notes"]
 
 
-def test_scans_of_another_geometry_are_dropped_and_counted(tmp_path: Path) -> None:
+def test_scans_of_another_geometry_are_resampled_and_counted(tmp_path: Path) -> None:
     bag = [scan(0.1 * i, [1, 2, 3]) for i in range(5)] + [
         scan(0.6, [1, 2, 3, 4]),
-        scan(0.7, [1, 2, 3], increment=0.1),
+        scan(0.7, [5, 5, 5], increment=0.125),
+        scan(0.8, []),
     ]
     run = read(tmp_path, bag)
-    assert run.ranges.shape == (5, 3)
-    assert "2 scans of another geometry" in run.meta["notes"]
+    assert run.ranges.shape == (8, 3)
+    np.testing.assert_array_equal(run.ranges[5], [1, 2, 3])
+    np.testing.assert_array_equal(run.ranges[6], [5, 5, np.nan])
+    np.testing.assert_array_equal(run.ranges[7], [np.nan] * 3)
+    assert (
+        "/scan: scans have 0 to 4 rays: 3 of 8 were resampled to the 3 rays of most, none dropped"
+        in run.meta["notes"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("code", "named", "want", "words"),
+    [
+        (10.0, None, np.inf, "exactly range_max 10 m means nothing seen: 80 rays (10.0%) are +inf"),
+        (0.0, None, np.inf, "0 means nothing seen: 80 rays (10.0%) are +inf"),
+        (10.0, "inf", 10.0, ""),
+        (0.0, "range_max", np.nan, "80 ranges are exactly 0, which tells nothing: nan"),
+        (0.0, "zero", np.inf, "0 means nothing seen"),
+    ],
+)
+def test_a_missing_return_is_noticed_by_its_frequency_or_named(
+    code: float, named: str | None, want: float, words: str, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(2)
+    ranges = rng.uniform(1.0, 9.9, (40, 20))
+    missing = np.zeros(800, dtype=bool)
+    missing[rng.permutation(800)[:80]] = True
+    ranges[missing.reshape(40, 20)] = code
+    bag = [scan(0.1 * i, row, increment=0.05) for i, row in enumerate(ranges)]
+    run = logs.read(write_bag2(tmp_path / "bag", bag), no_return=named)
+    np.testing.assert_array_equal(run.ranges[missing.reshape(40, 20)], want)
+    assert words in run.meta.get("notes", "")
+
+
+def test_a_name_that_is_no_way_to_log_a_missing_return_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(logs.LogError, match="expected one of range_max, zero, inf"):
+        logs.read(write_bag2(tmp_path / "bag", trip()), no_return="81.83")
 
 
 def test_missing_mount_is_said(tmp_path: Path) -> None:

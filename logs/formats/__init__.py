@@ -9,6 +9,7 @@ from typing import NamedTuple
 from logs.errors import LogError
 from logs.formats import carmen, mcap_file, rosbag, table, wean
 from logs.formats.text import first_bytes
+from logs.no_return import check_no_return
 from logs.run import OccupancyMap, Run
 from logs.types import Progress
 
@@ -18,8 +19,8 @@ class Format(NamedTuple):
 
     matches: Callable[[Path, bytes], bool]
     """Tell from the path and its first bytes (unpacked, if gzip) whether a file is of this kind."""
-    read: Callable[[Path, Mapping[str, str] | None, Progress | None], Run]
-    """Read (path, topics, progress)."""
+    read: Callable[[Path, Mapping[str, str] | None, Progress | None, str | None], Run]
+    """Read (path, topics, progress, no_return)."""
 
 
 FORMATS: dict[str, Format] = {
@@ -33,13 +34,19 @@ FORMATS: dict[str, Format] = {
 
 
 def read(
-    path: Path | str, *, topics: Mapping[str, str] | None = None, progress: Progress | None = None
+    path: Path | str,
+    *,
+    topics: Mapping[str, str] | None = None,
+    no_return: str | None = None,
+    progress: Progress | None = None,
 ) -> Run:
     """Read a run from a file of any known format, told by its content.
 
     Parameters
     ----------
     topics : role -> topic, for files with other names than ours: roles scan, pose, odom, cmd
+    no_return : how a missing return was logged: `range_max` (exactly that range), `zero` or `inf`; None: noticed from
+        its frequency, and said in the notes
 
     Raises
     ------
@@ -49,7 +56,8 @@ def read(
         if the file cannot be opened
     """
     path = Path(path)
-    return FORMATS[format_of(path)].read(path, topics, progress)
+    check_no_return(no_return)
+    return FORMATS[format_of(path)].read(path, topics, progress, no_return)
 
 
 def format_of(path: Path) -> str:

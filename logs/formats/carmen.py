@@ -12,11 +12,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from logs.errors import LogError
-from logs.formats.no_return import find_code, mask
+from logs.formats.carmen_clock import CarmenClock, read_clock
 from logs.formats.text import read_lines
+from logs.no_return import decode
+from logs.resampling import resample, resampled_text
 from logs.run import PoseFrame, RangeSensor, Run
 from logs.transforms import compose, invert, twists_of, wrap
 from logs.types import Floats, Progress
@@ -30,10 +31,6 @@ LAYOUTS = {
     361: (-90.0, 0.5), 401: (-50.0, 0.25), 541: (-135.0, 0.5), 682: (-120.0, 0.3515625), 720: (-90.0, 0.25),
     721: (-90.0, 0.25), 1081: (-135.0, 0.25),
 }  # fmt: skip
-FIRST_ABSOLUTE_TIME = 1e8
-"""[s] larger times count from 1970."""
-ASSUMED_PERIOD = 0.1
-"""[s] between scans of a log whose clock stands still."""
 RIGID_TOLERANCE = 0.02
 """[m, rad] how far a rigid mount may seem to move, by the rounding of the poses."""
 
@@ -53,7 +50,9 @@ class _ParsedLines:
 
     scans: dict[str, list[_ScanLine]] = field(default_factory=dict)
     odom: list[list[float]] = field(default_factory=list)
+    """x, y, phi, v, omega, stamp, and the number of the line."""
     true: list[list[float]] = field(default_factory=list)
+    """x, y, phi, three of odometry, stamp, and the number of the line."""
     params: dict[str, str] = field(default_factory=dict)
     is_filtered: bool = False
     """A particle filter has left its NEFF lines."""
@@ -64,6 +63,7 @@ class _ParsedLines:
 
 @dataclass(frozen=True)
 class _ScanLine:
+    number: int
     ranges: Floats
     geometry: tuple[float, float, float, float]
     """First bearing, step [rad], largest range and accuracy [m]; nan where the line does not say."""
@@ -74,7 +74,12 @@ class _ScanLine:
     """[s] of the sensor, of the logger."""
 
 
-def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
+def read(
+    path: Path,
+    topics: Mapping[str, str] | None = None,
+    progress: Progress | None = None,
+    no_return: str | None = None,
+) -> Run:
     """Read a run; in corrected logs its poses are the laser's.
 
     Raises
@@ -84,11 +89,9 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
     """
     lines = _parse(read_lines(path), progress)
     kind = _choose(path, lines, topics)
-    scans = _same_geometry(lines.scans[kind])
-    notes = [f"{len(lines.scans[kind]) - len(scans)} scans of another geometry dropped"]
-    notes = notes if len(scans) < len(lines.scans[kind]) else []
+    scans, notes = lines.scans[kind], list[str]()
     if lines.broken:
-        share = len(lines.broken) / (len(lines.broken) + len(lines.scans[kind]) + len(lines.odom))
+        share = len(lines.broken) / (len(lines.broken) + len(scans) + len(lines.odom))
         if share > 0.5:
             raise LogError(
                 f"{path}: {len(lines.broken)} lines are broken, the first is line {lines.broken[0]}"
@@ -97,13 +100,19 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
     others = [f"{len(found)} {name}" for name, found in lines.scans.items() if name != kind]
     if others:
         notes.append(f"other scans in the log: {', '.join(others)}; choose with `topics` scan=NAME")
-    stamps, order, epoch = _times(scans, notes)
     laser = np.array([scan.laser or (np.nan,) * 3 for scan in scans])
     robot = np.array([scan.robot or (np.nan,) * 3 for scan in scans])
-    ranges, bearings, limits = _ranges(scans, notes)
+    clock = read_clock(
+        np.array([scan.times for scan in scans], dtype=np.float64),
+        np.array([scan.number for scan in scans], dtype=np.float64),
+        laser,
+        notes,
+    )
+    stamps, order = clock.stamps, clock.order
+    ranges, bearings, limits = _ranges(scans, no_return, notes)
     source = _pose_source(path.name, lines, laser, robot)
     mount = _mount(kind, lines, laser, robot, source)
-    found = _signals(lines, source, stamps, laser, robot, epoch, mount)
+    found = _signals(lines, source, clock, laser, robot, mount)
     return Run(
         sensor=RangeSensor(
             bearings=bearings,
@@ -121,12 +130,13 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
         odometry=found.odometry,
         odom_twists=found.twists,
         pose_frame=found.frame,
-        epoch_ns=epoch,
+        epoch_ns=clock.epoch_ns,
         meta={
             "source": path.name,
             "format": "carmen",
             "scan_topic": kind,
             "pose_source": source,
+            **({"clock": "assumed"} if clock.is_assumed else {}),
             **({"notes": "; ".join(notes + found.notes)} if notes or found.notes else {}),
         },
     )
@@ -142,14 +152,14 @@ def _parse(text: list[str], progress: Progress | None) -> _ParsedLines:
             continue
         try:
             if word in SCAN_KEYWORDS:
-                scan = _scan(word, rest.split())
+                scan = _scan(word, rest.split(), number)
                 lines.scans.setdefault(word, []).append(scan)
             elif word == "ODOM":
                 values = rest.split()
-                lines.odom.append([float(value) for value in (*values[:5], values[6])])
+                lines.odom.append([*map(float, (*values[:5], values[6])), number])
             elif word == "TRUEPOS":
                 values = rest.split()
-                lines.true.append([float(value) for value in (*values[:6], values[6])])
+                lines.true.append([*map(float, values[:7]), number])
             elif word == "PARAM":
                 name, value = rest.split()[:2]
                 lines.params[name] = value
@@ -162,7 +172,7 @@ def _parse(text: list[str], progress: Progress | None) -> _ParsedLines:
     return lines
 
 
-def _scan(word: str, values: list[str]) -> _ScanLine:
+def _scan(word: str, values: list[str], number: int) -> _ScanLine:
     """Read the words after the keyword of a scan line."""
     at, geometry = 0, (np.nan, np.nan, np.nan, np.nan)
     if not word.endswith("LASER"):  # laser_type start_angle fov resolution range_max accuracy remission_mode
@@ -172,7 +182,7 @@ def _scan(word: str, values: list[str]) -> _ScanLine:
     end = at + 1 + n
     if n < 1 or len(values) < end:
         raise ValueError(f"{n} ranges")
-    ranges = np.array(values[at + 1 : end], dtype=np.float64)
+    ranges = np.array(list(map(float, values[at + 1 : end])))
     if not word.endswith("LASER"):
         end += 1 + int(values[end])  # remissions
     n_poses = 0 if word.startswith("RAW") else 6
@@ -185,7 +195,7 @@ def _scan(word: str, values: list[str]) -> _ScanLine:
     times = float(values[end]), float(values[end + 2])
     if not np.isfinite(times).all():
         raise ValueError("a stamp that is no number")
-    return _ScanLine(ranges, geometry, poses[:3], poses[3:], times)
+    return _ScanLine(number, ranges, geometry, poses[:3], poses[3:], times)
 
 
 def _choose(path: Path, lines: _ParsedLines, topics: Mapping[str, str] | None) -> str:
@@ -201,51 +211,38 @@ def _choose(path: Path, lines: _ParsedLines, topics: Mapping[str, str] | None) -
     return named.lstrip("/") if named is not None else there[0]
 
 
-def _same_geometry(scans: list[_ScanLine]) -> list[_ScanLine]:
-    """Keep the scans whose geometry is the commonest."""
-    keys = [(len(scan.ranges), np.round(scan.geometry, 6).tobytes()) for scan in scans]
-    best = Counter(keys).most_common(1)[0][0]
-    return [scan for scan, key in zip(scans, keys, strict=True) if key == best]
-
-
-def _times(scans: list[_ScanLine], notes: list[str]) -> tuple[Floats, NDArray[np.intp], int]:
-    """Return stamps [s] in the order of the file, the order that sorts them, and the epoch [ns]."""
-    clocks = np.array([scan.times for scan in scans], dtype=np.float64)
-    n_levels = [len(np.unique(clock)) for clock in clocks.T]
-    stamps = clocks[:, 0]
-    if n_levels[1] > 2 * n_levels[0]:
-        stamps = clocks[:, 1]
-        notes.append(f"the sensor's clock shows {n_levels[0]} times only, the logger's was taken")
-    if len(stamps) > 1 and max(n_levels) == 1:
-        stamps = ASSUMED_PERIOD * np.arange(len(stamps), dtype=np.float64)
-        notes.append(f"no clock runs: scans were taken to be {ASSUMED_PERIOD:g} s apart")
-    back, same = int((np.diff(stamps) < 0).sum()), int((np.diff(np.sort(stamps)) == 0).sum())
-    if back:
-        notes.append(f"scan stamps go back {back} times, sorted")
-    if same:
-        notes.append(f"{same} scan stamps are duplicates, kept")
-    epoch = int(np.floor(stamps.min())) if stamps.min() > FIRST_ABSOLUTE_TIME else 0
-    return stamps - epoch, np.argsort(stamps, kind="stable"), epoch * 1_000_000_000
-
-
-def _ranges(scans: list[_ScanLine], notes: list[str]) -> tuple[Floats, Floats, float]:
-    """Return ranges with missing returns as +inf, the bearings, and range_max."""
-    ranges = np.stack([scan.ranges for scan in scans])  # (n_scans, n_rays)
-    first, step, stated, _ = scans[0].geometry
-    n = ranges.shape[1]
-    if np.isfinite(first) and step > 0:
-        bearings: Floats = first + step * np.arange(n, dtype=np.float64)
-    elif n in LAYOUTS:
-        bearings = np.radians(LAYOUTS[n][0] + LAYOUTS[n][1] * np.arange(n, dtype=np.float64))
-    else:
-        bearings = np.linspace(-np.pi / 2, np.pi / 2, n) if n > 1 else np.zeros(1)
-        notes.append(f"{n} rays is no count with a known layout: spread evenly from -90° to 90°")
-    code = find_code(ranges, stated if np.isfinite(stated) and stated > 0 else None)
-    notes += mask(ranges, code)
-    finite = np.isfinite(ranges)
-    largest = float(ranges[finite].max()) if finite.any() else 1.0
+def _ranges(scans: list[_ScanLine], no_return: str | None, notes: list[str]) -> tuple[Floats, Floats, float]:
+    """Return ranges with missing returns as +inf, the bearings of most scans, and range_max."""
+    groups: dict[bytes, list[int]] = {}
+    for i, scan in enumerate(scans):
+        key = np.array([len(scan.ranges), *np.round(scan.geometry[:2], 6)]).tobytes()
+        groups.setdefault(key, []).append(i)
+    parts = [np.stack([scans[i].ranges for i in mine]) for mine in groups.values()]
+    heads = [scans[mine[0]] for mine in groups.values()]
+    most = int(np.argmax([len(mine) for mine in groups.values()]))
+    stated = heads[most].geometry[2]
+    code, said = decode(parts, float(stated) if np.isfinite(stated) and stated > 0 else None, no_return)
+    notes += said
+    largest = max((float(part[np.isfinite(part)].max(initial=0.0)) for part in parts), default=0.0) or 1.0
     limit = code if code is not None else float(stated) if stated > largest else largest
-    return ranges, bearings, max(limit, 1e-3)
+    bearings = [_bearings(len(head.ranges), head.geometry, notes) for head in heads]
+    ranges = np.empty((len(scans), len(bearings[most])))
+    for k, mine in enumerate(groups.values()):
+        ranges[mine] = parts[k] if k == most else resample(parts[k], bearings[k], bearings[most])
+    if len(groups) > 1:
+        notes.append(resampled_text([len(own) for own in bearings], [len(part) for part in parts]))
+    return ranges, bearings[most], max(limit, 1e-3)
+
+
+def _bearings(n: int, geometry: tuple[float, float, float, float], notes: list[str]) -> Floats:
+    """Return the bearings (n,) [rad] of a scan of n rays."""
+    first, step, _, _ = geometry
+    if np.isfinite(first) and step > 0:
+        return first + step * np.arange(n, dtype=np.float64)
+    if n in LAYOUTS:
+        return np.asarray(np.radians(LAYOUTS[n][0] + LAYOUTS[n][1] * np.arange(n, dtype=np.float64)))
+    notes.append(f"{n} rays is no count with a known layout: spread evenly from -90° to 90°")
+    return np.linspace(-np.pi / 2, np.pi / 2, n) if n > 1 else np.zeros(1)
 
 
 def _pose_source(name: str, lines: _ParsedLines, laser: Floats, robot: Floats) -> str:
@@ -285,7 +282,7 @@ class _Signals:
 
 
 def _signals(
-    lines: _ParsedLines, source: str, stamps: Floats, laser: Floats, robot: Floats, epoch: int, mount: Floats
+    lines: _ParsedLines, source: str, clock: CarmenClock, laser: Floats, robot: Floats, mount: Floats
 ) -> _Signals:
     """Return the reference poses and the wheel odometry.
 
@@ -293,11 +290,10 @@ def _signals(
     pose with every scan and carry stamps of 0 or below: they are not what the wheels measured, and are left out.
     """
     notes = []
-    whole = np.isfinite(laser).all(axis=1)
-    order = np.argsort(stamps[whole], kind="stable")
-    at, lasers, robots = stamps[whole][order], laser[whole][order], robot[whole][order]
-    odom = np.array(lines.odom, dtype=np.float64).reshape(-1, 6)
-    odom[:, 5] -= epoch / 1e9
+    order = clock.order[np.isfinite(laser[clock.order]).all(axis=1)]
+    at, lasers, robots = clock.stamps[order], laser[order], robot[order]
+    odom = np.array(lines.odom, dtype=np.float64).reshape(-1, 7)
+    odom = np.column_stack([odom[:, :5], clock.others(odom[:, 6], odom[:, 5])])
     if source == "slam":
         raw = bool(len(at)) and not lines.is_filtered and np.abs(lasers - robots).max() > RIGID_TOLERANCE
         if len(odom) and not raw:
@@ -314,8 +310,9 @@ def _signals(
         frame, pose_stamps, poses = "laser", at, lasers
     elif source == "TRUEPOS":
         true = np.array(lines.true, dtype=np.float64)
-        true = true[np.argsort(true[:, 6], kind="stable")]
-        pose_stamps, poses = true[:, 6] - epoch / 1e9, true[:, :3]
+        pose_stamps = clock.others(true[:, 7], true[:, 6])
+        order = np.argsort(pose_stamps, kind="stable")
+        pose_stamps, poses = pose_stamps[order], true[order, :3]
     elif source == "odometry":
         pose_stamps, poses = at, robots
     else:

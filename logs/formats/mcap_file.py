@@ -250,7 +250,12 @@ def matches(path: Path, head: bytes) -> bool:
     return head.startswith(MAGIC)
 
 
-def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
+def read(
+    path: Path,
+    topics: Mapping[str, str] | None = None,
+    progress: Progress | None = None,
+    no_return: str | None = None,
+) -> Run:
     """Read a run from MCAP; a damaged file is refused, never read in part.
 
     Raises
@@ -258,7 +263,7 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
     LogError
         if a checksum fails, the file is cut, or it holds no scans
     """
-    return to_run(load(path, progress), path.name, topics)
+    return to_run(load(path, progress), path.name, topics, no_return)
 
 
 def load(path: Path, progress: Progress | None = None) -> Recording:

@@ -26,7 +26,12 @@ def matches(path: Path, head: bytes) -> bool:
     return head.startswith((SQLITE_MAGIC, ROS1_MAGIC))
 
 
-def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
+def read(
+    path: Path,
+    topics: Mapping[str, str] | None = None,
+    progress: Progress | None = None,
+    no_return: str | None = None,
+) -> Run:
     """Read a run from a bag.
 
     Raises
@@ -34,7 +39,7 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
     LogError
         if the bag is damaged, incomplete, of an unknown storage, or without scans
     """
-    return to_run(load(path, progress), path.name, topics)
+    return to_run(load(path, progress), path.name, topics, no_return)
 
 
 def load(path: Path, progress: Progress | None = None) -> Recording:

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import LogError
-from logs.formats.no_return import find_code
 from logs.formats.text import read_lines
+from logs.no_return import apply_no_return, find_code
 from logs.ros.own_record import SENSOR_SCALARS, parse_bearings, sensor_facts
 from logs.run import RangeSensor, Run, pair
 from logs.transforms import interpolate, twists_of, wrap
@@ -46,7 +46,12 @@ def matches(path: Path, head: bytes) -> bool:
     return False
 
 
-def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
+def read(
+    path: Path,
+    topics: Mapping[str, str] | None = None,
+    progress: Progress | None = None,
+    no_return: str | None = None,
+) -> Run:
     """Read a run from a table.
 
     Raises
@@ -72,7 +77,7 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
     if not np.isfinite(stamps).all():
         raise LogError(f"{path}: column t has a value that is not finite")
     try:
-        sensor = _sensor(path, stated, ranges)
+        sensor = _sensor(path, stated, ranges, no_return)
         epoch = int(stated.get("epoch_ns", "0"))
     except ValueError as exc:
         raise LogError(f"{path}: {exc}; see the comments above its header") from exc
@@ -163,7 +168,7 @@ def _values(path: Path, rows: Sequence[str], width: int, progress: Progress | No
     return out
 
 
-def _sensor(path: Path, stated: Mapping[str, str], ranges: Floats) -> RangeSensor:
+def _sensor(path: Path, stated: Mapping[str, str], ranges: Floats, no_return: str | None) -> RangeSensor:
     if "bearings" not in stated:
         n = ranges.shape[1]
         raise LogError(
@@ -177,10 +182,11 @@ def _sensor(path: Path, stated: Mapping[str, str], ranges: Floats) -> RangeSenso
     scalars = {name: float(stated[name]) for name in SENSOR_SCALARS if name in stated}
     finite = ranges[np.isfinite(ranges)]
     if "range_max" not in scalars and len(finite):
-        code = find_code(ranges)
+        code = find_code(ranges) if no_return in (None, "range_max") else None
         scalars["range_max"] = code if code is not None else float(finite.max())
         if code is not None:
             ranges[np.isfinite(ranges) & (ranges >= code)] = np.inf
+    apply_no_return(ranges, scalars.get("range_max", np.inf), no_return)
     scalars.setdefault("range_min", 0.0)
     mount = np.array([float(word) for word in stated.get("mount", "0 0 0").split()])
     return RangeSensor(bearings=bearings, mount=mount, **scalars)

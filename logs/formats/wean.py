@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import LogError
-from logs.formats.no_return import mask
 from logs.formats.text import read_lines
+from logs.no_return import mask
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert, twists_of, wrap
 from logs.types import Progress
@@ -26,7 +26,12 @@ def matches(path: Path, head: bytes) -> bool:
     return (words[0], len(words)) in ((b"O", N_ODOMETRY_WORDS), (b"L", N_LASER_WORDS))
 
 
-def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress | None = None) -> Run:
+def read(
+    path: Path,
+    topics: Mapping[str, str] | None = None,
+    progress: Progress | None = None,
+    no_return: str | None = None,
+) -> Run:
     """Read a run; its only poses are wheel odometry.
 
     Raises
@@ -60,7 +65,8 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
     laser[:, :2] /= 100.0
     robot[:, 2] = wrap(robot[:, 2])
     ranges, stamps = table[:, 6:-1] / 100.0, table[:, -1]
-    notes = mask(ranges, NO_RETURN_RANGE)
+    code = NO_RETURN_RANGE if no_return in (None, "range_max") else None
+    notes = mask([ranges], code, is_zero=no_return == "zero")
     if broken:
         notes.append(f"{len(broken)} broken lines left out, the first is line {broken[0]}")
     wheel = np.array([*odom, *np.column_stack([table[:, :3], stamps])], dtype=np.float64)
@@ -70,7 +76,7 @@ def read(path: Path, topics: Mapping[str, str] | None = None, progress: Progress
         sensor=RangeSensor(
             bearings=np.radians(-90.0 + np.arange(N_WEAN_RAYS)),
             range_min=0.0,
-            range_max=NO_RETURN_RANGE,
+            range_max=NO_RETURN_RANGE if code is not None else float(np.nanmax(ranges[np.isfinite(ranges)])),
             mount=np.asarray(np.median(compose(invert(robot), laser), axis=0)),
             resolution=0.01,
             rate=float(1.0 / np.median(np.diff(stamps))) if len(stamps) > 1 else 10.0,

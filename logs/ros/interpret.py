@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.ros import own_record
-from logs.ros.laser_scan import LaserScans, clean_ranges, order_rays, read_scans
+from logs.ros.laser_scan import LaserScans, ScanShape, order_rays, read_scans
 from logs.ros.recording import (
     ODOMETRY_TYPE,
     ROLES,
@@ -33,8 +34,20 @@ MAP_FRAMES, BASE_FRAMES = ("map", "world"), ("base_link", "base_footprint", "bas
 MIN_UPRIGHT_COSINE = 0.98  # cosine of the tilt (11°) up to which a laser counts as level
 
 
-def to_run(recording: Recording, source: str, topics: Mapping[str, str] | None = None) -> Run:
+def to_run(
+    recording: Recording,
+    source: str,
+    topics: Mapping[str, str] | None = None,
+    no_return: str | None = None,
+    shapes: Mapping[str, Counter[ScanShape]] | None = None,
+) -> Run:
     """Interpret a recording as a run.
+
+    Parameters
+    ----------
+    topics : role -> topic, where a log names them otherwise
+    no_return : how the driver logs a missing return, one of `NO_RETURNS`; None: noticed
+    shapes : topic -> how often each shape of scan is met in the whole log, where the recording is a piece of it
 
     Raises
     ------
@@ -43,7 +56,7 @@ def to_run(recording: Recording, source: str, topics: Mapping[str, str] | None =
     """
     check_roles(topics)
     if own_record.is_own(recording, topics):
-        return _odometry_as_poses(own_record.to_run(recording, source))
+        return _odometry_as_poses(own_record.to_run(recording, source, no_return))
     scan_name = choose(recording, "scan", topics)
     if scan_name is None:
         several = recording.of_type((SCAN_TYPE,))
@@ -52,8 +65,7 @@ def to_run(recording: Recording, source: str, topics: Mapping[str, str] | None =
                 f"{source} has {len(several)} scan topics; choose with {choices(recording, 'scan')}"
             )
         raise LogError(f"{source} has no LaserScan; it has {listing(recording) or 'no topics'}")
-    scans = read_scans(recording.topics[scan_name])
-    clean_ranges(scans)
+    scans = read_scans(recording.topics[scan_name], no_return, (shapes or {}).get(scan_name))
     tree = transform_tree(recording)
     odom_name, cmd_name = choose(recording, "odom", topics), choose(recording, "cmd", topics)
     odom = _odometry(recording, odom_name)
@@ -79,6 +91,7 @@ def to_run(recording: Recording, source: str, topics: Mapping[str, str] | None =
             "format": recording.format,
             "scan_topic": scan_name,
             "pose_source": pose_source,
+            **({"no_return": scans.no_return} if scans.no_return != "inf" else {}),
             **({"odom_topic": odom_name} if odom_name else {}),
             **({"cmd_topic": cmd_name} if cmd_name else {}),
             **({"notes": "; ".join(notes)} if notes else {}),

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+import struct
+from collections import Counter
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.errors import LogError
+from logs.no_return import CODE_SEARCH, notice, range_max_text, zero_text
+from logs.resampling import resample, resampled_text
 from logs.ros import cdr
 from logs.ros.recording import Topic, settle
 from logs.transforms import Stamps, wrap
 from logs.types import Floats
+
+_U4, _LIMITS = struct.Struct("<I"), struct.Struct("<7fI")
+
+
+class ScanShape(NamedTuple):
+    """Which bearings a scan has, to a hundred-thousandth of a radian."""
+
+    n_rays: int
+    angle_min: float
+    increment: float
 
 
 @dataclass
@@ -26,77 +41,154 @@ class LaserScans:
     range_max: float
     frame: str
     notes: list[str]
+    no_return: str
+    """How the driver logs a missing return, one of `NO_RETURNS`."""
 
 
-def read_scans(topic: Topic) -> LaserScans:
-    """Decode LaserScan messages; those of another geometry than most are dropped and counted."""
+@dataclass
+class _Group:
+    """Messages of one shape."""
+
+    index: list[np.ndarray]
+    ranges: list[Floats]
+    limits: Floats
+    """(7,) of the first."""
+    frame: str
+
+    def bearings(self) -> Floats:
+        """Return the bearings (n_rays,) [rad]."""
+        angle_min, angle_max, increment = self.limits[:3].tolist()
+        n = self.ranges[0].shape[1]
+        if increment == 0 and n > 1:
+            increment = (angle_max - angle_min) / (n - 1)
+        if n > 1 and not abs(increment) > 1e-9:
+            raise LogError(f"scans have {n} rays and angle_increment {increment}; no bearings")
+        return _bearings(n, angle_min, increment)
+
+
+def _bearings(n_rays: int, angle_min: float, increment: float) -> Floats:
+    return angle_min + increment * np.arange(n_rays, dtype=np.float64)
+
+
+def shape_of(payload: bytes) -> ScanShape | None:
+    """Return the shape of one LaserScan in CDR; None where it cannot be told."""
+    try:
+        (length,) = _U4.unpack_from(payload, 12)
+        at = 16 + length
+        *limits, n = _LIMITS.unpack_from(payload, at + -(at - 4) % 4)
+    except struct.error:
+        return None
+    return ScanShape(n, round(limits[0], 5), round(limits[2], 5))
+
+
+def read_scans(
+    topic: Topic, no_return: str | None = None, shapes: Counter[ScanShape] | None = None
+) -> LaserScans:
+    """Decode LaserScan messages; those of another shape than most are resampled to the bearings of most.
+
+    Parameters
+    ----------
+    no_return : one of `NO_RETURNS`; None: noticed from its frequency
+    shapes : how often each shape is met in the whole log, where the topic holds a piece of it
+
+    Raises
+    ------
+    LogError : most scans have no rays, or no bearings
+    """
     n = len(topic.payloads)
-    blocks = list(cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding))
-    shapes: dict[tuple[int, bytes], int] = {}
-    keys = np.empty(n, dtype=object)
-    for block in blocks:
-        n_rays = block.places["ranges"].count
-        for i, limits in zip(block.index.tolist(), block["limits"], strict=True):
-            keys[i] = (n_rays, np.round(limits[[0, 2, 5, 6]], 5).tobytes())
-    for key in keys.tolist():
-        shapes[key] = shapes.get(key, 0) + 1
-    best = max(shapes, key=lambda key: shapes[key])
-    kept = np.array([key == best for key in keys.tolist()], dtype=np.bool_)
-    ranges = np.empty((n, best[0]))
     stamps = np.array(topic.log_times, dtype=np.int64)
-    limits, frame = np.zeros(7), ""
-    for block in blocks:
-        if block.places["ranges"].count != best[0]:
-            continue
-        ranges[block.index] = block["ranges"]
+    groups: dict[ScanShape, _Group] = {}
+    for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
         stamps[block.index] = block.stamps_ns
-        mine = np.flatnonzero(kept[block.index])
-        if len(mine):
-            limits, frame = block["limits"][mine[0]].astype(np.float64), block.strings["frame_id"].strip("/")
-    stamps, order, notes = settle(topic.name, stamps[kept], np.array(topic.log_times, dtype=np.int64)[kept])
-    if not kept.all():
-        notes.append(f"{topic.name}: {int((~kept).sum())} scans of another geometry than most were dropped")
-    angle_min, angle_max, increment, time_increment, scan_time, range_min, range_max = limits.tolist()
-    if increment == 0 and best[0] > 1:
-        increment = (angle_max - angle_min) / (best[0] - 1)
-    if not best[0] or (best[0] > 1 and not abs(increment) > 1e-9):
-        raise LogError(
-            f"{topic.name}: scans have {best[0]} rays and angle_increment {increment}; no bearings"
+        frame, n_rays = block.strings["frame_id"].strip("/"), block.places["ranges"].count
+        limits = block["limits"].astype(np.float64)
+        _, first, which = np.unique(
+            np.round(limits[:, [0, 2]], 5), axis=0, return_index=True, return_inverse=True
         )
+        for k, i in enumerate(first.tolist()):
+            mine = np.flatnonzero(which.ravel() == k)
+            shape = ScanShape(n_rays, round(float(limits[i, 0]), 5), round(float(limits[i, 2]), 5))
+            group = groups.setdefault(shape, _Group([], [], limits[i], frame))
+            group.index.append(block.index[mine])
+            group.ranges.append(block["ranges"][mine].astype(np.float64))
+    counts = shapes or Counter({shape: sum(map(len, group.index)) for shape, group in groups.items()})
+    most = max(counts, key=lambda shape: counts[shape])
+    if most.n_rays == 0:
+        raise LogError(f"{topic.name}: most scans have no rays")
+    main = groups.get(most) or next(iter(groups.values()))
+    limits = main.limits
+    notes: list[str] = []
+    parts = [part for group in groups.values() for part in group.ranges]
+    range_min, range_max, no_return = clean_ranges(parts, (limits[5], limits[6]), no_return, notes)
+    bearings = main.bearings() if most in groups else _bearings(*most)
+    ranges = np.empty((n, most.n_rays))
+    for shape, group in groups.items():
+        part = np.concatenate(group.ranges)
+        ranges[np.concatenate(group.index)] = (
+            part if shape == most else resample(part, group.bearings(), bearings)
+        )
+    stamps, order, said = settle(topic.name, stamps, np.array(topic.log_times, dtype=np.int64))
+    if len(counts) > 1:
+        said.append(
+            f"{topic.name}: {resampled_text([shape.n_rays for shape in counts], list(counts.values()))}"
+        )
+    time_increment, scan_time = limits[3:5].tolist()
     return LaserScans(
-        stamps, ranges[kept][order], angle_min + increment * np.arange(best[0]), time_increment, scan_time,
-        range_min, range_max, frame, notes,
+        stamps, ranges[order], bearings, time_increment, scan_time, range_min, range_max, main.frame,
+        said + notes, no_return,
     )  # fmt: skip
 
 
-def clean_ranges(scans: LaserScans) -> None:
+def clean_ranges(
+    parts: list[Floats], limits: tuple[float, float], no_return: str | None, notes: list[str]
+) -> tuple[float, float, str]:
     """Bring missing returns to REP-117, in place; what was changed is noted.
 
-    A range of exactly 0 is what many drivers send for "no measurement": it tells nothing, so it becomes nan.
+    A range of exactly 0 tells nothing, so it becomes nan, unless it is how the driver logs a missing return.
+
+    Parameters
+    ----------
+    parts : arrays (n_scans, n_rays) [m]
+    limits : range_min and range_max [m] as the driver states them
+    no_return : one of `NO_RETURNS`; None: noticed from its frequency
+
+    Returns
+    -------
+    range_min and range_max [m] as used, and how a missing return was logged
     """
-    ranges = scans.ranges
-    finite = np.isfinite(ranges)
-    if not (np.isfinite(scans.range_max) and scans.range_max > max(scans.range_min, 0.0)):
-        top = float(ranges[finite].max()) if finite.any() else 1.0
-        scans.notes.append(
-            f"range_max {scans.range_max:g} makes no sense, the largest range {top:g} m was taken"
-        )
-        scans.range_max = max(top, 1e-3)
-    if not 0 <= scans.range_min < scans.range_max:
-        scans.notes.append(f"range_min {scans.range_min:g} makes no sense, 0 was taken")
-        scans.range_min = 0.0
-    zero, above = ranges == 0, finite & (ranges > scans.range_max)
-    broken = finite & (ranges < 0)
-    near = finite & (ranges > 0) & (ranges < scans.range_min)
-    ranges[zero | broken], ranges[near], ranges[above] = np.nan, -np.inf, np.inf
-    for count, what in (
-        (int(zero.sum()), "are exactly 0, which tells nothing: nan"),
-        (int(broken.sum()), "are negative: nan"),
-        (int(near.sum()), f"are below range_min {scans.range_min:g} m: -inf"),
-        (int(above.sum()), f"are above range_max {scans.range_max:g} m: +inf"),
-    ):
-        if count:
-            scans.notes.append(f"{count} ranges {what}")
+    range_min, range_max = map(float, limits)
+    if not (np.isfinite(range_max) and range_max > max(range_min, 0.0)):
+        top = max((float(part[np.isfinite(part)].max(initial=0.0)) for part in parts), default=0.0) or 1.0
+        notes.append(f"range_max {range_max:g} makes no sense, the largest range {top:g} m was taken")
+        range_max = max(top, 1e-3)
+    if not 0 <= range_min < range_max:
+        notes.append(f"range_min {range_min:g} makes no sense, 0 was taken")
+        range_min = 0.0
+    if no_return is None:
+        no_return = notice(parts, range_max)
+    total, at_max, zeros = sum(part.size for part in parts), 0, 0
+    counts = Counter[str]()
+    for part in parts:
+        zero, finite = part == 0, np.isfinite(part)
+        full = finite & (np.abs(part - range_max) <= CODE_SEARCH.stated_tolerance)
+        above = finite & (part > range_max) & ~full
+        broken, near = finite & (part < 0), finite & (part > 0) & (part < range_min)
+        part[zero | broken], part[near], part[above] = np.nan, -np.inf, np.inf
+        if no_return == "range_max":
+            part[full], at_max = np.inf, at_max + int(full.sum())
+        if no_return == "zero":
+            part[zero], zeros = np.inf, zeros + int(zero.sum())
+        else:
+            counts["are exactly 0, which tells nothing: nan"] += int(zero.sum())
+        counts["are negative: nan"] += int(broken.sum())
+        counts[f"are below range_min {range_min:g} m: -inf"] += int(near.sum())
+        counts[f"are above range_max {range_max:g} m: +inf"] += int(above.sum())
+    if no_return == "range_max":
+        notes.append(range_max_text(range_max, at_max, total))
+    if no_return == "zero":
+        notes.append(zero_text(zeros, total))
+    notes += [f"{count} ranges {what}" for what, count in counts.items() if count]
+    return range_min, range_max, no_return
 
 
 def order_rays(scans: LaserScans, *, upside_down: bool) -> None:

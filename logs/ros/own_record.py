@@ -12,6 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from logs.errors import LogError
+from logs.no_return import apply_no_return
 from logs.ros import cdr
 from logs.ros.recording import (
     ODOMETRY_TYPE,
@@ -77,8 +78,8 @@ def sensor_of(sensor_facts: Mapping[str, str]) -> RangeSensor:
     )
 
 
-def to_run(recording: Recording, source: str) -> Run:
-    """Rebuild the run that was written."""
+def to_run(recording: Recording, source: str, no_return: str | None = None) -> Run:
+    """Rebuild the run that was written; a missing return is +inf there, unless `no_return` says otherwise."""
     record = recording.metadata[METADATA_NAME]
     if record.get("version") != RECORD_VERSION:
         raise LogError(
@@ -97,6 +98,7 @@ def to_run(recording: Recording, source: str) -> Run:
             f"{source}: its `{METADATA_NAME}` record is not whole ({exc}); was it edited?"
         ) from exc
     stamps, ranges = _scans(recording, sensor.n_rays, source)
+    apply_no_return(ranges, sensor.range_max, no_return)
     pose = _track(recording, "pose", POSE_TYPE, "pose", 7)
     odom = _track(recording, "odom", ODOMETRY_TYPE, "pose", 7)
     twist = _track(recording, "odom", ODOMETRY_TYPE, "twist", 6)

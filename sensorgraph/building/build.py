@@ -34,6 +34,7 @@ def build(
     names: Sequence[str] | None = None,
     map_blocks: MapBlocks = map,
     update: Sensorgraph | None = None,
+    force: bool = False,
     progress: Progress | None = None,
     **options: Any,
 ) -> Sensorgraph:
@@ -48,6 +49,7 @@ def build(
     split : `every10` or `block` hold scans out of each run; the graph remembers it
     map_blocks : where blocks of scans are reduced; `map`: here. See `sensorgraph.building.dask_cluster`
     update : a graph of faces to which the runs are added; its own runs are not needed
+    force : use runs whose poses jump, too
     options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
     """
     if model not in MODELS:
@@ -55,7 +57,8 @@ def build(
     names = [_name(run, i) for i, run in enumerate(runs)] if names is None else names
     sources = [WholeRun(head=run) if isinstance(run, Run) else run for run in runs]
     _check_alike([source.head for source in sources], names)
-    feed = TrainingData(sources, names, split=split, bounds=None if arena is None else arena.bounds)
+    bounds = None if arena is None else arena.bounds
+    feed = TrainingData(sources, names, split=split, bounds=bounds, force=force)
     if update is not None:
         return _updated(update, feed, map_blocks, progress, options)
     fitted = _fit(feed, MODELS[model], map_blocks, progress, options)
@@ -96,7 +99,9 @@ def _fit(
             _check_enough(feed)
         if not (fitted.is_cluttered if wanted is None else wanted):
             return fitted
-        scans = all_scans(TrainingData(feed.logs, feed.names, split=feed.split, bounds=feed.bounds))
+        scans = all_scans(
+            TrainingData(feed.logs, feed.names, split=feed.split, bounds=feed.bounds, force=feed.force)
+        )
         assert scans is not None
         return fitted.with_cells(scans, progress=progress)
     scans = all_scans(feed)

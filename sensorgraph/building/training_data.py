@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from logs.inspection import warnings_of
-from logs.run import PoseFrame, RangeSensor, Run, pair
+from logs.jumps import find_jumps
+from logs.run import Pairing, PoseFrame, RangeSensor, Run, pair
 from logs.stream import LogStream
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.intake import refuse_jumps
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block
 from sensorgraph.types import Bools, Floats
@@ -37,8 +39,9 @@ class TrainingData:
         *,
         split: str | None,
         bounds: tuple[float, float, float, float] | None,
+        force: bool = False,
     ) -> None:
-        self.logs, self.names, self.split, self.bounds = logs, names, split, bounds
+        self.logs, self.names, self.split, self.bounds, self.force = logs, names, split, bounds, force
         self.entries: list[dict[str, Any]] = []
 
     @property
@@ -59,7 +62,7 @@ class TrainingData:
     def __iter__(self) -> Iterator[Block]:
         first = 0
         for i, (log, name) in enumerate(zip(self.logs, self.names, strict=True)):
-            intake = _LogIntake(name, log.n_scans, self.split)
+            intake = _LogIntake(name, log.n_scans, self.split, force=self.force)
             rows: list[tuple[Floats, Floats]] = []
             waiting = 0
             for run in log.pieces():
@@ -91,14 +94,15 @@ class TrainingData:
 class _LogIntake:
     """What is known of one log, piece after piece."""
 
-    def __init__(self, name: str, n_scans: int, split: str | None) -> None:
-        self.name, self.n_scans, self.split = name, n_scans, split
+    def __init__(self, name: str, n_scans: int, split: str | None, *, force: bool) -> None:
+        self.name, self.n_scans, self.split, self.force = name, n_scans, split, force
         self.held = held_out(n_scans, split)
         self.counts = {"n_scans": 0, "paired": 0, "held_out": 0, "empty": 0, "trained": 0}
         self.dropped: dict[str, int] = {}
         self.warnings: dict[str, str] = {}
         self.box = np.array([[np.inf] * 3, [-np.inf] * 3])
         self.digest: hashlib._Hash | None = None
+        self.last: tuple[Floats, Floats] = np.zeros(0), np.zeros((0, 3))
 
     def take(self, run: Run) -> tuple[Floats, Floats]:
         """Return poses and ranges of the scans of a piece to train on."""
@@ -113,6 +117,7 @@ class _LogIntake:
                 f"{self.name} has more scans than the {self.n_scans} it said; read it again"
             )
         pairing = pair(run)
+        self._check_jumps(run, pairing)
         empty = np.isnan(run.ranges).all(axis=1)
         use: Bools = pairing.paired & ~held & ~empty
         for key, mask in (
@@ -133,6 +138,14 @@ class _LogIntake:
                 [np.minimum(self.box[0], poses.min(axis=0)), np.maximum(self.box[1], poses.max(axis=0))]
             )
         return poses, run.ranges[use]
+
+    def _check_jumps(self, run: Run, pairing: Pairing) -> None:
+        """Refuse poses that jump between the scans of this piece, or from the last one."""
+        stamps = np.concatenate([self.last[0], run.stamps[pairing.paired]])
+        poses = np.concatenate([self.last[1], pairing.poses[pairing.paired]])
+        is_timed = run.meta.get("clock") != "assumed"
+        refuse_jumps(find_jumps(stamps, poses, is_timed=is_timed), self.name, force=self.force)
+        self.last = stamps[-1:], poses[-1:]
 
     def _look(self, run: Run) -> None:
         """Refuse what no map can come of, from the first piece: other units, a mirrored scan."""

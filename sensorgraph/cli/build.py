@@ -21,6 +21,8 @@ from sensorgraph.cli.options import (
     BuildSplit,
     BuildTerms,
     BuildUpdate,
+    Force,
+    NoReturn,
     Topics,
 )
 from sensorgraph.cli.progress import progress
@@ -43,6 +45,8 @@ def build(
     update: BuildUpdate = None,
     dask: BuildDask = None,
     topic: Topics = None,
+    no_return: NoReturn = None,
+    force: Force = False,
 ) -> None:
     """Identify what every ray perceives at each (x, y, phi).
 
@@ -82,7 +86,7 @@ def build(
     loaded = []
     for path in runs:
         with progress("reading", "bytes") as tick:
-            loaded.append(open_log(path, topics=names, progress=tick))
+            loaded.append(open_log(path, topics=names, no_return=no_return, progress=tick))
     if robot is not None:
         read_robot_sensor(
             robot, [(str(path), log.head.sensor) for path, log in zip(runs, loaded, strict=True)]
@@ -99,6 +103,7 @@ def build(
             names=[path.name for path in runs],
             map_blocks=map_blocks,
             update=known,
+            force=force,
             progress=tick,
             **options,
         )

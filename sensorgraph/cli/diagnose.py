@@ -16,6 +16,8 @@ from sensorgraph.cli.options import (
     DiagnoseRobot,
     DiagnoseRuns,
     DiagnoseSeed,
+    Force,
+    NoReturn,
     Topics,
 )
 
@@ -37,6 +39,8 @@ def diagnose(
     commissioning: DiagnoseCommissioning = None,
     seed: DiagnoseSeed = 0,
     topic: Topics = None,
+    no_return: NoReturn = None,
+    force: Force = False,
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, and show the gap shrink.
 
@@ -57,10 +61,14 @@ def diagnose(
 
     _check_runs(runs)
     check_folder(out)
-    loaded = [_read(path, topic) for path in runs]
+    loaded = [_read(path, topic, no_return) for path in runs]
     walls, machine = _place(loaded[0], runs[0], arena, robot)
     known = _known(effects, walls)
-    baseline = None if not commissioning else _commission(commissioning, topic, walls, machine, seed)
+    baseline = (
+        None
+        if not commissioning
+        else _commission([_read(path, topic, no_return) for path in commissioning], walls, machine, seed)
+    )
     with progress("diagnosing", "parts") as tick:
         finding = diagnose_run(
             loaded[0],
@@ -70,6 +78,7 @@ def diagnose(
             known=known,
             baseline=baseline,
             seed=seed,
+            force=force,
             progress=tick,
         )
     settings = {
@@ -103,12 +112,12 @@ def _check_runs(runs: Sequence[Path]) -> None:
         )
 
 
-def _read(path: Path, topic: list[str] | None) -> Run:
+def _read(path: Path, topic: list[str] | None, no_return: str | None) -> Run:
     from logs import parse_topics, read
     from sensorgraph.cli.progress import progress
 
     with progress("reading", "messages") as tick:
-        return read(path, topics=parse_topics(topic or []), progress=tick)
+        return read(path, topics=parse_topics(topic or []), no_return=no_return, progress=tick)
 
 
 def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple[Arena, Robot]:
@@ -134,14 +143,11 @@ def _known(path: Path | None, walls: Arena) -> Sequence[Amendment]:
     return known
 
 
-def _commission(
-    runs: list[Path], topic: list[str] | None, walls: Arena, machine: Robot, seed: int
-) -> SiteBaseline:
-    """Learn from a run that is known to be good."""
+def _commission(good: list[Run], walls: Arena, machine: Robot, seed: int) -> SiteBaseline:
+    """Learn from runs that are known to be good."""
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.commissioning import commission_all
 
-    good = [_read(path, topic) for path in runs]
     with progress("commissioning"):
         return commission_all(good, walls, machine, seed=seed)
 

@@ -14,7 +14,9 @@ from sensorgraph.cli.options import (
     EvaluatePoint,
     EvaluateRun,
     EvaluateSplit,
+    Force,
     GraphFile,
+    NoReturn,
     Topics,
 )
 from sensorgraph.cli.progress import progress
@@ -51,6 +53,8 @@ def evaluate(
     effects: EvaluateEffects = None,
     json: EvaluateJson = None,
     topic: Topics = None,
+    no_return: NoReturn = None,
+    force: Force = False,
 ) -> None:
     """Compare what a sensorgraph predicts with what a run measured.
 
@@ -78,9 +82,9 @@ def evaluate(
     value = cast("Point | None", point)
     model = Sensorgraph.load(graph)
     with progress("reading", "messages") as tick:
-        log = read(run, topics=parse_topics(topic or []), progress=tick)
+        log = read(run, topics=parse_topics(topic or []), no_return=no_return, progress=tick)
     with progress("evaluating", "scans") as tick:
-        result = evaluate_graph(model, log, split=split, point=value, cap=cap, progress=tick)
+        result = evaluate_graph(model, log, split=split, point=value, cap=cap, force=force, progress=tick)
     simulator = None if effects is None else _simulator(result, log, effects, value)
     if json is not None:
         write_json(json, result.to_dict() | ({} if simulator is None else {"simulator": simulator}))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from sensorgraph.cli.messages import with_flags
-from sensorgraph.cli.options import InspectArena, InspectFile, InspectJson, InspectTopic
+from sensorgraph.cli.options import InspectArena, InspectFile, InspectJson, InspectTopic, NoReturn
 
 
 def inspect(
@@ -13,6 +13,7 @@ def inspect(
     topic: InspectTopic = None,
     arena: InspectArena = None,
     json: InspectJson = None,
+    no_return: NoReturn = None,
 ) -> None:
     """Say what is in a file: topics, rates, frames, what is usable, what is missing, what looks wrong.
 
@@ -35,7 +36,7 @@ def inspect(
     if json is not None:
         check_output(json, file)
     with progress("reading") as tick:
-        found = look(file, parse_topics(topic or []), progress=tick)
+        found = look(file, parse_topics(topic or []), no_return=no_return, progress=tick)
     lines = found.lines()
     oriented = None
     if found.run is not None:

@@ -18,6 +18,12 @@ RobotFile = Annotated[Path | None, typer.Option(help="robot.yaml; default: the s
 GraphFile = Annotated[Path, typer.Argument(metavar="GRAPH", help="A *.sensorgraph file.")]
 TopicsByExample = Annotated[list[str] | None, typer.Option(help="ROLE=NAME, for example scan=/front/scan.")]
 
+Force = Annotated[bool, typer.Option("--force", help="Take a run whose poses jump by metres as it is.")]
+NoReturn = Annotated[
+    str | None,
+    typer.Option(help="How the log writes a missing return: range_max, zero or inf; default: noticed."),
+]
+
 # demo
 DemoOut = Annotated[
     Path | None, typer.Option("-o", "--out", help="Folder to write; default: runs/demo-DATE-TIME.")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import typer
 
 from sensorgraph.cli.options import (
+    Force,
+    NoReturn,
     ReviewArena,
     ReviewGraph,
     ReviewOut,
@@ -25,6 +27,8 @@ def review(
     ray: ReviewRay = None,
     topic: TopicsByExample = None,
     show: ReviewShow = False,
+    no_return: NoReturn = None,
+    force: Force = False,
 ) -> None:
     """Show a run, and a sensorgraph against it: coverage, error by place, heading and ray.
 
@@ -46,9 +50,11 @@ def review(
     if out.suffix != ".rrd":
         raise SensorgraphError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
     with progress("reading", "messages") as tick:
-        log = read(run, topics=parse_topics(topic or []), progress=tick)
+        log = read(run, topics=parse_topics(topic or []), no_return=no_return, progress=tick)
     walls = load_arena(arena) if arena is not None else arena_in(log)
-    written = write_review(log, path=out, graph=graph, plan=plan, arena=walls, ray=ray, name=run.name)
+    written = write_review(
+        log, path=out, graph=graph, plan=plan, arena=walls, ray=ray, name=run.name, force=force
+    )
     typer.echo(f"{written.pairing}; {len(written.shown):,} scans shown")
     typer.echo(f"wrote {out}; open it with: rerun {out}")
     if show:

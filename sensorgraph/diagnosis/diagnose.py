@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.run import Run
+from logs.run import Run, pair
 from planners.arena import Arena
 from planners.errors import PlanError
 from sensorgraph.diagnosis.finding import Finding, misaligned
@@ -34,6 +34,7 @@ from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.intake import check_jumps
 from sensorgraph.types import Progress
 from sensorgraph.world.robot import Robot
 
@@ -57,6 +58,7 @@ def diagnose(
     baseline: SiteBaseline | None = None,
     seed: int = 0,
     plan_next: bool = True,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> Finding:
     """Compare a run with the simulator of its arena and robot, and name what is missing.
@@ -72,13 +74,16 @@ def diagnose(
     baseline : what good runs of the site show (`commissioning`); the diagnosis is of the difference to it
     seed : of the replicates and of the next run
     plan_next : plan the run that would tell more
+    force : take a run whose poses jump, too
     progress : is called with how many of the STAGES are done, and how many there are
 
     Raises
     ------
     SensorgraphError
-        A run is too short, has no returns or no poses, or is of another sensor or place.
+        A run is too short, has no returns or no poses, poses that jump, or is of another sensor or place.
     """
+    for given in (run,) if second is None else (run, second):
+        check_jumps(given, pair(given), force=force)
     rng = np.random.default_rng(seed)
     clock = _StageClock(progress)
     if baseline is not None:

@@ -16,6 +16,7 @@ from sensorgraph.building.build import is_same_sensor, training_scans
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.intake import check_jumps
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Bools, Floats, Progress
 
@@ -104,6 +105,7 @@ def evaluate(
     split: str | None = None,
     point: Point | None = None,
     cap: float | None = None,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> Evaluation:
     """Predict the scans of a run that have a pose, and compare.
@@ -111,10 +113,11 @@ def evaluate(
     A ray is scored where a return between 0.1 m and `cap` was measured (default: 10 m, or range_max if that
     is smaller). Errors compare it with the value predicted given a return; whether a return was predicted
     at all is scored by `no_return_recall` and `no_return_precision`, over all rays that are not broken.
+    With `force`, a run whose poses jump is compared, too.
 
     Raises
     ------
-    SensorgraphError : another sensor, nothing to evaluate, or no ray that can be scored
+    SensorgraphError : another sensor, poses that jump, nothing to evaluate, or no ray that can be scored
     """
     cap = min(MAX_SCORED_RANGE, run.sensor.range_max) if cap is None else cap
     if not cap > MIN_SCORED_RANGE:
@@ -125,6 +128,7 @@ def evaluate(
             "evaluate with a run of the same sensor"
         )
     pairing = pair(run)
+    check_jumps(run, pairing, force=force)
     use = pairing.paired & (held_out(run, split) if split is not None else True)
     index = np.flatnonzero(use)
     if len(index) == 0:

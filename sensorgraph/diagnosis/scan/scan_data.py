@@ -171,7 +171,7 @@ def prepare_scans(
         tolerances=_positive_tolerances(robot.tolerances),
         stamps=when,
         ranges=run.ranges[kept],
-        poses=np.stack([np.interp(when, stamps, column) for column in poses.T], axis=-1),
+        poses=_unwrapped_like(np.interp(when, stamps, poses[:, 2]), pairing.poses[kept]),
         twists=velocities(stamps, poses, when),
         track=(stamps, poses),
         begin=float(when[0]),
@@ -180,6 +180,12 @@ def prepare_scans(
         known=tuple(a for a in known if a.effect.channel == "scan"),
     )
     return data, notes
+
+
+def _unwrapped_like(phi: Floats, poses: Floats) -> Floats:
+    """Return poses (n, 3) whose headings are whole turns away, so that they follow phi (n,) [rad]."""
+    turns = np.rint((phi - poses[:, 2]) / (2 * np.pi))
+    return np.column_stack([poses[:, :2], poses[:, 2] + 2 * np.pi * turns])
 
 
 def _thinned(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:

@@ -105,7 +105,7 @@ def predicted_ends(graph: Sensorgraph, run: Run) -> tuple[Floats, Floats, Floats
 
     Rays with a residual above MAX_RESIDUAL met another surface and are left out.
     """
-    evaluation = evaluate(graph, run)
+    evaluation = evaluate(graph, run, force=True)
     poses = poses_for(graph, run.pose_frame, run.sensor.mount, pair(run).poses[evaluation.scan_indices])
     assert isinstance(graph.model, (Faces, CellModel))
     lasers = laser_poses(poses, graph.model.mount)

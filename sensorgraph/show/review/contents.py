@@ -16,6 +16,7 @@ from sensorgraph.building.build import training_scans
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.intake import check_jumps
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.show.review.cells import ReviewCells, count_cells
 from sensorgraph.types import Floats
@@ -98,6 +99,7 @@ def collect(
     plan: Mapping[str, Any] | None = None,
     cell: float | None = None,
     max_scans: int = MAX_SCANS,
+    force: bool = False,
 ) -> Review:
     """Collect what there is to see of a run, and of a sensorgraph against it.
 
@@ -108,24 +110,27 @@ def collect(
     planned : (n, 2) [m] path of the plan
     cell : [m] of the maps; None: 0.25, or coarser where that would be too many
     max_scans : of a longer run, so many are shown, evenly chosen
+    force : show a run whose poses jump, too
 
     Raises
     ------
-    SensorgraphError : no scan has a pose, or the sensor of the run is not that of the graph
+    SensorgraphError : no scan has a pose, the poses jump, or the sensor of the run is not that of the graph
     """
     pairing = pair(run)
+    check_jumps(run, pairing, force=force)
     index = np.flatnonzero(pairing.paired)
     if not len(index):
         raise SensorgraphError(f"{pairing}; nothing to place in the map: record poses with the scans")
     shown = index[np.linspace(0, len(index) - 1, min(len(index), max_scans)).round().astype(np.intp)]
-    part = replace(run, stamps=run.stamps[shown], ranges=run.ranges[shown])
-    poses = pairing.poses[shown]
-    evaluation = evaluate(graph, part) if graph is not None else None
+    part, poses = replace(run, stamps=run.stamps[shown], ranges=run.ranges[shown]), pairing.poses[shown]
+    if (np.diff(run.stamps) == 0).any():  # scans that share a stamp are paired in their order: keep the pairs
+        part = replace(part, pose_stamps=part.stamps, poses=poses)
+    evaluation = evaluate(graph, part, force=True) if graph is not None else None
     held_out = predicted = None
     if graph is not None and evaluation is not None:
         split = graph.origin.get("split")
         if split is not None and training_scans(graph, run) is not None:
-            held_out = evaluate(graph, run, split=split)
+            held_out = evaluate(graph, run, split=split, force=True)
         predicted = np.full(part.ranges.shape, np.nan)
         prediction = evaluation.prediction
         predicted[evaluation.scan_indices] = np.where(prediction.answered, prediction.ranges, np.nan)

@@ -28,6 +28,7 @@ def review(
     arena: Arena | None = None,
     ray: int | None = None,
     name: str | None = None,
+    force: bool = False,
 ) -> Review:
     """Write what there is to see of a run, and of a sensorgraph against it, as a file for rerun's viewer.
 
@@ -43,6 +44,7 @@ def review(
     arena : walls to draw; None: those that the run keeps, if it keeps any
     ray : index of the ray whose series is shown; None: the one that looks straight ahead
     name : what to call the run; None: the file it says it came from
+    force : show a run whose poses jump, too
 
     Returns
     -------
@@ -75,6 +77,7 @@ def review(
         name=name,
         planned=planned,
         plan=facts,
+        force=force,
     )
     write(contents, path, ray=ray)
     return contents

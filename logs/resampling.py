@@ -1,0 +1,81 @@
+"""Scans whose count of rays varies, brought to the bearings of one sensor by their own start and increment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from logs.transforms import wrap
+from logs.types import Floats
+
+STEEPEST = float(np.tan(np.radians(80.0)))
+"""Tangent of the incidence up to which two neighbouring returns count as one surface; beyond lies an edge."""
+SAME_BEARING = 1e-3
+"""Share of an increment within which a ray keeps its reading as it is."""
+
+
+def resample(ranges: Floats, bearings: Floats, wanted: Floats) -> Floats:
+    """Return what scans show at other bearings than those they were taken at.
+
+    Between two returns of one surface the inverse range is interpolated: along a straight wall it is a sine of the
+    bearing. At an edge, and beside a missing return, the nearest ray counts. A bearing that the scan does not reach
+    by half an increment is nan.
+
+    Parameters
+    ----------
+    ranges : (n_scans, n) [m], missing returns as in REP-117
+    bearings : (n,) [rad] of these ranges, steadily increasing or decreasing
+    wanted : (m,) [rad]
+
+    Returns
+    -------
+    (n_scans, m) [m]
+    """
+    if len(bearings) == 0:
+        return np.full((len(ranges), len(wanted)), np.nan)
+    if len(bearings) == 1:
+        near = np.abs(wrap(wanted - bearings[0])) < SAME_BEARING
+        return np.where(near, ranges[:, :1], np.nan)
+    if bearings[-1] < bearings[0]:
+        bearings, ranges = bearings[::-1], ranges[:, ::-1]
+    step = float(bearings[-1] - bearings[0]) / (len(bearings) - 1)
+    if bearings[-1] - bearings[0] + 1.5 * step > 2 * np.pi:  # a full turn: the last ray lies beside the first
+        n = int(np.searchsorted(bearings, bearings[0] + 2 * np.pi - step / 2))
+        bearings, ranges = bearings[:n], ranges[:, :n]
+        bearings = np.concatenate([[bearings[-1] - 2 * np.pi], bearings, [bearings[0] + 2 * np.pi]])
+        ranges = np.concatenate([ranges[:, -1:], ranges, ranges[:, :1]], axis=1)
+    middle = (bearings[0] + bearings[-1]) / 2
+    at = middle + wrap(wanted - middle)
+    right = np.clip(np.searchsorted(bearings, at), 1, len(bearings) - 1)
+    left = right - 1
+    width = bearings[right] - bearings[left]
+    share = (at - bearings[left]) / width
+    a, b = ranges[:, left], ranges[:, right]  # (n_scans, m)
+    between = (share > SAME_BEARING) & (share < 1 - SAME_BEARING)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        one_surface = np.abs(a - b) <= STEEPEST * width * np.minimum(a, b)
+        smooth = between & np.isfinite(a) & np.isfinite(b) & one_surface
+        along = 1.0 / ((1 - share) / a + share / b)
+    out = np.where(smooth, along, np.where(share <= 0.5, a, b))
+    outside = (at < bearings[0] - step / 2) | (at > bearings[-1] + step / 2)
+    return np.asarray(np.where(outside, np.nan, out))
+
+
+def resampled_text(n_rays: Sequence[int], n_scans: Sequence[int]) -> str:
+    """Say that scans of several geometries were brought to that of most, and that none was dropped.
+
+    Parameters
+    ----------
+    n_rays, n_scans : of each geometry, how many rays it has and how many scans have it
+    """
+    most, total = max(n_scans), sum(n_scans)
+    own = n_rays[n_scans.index(most)]
+    span = (
+        f"{min(n_rays)} to {max(n_rays)} rays"
+        if min(n_rays) < max(n_rays)
+        else f"{own} rays at several bearings"
+    )
+    return (
+        f"scans have {span}: {total - most} of {total} were resampled to the {own} rays of most, none dropped"
+    )

@@ -1,0 +1,86 @@
+"""Poses that jump by metres between scans are found, and nothing is built from them unless the user insists."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import logs
+import sensorgraph as sg
+from logs.jumps import find_jumps
+from planners.arena import Arena
+from sensorgraph.cli import run as command
+from sensorgraph.world.raycast import cast
+
+
+def test_a_jump_is_farther_than_the_robot_drives_in_the_time_between() -> None:
+    stamps = np.arange(20) * 0.1
+    poses = np.column_stack([0.05 * np.arange(20), np.zeros(20), np.zeros(20)])
+    assert find_jumps(stamps, poses) is None
+    lost = poses.copy()
+    lost[7:, 1] += 3.0
+    found = find_jumps(stamps, lost)
+    assert found is not None
+    assert (found.count, found.at) == (1, pytest.approx(0.7))
+    assert found.farthest == pytest.approx(3.0, abs=1e-3)
+    assert find_jumps(np.where(stamps < 0.65, stamps, stamps + 2.0), lost) is None, "3 m in 2 s can be driven"
+
+
+def test_a_clock_of_whole_seconds_is_no_jump_and_no_clock_allows_two_metres() -> None:
+    poses = np.column_stack([1.2 * np.arange(20), np.zeros(20), np.zeros(20)])
+    assert find_jumps(np.floor(np.arange(20) / 2), poses) is None
+    assert find_jumps(np.arange(20) * 0.1, poses, is_timed=False) is None
+    assert find_jumps(np.arange(20) * 0.1, 2 * poses, is_timed=False) is not None
+
+
+@pytest.fixture(scope="module")
+def lost(tmp_path_factory: pytest.TempPathFactory, room: Arena, sensor: logs.RangeSensor) -> Path:
+    """Write a run whose poses jump by 1.6 m where localisation was lost."""
+    rng = np.random.default_rng(3)
+    stamps = np.arange(120) * 0.1
+    poses = np.column_stack(
+        [1.3 + 0.5 * np.sin(0.3 * stamps), 1.5 + 0.5 * np.cos(0.2 * stamps), np.zeros(120)]
+    )
+    ranges = cast(room, poses, sensor).ranges + 0.01 * rng.normal(size=(120, 61))
+    said = poses.copy()
+    said[60:, 0] += 1.6
+    run = logs.Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=said)
+    out = tmp_path_factory.mktemp("lost") / "lost.mcap"
+    logs.write(run, out)
+    good = replace(run, poses=poses)
+    sg.build(good, model="polynomial", degree=1, harmonics=1, n_terms=4).save(
+        out.with_name("good.sensorgraph")
+    )
+    return out
+
+
+@pytest.mark.parametrize("name", ["build", "evaluate", "review", "diagnose"])
+def test_a_command_refuses_jumps_in_one_line_and_force_overrules_it(
+    name: str, lost: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    graph, out = str(lost.with_name("good.sensorgraph")), tmp_path / f"{name}.rrd"
+    arguments = {
+        "build": [
+            "build",
+            str(lost),
+            "--model",
+            "polynomial",
+            "--degree",
+            "1",
+            "-o",
+            str(tmp_path / "a.sensorgraph"),
+        ],
+        "evaluate": ["evaluate", graph, str(lost)],
+        "review": ["review", str(lost), "-o", str(out)],
+        "diagnose": ["diagnose", str(lost), "--arena", "square", "-o", str(tmp_path / "d")],
+    }[name]
+    assert command(arguments) == 2
+    (line,) = [text for text in capsys.readouterr().err.splitlines() if text.startswith("error")]
+    assert "the pose jumps once between consecutive scans, the farthest 1.6 m at 6.00 s" in line
+    assert "--force" in line
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+    if name != "diagnose":  # the same argument, and slow
+        assert command([*arguments, "--force"]) == 0
