@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from mmap import mmap
 from pathlib import Path
+from uuid import uuid4
 
 from logs.errors import LogError
 from logs.formats.mcap_file import CHUNK_SIZE, open_bytes
@@ -101,7 +102,9 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
         )
     if not (known.n_messages or known.attachments or known.metadata):
         raise LogError(f"{path} has no whole message, attachment or metadata left; there is nothing to save")
-    part = out.with_name(out.name + ".recovered.part")  # NAME.part may be the very file that is to be saved
+    part = out.with_name(
+        f"{out.name}.{uuid4().hex[:8]}.part"
+    )  # NAME.part may be the very file that is to be saved
     try:
         with part.open("wb") as stream:
             copy = _RecoveredFile(stream, known)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,7 @@ class Trajectory:
 
     def write_csv(self, path: Path) -> None:
         """Write columns t,x,y,phi,v,omega,primitive."""
-        part = path.with_name(path.name + ".part")
+        part = path.with_name(f"{path.name}.{uuid4().hex[:8]}.part")
         quoted = {label: _quoted(label) for label in np.unique(self.primitives).tolist()}
         try:
             with part.open("w", newline="", encoding="utf-8") as file:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from robotmodic_ident.errors import IdentError
+from robotmodic_ident.files import atomic_file
 from robotmodic_ident.notation.expand import expand
 from robotmodic_ident.notation.model_file import from_plain, to_plain
 from robotmodic_ident.notation.printing import max_cancellation, ratio_text, sum_text, total_size
@@ -297,9 +298,8 @@ class Narmax:
         OSError
             if the file cannot be written
         """
-        part = path.with_name(path.name + ".part")
-        part.write_text(json.dumps(self.to_dict(), indent=1) + "\n")
-        part.replace(path)
+        with atomic_file(path) as part:
+            part.write_text(json.dumps(self.to_dict(), indent=1) + "\n")
 
     @classmethod
     def load(cls, path: Path) -> Narmax:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robotmodic_ident.errors import IdentError
+from robotmodic_ident.files import atomic_file
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
@@ -215,8 +216,7 @@ class Moments:
             "scale": None if self.scale is None else self.scale.to_dict(),
         }
         own = sorted(self.missing)
-        part = path.with_name(path.name + ".part")
-        with part.open("wb") as file:
+        with atomic_file(path) as part, part.open("wb") as file:
             np.savez(
                 file,
                 header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
@@ -227,7 +227,6 @@ class Moments:
                 missing_outputs=np.array(own, dtype=np.int64),
                 missing=np.stack([self.missing[i] for i in own]) if own else np.empty((0, 0, 0)),
             )
-        part.replace(path)
 
     @classmethod
     def load(cls, path: Path) -> Moments:

@@ -1,17 +1,22 @@
-"""Atomic writes: a file, or all files of a folder, are complete or not there."""
+"""Atomic writes: a file, or all files of a folder, are complete or not there.
+
+Each writer has a temporary name of its own, so that two commands that write one output do not mix: the later one wins.
+"""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import mkdtemp
+from uuid import uuid4
 
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
     """Yield a temporary name to write to; on leaving it becomes `path`, after an exception it is removed."""
-    part = path.with_name(path.name + ".part")
+    part = path.with_name(f"{path.name}.{uuid4().hex[:8]}.part")
     try:
         yield part
         part.replace(path)
@@ -22,15 +27,24 @@ def atomic_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder to write in; on leaving its files move to `folder`, after an exception none does."""
-    part = folder / ".part"
-    shutil.rmtree(part, ignore_errors=True)
-    part.mkdir(parents=True)
+    """Yield a temporary folder to write in; on leaving its files move to `folder`, after an exception none does.
+
+    A folder that had to be made for this is removed again after an exception.
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
-        yield part
-        for path in sorted(p for p in part.rglob("*") if p.is_file()):
-            target = folder / path.relative_to(part)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            path.replace(target)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        part = Path(mkdtemp(prefix=".part-", dir=folder))
+        try:
+            yield part
+            for path in sorted(p for p in part.rglob("*") if p.is_file()):
+                target = folder / path.relative_to(part)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                path.replace(target)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+    except BaseException:
+        with suppress(OSError):  # another command writes there, too
+            for path in made:
+                path.rmdir()
+        raise

@@ -5,10 +5,12 @@ from __future__ import annotations
 import logging
 import mmap
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
+from uuid import uuid4
 
 import numpy as np
 
@@ -64,16 +66,19 @@ MEDIA_TYPES = {
 
 
 class RosFile:
-    """An MCAP file in the making: written to `NAME.part`, renamed when it is whole."""
+    """An MCAP file in the making: written to `NAME.part`, or beside one that is there, and renamed when it is whole."""
 
     def __init__(self, path: Path) -> None:
         from mcap.writer import Writer
 
         self.path = path
-        self.part = path.with_name(path.name + ".part")
-        self._stream: BinaryIO = self.part.open("wb")
+        self.part, self._stream = _open_part(path)
         self._writer = Writer(_Flushed(self._stream), chunk_size=CHUNK_SIZE, enable_data_crcs=True)  # type: ignore[arg-type]
-        self._writer.start(profile="ros2", library="sensorgraph")
+        try:
+            self._writer.start(profile="ros2", library="sensorgraph")
+        except BaseException:
+            self.abandon()
+            raise
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._counts: dict[int, int] = {}
@@ -106,14 +111,21 @@ class RosFile:
         self._writer.add_attachment(0, ns, name, media_type, data)
 
     def finish(self, path: Path | None = None) -> Path:
-        """Write the index and give the file its name (or another)."""
+        """Write the index and give the file its name (or another).
+
+        Raises
+        ------
+        OSError
+            if the disk is full; what was written stays under the temporary name
+        """
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.close()
         return self.part.replace(path or self.path)
 
     def abandon(self) -> None:
         """Remove what was begun."""
-        self._stream.close()
+        with suppress(OSError):  # a full disk, which the caller knows of
+            self._stream.close()
         self.part.unlink(missing_ok=True)
 
     def __enter__(self) -> RosFile:
@@ -122,10 +134,24 @@ class RosFile:
     def __exit__(
         self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if exc is None:
-            self.finish()
-        else:
+        if exc is not None:
             self.abandon()
+            return
+        try:
+            self.finish()
+        except BaseException:
+            self.abandon()
+            raise
+
+
+def _open_part(path: Path) -> tuple[Path, BinaryIO]:
+    """Open a file that no other writer has: a run that another one left there is not written over."""
+    part = path.with_name(path.name + ".part")
+    try:
+        return part, part.open("xb")
+    except FileExistsError:
+        part = path.with_name(f"{path.name}.{uuid4().hex[:8]}.part")
+        return part, part.open("xb")
 
 
 class _Flushed:

@@ -16,6 +16,7 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 
@@ -130,16 +131,24 @@ def write(run: Run, path: Path) -> None:
         columns.append(_linear(run.stamps, run.cmd_stamps, run.commands))
     names += [f"r{i}" for i in range(run.sensor.n_rays)]
     table = np.column_stack([*columns, run.ranges])
-    part = path.with_name(path.name + ".part")
-    with part.open("w", newline="", encoding="utf-8") as file:
-        for key, value in {**stated, "rows": str(run.n_scans)}.items():
+    part = path.with_name(f"{path.name}.{uuid4().hex[:8]}.part")
+    try:
+        _write_rows(part, {**stated, "rows": str(run.n_scans)}, names, table)
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _write_rows(path: Path, facts: Mapping[str, str], names: list[str], table: Floats) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        for key, value in facts.items():
             if key == "crc32":  # a table may be edited by hand
                 continue
             file.write(f"# {key}: {' '.join(value.split())}\n")
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(names)
         writer.writerows(table.tolist())
-    part.replace(path)
 
 
 def dead_reckoning(stamps: Floats, twists: Floats) -> Floats:

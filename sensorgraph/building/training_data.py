@@ -77,7 +77,13 @@ class TrainingData:
                 poses, ranges = (np.concatenate(parts) for parts in zip(*rows, strict=True))
                 yield self._block(first, i, poses, ranges)
                 first += waiting
-            self.entries.append(intake.entry())
+            entry = intake.entry()
+            twin = next((known for known in self.entries if known["sha256"] == entry["sha256"]), None)
+            if twin is not None:
+                raise SensorgraphError(
+                    f"{name} holds the same scans as {twin['name']}, and would count twice; give each run once"
+                )
+            self.entries.append(entry)
 
     def _block(self, first: int, i: int, poses: Floats, ranges: Floats) -> Block:
         scans = TrainingScans(

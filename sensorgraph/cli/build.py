@@ -64,13 +64,14 @@ def build(
     from logs.stream import open_log
     from sensorgraph.building.build import build as build_graph
     from sensorgraph.building.dask_cluster import cluster
-    from sensorgraph.cli.inputs import check_output, read_robot_sensor
+    from sensorgraph.cli.inputs import check_output, check_runs, read_robot_sensor
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
     from sensorgraph.models import MODELS
 
     check_output(output, *runs)
+    check_runs(runs)
     if update is not None and (model != "faces" or arena is not None):
         raise SensorgraphError(
             "--update adds runs to a graph as it was built; leave --model and --arena away"

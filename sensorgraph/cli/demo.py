@@ -28,9 +28,9 @@ def demo(
 
       sensorgraph demo -o runs/mine --seed 7
     """
-    import json
     import time
 
+    from sensorgraph.cli.inputs import check_folder, write_json
     from sensorgraph.cli.progress import progress
     from sensorgraph.demo import demo as run_demo
     from sensorgraph.demo import to_dict
@@ -43,6 +43,7 @@ def demo(
     began = time.monotonic()
     folder = out or Path("runs") / time.strftime("demo-%Y%m%d-%H%M%S")
     walls, machine = load_arena(arena), load_robot(robot)
+    check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
     config = {
         "version": __version__,
@@ -51,11 +52,11 @@ def demo(
         "robot": str(robot or "shipped"),
         "seed": seed,
     }
-    (folder / "config.json").write_text(json.dumps(config, indent=1) + "\n")
+    write_json(folder / "config.json", config)
     drives = run_demo(folder, walls, machine, seed=seed, progress=progress)
     hidden = hide_and_find(folder / "diagnosis", walls, machine, seed=seed, progress=progress)
     results = {**to_dict(drives), "hidden_effect": hidden_dict(hidden)}
-    (folder / "demo.json").write_text(json.dumps(results, indent=1) + "\n")
+    write_json(folder / "demo.json", results)
     if out is None:
         _link_latest(folder)
     typer.echo("\n".join(comparison_table(drives)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 from sensorgraph.errors import SensorgraphError
@@ -23,20 +24,35 @@ def check_output(path: Path, *inputs: Path) -> None:
     for given in inputs:
         if path.exists() and given.exists() and path.samefile(given):
             raise SensorgraphError(f"{path} is the input itself and would be lost; write to another name")
-    probe = path.with_name(path.name + ".part")
-    if not probe.exists():
-        probe.open("wb").close()  # says now, not after the work, that the folder cannot be written
-        probe.unlink()
+    _probe(path.parent, path)
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder that cannot be written in, before any work is done; make it if it is not there."""
-    if folder.exists() and not folder.is_dir():
-        raise SensorgraphError(f"{folder} is a file; give the name of a folder")
-    folder.mkdir(parents=True, exist_ok=True)
-    probe = folder / ".part"
-    probe.open("wb").close()
-    probe.unlink()
+    """Refuse a folder that cannot be made or written in, before any work is done; nothing is made yet."""
+    nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not nearest.is_dir():
+        raise SensorgraphError(f"{nearest} is a file; give the name of a folder")
+    _probe(nearest, folder)
+
+
+def check_runs(runs: Sequence[Path]) -> None:
+    """Refuse a run that is named twice: its scans would count twice."""
+    known: dict[tuple[int, int], Path] = {}
+    for path in (path for path in runs if path.exists()):
+        stat = path.stat()
+        if (stat.st_dev, stat.st_ino) in known:
+            raise SensorgraphError(
+                f"{path} is given twice, and its scans would count twice; name each run once"
+            )
+        known[stat.st_dev, stat.st_ino] = path
+
+
+def _probe(folder: Path, output: Path) -> None:
+    """Say now, not after the work, that a folder cannot be written in."""
+    try:
+        TemporaryFile(dir=folder).close()
+    except OSError as exc:
+        raise OSError(exc.errno, exc.strerror, str(output)) from exc
 
 
 def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) -> None:

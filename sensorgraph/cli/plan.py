@@ -70,15 +70,14 @@ def plan(
     """
     from planners.errors import PlanError
     from planners.maps.no_go import zones
-    from sensorgraph.cli.inputs import parse_pose
+    from sensorgraph.cli.inputs import check_folder, parse_pose
     from sensorgraph.cli.progress import progress
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.planning.plan import plan as make_plan
 
     if not (log := logging.getLogger("planners")).hasHandlers():
         log.addHandler(logging.NullHandler())  # its warnings are said below
-    if out.exists() and not out.is_dir():
-        raise PlanError(f"{out} is a file; give a folder to write the plan to")
+    check_folder(out)
     _check_views(planner, views, resume)
     dock_pose = None if dock is None else parse_pose(dock, "--dock")
     if dock is not None and battery is None:

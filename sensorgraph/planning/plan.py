@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import logs
@@ -17,6 +16,7 @@ from planners.errors import PlanError
 from planners.maps.no_go import Zone, without
 from planners.trajectory import Trajectory
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
+from sensorgraph.files import atomic_folder
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import load_arena
 from sensorgraph.planning import plan_folder
@@ -49,14 +49,9 @@ class CoveragePlan:
         folder = Path(folder)
         if folder.exists() and not folder.is_dir():
             raise SensorgraphError(f"{folder} is a file; give a folder to write the plan to")
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as part:
-            plan_folder.save(self.drive, Path(part), self.arena, self.robot)
+        with atomic_folder(folder) as part:
+            plan_folder.save(self.drive, part, self.arena, self.robot)
             plan_folder.drop_runs(folder)
-            for file in (file for file in Path(part).rglob("*") if file.is_file()):
-                target = folder / file.relative_to(part)
-                target.parent.mkdir(parents=True, exist_ok=True)
-                file.replace(target)
         return folder
 
     def __repr__(self) -> str:

@@ -6,7 +6,9 @@ time: the MCAP is the record.
 
 from __future__ import annotations
 
+import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +16,7 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import atomic_file
 
 WHITE, ORANGE = (235, 235, 240), (255, 150, 40)
@@ -29,9 +32,17 @@ def recorded(path: Path, name: str, layout: rrb.Blueprint) -> Iterator[rr.Record
     rr.set_strict_mode(True)
     try:
         with atomic_file(path) as part:
-            recording = rr.RecordingStream("sensorgraph", recording_id=name, send_properties=False)
-            recording.save(part, default_blueprint=layout)
+            recording = rr.RecordingStream(
+                "sensorgraph",
+                recording_id=name,
+                send_properties=False,
+                batcher_config=rr.ChunkBatcherConfig.NEVER(),  # chunks do not depend on how busy the machine is
+            )
+            recording.set_log_time_enabled(False)
+            stream = rr.binary_stream(recording)
+            recording.send_blueprint(layout, make_active=False, make_default=True)
             yield recording
+            part.write_bytes(stream.read() or b"")  # rerun's own file sink says nothing of a full disk
             recording.disconnect()
     finally:
         rr.set_strict_mode(was_strict)
@@ -46,6 +57,18 @@ def folded() -> tuple[rrb.TimePanel, rrb.BlueprintPanel, rrb.SelectionPanel]:
     )
 
 
-def open_viewer(path: Path) -> None:
-    """Open a file in rerun's viewer, on this machine only."""
-    subprocess.Popen(["rerun", "--bind", "127.0.0.1", str(path)])
+def open_viewer(path: Path) -> subprocess.Popen[bytes]:
+    """Open a file in rerun's viewer, on this machine only; the viewer of this environment goes before that of PATH.
+
+    Raises
+    ------
+    SensorgraphError : there is no viewer
+    """
+    own = Path(sys.executable).parent
+    viewer = shutil.which("rerun", path=str(own)) or shutil.which("rerun")
+    if viewer is None:
+        raise SensorgraphError(
+            f"no viewer: neither {own / 'rerun'} nor one in PATH; {path} is written, open it where "
+            "`pip install rerun-sdk` was run"
+        )
+    return subprocess.Popen([viewer, "--bind", "127.0.0.1", str(path)])
