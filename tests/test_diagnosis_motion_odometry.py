@@ -15,6 +15,7 @@ from planners.arena import wrap
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
+from sensorgraph.diagnosis.motion.wheels.rows import rows_at
 from sensorgraph.diagnosis.motion.wheels.signals import motion_signals
 from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
 from sensorgraph.diagnosis.motion.whitening import WhiteningFilter
@@ -129,6 +130,8 @@ def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: st
     for seed in (11, 12):
         result = diagnose_odometry(distort(make_run(seed)), ROBOT)
         assert result.unknown is not None and said in result.unknown.statement
+        assert result.unknown.deviation is not None
+        assert f"({result.unknown.statistic:.0f} nats of evidence)" in result.unknown.deviation.sentence()
         assert not {a.name for a in result.effects} & {"wheel_slip", "wheel_base", "wheel_radius_diff"}
 
 
@@ -151,6 +154,59 @@ def test_a_reference_that_is_stretched_evenly_is_a_wheel_radius_and_nothing_more
     of_y, of_x = place[:, 1], place[:, 6]  # sin φ dy, cos φ dx
     size = np.ptp((rows.averages[1:, :2] + rows.averages[:-1, :2]) / 2, axis=0).max()
     np.testing.assert_allclose(size * (of_x + of_y), distance, atol=1e-12)
+
+
+def cruising_run(seed: int, *, duration: float = 400.0, period: float = 0.1) -> Run:
+    """Return a run of straights at one speed, spins at one rate and rests, with nothing hidden."""
+    rng, step = np.random.default_rng(seed), 0.01
+    n = round(duration / step)
+    leg = np.repeat(rng.permuted(np.resize([0, 1, 1, 1, -1, 2], n // 200 + 1)), 200)[:n]
+    goal = np.stack([0.22 * (leg == 2), 1.57 * leg * (np.abs(leg) == 1)], axis=1)
+    ramp = np.stack(
+        [np.convolve(g, np.ones(50) / 50)[:n] for g in goal.T], axis=1
+    )  # of constant acceleration
+    v, omega = ramp.T
+    phi = np.concatenate([[0.0], np.cumsum(omega * step)])
+    middle = (phi[1:] + phi[:-1]) / 2
+    xy = np.cumsum((v * step)[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=1), axis=0)
+    fine, truth = np.arange(n + 1) * step, np.column_stack([np.vstack([np.zeros(2), xy]), phi])
+    moved = np.concatenate([np.zeros((1, 2)), np.cumsum(ramp * step, axis=0)])
+    stamps, pose_stamps = np.arange(0.0, duration, period), np.arange(0.0, duration, 1 / 30)
+    twists = np.diff(np.stack([np.interp(stamps, fine, c) for c in moved.T], axis=1), axis=0) / period
+    twists += rng.normal(size=twists.shape) * [0.004, 0.006]
+    seen = np.stack([np.interp(pose_stamps, fine, c) for c in truth.T], axis=1)
+    seen += rng.normal(size=seen.shape) * [0.002, 0.002, 0.0015]
+    heading = np.concatenate([[0.0], np.cumsum(twists[:, 1] * period)])
+    between = (heading[1:] + heading[:-1]) / 2
+    chord = twists[:, 0] * period * np.sinc(np.diff(heading) / (2 * np.pi))
+    track = np.cumsum(chord[:, None] * np.stack([np.cos(between), np.sin(between)], axis=1), axis=0)
+    return replace(
+        make_run(1, duration=1.0),
+        pose_stamps=pose_stamps,
+        poses=np.column_stack([seen[:, :2], wrap(seen[:, 2])]),
+        odom_stamps=stamps,
+        odometry=np.column_stack([np.vstack([np.zeros(2), track]), wrap(heading)]),
+        odom_twists=np.vstack([np.zeros(2), twists]),
+    )
+
+
+@pytest.mark.parametrize("period", [0.05, 0.1], ids=["20 Hz", "10 Hz"])
+def test_spins_and_straights_at_one_speed_are_no_structure(period: float) -> None:
+    """At the cut of a column by speed, or at rest, noise of the wheels must not choose the increments."""
+    result = diagnose_odometry(cruising_run(1, period=period), ROBOT)
+    assert result.effects == () and result.unknown is None
+
+
+def test_a_robot_that_turns_ever_faster_is_compared_exactly() -> None:
+    """Where the rate changes linearly, increments of 70 ms give every row to rounding."""
+    signals = motion_signals(cruising_run(1, duration=20.0))
+    t, p = signals.stamps, np.arange(0.0, 20.0, 0.07)
+    heading = np.column_stack([np.zeros((len(t), 2)), 0.3 * t**2])
+    turn = np.diff(0.3 * p**2)
+    wheels = replace(signals.wheels, start=p[:-1], end=p[1:], distance=0 * turn, turn=turn)
+    rows = rows_at(replace(signals, poses=heading, wheels=wheels), 0.0)
+    assert rows is not None
+    np.testing.assert_allclose((rows.D_yaw @ turn)[3:-3], rows.yaw[3:-3], atol=1e-9)  # float64 at 100 rad
 
 
 def test_run_without_odometry_is_skipped_with_reason() -> None:

@@ -22,28 +22,36 @@ class Deviation:
     z: float
     """How many standard errors, clustered by scan."""
     size: float
-    """Of the difference: [m] for bias, ratio for spread, share for outliers and misses."""
+    """Of the difference: [m] for bias, ratio for spread, share for outliers and misses; in the other channels, of the
+    column it is about."""
     n_rays: int
     xy: tuple[float, float] | None = None
     """[m, map] where it has a place."""
 
     channel: str = "scan"
     """Whose readings differ."""
+    evidence_nats: float | None = None
+    """Where models were compared, rather than a mean with zero: by how much the one that differs is likelier."""
 
     def sentence(self) -> str:
         """Say it in words."""
         if self.channel != "scan":
             who = {"odometry": "odometry and reference", "drive": "commands and odometry"}[self.channel]
-            return f"{who} differ by {self.partition}: {self.label} ({abs(self.z):.1f} standard errors)"
+            how = f"by {self.partition}: {self.label}" if self.evidence_nats is None else self.label
+            return f"{who} differ {how} ({self.strength()})"
         what = {
             "bias": f"readings are {abs(self.size) * 100:.1f} cm too {'long' if self.size > 0 else 'short'}",
             "spread": f"readings scatter {100 * self.size:.0f} % more than the noise",
             "outliers": f"{100 * self.size:.1f} % more strays than expected",
             "misses": f"{100 * self.size:.1f} % more rays without a return than expected",
         }[self.family]
-        return (
-            f"{what} at {self.partition} {self.label} ({abs(self.z):.1f} standard errors, {self.n_rays} rays)"
-        )
+        return f"{what} at {self.partition} {self.label} ({self.strength()}, {self.n_rays} rays)"
+
+    def strength(self) -> str:
+        """Say how sure the difference is, in the unit of its test."""
+        if self.evidence_nats is not None:
+            return f"{self.evidence_nats:.0f} nats of evidence"
+        return f"{abs(self.z):.1f} standard errors"
 
 
 @dataclass(frozen=True, kw_only=True)

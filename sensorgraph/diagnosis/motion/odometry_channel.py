@@ -17,7 +17,6 @@ from sensorgraph.diagnosis.motion.wheels.report import deviations_before_naming,
 from sensorgraph.diagnosis.motion.wheels.rows import rows_at
 from sensorgraph.diagnosis.motion.wheels.selection import select
 from sensorgraph.diagnosis.motion.wheels.signals import motion_signals
-from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.world.robot import Robot
 
@@ -38,10 +37,9 @@ def diagnose_odometry(run: Run, robot: Robot, *, seed: int = 0) -> ChannelResult
     moved = rows_at(signals, rows.clock + late) if abs(late) > ODOMETRY.min_clock_shift else None
     if moved is not None:
         model = WheelModel(moved, signals.wheels, robot)
-    families = odometry_families(model.rows, signals.wheels)
-    deviations = deviations_before_naming(model, families)
-    terms = select(model, families, rng)
-    return odometry_result(model, terms, families, deviations, signals.notes, rng)
+    deviations = deviations_before_naming(model)
+    terms = select(model, rng)
+    return odometry_result(model, terms, deviations, signals.notes, rng)
 
 
 def odometry_clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:

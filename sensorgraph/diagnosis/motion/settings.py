@@ -197,6 +197,8 @@ class OdometryChannelSettings:
     patch: PatchSettings = field(default_factory=PatchSettings)
     filter_order: int = 24
     """Of the whitening filters."""
+    walk_over_level: tuple[float, float] = (1e-3, 10.0)
+    """Least and largest variance of the wheels' random walk from row to row, over that of an averaged reference."""
     marker_sigma: float = 0.003
     """[m] between the axle and what the reference calls base_link."""
     max_effects: int = 7

@@ -10,7 +10,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
 from sensorgraph.diagnosis.motion.settings import ODOMETRY
-from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns
+from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, wheel_rows
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows, rows_at
 from sensorgraph.diagnosis.motion.wheels.signals import MotionSignals
 from sensorgraph.types import Floats
@@ -52,7 +52,8 @@ def _enough_rows(signals: MotionSignals, clock: float) -> OdometryRows:
 def _offset_left(rows: OdometryRows, signals: MotionSignals) -> float:
     """Return by how much the clock offset should change [s], all columns free, each kind of row by its own spread."""
     columns = WheelColumns.of_library()
-    A, y = columns.evaluate(rows, signals.wheels, NOMINAL_BASE)
+    A = columns.evaluate(rows, signals.wheels, NOMINAL_BASE)
+    y = wheel_rows(rows, signals.wheels)
     some = rows.valid_rows
     residual = y
     theta: Floats = np.zeros(0)

@@ -57,19 +57,26 @@ class WheelColumns:
         """Count of columns before those of patches; the last is that of the marker."""
         return self.clock + 2
 
-    def evaluate(self, rows: OdometryRows, wheels: WheelIncrements, base: float) -> tuple[Floats, Floats]:
-        """Return columns (2 n_rows, n) and rows (2 n_rows,), distances first, then turns; 0 where not valid.
+    def evaluate(self, rows: OdometryRows, motion: WheelIncrements, base: float) -> Floats:
+        """Return the columns (2 n_rows, n), distances first, then turns; 0 where not valid.
 
         Parameters
         ----------
+        motion : what the wheels say; where structure is looked for, without noise (`fused_motion`)
         base : [m] wheelbase
         """
-        distance, turn = rows.D_along @ wheels.distance, rows.D_yaw @ wheels.turn
-        motion = WheelMotion(distance=distance, turn=turn, path=rows.D_yaw @ wheels.distance, base=base)
-        columns = [np.concatenate(regressor.column(motion)) for _, regressor in self.regressors]
+        distance, turn = rows.D_along @ motion.distance, rows.D_yaw @ motion.turn
+        moved = WheelMotion(distance=distance, turn=turn, path=rows.D_yaw @ motion.distance, base=base)
+        columns = [np.concatenate(regressor.column(moved)) for _, regressor in self.regressors]
         columns.append(rows.slopes.T.ravel())
         columns.append(
             np.concatenate([-turn, np.zeros(rows.n)])
         )  # a marker beside the axle swings as the robot turns
-        y = np.concatenate([rows.along - distance, rows.yaw - turn])
-        return rows.masked(np.stack(columns, axis=1)), rows.masked(y)
+        return rows.masked(np.stack(columns, axis=1))
+
+
+def wheel_rows(rows: OdometryRows, wheels: WheelIncrements) -> Floats:
+    """Return what the reference did less what the wheels say (2 n,), distances first, then turns; 0 where not valid."""
+    return rows.masked(
+        np.concatenate([rows.along - rows.D_along @ wheels.distance, rows.yaw - rows.D_yaw @ wheels.turn])
+    )

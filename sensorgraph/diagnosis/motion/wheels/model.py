@@ -15,7 +15,8 @@ from sensorgraph.diagnosis.motion.increments import WheelIncrements
 from sensorgraph.diagnosis.motion.regression import SHUT_SIGMA, BoundedPrior, Regression, ridge_solution
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY, EvidenceSettings
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
-from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, WheelTerm
+from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, WheelTerm, wheel_rows
+from sensorgraph.diagnosis.motion.wheels.fused_motion import fused_motion
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds, clipped
 from sensorgraph.diagnosis.motion.whitening import fit_autoregression as fit_filter
@@ -66,7 +67,9 @@ class WheelModel:
     def __init__(self, rows: OdometryRows, wheels: WheelIncrements, robot: Robot) -> None:
         self.rows, self.wheels, self.robot = rows, wheels, robot
         self.layout = WheelColumns.of_library()
-        self.A, self.y = self.layout.evaluate(rows, wheels, robot.wheels.base)
+        self.y = wheel_rows(rows, wheels)
+        self.motion = wheels
+        self.A = self.layout.evaluate(rows, wheels, robot.wheels.base)
         block = ((rows.stamps - rows.stamps[0]) / EVIDENCE.cluster).astype(np.intp)
         self.clusters = np.concatenate([block, block]).astype(np.float64)
         self.patches: list[SlipPatch] = []
@@ -92,7 +95,7 @@ class WheelModel:
         """Return what the wheels say inside discs (k, 3), with a minus: it is lost. (2 n, k)"""
         inside = share_inside(self.rows.increment_poses, discs)
         return -self.rows.of_wheels(
-            self.wheels.distance[:, None] * inside, self.wheels.turn[:, None] * inside
+            self.motion.distance[:, None] * inside, self.motion.turn[:, None] * inside
         )
 
     # noise
@@ -103,15 +106,21 @@ class WheelModel:
         Structure takes no part in it unless accepted: so many smooth columns would swallow the slow part of the
         wheels' noise, and the rest would look too good.
         """
-        self.whitener = self._fitted_noise(self.columns)
+        self.whitener, self.residual = self._fitted_noise(self.columns)
         self.whiten()
+
+    def denoise_motion(self) -> None:
+        """Make all columns of the motion without the wheels' noise, as far as what the model leaves shows it."""
+        self.motion = fused_motion(self.rows, self.wheels, self.residual)
+        self.A = self.layout.evaluate(self.rows, self.motion, self.robot.wheels.base)
+        self.fit_noise()
 
     def whiten(self) -> None:
         """Form the regression anew, after the columns or the noise have changed."""
         self.regression = Regression.of(self.whitener(self.columns), self.whitener(self.y))
 
-    def _fitted_noise(self, columns: Floats) -> Whitener:
-        """Fit columns and noise in turn, twice, from where the noise stands."""
+    def _fitted_noise(self, columns: Floats) -> tuple[Whitener, Floats]:
+        """Fit columns and noise in turn, twice, from where the noise stands; return the noise and what is left (2 n,)."""
         scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
         settings, valid, whitener = EVIDENCE, self.rows.valid, self.whitener
         for _ in range(2):
@@ -125,13 +134,14 @@ class WheelModel:
                 for part in both_kinds(residual, self.rows.n)
             )
             whitener = Whitener.robust((first, second), valid, residual, settings.huber_limit)
-        return whitener
+        return whitener, residual
 
     def profile_gain(self, column: Floats) -> float:
         """Return the gain in likelihood of a further column (2 n, 1) if each model has a noise of its own [nats]."""
         own = self.columns
-        with_it = self._fitted_noise(np.concatenate([own, column], axis=1))
-        return with_it.log_likelihood - self._fitted_noise(own).log_likelihood
+        with_it, _ = self._fitted_noise(np.concatenate([own, column], axis=1))
+        without, _ = self._fitted_noise(own)
+        return with_it.log_likelihood - without.log_likelihood
 
     # evidence
 

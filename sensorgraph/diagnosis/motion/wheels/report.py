@@ -12,8 +12,10 @@ from sensorgraph.diagnosis.motion.rivals import probability, strongest_rival
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
+from sensorgraph.diagnosis.motion.wheels.fused_motion import fused_motion
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel
 from sensorgraph.diagnosis.motion.wheels.patch_search import best_patch
+from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import Amendment, Effect
@@ -28,7 +30,6 @@ RMSE_WINDOW = 1.0
 def odometry_result(
     model: WheelModel,
     terms: Sequence[WheelTerm],
-    families: Sequence[StructureFamily],
     deviations: tuple[Deviation, ...],
     notes: Mapping[str, object],
     rng: np.random.Generator,
@@ -51,7 +52,7 @@ def odometry_result(
         unknown=_unknown(model),
         rivals=tuple(_rivals(model, terms, named, rng)),
         deviations=deviations,
-        gap=_gap(model, terms, families),
+        gap=_gap(model, terms),
         not_observable=_not_observable(model, terms),
         notes={
             **notes,
@@ -149,13 +150,14 @@ def _steady(families: Sequence[StructureFamily]) -> list[StructureFamily]:
     return [family for family in families if not family.choice_price]
 
 
-def deviations_before_naming(model: WheelModel, families: Sequence[StructureFamily]) -> tuple[Deviation, ...]:
+def deviations_before_naming(model: WheelModel) -> tuple[Deviation, ...]:
     """Say where the bare simulator differs, by score tests on the columns of structure."""
     regression = model.regression
+    motion = fused_motion(model.rows, model.wheels, model.residual)
     fit = regression.solve(model.prior([]))
     residual = regression.y - regression.A @ fit.theta
     out = []
-    for family in _steady(families):
+    for family in _steady(odometry_families(model.rows, motion)):
         Z = model.whitener(family.columns)
         clusters = model.clusters.astype(np.intp)
         sums = np.stack([np.bincount(clusters, weights=z) for z in (Z * residual[:, None]).T])
@@ -189,8 +191,9 @@ def _unknown(model: WheelModel) -> Unknown | None:
             family="bias",
             partition=family.kind,
             label=family.statement,
-            z=evidence,
-            size=evidence,
+            z=float(np.sqrt(2 * evidence)),
+            evidence_nats=evidence,
+            size=0.0,
             n_rays=int(model.rows.valid_rows.sum()),
             channel="odometry",
         ),
@@ -199,7 +202,7 @@ def _unknown(model: WheelModel) -> Unknown | None:
     )
 
 
-def _gap(model: WheelModel, terms: Sequence[WheelTerm], families: Sequence[StructureFamily]) -> Gap:
+def _gap(model: WheelModel, terms: Sequence[WheelTerm]) -> Gap:
     """Fit on every other 5 s, measure on the rest, and the other way round."""
     rows, regression, prior, columns = model.rows, model.regression, model.prior(terms), model.columns
     block = ((rows.stamps - rows.stamps[0]) // EVIDENCE.held_out_block).astype(np.intp)
@@ -212,7 +215,8 @@ def _gap(model: WheelModel, terms: Sequence[WheelTerm], families: Sequence[Struc
     nominal = np.zeros(columns.shape[1])
     nominal[model.layout.clock] = -rows.clock
     # the floor: what is left when all structure is fitted, too
-    rich = np.concatenate([columns, *[family.columns for family in _steady(families)]], axis=1)
+    families = _steady(odometry_families(model.rows, model.motion))
+    rich = np.concatenate([columns, *[family.columns for family in families]], axis=1)
     theta = ridge_solution(model.whitener(rich), regression.y)
     n_valid = rows.valid_rows.sum()
     floor = (model.y - rich @ theta) * np.sqrt(n_valid / max(int(n_valid) - len(theta), 1))

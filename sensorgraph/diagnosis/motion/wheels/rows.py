@@ -143,15 +143,31 @@ def _overlaps(t: Floats, start: Floats, end: Floats) -> tuple[Floats, Ints, Bool
     """Return how much of each increment lies between two averages: weights (n, o), indices (n, o), validity (n,)."""
     first = np.clip(np.searchsorted(end, t[:-1, 0], side="right"), 0, len(end) - 1)
     last = np.clip(np.searchsorted(start, t[1:, -1], side="left"), 0, len(end) - 1)
-    room = int(np.quantile(last - first, FEW_INCREMENTS)) + 2
-    index = np.minimum(first[:, None] + np.arange(room), len(end) - 1)
-    beyond = first[:, None] + np.arange(room) > len(end) - 1
+    room = int(np.quantile(last - first, FEW_INCREMENTS)) + 4
+    places = first[:, None] - 1 + np.arange(room)
+    index = np.clip(places, 0, len(end) - 1)
     a, span = start[index][..., None], (end - start)[index][..., None]
-    weights = np.clip((t[1:, None, :] - a) / span, 0, 1).mean(axis=2)
-    weights -= np.clip((t[:-1, None, :] - a) / span, 0, 1).mean(axis=2)
-    weights[beyond] = 0.0
-    ok = (last - first < room) & ((end - start)[index].max(axis=1) < ROWS.max_gap)
+    weights = _shares((t[1:, None, :] - a) / span) - _shares((t[:-1, None, :] - a) / span)
+    weights[places != index] = 0.0
+    ok = (last - first < room - 2) & ((end - start)[index].max(axis=1) < ROWS.max_gap)
     return weights, index, ok
+
+
+def _shares(u: Floats) -> Floats:
+    """Return how much of each of neighbouring increments (n, o) has passed, a mean over moments.
+
+    The rate changes linearly within an increment, by half the difference of its neighbours: were it constant, a robot
+    that starts to turn would seem to turn early (2 mrad at 3 rad/s² and increments of 50 ms).
+
+    Parameters
+    ----------
+    u : (n, o, m) moments, 0 at the start of each increment and 1 at its end
+    """
+    u = np.clip(u, 0.0, 1.0)
+    out, bend = u.mean(axis=2), (u * (u - 1.0)).mean(axis=2) / 4
+    out[:, 1:] += bend[:, :-1]
+    out[:, :-1] -= bend[:, 1:]
+    return np.asarray(out)
 
 
 def _sparse(weights: Floats, index: Ints, n: int) -> sparse.csr_array:

@@ -17,13 +17,12 @@ from sensorgraph.diagnosis.motion.structure_test import (
 from sensorgraph.diagnosis.motion.wheels.columns import WheelTerm
 from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel, share_inside
 from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_patch, refine_patch
+from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
 
-def select(
-    model: WheelModel, families: Sequence[StructureFamily], rng: np.random.Generator
-) -> list[WheelTerm]:
+def select(model: WheelModel, rng: np.random.Generator) -> list[WheelTerm]:
     """Add effects to the model while the evidence lasts, then take superfluous ones back.
 
     Structure that no effect makes competes with them: where it explains more, it enters in their stead.
@@ -46,7 +45,7 @@ def select(
             terms.append(best)
         model.fit_noise()
         _take_back(model, terms)
-    _admit_structure(model, terms, families)
+    _admit_structure(model, terms)
     for i in range(len(model.patches)):
         if model.patch_term(i) in terms:
             refine_patch(model, i, terms, rng)
@@ -101,8 +100,10 @@ class StructureCandidate:
     replaces_patches: bool
 
 
-def _admit_structure(model: WheelModel, terms: list[WheelTerm], families: Sequence[StructureFamily]) -> None:
+def _admit_structure(model: WheelModel, terms: list[WheelTerm]) -> None:
     """Let structure that no effect makes stand beside the effects, or in the stead of patches."""
+    model.denoise_motion()
+    families = odometry_families(model.rows, model.motion)
     limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
     test = StructureTest(model.rows.valid, model.y, LimitedNoiseFitter(limits))
     own = np.concatenate([model.columns, _rim_columns(model, terms)], axis=1)
@@ -170,6 +171,6 @@ def _rim_columns(model: WheelModel, terms: Sequence[WheelTerm]) -> Floats:
         inside = share_inside(model.rows.increment_poses, moved)
         change = inside[:, :3] - inside[:, 3:]
         parts.append(
-            model.rows.of_wheels(model.wheels.distance[:, None] * change, model.wheels.turn[:, None] * change)
+            model.rows.of_wheels(model.motion.distance[:, None] * change, model.motion.turn[:, None] * change)
         )
     return np.concatenate(parts, axis=1)
