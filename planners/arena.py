@@ -35,6 +35,8 @@ class Arena:
     """(n_walls,) `FEATURE/edge_i`."""
     surfaces: tuple[str, ...]
     """(n_walls,) what the wall is made of; `wall` unless the file says otherwise."""
+    notes: tuple[str, ...] = ()
+    """How the file was understood, where it leaves room for doubt: one line each."""
 
     def __post_init__(self) -> None:
         n_walls = len(self.names)

@@ -9,9 +9,11 @@ import pytest
 
 import logs
 from planners.arena import wrap
+from planners.maps import geojson
 from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
 from sensorgraph.effects.effects_file import loads
+from sensorgraph.loading import load_arena
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +105,50 @@ def test_effects_change_scans_wheels_and_motors_and_are_kept(
         np.ptp(np.unwrap(r.odometry[:, 2])) / np.ptp(np.unwrap(r.poses[:, 2])) for r in (plain, amended)
     ]
     assert turned[1] / turned[0] == pytest.approx(1.05, abs=0.01)
+
+
+TURTLE = """
+name: turtle
+footprint_radius: 0.11
+sensor: {n_rays: 36, fov: 6.283185307, range_min: 0.12, range_max: 3.5, rate: 5.0}
+"""
+
+
+def test_a_plan_is_driven_in_its_own_arena_by_its_own_robot(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "plan" / "run_1"  # a run of a battery keeps both one folder up
+    folder.mkdir(parents=True)
+    (folder / "trajectory.csv").write_text((plan / "trajectory.csv").read_text())
+    (tmp_path / "plan" / "robot.yaml").write_text(TURTLE)
+    (tmp_path / "plan" / "arena.geojson").write_text(geojson.dumps(load_arena("square")))
+    assert cli(["record", str(folder), "-o", str(tmp_path / "own.mcap")]) == 0
+    captured = capsys.readouterr()
+    assert f"arena and robot of {folder} (turtle)" in captured.out
+    assert captured.err == ""
+    run = logs.read(tmp_path / "own.mcap")
+    assert (run.sensor.n_rays, run.sensor.range_max) == (36, 3.5)
+    assert run.attachments["robot.yaml"].decode() == TURTLE
+    again = ["record", str(tmp_path / "own.mcap"), "-o", str(tmp_path / "again.mcap")]
+    assert cli(again) == 0, "a run is driven again in the arena and by the robot that it keeps"
+    assert logs.read(tmp_path / "again.mcap").sensor.n_rays == 36
+
+
+def test_another_robot_or_arena_than_the_plan_has_is_warned_of(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "trajectory.csv").write_text((plan / "trajectory.csv").read_text())
+    (tmp_path / "robot.yaml").write_text(TURTLE)
+    (tmp_path / "arena.geojson").write_text(geojson.dumps(load_arena("square")))
+    (tmp_path / "other.yaml").write_text(TURTLE + "limits: {v: 0.2}\n")
+    arguments = ["record", str(tmp_path), "--robot", str(tmp_path / "other.yaml"), "--arena", "office"]
+    assert cli([*arguments, "-o", str(tmp_path / "a.mcap")]) in (
+        0,
+        2,
+    )  # 2: the start may lie in a wall of the office
+    said = capsys.readouterr().err
+    assert "was planned for another arena than this one" in said
+    assert "was planned for another robot than this one: limits.v differ" in said
 
 
 @pytest.mark.parametrize(

@@ -180,11 +180,27 @@ def test_map_server_negate_swaps_free_and_occupied(mode: str, tmp_path: Path) ->
 
 def test_map_server_thresholds_are_strict(tmp_path: Path) -> None:
     """255 - value over 255 above occupied_thresh is occupied, below free_thresh free, else unknown."""
-    grey = [[255, 204, 205, 51, 50]]  # 0, 0.2, 0.196.., 0.8, 0.8039..
+    grey = [[255, 204, 206, 51, 50]]  # 0, 0.2, 0.192.., 0.8, 0.8039..
     arena = load(write_map(tmp_path, grey, occupied_thresh=0.8, free_thresh=0.2, resolution=1.0))
-    assert arena.free.area == pytest.approx(2.0)  # 255 and 205
+    assert arena.free.area == pytest.approx(2.0)  # 255 and 206
     assert arena.contains(np.array([[0.5, 0.5], [1.5, 0.5], [2.5, 0.5]])).tolist() == [True, False, True]
     assert arena.walls[:, :, 0].min() == 4.0  # only the last cell is occupied
+
+
+@pytest.mark.parametrize("free_thresh", [0.196, 0.25, 0.4])
+@pytest.mark.parametrize("negate", [0, 1])
+def test_unknown_cells_of_a_trinary_map_are_never_free(
+    free_thresh: float, negate: int, tmp_path: Path
+) -> None:
+    """map_saver of Nav2 writes unknown as 205 and free_thresh 0.25: (255 - 205) / 255 is below it."""
+    pixels = 255 - np.array(HAND, dtype=np.uint8) if negate else np.array(HAND, dtype=np.uint8)
+    arena = load(write_map(tmp_path, pixels, free_thresh=free_thresh, negate=negate))
+    assert arena.free.area == pytest.approx(6 * 0.25)
+    (note,) = arena.notes
+    assert "66.7% free" in note and "22.2% occupied" in note and "11.1% unknown" in note
+    assert ("is unknown though free_thresh is" in note) == (free_thresh > 0.2)
+    grey = load(write_map(tmp_path, pixels, free_thresh=free_thresh, negate=negate, mode="scale"))
+    assert grey.free.area == pytest.approx((7 if free_thresh > 0.2 else 6) * 0.25)
 
 
 def test_map_server_raw_values_are_percent(tmp_path: Path) -> None:

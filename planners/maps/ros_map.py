@@ -1,7 +1,8 @@
 """Arena <- ROS map_server maps: yaml beside a pgm or png; free space is the union of the free cells.
 
 Walls are the borders of occupied cells, joined to the longest straight segments and named by their order,
-`map/edge_0` first. Unknown cells are neither free nor wall.
+`map/edge_0` first. Unknown cells are neither free nor wall: in a trinary map those that map_saver writes as 205 are
+unknown whatever free_thresh says, for its usual 0.25 would make them free.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from planners.types import Bools, Floats
 REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 MODES = ("trinary", "scale", "raw")
 MAX_CELLS = 100_000_000
+UNKNOWN_OCCUPANCY = 50
+"""[1/255] what map_saver writes for an unknown cell: grey 205, or 50 in a negated image."""
 
 
 def read(path: Path) -> Arena:
@@ -54,7 +57,28 @@ def read(path: Path) -> Arena:
         walls=walls,
         names=tuple(f"map/edge_{i}" for i in range(len(walls))),
         surfaces=("wall",) * len(walls),
+        notes=(_taken(path, pixels, occupied, free, facts),),
     )
+
+
+def _taken(
+    path: Path, pixels: NDArray[np.uint8], occupied: Bools, free: Bools, facts: Mapping[str, Any]
+) -> str:
+    """Say which share of the cells was taken as free, occupied and unknown, and by what grey values."""
+    grey = pixels[::-1].T
+    parts = []
+    for name, cells in (("free", free), ("occupied", occupied), ("unknown", ~(free | occupied))):
+        values = np.unique(grey[cells])
+        span = (
+            f" (grey {values[0]}" + (f" to {values[-1]})" if len(values) > 1 else ")") if len(values) else ""
+        )
+        parts.append(f"{cells.mean():.1%} {name}{span}")
+    said = f"{path.name}: {', '.join(parts)}; {facts['mode']}"
+    if facts["mode"] == "trinary":
+        share = UNKNOWN_OCCUPANCY / 255
+        if share < facts["free_thresh"] and (_occupancy(grey, facts) == UNKNOWN_OCCUPANCY).any():
+            said += f", grey {50 if facts['negate'] else 205} is unknown though free_thresh is {facts['free_thresh']:g}"
+    return said
 
 
 def _facts(path: Path) -> dict[str, Any]:
@@ -129,21 +153,28 @@ def _pixels(path: Path, image: Path) -> tuple[NDArray[np.uint8], Bools]:
 def classify(pixels: NDArray[np.uint8], opaque: Bools, facts: Mapping[str, Any]) -> tuple[Bools, Bools]:
     """Tell occupied and free cells, each (nx, ny) with cell (0, 0) in the lower left corner.
 
-    Trinary and scale differ only between the thresholds, where neither is occupied nor free; a transparent
-    pixel is unknown. In raw mode the value itself is the occupancy in percent, above 100 unknown.
+    Between the thresholds a cell is neither; a transparent pixel is unknown, and so is in trinary mode the grey that
+    map_saver writes for it. In raw mode the value itself is the occupancy in percent, above 100 unknown.
     """
     if facts["mode"] == "raw":
         share = pixels / 100.0
         known = (pixels <= 100) & opaque
     else:
-        share = (pixels if facts["negate"] else 255 - pixels) / 255.0
+        share = _occupancy(pixels, facts) / 255.0
         known = opaque
+        if facts["mode"] == "trinary":
+            known = opaque & (_occupancy(pixels, facts) != UNKNOWN_OCCUPANCY)
     occupied = known & (share > facts["occupied_thresh"])
     free = known & (share < facts["free_thresh"])
     if facts["mode"] == "raw":
         occupied = known & (share >= facts["occupied_thresh"])
         free = known & (share <= facts["free_thresh"])
     return occupied[::-1].T, free[::-1].T
+
+
+def _occupancy(pixels: NDArray[np.uint8], facts: Mapping[str, Any]) -> NDArray[np.uint8]:
+    """Return how occupied each cell is, in 1/255."""
+    return np.asarray(pixels if facts["negate"] else 255 - pixels, dtype=np.uint8)
 
 
 def _borders(cells: Bools) -> Floats:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import typer
 
 from sensorgraph.cli.messages import with_flags
@@ -15,7 +18,7 @@ def inspect(
     json: InspectJson = None,
     no_return: NoReturn = None,
 ) -> None:
-    """Say what is in a file: topics, rates, frames, what is usable, what is missing, what looks wrong.
+    """Say what is in a log: topics, rates, frames, what is usable, what is missing, what looks wrong; or in a map.
 
     Examples:
 
@@ -23,10 +26,13 @@ def inspect(
 
         sensorgraph inspect run.mcap --arena lab.geojson
 
+        sensorgraph inspect map.yaml
+
         sensorgraph inspect others.bag --topic scan=/front/scan --topic pose=/ground_truth
     """
     from logs import parse_topics
     from logs.inspection import inspect as look
+    from planners.maps import MAPS
     from sensorgraph.cli.inputs import check_output, write_json
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
@@ -35,12 +41,19 @@ def inspect(
 
     if json is not None:
         check_output(json, file)
+    if file.suffix.lower() in MAPS and file.is_file():
+        facts = _map_facts(file)
+        if json is not None:
+            write_json(json, facts)
+        typer.echo("\n".join([f"{file}: a map, {facts['map']}", *(f"  {note}" for note in facts["notes"])]))
+        return
     with progress("reading") as tick:
         found = look(file, parse_topics(topic or []), no_return=no_return, progress=tick)
     lines = found.lines()
     oriented = None
     if found.run is not None:
         walls = load_arena(arena) if arena is not None else None
+        lines += [f"arena {arena}", *(f"  {note}" for note in walls.notes)] if walls and walls.notes else []
         if walls is None:
             try:
                 walls = arena_in(found.run)
@@ -54,3 +67,19 @@ def inspect(
             facts["orientation"] = {"best": oriented.best, "against": oriented.against, "fits": oriented.fits}
         write_json(json, facts)
     typer.echo(with_flags("\n".join(lines)))
+
+
+def _map_facts(file: Path) -> dict[str, Any]:
+    """Return what a map holds, and how its cells were taken."""
+    from sensorgraph.loading import load_arena
+
+    arena = load_arena(file)
+    x0, y0, x1, y1 = arena.bounds
+    return {
+        "path": str(file),
+        "map": f"{x1 - x0:g} x {y1 - y0:g} m, {arena.n_walls:,} walls, {arena.free.area:.1f} m² free",
+        "bounds": [x0, y0, x1, y1],
+        "n_walls": arena.n_walls,
+        "free_m2": arena.free.area,
+        "notes": list(arena.notes),
+    }

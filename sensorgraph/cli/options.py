@@ -234,7 +234,11 @@ RecordPlan = Annotated[
 ]
 RecordOut = Annotated[Path, typer.Option("-o", "--out", help="The run to write, *.mcap.")]
 RecordArena = Annotated[
-    str | None, typer.Option(help="GeoJSON, map_server yaml, or a shipped one: square, office.")
+    str | None,
+    typer.Option(help="GeoJSON, map_server yaml, or a shipped one: square, office; default: the plan's."),
+]
+RecordRobot = Annotated[
+    Path | None, typer.Option(help="robot.yaml; default: the plan's, else the shipped robot.")
 ]
 RecordGraph = Annotated[
     Path | None,

@@ -106,7 +106,7 @@ def plan(
     made.save(out)
     for line in report["warnings"]:
         typer.echo(f"warning: {line}", err=True)
-    typer.echo("\n".join([_summary(report), *_runs(report), f"wrote {out}"]))
+    typer.echo("\n".join([*made.arena.notes, _summary(report), *_runs(report), f"wrote {out}"]))
     if report.get("interrupted"):
         raise typer.Exit(INTERRUPTED)
 

@@ -14,9 +14,9 @@ from sensorgraph.cli.options import (
     RecordGraph,
     RecordOut,
     RecordPlan,
+    RecordRobot,
     RecordSeed,
     RecordStart,
-    RobotFile,
 )
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from planners.arena import Arena
     from sensorgraph.recording.closed_loop import ClosedLoopDrive
     from sensorgraph.recording.drive_source import DriveSource
+    from sensorgraph.world.robot import Robot
 
 
 def record(
@@ -32,7 +33,7 @@ def record(
     arena: RecordArena = None,
     graph: RecordGraph = None,
     controller: RecordController = None,
-    robot: RobotFile = None,
+    robot: RecordRobot = None,
     start: RecordStart = None,
     effects: RecordEffects = None,
     seed: RecordSeed = 0,
@@ -41,11 +42,11 @@ def record(
 
     Examples:
 
-      sensorgraph record runs/plan --arena office -o runs/office.mcap
+      sensorgraph record runs/plan -o runs/office.mcap
 
       sensorgraph record old_run.mcap --arena lab.geojson --robot robot.yaml -o again.mcap
 
-      sensorgraph record runs/plan --arena office --effects runs/found/effects.yaml -o amended.mcap
+      sensorgraph record runs/plan --effects runs/found/effects.yaml -o amended.mcap
 
       sensorgraph record runs/plan --graph lab.sensorgraph --controller plan --controller wall_following -o race.mcap
 
@@ -55,10 +56,8 @@ def record(
     from sensorgraph.cli.progress import progress
     from sensorgraph.effects.effects_file import read as read_effects
     from sensorgraph.errors import SensorgraphError
-    from sensorgraph.loading import load_arena
     from sensorgraph.recording.drive_source import check_start, open_drive
     from sensorgraph.recording.record import record as record_run
-    from sensorgraph.world.robot import load_robot
 
     check_output(out, plan, *([effects] if effects is not None else []))
     if out.suffix != ".mcap":
@@ -69,19 +68,16 @@ def record(
         _record_closed_loop(plan, graph, out, controller or ["plan"], arena, robot, seed)
         return
     if controller:
-        if effects is not None or start is not None or arena is None:
+        if effects is not None or start is not None:
             raise SensorgraphError(
                 "--controller goes with --arena or --graph alone, and starts where the plan starts"
             )
         _record_closed_loop(plan, None, out, controller, arena, robot, seed)
         return
-    if arena is None:
-        raise SensorgraphError("nowhere to drive; give --arena NAME or --graph GRAPH")
-    walls, machine = load_arena(arena), load_robot(robot)
-    amendments = () if effects is None else read_effects(effects, walls)
     drive = open_drive(plan, start=None if start is None else parse_pose(start))
-    _warn_of_other_arena(drive, walls)
-    check_start(drive.start, walls, machine, arena_name=arena)
+    walls, machine = _place(drive, arena, robot)
+    amendments = () if effects is None else read_effects(effects, walls)
+    check_start(drive.start, walls, machine, arena_name=arena or "the plan's arena")
     run = record_run(
         out, walls, machine, drive.way,
         effects=amendments, seed=seed, attachments=drive.attachments(), progress=progress,
@@ -109,24 +105,21 @@ def _record_closed_loop(
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.identification.behaviour import behaviour, table
-    from sensorgraph.loading import load_arena
     from sensorgraph.recording.closed_loop import drive_closed_loop, files_of_controllers
     from sensorgraph.recording.drive_source import check_start, open_drive
     from sensorgraph.show.figures.drives import tracks_picture
     from sensorgraph.world.identified_arena import arena_of
-    from sensorgraph.world.robot import load_robot
 
     files = files_of_controllers(controllers, out)
-    trajectory = open_drive(plan).way
+    source = open_drive(plan)
+    trajectory = source.way
     if not isinstance(trajectory, Trajectory):
         raise SensorgraphError(f"{plan} is a run; a controller needs a plan: its start and its time count")
-    graph, machine = None if graph_file is None else Sensorgraph.load(graph_file), load_robot(robot)
-    if arena is not None:
-        walls = load_arena(arena)
-    else:
-        assert graph is not None
-        walls = arena_of(graph)
-    check_start(trajectory.poses[0], walls, machine, arena_name=arena or str(graph_file))
+    graph = None if graph_file is None else Sensorgraph.load(graph_file)
+    identified = None if graph is None or arena is not None else arena_of(graph)
+    walls, machine = _place(source, arena, robot, identified=identified)
+    name = arena or ("the plan's arena" if graph_file is None else str(graph_file))
+    check_start(trajectory.poses[0], walls, machine, arena_name=name)
     for file in files.values():
         check_output(file, plan, *([] if graph_file is None else [graph_file]))
     runs = {}
@@ -158,10 +151,31 @@ def _unanswered(drive: ClosedLoopDrive) -> str:
     )
 
 
-def _warn_of_other_arena(drive: DriveSource, walls: Arena) -> None:
-    """Say so if a plan's folder holds another arena than the one it is driven in."""
-    from sensorgraph.recording.drive_source import is_same_arena
+def _place(
+    drive: DriveSource, arena: str | None, robot: Path | None, *, identified: Arena | None = None
+) -> tuple[Arena, Robot]:
+    """Return the arena and the robot that were named, else those that lie beside the plan, and warn of a mismatch.
 
-    planned = drive.arena()
-    if planned is not None and not is_same_arena(planned, walls):
-        typer.echo(f"warning: {drive.path} was planned for another arena than this one", err=True)
+    Parameters
+    ----------
+    identified : the arena of a graph, which needs no name
+    """
+    from sensorgraph.errors import SensorgraphError
+    from sensorgraph.loading import load_arena
+    from sensorgraph.world.robot import load_robot
+
+    named = None if arena is None else load_arena(arena)
+    machine = None if robot is None else load_robot(robot)
+    for line in drive.mismatch(arena=named, robot=machine):
+        typer.echo(f"warning: {line}", err=True)
+    walls = named or identified or drive.arena()
+    if walls is None:
+        raise SensorgraphError(
+            f"nowhere to drive: {drive.path} keeps no arena; give --arena NAME or --graph GRAPH"
+        )
+    kept = drive.robot() if machine is None else None
+    taken = ["arena"] if named is None and identified is None else []
+    taken += ["robot"] if kept is not None else []
+    if taken:
+        typer.echo(f"{' and '.join(taken)} of {drive.path}" + (f" ({kept.name})" if kept is not None else ""))
+    return walls, machine or kept or load_robot()

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import logs
+from logs.run import Run
 from planners.arena import Arena
 from planners.maps import load
 from planners.trajectory import Trajectory, read_csv
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.loading import arena_in, robot_in
 from sensorgraph.recording.record import Commands
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot, load_robot
@@ -25,10 +27,12 @@ SAME_WALLS = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriveSource:
-    """A drive as read from a file, and what lies beside it in a plan's folder."""
+    """A drive as read from a file, and the arena and the robot that lie beside it or are kept in the run."""
 
     path: Path
     way: Trajectory | Commands
+    run: Run | None = None
+    """The run whose commands are driven again."""
 
     @property
     def start(self) -> Floats:
@@ -36,14 +40,38 @@ class DriveSource:
         return self.way.poses[0] if isinstance(self.way, Trajectory) else self.way.start
 
     def arena(self) -> Arena | None:
-        """Read the arena that was planned for; None: there is none in the folder."""
-        kept = self.path / "arena.geojson"
-        return load(kept) if kept.is_file() else None
+        """Read the arena that was planned for, or driven in; None: neither the folder nor the run keeps one."""
+        if self.run is not None:
+            return arena_in(self.run)
+        kept = self._kept("arena.geojson")
+        return None if kept is None else load(kept)
 
     def robot(self) -> Robot | None:
-        """Read the robot that was planned for; None: there is none in the folder."""
-        kept = self.path / "robot.yaml"
-        return load_robot(kept) if kept.is_file() else None
+        """Read the robot that was planned for, or that drove; None: neither the folder nor the run keeps one."""
+        if self.run is not None:
+            return robot_in(self.run)
+        kept = self._kept("robot.yaml")
+        return None if kept is None else load_robot(kept)
+
+    def mismatch(self, *, arena: Arena | None = None, robot: Robot | None = None) -> list[str]:
+        """Say in a line each how an arena and a robot differ from those that the drive was planned for."""
+        out = []
+        planned = None if arena is None else self.arena()
+        if arena is not None and planned is not None and not is_same_arena(planned, arena):
+            out.append(f"{self.path} was planned for another arena than this one")
+        machine = None if robot is None else self.robot()
+        differing = [] if robot is None or machine is None else differing_keys(machine, robot)
+        if differing:
+            out.append(
+                f"{self.path} was planned for another robot than this one: {', '.join(differing)} differ"
+            )
+        return out
+
+    def _kept(self, name: str) -> Path | None:
+        """Return a file of the plan's folder; a run of a battery has it one folder up."""
+        folder = self.path if self.path.is_dir() else self.path.parent
+        places = [folder, folder.parent] if folder.name.startswith("run_") else [folder]
+        return next((place / name for place in places if (place / name).is_file()), None)
 
     def attachments(self) -> dict[str, bytes]:
         """Return plan.json for a run to keep.
@@ -100,7 +128,8 @@ def open_drive(path: Path, *, start: Floats | None = None) -> DriveSource:
         if not len(run.poses):
             raise SensorgraphError("the run has no pose to begin from; give `start` X,Y,PHI")
         start = np.asarray(run.poses[0])
-    return DriveSource(path=path, way=Commands(stamps=run.cmd_stamps, twists=run.commands, start=start))
+    way = Commands(stamps=run.cmd_stamps, twists=run.commands, start=start)
+    return DriveSource(path=path, way=way, run=run)
 
 
 def _trajectory(path: Path) -> Trajectory | None:
@@ -128,3 +157,21 @@ def check_start(pose: Floats, arena: Arena, robot: Robot, *, arena_name: str = "
 def is_same_arena(a: Arena, b: Arena) -> bool:
     """Tell whether two arenas have the same walls."""
     return a.walls.shape == b.walls.shape and bool(abs(a.walls - b.walls).max(initial=0.0) <= SAME_WALLS)
+
+
+def differing_keys(a: Robot, b: Robot) -> list[str]:
+    """Return the keys of robot.yaml that differ between two robots, their names and comments aside."""
+    return _differing(a, b, "", skip=("name", "text"))
+
+
+def _differing(a: Any, b: Any, where: str, skip: tuple[str, ...] = ()) -> list[str]:
+    out = []
+    for f in fields(a):
+        mine, other = getattr(a, f.name), getattr(b, f.name)
+        if f.name in skip:
+            continue
+        if is_dataclass(mine):
+            out += _differing(mine, other, f"{where}{f.name}.")
+        elif not np.array_equal(mine, other):
+            out.append(f"{where}{f.name}")
+    return out
