@@ -27,6 +27,7 @@ from sensorgraph.models.cells import model as cells
 from sensorgraph.models.cells.evidence import CellEvidence
 from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
 from sensorgraph.models.cells.ray_march import tabulate
+from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
 
 Floats = NDArray[np.float64]
@@ -66,7 +67,7 @@ def learned_from(logs: list[TrainingLog]) -> Floats:
         for log in logs:
             aside, bearings = is_set_aside(len(log.poses)), log.run.sensor.bearings
             evidence = CellEvidence.of(log.poses[~aside], log.ranges[~aside], bearings).widened()
-            table = tabulate(evidence, beta, cells.INITIAL_SIGMA)
+            table = tabulate(evidence, beta, CELLS.answers.first_sigma)
             phi, label, weight = training_samples(
                 evidence, log.poses[aside], log.ranges[aside], bearings, table, N_SAMPLES
             )
@@ -111,7 +112,11 @@ def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
             beta = learned_from([other for other in logs if other is not log])
             evidence = CellEvidence.of(log.poses, log.ranges, log.run.sensor.bearings).widened()
             model = cells.CellModel(
-                **{**vars(graph.model), "beta": beta, "table": tabulate(evidence, beta, cells.INITIAL_SIGMA)}
+                **{
+                    **vars(graph.model),
+                    "beta": beta,
+                    "table": tabulate(evidence, beta, CELLS.answers.first_sigma),
+                }
             )
             stranger = Sensorgraph(
                 model=model, sensor=graph.sensor, pose_frame=graph.pose_frame, origin=graph.origin

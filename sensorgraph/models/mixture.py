@@ -15,14 +15,16 @@ from scipy.special import ndtr
 
 from planners.kernel import kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction
+from sensorgraph.models.settings import MIXTURE
 from sensorgraph.types import Bools, Floats
 
-MODE_WINDOW = 6.0
-"""Width of the mode's window, in standard deviations of a candidate: all of one surface, little of the next."""
+MODE_WINDOW, CLEAR_SHARE, TAIL = MIXTURE.mode_window, MIXTURE.clear_share, MIXTURE.tail_sigmas
+BRACKET, MAX_STEPS, MIN_STEP = MIXTURE.bracket_sigmas, MIXTURE.max_steps, MIXTURE.min_step
+MIN_WEIGHT = MIXTURE.min_weight
+SQRT_HALF, DENSITY_AT_0 = 0.7071067811865476, 0.3989422804014327
+"""The square root of 1/2, and the standard normal density at 0."""
 MEDIAN, MODE, MEAN, SIGMA, NO_RETURN, P_OFF = range(6)
 """Columns that `summarise` gives."""
-_CLEAR = 0.999  # share of one candidate above which the median is its range: off by less than 0.003 sigma
-_STEPS = 40  # at most, to a hundred-millionth of a sigma; five are usual
 
 
 @kernel
@@ -31,10 +33,10 @@ def chance_below(x: float, r: Floats, w: Floats, s: Floats, first: int, last: in
     total = 0.0
     for i in range(first, last):
         z = (x - r[i]) / s[i]
-        if z > 6.0:
+        if z > TAIL:
             total += w[i]
-        elif z > -6.0:
-            total += 0.5 * w[i] * math.erfc(-z * 0.7071067811865476)
+        elif z > -TAIL:
+            total += 0.5 * w[i] * math.erfc(-z * SQRT_HALF)
     return total
 
 
@@ -47,7 +49,7 @@ def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
         total += w[i]
         if w[i] > w[heaviest]:
             heaviest = i
-    if w[heaviest] >= _CLEAR * total:
+    if w[heaviest] >= CLEAR_SHARE * total:
         return float(r[heaviest])
     below, k, widest = 0.0, last - 1, 0.0
     for i in range(first, last):
@@ -58,25 +60,25 @@ def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
             break
     for i in range(k + 1, last):
         widest = max(widest, s[i])
-    low, high, x = r[k] - 8.0 * widest, r[k] + 8.0 * widest, r[k]
-    for _ in range(_STEPS):  # Newton's, halving the bracket where they leave it
+    low, high, x = r[k] - BRACKET * widest, r[k] + BRACKET * widest, r[k]
+    for _ in range(MAX_STEPS):  # Newton's, halving the bracket where they leave it
         over, slope = -0.5 * total, 0.0
         for i in range(first, last):
             z = (x - r[i]) / s[i]
-            if z > 6.0:
+            if z > TAIL:
                 over += w[i]
-            elif z > -6.0:
-                over += 0.5 * w[i] * math.erfc(-z * 0.7071067811865476)
+            elif z > -TAIL:
+                over += 0.5 * w[i] * math.erfc(-z * SQRT_HALF)
                 slope += w[i] / s[i] * math.exp(-0.5 * z * z)
         if over < 0.0:
             low = x
         else:
             high = x
-        slope *= 0.3989422804014327
+        slope *= DENSITY_AT_0
         after = x - over / slope if slope > 0.0 else low
         if not low < after < high:
             after = 0.5 * (low + high)
-        if abs(after - x) < 1e-8 * widest:
+        if abs(after - x) < MIN_STEP * widest:
             return float(after)
         x = after
     return float(x)
@@ -119,7 +121,7 @@ def summarise(
     for i in range(n):
         total += w[i]
         mean += w[i] * r[i]
-    if total <= 1e-12:
+    if total <= MIN_WEIGHT:
         return farthest, farthest, farthest, farthest, leftover, 1.0
     mean /= total
     variance = 0.0
@@ -142,7 +144,7 @@ def summarise_plain(
     """Do what `summarise` does, in numpy: the definition that the kernel is held against."""
     r, w, s = r[:n], w[:n], s[:n]
     total = float(w.sum())
-    if total <= 1e-12:
+    if total <= MIN_WEIGHT:
         return farthest, farthest, farthest, farthest, leftover, 1.0
     mean = float(w @ r) / total
     sigma = math.sqrt(float(w @ ((r - mean) ** 2 + s**2)) / total)

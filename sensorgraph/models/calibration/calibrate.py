@@ -37,6 +37,7 @@ from sensorgraph.models.calibration.normal_equations import (
 )
 from sensorgraph.models.calibration.pose_refinement import RefinedPoses, compose_poses, refine_poses
 from sensorgraph.models.calibration.ray_terms import RayTerms
+from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.fit import FittedFaces, draft_faces, fit_faces
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import FaceSet
@@ -45,22 +46,6 @@ from sensorgraph.models.faces.visibility import Rays, ReturnNoise
 from sensorgraph.types import Floats
 
 logger = logging.getLogger(__name__)
-
-COARSE_SIGMAS = (0.025, 0.015)
-"""[m] what returns may be off by in the first rounds."""
-FINE_SIGMA = 0.012
-"""[m] what they may be off by afterwards."""
-GAUGE_READINGS = 250_000
-PROBE_READINGS = 250_000
-"""Readings of whole scans in which a calibration that is worth its price in all shows, if only faintly."""
-GAUGE_REACHES = (0.012, 0.003)
-"""[m] of the searches for the walls' common shift."""
-MIN_GAIN = 20.0
-"""[nats] that calibration must be worth beyond the price of its terms."""
-MAX_POSE_NOISE = (0.10, 0.10)
-"""[m, rad] noise of poses beyond which the log is broken (mirrored, other units) and no small step mends it."""
-MIN_GAIN_PER_READING = 0.01
-"""[nats] a reading that ray terms must be worth: a seventh of the noise, rms; clutter feigns less than that."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -200,29 +185,29 @@ class _JointCalibration:
         Noise of a pose moves all returns of a scan together, and many such scans look like terms that are not
         there. So the mount counts against the poses' noise, and all others after the poses were refined.
         """
-        if self.noise.sigma_xy > MAX_POSE_NOISE[0] or self.noise.sigma_yaw > MAX_POSE_NOISE[1]:
+        if _is_broken(self.noise.sigma_xy, self.noise.sigma_yaw):
             logger.info("calibration: returns and poses do not belong together: %s", self.noise)
             return False
         everything = self.readings
-        if not force and len(everything) > 2 * PROBE_READINGS:
-            self.readings = _whole_scans(everything, PROBE_READINGS)
+        if not force and len(everything) > 2 * CALIBRATION.probe_readings:
+            self.readings = _whole_scans(everything, CALIBRATION.probe_readings)
             mount, terms, better = self._paying()
             self.readings = everything
             if max(mount, terms, better.log_evidence) <= 0:
                 return False
         mount, terms, better = self._paying()
-        if better.log_evidence > MIN_GAIN:
+        if better.log_evidence > CALIBRATION.min_gain:
             self.shifts, self.pose_noise = better.shifts, (better.sigma_xy, better.sigma_yaw)
-        least = max(MIN_GAIN, MIN_GAIN_PER_READING * len(self.readings))
-        self.is_amiss = force or mount > MIN_GAIN or terms > least
-        return self.is_amiss or better.log_evidence > MIN_GAIN
+        least = max(CALIBRATION.min_gain, CALIBRATION.min_gain_per_reading * len(self.readings))
+        self.is_amiss = force or mount > CALIBRATION.min_gain or terms > least
+        return self.is_amiss or better.log_evidence > CALIBRATION.min_gain
 
     def _paying(self) -> tuple[float, float, RefinedPoses]:
         """Return the nats of the mount against the noise of the poses, of all other terms, and better poses."""
         better = self._poses(self.match())
         mount = self._found(better)[0] if self.can_mount else 0.0
         kept = self.shifts
-        if better.log_evidence > MIN_GAIN:
+        if better.log_evidence > CALIBRATION.min_gain:
             self.shifts = better.shifts
         terms = self._found(better)[1]
         self.shifts = kept
@@ -240,7 +225,7 @@ class _JointCalibration:
         prices[MOUNT] = np.inf
         terms = select_terms(normal, np.zeros(len(prices)), prices)[2]
         limits = np.array([better.sigma_xy, better.sigma_xy, better.sigma_yaw]) ** 2 / len(self.poses)
-        own = normal.matrix[MOUNT, MOUNT] + 1e-9 * np.eye(3)
+        own = normal.matrix[MOUNT, MOUNT] + CALIBRATION.adjustment.ridge * np.eye(3)
         spread = np.linalg.inv(own) + np.diag(limits)
         offset = np.linalg.solve(own, normal.rhs[MOUNT])
         return 0.5 * float(offset @ np.linalg.solve(spread, offset)) - 3 * price, terms
@@ -250,12 +235,13 @@ class _JointCalibration:
         if self.is_amiss:
             self.shifts = np.zeros_like(self.shifts)  # they tried to make up for the laser
             self.pose_noise = (0.0, 0.0)
-            for i, sigma in enumerate(COARSE_SIGMAS):
+            for i, sigma in enumerate(CALIBRATION.coarse_sigmas):
                 self.take(draft_faces(self.corrected(), sigma=sigma), least=sigma)
                 self.adjust(incidence=i > 0)
                 self.adjust(incidence=i > 0)
-        for reach in GAUGE_REACHES if self.is_amiss else GAUGE_REACHES[:1]:
-            self.take(fit_faces(self.corrected(), sigma=FINE_SIGMA))
+        reaches = CALIBRATION.gauge.reaches
+        for reach in reaches if self.is_amiss else reaches[:1]:
+            self.take(fit_faces(self.corrected(), sigma=CALIBRATION.fine_sigma))
             if self.is_amiss:
                 self.adjust(incidence=True)
                 self.refine_poses()
@@ -281,7 +267,9 @@ class _JointCalibration:
         hold = self.gauge is not None
         normal = normal_equations(self.readings, self.lasers, matches, faces, hold=hold)
         current = np.concatenate([np.zeros(5), self.terms.incidence, self.terms.constant, self.terms.slope])
-        for _ in range(3):  # the price of a ray's term falls with the share of rays that have one
+        for _ in range(
+            CALIBRATION.adjustment.price_rounds
+        ):  # the price of a ray's term falls with the share of rays that have one
             values, chosen, _ = select_terms(normal, current, self._prices(normal, incidence=incidence))
             self.own = chosen[N_COMMON:].reshape(2, -1)
         self.faces = step_faces(faces, normal, values - current)
@@ -305,7 +293,7 @@ class _JointCalibration:
             1e3 * better.sigma_xy,
             1e3 * better.sigma_yaw,
         )
-        if better.log_evidence < MIN_GAIN:
+        if better.log_evidence < CALIBRATION.min_gain:
             return
         self.shifts = better.shifts
         self.pose_noise = (better.sigma_xy, better.sigma_yaw)
@@ -314,7 +302,7 @@ class _JointCalibration:
         """Let occlusion edges say where the walls are, and give the terms what is left."""
         if not self.terms.has_incidence:
             return
-        some = _whole_scans(self.readings, GAUGE_READINGS)
+        some = _whole_scans(self.readings, CALIBRATION.gauge.readings)
         matches = self.match(some)
         found = estimate_gauge(self.rays(some, matches.ranges), matches, self.faces, self.noise, reach=reach)
         before = self.gauge.shift if self.gauge is not None else 0.0
@@ -339,7 +327,7 @@ class _JointCalibration:
 
     def _poses(self, matches: Matches) -> RefinedPoses:
         found = refine_poses(self.readings, self.lasers, matches, self.faces, self.shifts, self.noise.sigma)
-        if found.sigma_xy > MAX_POSE_NOISE[0] or found.sigma_yaw > MAX_POSE_NOISE[1]:
+        if _is_broken(found.sigma_xy, found.sigma_yaw):
             logger.info("poses off by %.2f m, %.2f rad: not refined", found.sigma_xy, found.sigma_yaw)
             return replace(found, log_evidence=0.0)
         return found
@@ -359,6 +347,12 @@ class _JointCalibration:
             own = 0.5 * math.log(max(n / n_rays, 2.0)) + math.log((1 - share) / share)
             prices[N_COMMON + group * n_rays : N_COMMON + (group + 1) * n_rays] = own
         return prices
+
+
+def _is_broken(sigma_xy: float, sigma_yaw: float) -> bool:
+    """Tell whether poses are so noisy [m, rad] that no small step mends the log."""
+    most_xy, most_yaw = CALIBRATION.poses.max_noise
+    return sigma_xy > most_xy or sigma_yaw > most_yaw
 
 
 def _whole_scans(readings: Readings, most: int) -> Readings:

@@ -13,13 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.models.calibration.matching import Matches, range_change
+from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.visibility import Rays, ReturnNoise, binned_faces, e_step, m_step, visible_lines
 
-VISIBILITY_PASSES = 3  # of EM on visibility alone
-MIN_STEP = 0.0008  # [m] step at which the search ends
-MAX_SHIFT = 0.03  # [m] that it may go
-MIN_CONTRAST = 30.0  # [nats] that the best must stand above both sides; bins alone make a few
+GAUGE = CALIBRATION.gauge
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,18 +55,18 @@ def find_peak(log_likelihood: Callable[[float], float], *, reach: float) -> Gaug
     step = reach / 2
     values = {i * step: log_likelihood(i * step) for i in range(-2, 3)}
     best = max(values, key=lambda shift: values[shift])
-    while abs(best) < MAX_SHIFT:
+    while abs(best) < GAUGE.max_shift:
         for beside in (best - step, best + step):
             if not any(abs(beside - shift) < step / 4 for shift in values):
                 values[beside] = log_likelihood(beside)
         top = max(values, key=lambda shift: values[shift])
         if top == best:
-            if step <= MIN_STEP:
+            if step <= GAUGE.min_step:
                 break
             step /= 2
         best = top
     clear = min(values[best] - value for value in (values[min(values)], values[max(values)]))
-    if abs(best) >= MAX_SHIFT or clear < MIN_CONTRAST:
+    if abs(best) >= GAUGE.max_shift or clear < GAUGE.min_contrast:
         return Gauge(shift=0.0, stderr=np.inf)
     near = sorted(values, key=lambda shift: abs(shift - best))[:3]
     curve, slope, _ = np.polyfit(np.array(near) - best, [values[shift] for shift in near], 2)
@@ -78,10 +76,12 @@ def find_peak(log_likelihood: Callable[[float], float], *, reach: float) -> Gaug
 
 def _log_likelihood(rays: Rays, matches: Matches, faces: FaceSet, noise: ReturnNoise, shift: float) -> float:
     """Return the log likelihood with all faces shifted, and the returns with them."""
-    moved = replace(rays, ranges=np.maximum(rays.ranges + range_change(matches, shift), 1e-3))
+    moved = replace(
+        rays, ranges=np.maximum(rays.ranges + range_change(matches, shift), CALIBRATION.matches.min_range)
+    )
     here = binned_faces(visible_lines(faces))
     here = here._replace(offsets=here.offsets + shift)
-    for _ in range(VISIBILITY_PASSES):
+    for _ in range(GAUGE.passes):
         expectation = e_step(moved, here, noise)
         here, _ = m_step(here, expectation, noise, refit=False)
     return e_step(moved, here, noise).log_likelihood

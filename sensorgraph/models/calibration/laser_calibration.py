@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensorgraph.models.calibration.gauge import Gauge
-from sensorgraph.models.calibration.matching import MAX_RAY_BIAS
 from sensorgraph.models.calibration.ray_terms import RayTerms
+from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.types import Floats
 
-MAX_OFFSET, MAX_TURN, MAX_SLOPE = 0.5, 0.35, 0.1
-"""[m], [rad] and metres a metre that a laser is off at most."""
+ADJUSTMENT = CALIBRATION.adjustment
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,10 +61,10 @@ class Calibration:
     def is_plausible(self) -> bool:
         """Tell whether such a laser may exist; a log whose poses and scans do not belong together gives another."""
         return bool(
-            np.hypot(*self.offset[:2]) < MAX_OFFSET
-            and abs(self.offset[2]) < MAX_TURN
-            and np.abs(self.terms.constant).max() < MAX_RAY_BIAS
-            and np.abs(self.terms.slope).max() < MAX_SLOPE
+            np.hypot(*self.offset[:2]) < ADJUSTMENT.max_mount_offset
+            and abs(self.offset[2]) < ADJUSTMENT.max_mount_turn
+            and np.abs(self.terms.constant).max() < CALIBRATION.matches.max_ray_bias
+            and np.abs(self.terms.slope).max() < ADJUSTMENT.max_slope
         )
 
     def summary(self) -> dict[str, str]:

@@ -8,15 +8,21 @@ from typing import Any
 import numpy as np
 
 from planners.kernel import kernel
-from sensorgraph.models.calibration.ray_terms import N_INCIDENCE, RayTerms, incidence_bias, incidence_terms
+from sensorgraph.models.calibration.ray_terms import (
+    MAX_OPTIC_RANGE,
+    N_INCIDENCE,
+    RayTerms,
+    incidence_bias,
+    incidence_terms,
+)
+from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid, crossed_faces
-from sensorgraph.models.faces.visibility import ReturnNoise, variance
+from sensorgraph.models.faces.visibility import GATE, ReturnNoise, variance
 from sensorgraph.types import Bools, Floats, Ints
 
-MIN_MATCH_COSINE = 0.05  # |n·u| below which a return is all leverage
-MIN_PROBABILITY = 0.5  # chance that a return comes from this face
-GATE_SIGMAS = 4.0  # standard deviations off, beyond which it does not
-MAX_RAY_BIAS = 0.3  # [m] that readings may be off before anything is known of them
+MATCHES = CALIBRATION.matches
+MIN_MATCH_COSINE, MIN_PROBABILITY = MATCHES.min_cosine, MATCHES.min_probability
+GATE_SIGMAS, MAX_RAY_BIAS, MIN_RANGE = MATCHES.gate_sigmas, MATCHES.max_ray_bias, MATCHES.min_range
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,7 +118,7 @@ def mean_incidence(matches: Matches, terms: RayTerms) -> float:
     known = matches.weight > 0
     if not known.any() or not terms.has_incidence:
         return 0.0
-    v, q = 1 - np.abs(matches.den[known]), np.minimum(matches.rho[known], 4.0) / 4.0
+    v, q = 1 - np.abs(matches.den[known]), np.minimum(matches.rho[known], MAX_OPTIC_RANGE) / MAX_OPTIC_RANGE
     basis = np.empty((N_INCIDENCE, len(v)))
     incidence_terms(v, q, basis)
     return float((terms.incidence @ basis).mean())
@@ -121,7 +127,9 @@ def mean_incidence(matches: Matches, terms: RayTerms) -> float:
 def range_change(matches: Matches, shift: float) -> Floats:
     """Return how much farther (n,) [m] faces are that moved along their normals by `shift` [m]; 0 without a face."""
     return np.where(
-        (matches.face >= 0) & (matches.den < -0.02), shift / np.where(matches.den < 0, matches.den, -1.0), 0.0
+        (matches.face >= 0) & (matches.den < -MATCHES.min_shift_cosine),
+        shift / np.where(matches.den < 0, matches.den, -1.0),
+        0.0,
     )
 
 
@@ -163,7 +171,7 @@ def _match_readings(
             den = normals[f, 0] * ux + normals[f, 1] * uy
             var = variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise)
             e = base - incidence_bias(den, r[m], s) / gain - r[m]
-            if e * e < 36 * var:
+            if e * e < GATE * var:
                 p = survival * alpha * np.exp(-0.5 * e * e / var) / np.sqrt(2 * np.pi * var)
                 total += p
                 if p > best:
@@ -172,14 +180,14 @@ def _match_readings(
                 before = survival * (1 - alpha)
             survival *= 1 - alpha
         if at < 0:
-            values[i, 0] = max(base - mean_bias / gain, 1e-3)
+            values[i, 0] = max(base - mean_bias / gain, MIN_RANGE)
             continue
         f = k[at]
         den = normals[f, 0] * ux + normals[f, 1] * uy
         along = -normals[f, 1] * ux + normals[f, 0] * uy
         sure = best / (total + before * noise[3])
         face[i] = f
-        values[i, 0] = max(r[at] + best_e, 1e-3)
+        values[i, 0] = max(r[at] + best_e, MIN_RANGE)
         values[i, 1], values[i, 2], values[i, 3] = r[at], den, along
         values[i, 4] = t[at] + best_e * along
         values[i, 5] = sure

@@ -17,7 +17,8 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.models.calibration.matching import Matches, Readings
-from sensorgraph.models.calibration.ray_terms import N_INCIDENCE, incidence_terms
+from sensorgraph.models.calibration.ray_terms import MAX_OPTIC_RANGE, N_INCIDENCE, incidence_terms
+from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.types import Bools, Floats
 
@@ -25,8 +26,8 @@ MOUNT = slice(0, 3)
 COMMON = slice(3, 5)  # constant and slope of all rays together
 INCIDENCE = slice(5, 5 + N_INCIDENCE)
 N_COMMON = 5 + N_INCIDENCE
-TURN_ARM = 1.0  # [m] a face's turn moves it by that much less than a shift, at the prior
-RIDGE = 1e-9  # of a unit diagonal: for unknowns that nearly say the same
+ADJUSTMENT = CALIBRATION.adjustment
+MIN_REST = ADJUSTMENT.min_rest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,7 +80,7 @@ def normal_equations(
     )  # fmt: skip
     matrix += np.tril(matrix, -1).T
     own[:, 0, 0] += 1.0  # [1/m²] nothing is known of a face without returns
-    own[:, 1, 1] += TURN_ARM**2
+    own[:, 1, 1] += ADJUSTMENT.turn_arm**2
     inverse = np.asarray(np.linalg.inv(own), dtype=np.float64)
     flat = across.reshape(2 * k, n)
     solved = np.einsum("kij,kjn->kin", inverse, across).reshape(2 * k, n)
@@ -108,7 +109,7 @@ def normal_equations(
 def step_faces(faces: FaceSet, normal: NormalEquations, step: Floats) -> FaceSet:
     """Shift and turn faces by what belongs to a step of the other unknowns."""
     shift, turn = normal.faces_moved(step).T
-    turn = np.clip(turn, -0.05, 0.05)
+    turn = np.clip(turn, -ADJUSTMENT.max_turn, ADJUSTMENT.max_turn)
     normals, tangents, c = faces.normals, faces.tangents, normal.centre
     centre = normals * (faces.offsets + shift)[:, None] + tangents * c[:, None]
     cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
@@ -141,7 +142,7 @@ def select_terms(normal: NormalEquations, current: Floats, prices: Floats) -> tu
     if chosen.any():
         part = matrix[np.ix_(chosen, chosen)]
         scale = np.sqrt(np.diag(part))
-        scaled = part / scale[:, None] / scale + RIDGE * np.eye(len(part))
+        scaled = part / scale[:, None] / scale + ADJUSTMENT.ridge * np.eye(len(part))
         values[chosen] = np.linalg.solve(scaled, right[chosen] / scale) / scale
     return values, chosen, float(worth)
 
@@ -150,7 +151,7 @@ def standard_errors(normal: NormalEquations, chosen: Bools) -> Floats:
     """Return the standard errors (n,) of chosen unknowns; nan for the others."""
     part = normal.matrix[np.ix_(chosen, chosen)]
     scale = np.sqrt(np.diag(part))
-    inverse = np.linalg.inv(part / scale[:, None] / scale + RIDGE * np.eye(len(part)))
+    inverse = np.linalg.inv(part / scale[:, None] / scale + ADJUSTMENT.ridge * np.eye(len(part)))
     out = np.full(len(chosen), np.nan)
     out[chosen] = np.sqrt(np.diag(inverse)) / scale
     return out
@@ -168,7 +169,7 @@ def _forward(matrix: Any, right: Any, prices: Any) -> Any:
     for step in range(n):
         best, at = 0.0, -1
         for i in range(n):
-            if chosen[i] or left[i] < 1e-6 * whole[i] or left[i] <= 0 or prices[i] == np.inf:
+            if chosen[i] or left[i] < MIN_REST * whole[i] or left[i] <= 0 or prices[i] == np.inf:
                 continue
             gain = 1e300 if prices[i] == -np.inf else 0.5 * rest[i] ** 2 / left[i] - prices[i]
             if gain > best:
@@ -223,7 +224,7 @@ def _accumulate(
         x[1] = -(ny * cos[i] - nx * sin[i]) / den[i]
         x[2] = rho[i] * along[i] / den[i]
         x[3], x[4] = 1.0, rho[i]
-        incidence_terms(1.0 - abs(den[i]), min(rho[i], 4.0) * 0.25, x[5:N_COMMON])
+        incidence_terms(1.0 - abs(den[i]), min(rho[i], MAX_OPTIC_RANGE) / MAX_OPTIC_RANGE, x[5:N_COMMON])
         x[N_COMMON], x[N_COMMON + 1] = 1.0, rho[i]
         where[N_COMMON], where[N_COMMON + 1] = N_COMMON + ray[i], N_COMMON + n_rays + ray[i]
         y0, y1 = 1.0 / den[i], (at[i] - centre[f]) / den[i]

@@ -12,11 +12,11 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.models.calibration.matching import Matches, Readings
+from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.types import Floats
 
-INITIAL_POSE_NOISE = (0.005, 0.005)  # [m, rad] noise of the poses to begin with
-EM_ROUNDS = 30
+POSES = CALIBRATION.poses
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,8 +59,8 @@ def refine_poses(
 
 def _solve_damped(own: Floats, right: Floats) -> tuple[Floats, Floats, float]:
     """Solve for the scans' corrections (n, 3) and the variance (3,) that these have; return the evidence for it, too."""
-    spread = np.array([INITIAL_POSE_NOISE[0], INITIAL_POSE_NOISE[0], INITIAL_POSE_NOISE[1]]) ** 2
-    for _ in range(EM_ROUNDS if len(own) else 0):
+    spread = np.array([POSES.first_noise[0], *POSES.first_noise]) ** 2
+    for _ in range(POSES.rounds if len(own) else 0):
         inverse = np.linalg.inv(own + np.diag(1 / spread))
         found = np.einsum("nij,nj->ni", inverse, right)
         second = (found**2 + np.einsum("nii->ni", inverse)).mean(axis=0)

@@ -1,6 +1,6 @@
 """What a laser adds to the true range: reading = rho + c_j0 + c_j1 rho + S(v, q) for ray j.
 
-v = 1 - |n·u| grows with the incidence, q = min(rho, 4 m) / 4 m with the range up to where optics settle; S is a
+v = 1 - |n·u| grows with the incidence, q = min(rho, R) / R with the range up to R = 4 m, where optics settle; S is a
 polynomial in both that all rays share. The inverse takes a reading back to where its surface is.
 """
 
@@ -12,12 +12,13 @@ from typing import Any, Self
 import numpy as np
 
 from planners.kernel import kernel
+from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.types import Floats
 
 INCIDENCE_POWERS = ((1, 0), (2, 0), (3, 0), (1, 1), (2, 1), (1, 2), (2, 2))
 """Of v and q in the terms of S."""
 N_INCIDENCE = len(INCIDENCE_POWERS)
-MAX_OPTIC_RANGE = 4.0
+MAX_OPTIC_RANGE = CALIBRATION.matches.max_optic_range
 """[m] beyond which the incidence terms depend on the range no more."""
 
 
@@ -86,5 +87,5 @@ def incidence_terms(v: Any, q: Any, out: Any) -> Any:
 def incidence_bias(den: Any, rho: Any, s: Any) -> Any:
     """Return S [m] for |den| = |n·u| at range rho."""
     v = 1.0 - abs(den)
-    q = min(rho, 4.0) * 0.25
+    q = min(rho, MAX_OPTIC_RANGE) / MAX_OPTIC_RANGE
     return v * (s[0] + q * (s[3] + q * s[5]) + v * (s[1] + q * (s[4] + q * s[6]) + v * s[2]))

@@ -22,19 +22,17 @@ from sensorgraph.models.cells.grid import (
     sector_of,
     traverse,
 )
+from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.types import Floats
 
 Counts = NDArray[np.float32]
 T = TypeVar("T", bound=np.generic)
 
-CELL_SIZE = 0.05
-"""[m] side of a cell; 3.5 to 7 cm do nearly as well."""
-MAX_REACH = 10.0
-"""[m] a longer range counts as nothing seen within reach."""
-MIN_RANGE = 0.1
-"""[m] a shorter range is not used."""
-MAX_RAY_SPACING = math.radians(0.34)
-"""[rad] wider gaps between neighbouring rays are filled by virtual ones."""
+EVIDENCE = CELLS.evidence
+CELL_SIZE, MAX_REACH, MIN_RANGE = EVIDENCE.cell_size, EVIDENCE.max_reach, EVIDENCE.min_range
+SURFACE_STEP, SURFACE_SLOPE = EVIDENCE.surface_step, EVIDENCE.surface_slope
+MAX_SURFACE_STEP = EVIDENCE.max_surface_step
+FREE_MARGIN, SURFACE_MARGIN_CELLS = EVIDENCE.free_margin, EVIDENCE.surface_margin_cells
 N_MOMENTS = 6  # count, x, y, xx, xy, yy of hits, [m] from the middle of their cell
 
 
@@ -97,7 +95,7 @@ class CellEvidence:
         self._hold(GridWindow.around(poses[:, :2], self.reach, self.window.cell))
         gaps = np.append(np.diff(bearings), 0.0)
         between = np.maximum(
-            np.round(gaps / MAX_RAY_SPACING).astype(np.int64) - 1, 0
+            np.round(gaps / EVIDENCE.max_ray_spacing).astype(np.int64) - 1, 0
         )  # virtual rays after each ray
         room = (len(bearings) + int(between.sum())) * max_cells_met(self.reach, self.window.cell)
         done = 0
@@ -201,7 +199,7 @@ def add_scans(
 ) -> tuple[int, int, int]:  # fmt: skip
     """Add scans from `start` on until the arrays may overflow; return the next scan and the rows in use."""
     n_rays = len(bearings)
-    at = np.empty((int(1.4143 * reach / cell) + 4, 2), dtype=np.int64)
+    at = np.empty((max_cells_met(reach, cell), 2), dtype=np.int64)
     ends = np.empty(len(at))
     room = (n_rays + between.sum()) * len(at)
     for scan in range(start, len(poses)):
@@ -274,18 +272,18 @@ def fill_gap(
     """
     weight = 1.0 / (n_between + 1)
     apart = math.sqrt(r * r + q * q - 2.0 * r * q * math.cos(gap)) if r < reach and q < reach else math.inf
-    one_surface = apart < max(0.10, 4.0 * min(r, q) * gap) and apart < 0.6
+    one_surface = apart < max(SURFACE_STEP, SURFACE_SLOPE * min(r, q) * gap) and apart < MAX_SURFACE_STEP
     for k in range(n_between):
         f = (k + 1) * weight
         theta = angle + f * gap
         c, s = math.cos(theta), math.sin(theta)
         b = sector_of(c, s)
-        free = min(r, q, reach) - 0.15
+        free = min(r, q, reach) - FREE_MARGIN
         if one_surface:
             z = r * q * math.sin(gap) / (r * math.sin(f * gap) + q * math.sin((1.0 - f) * gap))
             row = row_of(math.floor((x + z * c) / cell), math.floor((y + z * s) / cell), index, n_rows)
             n_rows = max(n_rows, row + 1)
             interpolated[row, b] += weight
-            free = z - 1.5 * cell
+            free = z - SURFACE_MARGIN_CELLS * cell
         n_rows = pass_through(x, y, c, s, b, free, weight, cell, index, n_rows, passes, at, ends)
     return n_rows

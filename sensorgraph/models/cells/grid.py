@@ -19,6 +19,8 @@ RowGrid = NDArray[np.int32]
 CellIndices = NDArray[np.int64]
 
 N_SECTORS = 16
+DIAGONAL = 1.4143
+"""Cells that a ray meets on a length of one cell, at most: the square root of 2, rounded up."""
 BORDER_CELLS = 6
 """Cells around what is covered, so that neighbours up to there need no check."""
 
@@ -119,9 +121,10 @@ def traverse(
     return n
 
 
+@kernel
 def max_cells_met(far: float, cell: float) -> int:
     """Return the largest count of cells that a ray of length `far` [m] can meet."""
-    return int(1.4143 * far / cell) + 4
+    return int(DIAGONAL * far / cell) + 4
 
 
 def traverse_plain(

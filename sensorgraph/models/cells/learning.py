@@ -8,25 +8,25 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.models.cells.evidence import MIN_RANGE, CellEvidence
-from sensorgraph.models.cells.grid import CellIndices, sector_of, traverse
+from sensorgraph.models.cells.grid import CellIndices, max_cells_met, sector_of, traverse
 from sensorgraph.models.cells.ray_march import RATES, CellTable, face_range
+from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import Floats32, expand_products, features
 from sensorgraph.types import Bools, Floats
 
-N_STRETCHES, FOLDS = 50, 5
-RANGE_SPREAD = 0.03
-"""[m] standard deviation of a range about the face that stops it, with the noise of poses."""
-CANDIDATE_DISTANCE = 0.15
-"""[m] from the measured range, within which a cell may be the one that stopped the ray."""
-RIDGE = 2.0
-MAX_PASSED_SAMPLES = 60_000
-"""Samples of cells that were passed; the others stand for those left out."""
+LEARNING = CELLS.learning
+RANGE_SPREAD, CANDIDATE_DISTANCE = LEARNING.range_spread, LEARNING.candidate_distance
+MIN_AT_RISK = LEARNING.min_at_risk
+MAX_LOGIT = 30.0
+"""Beyond it a chance is 0 or 1 in floating point."""
+MIN_STEP, MIN_FALL = 1e-3, 1e-5
+"""Share of a Newton step below which it is halved no more, and relative fall of the loss at which Newton's steps end."""
 
 
 def is_set_aside(n: int, fold: int = 0) -> Bools:
     """Tell which of n scans are set aside: ten stretches of 2 %, others for each fold 0 ... 4."""
-    stretch = np.arange(n) * N_STRETCHES // max(n, 1)
-    return np.asarray(stretch % FOLDS == (2 + fold) % FOLDS)
+    stretch = np.arange(n) * LEARNING.n_stretches // max(n, 1)
+    return np.asarray(stretch % LEARNING.folds == (2 + fold) % LEARNING.folds)
 
 
 @kernel
@@ -45,7 +45,7 @@ def list_at_risk(
     Fills row, sector, label (chance that it stopped the ray, given that none before did) and weight (chance that
     none before did) of up to len(rows) samples; returns how many there are. `left` chance not explained: no sample.
     """
-    size = int(1.4143 * table.reach / table.cell) + 4
+    size = max_cells_met(table.reach, table.cell)
     at = np.empty((size, 2), dtype=np.int64)
     ends, stop = np.empty(size), np.empty(size)
     n = 0
@@ -86,7 +86,7 @@ def list_at_risk(
                 before = ends[k]
                 if chord <= 0.0:  # through a corner
                     continue
-                if at_risk < 0.01:
+                if at_risk < MIN_AT_RISK:
                     break
                 share = stop[k] / total if hit else 0.0
                 now = min(share / at_risk, 1.0)
@@ -106,11 +106,11 @@ def fit_logistic(
     prior: Floats,
     *,
     steps: int,
-    ridge: float = RIDGE,
+    ridge: float = LEARNING.ridge,
 ) -> Floats:
     """Fit a logistic regression: maximise sum weight (label log p + (1 - label) log(1 - p)) - ridge / 2 |beta - prior|^2."""
     penalty = np.full(len(start), ridge)
-    penalty[0] = 1e-6
+    penalty[0] = LEARNING.intercept_ridge
 
     def loss(beta: Floats) -> tuple[float, Floats]:
         eta = phi @ beta
@@ -119,7 +119,7 @@ def fit_logistic(
     beta = start.copy()
     now, eta = loss(beta)
     for _ in range(steps):
-        p = 1.0 / (1.0 + np.exp(-np.clip(eta, -30, 30)))
+        p = 1.0 / (1.0 + np.exp(-np.clip(eta, -MAX_LOGIT, MAX_LOGIT)))
         slope = phi.T @ (weight * (label - p)) - penalty * (beta - prior)
         root = phi * np.sqrt(weight * p * (1.0 - p)).astype(np.float32)[:, None]
         gram = (root.T @ root).astype(np.float64)
@@ -127,11 +127,11 @@ def fit_logistic(
         length = 1.0
         while True:  # a whole step may overshoot far from the solution
             after, eta = loss(beta + length * change)
-            if after <= now or length < 1e-3:
+            if after <= now or length < MIN_STEP:
                 break
             length /= 2
         beta = beta + length * change
-        if now - after < 1e-5 * now:
+        if now - after < MIN_FALL * now:
             break
         now = after
     return beta
@@ -143,17 +143,17 @@ def training_samples(
     ranges: Floats,
     bearings: Floats,
     table: CellTable,
-    most: int = MAX_PASSED_SAMPLES,
+    most: int = LEARNING.max_passed_samples,
 ) -> tuple[Floats32, Floats, Floats]:
     """Return phi (n, n_terms), label (n,) and weight (n,) of the cells that set-aside rays were at risk in."""
-    size = max(len(poses) * len(bearings) * 150, 1000)
+    size = max(len(poses) * len(bearings) * LEARNING.samples_per_ray, 1000)
     rows, sectors = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     label, weight = np.empty(size), np.empty(size)
     n = list_at_risk(poses, ranges, bearings, table, rows, sectors, label, weight)
     label, weight = label[:n], weight[:n]
     use: list[CellIndices] = []
     weight = weight.copy()
-    for group in (np.flatnonzero(label > 0.01), np.flatnonzero(label <= 0.01)):
+    for group in (np.flatnonzero(label > LEARNING.min_label), np.flatnonzero(label <= LEARNING.min_label)):
         keep = group[:: max(1, math.ceil(len(group) / most))]
         weight[keep] *= weight[group].sum() / max(weight[keep].sum(), 1e-12)
         use.append(keep)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from planners.kernel import kernel
 from sensorgraph.models.cells.evidence import N_MOMENTS, CellEvidence
 from sensorgraph.models.cells.grid import N_SECTORS, CellIndices, RowGrid
+from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.types import Floats
 
 Codes = NDArray[np.uint8]
@@ -19,8 +20,13 @@ NO_LINE = 255
 """Code of a face that stands across every ray: only a distance is known."""
 N_ANGLES = 255
 """Codes 0 ... 254 are angles of the normal in [0, pi)."""
-OFFSET_STEP = 0.001
-"""[m] of the line from the middle of the cell, along the normal; one byte."""
+LINES = CELLS.lines
+OFFSET_STEP = LINES.offset_step
+MAX_STEPS = 127.4
+"""Steps of an offset that a signed byte holds, when rounded."""
+RADIUS, FALLBACK_RADIUS = LINES.radius, LINES.fallback_radius
+MIN_HITS, MIN_ELONGATION = LINES.min_hits, LINES.min_elongation
+MIN_LENGTH_CELLS, MAX_OFFSET_CELLS = LINES.min_length_cells, LINES.max_offset_cells
 COS = np.cos(np.arange(N_ANGLES) * np.pi / N_ANGLES)
 SIN = np.sin(np.arange(N_ANGLES) * np.pi / N_ANGLES)
 
@@ -58,13 +64,13 @@ def sum_neighbourhood(
 @kernel
 def fit_line(m: Floats, cell: float) -> tuple[bool, float, float, float]:
     """Fit a line to moments (6,): is there one, angle of its normal [rad], its offset [m], spread across [m]."""
-    if m[0] < 2.5:
+    if m[0] < MIN_HITS:
         return False, 0.0, 0.0, 0.0
     x, y = m[1] / m[0], m[2] / m[0]
     xx, xy, yy = m[3] / m[0] - x * x, m[4] / m[0] - x * y, m[5] / m[0] - y * y
     half, root = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
     small, large = half - root, half + root
-    if not (large > 4.0 * small and large > (0.6 * cell) ** 2):
+    if not (large > MIN_ELONGATION * small and large > (MIN_LENGTH_CELLS * cell) ** 2):
         return False, 0.0, 0.0, 0.0
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi  # of the normal: across the long axis
     return True, angle, x * math.cos(angle) + y * math.sin(angle), math.sqrt(max(small, 0.0))
@@ -85,29 +91,29 @@ def fill_local_lines(
     for k in range(len(places)):
         i, j = places[k]
         any_near = False
-        for di in range(-2, 3):
-            for dj in range(-2, 3):
+        for di in range(-RADIUS, RADIUS + 1):
+            for dj in range(-RADIUS, RADIUS + 1):
                 row = index[i + di, j + dj]
                 if row >= 0 and face[row] >= 0:
                     any_near = True
         if not any_near:
             continue
         for b in range(N_SECTORS):
-            sum_neighbourhood(i, j, 2, cell, index, face, moments, b, m)
+            sum_neighbourhood(i, j, RADIUS, cell, index, face, moments, b, m)
             found, normal, d, _ = fit_line(m, cell)
             if found:
                 code = round(normal / math.pi * N_ANGLES)  # a turn by pi turns the normal round
                 if (code // N_ANGLES) % 2 != 0:
                     d = -d
                 code %= N_ANGLES
-                if abs(d) < 127.4 * OFFSET_STEP:
+                if abs(d) < MAX_STEPS * OFFSET_STEP:
                     angle[k, b], offset[k, b] = code, round(d / OFFSET_STEP)
                     continue
-            sum_neighbourhood(i, j, 1, cell, index, face, moments, b, m)
+            sum_neighbourhood(i, j, FALLBACK_RADIUS, cell, index, face, moments, b, m)
             if m[0] > 0.0:
                 direction = 2.0 * math.pi * b / N_SECTORS
                 d = (m[1] * math.cos(direction) + m[2] * math.sin(direction)) / m[0]
-                if abs(d) < 1.5 * cell:
+                if abs(d) < MAX_OFFSET_CELLS * cell:
                     offset[k, b] = round(d / OFFSET_STEP)
 
 
@@ -116,7 +122,9 @@ def local_lines(evidence: CellEvidence) -> tuple[Codes, Offsets]:
     angle = np.full((evidence.n_rows + 1, N_SECTORS), NO_LINE, dtype=np.uint8)
     offset = np.zeros((evidence.n_rows + 1, N_SECTORS), dtype=np.int8)
     own = evidence.moments[: evidence.n_faces]
-    similar = np.sum([np.roll(own, d, axis=1) for d in range(-3, 4)], axis=0)
+    similar = np.sum(
+        [np.roll(own, d, axis=1) for d in range(-LINES.similar_sectors, LINES.similar_sectors + 1)], axis=0
+    )
     fill_local_lines(
         evidence.window.places(),
         evidence.window.cell,

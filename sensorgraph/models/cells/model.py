@@ -24,22 +24,13 @@ from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, C
 from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
 from sensorgraph.models.cells.probability_calibration import KNOTS, best_sigma, calibrate_p_off
 from sensorgraph.models.cells.ray_march import CellTable, list_candidates, summarise_rays, tabulate
+from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
-KEY_FRAME_DISTANCE, KEY_FRAME_TURN = 0.4, np.radians(20.0)
-"""[m], [rad] a scan counts where the robot has moved or turned so far since the last one: counts are independent looks."""
-INITIAL_SIGMA = 0.027
-"""[m] spread about a face before it is known."""
-MIN_LEARNING_SCANS = 50
-"""Scans below which the shipped polynomial is used as it is."""
-MIN_NEAR_CHANCE = 0.5
-"""Least chance that a return lies within 10 cm of the median, for a ray to be answered."""
-MAX_UNSEEN_WAY = 0.10
-"""[m] of way through cells that no training ray has met, above which a ray is not answered."""
-NEWTON_STEPS = 4
-"""Newton steps; the shipped polynomial is a good start."""
+MIN_CELL, MAX_CELL = 0.01, 0.5
+"""[m] sides of a cell that may be asked for."""
 
 
 @cache
@@ -78,8 +69,8 @@ class CellModel:
                 f"option {', '.join(sorted(unknown))} is not known to the model cells; expected cell [m]"
             )
         cell = float(options.get("cell", CELL_SIZE))
-        if not 0.01 <= cell <= 0.5:
-            raise SensorgraphError(f"cell is {cell:g} m, expected 0.01 to 0.5")
+        if not MIN_CELL <= cell <= MAX_CELL:
+            raise SensorgraphError(f"cell is {cell:g} m, expected {MIN_CELL:g} to {MAX_CELL:g}")
         keep = is_key_frame(scans.poses, scans.run)
         mount = scans.laser_mount
         poses, ranges, bearings = (
@@ -101,7 +92,7 @@ class CellModel:
         counts = {
             "scans": len(scans),
             "key_frames": len(poses),
-            "set_aside": int(is_set_aside(len(poses)).sum()) if len(poses) >= MIN_LEARNING_SCANS else 0,
+            "set_aside": int(is_set_aside(len(poses)).sum()) if len(poses) >= CELLS.learning.min_scans else 0,
             "hits": int(evidence.hits[: evidence.n_rows].sum()),
         }
         return cls(
@@ -122,8 +113,8 @@ class CellModel:
         out[..., P_OFF] = np.interp(out[..., P_OFF], KNOTS, self.reliability[which_of(point)])
         beyond = out[..., NO_RETURN] > 0.5
         out[..., NO_RETURN] *= self.nothing
-        answered = (dark <= MAX_UNSEEN_WAY) & np.where(
-            beyond, out[..., NO_RETURN] > 0.5, near >= MIN_NEAR_CHANCE
+        answered = (dark <= CELLS.answers.max_unseen_way) & np.where(
+            beyond, out[..., NO_RETURN] > 0.5, near >= CELLS.answers.min_near_chance
         )
         return to_prediction(out, point, answered)
 
@@ -230,7 +221,10 @@ def is_key_frame(poses: Floats, run: Ints) -> Bools:
         if last >= 0 and run[i] == run[last]:
             x0, y0, phi0 = poses[last]
             turn = np.pi - abs(np.pi - abs(phi - phi0) % (2 * np.pi))
-            if np.hypot(x - x0, y - y0) < KEY_FRAME_DISTANCE and turn < KEY_FRAME_TURN:
+            if (
+                np.hypot(x - x0, y - y0) < CELLS.evidence.key_frame_distance
+                and turn < CELLS.evidence.key_frame_turn
+            ):
                 continue
         keep[i] = True
         last = i
@@ -251,18 +245,18 @@ def learn_visibility(
     """Return beta (n_terms,), sigma [m] and the calibration (3, n_knots), learned on stretches the evidence leaves out."""
     beta = np.array(shipped_visibility())
     said = np.tile(KNOTS, (len(POINTS), 1))
-    if len(poses) < MIN_LEARNING_SCANS:
-        return beta, INITIAL_SIGMA, said
+    if len(poses) < CELLS.learning.min_scans:
+        return beta, CELLS.answers.first_sigma, said
     aside = is_set_aside(len(poses))
     evidence = CellEvidence.of(poses[~aside], ranges[~aside], bearings, cell=cell, reach=reach).widened()
     report(1, 5)
-    table = tabulate(evidence, beta, INITIAL_SIGMA)
+    table = tabulate(evidence, beta, CELLS.answers.first_sigma)
     report(2, 5)
     apart = poses[aside], ranges[aside], bearings
     phi, label, weight = training_samples(evidence, *apart, table)
-    beta = fit_logistic(phi, label, weight, beta, beta, steps=NEWTON_STEPS)
+    beta = fit_logistic(phi, label, weight, beta, beta, steps=CELLS.learning.newton_steps)
     report(3, 5)
-    table = tabulate(evidence, beta, INITIAL_SIGMA)
+    table = tabulate(evidence, beta, CELLS.answers.first_sigma)
     table = table._replace(sigma=best_sigma(*apart, table))
     every = np.array(
         [summarise_poses(table, poses[aside], bearings, point)[0] for point in ("mode", "median", "mean")]

@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 from planners.kernel import kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS
 from sensorgraph.models.cells.evidence import MIN_RANGE
+from sensorgraph.models.cells.grid import max_cells_met
 from sensorgraph.models.cells.ray_march import CellTable, stop_candidates
-from sensorgraph.models.mixture import MEAN, MEDIAN, MODE, P_OFF
+from sensorgraph.models.cells.settings import CELLS
+from sensorgraph.models.mixture import MEAN, MEDIAN, MODE, P_OFF, TAIL
 from sensorgraph.types import Bools, Floats
 
-TRIED_SIGMAS = np.geomspace(0.005, 0.08, 17)
-"""[m] spreads tried."""
-STRAY_DENSITY = 1e-3
-"""[1/m] density of a return that nothing explains."""
-KNOTS = np.array([0.0, 0.03, 0.07, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95, 1.0])
-"""Said chances between which the correction is a straight line."""
+ANSWERS = CELLS.answers
+TRIED_SIGMAS = np.geomspace(*ANSWERS.tried_sigmas, ANSWERS.n_tried)
+DENSITY_AT_0 = 0.3989422804
+"""Of the standard normal distribution."""
+STRAY_DENSITY, KNOTS = ANSWERS.stray_density, np.array(ANSWERS.knots)
 
 
 @kernel
@@ -27,7 +28,7 @@ def log_likelihoods(
     poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, sigmas: Floats, out: Floats
 ) -> None:
     """Fill out (n_sigmas,) with the log likelihood of all returns, were that the spread about each face."""
-    size = int(1.4143 * table.reach / table.cell) + 4
+    size = max_cells_met(table.reach, table.cell)
     at = np.empty((size, 2), dtype=np.int64)
     ends, r, w, sigma, unseen = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     out[:] = 0.0
@@ -54,8 +55,8 @@ def log_likelihoods(
                 density = STRAY_DENSITY
                 for i in range(n):
                     e = (z - r[i]) / sigmas[k]
-                    if abs(e) < 6.0:
-                        density += w[i] * 0.3989422804 * math.exp(-0.5 * e * e) / sigmas[k]
+                    if abs(e) < TAIL:
+                        density += w[i] * DENSITY_AT_0 * math.exp(-0.5 * e * e) / sigmas[k]
                 out[k] += math.log(density)
 
 
@@ -86,7 +87,7 @@ def calibrate_p_off(summaries: NDArray[np.float64], ranges: Floats, scored: Bool
         hat = np.zeros((len(said), len(KNOTS)))
         hat[np.arange(len(said)), left] = 1.0 - share
         hat[np.arange(len(said)), left + 1] = share
-        ridge = 20.0  # returns that each knot's own claim is worth
+        ridge = ANSWERS.knot_weight
         value = np.linalg.solve(hat.T @ hat + ridge * np.eye(len(KNOTS)), hat.T @ off + ridge * KNOTS)
         out[k] = np.maximum.accumulate(np.clip(value, 0.0, 1.0))
     return out

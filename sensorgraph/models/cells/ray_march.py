@@ -20,20 +20,15 @@ from sensorgraph.models.cells.grid import (
     traverse_plain,
 )
 from sensorgraph.models.cells.local_lines import COS, NO_LINE, OFFSET_STEP, SIN, Codes, Offsets, local_lines
+from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import logits
 from sensorgraph.models.mixture import summarise
 from sensorgraph.types import Floats
 
-MIN_SINE = 0.17
-"""A line seen at a flatter angle than this sine says nothing of the range."""
-MIN_SURVIVAL = 1e-4
-"""A ray with a smaller chance to be still under way is not followed."""
-MIN_STOP = 1e-6
-"""A smaller chance to stop is no candidate."""
-
-
-RATES = np.concatenate([[0.0], np.geomspace(2e-3, 200.0, 127)])
-"""[1/m] what a code of a rate means: steps of 10 %, from one stop in 500 m to one in 5 mm."""
+MARCH = CELLS.march
+MIN_SINE, MIN_SURVIVAL, MIN_STOP = MARCH.min_sine, MARCH.min_survival, MARCH.min_stop
+RATES = np.concatenate([[0.0], np.geomspace(*MARCH.rates, MARCH.n_rates)])
+"""[1/m] what a code of a rate means."""
 
 
 class CellTable(NamedTuple):
@@ -60,7 +55,12 @@ class CellTable(NamedTuple):
 
 
 def tabulate(
-    evidence: CellEvidence, beta: Floats | None, sigma: float, *, margin: int = 2, chance: float = 0.2
+    evidence: CellEvidence,
+    beta: Floats | None,
+    sigma: float,
+    *,
+    margin: int = 2,
+    chance: float = MARCH.plain_chance,
 ) -> CellTable:
     """Look everything up once: (widened) evidence and a polynomial of visibility become a table.
 
@@ -169,7 +169,7 @@ def summarise_rays(
     Fills out (n_poses, n_rays, 6) as `mixture.summarise`, near (n_poses, n_rays) with the chance that a return lies
     within 2 `OFF_DISTANCE` of the median, dark (n_poses, n_rays) with the way [m] through cells never seen before the mode.
     """
-    size = int(1.4143 * table.reach / table.cell) + 4
+    size = max_cells_met(table.reach, table.cell)
     at = np.empty((size, 2), dtype=np.int64)
     ends, r, w, sigma, unseen = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     for p in range(len(poses)):
@@ -196,7 +196,7 @@ def fill_candidates(
     poses: Floats, bearings: Floats, table: CellTable, r: Floats, w: Floats, sigma: Floats, left: Floats
 ) -> int:
     """Fill r, w, sigma (n_poses, n_rays, n_max) and left (n_poses, n_rays); return the largest count of a ray."""
-    size = int(1.4143 * table.reach / table.cell) + 4
+    size = max_cells_met(table.reach, table.cell)
     at = np.empty((size, 2), dtype=np.int64)
     ends, unseen = np.empty(size), np.empty(size)
     most = 0

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from planners.kernel import kernel
 from sensorgraph.models.cells.evidence import CellEvidence, Counts
 from sensorgraph.models.cells.grid import N_SECTORS, CellIndices, RowGrid
+from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.types import Floats
 
 Floats32 = NDArray[np.float32]
@@ -50,8 +51,11 @@ NEIGHBOUR_PRODUCTS = (
 )  # fmt: skip
 PRODUCT_PARTNERS = ("Hs", "Is", "Qs", "L")
 N_FEATURES = len(FEATURES)
-NEIGHBOUR_STEP = 1.2
-"""Cells between neighbours along and across a ray: more than 1, so that diagonal ones differ."""
+VISIBILITY = CELLS.features
+COUNT_SCALE, BOX_SCALE = VISIBILITY.count_scale, VISIBILITY.box_scale
+INTERPOLATED, OTHER = VISIBILITY.interpolated_weight, VISIBILITY.other_weight
+PRIOR_HITS, PRIOR_PASSES = VISIBILITY.prior_hits, VISIBILITY.prior_passes
+BOX_CELLS, SURROUNDING_CELLS = 5 * 5, 11 * 11
 
 _COLUMN = {name: k for k, name in enumerate(FEATURES)}
 PAIRS = np.array(
@@ -68,7 +72,7 @@ def neighbour_offsets(b: int) -> CellIndices:
     angle = b * 2 * np.pi / N_SECTORS
     along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     return np.array(
-        [np.round(NEIGHBOUR_STEP * (a * along + side * across)) for a, side in _NEIGHBOURS]
+        [np.round(VISIBILITY.neighbour_step * (a * along + side * across)) for a, side in _NEIGHBOURS]
     ).astype(np.int64)
 
 
@@ -106,7 +110,7 @@ def fill_sector_maps(
         raw[row, 7], raw[row, 8] = hs + i_s, max(h_all - hs, 0.0) + max(i_all - i_s, 0.0)
         raw[row, 9] = 1.0 if h_all + i_all + q_all > 0.0 else 0.0
         for k in range(9):
-            logs[row, k] = math.log(1.0 + 3.0 * raw[row, k]) if raw[row, k] > 0.0 else 0.0
+            logs[row, k] = math.log(1.0 + COUNT_SCALE * raw[row, k]) if raw[row, k] > 0.0 else 0.0
 
 
 @kernel
@@ -121,7 +125,7 @@ def add_box_sums(places: CellIndices, index: RowGrid, raw: Floats32, logs: Float
                 s5 += raw[near, 7]
                 o5 += raw[near, 8]
         raw[row, 10], raw[row, 11] = s5, o5
-        logs[row, 10] = math.log(1.0 + 5.0 * s5)
+        logs[row, 10] = math.log(1.0 + BOX_SCALE * s5)
 
 
 @kernel
@@ -146,7 +150,11 @@ def add_surroundings(
         a, b, c, d = max(i - 5, 0), min(i + 6, nx), max(j - 5, 0), min(j + 6, ny)
         for k in range(3):
             inside = total[b, d, k] - total[a, d, k] - total[b, c, k] + total[a, c, k]
-            logs[row, 11 + k] = inside / 121.0 if k == 0 else math.log(1.0 + 3.0 * max(inside, 0.0) / 25.0)
+            logs[row, 11 + k] = (
+                inside / SURROUNDING_CELLS
+                if k == 0
+                else math.log(1.0 + COUNT_SCALE * max(inside, 0.0) / BOX_CELLS)
+            )
 
 
 @kernel
@@ -175,10 +183,16 @@ def fill_features(
     seen = raw[row, 9] + raw[n[4], 9] + raw[n[0], 9] + raw[n[1], 9]
     f[28] = 1.0 if seen == 0.0 else 0.0
     s5, o5 = raw[row, 10], raw[row, 11]
-    hits = raw[row, 0] + 0.5 * raw[row, 1] + 0.3 * raw[row, 2] + 0.15 * raw[row, 3] + 0.05
-    free = raw[row, 4] + 0.3 * raw[row, 5] + 0.25
+    hits = (
+        raw[row, 0]
+        + INTERPOLATED * raw[row, 1]
+        + OTHER * raw[row, 2]
+        + OTHER * INTERPOLATED * raw[row, 3]
+        + PRIOR_HITS
+    )
+    free = raw[row, 4] + OTHER * raw[row, 5] + PRIOR_PASSES
     f[29] = math.log(hits / free)
-    f[30] = math.log((s5 + 0.3 * o5 + 0.05) / free)
+    f[30] = math.log((s5 + OTHER * o5 + PRIOR_HITS) / free)
     f[31] = logs[row, 10]
     f[32], f[33] = logs[n[13], 10], logs[n[14], 10]
     f[34], f[35] = 0.5 * (logs[n[15], 10] + logs[n[16], 10]), min(logs[n[15], 10], logs[n[16], 10])
@@ -234,7 +248,7 @@ def logits(evidence: CellEvidence, beta: Floats) -> Floats32:
     out = np.empty((evidence.n_rows + 1, N_SECTORS), dtype=np.float32)
     unseen = np.zeros(N_FEATURES, dtype=np.float32)
     unseen[[27, 28, 39]] = 1.0
-    unseen[[29, 30]] = math.log(0.05 / 0.25)
+    unseen[[29, 30]] = math.log(PRIOR_HITS / PRIOR_PASSES)
     out[-1] = evaluate_logit(unseen, beta, PAIRS)
     column = np.empty(evidence.n_rows, dtype=np.float32)
     for b in range(N_SECTORS):
@@ -291,7 +305,7 @@ def features_plain(evidence: CellEvidence, row: int, b: int) -> Floats:
         return own | {"S": own["Hs"] + own["Is"], "O": own["Ho"] + own["Io"], "seen": seen}
 
     def log(values: list[float]) -> float:
-        return float(np.mean(np.log1p(3 * np.array(values))))
+        return float(np.mean(np.log1p(COUNT_SCALE * np.array(values))))
 
     steps = neighbour_offsets(b)
     around: dict[tuple[float, float], dict[str, float]]
@@ -308,20 +322,24 @@ def features_plain(evidence: CellEvidence, row: int, b: int) -> Floats:
         1.0 - own["seen"],
         float(not any(c["seen"] for c in (own, around[1, 0], around[0, 1], around[0, -1]))),
     ]
-    free = own["Qs"] + 0.3 * own["Qo"] + 0.25
-    hits = own["Hs"] + 0.5 * own["Is"] + 0.3 * own["Ho"] + 0.15 * own["Io"] + 0.05
-    out += [math.log(hits / free), math.log((s5 + 0.3 * o5 + 0.05) / free)]
+    free = own["Qs"] + OTHER * own["Qo"] + PRIOR_PASSES
+    hits = own["Hs"] + OTHER * own["Ho"] + PRIOR_HITS
+    hits += INTERPOLATED * (own["Is"] + OTHER * own["Io"])
+    out += [math.log(hits / free), math.log((s5 + OTHER * o5 + PRIOR_HITS) / free)]
 
     def boxed(place: CellIndices) -> float:
         if evidence.window.index[tuple(place)] < 0:
             return 0.0
         box = [counts(place[0] + i, place[1] + j)["S"] for i in range(-2, 3) for j in range(-2, 3)]
-        return math.log(1 + 5 * sum(box))
+        return math.log(1 + BOX_SCALE * sum(box))
 
     ahead, behind, left, right = (boxed(place + steps[k]) for k in range(13, 17))
     out += [boxed(place), ahead, behind, (left + right) / 2, min(left, right)]
     large = [counts(place[0] + i, place[1] + j) for i in range(-5, 6) for j in range(-5, 6)]
-    out.append(sum(c["seen"] for c in large) / 121)
-    out += [math.log(1 + 3 / 25 * sum(c[a] + c[b] for c in large)) for a, b in (("S", "O"), ("Qs", "Qo"))]
+    out.append(sum(c["seen"] for c in large) / SURROUNDING_CELLS)
+    out += [
+        math.log(1 + COUNT_SCALE / BOX_CELLS * sum(c[a] + c[b] for c in large))
+        for a, b in (("S", "O"), ("Qs", "Qo"))
+    ]
     out.append(1.0 - around[3.3, 0]["seen"])
     return np.array(out)

@@ -8,7 +8,10 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, MIN_VISIBILITY, FaceSet, bucket_grid
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
+    REACH_MARGIN,
+    REACH_SIGMAS,
     Rays,
     ReturnNoise,
     inlined_crossed_faces,
@@ -16,8 +19,8 @@ from sensorgraph.models.faces.visibility import (
 )
 from sensorgraph.types import Bools, Floats, Ints
 
-MIN_GAIN = 4.0  # [nats] that an edge must be worth, beside half the log of the crossings of its face
-MAX_RUNS = 600  # runs of equal outcome that one stretch may hold
+MAX_RUNS, MAX_STRAY, MIN_REACHED = FACES.edges.max_runs, FACES.edges.max_stray, FACES.edges.min_reached
+PRIOR_STOPS, PRIOR_CROSSINGS = FACES.expectation.prior_stops, FACES.expectation.prior_crossings
 
 
 class Crossings(NamedTuple):
@@ -49,7 +52,7 @@ def fit_stretches(faces: FaceSet, crossings: Crossings) -> FaceSet:
     """Replace bins by stretches of constant visibility whose edges lie where outcomes change.
 
     The outcomes of all crossings of a face, sorted along it, are cut by dynamic programming (optimal partitioning,
-    Jackson et al. 2005) at the places that are worth more than `MIN_GAIN` nats; an edge lies midway between the
+    Jackson et al. 2005) at the places that are worth more than `FaceEdgeSettings.min_gain` nats; an edge lies midway between the
     crossings on both sides of it. A face may be left that stops nothing: see `is_visible`.
     """
     first, edges, levels, blur = [0], [], [], []
@@ -136,13 +139,13 @@ def _list_crossings(
     count = 0
     for i in range(len(ranges)):
         qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
-        reach = range_max if z > 1e300 else z + 0.08 + 6 * np.sqrt(noise[0])
+        reach = range_max if z > 1e300 else z + REACH_MARGIN + REACH_SIGMAS * np.sqrt(noise[0])
         n = inlined_crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
         _, stray = inlined_stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
-        if stray > 0.5:
+        if stray > MAX_STRAY:
             continue
         for m in range(n):
-            if survive[m] < 0.2:
+            if survive[m] < MIN_REACHED:
                 continue
             if count == size:
                 size *= 2
@@ -160,10 +163,10 @@ def _stretches(t: Floats, stop: Floats, weight: Floats) -> tuple[Floats, Floats,
     """Cut sorted crossings into stretches; return edges, visibility after each (the last 0) and the edges' s.e."""
     if len(t) == 0:
         return np.array([0.0, 1e-9]), np.zeros(2), np.zeros(2)
-    cuts = _partition(stop, weight, MIN_GAIN + 0.5 * np.log(len(t)))
+    cuts = _partition(stop, weight, FACES.edges.min_gain + 0.5 * np.log(len(t)))
     stopped, looked = np.add.reduceat(stop * weight, cuts[:-1]), np.add.reduceat(weight, cuts[:-1])
-    level = (stopped + 0.02) / (looked + 0.04)
-    level[level < MIN_VISIBILITY * 5] = 0.0
+    level = (stopped + PRIOR_STOPS) / (looked + PRIOR_CROSSINGS)
+    level[level < MIN_VISIBILITY * FACES.edges.visibility_factor] = 0.0
     inner = cuts[1:-1]
     edges = np.concatenate([t[:1], (t[inner - 1] + t[inner]) / 2, t[-1:]])
     gap = np.concatenate([[0.0], (t[inner] - t[inner - 1]) / np.sqrt(12), [0.0]])
@@ -194,7 +197,7 @@ def _partition(stop: Any, weight: Any, price: Any) -> Any:
     for b in range(1, n_runs + 1):
         for a in range(max(0, b - MAX_RUNS), b):
             s, w = ones[b] - ones[a], all_[b] - all_[a]
-            p = (s + 0.02) / (w + 0.04)
+            p = (s + PRIOR_STOPS) / (w + PRIOR_CROSSINGS)
             cost = best[a] + price - s * np.log(p) - (w - s) * np.log(1 - p)
             if cost < best[b]:
                 best[b], since[b] = cost, a

@@ -6,11 +6,10 @@ import numpy as np
 
 from sensorgraph.models.faces.change_points import Crossings
 from sensorgraph.models.faces.ray_march import FaceSet
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Floats, Ints
 
-CORNER_DISTANCE = 0.03  # [m] within which two ends may be one corner
-MAX_BLUR = 0.03  # [m]
-MAX_LOSS = 6.0  # [nats] that moving an end to a corner may cost: a crossing or two on the wrong side
+EDGES = FACES.edges
 
 
 def join_corners(faces: FaceSet, crossings: Crossings) -> FaceSet:
@@ -24,10 +23,10 @@ def join_corners(faces: FaceSet, crossings: Crossings) -> FaceSet:
     ends, owners = _ends(faces)
     places = faces.normals[owners] * faces.offsets[owners, None] + faces.tangents[owners] * edges[ends, None]
     for e, k, p in zip(ends, owners, places, strict=True):
-        best = (MAX_LOSS, -1, 0.0)
+        best = (EDGES.max_loss, -1, 0.0)
         for other, s in _meetings(faces, k, p):
             cost = _loss(faces, e, k, s, *crossings.at(k))
-            cost += 0.5 * ((s - edges[e]) / CORNER_DISTANCE) ** 2
+            cost += 0.5 * ((s - edges[e]) / EDGES.corner_distance) ** 2
             if cost < best[0]:
                 best = (cost, other, s)
         if best[1] >= 0:
@@ -42,7 +41,10 @@ def _ends(faces: FaceSet) -> tuple[Ints, Ints]:
     after = faces.levels
     before = np.concatenate([[0.0], faces.levels[:-1]])
     before[faces.first[:-1]] = 0.0
-    at = np.flatnonzero((np.minimum(before, after) < 0.1) & (np.maximum(before, after) > 0.5))
+    at = np.flatnonzero(
+        (np.minimum(before, after) < EDGES.outside_visibility)
+        & (np.maximum(before, after) > EDGES.inside_visibility)
+    )
     return at, owner[at]
 
 
@@ -51,17 +53,18 @@ def _meetings(faces: FaceSet, k: int, p: Floats) -> list[tuple[int, float]]:
     cross = faces.normals @ faces.tangents[k]
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead = (faces.offsets - faces.normals @ p) / cross  # along t_k from p
-    near = np.flatnonzero((np.abs(cross) > 0.05) & (np.abs(ahead) < CORNER_DISTANCE))
+    near = np.flatnonzero((np.abs(cross) > EDGES.min_sine) & (np.abs(ahead) < EDGES.corner_distance))
     out = []
     for m in near:
         meet = p + ahead[m] * faces.tangents[k]
         s = float(faces.tangents[m] @ meet)
         a, b = int(faces.first[m]), int(faces.first[m + 1]) - 1
-        seen = np.flatnonzero(faces.levels[a:b] > 0.5) + a
+        seen = np.flatnonzero(faces.levels[a:b] > EDGES.inside_visibility) + a
         if (
             len(seen)
             and (
-                (faces.edges[seen] - CORNER_DISTANCE <= s) & (s <= faces.edges[seen + 1] + CORNER_DISTANCE)
+                (faces.edges[seen] - EDGES.corner_distance <= s)
+                & (s <= faces.edges[seen + 1] + EDGES.corner_distance)
             ).any()
         ):
             out.append((int(m), float(faces.tangents[k] @ meet)))
@@ -76,7 +79,7 @@ def _loss(faces: FaceSet, e: int, k: int, s: float, t: Floats, stop: Floats, wei
     after = faces.levels[e]
     before = faces.levels[e - 1] if e > faces.first[k] else 0.0
     now, then = (before, after) if s < old else (after, before)  # what was said there, what would be said
-    now, then = np.clip([now, then], 0.002, 0.998)
+    now, then = np.clip([now, then], EDGES.min_visibility, 1 - EDGES.min_visibility)
     y, w = stop[a:b], weight[a:b]
     return float((w * (y * np.log(now / then) + (1 - y) * np.log((1 - now) / (1 - then)))).sum())
 
@@ -97,7 +100,7 @@ def with_edge_errors(faces: FaceSet, sums: Floats) -> FaceSet:
     """
     w = np.maximum(sums[:, 0], 1.0)
     c = sums[:, 1] / w
-    sway = np.maximum(sums[:, 2] - w * c**2, 0.0) + 1.0 / 0.3**2
+    sway = np.maximum(sums[:, 2] - w * c**2, 0.0) + 1.0 / FACES.splits.slope_prior**2
 
     def variance_at(k: Ints, s: Floats) -> Floats:
         return np.asarray(1.0 / w[k] + (s - c[k]) ** 2 / sway[k])
@@ -108,6 +111,6 @@ def with_edge_errors(faces: FaceSet, sums: Floats) -> FaceSet:
     beside = faces.neighbour
     sine = np.abs((faces.normals[owner] * faces.tangents[beside]).sum(axis=1))
     there = variance_at(beside, (faces.tangents[beside] * points).sum(axis=1))
-    corner = (own + there) / np.maximum(sine, 0.05) ** 2
+    corner = (own + there) / np.maximum(sine, EDGES.min_sine) ** 2
     blur = np.sqrt(np.where(beside >= 0, corner, faces.blur**2 + own))
-    return faces._replace(blur=np.minimum(blur, MAX_BLUR))
+    return faces._replace(blur=np.minimum(blur, EDGES.max_blur))

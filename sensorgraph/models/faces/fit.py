@@ -12,6 +12,7 @@ from sensorgraph.models.faces.corners import join_corners, with_edge_errors
 from sensorgraph.models.faces.forward_selection import Lines, select_lines
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.ray_march import FaceSet
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.splits import split_bent_faces
 from sensorgraph.models.faces.sufficient_statistics import SufficientStatistics
 from sensorgraph.models.faces.visibility import Expectation, Rays, ReturnNoise, binned_faces, e_step, m_step
@@ -19,18 +20,9 @@ from sensorgraph.types import Floats, Progress
 
 logger = logging.getLogger(__name__)
 
-DRAFT_RAYS = 300_000
-"""Rays that lines and bins are fitted to in the first rounds."""
-FINAL_RAYS = 1_500_000
-"""Rays that edges and visibility are taken from in the end."""
-ROUNDS = 3
-"""Of splitting and of selecting among what no face explains."""
-N_STEPS = 5 + 2 * ROUNDS
+FIT = FACES.fit
+N_STEPS = 5 + 2 * FIT.rounds
 """That `fit_faces` reports to its progress."""
-MIN_FACE_GAIN = 8.0
-"""[nats] that a face must be worth to stay."""
-MIN_HITS_LATER = 4.0
-"""Hits that make a face of their own in the later rounds: a chair's leg has few."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,7 +47,7 @@ def fit_faces(
     rays: Rays,
     *,
     hit_moments: HitMoments | None = None,
-    sigma: float = 0.01,
+    sigma: float = FIT.first_sigma,
     progress: Progress | None = None,
 ) -> FittedFaces:
     """Find the faces that explain rays.
@@ -69,18 +61,18 @@ def fit_faces(
     if hit_moments is None:
         hit_moments = HitMoments.of(rays.hits, rays.directions)
     steps.tick()
-    draft = _thinned(rays, DRAFT_RAYS)
+    draft = _thinned(rays, FIT.draft_rays)
     faces, noise, expectation = _select_and_fit(draft, hit_moments, sigma)
     steps.tick()
-    for _ in range(ROUNDS):
+    for _ in range(FIT.rounds):
         more = _lines_unexplained(draft, expectation, noise)
-        faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > MIN_FACE_GAIN))
+        faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FIT.min_face_gain))
         faces = binned_faces(split_bent_faces(draft, faces, noise).joined(more))
         steps.tick()
-        faces, noise, expectation = _em(draft, faces, noise, passes=4)
+        faces, noise, expectation = _em(draft, faces, noise, passes=FIT.round_passes)
         steps.tick()
         logger.info("%d faces, %.4f nats a ray", faces.n_faces, expectation.log_likelihood / len(draft))
-    final = _thinned(rays, FINAL_RAYS)
+    final = _thinned(rays, FIT.final_rays)
     faces = fit_stretches(faces, crossings_of(draft, faces, noise))
     faces = take_faces(faces, np.flatnonzero(is_visible(faces)))
     steps.tick()
@@ -105,7 +97,7 @@ def draft_faces(rays: Rays, *, sigma: float) -> FittedFaces:
 
     Nothing is split: what bends a face may be the sensor.
     """
-    draft = _thinned(rays, DRAFT_RAYS)
+    draft = _thinned(rays, FIT.draft_rays)
     faces, noise, expectation = _select_and_fit(draft, HitMoments.of(rays.hits, rays.directions), sigma)
     return FittedFaces(faces=faces, noise=noise, expectation=expectation, n_rays=len(draft))
 
@@ -114,11 +106,13 @@ def _select_and_fit(
     rays: Rays, hit_moments: HitMoments, sigma: float
 ) -> tuple[FaceSet, ReturnNoise, Expectation]:
     """Select faces; once more with a wider band if hits spread wider than was thought (noise of the poses)."""
-    for _ in range(3):
+    for _ in range(FIT.max_selections):
         lines = select_lines(hit_moments, sigma=sigma)
-        faces, noise, expectation = _em(rays, binned_faces(lines), ReturnNoise(sigma=2 * sigma), passes=3)
+        faces, noise, expectation = _em(
+            rays, binned_faces(lines), ReturnNoise(sigma=2 * sigma), passes=FIT.first_passes
+        )
         wide = _spread_across_faces(expectation, noise)
-        if wide < 1.5 * sigma:
+        if wide < FIT.wide_ratio * sigma:
             break
         sigma = wide
     return faces, noise, expectation
@@ -148,7 +142,7 @@ def _lines_unexplained(rays: Rays, expectation: Expectation, noise: ReturnNoise)
     """Select lines among the returns that no face explains."""
     left = (expectation.unexplained > 0.5) & np.isfinite(rays.ranges)
     hit_moments = HitMoments.of(rays.hits[left], rays.directions[left])
-    return select_lines(hit_moments, sigma=noise.sigma, least=MIN_HITS_LATER, shortest=0.02, gap=0.05)
+    return select_lines(hit_moments, sigma=noise.sigma, limits=FACES.selection.later_lines)
 
 
 def _thinned(rays: Rays, most: int) -> Rays:

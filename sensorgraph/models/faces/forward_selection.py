@@ -14,11 +14,17 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.models.faces.hit_moments import HIT_CELL, HitMoments
+from sensorgraph.models.faces.settings import FACES, LineLimits
 from sensorgraph.types import Floats, Ints
 
-N_ANGLES = 240  # normals over the full turn: faces have one side
-VOTE_SPREAD = 3  # angle bins beside its own that a cell votes for
-OFFSET_BIN = 0.02  # [m]
+SELECTION = FACES.selection
+N_ANGLES, VOTE_SPREAD, OFFSET_BIN = SELECTION.n_angles, SELECTION.vote_spread, SELECTION.offset_bin
+FIRST_BAND = SELECTION.first_band_bins * OFFSET_BIN
+NEIGHBOURHOODS, MIN_NEIGHBOURHOOD_HITS = SELECTION.neighbourhoods, SELECTION.min_neighbourhood_hits
+MIN_ELONGATION, MIN_FACING = SELECTION.min_elongation, SELECTION.min_facing
+MAX_TURN_BINS = N_ANGLES * SELECTION.max_normal_turn / (2 * np.pi)
+MIN_AGREEMENT, MIN_VOTES_SHARE = SELECTION.min_agreement, SELECTION.min_votes_share
+REFITS, MAX_LINES, MAX_FAILURES = SELECTION.refits, SELECTION.max_lines, SELECTION.max_failures
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,14 +55,14 @@ class Lines:
 
 
 def select_lines(
-    hit_moments: HitMoments, *, sigma: float, least: float = 12.0, gap: float = 0.10, shortest: float = 0.03
+    hit_moments: HitMoments, *, sigma: float, limits: LineLimits = SELECTION.first_lines
 ) -> Lines:
-    """Select lines until none explains `least` hits over `shortest` [m].
+    """Select lines until none is left within the limits.
 
     Parameters
     ----------
     sigma : [m] spread of hits across a face (range noise and pose noise)
-    gap : [m] a longer stretch without hits ends a face
+    limits : hits and length that a line needs, and the gap that ends it
     """
     if len(hit_moments.cells) == 0:
         return Lines(normals=np.zeros((0, 2)), offsets=np.zeros(0), spans=np.zeros((0, 2)))
@@ -72,10 +78,10 @@ def select_lines(
         row,
         hit_moments.centres - middle,
         hit_moments.moments,
-        float(max(3 * sigma, 0.6 * HIT_CELL)),
-        float(least),
-        float(gap),
-        float(shortest),
+        float(max(SELECTION.band_sigmas * sigma, SELECTION.min_band_cells * HIT_CELL)),
+        limits.least_hits,
+        limits.gap,
+        limits.min_length,
     )
     normals = rows[:, :2]
     tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
@@ -119,17 +125,17 @@ def _select_lines(
     for i in range(n_cells):
         _vote(votes, i, angle, mean, moments, cos, sin, reach, 1.0)
     stale = np.ones(N_ANGLES, np.bool_)
-    found = np.zeros((4096, 5))
+    found = np.zeros((MAX_LINES, 5))
     n_found = 0
     failures = 0
-    while n_found < len(found) and failures < 4000:
+    while n_found < len(found) and failures < MAX_FAILURES:
         for a in range(N_ANGLES):
             if stale[a]:
                 places[a] = np.argmax(votes[a])
                 tops[a] = votes[a, places[a]]
                 stale[a] = False
         best = np.argmax(tops)
-        if tops[best] < 0.5 * least:
+        if tops[best] < MIN_VOTES_SHARE * least:
             break
         a, k = int(best), int(places[best])
         line, members = _fit_run(
@@ -180,12 +186,12 @@ def _vote(
 
 @kernel
 def _normal_bins(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -> Any:
-    """Find each cell's angle bin by the moments of 5 x 5 cells seen from the same side; -1 where unclear."""
+    """Find each cell's angle bin by the moments of 5 x 5 cells or 9 x 9 seen from the same side; -1 where unclear."""
     n_cells = len(column)
     nx, ny = grid.shape
     angle = np.full(n_cells, -1.0)
     for i in range(n_cells):
-        for half in (2, 4):
+        for half in NEIGHBOURHOODS:
             m0, mx, my, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             ux, uy = moments[i, 6], moments[i, 7]
             for c in range(max(column[i] - half, 0), min(column[i] + half + 1, nx)):
@@ -205,11 +211,11 @@ def _normal_bins(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -
                     yy += m[5] + 2 * dy * m[2] + m[0] * dy * dy
                     ux += m[6]
                     uy += m[7]
-            if m0 < 3:
+            if m0 < MIN_NEIGHBOURHOOD_HITS:
                 continue
             xx, xy, yy = xx / m0 - (mx / m0) ** 2, xy / m0 - mx * my / m0**2, yy / m0 - (my / m0) ** 2
             mid, half_gap = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
-            if mid + half_gap > 3.0 * (mid - half_gap):
+            if mid + half_gap > MIN_ELONGATION * (mid - half_gap):
                 along = 0.5 * np.arctan2(2 * xy, xx - yy)
                 nx_, ny_ = -np.sin(along), np.cos(along)
                 if nx_ * ux + ny_ * uy > 0:
@@ -243,17 +249,17 @@ def _fit_run(
     n_cells = len(mean)
     index = np.empty(n_cells, np.int64)
     low, high = -np.inf, np.inf
-    for step in range(4):
-        width = max(band, 1.5 * OFFSET_BIN) if step == 0 else band
+    for step in range(REFITS):
+        width = max(band, FIRST_BAND) if step == 0 else band
         n = 0
         for i in range(n_cells):
             if not live[i] or abs(nx * mean[i, 0] + ny * mean[i, 1] - d) > width:
                 continue
-            if nx * moments[i, 6] + ny * moments[i, 7] > -0.02 * moments[i, 0]:
+            if nx * moments[i, 6] + ny * moments[i, 7] > -MIN_FACING * moments[i, 0]:
                 continue
             if angle[i] >= 0:
                 turn = abs(angle[i] - np.arctan2(ny, nx) / (2 * np.pi) * N_ANGLES) % N_ANGLES
-                if min(turn, N_ANGLES - turn) > N_ANGLES / 9:  # 40°
+                if min(turn, N_ANGLES - turn) > MAX_TURN_BINS:
                     continue
             t = -ny * mean[i, 0] + nx * mean[i, 1]
             if t < low - gap or t > high + gap:
@@ -298,12 +304,12 @@ def _fit_run(
             return line, none
         cx, cy = mx / m0, my / m0
         xx, xy, yy = xx / m0 - cx * cx, xy / m0 - cx * cy, yy / m0 - cy * cy
-        if high - low > 2 * band or step == 3:
+        if high - low > 2 * band or step == REFITS - 1:
             along = 0.5 * np.arctan2(2 * xy, xx - yy)
             ax, ay = -np.sin(along), np.cos(along)
             if ax * nx + ay * ny < 0:
                 ax, ay = -ax, -ay
-            if ax * nx + ay * ny > 0.7:
+            if ax * nx + ay * ny > MIN_AGREEMENT:
                 nx, ny = ax, ay
         d = nx * (cx + x0) + ny * (cy + y0)
         low = high = -ny * mean[members[0], 0] + nx * mean[members[0], 1]

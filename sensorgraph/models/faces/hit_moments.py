@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.kernel import kernel
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Floats
 
-HIT_CELL = 0.02
+HIT_CELL = FACES.reduction.hit_cell
 """[m] side of a cell."""
 N_MOMENTS = 8  # count, x, y, xx, xy, yy (about the cell's centre), ux, uy
 _KEY_OFFSET = 1 << 30  # cells along an axis that a key can tell apart: ± this

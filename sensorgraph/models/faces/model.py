@@ -34,16 +34,14 @@ from sensorgraph.models.faces.ray_march import (
 )
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block, MapBlocks, blocks_of, reduce_blocks
 from sensorgraph.models.faces.sampling import draw_rays
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.sufficient_statistics import SufficientStatistics
 from sensorgraph.models.faces.update import update_faces
 from sensorgraph.models.faces.visibility import ReturnNoise
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
 from sensorgraph.types import Floats, Ints, Progress
 
-MAX_P_OFF = 0.05
-"""Chance of being off above which a ray is not answered."""
-MAX_STRAY = 2e-3
-"""[1/m] returns that no face explains, above which cells predict; 1e-4 in clean rooms, 7e-3 on logs of real floors."""
+PREDICTION = FACES.prediction
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +95,7 @@ class Faces:
     @property
     def is_cluttered(self) -> bool:
         """Tell whether faces leave so much unexplained that cells predict better."""
-        return self.noise.stray > MAX_STRAY
+        return self.noise.stray > PREDICTION.max_stray
 
     def with_cells(self, scans: TrainingScans, *, progress: Progress | None = None) -> Self:
         """Add cells from the same scans; from then on they predict."""
@@ -220,7 +218,7 @@ class Faces:
             terms.constant[rays], terms.slope[rays], terms.incidence, not terms.is_none,
             which_of(point), table, supported,
         )  # fmt: skip
-        sure = (table[..., P_OFF] < MAX_P_OFF) | (table[..., NO_RETURN] > 1 - MAX_P_OFF)
+        sure = (table[..., P_OFF] < PREDICTION.max_p_off) | (table[..., NO_RETURN] > 1 - PREDICTION.max_p_off)
         return to_prediction(table, point, supported & sure)
 
     def draw(self, poses: Floats, uniform: Floats, normal: Floats) -> Floats:

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
 from planners.kernel import kernel
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Bools, Floats
 
-OBSERVED_CELL = 0.10  # [m]
-MAX_CELLS = 1 << 26  # cells of a grid; a larger one is made coarser
+PREDICTION = FACES.prediction
+MAX_COUNT = 255
+"""Rays that a cell counts, at most: one byte."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,11 +32,11 @@ class ObservedSpace:
 
     @classmethod
     def of(
-        cls, origins: Floats, directions: Floats, reach: Floats, *, cell: float = OBSERVED_CELL
+        cls, origins: Floats, directions: Floats, reach: Floats, *, cell: float = PREDICTION.observed_cell
     ) -> ObservedSpace:
         """Count rays (n, 2), (n, 2) that were free up to `reach` (n,) [m]."""
         low, high = _extent(origins, directions, reach)
-        while np.prod((high - low) / cell + 4) > MAX_CELLS:
+        while np.prod((high - low) / cell + 4) > PREDICTION.max_observed_cells:
             cell *= 2
         corner = np.floor(low / cell - 1) * cell
         shape = np.ceil((high - corner) / cell).astype(int) + 2
@@ -47,7 +49,7 @@ class ObservedSpace:
         """(nx, ny) cells to the nearest one that nothing crossed, the longer of both axes; the grid ends in such."""
         known = np.pad(self.counts > 0, 1)
         far = distance_transform_cdt(known, metric="chessboard")[1:-1, 1:-1]
-        return np.minimum(far, 255).astype(np.uint8)
+        return np.minimum(far, MAX_COUNT).astype(np.uint8)
 
     def merge(self, other: ObservedSpace) -> ObservedSpace:
         """Add the counts of two sets of rays; the finer grid, or both where that is too many cells, is made coarser."""
@@ -57,14 +59,14 @@ class ObservedSpace:
         corners = np.round(np.stack([self.origin, other.origin]) / self.cell).astype(int)
         low = corners.min(axis=0)
         high = np.max([corners[0] + self.counts.shape, corners[1] + other.counts.shape], axis=0)
-        if np.prod((high - low).astype(float)) > MAX_CELLS:
+        if np.prod((high - low).astype(float)) > PREDICTION.max_observed_cells:
             return self.coarser().merge(other.coarser())
         total = np.zeros(high - low, dtype=np.uint16)
         for corner, grid in zip(corners, (self.counts, other.counts), strict=True):
             i, j = corner - low
             total[i : i + grid.shape[0], j : j + grid.shape[1]] += grid
         return ObservedSpace(
-            origin=low * self.cell, cell=self.cell, counts=np.minimum(total, 255).astype(np.uint8)
+            origin=low * self.cell, cell=self.cell, counts=np.minimum(total, MAX_COUNT).astype(np.uint8)
         )
 
     def coarser(self) -> ObservedSpace:
@@ -78,7 +80,7 @@ class ObservedSpace:
         return ObservedSpace(
             origin=(corner - before) * self.cell,
             cell=2 * self.cell,
-            counts=np.minimum(total, 255).astype(np.uint8),
+            counts=np.minimum(total, MAX_COUNT).astype(np.uint8),
         )
 
     def supports(self, origins: Floats, directions: Floats, reach: Floats) -> Bools:
@@ -159,7 +161,7 @@ def _count_rays(origins: Any, directions: Any, reach: Any, origin: Any, cell: An
         next_x = ((i + 1 - x) if ux > 0 else (x - i)) * per_x
         next_y = ((j + 1 - y) if uy > 0 else (y - j)) * per_y
         while 0 <= i < nx and 0 <= j < ny:
-            if counts[i, j] < 255:
+            if counts[i, j] < MAX_COUNT:
                 counts[i, j] += 1
             if next_x < next_y:
                 if next_x > reach[k]:

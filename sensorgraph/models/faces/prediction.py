@@ -12,11 +12,19 @@ from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.calibration.ray_terms import incidence_bias
 from sensorgraph.models.faces.observed_space import is_ray_observed
 from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, MAX_CANDIDATES, crossed_faces
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import variance
-from sensorgraph.models.mixture import summarise
+from sensorgraph.models.mixture import SQRT_HALF, summarise
 
-SUPPORT_MARGIN = 0.10
-"""[m] before the predicted range a ray needs no support any more: the surface itself was seen."""
+PREDICTION = FACES.prediction
+SUPPORT_MARGIN, MIN_SURVIVAL, MIN_SHARE = (
+    PREDICTION.support_margin,
+    PREDICTION.min_survival,
+    PREDICTION.min_share,
+)
+MAX_OFF_SIGMAS = 4.5
+"""Standard deviations that `OFF_DISTANCE` must be for a return not to be off: less than 1e-5 are."""
+EDGE_GATE, MIN_EDGE_VARIANCE = PREDICTION.edge_sigmas**2, PREDICTION.min_edge_variance
 
 
 @kernel
@@ -55,7 +63,7 @@ def predict_rays(
     for i in range(len(x)):
         for b in range(len(cos_b)):
             ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
-            n = crossed_faces(x[i], y[i], ux, uy, range_max, 0.001, faces, buckets, r, k, j, t)
+            n = crossed_faces(x[i], y[i], ux, uy, range_max, MIN_SURVIVAL, faces, buckets, r, k, j, t)
             left, c = 1.0, 0
             for m in range(n):
                 f = k[m]
@@ -67,16 +75,16 @@ def predict_rays(
                     e = first[f]
                 elif e + 1 < first[f + 1] and edges[e + 1] - t[m] < t[m] - edges[e]:
                     e += 1
-                spread = blur[e] ** 2 + across + 1e-8
+                spread = blur[e] ** 2 + across + MIN_EDGE_VARIANCE
                 off = t[m] - edges[e]
-                if off * off < 16.0 * spread:
+                if off * off < EDGE_GATE * spread:
                     beside = neighbour[e]
                     if beside < 0 or normals[beside, 0] * ux + normals[beside, 1] * uy >= 0:
                         before = levels[e - 1] if e > first[f] else 0.0
                         alpha = before + (levels[e] - before) * 0.5 * math.erfc(
                             -off / math.sqrt(2.0 * spread)
                         )
-                if alpha < 1e-4:
+                if alpha < MIN_SHARE:
                     continue
                 rho[c], w[c] = r[m], left * alpha
                 if is_biased:
@@ -86,13 +94,15 @@ def predict_rays(
                     s[c] = math.sqrt(variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise))
                 c += 1
                 left *= 1.0 - alpha
-                if left < 0.001:
+                if left < MIN_SURVIVAL:
                     break
             row = table[i, b]
             if c == 1:  # most rays: one face, nothing else
                 row[0], row[1], row[2], row[3], row[4] = rho[0], rho[0], rho[0], s[0], left
                 row[5] = (
-                    math.erfc(OFF_DISTANCE / s[0] * 0.7071067811865476) if 4.5 * s[0] > OFF_DISTANCE else 0.0
+                    math.erfc(OFF_DISTANCE / s[0] * SQRT_HALF)
+                    if MAX_OFF_SIGMAS * s[0] > OFF_DISTANCE
+                    else 0.0
                 )
             else:
                 row[0], row[1], row[2], row[3], row[4], row[5] = summarise(

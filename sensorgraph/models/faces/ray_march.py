@@ -11,14 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planners.kernel import kernel
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Floats, Ints
 
-BUCKET_SIZE = 0.8  # [m] uncritical: 0.3 to 1.2 are alike
-END_MARGIN = 0.02  # [m] beyond its ends a face is still offered, so that a blurred end can be seen
-MIN_VISIBILITY = 0.003  # visibility below which a stretch is not there
-MAX_CANDIDATES = 96  # candidates of one ray
-CANDIDATE_SLOTS = MAX_CANDIDATES + 1  # length of the arrays they are listed in
-BACK_SIDE_MARGIN = 0.01  # [m] off its ends a ray that meets a face's back has come through what is solid
+MARCH = FACES.march
+BUCKET_SIZE, END_MARGIN, MIN_VISIBILITY = MARCH.bucket_size, MARCH.end_margin, MARCH.min_visibility
+BACK_SIDE_MARGIN, MIN_BACK_VISIBILITY = MARCH.back_side_margin, MARCH.min_back_visibility
+MAX_CANDIDATES = MARCH.max_candidates
+CANDIDATE_SLOTS = MAX_CANDIDATES + 1
+"""Length of the arrays that candidates are listed in."""
 
 
 class FaceSet(NamedTuple):
@@ -221,7 +222,7 @@ def crossed_faces(
                     at = edge_before(edges, first[f], first[f + 1], s)
                     if (
                         first[f] <= at < first[f + 1] - 1
-                        and levels[at] > 0.5
+                        and levels[at] > MIN_BACK_VISIBILITY
                         and edges[at] + BACK_SIDE_MARGIN < s < edges[at + 1] - BACK_SIDE_MARGIN
                     ):
                         r[MAX_CANDIDATES] = rho

@@ -20,13 +20,12 @@ from planners.kernel import kernel
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.observed_space import ObservedSpace
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import Rays
 from sensorgraph.types import Floats
 
-SCANS_PER_BLOCK = 8192
-"""Scans of a block."""
-MAX_SAMPLED_RAYS = 1_500_000
-"""Rays that the sample of a whole log holds, in the mean."""
+SCANS_PER_BLOCK = FACES.reduction.scans_per_block
+MAX_SAMPLED_RAYS = FACES.reduction.max_sampled_rays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

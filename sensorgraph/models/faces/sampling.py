@@ -9,6 +9,7 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.models.calibration.ray_terms import incidence_bias
+from sensorgraph.models.faces.prediction import EDGE_GATE, MIN_EDGE_VARIANCE, MIN_SURVIVAL
 from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, crossed_faces
 
 
@@ -41,7 +42,7 @@ def draw_rays(
     for i in range(len(x)):
         for b in range(len(cos_b)):
             ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
-            n = crossed_faces(x[i], y[i], ux, uy, range_max, 0.001, faces, buckets, r, k, j, t)
+            n = crossed_faces(x[i], y[i], ux, uy, range_max, MIN_SURVIVAL, faces, buckets, r, k, j, t)
             passed = 1.0
             out[i, b] = np.inf
             for m in range(n):
@@ -53,9 +54,9 @@ def draw_rays(
                 off = t[m] - edges[e]
                 beside = neighbour[e]
                 is_end = beside < 0 or normals[beside, 0] * ux + normals[beside, 1] * uy >= 0
-                if is_end and off * off < 16.0 * (blur[e] ** 2 + 1e-8):
+                if is_end and off * off < EDGE_GATE * (blur[e] ** 2 + MIN_EDGE_VARIANCE):
                     before = levels[e - 1] if e > first[f] else 0.0
-                    share = 0.5 * math.erfc(-off / math.sqrt(2.0 * (blur[e] ** 2 + 1e-8)))
+                    share = 0.5 * math.erfc(-off / math.sqrt(2.0 * (blur[e] ** 2 + MIN_EDGE_VARIANCE)))
                     alpha = before + (levels[e] - before) * share
                 passed *= 1.0 - alpha
                 if uniform[i, b] >= passed:

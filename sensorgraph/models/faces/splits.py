@@ -9,8 +9,12 @@ import numpy as np
 from planners.kernel import kernel
 from sensorgraph.models.faces.forward_selection import Lines
 from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
+    FIT_GATE,
     MIN_COSINE,
+    REACH_MARGIN,
+    REACH_SIGMAS,
     Rays,
     ReturnNoise,
     inlined_crossed_faces,
@@ -20,8 +24,10 @@ from sensorgraph.models.faces.visibility import (
 )
 from sensorgraph.types import Floats
 
-MIN_SPLIT_GAIN = 9.0  # [nats] that two lines must be worth over one, beside the log of the hits
-MIN_HITS = 4  # hits of a line
+SPLITS = FACES.splits
+SLOPE_PRECISION = 1.0 / SPLITS.slope_prior**2
+MIN_HIT_SHARE = 0.5
+"""Chance to come from a face, from which a return is a hit of it: of no other face, then."""
 
 
 def split_bent_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Lines:
@@ -48,7 +54,7 @@ def split_bent_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Lines:
             ends = [n * (faces.offsets[k] + a + b * x) + t * x for x in (low, high)]
             along = ends[1] - ends[0]
             length = float(np.hypot(*along))
-            if length < 1e-6:
+            if length < SPLITS.min_length:
                 continue
             along = along / length
             normal = np.array([along[1], -along[0]])
@@ -65,14 +71,14 @@ def split_bent_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Lines:
 def _pieces(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, float, float]]:
     """Cut sorted hits where two lines explain them better than one, again and again."""
     n = len(s)
-    if n < 2 * MIN_HITS:
+    if n < 2 * SPLITS.min_hits:
         return [(0, n, 0.0, 0.0)]
-    price = MIN_SPLIT_GAIN + np.log(n)
+    price = SPLITS.min_gain + np.log(n)
     done: list[tuple[int, int, float, float]] = []
     todo = [(0, n)]
     while todo:
         a, b = todo.pop()
-        cut, gain = _best_cut(s[a:b], across[a:b], weight[a:b], MIN_HITS)
+        cut, gain = _best_cut(s[a:b], across[a:b], weight[a:b], SPLITS.min_hits)
         if gain > price:
             todo += [(a + cut, b), (a, a + cut)]
         else:
@@ -82,10 +88,10 @@ def _pieces(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, f
 
 @kernel
 def _line_fit(s: Any, e: Any, w: Any) -> Any:
-    """Fit e = a + b s by weighted least squares, b held near 0 by a prior of 0.3."""
+    """Fit e = a + b s by weighted least squares, b held near 0 by its prior."""
     m = w.sum()
     cs, ce = (w * s).sum() / m, (w * e).sum() / m
-    b = (w * (s - cs) * (e - ce)).sum() / ((w * (s - cs) ** 2).sum() + 1.0 / 0.3**2)
+    b = (w * (s - cs) * (e - ce)).sum() / ((w * (s - cs) ** 2).sum() + SLOPE_PRECISION)
     return ce - b * cs, b
 
 
@@ -118,7 +124,7 @@ def _explained(m: Any) -> Any:
     """Return the weighted squares that a line explains, from its moments."""
     if m[0] <= 0:
         return 0.0
-    sxx = m[2] - m[1] * m[1] / m[0] + 1.0 / 0.3**2
+    sxx = m[2] - m[1] * m[1] / m[0] + SLOPE_PRECISION
     sxy = m[4] - m[1] * m[3] / m[0]
     return m[3] * m[3] / m[0] + sxy * sxy / sxx
 
@@ -140,11 +146,11 @@ def _hits(
         qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
         if z > 1e300:
             continue
-        reach = z + 0.08 + 6 * np.sqrt(noise[0])
+        reach = z + REACH_MARGIN + REACH_SIGMAS * np.sqrt(noise[0])
         n = inlined_crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
         inlined_stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
         for m in range(n):
-            if gamma[m] < 0.5:
+            if gamma[m] < MIN_HIT_SHARE:
                 continue
             f = k[m]
             den = normals[f, 0] * ux + normals[f, 1] * uy
@@ -153,7 +159,7 @@ def _hits(
             t_u = -normals[f, 1] * ux + normals[f, 0] * uy
             var = variance(r[m], t_u, den, noise)
             e = z - r[m]
-            if e * e > 16 * var:
+            if e * e > FIT_GATE * var:
                 continue
             face[count], at[count] = f, t[m] + e * t_u
             off[count], weight[count] = e * den, 1.0 / (var * den * den)

@@ -16,14 +16,9 @@ from numpy.typing import NDArray
 from sensorgraph.models.faces.change_points import Crossings, sorted_crossings
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.ray_march import FaceSet
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import Expectation, Rays
 from sensorgraph.types import Floats, Ints
-
-KEPT_PER_SIDE = 12
-"""Crossings kept on each side of an edge."""
-STAND_INS = 16
-"""Crossings that stand for all others of a stretch."""
-
 
 SUMS = {
     "lines": "line_sums",
@@ -101,14 +96,18 @@ class SufficientStatistics:
         """
         owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
         at = np.flatnonzero(
-            (self.reached > 2 * KEPT_PER_SIDE) & (np.arange(len(owner)) + 1 != faces.first[owner + 1])
+            (self.reached > 2 * FACES.reduction.kept_crossings)
+            & (np.arange(len(owner)) + 1 != faces.first[owner + 1])
         )
-        step = (np.arange(STAND_INS) + 0.5) / STAND_INS
+        step = (np.arange(FACES.reduction.stand_ins) + 0.5) / FACES.reduction.stand_ins
         low, high = faces.edges[at], faces.edges[at + 1]
         t = low[:, None] + (high - low)[:, None] * step
-        stop = np.repeat(np.clip(self.stops[at] / self.reached[at], 0, 1), STAND_INS)
-        weight = np.repeat((self.reached[at] - 2 * KEPT_PER_SIDE) / STAND_INS, STAND_INS)
-        face = np.concatenate([self.face, np.repeat(owner[at], STAND_INS)])
+        stop = np.repeat(np.clip(self.stops[at] / self.reached[at], 0, 1), FACES.reduction.stand_ins)
+        weight = np.repeat(
+            (self.reached[at] - 2 * FACES.reduction.kept_crossings) / FACES.reduction.stand_ins,
+            FACES.reduction.stand_ins,
+        )
+        face = np.concatenate([self.face, np.repeat(owner[at], FACES.reduction.stand_ins)])
         t = np.concatenate([self.t, t.ravel()]) + slide[face]
         return face, t, np.concatenate([self.stop, stop]), np.concatenate([self.weight, weight])
 
@@ -197,7 +196,9 @@ def _next_to_edges(faces: FaceSet, crossings: Crossings) -> tuple[Ints, Ints]:
         start, end = int(crossings.bounds[k]), int(crossings.bounds[k + 1])
         edges = faces.edges[faces.first[k] : faces.first[k + 1]]
         middle = start + np.searchsorted(crossings.t[start:end], edges)
-        near = (middle[:, None] + np.arange(-KEPT_PER_SIDE, KEPT_PER_SIDE)).ravel()
+        near = (
+            middle[:, None] + np.arange(-FACES.reduction.kept_crossings, FACES.reduction.kept_crossings)
+        ).ravel()
         near = np.unique(near[(near >= start) & (near < end)])
         found.append(near)
         owners.append(np.full(len(near), k, dtype=np.intp))

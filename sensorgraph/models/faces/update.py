@@ -14,11 +14,11 @@ from sensorgraph.models.faces.change_points import (
     take_faces,
 )
 from sensorgraph.models.faces.corners import join_corners, with_edge_errors
-from sensorgraph.models.faces.fit import MIN_FACE_GAIN, MIN_HITS_LATER
 from sensorgraph.models.faces.forward_selection import Lines, select_lines
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.sufficient_statistics import (
     SufficientStatistics,
     columns_of,
@@ -33,15 +33,11 @@ from sensorgraph.models.faces.visibility import (
     e_step,
     estimate_noise,
     refit_lines,
+    stretch_visibility,
 )
 from sensorgraph.types import Floats, Ints
 
-EXPLAINED_WITHIN = 0.03
-"""[m] a hit this near to a face is explained by it, once it is there."""
-EM_PASSES = 3
-"""Of EM over the new rays, old sums held."""
-PASS_DISTANCE = 0.1
-"""[m] before and behind a new face where old rays are looked for that went through its place."""
+UPDATE = FACES.update
 
 
 def update_faces(
@@ -71,17 +67,17 @@ def update_faces(
     lines = select_lines(
         hits.merge(statistics.unexplained_hits),
         sigma=noise.sigma,
-        least=MIN_HITS_LATER,
-        shortest=0.02,
-        gap=0.05,
+        limits=FACES.selection.later_lines,
     )
     held = _with_new_faces(statistics, lines, observed)
     n_old = faces.n_faces
     faces = _concatenated(faces, binned_faces(lines))
-    for _ in range(EM_PASSES):
+    for _ in range(UPDATE.em_passes):
         expectation = e_step(rays, faces, noise)
         faces = faces._replace(levels=_visibility(faces, expectation, held, scale))
-    keep = np.flatnonzero((np.arange(faces.n_faces) < n_old) | (expectation.line_sums[:, 7] > MIN_FACE_GAIN))
+    keep = np.flatnonzero(
+        (np.arange(faces.n_faces) < n_old) | (expectation.line_sums[:, 7] > FACES.fit.min_face_gain)
+    )
     faces, held = _take(faces, held, keep)
     expectation = e_step(rays, faces, noise)
     before = faces
@@ -101,9 +97,8 @@ def update_faces(
     expectation = e_step(rays, faces, noise)
     new = SufficientStatistics.of(rays, faces, expectation, single, n_rays=n_rays)
     total = _add(held, new, held_lines, faces, crossings)
-    noise = estimate_noise(
-        noise, total.noise_sums, float(np.clip(total.stray[0] / max(total.stray[1], 1.0), 1e-6, 0.05))
-    )
+    stray = np.clip(total.stray[0] / max(total.stray[1], 1.0), *FACES.expectation.stray_range)
+    noise = estimate_noise(noise, total.noise_sums, float(stray))
     return with_edge_errors(faces, total.line_sums), noise, total
 
 
@@ -126,11 +121,11 @@ def _with_new_faces(
     """Return the statistics with room for new faces: no stops of old, but passes where old rays went through."""
     new = binned_faces(lines)
     owner = np.repeat(np.arange(new.n_faces), np.diff(new.first))
-    middle = new.edges + 0.005
+    middle = new.edges + FACES.expectation.first_bin / 2
     points = new.normals[owner] * new.offsets[owner, None] + new.tangents[owner] * middle[:, None]
     through = np.minimum(
-        _rays_through(observed, points + PASS_DISTANCE * new.normals[owner]),
-        _rays_through(observed, points - PASS_DISTANCE * new.normals[owner]),
+        _rays_through(observed, points + UPDATE.pass_distance * new.normals[owner]),
+        _rays_through(observed, points - UPDATE.pass_distance * new.normals[owner]),
     )
     return replace(
         statistics,
@@ -153,9 +148,7 @@ def _rays_through(observed: ObservedSpace, points: Floats) -> Floats:
 def _visibility(faces: FaceSet, expectation: Expectation, held: SufficientStatistics, scale: float) -> Floats:
     """Return the visibility of every stretch from old and new stops and crossings."""
     stops, reached = held.stops + scale * expectation.stops, held.reached + scale * expectation.reached
-    levels = np.where(reached > 0, (stops + 0.02) / (reached + 0.04), 0.0)
-    levels[faces.first[1:] - 1] = 0.0
-    return np.asarray(levels)
+    return stretch_visibility(faces, stops, reached)
 
 
 def _take(faces: FaceSet, held: SufficientStatistics, index: Ints) -> tuple[FaceSet, SufficientStatistics]:
@@ -199,6 +192,8 @@ def _still_unexplained(left: HitMoments, faces: FaceSet) -> HitMoments:
         t = where @ faces.tangents[k]
         j = np.clip(np.searchsorted(faces.edges[part], t, side="right") - 1, 0, None)
         near |= (
-            (off < EXPLAINED_WITHIN) & (t > faces.edges[part][0]) & (faces.levels[part][j] > MIN_VISIBILITY)
+            (off < UPDATE.explained_within)
+            & (t > faces.edges[part][0])
+            & (faces.levels[part][j] > MIN_VISIBILITY)
         )
     return HitMoments(cells=left.cells[~near], moments=left.moments[~near])

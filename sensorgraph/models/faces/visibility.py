@@ -23,10 +23,17 @@ from sensorgraph.models.faces.ray_march import (
     bucket_grid,
     crossed_faces,
 )
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Floats, Ints
 
-FIRST_BIN = 0.01  # [m] first guess of the edges: bins along the face
-MIN_COSINE = 0.08  # |n·u| below which a hit does not move its face: its range is all leverage
+EXPECTATION = FACES.expectation
+MIN_COSINE, MIN_SQUARED_COSINE = EXPECTATION.min_cosine, EXPECTATION.min_squared_cosine
+GATE, FIT_GATE = EXPECTATION.gate_sigmas**2, EXPECTATION.fit_sigmas**2
+"""Squares of standard deviations."""
+REACH_SIGMAS, REACH_MARGIN = EXPECTATION.gate_sigmas, EXPECTATION.reach_margin
+MIN_FIT_SHARE = EXPECTATION.min_fit_share
+MIN_PASSED, MIN_LIKELIHOOD = 1e-5, 1e-12
+"""Chance to pass a stretch, and likelihood of a ray [1/m], whose logarithms are taken at least."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +77,7 @@ class ReturnNoise:
     """[m] of the pose, across the face."""
     sigma_yaw: float = 0.0
     """[rad] of the heading."""
-    stray: float = 1e-3
+    stray: float = EXPECTATION.first_stray
     """[1/m] density of returns that no face explains."""
 
     @property
@@ -107,15 +114,17 @@ class Expectation:
         return len(self.line_sums)
 
 
-def binned_faces(lines: Lines, *, bin_size: float = FIRST_BIN, level: float = 0.8) -> FaceSet:
+def binned_faces(lines: Lines) -> FaceSet:
     """Cut lines into bins, visible over their spans and a margin beside them faintly so."""
+    bin_size = EXPECTATION.first_bin
     first, edges, levels = [0], [], []
     for low, high in lines.spans:
         n = int(np.ceil((high - low + 4 * END_MARGIN) / bin_size))
         here = low - 2 * END_MARGIN + bin_size * np.arange(n + 1)
         middle = here + bin_size / 2
         edges.append(here)
-        levels.append(np.where((middle > low) & (middle < high), level, 0.1))
+        is_inside = (middle > low) & (middle < high)
+        levels.append(np.where(is_inside, EXPECTATION.first_visibility, EXPECTATION.first_margin_visibility))
         levels[-1][-1] = 0.0
         first.append(first[-1] + n + 1)
     n_edges = first[-1]
@@ -135,7 +144,7 @@ def visible_lines(faces: FaceSet) -> Lines:
     spans = np.zeros((faces.n_faces, 2))
     for k in range(faces.n_faces):
         j = np.arange(faces.first[k], faces.first[k + 1] - 1)
-        visible = j[faces.levels[j] > 0.05]
+        visible = j[faces.levels[j] > EXPECTATION.min_span_visibility]
         spans[k] = (faces.edges[visible[0]], faces.edges[visible[-1] + 1]) if len(visible) else (0.0, 0.0)
     return Lines(normals=faces.normals, offsets=faces.offsets, spans=spans)
 
@@ -165,27 +174,34 @@ def m_step(
     faces: FaceSet, expectation: Expectation, noise: ReturnNoise, *, refit: bool
 ) -> tuple[FaceSet, ReturnNoise]:
     """Set visibility, lines (if `refit`) and noise to what explains the shares best (M step)."""
-    levels = np.where(expectation.reached > 0, (expectation.stops + 0.02) / (expectation.reached + 0.04), 0.0)
-    levels[faces.first[1:] - 1] = 0.0
-    better = faces._replace(levels=levels)
+    better = faces._replace(levels=stretch_visibility(faces, expectation.stops, expectation.reached))
     if refit:
         better = refit_lines(better, expectation.line_sums)
     returned = float(expectation.unexplained.sum())
-    stray = float(np.clip((returned + 1.0) / max(expectation.distance, 1.0), 1e-6, 0.05))
+    stray = float(np.clip((returned + 1.0) / max(expectation.distance, 1.0), *EXPECTATION.stray_range))
     return better, estimate_noise(noise, expectation.noise_sums, stray)
+
+
+def stretch_visibility(faces: FaceSet, stops: Floats, reached: Floats) -> Floats:
+    """Return the visibility (n_edges,) of every stretch from stops and crossings of the same shape."""
+    prior = EXPECTATION.prior_stops, EXPECTATION.prior_crossings
+    levels = np.where(reached > 0, (stops + prior[0]) / (reached + prior[1]), 0.0)
+    levels[faces.first[1:] - 1] = 0.0
+    return np.asarray(levels)
 
 
 def refit_lines(faces: FaceSet, sums: Floats) -> FaceSet:
     """Shift and turn every line about the middle of its hits by weighted least squares."""
     w, ws, wss, we, wse = sums[:, 0], sums[:, 1], sums[:, 2], sums[:, 3], sums[:, 4]
-    enough = (sums[:, 5] > 2.0) & (w > 0)
+    enough = (sums[:, 5] > EXPECTATION.min_hits) & (w > 0)
     w = np.where(enough, w, 1.0)
     c = ws / w
     shift = np.where(enough, we / w, 0.0)
     sway = np.maximum(wss / w - c**2, 0.0)
-    # a prior of 0.1 rad on the turn and of the hits' own width keeps faces of few hits from spinning
-    turn = np.where(enough, (wse / w - c * shift) / (sway + 1.0 / (w * 0.1**2) + 1e-9), 0.0)
-    turn = np.clip(turn, -0.2, 0.2)
+    # a prior on the turn and of the hits' own width keeps faces of few hits from spinning
+    prior = 1.0 / (w * EXPECTATION.turn_prior**2)
+    turn = np.where(enough, (wse / w - c * shift) / (sway + prior + 1e-9), 0.0)
+    turn = np.clip(turn, -EXPECTATION.max_turn, EXPECTATION.max_turn)
     normals, tangents = faces.normals, faces.tangents
     centre = normals * (faces.offsets + shift)[:, None] + tangents * c[:, None]
     cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
@@ -204,7 +220,7 @@ def estimate_noise(noise: ReturnNoise, spread: Floats, stray: float) -> ReturnNo
         return ReturnNoise(sigma=noise.sigma, sigma_xy=noise.sigma_xy, sigma_yaw=noise.sigma_yaw, stray=stray)
     solution = nnls(spread[:, :3] / scale[:, None] / scale, spread[:, 3] / scale)[0] / scale
     return ReturnNoise(
-        sigma=float(np.sqrt(max(solution[0], 1e-8))),
+        sigma=float(np.sqrt(max(solution[0], EXPECTATION.min_variance))),
         sigma_xy=float(np.sqrt(solution[1])),
         sigma_yaw=float(np.sqrt(solution[2])),
         stray=stray,
@@ -214,7 +230,7 @@ def estimate_noise(noise: ReturnNoise, spread: Floats, stray: float) -> ReturnNo
 @kernel
 def variance(rho: Any, t_u: Any, den: Any, noise: Any) -> Any:
     """Return the variance [m²] of a return from a face at range rho, t_u = t·u, den = n·u."""
-    return noise[0] + (noise[1] + (rho * t_u) ** 2 * noise[2]) / max(den * den, 0.0025)
+    return noise[0] + (noise[1] + (rho * t_u) ** 2 * noise[2]) / max(den * den, MIN_SQUARED_COSINE)
 
 
 @kernel
@@ -248,7 +264,7 @@ def stop_probabilities(
             den = normals[f, 0] * ux + normals[f, 1] * uy
             var = variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise)
             e = z - r[m]
-            if e * e < 36 * var:
+            if e * e < GATE * var:
                 gamma[m] = survival * alpha * np.exp(-0.5 * e * e / var) / np.sqrt(2 * np.pi * var)
                 total += gamma[m]
             if r[m] < z:
@@ -296,15 +312,15 @@ def _e_step(
     r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
     k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
     gamma, survive = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    passed = np.log(np.maximum(1.0 - levels, 1e-5))
+    passed = np.log(np.maximum(1.0 - levels, MIN_PASSED))
     for i in range(len(ranges)):
         qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
-        reach = range_max if z > 1e300 else z + 0.08 + 6 * np.sqrt(noise[0])
+        reach = range_max if z > 1e300 else z + REACH_MARGIN + REACH_SIGMAS * np.sqrt(noise[0])
         n = inlined_crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
         value, stray = inlined_stop_probabilities(
             qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive
         )
-        total[0] += np.log(max(value, 1e-12))
+        total[0] += np.log(max(value, MIN_LIKELIHOOD))
         total[1] += min(z, range_max)
         unexplained[i] = stray
         for m in range(n):
@@ -315,10 +331,10 @@ def _e_step(
             stops[j[m]] += gamma[m]
             g = gamma[m]
             if g > 0:
-                lines[f, 7] -= np.log(max(1.0 - g, 1e-5))
+                lines[f, 7] -= np.log(max(1.0 - g, MIN_PASSED))
             if survive[m] > 0 and g < 0.5:
                 lines[f, 7] += survive[m] * passed[j[m]]
-            if g < 0.01:
+            if g < MIN_FIT_SHARE:
                 continue
             den = normals[f, 0] * ux + normals[f, 1] * uy
             if den > -MIN_COSINE:
@@ -326,7 +342,7 @@ def _e_step(
             t_u = -normals[f, 1] * ux + normals[f, 0] * uy
             var = variance(r[m], t_u, den, noise)
             e = z - r[m]
-            if e * e > 16 * var:
+            if e * e > FIT_GATE * var:
                 continue
             across = e * den  # how far the end point is off the face, along its normal
             w = g / (var * den * den)

@@ -12,20 +12,12 @@ from robotmodic_ident import Moments, Scale, Terms
 from robotmodic_ident.selection.forward import forward, invert_upper
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import TrainingScans
+from sensorgraph.models.polynomial.settings import POLYNOMIAL
 from sensorgraph.types import Floats, Ints, Progress
 
 Auto = int | Literal["auto"]
 
-N_FOLDS = 5
-N_BLOCKS = 50
-"""Contiguous stretches of the log; stretch b is validation in fold b mod N_FOLDS."""
-MAX_RAYS, MAX_SCANS = 16, 3000
-"""Rays and scans that the choice looks at, evenly spread."""
-MAX_DEGREE, MAX_HARMONICS, MAX_TERMS, MAX_CANDIDATES = 6, 8, 80, 260
-SCANS_PER_CANDIDATE = 8
-"""Training scans needed for each candidate term."""
-MAX_ERROR_RATIO = 0.99
-"""A richer form must bring the error below this share of the poorer one's."""
+FORM = POLYNOMIAL.form
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,19 +64,19 @@ def select_form(
             progress(k, len(forms))
         sizes, errors = table.errors(dictionary(d, h), None if n_terms == "auto" else n_terms)
         least = int(np.argmin(errors))
-        if errors[least] < MAX_ERROR_RATIO * best[0]:
+        if errors[least] < FORM.max_error_ratio * best[0]:
             best = (float(errors[least]), d, h, int(sizes[least]))
     error, d, h, size = best
-    how = f"mean error {error:.3f} m on {N_FOLDS} x {N_BLOCKS // N_FOLDS} left-out stretches of the training scans"
+    how = f"mean error {error:.3f} m on {FORM.folds} x {FORM.stretches // FORM.folds} left-out stretches of the training scans"
     return PolynomialForm(degree=d, harmonics=h, n_terms=size, how=how)
 
 
 def _forms(n: int, degree: Auto, harmonics: Auto) -> list[tuple[int, int]]:
     """List (degree, harmonics) that n scans can carry, fewest candidates first."""
-    degrees = range(1, MAX_DEGREE + 1) if degree == "auto" else [degree]
-    waves = range(MAX_HARMONICS + 1) if harmonics == "auto" else [harmonics]
+    degrees = range(1, FORM.max_degree + 1) if degree == "auto" else [degree]
+    waves = range(FORM.max_harmonics + 1) if harmonics == "auto" else [harmonics]
     forms = sorted(((d, h) for d in degrees for h in waves), key=lambda f: (n_candidates(*f), f))
-    limit = min(MAX_CANDIDATES, n // SCANS_PER_CANDIDATE)
+    limit = min(FORM.max_candidates, n // FORM.scans_per_candidate)
     return [f for f in forms if n_candidates(*f) <= limit] or forms[:1]
 
 
@@ -98,15 +90,17 @@ class _Folds:
             raise SensorgraphError(
                 "no ray of any training scan returned a range; record where the sensor sees something"
             )
-        rays = alive[np.unique(np.linspace(0, len(alive) - 1, min(MAX_RAYS, q)).round().astype(np.intp))]
-        some = np.unique(np.linspace(0, len(scans) - 1, min(MAX_SCANS, len(scans))).round().astype(np.intp))
+        rays = alive[np.unique(np.linspace(0, len(alive) - 1, min(FORM.max_rays, q)).round().astype(np.intp))]
+        some = np.unique(
+            np.linspace(0, len(scans) - 1, min(FORM.max_scans, len(scans))).round().astype(np.intp)
+        )
         poses, ranges = scans.poses[some], scans.ranges[np.ix_(some, rays)]
         self.terms = terms
         self.limits = (scans.sensor.range_min, scans.sensor.range_max)
         self.y: Floats = np.where(np.isfinite(ranges), ranges, np.nan)
         self.phi = terms.matrix({"x": poses[:, 0], "y": poses[:, 1], "phi": poses[:, 2]}, scale)
-        fold = np.arange(len(some)) * N_BLOCKS // len(some) % N_FOLDS
-        self.held: list[Ints] = [np.flatnonzero(fold == f) for f in range(N_FOLDS)]
+        fold = np.arange(len(some)) * FORM.stretches // len(some) % FORM.folds
+        self.held: list[Ints] = [np.flatnonzero(fold == f) for f in range(FORM.folds)]
         parts = [Moments(terms, len(rays), scale=scale).add_rows(self.phi[h], self.y[h]) for h in self.held]
         total = parts[0]
         for part in parts[1:]:
@@ -118,7 +112,9 @@ class _Folds:
         place = {name: i for i, name in enumerate(self.terms.names)}
         index = np.array([place[name] for name in terms.names])
         sizes = (
-            _sizes(min(len(terms), MAX_TERMS)) if n_terms is None else np.array([min(n_terms, len(terms))])
+            _sizes(min(len(terms), FORM.max_terms))
+            if n_terms is None
+            else np.array([min(n_terms, len(terms))])
         )
         grams, cross, power, fold, ray = self._stack(index)
         own = np.arange(len(fold)) if len(grams) == len(fold) else fold
@@ -141,7 +137,7 @@ class _Folds:
         """Stack all folds and rays: Grams (one a fold, or one a fold and ray), cross, power, fold, ray."""
         square = np.ix_(index, index)
         n_rays = self.y.shape[1]
-        fold, ray = np.repeat(np.arange(N_FOLDS), n_rays), np.tile(np.arange(n_rays), N_FOLDS)
+        fold, ray = np.repeat(np.arange(FORM.folds), n_rays), np.tile(np.arange(n_rays), FORM.folds)
         cross = np.concatenate([m.cross[index] for m in self.moments], axis=1)
         power = np.concatenate([m.power for m in self.moments])
         known = np.concatenate([m.count for m in self.moments]) > 0
@@ -154,8 +150,8 @@ class _Folds:
 
 
 def _sizes(n_max: int) -> Ints:
-    """List the numbers of terms to look at: every one up to 12, then steps of a fifth."""
-    sizes = list(range(1, min(n_max, 12) + 1))
+    """List the numbers of terms to look at: every one up to some, then steps of a fifth."""
+    sizes = list(range(1, min(n_max, FORM.every_size_to) + 1))
     while sizes[-1] < n_max:
         sizes.append(min(n_max, sizes[-1] + sizes[-1] // 5))
     return np.array(sizes, dtype=np.intp)

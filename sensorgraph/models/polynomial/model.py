@@ -20,16 +20,14 @@ from robotmodic_ident.notation.printing import sum_text
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
 from sensorgraph.models.polynomial.complexity import Auto, PolynomialForm, select_form
+from sensorgraph.models.polynomial.settings import POLYNOMIAL
 from sensorgraph.models.polynomial.support import Support
 from sensorgraph.types import Floats, Ints, Progress
 
-POSES_PER_BLOCK = 4096
-"""Poses taken at a time."""
-MAX_GRAM_NUMBERS = 1 << 23
-"""Numbers (64 MB) that the Grams of missing returns may take; more rays go in several passes."""
-QUANTILES = np.linspace(0.0, 1.0, 33)
+SUPPORT = POLYNOMIAL.support
+POSES_PER_BLOCK = POLYNOMIAL.poses_per_block
+QUANTILES = np.linspace(0.0, 1.0, POLYNOMIAL.n_quantiles)
 """Shares at which the size of the residuals is kept."""
-FULL_CIRCLE = 1.95 * np.pi  # [rad] of field of view above which the sensor sees all around
 
 
 def dictionary(degree: int, harmonics: int) -> Terms:
@@ -112,7 +110,7 @@ class Polynomial:
             spread=np.zeros((scans.sensor.n_rays, len(QUANTILES))),
             root=root,
             leverage_limit=limit,
-            support=Support.of(scans.poses, sees_around=bool(field_of_view > FULL_CIRCLE)),
+            support=Support.of(scans.poses, sees_around=bool(field_of_view > SUPPORT.full_circle)),
             **fitted,
         )
         return draft._with_residuals(scans)
@@ -134,7 +132,7 @@ class Polynomial:
                 sigma[i], spread[i] = span, np.linspace(0, span, len(QUANTILES))
                 continue
             grow = np.sqrt(len(size) / free)
-            sigma[i] = max(grow * np.sqrt(np.mean(size**2)), 1e-6)
+            sigma[i] = max(grow * np.sqrt(np.mean(size**2)), SUPPORT.min_sigma)
             spread[i] = grow * np.quantile(size, QUANTILES)
         return type(self)(**{**self.__dict__, "sigma": sigma, "spread": spread})
 
@@ -152,7 +150,7 @@ class Polynomial:
             phi = self.terms.matrix(columns(poses[rows]), self.scale)
             value[rows] = self._clip(phi @ self.theta[rays].T)
             none[rows] = np.clip(phi @ self.theta_none[rays].T, least, 1.0 - least)
-            leverage = np.minimum(((phi @ self.root) ** 2).sum(axis=1), 1e12)
+            leverage = np.minimum(((phi @ self.root) ** 2).sum(axis=1), SUPPORT.max_leverage)
             widen = np.sqrt(1.0 + leverage)
             sigma[rows] = self.sigma[rays] * widen[:, None]
             for j, ray in enumerate(rays.tolist()):
@@ -284,7 +282,7 @@ def _select_all(
             "no ray of any training scan returned a range; record where the sensor sees something"
         )
     out["theta"][:, terms.names.index("1")] = np.where(out["returns"] > 0, 0.0, scans.sensor.range_max)
-    step = max(1, min(q, MAX_GRAM_NUMBERS // (2 * m * m)))
+    step = max(1, min(q, POLYNOMIAL.max_gram_numbers // (2 * m * m)))
     total = -(-n // POSES_PER_BLOCK) * -(-q // step)
     done = 0
     gram = np.zeros((m, m))
@@ -315,8 +313,9 @@ def _select_all(
 
 
 def _by_size(count: NDArray[np.int64], k: int) -> list[tuple[Ints, int]]:
-    """Group outputs by how many terms their data allow: `k`, or the mean alone below 5 rows a term."""
-    rich, poor = np.flatnonzero(count >= 5 * k), np.flatnonzero((count < 5 * k) & (count > 0))
+    """Group outputs by how many terms their data allow: `k`, or the mean alone where there are too few rows a term."""
+    rows = POLYNOMIAL.form.rows_per_term * k
+    rich, poor = np.flatnonzero(count >= rows), np.flatnonzero((count < rows) & (count > 0))
     return [(few, size) for few, size in ((rich, k), (poor, 1)) if len(few)]
 
 
@@ -335,11 +334,11 @@ def _leverage(scans: TrainingScans, terms: Terms, scale: Scale, gram: Floats) ->
     Directions that the poses never left are kept with a tiny variance: who leaves them has a huge leverage.
     """
     values, vectors = np.linalg.eigh(gram)
-    root = vectors / np.sqrt(np.maximum(values, 1e-10 * values[-1]))
+    root = vectors / np.sqrt(np.maximum(values, SUPPORT.min_eigenvalue * values[-1]))
     parts = []
     for start in range(0, len(scans), POSES_PER_BLOCK):
         phi = terms.matrix(columns(scans.poses[start : start + POSES_PER_BLOCK]), scale)
         parts.append(((phi @ root) ** 2).sum(axis=1))
     h = np.minimum(np.concatenate(parts), 1.0 - 1e-9)
     # h / (1 - h): the leverage that a training pose would have as a new one
-    return root, float(2.0 * np.quantile(h / (1.0 - h), 0.995))
+    return root, float(SUPPORT.leverage_factor * np.quantile(h / (1.0 - h), SUPPORT.leverage_quantile))

@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sensorgraph.models.polynomial.settings import POLYNOMIAL
 from sensorgraph.types import Bools, Floats
 
 CellKeys = NDArray[np.int64]
 
-CELL_SIZES = (0.25, 0.5, 1.0, 2.0)  # [m]
-N_SECTORS = 8
-MIN_SUPPORTED = 0.95
-"""Share of the training poses that their neighbours must support, for a cell size to be large enough."""
+SUPPORT = POLYNOMIAL.support
 _KEY_SPAN = 1 << 28  # cells along an axis that a key can tell apart
 
 
@@ -37,13 +35,13 @@ class Support:
     @classmethod
     def of(cls, poses: Floats, *, sees_around: bool) -> Support:
         """Take the smallest cell at which the poses (n, 3) support each other."""
-        n_sectors = 1 if sees_around else N_SECTORS
+        n_sectors = 1 if sees_around else SUPPORT.n_sectors
         origin = poses[:, :2].min(axis=0)
-        for cell in CELL_SIZES:
+        for cell in SUPPORT.cell_sizes:
             keys, counts = np.unique(_keys(_cells(poses, cell, origin, n_sectors)), return_counts=True)
             support = cls(cell=cell, n_sectors=n_sectors, origin=origin, keys=keys)
             near = support._near(poses, counts) > 1  # someone besides the pose itself
-            if near.mean() >= MIN_SUPPORTED:
+            if near.mean() >= SUPPORT.min_supported:
                 break
         return support
 
@@ -94,4 +92,6 @@ def _cells(poses: Floats, cell: float, origin: Floats, n_sectors: int) -> CellKe
 
 def _keys(cells: CellKeys) -> CellKeys:
     shifted = cells[:, :2] + _KEY_SPAN // 2
-    return np.asarray((shifted[:, 0] * _KEY_SPAN + shifted[:, 1]) * N_SECTORS + cells[:, 2], dtype=np.int64)
+    return np.asarray(
+        (shifted[:, 0] * _KEY_SPAN + shifted[:, 1]) * SUPPORT.n_sectors + cells[:, 2], dtype=np.int64
+    )
