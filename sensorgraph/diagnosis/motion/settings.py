@@ -157,6 +157,22 @@ class PatchSettings:
     """[m] of patches that are tried."""
     first_steps: tuple[float, ...] = (0.08, 0.04)
     """[m] of the random steps about the best of them."""
+    first_spread: float = 1.5
+    """Steps to each side, within which these are drawn."""
+    n_first: int = 120
+    """Drawn for each step."""
+    grid_reach: float = 0.9
+    """[m] around an accepted patch, within which centres are tried first."""
+    grid_step: float = 0.3
+    """[m] between them."""
+    grid_radii: tuple[float, float, float] = (0.15, 1.26, 0.15)
+    """[m] first radius tried there, end, and step."""
+    n_refining: int = 80
+    """Drawn for each refining step, of either kind."""
+    ridge_growth: float = 2.0
+    """Steps (standard deviation) by which a patch grows whose near edge stays."""
+    posterior_cell: float = 0.05
+    """[m] cells of (x, y, r) that count as one disc each for the spread of the place."""
     radius_range: tuple[float, float] = (0.12, 1.2)
     """[m] in these steps."""
     refined_radius_range: tuple[float, float] = (0.1, 1.3)
@@ -242,10 +258,40 @@ class DriveStructureSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MotorFitSettings:
+    """Gauss-Newton on the simulated motors (`motors/model`)."""
+
+    max_steps: int = 6
+    tau_quotient: tuple[float, float] = (0.004, 0.05)
+    """[s] and share of the time constant: the larger is the step of its difference quotient."""
+    delay_quotient: float = 0.01
+    """[s] to each side, of the difference quotient of the dead time."""
+    v_max_quotient: float = 0.004
+    """[m/s] downward, of the difference quotient of the largest speed."""
+    tau_step: tuple[float, float] = (-0.08, 0.15)
+    """[s] largest steps of the time constant, down and up."""
+    delay_step: tuple[float, float] = (-0.1, 0.1)
+    """[s] of the dead time."""
+    v_max_step: tuple[float, float] = (-0.05, 0.05)
+    """[m/s] of the largest speed."""
+    tau_range: tuple[float, float] = (1e-3, 3.0)
+    """[s] least and largest time constant."""
+    min_v_max: float = 0.02
+    """[m/s] least largest speed."""
+    converged: tuple[float, float, float] = (1e-3, 1e-3, 5e-4)
+    """[s, s, m/s] steps of time constant, dead time and largest speed below which the fit has converged."""
+    v_max_quantile: float = 0.995
+    """Of the measured speeds: the largest speed to begin with."""
+    v_max_start: tuple[float, float] = (0.03, 0.005)
+    """[m/s] its least value, and how far it stays below the largest command."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class DriveChannelSettings:
     """All tuned numbers of the drive channel."""
 
     structure: DriveStructureSettings = field(default_factory=DriveStructureSettings)
+    fit: MotorFitSettings = field(default_factory=MotorFitSettings)
     step: float = 0.01
     """[s] of the simulated motors."""
     control_step: float = 0.003
@@ -278,8 +324,6 @@ class DriveChannelSettings:
     """Of the robot's limit that commands must reach to show a saturation."""
     max_effects: int = 4
     """Steps of the forward selection."""
-    max_gauss_newton: int = 6
-    """Steps of the fit of the simulated motors."""
 
 
 EVIDENCE = EvidenceSettings()

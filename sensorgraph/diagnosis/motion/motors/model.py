@@ -32,6 +32,8 @@ from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
+FIT = DRIVE.fit
+
 
 class Column(IntEnum):
     """First columns of the regression, as steps from the simulated motors."""
@@ -145,16 +147,17 @@ class DriveModel:
         """Return the simulated rows (2 n,) and the columns (2 n, layout.n + structure)."""
         rates = self.simulation.rates
         base = rates(motors)
-        d_tau = max(0.004, 0.05 * motors.tau)
+        least, share = FIT.tau_quotient
+        d_tau, d_delay, d_v_max = max(least, share * motors.tau), FIT.delay_quotient, FIT.v_max_quotient
         v, omega = both_kinds(base, self.rows.n)
         nothing = np.zeros(self.rows.n)
         by_v_max = np.zeros(2 * self.rows.n)
         if np.isfinite(motors.v_max):
-            slower = replace(motors, v_max=max(motors.v_max - 0.004, 1e-3))
-            by_v_max = (base - rates(slower)) / 0.004
+            slower = replace(motors, v_max=max(motors.v_max - d_v_max, 1e-3))
+            by_v_max = (base - rates(slower)) / d_v_max
         columns = {
             Column.LAG: (rates(replace(motors, tau=motors.tau + d_tau)) - base) / d_tau,
-            Column.DELAY: (rates(motors, later=0.01) - rates(motors, later=-0.01)) / 0.02,
+            Column.DELAY: (rates(motors, later=d_delay) - rates(motors, later=-d_delay)) / (2 * d_delay),
             Column.GAIN_V: np.concatenate([v, nothing]),
             Column.GAIN_OMEGA: np.concatenate([nothing, omega]),
             Column.TURN_PER_DISTANCE: np.concatenate([nothing, v]),
@@ -201,23 +204,24 @@ class DriveModel:
         if not has_limit:
             motors = replace(motors, v_max=float("inf"))
         best: DriveFit | None = None
-        for _ in range(DRIVE.max_gauss_newton):
+        for _ in range(FIT.max_steps):
             base, A = self.linearised(motors)
             regression = Regression.of(self.whitener(A), self.whitener(self.rows.y - base))
             solution = regression.solve(self.prior(terms, motors))
             here = DriveFit(
                 motors=motors, regression=regression, solution=solution, simulated=base, columns=A
             )
-            lag, delay, v_max = solution.theta[[Column.LAG, Column.DELAY, Column.V_MAX]]
-            is_small = abs(lag) < 1e-3 and abs(delay) < 1e-3 and abs(v_max) < 5e-4
+            steps = solution.theta[[Column.LAG, Column.DELAY, Column.V_MAX]]
+            is_small = bool((np.abs(steps) < FIT.converged).all())
             if best is None or is_small or here.log_posterior > best.log_posterior:
                 best = here
             if is_small:
                 break
+            lag, delay, v_max = steps
             motors = MotorParameters(
-                tau=float(np.clip(motors.tau + np.clip(lag, -0.08, 0.15), 1e-3, 3.0)),
-                delay=float(motors.delay + np.clip(delay, -0.1, 0.1)),
-                v_max=float(max(motors.v_max + np.clip(v_max, -0.05, 0.05), 0.02)),
+                tau=float(np.clip(motors.tau + np.clip(lag, *FIT.tau_step), *FIT.tau_range)),
+                delay=float(motors.delay + np.clip(delay, *FIT.delay_step)),
+                v_max=float(max(motors.v_max + np.clip(v_max, *FIT.v_max_step), FIT.min_v_max)),
             )
         assert best is not None
         return best
@@ -225,8 +229,9 @@ class DriveModel:
     def _first_v_max(self) -> float:
         """Return the speed that is not exceeded though commands ask for more."""
         v, _ = both_kinds(self.rows.y, self.rows.n)
-        fastest = float(np.quantile(np.abs(v[self.rows.valid]), 0.995))
-        return float(np.clip(fastest, 0.03, max(self.top_speed - 0.005, 0.03)))
+        fastest = float(np.quantile(np.abs(v[self.rows.valid]), FIT.v_max_quantile))
+        least, below_commands = FIT.v_max_start
+        return float(np.clip(fastest, least, max(self.top_speed - below_commands, least)))
 
     def fit_noise(self, residual: Floats) -> None:
         """Fit the noise to a residual (2 n,), and whiten with it from now on."""

@@ -36,7 +36,7 @@ def best_patch(
     gains, _ = gains_of_discs(model, discs, terms)
     disc = discs[int(np.argmax(gains))]
     for step in PATCH.first_steps:
-        near = disc + step * rng.uniform(-1.5, 1.5, size=(120, 3))
+        near = disc + step * rng.uniform(-PATCH.first_spread, PATCH.first_spread, size=(PATCH.n_first, 3))
         near[:, 2] = np.clip(near[:, 2], *PATCH.radius_range)
         near = np.concatenate([disc[None], near])
         gains, _ = gains_of_discs(model, near, terms)
@@ -80,20 +80,22 @@ def refine_patch(model: WheelModel, i: int, terms: Sequence[WheelTerm], rng: np.
 
 
 def _grid_about(disc: Floats) -> Floats:
-    """Return discs (n, 3) of every size whose centres lie within 0.9 m of a disc's, and the disc itself."""
-    steps, radii = np.arange(-0.9, 0.91, 0.3), np.arange(0.15, 1.26, 0.15)
+    """Return discs (n, 3) of every size whose centres lie near a disc's, and the disc itself."""
+    reach, radii = PATCH.grid_reach, np.arange(*PATCH.grid_radii)
+    steps = np.arange(-reach, reach + 0.01, PATCH.grid_step)
     dx, dy, r = (axis.ravel() for axis in np.meshgrid(steps, steps, radii, indexing="ij"))
-    near = np.hypot(dx, dy) <= 0.91
+    near = np.hypot(dx, dy) <= reach + 0.01
     return np.concatenate([disc[None], np.column_stack([disc[0] + dx, disc[1] + dy, r])[near]])
 
 
-def _random_steps(disc: Floats, step: float, rng: np.random.Generator, n: int = 80) -> Floats:
+def _random_steps(disc: Floats, step: float, rng: np.random.Generator) -> Floats:
     """Return discs (2 n or fewer, 3) about a disc.
 
     Half of them are larger or smaller with their near edge where it was: these fit almost as well.
     """
+    n = PATCH.n_refining
     turn = rng.uniform(-np.pi, np.pi, size=n)
-    growth = 2 * step * rng.normal(size=n)
+    growth = PATCH.ridge_growth * step * rng.normal(size=n)
     ridge = disc + growth[:, None] * np.stack([np.cos(turn), np.sin(turn), np.ones(n)], axis=1)
     ridge += PATCH.rim * rng.normal(size=ridge.shape)
     near = np.concatenate([disc + step * rng.normal(size=(n, 3)), ridge])
@@ -106,7 +108,7 @@ def _posterior_mean(discs: Floats, gains: Floats, lost: Floats) -> SlipPatch:
     # one disc for each cell of the search: it is dense where it was searched, not where a disc is likely
     best = np.argsort(-gains)
     best = best[gains[best] > gains[best[0]] - PATCH.credible_fall]
-    _, first = np.unique(np.round(discs[best] / 0.05), axis=0, return_index=True)
+    _, first = np.unique(np.round(discs[best] / PATCH.posterior_cell), axis=0, return_index=True)
     best = best[first]
     # a patch of unknown size: the prior is the same at every magnification, 1 / r³
     weight = np.exp((gains[best] - gains.max()) / EVIDENCE.temperature) / discs[best, 2] ** 3
