@@ -277,14 +277,14 @@ def _check_ends(
         if value is not None and not (np.isfinite(value) and value > 0):
             raise PlanError(f"{name} is {value}, expected a positive number")
     if dock is not None and battery is None:
-        raise PlanError("a dock needs a battery; give the battery too, or a start and an end")
+        raise PlanError("a dock needs a battery; give `battery` too, or `start` and `end`")
     if battery is not None and (end is not None or budget is not None):
         raise PlanError(
-            "every run on a battery ends at the dock; leave out the end pose and the budget, and drive as many runs "
+            "every run on a battery ends at the dock; leave out `end` and `budget`, and drive as many runs "
             "as there is time for: each tells the coverage so far"
         )
     if dock is not None and start is not None and not np.allclose(start, dock):
-        raise PlanError("every run on a battery starts at the dock; leave out the start, or the dock")
+        raise PlanError("every run on a battery starts at the dock; leave out `start`, or `dock`")
 
 
 def _dubins_start(

@@ -27,7 +27,7 @@ from sensorgraph.identification.signals import SignalData, is_table, signals_of_
 from sensorgraph.loading import arena_in, load_arena, read_poses, robot_for, robot_in
 from sensorgraph.models.base import Point, Prediction
 from sensorgraph.planning.plan import CoveragePlan, plan
-from sensorgraph.recording.drive_source import check_start, kept_plan, open_drive
+from sensorgraph.recording.drive_source import check_start, kept_plan, open_drive, start_of
 from sensorgraph.recording.record import Commands
 from sensorgraph.recording.record import record as record_drive
 from sensorgraph.show.review.contents import Review
@@ -92,7 +92,7 @@ def record(
         raise SensorgraphError("a trajectory alone names no arena; give the arena to drive in")
     machine = (plan_robot or load_robot()) if robot is None else _robot(robot)
     amendments = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else effects
-    check_start(way.poses[0] if isinstance(way, Trajectory) else way.start, walls, machine)
+    check_start(start_of(way), walls, machine)
     file = None if path is None else Path(path)
     return record_drive(file, walls, machine, way, effects=amendments, seed=seed, attachments=attachments)
 

@@ -317,7 +317,7 @@ def test_ctrl_c_before_anything_is_found_ends_all(rooms: tuple[Plan, Arena]) -> 
         ({"battery": 0.0}, "battery is 0"),
         ({"battery": 5.0, "dock": np.array([0.5, 0.5, 0.0])}, "battery of .* too small"),
         ({"dock": np.array([0.5, 0.5, 0.0])}, "a dock needs a battery"),
-        ({"battery": 100.0, "budget": 100.0}, "leave out the end pose and the budget"),
+        ({"battery": 100.0, "budget": 100.0}, "leave out `end` and `budget`"),
         ({"battery": 100.0, "dock": np.array([0.1, 0.5, 0.0])}, r"0\.10 m from a wall"),
         (
             {"battery": 100.0, "dock": np.array([0.5, 0.5, 0.0]), "start": np.array([1.0, 0.5, 0.0])},

@@ -6,7 +6,9 @@ import re
 
 FLAGS = {
     "battery": "--battery",
+    "budget": "--budget",
     "degree": "--degree",
+    "dock": "--dock",
     "end": "--end",
     "force": "--force",
     "inputs": "--inputs",
@@ -16,10 +18,13 @@ FLAGS = {
     "no_return": "--no-return",
     "no_go": "--no-go",
     "output_lags": "--output-lags",
+    "planner": "--planner",
     "priority": "--priority",
+    "resume": "--resume",
     "start": "--start",
     "topics": "--topic",
     "update": "--update",
+    "views": "--views",
 }
 """Parameter, as a message of the library names it in backticks -> option of the command line."""
 

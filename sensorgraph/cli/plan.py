@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from pathlib import Path
 from typing import Any
 
 import typer
@@ -68,7 +67,6 @@ def plan(
 
     Ctrl-C keeps what is planned so far as a shorter plan.
     """
-    from planners.errors import PlanError
     from planners.maps.no_go import zones
     from sensorgraph.cli.inputs import check_folder, parse_pose
     from sensorgraph.cli.progress import progress
@@ -78,10 +76,6 @@ def plan(
     if not (log := logging.getLogger("planners")).hasHandlers():
         log.addHandler(logging.NullHandler())  # its warnings are said below
     check_folder(out)
-    _check_views(planner, views, resume)
-    dock_pose = None if dock is None else parse_pose(dock, "--dock")
-    if dock is not None and battery is None:
-        raise PlanError("a dock needs a battery; give --battery MIN too, or --start and --end")
     with progress("planning", "bins" if planner == "coverage" and views is None else "stops") as tick:
         made = make_plan(
             arena,
@@ -97,7 +91,7 @@ def plan(
             priority=None if priority is None else Sensorgraph.load(priority),
             budget=_seconds("--budget", budget),
             battery=_seconds("--battery", battery),
-            dock=dock_pose,
+            dock=None if dock is None else parse_pose(dock, "--dock"),
             duration=duration,
             seed=seed,
             progress=tick,
@@ -111,35 +105,19 @@ def plan(
         raise typer.Exit(INTERRUPTED)
 
 
-def _check_views(planner: str, views: int | None, resume: Path | None) -> None:
-    """Refuse what does not go with --views."""
-    from planners.errors import PlanError
-
-    if views is None:
-        if planner == "views":
-            raise PlanError("the planner views needs to know how many; give --views N")
-        return
-    if planner not in ("coverage", "views"):
-        raise PlanError(f"--views has its own planner; leave out --planner {planner}")
-    if resume is not None:
-        raise PlanError(
-            "--resume is for coverage; build a graph from that run, and give it with --priority GRAPH --views N"
-        )
-
-
 def _summary(report: dict[str, Any]) -> str:
     """Say in one line what a plan achieves."""
     hours, minutes = divmod(round(report["drive_time_s"] / 60), 60)
     joins = report["joins"]
     failed = f", {joins['failed']} failed" if joins["failed"] else ""
-    flooded = f", {joins['flooded']} by a flood" if joins["flooded"] else ""
+    by_wavefront = f", {joins['flooded']} by a wavefront search" if joins["flooded"] else ""
     before = f"; {100 * report['coverage_before']:.2f} % before" if report["coverage_before"] else ""
     views = f"{len(report['views']) - joins['failed']:,} views, " if "views" in report else ""
     return (
         f"{views}{report['covered_cells']:,} of {report['reachable_cells']:,} (x, y, phi) bins "
         f"({100 * report['coverage']:.2f} %{before}) in {hours} h {minutes:02d} min and {report['path_m']:.0f} m, "
         f"{report['ratio']:.2f} of the reference time; {joins['direct']:,} straight joins, "
-        f"{joins['planned']} by OMPL{flooded}{failed}; clearance {report['min_clearance_m']:.3f} m; "
+        f"{joins['planned']} by OMPL{by_wavefront}{failed}; clearance {report['min_clearance_m']:.3f} m; "
         f"planned in {report['planning_s']:.1f} s"
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import blind_walls
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
-from sensorgraph.effects.places import part_of_wall
+from sensorgraph.effects.places import ends_of_part, part_of_wall
 from sensorgraph.effects.proposals import (
     PROPOSAL,
     best_first,
@@ -20,7 +20,6 @@ from sensorgraph.effects.proposals import (
     sharpen_part,
     sum_by_wall,
 )
-from sensorgraph.effects.set_up import end_of_part_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
 from sensorgraph.types import Floats
 from sensorgraph.world.scene import Beams, Scene
@@ -108,17 +107,7 @@ BLACK_SURFACE = Effect(
         "incidence_dropout": "another wall at the same incidence",
     },
     parameters=(
-        Parameter(
-            name="a",
-            unit="m",
-            doc="where it begins, along the wall from its first end",
-            neutral=None,
-            search_step=0.01,
-            hidden=end_of_part_error,
-        ),
-        Parameter(
-            name="b", unit="m", doc="where it ends", neutral=None, search_step=0.01, hidden=end_of_part_error
-        ),
+        *ends_of_part("it"),
         Parameter(
             name="r0",
             unit="m",

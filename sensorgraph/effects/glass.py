@@ -10,7 +10,7 @@ import numpy as np
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import UNEXPECTED, blind_walls
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
-from sensorgraph.effects.places import part_of_wall, seen_without
+from sensorgraph.effects.places import ends_of_part, part_of_wall, seen_without
 from sensorgraph.effects.proposals import (
     PROPOSAL,
     best_first,
@@ -19,7 +19,7 @@ from sensorgraph.effects.proposals import (
     sharpen_part,
     strange_on_walls,
 )
-from sensorgraph.effects.set_up import end_of_part_error, third_of_map_error, wall_direction_error
+from sensorgraph.effects.set_up import third_of_map_error, wall_direction_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene, nearest_from_each
@@ -137,17 +137,7 @@ GLASS = Effect(
         "moved_wall": "approach it at normal incidence",
     },
     parameters=(
-        Parameter(
-            name="a",
-            unit="m",
-            doc="where the pane begins, along the wall from its first end",
-            neutral=None,
-            search_step=0.01,
-            hidden=end_of_part_error,
-        ),
-        Parameter(
-            name="b", unit="m", doc="where it ends", neutral=None, search_step=0.01, hidden=end_of_part_error
-        ),
+        *ends_of_part("the pane"),
         Parameter(
             name="alpha_ret",
             unit="rad",

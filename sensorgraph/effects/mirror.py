@@ -7,10 +7,10 @@ from functools import partial
 
 import numpy as np
 
-from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
+from sensorgraph.effects.effect import Amendment, Diagnostics, Effect
 from sensorgraph.effects.exposures import UNEXPECTED, blind_walls
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
-from sensorgraph.effects.places import part_of_wall, reflected
+from sensorgraph.effects.places import ends_of_part, part_of_wall, reflected
 from sensorgraph.effects.proposals import (
     best_first,
     best_part,
@@ -18,7 +18,6 @@ from sensorgraph.effects.proposals import (
     sharpen_part,
     strange_on_walls,
 )
-from sensorgraph.effects.set_up import end_of_part_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
 from sensorgraph.world.scene import Beams, Scene
 
@@ -70,19 +69,7 @@ MIRROR = Effect(
     source="Yang and Wang (2011), on solving mirror reflection in lidar sensing",
     varies="one part of one wall, long readings, the geometry of a ghost room",
     rivals={"glass": "view it from two sides; the ghost moves with the room"},
-    parameters=(
-        Parameter(
-            name="a",
-            unit="m",
-            doc="where the mirror begins, along the wall from its first end",
-            neutral=None,
-            search_step=0.01,
-            hidden=end_of_part_error,
-        ),
-        Parameter(
-            name="b", unit="m", doc="where it ends", neutral=None, search_step=0.01, hidden=end_of_part_error
-        ),
-    ),
+    parameters=ends_of_part("the mirror"),
     transform=transform,
     place="wall",
     diagnostics=Diagnostics(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from planners.arena import Arena
-from sensorgraph.effects.effect import Amendment
+from sensorgraph.effects.effect import Amendment, Parameter
+from sensorgraph.effects.set_up import end_of_part_error
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.scene import Beams, Scene, nearest_from_each
@@ -49,6 +50,22 @@ def part_of_wall(scene: Scene, beams: Beams, a: Amendment) -> Bools:
     along = beams.along(scene.walls)
     with np.errstate(invalid="ignore"):
         return np.asarray(on & (along >= a["a"]) & (along <= a["b"]))
+
+
+def ends_of_part(what: str) -> tuple[Parameter, Parameter]:
+    """Return the parameters a and b between which an effect sits on a wall.
+
+    Parameters
+    ----------
+    what : begins at a, as the documentation calls it
+    """
+
+    def end(name: str, doc: str) -> Parameter:
+        return Parameter(
+            name=name, unit="m", doc=doc, neutral=None, search_step=0.01, hidden=end_of_part_error
+        )
+
+    return end("a", f"where {what} begins, along the wall from its first end"), end("b", "where it ends")
 
 
 def outward(arena: Arena, index: int) -> Floats:

@@ -150,12 +150,14 @@ def _check_views(views: int | None, planner: str, resume: Run | Path | str | Non
     """Refuse what contradicts a plan of views."""
     if views is None:
         if planner == "views":
-            raise PlanError("the planner views needs to know how many")
+            raise PlanError("the planner views needs to know how many; give `views`")
         return
     if planner not in ("coverage", "views"):
-        raise PlanError(f"views have a planner of their own; leave out the planner {planner}")
+        raise PlanError(f"`views` has a planner of its own; leave out `planner` {planner}")
     if resume is not None:
-        raise PlanError("views cannot resume a run; build a graph from that run, and give it as the priority")
+        raise PlanError(
+            "`views` cannot resume a run; leave out `resume`, build a graph from that run, and give it as `priority`"
+        )
 
 
 def _driven(resume: Run | Path | str, arena: Arena) -> Floats:

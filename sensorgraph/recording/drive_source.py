@@ -37,7 +37,7 @@ class DriveSource:
     @property
     def start(self) -> Floats:
         """(3,) [m, m, rad] where the drive begins."""
-        return self.way.poses[0] if isinstance(self.way, Trajectory) else self.way.start
+        return start_of(self.way)
 
     def arena(self) -> Arena | None:
         """Read the arena that was planned for, or driven in; None: neither the folder nor the run keeps one."""
@@ -95,6 +95,11 @@ def kept_plan(report: Any) -> dict[str, bytes]:
     if isinstance(report, dict):
         report = {key: value for key, value in report.items() if key != "planning_s"}
     return {"plan.json": (json.dumps(report, indent=1) + "\n").encode()}
+
+
+def start_of(way: Trajectory | Commands) -> Floats:
+    """Return where a drive begins (3,) [m, m, rad]."""
+    return way.poses[0] if isinstance(way, Trajectory) else way.start
 
 
 def open_drive(path: Path, *, start: Floats | None = None) -> DriveSource:
