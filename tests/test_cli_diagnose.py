@@ -80,10 +80,17 @@ def test_it_finds_what_is_hidden_and_writes_a_model_that_knows_it(
     assert (out / "next_run" / "trajectory.csv").is_file()
 
 
-def test_the_same_seed_writes_the_same_report(folder: Path, tmp_path: Path) -> None:
+def test_the_same_seed_writes_the_same_report_with_and_without_attachments(
+    folder: Path, tmp_path: Path
+) -> None:
+    assert {"arena.geojson", "robot.yaml"} <= set(logs.read(folder / "run.mcap").attachments)
+    stripped = tmp_path / "run.mcap"
+    logs.write(replace(driven_run(0), attachments={}), stripped)
+    assert not logs.read(stripped).attachments
+    given = ["--arena", "square", "--robot", str(folder / "robot.yaml"), "--seed", "3"]
     texts = []
-    for name in ("a", "b"):
-        assert cli(["diagnose", str(folder / "run.mcap"), "--seed", "3", "-o", str(tmp_path / name)]) == 0
+    for name, path in (("a", folder / "run.mcap"), ("b", stripped)):
+        assert cli(["diagnose", str(path), *given, "-o", str(tmp_path / name)]) == 0
         report = json.loads((tmp_path / name / "report.json").read_text())
         del report["cpu_s"]  # how long it took
         texts.append(json.dumps(report))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ast
+from pathlib import Path
+
 import pytest
 
 from benchmarks.hidden_effects.cases import CaseSpec, make_case
@@ -9,6 +12,38 @@ from planners.maps import geojson
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.world.robot import parse_robot
+
+GENERATOR = Path(__file__).parent.parent / "benchmarks" / "hidden_effects"
+JUDGES = {"results", "run", "score", "score_table"}
+"""Modules beside the generator: they start the diagnosis and score what it wrote."""
+
+
+def test_the_generator_imports_nothing_of_ours_but_the_file_format() -> None:
+    """What hides an effect shares no code with what looks for it: runs are written with `logs`, and that is all."""
+    ours = {"planners", "robotmodic_ident", "sensorgraph"}
+    used: dict[str, set[str]] = {}
+    for path in GENERATOR.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom):
+                assert node.level == 0
+                is_package = node.module == "benchmarks.hidden_effects"
+                names = [f"{node.module}.{a.name}" for a in node.names] if is_package else [node.module or ""]
+            used.setdefault(path.stem, set()).update(names)
+    generator = {"generate"}
+    while True:  # all that it imports within benchmarks, and what that imports
+        own = {name for module in generator for name in used.get(module, ()) if name.startswith("benchmarks")}
+        assert own <= {f"benchmarks.hidden_effects.{module}" for module in used}
+        more = generator | {name.rpartition(".")[2] for name in own}
+        if more == generator:
+            break
+        generator = more
+    assert len(generator) >= 10 and not generator & JUDGES
+    for module in generator:
+        tops = {name.split(".")[0] for name in used[module]}
+        assert not tops & ours, f"{module} imports {tops & ours}"
+        from_logs = {name for name in used[module] if name.split(".")[0] == "logs"}
+        assert from_logs <= {"logs"}, f"{module} imports {from_logs}"
 
 
 def found(**spec: object) -> tuple[Finding, dict[str, object]]:
