@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.html_table import html_table
 from logs.types import Bools, Floats
 
 PoseFrame = Literal["base_link", "laser"]
@@ -140,6 +141,24 @@ class Run:
             f"  rays from {first:.1f} to {last:.1f} deg, {sensor.range_min:g} to {sensor.range_max:g} m\n"
             f"  {'; '.join(filter(None, signals)) or 'scans alone, no poses'}"
         )
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the topics of the run and how much each holds."""
+        sensor = self.sensor
+        first, last = np.degrees(sensor.bearings[[0, -1]])
+        source = self.meta.get("source", "")
+        rows = [
+            ("scans", f"{self.n_scans:,}", f"{sensor.n_rays} rays, {first:.1f}° to {last:.1f}°"),
+            (
+                "poses",
+                f"{len(self.poses):,}",
+                f"{self.pose_frame}, {self.meta.get('pose_source', 'reference')}",
+            ),
+            ("odometry", f"{len(self.odometry):,}", ""),
+            ("commands", f"{len(self.commands):,}", ""),
+            ("attachments", f"{len(self.attachments):,}", ", ".join(self.attachments)),
+        ]
+        return html_table(f"Run{f' of {source}' if source else ''}, {self.duration:.1f} s", rows)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

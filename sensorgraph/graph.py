@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.html_table import html_table
 from logs.run import PoseFrame, RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import atomic_file
@@ -88,6 +89,16 @@ class Sensorgraph:
             f"built from {inputs or 'unknown runs'}",
         ]
         return "\n".join(textwrap.shorten(line, 160, placeholder=" ...") for line in lines)
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the facts of the model and the runs it was built from."""
+        inputs = ", ".join(str(entry.get("name", "?")) for entry in self.origin.get("inputs", ()))
+        rows = [
+            ("rays", f"{self.sensor.n_rays}, poses of {self.pose_frame}"),
+            *self.model.summary().items(),
+            ("built from", inputs or "unknown runs"),
+        ]
+        return html_table(f"Sensorgraph, model {self.model.name}", rows)
 
     def equation(self, ray: int) -> str:
         """Print the explicit equation of one ray, given by index."""

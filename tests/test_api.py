@@ -5,7 +5,9 @@ from __future__ import annotations
 import inspect
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -105,6 +107,23 @@ def test_results_say_what_they_are_in_a_few_lines(drive: CoveragePlan, run: Run)
         lines = repr(result).splitlines()
         assert 1 <= len(lines) <= 5, type(result)
         assert max(map(len, lines)) <= 200, type(result)
+
+
+def test_results_are_tables_in_a_notebook(drive: CoveragePlan, run: Run) -> None:
+    graph = sg.build(run, arena=drive.arena, model="polynomial", degree=2)
+    named = replace(run, meta={**run.meta, "source": "<b>mine</b> & yours"})
+    for result, said in (
+        (drive, "coverage"),
+        (run, "odometry"),
+        (graph, "terms"),
+        (sg.evaluate(graph, run), "median_m"),
+    ):
+        table = ElementTree.fromstring(result._repr_html_())
+        assert table.tag == "table" and table.find("caption") is not None
+        rows = table.findall("tbody/tr")
+        assert 3 <= len(rows) <= 20 and len({len(row) for row in rows}) == 1
+        assert said in "".join(table.itertext())
+    assert "<b>" not in named._repr_html_() and "&lt;b&gt;mine" in named._repr_html_()
 
 
 def test_a_trajectory_without_an_arena_is_refused(drive: CoveragePlan) -> None:

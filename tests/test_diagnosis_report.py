@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -400,6 +401,11 @@ def test_a_diagnosis_prints_its_headline_and_saves_its_report(
     diagnosis = Diagnosis.of(found, room, parse_robot(ROBOT))
     first, *effects = repr(diagnosis).splitlines()
     assert first.startswith("Diagnosis: Found: range bias")
+    table = ElementTree.fromstring(diagnosis._repr_html_())
+    assert (table.findtext("caption") or "").startswith("Found: range bias")
+    assert [row.findtext("th") for row in table.findall("tbody/tr")] == [
+        a.effect.title for a in diagnosis.effects
+    ]
     assert effects[0].strip().startswith("range_bias(b=0.03")
     written = json.loads((diagnosis.save(tmp_path / "out") / "report.json").read_text())
     assert written["effects"] == json.loads(json.dumps(diagnosis.to_dict()["effects"]))

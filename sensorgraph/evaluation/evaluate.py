@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from logs.html_table import html_table
 from logs.run import PoseFrame, Run, pair
 from sensorgraph.building.build import is_same_sensor, training_scans
 from sensorgraph.building.split import held_out
@@ -85,6 +86,18 @@ class Evaluation:
 
         scored = f"Evaluation of {self.n_rays} rays in {len(self.scan_indices)} scans, {100 * self.answered:.1f} % answered"
         return "\n".join([scored, line("all", self.all), line("answered only", self.answered_only)])
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: every metric of all rays, and of the answered ones."""
+
+        def cell(value: float | None) -> str:
+            return "–" if value is None else f"{value:.3g}"
+
+        rows = [(name, cell(self.all[name]), cell(self.answered_only.get(name))) for name in self.all]
+        caption = (
+            f"{self.n_rays:,} rays in {len(self.scan_indices):,} scans, {100 * self.answered:.1f} % answered"
+        )
+        return html_table(caption, rows, head=("", "all", "answered only"))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; a number that is not defined is None."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import logs
 import planners
+from logs.html_table import html_table
 from logs.run import Run
 from planners.arena import Arena
 from planners.errors import PlanError
@@ -62,6 +63,22 @@ class CoveragePlan:
             f"  {report['drive_time_s'] / 60:.1f} min, {report['path_m']:.0f} m, "
             f"clearance {report['min_clearance_m']:.3f} m"
         )
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: coverage, time and way."""
+        report = self.drive.report
+        rows = [
+            ("planner", str(report["planner"])),
+            ("coverage", f"{100 * report['coverage']:.2f} % of {report['reachable_cells']:,} (x, y, φ) bins"),
+            (
+                "drive time",
+                f"{report['drive_time_s'] / 60:.1f} min, {report['ratio']:.2f} of the reference time",
+            ),
+            ("path", f"{report['path_m']:.0f} m"),
+            ("clearance", f"{report['min_clearance_m']:.3f} m"),
+            ("limit violations", str(report["limit_violations"])),
+        ]
+        return html_table(f"Coverage plan for {self.robot.name}", rows)
 
 
 @as_sensorgraph_error

@@ -6,10 +6,12 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from logs.html_table import html_table
 from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report import data
 from sensorgraph.diagnosis.report.files import save_diagnosis
+from sensorgraph.diagnosis.report.quantities import parameters, percent, place_text
 from sensorgraph.diagnosis.report.summary import summarise
 from sensorgraph.world.robot import Robot
 
@@ -38,3 +40,11 @@ class Diagnosis(Finding):
     def __repr__(self) -> str:
         named = "".join(f"\n  {effect!r}" for effect in self.effects[:4])
         return f"Diagnosis: {summarise(self).headline}{named}"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the headline, and each named effect with its size and probability."""
+        rows = [
+            (a.effect.title, place_text(a), ", ".join(parameters(a)), percent(a.probability))
+            for a in self.effects
+        ]
+        return html_table(summarise(self).headline, rows, head=("effect", "place", "size", "probability"))

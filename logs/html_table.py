@@ -1,0 +1,26 @@
+"""A small HTML table, as notebooks show what `_repr_html_` returns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+
+def html_table(caption: str, rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
+    """Return a table whose first column names its rows; all text is escaped.
+
+    Parameters
+    ----------
+    rows : a name and its cells, as many in each
+    head : names of the columns; none: no head
+    """
+    left = ' style="text-align: left"'
+    lines = ["<table>", f'<caption style="caption-side: top; text-align: left">{escape(caption)}</caption>']
+    if head:
+        names = "".join(f"<th{left}>{escape(name)}</th>" for name in head)
+        lines.append(f"<thead><tr>{names}</tr></thead>")
+    lines.append("<tbody>")
+    for name, *cells in rows:
+        body = "".join(f"<td{left}>{escape(cell)}</td>" for cell in cells)
+        lines.append(f"<tr><th{left}>{escape(name)}</th>{body}</tr>")
+    return "\n".join([*lines, "</tbody>", "</table>"])
