@@ -250,7 +250,15 @@ def _usable(run: Run) -> list[str]:
         shares += [(np.isneginf(run.ranges), "too close"), (np.isnan(run.ranges), "broken")]
         out.append("rays: " + ", ".join(f"{mask.mean():.1%} {what}" for mask, what in shares if mask.any()))
     x, y, yaw = sensor.mount
-    out.append(f"laser at ({x:.3f}, {y:.3f}) m, {np.degrees(yaw):.1f}° in base_link")
+    if sensor.is_composite:
+        n_places = len(np.unique(np.round(sensor.origins, 6), axis=0))
+        out.append(f"several sensors as one: rays from {n_places} places in base_link")
+    else:
+        out.append(f"laser at ({x:.3f}, {y:.3f}) m, {np.degrees(yaw):.1f}° in base_link")
+    if sensor.cones.any():
+        low, high = np.degrees([sensor.cones.min(), sensor.cones.max()])
+        span = f"{low:.1f}°" if low == high else f"{low:.1f}° to {high:.1f}°"
+        out.append(f"each ray measures the nearest surface within a cone of {span}")
     if len(run.pose_stamps):
         out.append(
             f"{len(run.pose_stamps):,} poses of {run.pose_frame} from {run.meta.get('pose_source', '/pose')}"

@@ -41,10 +41,26 @@ class RangeSensor:
     """[s] from the first ray to the last (plus one); a scan's stamp is the time of its first ray."""
     height: float = 0.0
     """[m] of the scan plane above the floor."""
+    origins: Floats = field(default_factory=lambda: _empty(0, 2))
+    """(n_rays, 2) [m] where each ray starts, in the laser frame: all 0 of one laser, which is the default; of several
+    sensors read as one, where each of them sits."""
+    cones: Floats = field(default_factory=lambda: _empty(0))
+    """(n_rays,) [rad] opening angle of each ray, within which the nearest surface is measured; 0, the default: a beam."""
 
     def __post_init__(self) -> None:
-        if self.bearings.ndim != 1 or len(self.bearings) < 1 or not (np.diff(self.bearings) > 0).all():
+        if len(self.origins) == 0:
+            object.__setattr__(self, "origins", _empty(len(self.bearings), 2))
+        if len(self.cones) == 0:
+            object.__setattr__(self, "cones", _empty(len(self.bearings)))
+        steps = np.diff(self.bearings)
+        in_order = (steps >= 0).all() if self.is_composite else (steps > 0).all()
+        if self.bearings.ndim != 1 or len(self.bearings) < 1 or not in_order:
             raise ValueError(f"bearings has shape {self.bearings.shape}, expected (n_rays,), increasing")
+        if self.origins.shape != (self.n_rays, 2) or self.cones.shape != (self.n_rays,):
+            raise ValueError(
+                f"origins has shape {self.origins.shape} and cones {self.cones.shape}, expected ({self.n_rays}, 2) "
+                f"and ({self.n_rays},)"
+            )
         if self.mount.shape != (3,):
             raise ValueError(f"mount has shape {self.mount.shape}, expected (3,): x, y, yaw")
         if not 0 <= self.range_min < self.range_max:
@@ -56,6 +72,11 @@ class RangeSensor:
     def n_rays(self) -> int:
         """Count of rays in a scan."""
         return len(self.bearings)
+
+    @property
+    def is_composite(self) -> bool:
+        """Tell whether rays start at several places: several sensors read as one."""
+        return bool(self.origins.any())
 
     @property
     def is_evenly_spaced(self) -> bool:

@@ -1,7 +1,8 @@
 """Logs read piece by piece: runs of some thousand scans with the poses around them, for logs larger than memory.
 
 `open_log(path)` looks through the file once (what is in it, is it whole) and keeps nothing of it; `pieces` then
-walks it again. An MCAP file is streamed; other formats are read whole and handed out as one piece.
+walks it again. An MCAP file of one laser is streamed; other formats, and several sensors as one, are read whole and
+handed out as one piece.
 """
 
 from __future__ import annotations
@@ -22,7 +23,16 @@ from logs.mcap.walk import RecordWalk
 from logs.no_return import check_no_return
 from logs.ros import interpret, own_record
 from logs.ros.laser_scan import ScanShape, shape_of
-from logs.ros.recording import ENCODINGS, KEPT_TYPES, SCAN_TYPE, Recording, Topic, check_roles, choose
+from logs.ros.recording import (
+    ENCODINGS,
+    KEPT_TYPES,
+    RANGE_TYPE,
+    SCAN_TYPE,
+    Recording,
+    Topic,
+    check_roles,
+    choose,
+)
 from logs.run import Run
 from logs.types import Progress
 
@@ -94,7 +104,9 @@ def open_log(
     check_roles(topics)
     check_no_return(no_return)
     if format_of(path) == "mcap" and path.stat().st_size > 0:
-        return McapStream.open(path, topics, progress, no_return)
+        stream = McapStream.open(path, topics, progress, no_return)
+        if not stream.head.sensor.is_composite and not stream.head.sensor.cones.any():
+            return stream
     return WholeRun(head=read(path, topics=topics, no_return=no_return, progress=progress))
 
 
@@ -203,7 +215,7 @@ class _Window:
             if (
                 channel.encoding in ENCODINGS
                 and kind in KEPT_TYPES
-                and (kind != SCAN_TYPE or channel.topic == scan_topic)
+                and (kind not in (SCAN_TYPE, RANGE_TYPE) or channel.topic == scan_topic)
             ):
                 self.names[key] = channel.topic
         self.scan_topic = scan_topic

@@ -131,7 +131,7 @@ class Sensorgraph:
             "state": header,
         }
         members = {"header.json": json.dumps(top, indent=1, sort_keys=True).encode()}
-        arrays = {**arrays, "sensor.bearings": self.sensor.bearings, "sensor.mount": self.sensor.mount}
+        arrays = {**arrays, **_sensor_arrays(self.sensor)}
         for name in sorted(arrays):
             buffer = io.BytesIO()
             np.lib.format.write_array(buffer, np.ascontiguousarray(arrays[name]), allow_pickle=False)
@@ -170,6 +170,8 @@ class Sensorgraph:
             sensor = RangeSensor(
                 bearings=arrays.pop("sensor.bearings"),
                 mount=arrays.pop("sensor.mount"),
+                origins=arrays.pop("sensor.origins", np.zeros((0, 2))),
+                cones=arrays.pop("sensor.cones", np.zeros(0)),
                 **{name: float(top["sensor"][name]) for name in _SENSOR_FIELDS},
             )
             model = MODELS[top["model"]].restore(sensor, top["state"], arrays)
@@ -177,6 +179,14 @@ class Sensorgraph:
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as exc:
             detail = f"{type(exc).__name__}: {exc}"
             raise SensorgraphError(f"{path}: the sensorgraph is damaged ({detail}); build it again") from exc
+
+
+def _sensor_arrays(sensor: RangeSensor) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a sensor; those of several sensors as one only where they say something."""
+    arrays = {"sensor.bearings": sensor.bearings, "sensor.mount": sensor.mount}
+    if sensor.is_composite:
+        arrays["sensor.origins"] = sensor.origins
+    return arrays | ({"sensor.cones": sensor.cones} if sensor.cones.any() else {})
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from logs.jumps import Jumps, find_jumps
-from logs.run import Pairing, Run
+from logs.run import Pairing, RangeSensor, Run
 from sensorgraph.errors import SensorgraphError
 
 
@@ -26,3 +26,20 @@ def refuse_jumps(jumps: Jumps | None, name: str, *, force: bool) -> None:
             f"{name}: {jumps}; expected poses along which a robot can drive: check the clocks and where the poses "
             "are from (sensorgraph inspect), or set `force` to use them as they are"
         )
+
+
+def check_one_laser(sensor: RangeSensor, name: str, *, takes: str, remedy: str) -> None:
+    """Refuse rays that start at several places, or measure within a cone, where these are not understood.
+
+    Parameters
+    ----------
+    takes : who takes the thin rays of one place, for the message
+    remedy : what to do
+
+    Raises
+    ------
+    SensorgraphError : the sensor has such rays
+    """
+    if sensor.is_composite or sensor.cones.any():
+        what = "rays from several places" if sensor.is_composite else "a cone for each ray"
+        raise SensorgraphError(f"{name} has {what}; {takes} the thin rays of one laser: {remedy}")

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -16,7 +17,15 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import logs
 from logs.ros import cdr
-from logs.ros.recording import ODOMETRY_TYPE, POSE_COVARIANCE_TYPE, POSE_TYPE, SCAN_TYPE, TF_TYPE, TWIST_TYPE
+from logs.ros.recording import (
+    ODOMETRY_TYPE,
+    POSE_COVARIANCE_TYPE,
+    POSE_TYPE,
+    RANGE_TYPE,
+    SCAN_TYPE,
+    TF_TYPE,
+    TWIST_TYPE,
+)
 
 EPOCH = 1_600_000_000_000_000_000
 Message = tuple[str, str, int, bytes]
@@ -88,11 +97,11 @@ def command(stamp: float, v: float, omega: float) -> Message:
 
 
 def write_bag2(
-    path: Path, messages: list[Message], storage: str = "MCAP", *, compressed: bool = False
+    path: Path, messages: list[Message], storage: str = "MCAP", *, mode: str | None = None
 ) -> Path:
     bag = Writer2(path, version=8, storage_plugin=StoragePlugin[storage])
-    if compressed:
-        bag.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    if mode is not None:
+        bag.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
     with bag as writer:
         connections: dict[str, Any] = {}
         for topic, msgtype, at, data in messages:
@@ -149,7 +158,9 @@ def test_bag_of_any_kind_gives_the_same_run(tmp_path: Path, kind: str) -> None:
         path = write_bag1(tmp_path / "trip.bag", trip())
     else:
         storage = "SQLITE3" if kind in ("sqlite folder", "db3", "compressed folder") else "MCAP"
-        path = write_bag2(tmp_path / "trip", trip(), storage, compressed=kind.startswith("compressed"))
+        path = write_bag2(
+            tmp_path / "trip", trip(), storage, mode="MESSAGE" if kind.startswith("compressed") else None
+        )
         if kind in ("bare mcap", "db3"):
             path = next(p for p in path.iterdir() if p.suffix != ".yaml")
     run = logs.read(path)
@@ -322,6 +333,132 @@ def test_scans_of_another_geometry_are_resampled_and_counted(tmp_path: Path) -> 
     assert (
         "/scan: scans have 0 to 4 rays: 3 of 8 were resampled to the 3 rays of most, none dropped"
         in run.meta["notes"]
+    )
+
+
+@pytest.mark.parametrize("mode", [None, "FILE", "MESSAGE"])
+@pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
+def test_split_and_compressed_folders_give_the_whole_run(
+    storage: str, mode: str | None, tmp_path: Path
+) -> None:
+    folder = tmp_path / "split"
+    folder.mkdir()
+    messages, about, names = trip(), {}, []
+    for k, part in enumerate((messages[:20], messages[20:])):
+        one = write_bag2(tmp_path / f"part{k}", part, storage, mode=mode)
+        mine = yaml.safe_load((one / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+        (file,) = (path for path in one.iterdir() if path.suffix != ".yaml")
+        names.append(f"split_{k}{''.join(file.suffixes)}")
+        file.rename(folder / names[-1])
+        counts = {
+            entry["topic_metadata"]["name"]: entry for entry in about.get("topics_with_message_count", [])
+        }
+        for entry in mine["topics_with_message_count"]:
+            known = counts.setdefault(entry["topic_metadata"]["name"], {**entry, "message_count": 0})
+            known["message_count"] += entry["message_count"]
+        about = {**mine, "topics_with_message_count": list(counts.values())}
+    about |= {"relative_file_paths": names, "message_count": len(messages), "files": []}
+    about["compression_mode"] = mode or ""  # capitals, as ros2 bag writes it
+    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": about}))
+    run, whole = logs.read(folder), logs.read(write_bag2(tmp_path / "whole", messages))
+    np.testing.assert_array_equal(run.ranges, whole.ranges)
+    np.testing.assert_array_equal(run.poses, whole.poses)
+    if mode == "FILE":
+        with pytest.raises(logs.LogError, match="give the rosbag2 folder"):
+            logs.read(folder / names[0])
+
+
+def sonar(
+    stamp: float, distance: float, *, topic: str, frame: str, cone: float = 0.5, reach: float = 4.0
+) -> Message:
+    limits = [cone, 0.02, reach, distance]
+    return message(topic, RANGE_TYPE, stamp, {"frame_id": frame}, radiation_type=[0], limits=limits)
+
+
+RING = [(0.2 * np.cos(a), 0.2 * np.sin(a), a) for a in np.radians([0, 90, 180, -90])]
+
+
+def ring(n: int = 8, *, one_topic: bool = False) -> list[Message]:
+    """Four sonars around the robot, each with a rate and a mount of its own."""
+    out = [transform(0, "base_link", f"sonar_{k}", *at, static=True) for k, at in enumerate(RING)]
+    for k in range(4):
+        topic = "/sonar" if one_topic else f"/sonar/{k}"
+        out += [
+            sonar(
+                0.05 * (k + 1) * i,
+                1 + k + i / 10,
+                topic=topic,
+                frame=f"sonar_{k}",
+                cone=0.1 * (k + 1),
+                reach=8,
+            )
+            for i in range(n)
+        ]
+    return sorted([*out, *(pose(0.1 * i, 0.1 * i, 0, 0) for i in range(5))], key=lambda m: m[2])
+
+
+@pytest.mark.parametrize("one_topic", [False, True])
+def test_sonars_of_several_topics_or_frames_are_one_sensor_with_a_mount_for_each_ray(
+    one_topic: bool, tmp_path: Path
+) -> None:
+    run = read(tmp_path, ring(one_topic=one_topic))
+    order = [3, 0, 1, 2]  # by bearing: -90, 0, 90, 180 degrees
+    np.testing.assert_allclose(run.sensor.bearings, np.radians([-90, 0, 90, 180]), atol=1e-6)
+    np.testing.assert_allclose(run.sensor.origins, np.array(RING)[order, :2], atol=1e-6)
+    np.testing.assert_allclose(run.sensor.cones, 0.1 * (np.array(order) + 1), atol=1e-6)
+    np.testing.assert_array_equal(run.sensor.mount, 0)
+    assert (run.sensor.rate, run.sensor.range_max) == (pytest.approx(20), 8.0)
+    for column, k in enumerate(order):
+        mine = np.isfinite(run.ranges[:, column])
+        np.testing.assert_allclose(run.stamps[mine], 0.05 * (k + 1) * np.arange(8), atol=1e-9)
+        np.testing.assert_allclose(run.ranges[mine, column], 1 + k + np.arange(8) / 10, atol=1e-6)
+    assert np.isnan(run.ranges[~np.isfinite(run.ranges)]).all(), "a sensor that did not measure says nothing"
+    assert run.pose_frame == "base_link" and len(run.poses) == 5
+    for name in ("run.mcap", "run.csv"):
+        logs.write(run, tmp_path / name)
+        again = logs.read(tmp_path / name)
+        for field in ("bearings", "origins", "cones", "mount"):
+            np.testing.assert_array_equal(getattr(again.sensor, field), getattr(run.sensor, field))
+        np.testing.assert_array_equal(again.ranges, run.ranges)
+
+
+def test_some_sonars_are_chosen_by_name_or_pattern(tmp_path: Path) -> None:
+    path = write_bag2(tmp_path / "bag", ring())
+    one = logs.read(path, topics={"scan": "/sonar/2"})
+    np.testing.assert_allclose(one.sensor.mount, [-0.2, 0, np.pi], atol=1e-6)
+    assert one.ranges.shape == (8, 1) and one.sensor.cones.tolist() == [pytest.approx(0.3)]
+    assert logs.read(path, topics={"scan": "/sonar/[01]"}).sensor.n_rays == 2
+    assert logs.read(path, topics={"scan": "sonar/1,sonar/3"}).sensor.n_rays == 2
+    with pytest.raises(logs.LogError, match=r"scan=/sonar/9 is no topic"):
+        logs.read(path, topics={"scan": "/sonar/9"})
+
+
+def test_front_and_rear_laser_are_chosen_or_read_as_one(tmp_path: Path) -> None:
+    bag = [
+        transform(0, "base_link", "front", 0.3, 0, 0, static=True),
+        transform(0, "base_link", "rear", -0.3, 0, np.pi, static=True),
+    ]
+    for i in range(5):
+        bag.append(scan(0.1 * i, [1, 2, 3, 4, 5], topic="/front", frame="front"))
+        bag.append(scan(0.1 * i + 0.03, [6, 7, 8, 9, 9.5], topic="/rear", frame="rear"))
+        bag.append(pose(0.1 * i, 0.1 * i, 0, 0))
+    path = write_bag2(tmp_path / "bag", bag)
+    with pytest.raises(logs.LogError, match=r"2 scan topics; choose with .*scan=/front,/rear"):
+        logs.read(path)
+    front = logs.read(path, topics={"scan": "/front"})
+    assert front.ranges.shape == (5, 5)
+    both = logs.read(path, topics={"scan": "/front,/rear"})
+    assert both.ranges.shape == (10, 10), "each scan at its own time"
+    np.testing.assert_allclose(both.stamps[:3], [0, 0.03, 0.1], atol=1e-9)
+    ahead = np.abs(both.sensor.bearings) < 1
+    np.testing.assert_allclose(both.sensor.origins[:, 0], np.where(ahead, 0.3, -0.3), atol=1e-6)
+    np.testing.assert_allclose(both.sensor.bearings[ahead], front.sensor.bearings, atol=1e-6)
+    np.testing.assert_array_equal(both.ranges[::2][:, ahead], front.ranges)
+    assert np.isnan(both.ranges[::2][:, ~ahead]).all() and np.isnan(both.ranges[1::2][:, ahead]).all()
+    back = np.flatnonzero(~ahead)
+    at = both.sensor.bearings[back] % (2 * np.pi) - np.pi  # in the rear laser's frame
+    np.testing.assert_allclose(
+        both.ranges[1][back], np.interp(at, [-0.5, -0.25, 0, 0.25, 0.5], [6, 7, 8, 9, 9.5]), atol=1e-5
     )
 
 

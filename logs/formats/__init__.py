@@ -13,6 +13,8 @@ from logs.no_return import check_no_return
 from logs.run import OccupancyMap, Run
 from logs.types import Progress
 
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
 
 class Format(NamedTuple):
     """A kind of file that `read` understands."""
@@ -78,6 +80,11 @@ def format_of(path: Path) -> str:
     if path.is_dir():
         inside = ", ".join(sorted(child.name for child in path.iterdir())[:5]) or "nothing"
         raise LogError(f"{path} is a folder without metadata.yaml (it holds {inside}); {expected}")
+    if head.startswith(ZSTD_MAGIC):
+        raise LogError(
+            f"{path} is packed by zstd; give the rosbag2 folder that it is a part of (it has a metadata.yaml), or "
+            f"unpack it: zstd -d {path}"
+        )
     if not head:
         raise LogError(f"{path} is empty; {expected}")
     raise LogError(f"{path} is no log (it starts with {head[:8]!r}); {expected}")

@@ -23,7 +23,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.formats.text import read_lines
 from logs.no_return import apply_no_return, find_code
-from logs.ros.own_record import SENSOR_SCALARS, parse_bearings, sensor_facts
+from logs.ros.own_record import SENSOR_SCALARS, parse_bearings, parse_numbers, sensor_facts
 from logs.run import RangeSensor, Run, pair
 from logs.transforms import interpolate, twists_of, wrap
 from logs.types import Floats, Progress
@@ -197,8 +197,13 @@ def _sensor(path: Path, stated: Mapping[str, str], ranges: Floats, no_return: st
             ranges[np.isfinite(ranges) & (ranges >= code)] = np.inf
     apply_no_return(ranges, scalars.get("range_max", np.inf), no_return)
     scalars.setdefault("range_min", 0.0)
-    mount = np.array([float(word) for word in stated.get("mount", "0 0 0").split()])
-    return RangeSensor(bearings=bearings, mount=mount, **scalars)
+    return RangeSensor(
+        bearings=bearings,
+        mount=parse_numbers(stated.get("mount", "0 0 0")),
+        origins=parse_numbers(stated.get("origins", "")).reshape(-1, 2),
+        cones=parse_numbers(stated.get("cones", "")),
+        **scalars,
+    )
 
 
 def _part(names: Sequence[str], values: Floats, wanted: Sequence[str]) -> Floats | None:

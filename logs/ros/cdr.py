@@ -27,6 +27,7 @@ MESSAGE_FIELDS: dict[str, Fields] = {
         ("ranges", "f4[]"),
         ("intensities", "f4[]"),
     ),
+    "sensor_msgs/msg/Range": (*HEADER_FIELDS, ("radiation_type", "u1"), ("limits", "f4:4")),
     "geometry_msgs/msg/PoseStamped": (*HEADER_FIELDS, ("pose", "f8:7")),
     "geometry_msgs/msg/PoseWithCovarianceStamped": (
         *HEADER_FIELDS,

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from logs.errors import LogError
 from logs.ros import own_record
+from logs.ros.composite import combine
 from logs.ros.laser_scan import LaserScans, ScanShape, order_rays, read_scans
+from logs.ros.range_readings import read_ranges
 from logs.ros.recording import (
     ODOMETRY_TYPE,
+    RANGE_TYPE,
     ROLES,
-    SCAN_TYPE,
     TF_TYPE,
     Recording,
     Track,
     check_roles,
     choices,
     choose,
-    listing,
+    choose_scans,
     track,
     transform_tree,
 )
@@ -57,22 +59,14 @@ def to_run(
     check_roles(topics)
     if own_record.is_own(recording, topics):
         return _odometry_as_poses(own_record.to_run(recording, source, no_return))
-    scan_name = choose(recording, "scan", topics)
-    if scan_name is None:
-        several = recording.of_type((SCAN_TYPE,))
-        if several:
-            raise LogError(
-                f"{source} has {len(several)} scan topics; choose with {choices(recording, 'scan')}"
-            )
-        raise LogError(f"{source} has no LaserScan; it has {listing(recording) or 'no topics'}")
-    scans = read_scans(recording.topics[scan_name], no_return, (shapes or {}).get(scan_name))
+    names = choose_scans(recording, source, topics)
     tree = transform_tree(recording)
     odom_name, cmd_name = choose(recording, "odom", topics), choose(recording, "cmd", topics)
     odom = _odometry(recording, odom_name)
-    base = tree.first_ancestor(scans.frame, (*BASE_FRAMES, *((odom.child,) if odom and odom.child else ())))
-    mount, height, upside_down = _mount(tree, base, scans)
+    children = (odom.child,) if odom and odom.child else ()
+    reading = _read_sensors(recording, names, tree, children, no_return, shapes or {})
+    scans, base = reading.scans, reading.base
     pose, frame, pose_source = _reference(recording, topics, tree, base, scans, odom, odom_name)
-    order_rays(scans, upside_down=upside_down)
     command = None
     if cmd_name is not None:
         command = track(recording.topics[cmd_name], "twist", 6)
@@ -85,11 +79,11 @@ def to_run(
     if tree.conflicts:
         notes.append(f"frames with two parents: {', '.join(tree.conflicts)}")
     return _assemble(
-        scans, mount, height, pose, frame, odom, command,
+        reading, pose, frame, odom, command,
         meta={
             "source": source,
             "format": recording.format,
-            "scan_topic": scan_name,
+            "scan_topic": ",".join(names),
             "pose_source": pose_source,
             **({"no_return": scans.no_return} if scans.no_return != "inf" else {}),
             **({"odom_topic": odom_name} if odom_name else {}),
@@ -98,6 +92,72 @@ def to_run(
         },
         attachments=recording.attachments,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorReading:
+    """The scans of one sensor, or of several as one, and where it sits."""
+
+    scans: LaserScans
+    base: str | None
+    """The frame of the robot's base, where the tree has one."""
+    mount: Floats
+    height: float
+    origins: Floats
+    cones: Floats
+    rate: float | None = None
+    """[Hz] of the fastest of several sensors."""
+
+
+def _read_sensors(
+    recording: Recording,
+    names: Sequence[str],
+    tree: TransformTree,
+    children: Sequence[str],
+    no_return: str | None,
+    shapes: Mapping[str, Counter[ScanShape]],
+) -> SensorReading:
+    """Read the scans of some topics: one laser as it is, several sensors as one in base_link."""
+    parts: list[LaserScans] = []
+    titles: list[str] = []
+    for name in names:
+        topic = recording.topics[name]
+        if topic.type == RANGE_TYPE:
+            found = read_ranges(topic, no_return)
+            titles += [name if len(found) == 1 else f"{name} in {part.frame}" for part in found]
+        else:
+            found = [read_scans(topic, no_return, shapes.get(name))]
+            titles.append(name)
+        parts += found
+    bases = [tree.first_ancestor(part.frame, (*BASE_FRAMES, *children)) for part in parts]
+    mounts = []
+    for part, base in zip(parts, bases, strict=True):
+        mount, height, upside_down = _mount(tree, base, part)
+        order_rays(part, upside_down=upside_down)
+        mounts.append((mount, height))
+    if len(parts) == 1:
+        cones = np.full(len(parts[0].bearings), parts[0].cone)
+        return SensorReading(
+            scans=parts[0],
+            base=bases[0],
+            mount=mounts[0][0],
+            height=mounts[0][1],
+            origins=np.zeros((0, 2)),
+            cones=cones,
+        )
+    rays = combine(parts, [mount for mount, _ in mounts], titles)
+    base = next(filter(None, bases), None)
+    rays.scans.frame = base or BASE_FRAMES[0]
+    periods = [float(np.median(np.diff(part.stamps))) for part in parts if len(part.stamps) > 1]
+    return SensorReading(
+        scans=rays.scans,
+        base=base,
+        mount=np.zeros(3),
+        height=float(np.median([height for _, height in mounts])),
+        origins=rays.origins,
+        cones=rays.cones,
+        rate=1e9 / min(periods) if periods and min(periods) > 0 else None,
+    )
 
 
 def _odometry(recording: Recording, name: str | None) -> Track | None:
@@ -182,9 +242,7 @@ def _poses(recording: Recording, name: str) -> Track:
 
 
 def _assemble(
-    scans: LaserScans,
-    mount: Floats,
-    height: float,
+    reading: SensorReading,
     pose: Track | None,
     frame: PoseFrame,
     odom: Track | None,
@@ -193,6 +251,7 @@ def _assemble(
     meta: dict[str, str],
     attachments: Mapping[str, bytes],
 ) -> Run:
+    scans = reading.scans
     tracks = [scans.stamps, *(part.stamps for part in (pose, odom, command) if part is not None)]
     epoch = min(int(stamps[0]) for stamps in tracks if len(stamps))
     steps = np.diff(scans.stamps)
@@ -207,10 +266,12 @@ def _assemble(
             bearings=scans.bearings,
             range_min=scans.range_min,
             range_max=scans.range_max,
-            mount=mount,
-            rate=1.0 / period,
+            mount=reading.mount,
+            rate=1.0 / period if reading.rate is None else reading.rate,
             sweep_time=scans.time_increment * len(scans.bearings),
-            height=height,
+            height=reading.height,
+            origins=reading.origins,
+            cones=reading.cones,
         ),
         stamps=(scans.stamps - epoch) / 1e9,
         ranges=scans.ranges,

@@ -43,6 +43,8 @@ class LaserScans:
     notes: list[str]
     no_return: str
     """How the driver logs a missing return, one of `NO_RETURNS`."""
+    cone: float = 0.0
+    """[rad] opening angle of each ray."""
 
 
 @dataclass

@@ -41,8 +41,10 @@ def sensor_facts(
     record = {
         "version": RECORD_VERSION,
         "bearings": _bearings_text(sensor.bearings),
-        "mount": " ".join(map(repr, sensor.mount.tolist())),
+        "mount": _numbers_text(sensor.mount),
         **{name: repr(float(getattr(sensor, name))) for name in SENSOR_SCALARS},
+        **({"origins": _numbers_text(sensor.origins)} if sensor.is_composite else {}),
+        **({"cones": _numbers_text(sensor.cones)} if sensor.cones.any() else {}),
         "pose_frame": pose_frame,
         "epoch_ns": str(int(epoch_ns)),
         "zero_ns": str(int(zero_ns)),
@@ -73,7 +75,9 @@ def sensor_of(sensor_facts: Mapping[str, str]) -> RangeSensor:
     """Rebuild the sensor from the metadata record."""
     return RangeSensor(
         bearings=parse_bearings(sensor_facts["bearings"]),
-        mount=np.array([float(word) for word in sensor_facts["mount"].split()]),
+        mount=parse_numbers(sensor_facts["mount"]),
+        origins=parse_numbers(sensor_facts.get("origins", "")).reshape(-1, 2),
+        cones=parse_numbers(sensor_facts.get("cones", "")),
         **{name: float(sensor_facts[name]) for name in SENSOR_SCALARS},
     )
 
@@ -145,11 +149,20 @@ def _scans(recording: Recording, n_rays: int, source: str) -> tuple[np.ndarray, 
     return stamps, ranges if (np.diff(order) == 1).all() else ranges[order]
 
 
+def _numbers_text(values: Floats) -> str:
+    return " ".join(map(repr, values.ravel().tolist()))
+
+
+def parse_numbers(text: str) -> Floats:
+    """Read numbers that stand one by one."""
+    return np.array([float(word) for word in text.split()], dtype=np.float64)
+
+
 def _bearings_text(bearings: Floats) -> str:
     first, last, n = float(bearings[0]), float(bearings[-1]), len(bearings)
     if n > 3 and np.array_equal(bearings, np.linspace(first, last, n)):
         return f"{first!r} to {last!r} in {n}"
-    return " ".join(map(repr, bearings.tolist()))
+    return _numbers_text(bearings)
 
 
 def parse_bearings(text: str) -> Floats:
@@ -157,4 +170,4 @@ def parse_bearings(text: str) -> Floats:
     if " to " in text:
         first, _, last, _, n = text.split()
         return np.linspace(float(first), float(last), int(n))
-    return np.array([float(word) for word in text.split()])
+    return parse_numbers(text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,11 @@ from logs.ros.transform_tree import TransformTree
 from logs.transforms import Stamps
 from logs.types import Floats
 
-SCAN_TYPE, TF_TYPE = "sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"
+SCAN_TYPE, RANGE_TYPE, TF_TYPE = (
+    "sensor_msgs/msg/LaserScan",
+    "sensor_msgs/msg/Range",
+    "tf2_msgs/msg/TFMessage",
+)
 POSE_TYPE, POSE_COVARIANCE_TYPE = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -25,12 +30,21 @@ ODOMETRY_TYPE, TWIST_TYPE, TWIST_STAMPED_TYPE = (
     "geometry_msgs/msg/TwistStamped",
 )
 KEPT_TYPES = frozenset(
-    {SCAN_TYPE, TF_TYPE, POSE_TYPE, POSE_COVARIANCE_TYPE, ODOMETRY_TYPE, TWIST_TYPE, TWIST_STAMPED_TYPE}
+    {
+        SCAN_TYPE,
+        RANGE_TYPE,
+        TF_TYPE,
+        POSE_TYPE,
+        POSE_COVARIANCE_TYPE,
+        ODOMETRY_TYPE,
+        TWIST_TYPE,
+        TWIST_STAMPED_TYPE,
+    }
 )
 """Types whose messages are kept in memory; others are only counted."""
 ENCODINGS = ("cdr", "ros1")
 ROLES: dict[str, tuple[str, tuple[str, ...]]] = {
-    "scan": ("/scan", (SCAN_TYPE,)),
+    "scan": ("/scan", (SCAN_TYPE, RANGE_TYPE)),
     "pose": ("/pose", (POSE_TYPE, POSE_COVARIANCE_TYPE, ODOMETRY_TYPE)),
     "odom": ("/odom", (ODOMETRY_TYPE,)),
     "cmd": ("/cmd_vel", (TWIST_STAMPED_TYPE, TWIST_TYPE)),
@@ -112,6 +126,42 @@ def choose(recording: Recording, role: str, topics: Mapping[str, str] | None) ->
     if role == "pose":  # a goal or a first guess is a pose too, but not where the robot was
         names = [name for name in names if "goal" not in name and "initial" not in name]
     return names[0] if len(names) == 1 else None
+
+
+def choose_scans(recording: Recording, source: str, topics: Mapping[str, str] | None) -> list[str]:
+    """Return the topics whose readings are the scans: those named, else the one LaserScan, else every Range.
+
+    Several are named with commas between, or by a pattern: `scan=/front,/rear`, `scan=/sonar/*`.
+
+    Raises
+    ------
+    LogError : a name fits no topic with readings, several lasers could be meant, or there is none
+    """
+    there = recording.of_type(ROLES["scan"][1])
+    named = (topics or {}).get("scan")
+    if named is not None:
+        found = list[str]()
+        for word in filter(None, named.split(",")):
+            pattern = "/" + word.strip().lstrip("/")
+            mine = [name for name in there if fnmatchcase("/" + name.lstrip("/"), pattern)]
+            if not mine:
+                raise LogError(
+                    f"{source}: scan={word} is no topic with messages of {' or '.join(ROLES['scan'][1])}; "
+                    f"there are {listing(recording) or 'no topics'}"
+                )
+            found += [name for name in mine if name not in found]
+        return found
+    lasers = recording.of_type((SCAN_TYPE,))
+    if ROLES["scan"][0] in lasers or len(lasers) == 1:
+        return [ROLES["scan"][0] if ROLES["scan"][0] in lasers else lasers[0]]
+    if lasers:
+        raise LogError(
+            f"{source} has {len(lasers)} scan topics; choose with {choices(recording, 'scan')}, or take several as one sensor: "
+            f"`topics` scan={','.join(lasers)}"
+        )
+    if not there:
+        raise LogError(f"{source} has no Range and no LaserScan; it has {listing(recording) or 'no topics'}")
+    return there
 
 
 def choices(recording: Recording, role: str) -> str:

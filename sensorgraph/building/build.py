@@ -15,6 +15,7 @@ from sensorgraph.building.split import held_out
 from sensorgraph.building.training_data import TrainingData, all_scans, begin_digest, ranges_bytes
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.intake import check_one_laser
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import Model
 from sensorgraph.models.faces.model import Faces
@@ -57,6 +58,12 @@ def build(
     names = [_name(run, i) for i, run in enumerate(runs)] if names is None else names
     sources = [WholeRun(head=run) if isinstance(run, Run) else run for run in runs]
     _check_alike([source.head for source in sources], names)
+    if model != "polynomial":
+        for source, name in zip(sources, names, strict=True):
+            check_one_laser(
+                source.head.sensor, name, takes=f"the model {model} takes",
+                remedy="set `model` polynomial, or choose one sensor with `topics` scan=NAME",
+            )  # fmt: skip
     bounds = None if arena is None else arena.bounds
     feed = TrainingData(sources, names, split=split, bounds=bounds, force=force)
     if update is not None:

@@ -61,8 +61,11 @@ def orientation(run: Run, arena: Arena | None) -> Orientation | None:
     """Compare the scans of a run with an arena, or with each other, under four orientations of the sensor.
 
     Without an arena the right orientation is the one whose end points fall on each other: they fill the fewest
-    cells. That needs a robot that looked at the same walls under several headings. Returns None for fewer than 10 scans with poses.
+    cells. That needs a robot that looked at the same walls under several headings. Returns None for fewer than 10 scans with
+    poses, and for rays that start at several places or measure within cones.
     """
+    if run.sensor.is_composite or run.sensor.cones.any():
+        return None
     pairing = pair(run)
     index = np.flatnonzero(pairing.paired & np.isfinite(run.ranges).any(axis=1))
     if len(index) < MIN_SCANS:

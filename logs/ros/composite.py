@@ -1,0 +1,84 @@
+"""Several sensors read as one: each ray keeps its own mount, and each reading its own time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.ros.laser_scan import LaserScans
+from logs.transforms import wrap
+from logs.types import Floats
+
+SAME_SCAN_NS = 500_000
+"""[ns] readings of several sensors that are this close together are one scan."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CompositeRays:
+    """Where the rays of several sensors start, in base_link."""
+
+    scans: LaserScans
+    origins: Floats
+    """(n_rays, 2) [m]"""
+    cones: Floats
+    """(n_rays,) [rad]"""
+
+
+def combine(parts: Sequence[LaserScans], mounts: Sequence[Floats], names: Sequence[str]) -> CompositeRays:
+    """Return one sensor, in base_link, whose rays are those of all parts by their bearing there.
+
+    A scan has the readings of the sensors that measured at its time; the other rays are nan, which tells nothing.
+
+    Parameters
+    ----------
+    mounts : (3,) [m, m, rad] of each part in base_link
+    names : of the parts, for notes
+    """
+    bearings = np.concatenate(
+        [wrap(part.bearings + mount[2]) for part, mount in zip(parts, mounts, strict=True)]
+    )
+    owner = np.repeat(np.arange(len(parts)), [len(part.bearings) for part in parts])
+    order = np.argsort(bearings, kind="stable")
+    stamps = np.concatenate([part.stamps for part in parts])
+    by_time = np.argsort(stamps, kind="stable")
+    sensor = np.repeat(np.arange(len(parts)), [len(part.stamps) for part in parts])
+    row = np.empty(len(stamps), dtype=np.intp)
+    row[by_time] = _rows(stamps[by_time], sensor[by_time])
+    n_rows = int(row.max(initial=-1)) + 1
+    ranges = np.full((n_rows, len(bearings)), np.nan)
+    first = 0
+    for k, part in enumerate(parts):
+        mine = row[first : first + len(part.stamps)]
+        ranges[np.ix_(mine, np.flatnonzero(owner == k))] = part.ranges
+        first += len(part.stamps)
+    notes = [note for part in parts for note in part.notes]
+    notes.append(f"{len(parts)} sensors are read as one, each with its own mount: {', '.join(names)}")
+    if any(part.time_increment for part in parts):
+        notes.append("the sweep of each sensor was not kept")
+    starts = np.full(n_rows, np.iinfo(np.int64).max)
+    np.minimum.at(starts, row, stamps)
+    codes = {part.no_return for part in parts} - {"inf"}
+    merged = LaserScans(
+        starts, ranges[:, order], bearings[order], 0.0, max(part.scan_time for part in parts),
+        min(part.range_min for part in parts), max(part.range_max for part in parts), "",
+        list(dict.fromkeys(notes)), codes.pop() if len(codes) == 1 else "inf",
+    )  # fmt: skip
+    return CompositeRays(
+        scans=merged,
+        origins=np.array([mounts[k][:2] for k in owner[order]]),
+        cones=np.array([parts[k].cone for k in owner[order]]),
+    )
+
+
+def _rows(stamps: np.ndarray, sensor: np.ndarray) -> np.ndarray:
+    """Return the scan of each reading in time order: a new one where time has passed, or a sensor measures again."""
+    out = np.empty(len(stamps), dtype=np.intp)
+    row, start, seen = -1, 0, set[int]()
+    for i, (at, who) in enumerate(zip(stamps.tolist(), sensor.tolist(), strict=True)):
+        if row < 0 or at - start > SAME_SCAN_NS or who in seen:
+            row, start, seen = row + 1, at, set()
+        seen.add(who)
+        out[i] = row
+    return out

@@ -1,0 +1,40 @@
+"""Range messages of sonars and infrared sensors: each sensor is a scan of one ray with a cone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.ros import cdr
+from logs.ros.laser_scan import LaserScans, clean_ranges
+from logs.ros.recording import Topic, settle
+
+
+def read_ranges(topic: Topic, no_return: str | None = None) -> list[LaserScans]:
+    """Decode Range messages of a topic, one result for each frame in which its sensors measure.
+
+    Parameters
+    ----------
+    no_return : one of `NO_RETURNS`; None: noticed from its frequency
+    """
+    stamps = np.array(topic.log_times, dtype=np.int64)
+    limits = np.full((len(topic.payloads), 4), np.nan)  # field_of_view, min_range, max_range, range
+    frames: dict[str, list[np.ndarray]] = {}
+    for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
+        stamps[block.index], limits[block.index] = block.stamps_ns, block["limits"]
+        frames.setdefault(block.strings["frame_id"].strip("/"), []).append(block.index)
+    logged = np.array(topic.log_times, dtype=np.int64)
+    out = []
+    for frame, parts in frames.items():
+        mine = np.sort(np.concatenate(parts))
+        at, order, notes = settle(topic.name, stamps[mine], logged[mine])
+        readings = limits[mine, 3:]
+        said: list[str] = []
+        stated = (float(limits[mine[0], 1]), float(limits[mine[0], 2]))
+        range_min, range_max, code = clean_ranges([readings], stated, no_return, said)
+        out.append(
+            LaserScans(
+                at, readings[order], np.zeros(1), 0.0, 0.0, range_min, range_max, frame,
+                notes + [f"{topic.name}: {text}" for text in said], code, float(limits[mine[0], 0]),
+            )
+        )  # fmt: skip
+    return out
