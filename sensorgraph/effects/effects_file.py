@@ -53,7 +53,12 @@ def to_dict(a: Amendment) -> dict[str, Any]:
 
 
 def read(path: Path, arena: Arena | None = None) -> tuple[Amendment, ...]:
-    """Read effects.yaml; raise SensorgraphError in one line for whatever is wrong with it, also for places not in `arena`."""
+    """Read effects.yaml, and check its places against the arena where one is given.
+
+    Raises
+    ------
+    SensorgraphError : there is no such text file, or it is not a list of known effects with numbers and places that fit
+    """
     if path.is_dir():
         raise SensorgraphError(f"{path} is a directory, expected an effects.yaml")
     if not path.exists():
@@ -69,7 +74,12 @@ def read(path: Path, arena: Arena | None = None) -> tuple[Amendment, ...]:
 
 
 def loads(text: str, arena: Arena | None = None, *, name: str = "effects.yaml") -> tuple[Amendment, ...]:
-    """Parse the text of effects.yaml."""
+    """Parse the text of effects.yaml.
+
+    Raises
+    ------
+    SensorgraphError : the text is not YAML, or not a list of known effects with numbers and places that fit
+    """
     try:
         data = yaml.safe_load(text)
     except yaml.YAMLError as exc:
@@ -83,7 +93,12 @@ def loads(text: str, arena: Arena | None = None, *, name: str = "effects.yaml") 
 
 
 def check_places(amendments: Sequence[Amendment], arena: Arena, *, name: str = "effects") -> None:
-    """Refuse amendments that name a wall or an obstacle the arena lacks, or a part beyond the wall's end."""
+    """Check that the arena has the walls and obstacles that amendments name, and the parts of walls.
+
+    Raises
+    ------
+    SensorgraphError : it lacks a place, or a part lies beyond the end of its wall
+    """
     for i, a in enumerate(amendments, start=1):
         where = f"{name}: effect {i} ({a.name})"
         _check_place(a.effect, a.location, arena, where)

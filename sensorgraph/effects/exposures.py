@@ -1,4 +1,4 @@
-"""What several effects ask of a run that may not have shown them, and how they say so."""
+"""Shared tests of whether a run could have shown an effect, and the sentences that say so."""
 
 from __future__ import annotations
 

@@ -128,7 +128,7 @@ class Residuals(Protocol):
 
 
 class Exposure(Protocol):
-    """What the rays of a run have met, for the question what they could have shown; arrays (n_scans, n_rays)."""
+    """What the rays of a run have met, and so could have shown; arrays (n_scans, n_rays)."""
 
     arena: Arena
     sensor: RangeSensor

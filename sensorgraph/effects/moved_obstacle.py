@@ -79,9 +79,9 @@ def _shifted(residuals: Residuals, name: str, outline: Floats, ends: Floats, min
 
 
 def nudged(residuals: Residuals) -> list[Proposal]:
-    """Look for a move by a few centimetres: where an outline lets rays pass, or stops them, that the map does not.
+    """Look for a move by a few centimetres: an outline stops rays, or lets them pass, where the map does not.
 
-    To first order a side changes only the readings that end on it; of one that no ray met head-on, only the ends of the
+    To first order, a side changes only the readings that end on it. Of a side that no ray met head-on, only the ends of the
     silhouette tell, so the readings of each shift are cast.
     """
     if residuals.strange.sum() < PROPOSAL.min_rays:

@@ -1,4 +1,4 @@
-"""The small errors of every set-up that a fit leaves free, whatever else is in the model."""
+"""Nuisance parameters: small errors of every set-up, which each fit leaves free."""
 
 from __future__ import annotations
 

@@ -22,7 +22,12 @@ def in_sector(bearings: Floats, first: float, last: float) -> Bools:
 
 
 def named_walls(arena: Arena, name: str) -> Ints:
-    """Return the indices of the wall NAME/edge_i, or of all walls of the feature NAME."""
+    """Return the indices of the wall NAME/edge_i, or of all walls of the feature NAME.
+
+    Raises
+    ------
+    SensorgraphError : the arena has no wall and no feature of that name
+    """
     found = [i for i, wall in enumerate(arena.names) if wall == name or wall.rsplit("/", 1)[0] == name]
     if not found:
         near = ", ".join(arena.names[:6])
@@ -38,12 +43,22 @@ def obstacles(arena: Arena) -> list[str]:
 
 
 def walls_of(scene: Scene, name: str) -> Ints:
-    """Return the indices of the walls with this name in a scene."""
+    """Return the indices of the walls with this name in a scene.
+
+    Raises
+    ------
+    SensorgraphError : the arena has no wall and no feature of that name
+    """
     return named_walls(scene.arena, name)
 
 
 def part_of_wall(scene: Scene, beams: Beams, a: Amendment) -> Bools:
-    """Tell which rays hit the part from a to b [m] of the amendment's wall, (n_scans, n_rays)."""
+    """Tell which rays hit the part from a to b [m] of the amendment's wall, (n_scans, n_rays).
+
+    Raises
+    ------
+    SensorgraphError : the arena has no such wall
+    """
     on = np.isin(beams.wall, walls_of(scene, a.place))
     if not on.any():
         return on
@@ -78,7 +93,12 @@ def outward(arena: Arena, index: int) -> Floats:
 
 
 def seen_without(scene: Scene, beams: Beams, some: Bools, name: str) -> Floats:
-    """Return what rays would read if a wall were not there; inf for all rays that are not in `some`."""
+    """Return what rays would read if a wall were not there; inf for all rays that are not in `some`.
+
+    Raises
+    ------
+    SensorgraphError : the arena has no such wall
+    """
     walls = scene.walls.copy()
     walls[walls_of(scene, name)] = 1e9
     behind = np.full(beams.ranges.shape, np.inf)

@@ -1,4 +1,4 @@
-"""What the proposers of several effects share: thresholds, the best run of rays, parts of walls, cut-offs."""
+"""Shared parts of the proposers: thresholds, the best run of rays, parts of walls, cut-offs."""
 
 from __future__ import annotations
 

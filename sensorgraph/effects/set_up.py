@@ -1,4 +1,4 @@
-"""How exact a careful set-up is, and what that hides of an effect's parameters."""
+"""The accuracy of a careful set-up, and how much of an effect's parameters it hides."""
 
 from __future__ import annotations
 

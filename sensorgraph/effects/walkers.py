@@ -19,7 +19,7 @@ LOOKS = (50, 800)  # least and most of them
 def walkers(scene: Scene, share: float, rng: np.random.Generator) -> Floats:
     """Return (n_scans, n_people, 3) [m] x, y, radius so that about `share` of the rays end at somebody.
 
-    All is decided over the whole span, so that every part of a run meets the same people.
+    Their paths are drawn for the whole span, so that every part of a run meets the same people.
     """
     n_looks = int(np.clip(scene.span / EVERY, *LOOKS))
     looks = scene.begin + np.linspace(0.0, scene.span, n_looks)

@@ -78,12 +78,22 @@ class Prediction:
             raise ValueError(f"a prediction has shapes {shapes}, expected one shape (n_poses, n_rays)")
 
     def save(self, path: Path) -> None:
-        """Write the arrays of SAVED_ARRAYS, each (n_poses, n_rays), as NPZ."""
+        """Write the arrays of SAVED_ARRAYS, each (n_poses, n_rays), as NPZ.
+
+        Raises
+        ------
+        OSError : the file cannot be written
+        """
         with atomic_file(path) as part, part.open("wb") as file:
             np.savez_compressed(file, **{name: getattr(self, name) for name in SAVED_ARRAYS})
 
     def point(self, name: Point) -> Floats:
-        """Return one point value given a return."""
+        """Return one point value given a return.
+
+        Raises
+        ------
+        ValueError : there is no such point value
+        """
         if name not in POINTS:
             raise ValueError(f"point is {name!r}, expected one of {', '.join(POINTS)}")
         return np.asarray(getattr(self, name), dtype=np.float64)

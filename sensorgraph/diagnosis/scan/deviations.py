@@ -77,7 +77,7 @@ def scores(view: FitResiduals) -> Scores:
 
 
 def _outlines(view: FitResiduals) -> Bools | None:
-    """Tell which rays pass the outline of an unmapped obstacle that stands free: a disc hardly describes it there."""
+    """Tell which rays pass the outline of a free-standing unmapped obstacle, where a disc is a poor model."""
     aside = SCAN.goodness_of_fit.outline_distance
     arena, beams, out = view.data.arena, view.beams, None
     for a in view.fitted.model:
@@ -99,7 +99,9 @@ def deviations(
     *,
     min_z: float = SCAN.goodness_of_fit.listed_z,
 ) -> list[Deviation]:
-    """Return the bins of material size whose z is above `min_z`, largest first; spread and shares one-sided.
+    """Return the bins of material size whose z exceeds `min_z`, largest first.
+
+    Spreads and shares count upward only.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Whether the effects of a model obey their own laws: what they absorb, where they are, which come together."""
+"""Check whether the effects of a model obey their own laws: what they absorb, where they are, which ones coincide."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Doubt:
 
 
 def broken_laws(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
-    """Check what effects that absorb anything claim of the readings they absorb, and tell-tale combinations.
+    """List absorbing effects whose readings do not follow their law, and tell-tale combinations of effects.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def _telltales() -> list[Telltale]:
 
 
 def absences(view: FitResiduals) -> list[Doubt]:
-    """Doubt what stands in the world but seems to be away for one stretch of the run: a door, not a pane."""
+    """Doubt a fixed thing that is absent for one stretch of the run: it is a door, not a pane."""
     settings, data, fitted = SCAN.goodness_of_fit, view.data, view.fitted
     out = []
     for index, a in enumerate(fitted.model):

@@ -68,7 +68,7 @@ class RunExposure:
         return held
 
     def projected(self, own: Sequence[Nuisance]) -> Floats:
-        """Return the information (n_g, n_g) that is left when the nuisances took their share, copies `own` held."""
+        """Return the information (n_g, n_g) after the nuisances are projected out; the copies `own` are held."""
         key = frozenset(own)
         if key not in self._projected:
             free = ~self.locked(own)
@@ -124,7 +124,7 @@ class RunExposure:
         ]
 
     def nats_alone(self, effect: Effect, times: float) -> float:
-        """Return the evidence [nats] of a smooth effect that no nuisance spans, at so many materialities; the least."""
+        """Return the least evidence [nats] of a smooth effect that no nuisance spans, at so many materialities."""
         columns = columns_of(self.data, self.fitted, effect.at_neutral())
         typical = effect.typical(times)
         sizes = [typical[name] for name in effect.steps]
@@ -149,7 +149,7 @@ class RunExposure:
 def _missing(
     matrix: Floats, right: Floats, square: float, tau: Floats, held: Bools, free: Floats | None
 ) -> float:
-    """Return half the square that is left after nuisances in their boxes, and directions `free`, took what they can."""
+    """Return half the squared length that bounded nuisances and the directions `free` leave."""
     n = len(tau)
     if free is not None:
         k = len(right)

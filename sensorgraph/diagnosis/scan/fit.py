@@ -78,7 +78,7 @@ def cast(data: ScanData, model: Sequence[Amendment]) -> Cast:
 
 
 def _bent(data: ScanData, model: Sequence[Amendment], beams: Beams) -> tuple[Bools, Floats, Floats] | None:
-    """Differentiate rays that a surface, an edge or a tilt has bent by the pose, by casting again.
+    """Differentiate bent rays by the pose, by casting again: a surface, an edge or a tilt has bent them.
 
     Returns which rays (n_scans, n_rays) have columns, the columns (n_scans, 3, n_rays), and |d reading / d phi|
     (n_scans, n_rays) [m/rad] of all bent rays, also of those where it is a jump.

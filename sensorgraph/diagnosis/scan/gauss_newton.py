@@ -337,7 +337,9 @@ def fitted_noise(
 
 
 def _scales(solver: Solver, system: System, state: State, noise_bounds: NoiseBounds) -> tuple[float, float]:
-    """Estimate by how much the tolerances of reference and map are too tight; medians, so that an effect does not count."""
+    """Estimate by how much the tolerances of reference and map are too tight.
+
+    Medians are used, so that an effect does not widen them."""
     prior = pose_prior(solver.data, state.pose_scale)
     spread = prior - np.linalg.inv(system.poses)  # covariance of the estimate under the prior
     spread = spread + 1e-3 * prior

@@ -1,4 +1,4 @@
-"""Whether a model is enough: deviations against replicates, scans against each other, laws of its effects.
+"""Goodness of fit: deviations against replicates, scans against each other, effects against their own laws.
 
 The largest deviation of each kind is compared with that of replicates drawn from the model, a parametric bootstrap
 (Efron and Tibshirani 1993, chapter 6).
@@ -55,7 +55,7 @@ def check(
     rng: np.random.Generator,
     n_replicates: int = SCAN.goodness_of_fit.n_replicates,
 ) -> GoodnessOfFit:
-    """Ask whether a model is enough.
+    """Test whether a model explains the run.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def check(
 
 
 def _widened(data: ScanData, fitted: Fitted) -> tuple[ScanData, Fitted]:
-    """Fit again with wider tolerances, and edges found with them, where the tolerances proved too tight."""
+    """Fit again with wider tolerances where they proved too tight, and find the edges anew."""
     state = fitted.state
     if max(state.pose_scale, state.map_scale) < SCAN.nuisance.stretched_scale:
         return data, fitted
@@ -137,7 +137,7 @@ def _dispersed(view: FitResiduals) -> list[Doubt]:
 def _against_replicates(
     view: FitResiduals, nominal: Tolerances, rng: np.random.Generator, count: int
 ) -> list[Doubt]:
-    """Compare the largest deviation of each kind with replicates; none is drawn where nothing is suspect."""
+    """Compare the largest deviation of each kind with replicates, which are drawn only where one is suspect."""
     settings, t = SCAN.goodness_of_fit, view.data.tolerances
     parts = partitions(view)
     found = deviations(view, parts)

@@ -119,7 +119,7 @@ def _wrong_orientation(alignment: Alignment, run: Run, data: ScanData) -> str:
 def _matching_share(data: ScanData) -> float:
     """Return the share of the returns that are about as long as the arena makes them.
 
-    In an arena full of walls rays end at one by chance; that they are as long as the first wall allows, they are not.
+    In an arena full of walls, rays end at some wall by chance. They are not as long as the first wall allows by chance.
     """
     n = min(data.n_scans, SETTINGS.matching_scans)
     some = np.linspace(0, data.n_scans - 1, n).astype(np.intp)
@@ -153,7 +153,7 @@ def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Ali
 
 
 def _scaled(raster: _Raster, points: Floats, share: float) -> Alignment:
-    """Look for the scale (about the origin, then moved) of all that was measured that lays most ends on walls."""
+    """Find the scale of the measurements, about the origin and then moved, that lays most ray ends on walls."""
     shifts, counts = zip(*(raster.correlated(scale * points) for scale in SCALES), strict=True)
     if max(counts) < (share + SETTINGS.min_gain - SETTINGS.search_slack) * len(points):
         return Alignment(share=share, best_share=share)

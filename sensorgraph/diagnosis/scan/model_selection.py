@@ -1,4 +1,4 @@
-"""Decide which effects the evidence asks for: one after another, refitted together, superfluous ones taken back."""
+"""Forward selection of effects by evidence: add one at a time, refit all together, remove superfluous ones."""
 
 from __future__ import annotations
 
@@ -315,7 +315,7 @@ def _ranked(tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
 def without_ends(data: ScanData, tried: list[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
     """Compare panes, mirrors and black parts of one wall by the rays that clearly meet them or clearly do not.
 
-    Rays next to an end may be on either side of it, which a law of certain loss pays dearer than one of likely loss.
+    A ray next to an end may be on either side of it. That costs a law of certain loss more than one of likely loss.
     """
     order = sorted(tried, key=lambda pair: -pair[1])
     best, gain = order[0]

@@ -176,7 +176,7 @@ def _alike_smooth(exposure: RunExposure) -> list[Alike]:
 def _compare(
     exposure: RunExposure, shift: Floats, others: Floats, own: Sequence[Nuisance], shown: bool
 ) -> tuple[float, float] | None:
-    """Return correlation and expected nats if an effect (its shift, whether it shows at all) could be another."""
+    """Return how an effect correlates with another, and the nats expected between the two."""
     correlation, strength = _correlation(exposure, shift, others, own)
     if strength < 1.0 or (correlation < MAX_CORRELATION and not shown):
         return None

@@ -70,7 +70,7 @@ class BaselineInterval:
 
 
 def exceeds(stderr: float, pooled: float, n_windows: int) -> bool:
-    """Tell whether a jackknife error is larger than a pooled one of n windows by chance alone (F test)."""
+    """Test (F) whether a jackknife error exceeds the pooled one of n windows by more than chance."""
     dof = SCAN.site.n_parts - 1
     limit = fdtri(dof, dof * n_windows, SCAN.site.confidence)
     return stderr**2 > float(limit) * pooled**2

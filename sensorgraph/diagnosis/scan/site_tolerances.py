@@ -61,7 +61,7 @@ def _predictive_log_likelihood(solver: Solver, state: State, rays: Bools) -> flo
 
 
 def shift_tolerances(data: ScanData, cuts: Sequence[int]) -> Tolerances:
-    """Widen the tolerances of mount and stamps to what these seem to shift by, though nothing has moved.
+    """Widen the tolerances of mount and stamps to the shifts that a good run appears to have.
 
     The clock is fitted alone: while a robot turns one way only, a late clock looks like a yaw.
 

@@ -22,7 +22,7 @@ from sensorgraph.types import Bools, Floats, Ints
 
 
 def is_within_baseline(fitted: Fitted, amendment: Amendment) -> bool:
-    """Tell whether an effect of a fit is what the site shows by itself, or only stands at a few places."""
+    """Tell whether an effect lies within the baseline of the site, or shows at a few places only."""
     baseline = fitted.solver.data.baseline_intervals.get(amendment.name)
     if baseline is None:
         return False

@@ -60,7 +60,7 @@ def _rough_errors(fitted: Fitted, index: int, noise_bounds: NoiseBounds) -> dict
 def _silhouette_errors(
     fitted: Fitted, index: int, noise_bounds: NoiseBounds, errors: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return standard errors of a move that no ray met head-on: the ends of the silhouette alone tell of it."""
+    """Return standard errors of a move that no ray met head-on, from the ends of the silhouette alone."""
     amendment = fitted.model[index]
     if amendment.effect.place != "obstacle":
         return {}
@@ -73,7 +73,7 @@ def _silhouette_errors(
 
 
 def lattice_error(data: ScanData, q: float) -> float:
-    """Return how far the step of a lattice may be off [m] before the farthest reading leaves its lattice point."""
+    """Return the largest error [m] of a lattice step at which the farthest reading keeps its lattice point."""
     cell = max(data.sensor.resolution, SCAN.likelihood.min_resolution)
     farthest = float(data.ranges[data.returned].max(initial=q))
     return 0.5 * cell * q / max(farthest, q)

@@ -88,7 +88,7 @@ def corrected_rays(
     faces: FaceSet,
     noise: ReturnNoise,
 ) -> Rays:
-    """Return the rays of a sample as they are by what was identified before: ray terms off, poses as they came."""
+    """Return the rays of a sample with the identified ray terms taken off; poses stay as logged."""
     rays = sample.rays(sensor, mount)
     if calibration.terms.is_none:
         return rays
@@ -109,7 +109,7 @@ def calibrate_faces(
     can_mount: bool = True,
     calibrate: bool | None = None,
 ) -> CalibratedFaces:
-    """Identify the laser that took a sample, and the faces anew with it, where that is worth it.
+    """Identify the laser that took a sample, and fit the faces again with it, where the evidence pays for it.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class _JointCalibration:
         return found
 
     def is_worth(self, *, force: bool) -> bool:
-        """Tell whether terms or better poses pay on faces that were fitted without; `force`: terms do.
+        """Test whether ray terms or refined poses pay on faces that were fitted without them.
 
         Noise of a pose moves all returns of a scan together, and many such scans look like terms that are not
         there. So the mount counts against the poses' noise, and all others after the poses were refined.
@@ -259,7 +259,7 @@ class _JointCalibration:
     def adjust(self, *, incidence: bool, shift: float = 0.0) -> None:
         """Move mount, terms and faces together; faces are `shift` [m] nearer first, and their mean stays there.
 
-        Until edges have been asked (`estimate_gauge`) the mean shift of the faces is free.
+        The mean shift of the faces is free until occlusion edges have fixed it (`estimate_gauge`).
         """
         matches, faces = self.match(), self.faces._replace(offsets=self.faces.offsets + shift)
         if shift:
@@ -299,7 +299,7 @@ class _JointCalibration:
         self.pose_noise = (better.sigma_xy, better.sigma_yaw)
 
     def settle(self, reach: float) -> None:
-        """Let occlusion edges say where the walls are, and give the terms what is left."""
+        """Fix the common shift of the walls by occlusion edges, then adjust the ray terms to it."""
         if not self.terms.has_incidence:
             return
         some = _whole_scans(self.readings, CALIBRATION.gauge.readings)

@@ -38,7 +38,7 @@ class Gauge:
 def estimate_gauge(
     rays: Rays, matches: Matches, faces: FaceSet, noise: ReturnNoise, *, reach: float
 ) -> Gauge:
-    """Search the common shift that makes the edges sharpest, first within ± `reach` [m].
+    """Find the common shift of all faces that makes occlusion edges sharpest; search first within ± `reach` [m].
 
     Parameters
     ----------

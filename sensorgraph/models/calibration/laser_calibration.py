@@ -59,7 +59,7 @@ class Calibration:
 
     @property
     def is_plausible(self) -> bool:
-        """Tell whether such a laser may exist; a log whose poses and scans do not belong together gives another."""
+        """Tell whether the calibration is plausible; poses and scans that do not belong together give one that is not."""
         return bool(
             np.hypot(*self.offset[:2]) < ADJUSTMENT.max_mount_offset
             and abs(self.offset[2]) < ADJUSTMENT.max_mount_turn
@@ -124,7 +124,12 @@ class Calibration:
 
     @classmethod
     def restore(cls, n_rays: int, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Build it from what `state` gave; a wrong shape is a ValueError."""
+        """Build it from what `state` gave.
+
+        Raises
+        ------
+        ValueError : an array has a wrong shape
+        """
         empty = cls.none(n_rays)
         right = {name: array.shape for name, array in empty.state()[1].items()}
         found = {name: np.asarray(arrays[name], dtype=np.float64) for name in right}

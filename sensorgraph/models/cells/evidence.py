@@ -108,7 +108,12 @@ class CellEvidence:
             )  # fmt: skip
 
     def merge(self, other: CellEvidence) -> None:
-        """Add the evidence of other scans, gathered with the same cells and reach."""
+        """Add the evidence of other scans, gathered with the same cells and reach.
+
+        Raises
+        ------
+        ValueError : the other evidence has other cells or another reach
+        """
         if (other.window.cell, other.reach) != (self.window.cell, self.reach):
             raise ValueError(
                 f"evidence in cells of {other.window.cell} m out to {other.reach} m cannot be added to "

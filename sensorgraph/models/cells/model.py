@@ -35,7 +35,12 @@ MIN_CELL, MAX_CELL = 0.01, 0.5
 
 @cache
 def shipped_visibility() -> tuple[float, ...]:
-    """Return the coefficients that come with the software, learned from several buildings."""
+    """Return the coefficients that come with the software, learned from several buildings.
+
+    Raises
+    ------
+    ValueError : visibility.json has other terms than the polynomial
+    """
     table = json.loads((files("sensorgraph.data") / "visibility.json").read_text())["beta"]
     if tuple(table) != TERMS:
         raise ValueError("visibility.json has other terms than the polynomial; learn it again")
@@ -63,7 +68,12 @@ class CellModel:
 
     @classmethod
     def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:
-        """Gather evidence of all key frames; learn visibility and calibration on stretches set aside before."""
+        """Gather evidence of all key frames; learn visibility and calibration on stretches set aside before.
+
+        Raises
+        ------
+        SensorgraphError : an option is unknown, the cell has no sensible size, or no ray returned within reach
+        """
         if unknown := set(options) - {"cell"}:
             raise SensorgraphError(
                 f"option {', '.join(sorted(unknown))} is not known to the model cells; expected cell [m]"
@@ -189,7 +199,12 @@ class CellModel:
     def restore(
         cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
     ) -> Self:
-        """Build the model from what `state` gave."""
+        """Build the model from what `state` gave.
+
+        Raises
+        ------
+        ValueError : an array has a wrong shape
+        """
         nx, ny = map(int, header["shape"])
         kept = np.unpackbits(arrays["kept"], count=nx * ny).astype(np.bool_).reshape(nx, ny)
         n = int(kept.sum())
@@ -214,7 +229,7 @@ class CellModel:
 
 
 def is_key_frame(poses: Floats, run: Ints) -> Bools:
-    """Tell which scans count: the first of each run, and each that is far from the last one that counts."""
+    """Tell which scans are key frames: the first of each run, and each that is far enough from the last key frame."""
     keep = np.zeros(len(poses), dtype=np.bool_)
     last = -1
     for i, (x, y, phi) in enumerate(poses.tolist()):
@@ -242,7 +257,7 @@ def laser_poses(poses: Floats, mount: Floats) -> Floats:
 def learn_visibility(
     poses: Floats, ranges: Floats, bearings: Floats, cell: float, reach: float, report: Progress
 ) -> tuple[Floats, float, Floats]:
-    """Return beta (n_terms,), sigma [m] and the calibration (3, n_knots), learned on stretches the evidence leaves out."""
+    """Learn beta (n_terms,), sigma [m] and the calibration (3, n_knots) on stretches that the evidence leaves out."""
     beta = np.array(shipped_visibility())
     said = np.tile(KNOTS, (len(POINTS), 1))
     if len(poses) < CELLS.learning.min_scans:

@@ -4,7 +4,7 @@ For a ray of direction u from q that meets the face n·p = d:  r = (d - n·q) / 
 from forward selection on pooled moments, their visible stretches from EM on hits and passes and from change
 points; a prediction is the mixture of all faces a ray crosses, each with the chance that it stops there.
 Where long faces leave much unexplained (clutter, poses from SLAM), short ones in cells predict instead (`cells`).
-The class is the module: one piece, since fit, prediction, update and file read the same fields.
+What the class holds and how it is stored stands in `data`.
 """
 
 from __future__ import annotations
@@ -21,23 +21,19 @@ from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Point, Prediction, TrainingScans
 from sensorgraph.models.calibration.calibrate import calibrate_faces, corrected_rays, observed_by
-from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.cells.model import CellModel
+from sensorgraph.models.faces.data import FacesData, restored_fields, stored
 from sensorgraph.models.faces.equations import face_equations
 from sensorgraph.models.faces.fit import N_STEPS, StepCounter, fit_faces
-from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.prediction import predict_rays
 from sensorgraph.models.faces.ray_march import (
     MIN_VISIBILITY,
-    FaceSet,
     bucket_grid,
 )
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block, MapBlocks, blocks_of, reduce_blocks
 from sensorgraph.models.faces.sampling import draw_rays
 from sensorgraph.models.faces.settings import FACES
-from sensorgraph.models.faces.sufficient_statistics import SufficientStatistics
 from sensorgraph.models.faces.update import update_faces
-from sensorgraph.models.faces.visibility import ReturnNoise
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
 from sensorgraph.types import Floats, Ints, Progress
 
@@ -45,35 +41,19 @@ PREDICTION = FACES.prediction
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Faces:
-    """Faces with their visible stretches, the noise about them, and the space that was looked through.
-
-    One class, though a long one: fit, prediction, update and file read the same fields."""
+class Faces(FacesData):
+    """Faces with their visible stretches, the noise about them, and the space that was looked through."""
 
     name: ClassVar[str] = "faces"
 
-    sensor: RangeSensor
-    faces: FaceSet
-    noise: ReturnNoise
-    hits: Floats
-    """(n_faces,) training returns that each face explains."""
-    observed: ObservedSpace
-    returns: float
-    """Share of the training rays that returned."""
-    mount: Floats
-    """(3,) [m, m, rad] laser in the frame of the poses, as identified."""
-    calibration: Calibration
-    """How the laser differs from what was stated; identity for a perfect one."""
-    n_rays: int = 0
-    """Training rays."""
-    statistics: SufficientStatistics | None = None
-    """What new runs are added to."""
-    cells: CellModel | None = None
-    """What predicts where long faces do not explain enough."""
-
     @classmethod
     def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:
-        """Identify faces from scans; options `calibrate` the laser and add `cells`: None where worth it."""
+        """Identify faces from scans; options `calibrate` the laser and add `cells`: None where worth it.
+
+        Raises
+        ------
+        SensorgraphError : an option is unknown, or no ray returned
+        """
         if unknown := sorted(options.keys() - {"calibrate", "cells"}):
             raise SensorgraphError(
                 f"option {', '.join(unknown)} is not known to the model faces, which takes calibrate and cells; "
@@ -124,6 +104,10 @@ class Faces:
         map_blocks : where the blocks are reduced; `map`: here, one after the other
         can_mount : the poses are of a base that carries the laser; False where they are the laser's own
         calibrate : identify the laser with the faces; None: where that is worth it
+
+        Raises
+        ------
+        SensorgraphError : no ray returned
         """
         n_blocks = -(-n_scans // SCANS_PER_BLOCK)
         steps = StepCounter(progress, n_blocks + N_STEPS)
@@ -168,7 +152,12 @@ class Faces:
         map_blocks: MapBlocks = map,
         progress: Progress | None = None,
     ) -> Self:
-        """Add blocks of new scans, of the same laser, without the old ones."""
+        """Add blocks of new scans, of the same laser, without the old ones.
+
+        Raises
+        ------
+        SensorgraphError : the model predicts with cells, remembers too little of its rays, or no new ray returned
+        """
         if self.cells is not None:
             raise SensorgraphError(
                 "the graph predicts with cells, which are not updated; build it again from all runs"
@@ -263,57 +252,19 @@ class Faces:
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return plain data and arrays that hold the whole model."""
-        noise = {name: getattr(self.noise, name) for name in ReturnNoise.__dataclass_fields__}
-        calibration, terms = self.calibration.state()
-        header: dict[str, Any] = {
-            "noise": noise,
-            "returns": self.returns,
-            "cell": self.observed.cell,
-            "calibration": calibration,
-            "n_rays": self.n_rays,
-        }
-        arrays: dict[str, NDArray[Any]] = {name: getattr(self.faces, name) for name in FaceSet._fields}
-        arrays |= {"hits": self.hits, "mount": self.mount}
-        arrays |= {f"calibration.{name}": array for name, array in terms.items()}
-        if self.statistics is not None:
-            arrays |= {f"memory.{name}": array for name, array in self.statistics.arrays().items()}
-        arrays |= {"crossed.origin": self.observed.origin, "crossed.counts": self.observed.counts}
-        if self.cells is not None:
-            header["cells"], own = self.cells.state()
-            arrays |= {f"cells.{name}": array for name, array in own.items()}
-        return header, arrays
+        return stored(self)
 
     @classmethod
     def restore(
         cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
     ) -> Self:
-        """Build the model from what `state` gave; a wrong shape is a ValueError."""
-        faces = FaceSet(
-            **{name: np.asarray(arrays[name], _INTEGER_FIELDS.get(name, float)) for name in FaceSet._fields}
-        )
-        _check_face_set(faces)
-        statistics = {
-            name.removeprefix("memory."): array
-            for name, array in arrays.items()
-            if name.startswith("memory.")
-        }
-        return cls(
-            sensor=sensor,
-            faces=faces,
-            noise=ReturnNoise(**{name: float(value) for name, value in header["noise"].items()}),
-            hits=np.asarray(arrays["hits"], dtype=np.float64),
-            observed=ObservedSpace(
-                origin=np.asarray(arrays["crossed.origin"], dtype=np.float64),
-                cell=float(header["cell"]),
-                counts=np.asarray(arrays["crossed.counts"], dtype=np.uint8),
-            ),
-            returns=float(header["returns"]),
-            n_rays=int(header.get("n_rays", 0)),
-            statistics=SufficientStatistics.from_arrays(statistics, faces) if statistics else None,
-            mount=np.asarray(arrays["mount"], dtype=np.float64),
-            calibration=_calibration(sensor, header, arrays),
-            cells=_cells(sensor, header, arrays),
-        )
+        """Build the model from what `state` gave.
+
+        Raises
+        ------
+        ValueError : an array has a wrong shape, or points outside another one
+        """
+        return cls(**restored_fields(sensor, header, arrays))
 
     def _lasers(self, poses: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return x, y, cos and sin (n_poses,) of the laser's heading."""
@@ -322,42 +273,3 @@ class Faces:
         x, y = poses[:, 0] + cos * mx - sin * my, poses[:, 1] + sin * mx + cos * my
         c, s = math.cos(yaw), math.sin(yaw)
         return x, y, cos * c - sin * s, sin * c + cos * s
-
-
-def _calibration(
-    sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
-) -> Calibration:
-    """Restore the calibration."""
-    prefix = "calibration."
-    own = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
-    return Calibration.restore(sensor.n_rays, header["calibration"], own)
-
-
-def _cells(
-    sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
-) -> CellModel | None:
-    """Restore the cells, if there are any."""
-    if "cells" not in header:
-        return None
-    own = {name.removeprefix("cells."): array for name, array in arrays.items() if name.startswith("cells.")}
-    return CellModel.restore(sensor, header["cells"], own)
-
-
-_INTEGER_FIELDS: dict[str, type] = {"first": np.intp, "neighbour": np.intp}
-
-
-def _check_face_set(faces: FaceSet) -> None:
-    """Refuse arrays that kernels would read beyond their ends."""
-    k, e = faces.n_faces, len(faces.edges)
-    shapes = {name: np.shape(getattr(faces, name)) for name in FaceSet._fields}
-    right = {"normals": (k, 2), "offsets": (k,), "first": (k + 1,)} | dict.fromkeys(
-        ("edges", "levels", "blur", "neighbour"), (e,)
-    )
-    if shapes != right:
-        raise ValueError(f"faces have shapes {shapes}, expected {right}")
-    if faces.first[0] != 0 or faces.first[-1] != e or (np.diff(faces.first) < 1).any():
-        raise ValueError(
-            f"faces' edges start at {faces.first.tolist()[:8]} ..., expected 0 to {e}, increasing"
-        )
-    if len(faces.neighbour) and not (faces.neighbour.min() >= -1 and faces.neighbour.max() < k):
-        raise ValueError(f"neighbours reach {faces.neighbour.max()}, expected less than {k} faces")

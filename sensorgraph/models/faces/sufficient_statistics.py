@@ -112,7 +112,7 @@ class SufficientStatistics:
         return face, t, np.concatenate([self.stop, stop]), np.concatenate([self.weight, weight])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return arrays for a file, by their names there, as small as they need to be."""
+        """Return compact arrays for a file, by their names there."""
         hits = self.unexplained_hits
         out: dict[str, NDArray[Any]] = {
             "left.cells": hits.cells.astype(np.int32),

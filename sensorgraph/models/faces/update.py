@@ -118,7 +118,7 @@ def _concatenated(a: FaceSet, b: FaceSet) -> FaceSet:
 def _with_new_faces(
     statistics: SufficientStatistics, lines: Lines, observed: ObservedSpace
 ) -> SufficientStatistics:
-    """Return the statistics with room for new faces: no stops of old, but passes where old rays went through."""
+    """Return the statistics with room for new faces, which old rays count as having passed where they went through."""
     new = binned_faces(lines)
     owner = np.repeat(np.arange(new.n_faces), np.diff(new.first))
     middle = new.edges + FACES.expectation.first_bin / 2
@@ -152,7 +152,7 @@ def _visibility(faces: FaceSet, expectation: Expectation, held: SufficientStatis
 
 
 def _take(faces: FaceSet, held: SufficientStatistics, index: Ints) -> tuple[FaceSet, SufficientStatistics]:
-    """Return some faces and the statistics of them; only new faces are ever left out."""
+    """Return some faces and their statistics; only new faces may be left out."""
     place = np.concatenate([np.arange(faces.first[k], faces.first[k + 1]) for k in index])
     return take_faces(faces, index), replace(
         held, line_sums=held.line_sums[index], stops=held.stops[place], reached=held.reached[place]

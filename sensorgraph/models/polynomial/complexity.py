@@ -1,4 +1,4 @@
-"""How rich a polynomial the training scans allow: degree, harmonics and number of terms by blocked validation."""
+"""The choice of degree, harmonics and number of terms by validation on blocks of the log."""
 
 from __future__ import annotations
 
@@ -49,7 +49,12 @@ def select_form(
     n_terms: Auto = "auto",
     progress: Progress | None = None,
 ) -> PolynomialForm:
-    """Return the form with the least mean error on stretches of the training scans that its fit left out."""
+    """Return the form with the least mean error on stretches of the training scans that its fit left out.
+
+    Raises
+    ------
+    SensorgraphError : a degree, a number of harmonics or of terms is too small, or no ray returned
+    """
     for name, value, least in (("degree", degree, 0), ("harmonics", harmonics, 0), ("terms", n_terms, 1)):
         if value != "auto" and value < least:
             raise SensorgraphError(f"{name} is {value}, expected {least} or more, or auto")
@@ -150,7 +155,7 @@ class _Folds:
 
 
 def _sizes(n_max: int) -> Ints:
-    """List the numbers of terms to look at: every one up to some, then steps of a fifth."""
+    """List the numbers of terms to try: every number at first, then steps of a fifth."""
     sizes = list(range(1, min(n_max, FORM.every_size_to) + 1))
     while sizes[-1] < n_max:
         sizes.append(min(n_max, sizes[-1] + sizes[-1] // 5))

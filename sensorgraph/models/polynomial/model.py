@@ -87,7 +87,12 @@ class Polynomial:
         progress: Progress | None = None,
         **options: Auto,
     ) -> Self:
-        """Choose degree, harmonics and n_terms (the options) by validation, then fit every ray."""
+        """Choose degree, harmonics and n_terms (the options) by validation, then fit every ray.
+
+        Raises
+        ------
+        SensorgraphError : an option is unknown, or no ray returned
+        """
         if unknown := set(options) - {"degree", "harmonics", "n_terms"}:
             raise SensorgraphError(
                 f"option {', '.join(sorted(unknown))} is not known to the model polynomial; "
@@ -228,7 +233,12 @@ class Polynomial:
     def restore(
         cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
     ) -> Self:
-        """Build the model from what `state` gave."""
+        """Build the model from what `state` gave.
+
+        Raises
+        ------
+        ValueError : an array has a wrong shape
+        """
         form = PolynomialForm(**header["choice"])
         terms = dictionary(form.degree, form.harmonics)
         q, m = sensor.n_rays, len(terms)
@@ -331,7 +341,7 @@ def _store(out: dict[str, Any], rays: Ints, picked: Selection) -> None:
 def _leverage(scans: TrainingScans, terms: Terms, scale: Scale, gram: Floats) -> tuple[Floats, float]:
     """Return W with W W' = (Φ'Φ)⁻¹ and the leverage beyond which a pose is unlike the training poses.
 
-    Directions that the poses never left are kept with a tiny variance: who leaves them has a huge leverage.
+    Directions along which the poses never varied keep a tiny variance, so that a pose off them has a huge leverage.
     """
     values, vectors = np.linalg.eigh(gram)
     root = vectors / np.sqrt(np.maximum(values, SUPPORT.min_eigenvalue * values[-1]))

@@ -69,7 +69,12 @@ class Support:
 
     @classmethod
     def restore(cls, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Support:
-        """Build from what `state` gave."""
+        """Build from what `state` gave.
+
+        Raises
+        ------
+        ValueError : the keys are not one array
+        """
         keys = np.asarray(arrays["visited"], dtype=np.int64)
         if keys.ndim != 1 or len(keys) == 0:
             raise ValueError(f"visited has shape {keys.shape}, expected (n_cells,)")
