@@ -42,21 +42,19 @@ class RangeSensor:
     height: float = 0.0
     """[m] of the scan plane above the floor."""
     origins: Floats = field(default_factory=lambda: _empty(0, 2))
-    """(n_rays, 2) [m] where each ray starts, in the laser frame: all 0 of one laser, which is the default; of several
-    sensors read as one, where each of them sits."""
+    """(n_rays, 2) [m] where each ray starts in the laser frame, if several sensors are read as one; (0, 2), the
+    default: all in its origin."""
     cones: Floats = field(default_factory=lambda: _empty(0))
-    """(n_rays,) [rad] opening angle of each ray, within which the nearest surface is measured; 0, the default: a beam."""
+    """(n_rays,) [rad] opening angle of each ray, within which the nearest surface is measured; (0,), the default: rays
+    are thin."""
 
     def __post_init__(self) -> None:
-        if len(self.origins) == 0:
-            object.__setattr__(self, "origins", _empty(len(self.bearings), 2))
-        if len(self.cones) == 0:
-            object.__setattr__(self, "cones", _empty(len(self.bearings)))
         steps = np.diff(self.bearings)
         in_order = (steps >= 0).all() if self.is_composite else (steps > 0).all()
         if self.bearings.ndim != 1 or len(self.bearings) < 1 or not in_order:
             raise ValueError(f"bearings has shape {self.bearings.shape}, expected (n_rays,), increasing")
-        if self.origins.shape != (self.n_rays, 2) or self.cones.shape != (self.n_rays,):
+        n = self.n_rays
+        if self.origins.shape not in ((0, 2), (n, 2)) or self.cones.shape not in ((0,), (n,)):
             raise ValueError(
                 f"origins has shape {self.origins.shape} and cones {self.cones.shape}, expected ({self.n_rays}, 2) "
                 f"and ({self.n_rays},)"

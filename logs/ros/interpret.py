@@ -136,7 +136,7 @@ def _read_sensors(
         order_rays(part, upside_down=upside_down)
         mounts.append((mount, height))
     if len(parts) == 1:
-        cones = np.full(len(parts[0].bearings), parts[0].cone)
+        cones = np.full(len(parts[0].bearings) if parts[0].cone > 0 else 0, parts[0].cone)
         return SensorReading(
             scans=parts[0],
             base=bases[0],

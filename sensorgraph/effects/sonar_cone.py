@@ -11,9 +11,7 @@ from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import UNEXPECTED
 from sensorgraph.effects.interfaces import Exposure, Residuals
 from sensorgraph.types import Floats, Ints
-from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene
-
-RAY = np.radians(1.05)  # [rad] between the rays that fill the cone, at most
+from sensorgraph.world.scene import CONE_STEP, RIGHT_ANGLE, Beams, Scene
 
 GAMMAS = np.radians([4.0, 6.0, 8.0, 10.0, 12.5, 15.0, 18.0, 22.0, 27.0])
 """[rad] that are tried, ..."""
@@ -28,11 +26,11 @@ def transform(scene: Scene, a: Amendment) -> None:
     gamma, alpha = a["gamma"], a["alpha_max"] if a["alpha_max"] < RIGHT_ANGLE else np.inf
     beams = scene.beams
     n = len(scene.bearings)
-    step = float(np.diff(scene.bearings).mean()) if n > 1 else RAY
-    finer = max(1, int(np.ceil(step / RAY - 1e-9)))
+    step = float(np.diff(scene.bearings).mean()) if n > 1 else CONE_STEP
+    finer = max(1, int(np.ceil(step / CONE_STEP - 1e-9)))
     small = step / finer
     n_side = int(gamma / small + 1e-9)
-    even = n > 1 and float(np.ptp(np.diff(scene.bearings))) < 1e-9
+    even = n > 1 and not scene.sensor.is_composite and float(np.ptp(np.diff(scene.bearings))) < 1e-9
     fits = even and step * (n - 1) + 2 * n_side * small < 2 * np.pi - 0.5 * small
     parts = [beams] if gamma == 0 else [scene.shoot(-gamma), scene.shoot(gamma)]
     if gamma > 0 and fits and np.ptp(scene.delay) == 0:
@@ -114,7 +112,7 @@ SONAR_CONE = Effect(
             high=1.5,
             search_step=0.02,
             typical=float(np.radians(10.0)),
-            hidden=lambda _: float(RAY / np.sqrt(12)),
+            hidden=lambda _: float(CONE_STEP / np.sqrt(12)),
         ),
         Parameter(
             name="alpha_max",

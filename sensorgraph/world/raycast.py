@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from logs.run import RangeSensor
+from logs.transforms import compose
 from planners.arena import Arena, wrap
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.ray_intersection import nearest_walls
@@ -45,6 +46,12 @@ def laser_poses(poses: Floats, mount: Floats) -> Floats:
     return np.stack([x, y, poses[:, 2] + mount[2]], axis=1)
 
 
+def ray_starts(lasers: Floats, sensor: RangeSensor) -> Floats:
+    """Move laser poses (..., n_rays, 3) in map to where each ray of several sensors starts."""
+    starts = np.column_stack([sensor.origins, np.zeros(sensor.n_rays)])
+    return compose(lasers, starts)
+
+
 def cast(arena: Arena, poses: Floats, sensor: RangeSensor) -> Hits:
     """Cast every ray of every scan against the walls.
 
@@ -59,7 +66,11 @@ def cast(arena: Arena, poses: Floats, sensor: RangeSensor) -> Hits:
     poses = np.asarray(poses, dtype=np.float64)
     if poses.ndim != 2 or poses.shape[1] != 3:
         raise ValueError(f"poses has shape {poses.shape}, expected (n_scans, 3)")
-    return _Caster(_prepared_walls(arena), sensor)(laser_poses(poses, sensor.mount))
+    lasers = laser_poses(poses, sensor.mount)
+    if sensor.is_composite:
+        rays = ray_starts(lasers[:, None], sensor)
+        return cast_rays(arena, rays[..., :2], rays[..., 2] + sensor.bearings, sensor)
+    return _Caster(_prepared_walls(arena), sensor)(lasers)
 
 
 def cast_laser(walls: Floats, lasers: Floats, bearings: Floats, farthest: float) -> tuple[Floats, Ints]:

@@ -13,8 +13,10 @@ import numpy as np
 import yaml
 
 from logs.run import RangeSensor
+from planners.arena import wrap
 from planners.vehicle import DRIVES, Limits, Vehicle
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.types import Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,8 +108,12 @@ SECTIONS: dict[str, dict[str, Any]] = {
     "actuators": asdict(Actuators()),
     "tolerances": asdict(Tolerances()),
 }
+RING: dict[str, Any] = {"ring": 16, "radius": 0.2, "first": 0.0, "cone": 0.0}
+"""Sensors around the robot that look outwards: how many, how far [m] from its centre, where the first looks [rad]."""
+MOUNTED: dict[str, Any] = {"mount": [0.0, 0.0, 0.0], "cone": 0.0, "n_rays": 1, "fov": 3.14159265}
+"""A sensor at its place in base_link; with more than one ray, a laser."""
 TOP: dict[str, Any] = {f.name: f.default for f in fields(Vehicle) if f.name != "limits"}
-MOST = {"n_rays": 100_000, "rate": 10_000.0}
+MOST = {"n_rays": 100_000, "ring": 1000, "rate": 10_000.0}
 POSITIVE = {
     "v",
     "omega",
@@ -118,6 +124,7 @@ POSITIVE = {
     "range_max",
     "rate",
     "radius",
+    "ring",
     "base",
     "footprint_radius",
 }
@@ -163,16 +170,24 @@ def parse_robot(text: str, *, name: str = "robot.yaml") -> Robot:
         raise SensorgraphError(
             f"{name}: holds a {type(data).__name__}, expected keys such as `name:`, `drive:`, `limits:`"
         )
-    _refuse_unknown(name, "", data, [*TOP, *SECTIONS])
+    _refuse_unknown(name, "", data, [*TOP, *SECTIONS, "sensors"])
     values = {key: _section(name, key, data.get(key), defaults) for key, defaults in SECTIONS.items()}
     top = {key: _value(name, key, data.get(key, default), default) for key, default in TOP.items()}
     if top["drive"] not in DRIVES:
         raise SensorgraphError(f"{name}: drive is {top['drive']!r}, expected one of {', '.join(DRIVES)}")
+    sensors = None if data.get("sensors") is None else parse_sensors(name, data["sensors"])
+    if sensors is not None:
+        extra = [key for key in ("mount", "n_rays", "fov") if key in (data.get("sensor") or {})]
+        if extra:
+            raise SensorgraphError(
+                f"{name}: `sensor.{extra[0]}` does not go with `sensors`, which says it for each; `sensor` keeps what "
+                "they share: range_min, range_max, sigma, resolution, rate, height"
+            )
     try:
         return Robot(
             **top,
             limits=Limits(**values["limits"]),
-            sensor=_sensor(values["sensor"]),
+            sensor=_sensor(values["sensor"], sensors),
             pose=PoseReference(**values["pose"]),
             wheels=Wheels(**values["wheels"]),
             actuators=Actuators(**values["actuators"]),
@@ -193,7 +208,48 @@ def bearings(n_rays: int, fov: float) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.linspace(-fov / 2, fov / 2, n_rays) if n_rays > 1 else np.zeros(1)
 
 
-def _sensor(values: Mapping[str, Any]) -> RangeSensor:
+def parse_sensors(name: str, entries: Any) -> list[tuple[Floats, Floats, float]]:
+    """Read `sensors:`, a list of mounts and rings; return mount (3,), bearings (n_rays,) and cone of each.
+
+    Raises
+    ------
+    SensorgraphError : what is wrong with it, in one line; `name` stands in the message
+    """
+    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
+        raise SensorgraphError(
+            f"{name}: `sensors` is {entries!r}, expected a list such as [{{ring: 16, radius: 0.2, cone: 0.26}}]"
+        )
+    out = []
+    for i, entry in enumerate(entries):
+        kind = RING if "ring" in entry else MOUNTED
+        values = _section(name, f"sensors[{i}]", entry, kind)
+        if kind is RING:
+            angles = values["first"] + 2 * np.pi * np.arange(values["ring"]) / values["ring"]
+            mounts = np.stack(
+                [values["radius"] * np.cos(angles), values["radius"] * np.sin(angles), angles], axis=1
+            )
+            out += [(mount, np.zeros(1), values["cone"]) for mount in mounts]
+        else:
+            rays = bearings(values["n_rays"], values["fov"]) if values["n_rays"] > 1 else np.zeros(1)
+            out.append((np.array(values["mount"], dtype=np.float64), rays, values["cone"]))
+    return out
+
+
+def _sensor(
+    values: Mapping[str, Any], sensors: list[tuple[Floats, Floats, float]] | None = None
+) -> RangeSensor:
+    """Return the sensor, or several as one in base_link."""
+    if sensors is not None:
+        shared = {key: value for key, value in values.items() if key not in ("n_rays", "fov", "mount")}
+        phi = np.concatenate([wrap(rays + mount[2]) for mount, rays, _ in sensors])
+        owner = np.repeat(np.arange(len(sensors)), [len(rays) for _, rays, _ in sensors])
+        order = np.argsort(phi, kind="stable")
+        return RangeSensor(
+            bearings=phi[order],
+            origins=np.array([sensors[k][0][:2] for k in owner[order]]),
+            cones=np.array([sensors[k][2] for k in owner[order]]),
+            **shared,
+        )
     n_rays, fov = values["n_rays"], values["fov"]
     if fov > 2 * np.pi + 1e-6:
         raise ValueError(f"sensor.fov is {fov} rad, expected at most 2 pi; degrees are not meant")

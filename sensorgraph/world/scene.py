@@ -20,11 +20,12 @@ from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.ray_intersection import nearest_walls
-from sensorgraph.world.raycast import cast_laser, directions, laser_poses
+from sensorgraph.world.raycast import cast_laser, directions, laser_poses, ray_starts
 
 STAGES = ("geometry", "time", "mount", "surface", "optics", "range", "detection", "noise")
 MAX_DISTANCE = 1e4  # [m] nothing is farther; the sensor's own limits come later, as part of the reading
 MAX_CACHED_CASTS = 12  # casts in the memory of a scene
+CONE_STEP = np.radians(1.05)  # [rad] between the rays that fill a cone, at most
 RIGHT_ANGLE = 1.5707963  # [rad] an effect that begins at this incidence begins nowhere
 DISC_WALL = -2  # `wall` of a hit on a disc; a mover's is one less
 
@@ -156,11 +157,21 @@ class Scene:
         n = self.sensor.n_rays
         self.delay = max(self.sensor.sweep_time, 0.0) * np.arange(n) / n
 
-    def shoot(self, offset: float = 0.0, *, bearings: Floats | None = None) -> Beams:
-        """Cast every ray, turned by `offset` [rad], at walls, discs and movers, and let the surfaces act."""
+    def shoot(self, offset: float | Floats = 0.0, *, bearings: Floats | None = None) -> Beams:
+        """Cast every ray, turned by `offset` [rad], at walls, discs and movers, and let the surfaces act.
+
+        Other `bearings` than the sensor's are those of one laser at the mount.
+        """
         key = b""
         if self.memo is not None and bearings is None:
-            parts = (self.walls, self.mount, self.delay, self.discs, self.movers, np.float64(offset))
+            parts = (
+                self.walls,
+                self.mount,
+                self.delay,
+                self.discs,
+                self.movers,
+                np.asarray(offset, dtype=np.float64),
+            )
             key = b"|".join(part.tobytes() for part in parts)
             kept = self.memo.get(key)
             if isinstance(kept, Beams):
@@ -170,7 +181,8 @@ class Scene:
                 return beams
         bearings = (self.bearings if bearings is None else bearings) + offset
         delay = self.delay if len(bearings) == len(self.delay) else np.full(1, self.delay.mean())
-        if np.ptp(delay) == 0.0:
+        spread = self.sensor.is_composite and len(bearings) == self.sensor.n_rays
+        if np.ptp(delay) == 0.0 and not spread:
             lasers = laser_poses(self.motion(self.stamps + delay[0]), self.mount)  # (n_scans, 3)
             ux, uy = directions(lasers[:, 2], bearings)
             ox, oy = lasers[:, :1], lasers[:, 1:2]
@@ -178,6 +190,8 @@ class Scene:
         else:
             poses = self.motion(self.stamps[:, None] + delay)  # (n_scans, n_rays, 3)
             lasers = laser_poses(poses.reshape(-1, 3), self.mount).reshape(poses.shape)
+            if spread:
+                lasers = ray_starts(lasers, self.sensor)
             ox, oy, phi = lasers[..., 0], lasers[..., 1], lasers[..., 2] + bearings
             ux, uy = np.cos(phi), np.sin(phi)
             ranges, wall = nearest_from_each(self.walls, ox, oy, ux, uy)
@@ -193,13 +207,28 @@ class Scene:
             act(self, beams)
         return beams
 
+    def _shoot_cones(self) -> Beams:
+        """Cast rays that fill the cone of each ray; what is measured is the nearest surface in it."""
+        n = 2 * int(np.ceil(self.sensor.cones.max() / CONE_STEP / 2)) + 1
+        parts = [self.shoot(share * self.sensor.cones) for share in np.linspace(-0.5, 0.5, n)]
+        nearest = np.stack([part.ranges for part in parts]).argmin(axis=0)
+        beams = parts[n // 2]
+        for name in ("ux", "uy", "ranges", "wall", "nx", "ny", "reading"):
+            setattr(
+                beams,
+                name,
+                np.take_along_axis(np.stack([getattr(p, name) for p in parts]), nearest[None], 0)[0],
+            )
+        beams.forget()
+        return beams
+
     def run(self, effects: Iterable[Transform] = ()) -> Beams:
         """Apply effects stage by stage, cast, and return the beams."""
         ordered = sorted(effects, key=lambda effect: (STAGES.index(effect.stage), effect.key))
         cast_after = STAGES.index("optics")
         for effect in (e for e in ordered if STAGES.index(e.stage) < cast_after):
             effect(self)
-        self.beams = self.shoot()
+        self.beams = self._shoot_cones() if self.sensor.cones.any() else self.shoot()
         for effect in (e for e in ordered if STAGES.index(e.stage) >= cast_after):
             effect(self)
         return self.beams
