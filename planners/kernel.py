@@ -32,20 +32,34 @@ def inner_kernel(function: Function) -> Function:
 
 def inlined_kernel(function: Function) -> Function:
     """Compile an inner kernel into those that call it: for one that takes so many arrays that handing them over costs."""
-    return _inner(function, inline="always")
+    return _inner(function, forceinline=True)
 
 
-def _inner(function: Function, **options: str) -> Function:
+def _inner(function: Function, **options: bool) -> Function:
     try:
         return _stored(partial(numba.njit, _nrt=False, **options), function)
     except KeyError:  # a numba that always counts
         return _stored(partial(numba.njit, **options), function)
 
 
-def inlined(function: Function) -> Function:
-    """Return a kernel for use within another one, which takes its body in: no call with twenty arrays for each ray."""
-    plain = getattr(function, "py_func", function)
-    return cast(Function, numba.njit(inline="always", error_model="numpy")(plain))
+def _widen_integers(compiled: Any) -> None:
+    """Let the calls in other kernels share one compiled version, whatever integers they pass.
+
+    Numba would compile one more for an int32, and one more for each constant such as 0.
+    """
+    choose = compiled.get_call_template
+
+    def get_call_template(args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+        return choose(tuple(map(_wide, args)), {name: _wide(kind) for name, kind in kws.items()})
+
+    compiled.get_call_template = get_call_template
+
+
+def _wide(kind: Any) -> Any:
+    types: Any = numba.types
+    kind = types.unliteral(kind)
+    narrow = isinstance(kind, types.Integer) and kind.bitwidth < 64
+    return types.int64 if narrow else kind
 
 
 def _stored(compiler: Callable[..., Any], function: Function) -> Function:
@@ -56,6 +70,7 @@ def _stored(compiler: Callable[..., Any], function: Function) -> Function:
         store._version = (store._version, _stamp(function.__module__.partition(".")[0]))
     else:  # another numba: rather compile anew than run what is stale
         compiled = compiler(error_model="numpy", nogil=True)(function)
+    _widen_integers(compiled)
     return cast(Function, compiled)
 
 

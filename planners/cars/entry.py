@@ -11,7 +11,7 @@ from planners.cars.car_curve import curve_of_arcs
 from planners.cars.settings import ENTRY
 from planners.curve import Curve
 from planners.search.area import SearchArea
-from planners.search.kernel_world import MAX_BINS_PER_PRIMITIVE, is_safe
+from planners.search.kernel_world import find_escape, new_scratch
 from planners.search.motion_primitives import MotionPrimitives, car_primitives
 from planners.search.search import CoverageSearch, SearchResult
 from planners.types import Floats
@@ -71,7 +71,7 @@ def shortest_entry_arc(
             primitives=primitives, pose=pose, length=0.0, bend=0, gear=1, state=state_at(primitives, pose)
         )
     search = CoverageSearch(area, primitives, np.zeros((*area.inner.shape, 1), dtype=np.bool_), rate)
-    arrays, covered = search.primitive_arrays(), np.empty(MAX_BINS_PER_PRIMITIVE, dtype=np.int64)
+    arrays, scratch = search.primitive_arrays(), new_scratch(abs(primitives.safe_depth))
     for turn in turns.tolist():
         for mode, gear in enumerate(np.sign(primitives.speeds).astype(int).tolist()):
             length, bend = abs(turn) * limits.turning_radius, int(np.sign(turn))
@@ -82,7 +82,7 @@ def shortest_entry_arc(
             if ndimage.map_coordinates(area.distance, nodes.T, order=1).min() < area.clearance:
                 continue
             x, y, h, _ = state = state_at(primitives, poses[-1], mode)
-            if is_safe(x, y, int(h), mode, primitives.safe_depth, search.world, arrays, covered):
+            if find_escape(x, y, int(h), mode, primitives.safe_depth, search.world, arrays, scratch) >= 0:
                 return EntryArc(
                     primitives=primitives, pose=pose, length=length, bend=bend, gear=gear, state=state
                 )

@@ -16,6 +16,7 @@ from planners.cars.settings import REACHABILITY
 from planners.curve import Curve
 from planners.reach import Reach, ReturnableSet
 from planners.search.area import SearchArea, search_area
+from planners.search.kernel_world import new_scratch
 from planners.search.motion_primitives import car_primitives
 from planners.search.search import CoverageSearch, SearchResult
 from planners.search.wavefront import wavefront
@@ -147,7 +148,14 @@ def _run_wavefront(
     allowed = np.ones_like(reached) if within is None else within
     depth = entered.primitives.safe_depth if to_first else 0
     branches = wavefront(
-        entered.state, allowed, reached, depth, search.world, search.primitive_arrays(), REACHABILITY.lattice
+        entered.state,
+        allowed,
+        reached,
+        depth,
+        search.world,
+        search.primitive_arrays(),
+        REACHABILITY.lattice,
+        new_scratch(abs(depth)),
     )
     return _WavefrontResult(reached, search.world.need, branches)
 

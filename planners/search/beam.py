@@ -1,16 +1,11 @@
-"""Compiled kernels of the receding-horizon search: `beam_search` looks ahead, `advance` decides and drives.
-
-Where the beam wins too little, `nearest_goal` finds the way to the nearest missing bin.
-"""
+"""Compiled kernels of the receding-horizon search: `beam_search` looks ahead, `drive` takes the first part of its way."""
 
 from __future__ import annotations
 
-import numpy as np
-
-from planners.kernel import inner_kernel, kernel
-from planners.search.kernel_goals import cell_distance, cell_distances, is_safe_cached, smallest_first
+from planners.heap import make_heap, pop_least
+from planners.kernel import inner_kernel
+from planners.search.kernel_goals import cell_distance, is_safe
 from planners.search.kernel_world import (
-    MAX_BINS_PER_PRIMITIVE,
     PrimitiveArrays,
     SearchWorld,
     apply_primitive,
@@ -20,16 +15,8 @@ from planners.search.kernel_world import (
     trace_back,
     try_primitive,
 )
-from planners.search.nearest_goal import find_nearest_goal
-from planners.search.settings import KERNELS
-from planners.search.workspace import BeamSettings, HeuristicBuffers, Workspace, beam_room
+from planners.search.workspace import BeamSettings, Workspace, beam_room
 from planners.types import Floats, Int32s, Ints
-
-MAX_PATH_PRIMITIVES = KERNELS.max_path_primitives
-N_DRIVEN, N_LEFT, N_GOAL_SEARCHES, STATUS = range(4)
-"""Entries of `counters`: primitives written to the sequence, bins left, searches for the nearest bin, status."""
-RUNNING, DONE, UNREACHABLE, GAVE_UP = range(4)
-"""Values of the status; `search.SearchStatus` explains them."""
 
 
 @inner_kernel
@@ -41,12 +28,11 @@ def _expand(
     settings: BeamSettings,
     world: SearchWorld,
     primitives: PrimitiveArrays,
-    far: Ints,
     workspace: Workspace,
-    covered: Ints,
 ) -> int:
     """Add the children of a node to the pools of their layers, at most `room` a layer; return the count of nodes."""
     at, bins, fill = workspace.places, workspace.covered, workspace.pool_sizes
+    covered = workspace.scratch.covered
     x, y, h, m = at[node, 0], at[node, 1], workspace.headings[node], workspace.modes[node]
     ny, n_phi = world.need.shape[1], world.need.shape[2]
     for j in range(primitives.next_mode.shape[1]):
@@ -75,7 +61,7 @@ def _expand(
         workspace.total_covered[n_nodes] = workspace.total_covered[node] + count
         workspace.scores[n_nodes] = workspace.scores[node] + gain * (1.0 - settings.discount * layer)
         if later >= settings.horizon:
-            away = min(cell_distance(at[n_nodes, 0], at[n_nodes, 1], world, far), 1000)
+            away = min(cell_distance(at[n_nodes, 0], at[n_nodes, 1], world, workspace.far), 1000)
             workspace.scores[n_nodes] -= settings.goal_pull * away + settings.overtime * (
                 later - settings.horizon
             )
@@ -85,41 +71,44 @@ def _expand(
     return n_nodes
 
 
-@kernel
+@inner_kernel
 def beam_search(
     state: Floats,
     settings: BeamSettings,
     world: SearchWorld,
     primitives: PrimitiveArrays,
-    far: Ints,
     workspace: Workspace,
-    out: Int32s,
 ) -> tuple[int, int]:
     """Search `settings.horizon` units of time ahead with a beam.
 
     Children wait in a pool for each unit of time. Of each pool the `settings.width` best that differ are expanded.
-    Of the sequences that reach the horizon, the best with a safe end is written to `out`.
+    Of the sequences that reach the horizon, the best with a safe end is written to `workspace.way`.
 
     Returns
     -------
     count of branches written, and of bins that they cover; 0, 0 where no end is safe
     """
-    horizon = settings.horizon
-    layers = horizon + primitives.cost.max()
+    horizon, most = settings.horizon, 3 * settings.width
     room = beam_room(settings.width, primitives.next_mode.shape[1])
     at, scores, hs, ms = workspace.places, workspace.scores, workspace.headings, workspace.modes
-    pool, fill = workspace.pool, workspace.pool_sizes
+    pool, fill, costs = workspace.pool, workspace.pool_sizes, workspace.costs
     fill[:] = 0
-    covered = np.empty(MAX_BINS_PER_PRIMITIVE, np.int64)
     at[0, 0], at[0, 1], hs[0], ms[0] = state[0], state[1], int(state[2]), int(state[3])
     scores[0], workspace.parents[0], workspace.n_covered[0], workspace.total_covered[0] = 0.0, -1, 0, 0
     pool[0, 0], fill[0] = 0, 1
-    n_nodes = 1
+    n_nodes = fill[0]
     for layer in range(horizon):
         workspace.stamp[0] += 1
-        order = smallest_first(-scores[pool[layer, : fill[layer]]], 3 * settings.width)
-        kept = 0
-        for o in order:
+        for o in range(fill[layer]):
+            costs[o] = -scores[pool[layer, o]]
+        make_heap(workspace.heap, fill[layer], costs)
+        kept, bound = 0, 0.0
+        for popped in range(fill[layer]):
+            o = pop_least(workspace.heap, fill[layer] - popped, costs)
+            if popped == most:
+                bound = costs[o]
+            elif popped > most and costs[o] > bound:
+                break
             node = pool[layer, o]
             key = lattice_key(
                 at[node, 0], at[node, 1], hs[node], ms[node], world, primitives, settings.lattice
@@ -129,18 +118,28 @@ def beam_search(
             kept += 1
             if kept > settings.width:
                 break
-            n_nodes = _expand(
-                node, layer, n_nodes, room, settings, world, primitives, far, workspace, covered
-            )
-    leaves = np.empty(fill[horizon:].sum(), np.int32)
+            n_nodes = _expand(node, layer, n_nodes, room, settings, world, primitives, workspace)
     n_leaves = 0
-    for layer in range(horizon, layers + 1):
-        leaves[n_leaves : n_leaves + fill[layer]] = pool[layer, : fill[layer]]
-        n_leaves += fill[layer]
-    for o in np.argsort(-scores[leaves], kind="mergesort"):
-        node = leaves[o]
-        if is_safe_cached(at[node, 0], at[node, 1], hs[node], ms[node], settings, world, primitives, covered):
-            return trace_back(node, workspace.parents, workspace.branches, out), workspace.total_covered[node]
+    for layer in range(horizon, horizon + primitives.max_cost + 1):
+        for o in range(fill[layer]):
+            workspace.leaves[n_leaves] = pool[layer, o]
+            costs[n_leaves] = -scores[pool[layer, o]]
+            n_leaves += 1
+    make_heap(workspace.heap, n_leaves, costs)
+    for popped in range(n_leaves):
+        node = workspace.leaves[pop_least(workspace.heap, n_leaves - popped, costs)]
+        if is_safe(
+            at[node, 0],
+            at[node, 1],
+            int(hs[node]),
+            int(ms[node]),
+            settings,
+            world,
+            primitives,
+            workspace.scratch,
+        ):
+            n = trace_back(node, workspace.parents, workspace.branches, workspace.way)
+            return n, workspace.total_covered[node]
     return 0, 0
 
 
@@ -155,49 +154,32 @@ def _is_covered(node: int, bin_: int, parents: Int32s, counts: Int32s, bins: Int
     return False
 
 
-@kernel
-def advance(
+@inner_kernel
+def drive(
     state: Floats,
-    decisions: int,
+    n: int,
+    units: int,
+    left: int,
     settings: BeamSettings,
     world: SearchWorld,
     primitives: PrimitiveArrays,
-    heuristic: HeuristicBuffers,
     workspace: Workspace,
-    sequence: Int32s,
-    counters: Ints,
-) -> None:
-    """Make up to `decisions` decisions, drive them, and write the branches driven to `sequence`.
+) -> tuple[int, int]:
+    """Drive the first of the `n` branches in `workspace.way`: so many `units` of time, or until no bin is left.
 
-    counters : (4,) see N_DRIVEN; updated
+    A robot that must be able to stop drives on until it stands when no bin is left.
+
+    Returns
+    -------
+    count of branches driven, and of bins `left`
     """
-    far, queue = np.empty(world.missing.shape, np.int64), np.empty(world.missing.size, np.int64)
-    out, way = np.empty(MAX_PATH_PRIMITIVES, np.int32), np.empty(MAX_PATH_PRIMITIVES, np.int32)
-    covered = np.empty(MAX_BINS_PER_PRIMITIVE, np.int64)
-    for _ in range(decisions):
-        if counters[N_LEFT] == 0:
-            counters[STATUS] = DONE
-            return
-        cell_distances(world, far, queue)
-        n, n_new = beam_search(state, settings, world, primitives, far, workspace, out)
-        units = settings.executed
-        if n_new < min(settings.min_bins, counters[N_LEFT]):
-            counters[N_GOAL_SEARCHES] += 1
-            found = find_nearest_goal(state, settings, world, primitives, far, heuristic, workspace, way)
-            if found > 0:
-                n, units = found, MAX_PATH_PRIMITIVES
-                out[:n] = way[:n]
-            elif n_new == 0:
-                counters[STATUS] = UNREACHABLE if found == 0 else GAVE_UP
-                return
-        driven = 0
-        for k in range(n):
-            if counters[N_LEFT] == 0:
-                if settings.safe_depth >= 0 or state[3] == 0:
-                    break
-            elif driven >= units:
-                break
-            driven += primitives.cost[int(state[3]), out[k]]
-            counters[N_LEFT] -= apply_primitive(state, out[k], world, primitives, covered)
-            sequence[counters[N_DRIVEN]] = out[k]
-            counters[N_DRIVEN] += 1
+    spent, way = 0, workspace.way
+    for k in range(n):
+        if left == 0:
+            if settings.safe_depth >= 0 or state[3] == 0:
+                return k, left
+        elif spent >= units:
+            return k, left
+        spent += primitives.cost[int(state[3]), way[k]]
+        left -= apply_primitive(state, way[k], world, primitives, workspace.scratch.covered)
+    return n, left

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from planners.kernel import inner_kernel, kernel
-from planners.search.kernel_world import PrimitiveArrays, SearchWorld, is_safe
+from planners.kernel import inner_kernel
+from planners.search.kernel_world import PrimitiveArrays, Scratch, SearchWorld, find_escape
 from planners.search.workspace import BeamSettings
-from planners.types import Floats, Ints
+from planners.types import Ints
 
 
-@kernel
-def is_safe_cached(
+@inner_kernel
+def is_safe(
     x: float,
     y: float,
     h: int,
@@ -19,16 +17,22 @@ def is_safe_cached(
     settings: BeamSettings,
     world: SearchWorld,
     primitives: PrimitiveArrays,
-    covered: Ints,
+    scratch: Scratch,
 ) -> bool:
-    """Tell whether a state is safe. Unsafe ones are remembered: in a pocket the test takes thousands of tries."""
-    if world.trapped.size == 1:
-        return is_safe(x, y, h, m, settings.safe_depth, world, primitives, covered)
-    i, k = int((x - world.x0) / settings.lattice), int((y - world.y0) / settings.lattice)
-    if world.trapped[i, k, h]:
-        return False
-    world.trapped[i, k, h] = not is_safe(x, y, h, m, settings.safe_depth, world, primitives, covered)
-    return not world.trapped[i, k, h]
+    """Tell whether the robot can go on from a state, or stop.
+
+    Unsafe states are remembered: in a pocket the test takes thousands of tries.
+    """
+    remembered = world.trapped.size > 1
+    i, k = 0, 0
+    if remembered:
+        i, k = int((x - world.x0) / settings.lattice), int((y - world.y0) / settings.lattice)
+        if world.trapped[i, k, h]:
+            return False
+    safe = bool(find_escape(x, y, h, m, settings.safe_depth, world, primitives, scratch) >= 0)
+    if remembered:
+        world.trapped[i, k, h] = not safe
+    return safe
 
 
 @inner_kernel
@@ -60,12 +64,3 @@ def cell_distances(world: SearchWorld, far: Ints, queue: Ints) -> None:
                     far[ni, nk] = far[i, k] + 1
                     queue[tail] = ni * ny + nk
                     tail += 1
-
-
-@kernel
-def smallest_first(costs: Floats, most: int) -> Ints:
-    """Return the indices of the `most` least costs of (n,), or a few more if they tie, in ascending order."""
-    if len(costs) <= most:
-        return np.argsort(costs, kind="mergesort")
-    few = np.flatnonzero(costs <= np.partition(costs, most)[most])
-    return few[np.argsort(costs[few], kind="mergesort")]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.kernel import inlined_kernel, inner_kernel, kernel
+from planners.kernel import inlined_kernel, inner_kernel
 from planners.search.settings import KERNELS
 from planners.types import Bools, Floats, Int32s, Ints
 
@@ -64,6 +64,31 @@ class PrimitiveArrays(NamedTuple):
     heading_bin: NDArray[np.int16]
     max_offset: float
     """[m] from the middle sample of a primitive to any other, and a node's diagonal."""
+    max_cost: int
+    """Units of time of the slowest."""
+
+
+class Scratch(NamedTuple):
+    """Memory that the kernels write to; they allocate none themselves, which would cost time to run and to compile."""
+
+    covered: Ints
+    """(MAX_BINS_PER_PRIMITIVE,) flat indices of the bins that the last primitive covers."""
+    places: Floats
+    """(depth + 1, 2) [m] on the way that `find_escape` tries."""
+    states: Ints
+    """(depth + 1, 3) heading step, mode, and the next branch to try."""
+    escape: Int32s
+    """(depth,) the branches of that way."""
+
+
+def new_scratch(depth: int) -> Scratch:
+    """Return memory for escapes of `depth` branches at most."""
+    return Scratch(
+        covered=np.empty(MAX_BINS_PER_PRIMITIVE, dtype=np.int64),
+        places=np.empty((depth + 1, 2)),
+        states=np.empty((depth + 1, 3), dtype=np.int64),
+        escape=np.empty(depth, dtype=np.int32),
+    )
 
 
 @inner_kernel
@@ -176,7 +201,7 @@ def end_state(
     )
 
 
-@kernel
+@inner_kernel
 def find_escape(
     x: float,
     y: float,
@@ -185,8 +210,7 @@ def find_escape(
     depth: int,
     world: SearchWorld,
     primitives: PrimitiveArrays,
-    covered: Ints,
-    out: Int32s,
+    scratch: Scratch,
 ) -> int:
     """Find a sequence of branches that the robot can drive from a state; depth first, branches that slow down coming first.
 
@@ -196,53 +220,36 @@ def find_escape(
 
     Returns
     -------
-    count of branches written to `out`; -1: none was found
+    count of branches written to `scratch.escape`; -1: none was found, the state is not safe
     """
     until_rest = depth < 0
     most = abs(depth)
     if most == 0 or (until_rest and m == 0):
         return 0
     n_branches = primitives.next_mode.shape[1]
-    xs, ys = np.empty(most + 1), np.empty(most + 1)
-    hs, ms, js = np.empty(most + 1, np.int64), np.empty(most + 1, np.int64), np.zeros(most + 1, np.int64)
-    xs[0], ys[0], hs[0], ms[0] = x, y, h, m
+    places, states = scratch.places, scratch.states
+    places[0, 0], places[0, 1] = x, y
+    states[0, 0], states[0, 1], states[0, 2] = h, m, 0
     at, tries = 0, 0
     while at >= 0 and tries < MAX_ESCAPE_TRIES:
-        j = js[at]
+        h, m, j = states[at, 0], states[at, 1], states[at, 2]
         if j >= n_branches or at == most:
             at -= 1
             continue
-        js[at] += 1
-        if primitives.next_mode[ms[at], j] < 0 or primitives.is_fine[ms[at], j]:
+        states[at, 2] += 1
+        if primitives.next_mode[m, j] < 0 or primitives.is_fine[m, j]:
             continue
         tries += 1
-        free, _ = try_primitive(xs[at], ys[at], hs[at], ms[at], j, world, primitives, covered)
+        free, _ = try_primitive(places[at, 0], places[at, 1], h, m, j, world, primitives, scratch.covered)
         if free:
-            out[at] = j
-            xs[at + 1], ys[at + 1], hs[at + 1], ms[at + 1] = end_state(
-                xs[at], ys[at], hs[at], ms[at], j, primitives
-            )
+            scratch.escape[at] = j
+            x2, y2, h2, m2 = end_state(places[at, 0], places[at, 1], h, m, j, primitives)
             at += 1
-            if (until_rest and ms[at] == 0) or (not until_rest and at == most):
+            if (until_rest and m2 == 0) or (not until_rest and at == most):
                 return at
-            js[at] = 0
+            places[at, 0], places[at, 1] = x2, y2
+            states[at, 0], states[at, 1], states[at, 2] = h2, m2, 0
     return -1
-
-
-@kernel
-def is_safe(
-    x: float,
-    y: float,
-    h: int,
-    m: int,
-    depth: int,
-    world: SearchWorld,
-    primitives: PrimitiveArrays,
-    covered: Ints,
-) -> bool:
-    """Tell whether the robot can go on from a state, or stop; see `find_escape`."""
-    out = np.empty(abs(depth), np.int32)
-    return find_escape(x, y, h, m, depth, world, primitives, covered, out) >= 0
 
 
 @inner_kernel

@@ -1,14 +1,12 @@
-"""Compiled kernels that find the nearest missing bin: a breadth-first search in time, over the primitives of the beam."""
+"""The way to the nearest missing bin, by compiled kernels: a breadth-first search in time, over the primitives of the beam."""
 
 from __future__ import annotations
 
-import numpy as np
-
-from planners.kernel import inner_kernel, kernel
+from planners.heap import make_heap, pop_least
+from planners.kernel import inner_kernel
 from planners.search.heuristic import UNREACHED, backward_wave
-from planners.search.kernel_goals import cell_distance, is_safe_cached
+from planners.search.kernel_goals import cell_distance, is_safe
 from planners.search.kernel_world import (
-    MAX_BINS_PER_PRIMITIVE,
     PrimitiveArrays,
     SearchWorld,
     end_state,
@@ -18,7 +16,7 @@ from planners.search.kernel_world import (
     try_primitive,
 )
 from planners.search.workspace import GOAL_ROOM, BeamSettings, HeuristicBuffers, Workspace
-from planners.types import Floats, Int32s, Ints
+from planners.types import Floats
 
 
 @inner_kernel
@@ -31,7 +29,6 @@ def _expand_nearest(
     world: SearchWorld,
     primitives: PrimitiveArrays,
     workspace: Workspace,
-    covered: Ints,
 ) -> tuple[int, bool]:
     """Add the children of a state.
 
@@ -39,13 +36,13 @@ def _expand_nearest(
     -------
     count of states, -1 if there are too many; and whether a child was left out because its layer is full
     """
-    at, fill, ring = workspace.places, workspace.pool_sizes, primitives.cost.max() + 1
+    at, fill, ring = workspace.places, workspace.pool_sizes, primitives.max_cost + 1
     x, y, h, m = at[node, 0], at[node, 1], workspace.headings[node], workspace.modes[node]
     was_full = False
     for j in range(primitives.next_mode.shape[1]):
         if primitives.next_mode[m, j] < 0:
             continue
-        free, n_covered = try_primitive(x, y, h, m, j, world, primitives, covered)
+        free, n_covered = try_primitive(x, y, h, m, j, world, primitives, workspace.scratch.covered)
         if not free:
             continue
         x2, y2, h2, m2 = end_state(x, y, h, m, j, primitives)
@@ -70,20 +67,18 @@ def _expand_nearest(
     return n_nodes, was_full
 
 
-@kernel
+@inner_kernel
 def nearest_goal_search(
     state: Floats,
     settings: BeamSettings,
     world: SearchWorld,
     primitives: PrimitiveArrays,
-    far: Ints,
     width: int,
     is_guided: bool,
     heuristic: HeuristicBuffers,
     workspace: Workspace,
-    out: Int32s,
 ) -> int:
-    """Search breadth first for the nearest missing bin, and write the branches that lead there to `out`.
+    """Search breadth first for the nearest missing bin, and write the branches that lead there to `workspace.way`.
 
     Each lattice state is visited once, and once more by a primitive that covers a bin. Of each unit of time, the `width`
     states nearest to a missing bin are expanded: nearest by the cost-to-go map if `is_guided`, else by cells.
@@ -93,66 +88,78 @@ def nearest_goal_search(
     count of branches; 0: no bin can be reached at this resolution; -1: the search gave up
     """
     at, hs, ms, gains = workspace.places, workspace.headings, workspace.modes, workspace.n_covered
-    ring, room = primitives.cost.max() + 1, width * GOAL_ROOM
-    pool, fill = workspace.pool, workspace.pool_sizes
+    ring, room = primitives.max_cost + 1, width * GOAL_ROOM
+    pool, fill, away = workspace.pool, workspace.pool_sizes, workspace.costs
     fill[:] = 0
-    covered = np.empty(MAX_BINS_PER_PRIMITIVE, np.int64)
     workspace.stamp[0] += 1
     at[0, 0], at[0, 1], hs[0], ms[0] = state[0], state[1], int(state[2]), int(state[3])
     workspace.parents[0], gains[0], pool[0, 0], fill[0] = -1, 0, 0, 1
-    n_nodes, is_cut = 1, False
+    n_nodes, is_cut, waiting = fill[0], False, fill[0]
     for layer in range(settings.goal_horizon):
-        here = pool[layer % ring, : fill[layer % ring]]
-        if fill.sum() == 0:
+        row = layer % ring
+        here = fill[row]
+        if waiting == 0:
             return -1 if is_cut else 0
-        top, chosen = 0, -1
-        for node in here:
-            if gains[node] > top and is_safe_cached(
-                at[node, 0], at[node, 1], hs[node], ms[node], settings, world, primitives, covered
+        top, chosen = 0, pool[row, 0]
+        for o in range(here):
+            node = pool[row, o]
+            if gains[node] > top and is_safe(
+                at[node, 0],
+                at[node, 1],
+                int(hs[node]),
+                int(ms[node]),
+                settings,
+                world,
+                primitives,
+                workspace.scratch,
             ):
                 top, chosen = gains[node], node
-        if chosen >= 0:
-            return trace_back(chosen, workspace.parents, workspace.branches, out)
-        away = np.empty(len(here), np.int64)
-        for o in range(len(here)):
-            node = here[o]
+        if top > 0:
+            return trace_back(chosen, workspace.parents, workspace.branches, workspace.way)
+        for o in range(here):
+            node = pool[row, o]
             if is_guided:
                 away[o] = time_to_goal(at[node, 0], at[node, 1], hs[node], ms[node], world, heuristic)
             else:
-                away[o] = cell_distance(at[node, 0], at[node, 1], world, far)
-        is_cut = is_cut or len(here) > width
-        for o in np.argsort(away, kind="mergesort")[:width]:
+                away[o] = cell_distance(at[node, 0], at[node, 1], world, workspace.far)
+        is_cut = is_cut or here > width
+        make_heap(workspace.heap, here, away)
+        for popped in range(min(here, width)):
+            node = pool[row, pop_least(workspace.heap, here - popped, away)]
+            before = n_nodes
             n_nodes, was_full = _expand_nearest(
-                here[o], layer, n_nodes, room, settings, world, primitives, workspace, covered
+                node, layer, n_nodes, room, settings, world, primitives, workspace
             )
             is_cut = is_cut or was_full
             if n_nodes < 0:
                 return -1
-        fill[layer % ring] = 0
+            waiting += n_nodes - before
+        waiting -= here
+        fill[row] = 0
     return -1
 
 
-@kernel
 def find_nearest_goal(
     state: Floats,
     settings: BeamSettings,
     world: SearchWorld,
     primitives: PrimitiveArrays,
-    far: Ints,
     heuristic: HeuristicBuffers,
     workspace: Workspace,
-    out: Int32s,
 ) -> int:
-    """Search for the nearest missing bin: narrowly by the cost-to-go map if the settings say so, else (or then) widely."""
+    """Search for the nearest missing bin: narrowly by the cost-to-go map if the settings say so, else (or then) widely.
+
+    The way is written to `workspace.way` if there is one. See `nearest_goal_search` for what is returned.
+    """
     if settings.guided_width > 0:
         update_heuristic(state, world, heuristic)
         found = nearest_goal_search(
-            state, settings, world, primitives, far, settings.guided_width, True, heuristic, workspace, out
+            state, settings, world, primitives, settings.guided_width, True, heuristic, workspace
         )
         if found > 0:
             return found
     return nearest_goal_search(
-        state, settings, world, primitives, far, settings.goal_width, False, heuristic, workspace, out
+        state, settings, world, primitives, settings.goal_width, False, heuristic, workspace
     )
 
 

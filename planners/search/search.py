@@ -5,41 +5,43 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
 
 from planners.rooms import NEIGHBOUR_STEPS
-from planners.search import beam
 from planners.search.area import SearchArea
+from planners.search.beam import beam_search, drive
 from planners.search.heuristic import heuristic_lattice
 from planners.search.kernel_goals import cell_distances
 from planners.search.kernel_world import (
-    MAX_BINS_PER_PRIMITIVE,
     PrimitiveArrays,
     SearchWorld,
     apply_primitive,
     find_escape,
+    new_scratch,
 )
 from planners.search.motion_primitives import MotionPrimitives
+from planners.search.nearest_goal import find_nearest_goal
 from planners.search.settings import KERNELS, SearchSettings
-from planners.search.workspace import BeamSettings, HeuristicBuffers, workspace_for
+from planners.search.workspace import BeamSettings, HeuristicBuffers, Workspace, beam_settings, workspace_for
 from planners.types import Bools, Floats, Int32s, Ints
 
-DECISIONS_PER_CALL = KERNELS.decisions_per_call
+DECISIONS_PER_TICK = KERNELS.decisions_per_tick
 MAX_STOP_PRIMITIVES = KERNELS.max_stop_primitives
 
 
 class SearchStatus(IntEnum):
     """How a run of the search ended."""
 
-    STOPPED = beam.RUNNING
+    STOPPED = 0
     """`tick` said stop."""
-    DONE = beam.DONE
+    DONE = 1
     """No bin is missing."""
-    UNREACHABLE = beam.UNREACHABLE
+    UNREACHABLE = 2
     """No way leads to what is missing, at the resolution of the lattice."""
-    GAVE_UP = beam.GAVE_UP
+    GAVE_UP = 3
     """The search for the nearest bin ran out of states or of time units."""
 
 
@@ -148,28 +150,48 @@ class CoverageSearch:
 
     def run(self, tick: Callable[[int], bool]) -> SearchStatus:
         """Drive until no bin is missing or none can be reached; `tick` takes the bins left and tells whether to go on."""
-        settings, primitives = self._beam_settings(), self.primitive_arrays()
-        workspace, heuristic = workspace_for(settings, primitives), self._heuristic_buffers()
-        counters = np.array([0, self.left, 0, beam.RUNNING])
-        sequence = np.empty(DECISIONS_PER_CALL * beam.MAX_PATH_PRIMITIVES, dtype=np.int32)
-        while counters[beam.STATUS] == beam.RUNNING:
-            counters[beam.N_DRIVEN] = 0
-            self._snapshots = [*self._snapshots[-1:], self._snapshot()]
-            beam.advance(
-                self.state,
-                DECISIONS_PER_CALL,
-                settings,
-                self.world,
-                primitives,
-                heuristic,
-                workspace,
-                sequence,
-                counters,
-            )
-            self._parts.append(sequence[: counters[beam.N_DRIVEN]].copy())
-            if not tick(int(counters[beam.N_LEFT])):
-                break
-        return SearchStatus(int(counters[beam.STATUS]))
+        settings, primitives = beam_settings(self.settings, self.primitives), self.primitive_arrays()
+        workspace = workspace_for(settings, primitives, self.world.missing.shape)
+        heuristic, left = self._heuristic_buffers(), self.left
+        for decision in count():
+            if decision % DECISIONS_PER_TICK == 0:
+                if decision > 0 and not tick(left):
+                    break
+                self._snapshots = [*self._snapshots[-1:], self._snapshot()]
+            status, left = self._decide(left, settings, primitives, heuristic, workspace)
+            if status is not None:
+                tick(left)
+                return status
+        return SearchStatus.STOPPED
+
+    def _decide(
+        self,
+        left: int,
+        settings: BeamSettings,
+        primitives: PrimitiveArrays,
+        heuristic: HeuristicBuffers,
+        workspace: Workspace,
+    ) -> tuple[SearchStatus | None, int]:
+        """Decide what to do next and drive it.
+
+        Returns
+        -------
+        how the search ended, None if it goes on; and the count of bins left
+        """
+        if left == 0:
+            return SearchStatus.DONE, left
+        state, world, units = self.state, self.world, settings.executed
+        cell_distances(world, workspace.far, workspace.cell_queue)
+        n, n_new = beam_search(state, settings, world, primitives, workspace)
+        if n_new < min(settings.min_bins, left):
+            found = find_nearest_goal(state, settings, world, primitives, heuristic, workspace)
+            if found > 0:
+                n, units = found, settings.goal_horizon
+            elif n_new == 0:
+                return SearchStatus.UNREACHABLE if found == 0 else SearchStatus.GAVE_UP, left
+        n_driven, left = drive(state, n, units, left, settings, world, primitives, workspace)
+        self._parts.append(workspace.way[:n_driven].copy())
+        return None, left
 
     def complete(self, tick: Callable[[int], bool]) -> None:
         """Run until nothing more can be reached: give up cells that nothing leads into, and back out of traps."""
@@ -243,16 +265,13 @@ class CoverageSearch:
 
     def come_to_rest(self) -> bool:
         """Drive on until the robot stands still but for its spin; False if no such sequence is found."""
-        out, covered = (
-            np.empty(64, dtype=np.int32),
-            np.empty(MAX_BINS_PER_PRIMITIVE, dtype=np.int64),
-        )
         x, y, h, m = self.state.tolist()
-        primitives = self.primitive_arrays()
-        n = find_escape(x, y, int(h), int(m), -MAX_STOP_PRIMITIVES, self.world, primitives, covered, out)
-        for j in out[: max(n, 0)].tolist():
-            apply_primitive(self.state, j, self.world, primitives, covered)
-        self._parts.append(out[: max(n, 0)].copy())
+        primitives, scratch = self.primitive_arrays(), new_scratch(MAX_STOP_PRIMITIVES)
+        n = find_escape(x, y, int(h), int(m), -MAX_STOP_PRIMITIVES, self.world, primitives, scratch)
+        way = scratch.escape[: max(n, 0)]
+        for j in way:
+            apply_primitive(self.state, j, self.world, primitives, scratch.covered)
+        self._parts.append(way)
         return bool(n >= 0)
 
     def result(self) -> SearchResult:
@@ -261,27 +280,6 @@ class CoverageSearch:
             start=self.start,
             sequence=np.concatenate([np.empty(0, dtype=np.int32), *self._parts]),
             left=self.world.need.copy(),
-        )
-
-    def _beam_settings(self) -> BeamSettings:
-        """Return the settings in units of time."""
-        s, unit = self.settings, self.primitives.unit
-        horizon = max(round(s.horizon / unit), 4)
-        return BeamSettings(
-            horizon=horizon,
-            executed=max(round(s.executed / unit), 1),
-            width=s.beam_width,
-            safe_depth=self.primitives.safe_depth,
-            min_bins=s.min_bins,
-            goal_horizon=s.goal_horizon,
-            goal_width=s.goal_width,
-            goal_max_states=s.goal_max_states,
-            discount=s.discount / horizon,
-            goal_pull=s.goal_pull,
-            completion_weight=s.completion_weight,
-            overtime=s.overtime,
-            lattice=s.lattice,
-            guided_width=s.guided_width,
         )
 
     def _heuristic_buffers(self) -> HeuristicBuffers:
@@ -312,4 +310,5 @@ class CoverageSearch:
             p.stops_first,
             p.heading_bin,
             farthest,
+            int(p.cost.max()),
         )

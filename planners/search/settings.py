@@ -122,12 +122,10 @@ class KernelSettings:
     """Primitives tried before a state counts as one from which the robot cannot go on."""
     max_stop_primitives: int = 24
     """Primitives within which the robot must come to rest at the end of a search."""
-    max_path_primitives: int = 2048
-    """Primitives that one decision drives."""
     goal_room: int = 8
     """The search for the nearest bin holds so many times its width of states for each unit of time."""
-    decisions_per_call: int = 20
-    """Decisions that a kernel makes before the progress is told."""
+    decisions_per_tick: int = 20
+    """Decisions between two reports of progress."""
     phases: int = 10
     """Phases of the log's clock for which every bin must be met."""
     min_closed_form_turn: float = 0.05

@@ -8,11 +8,11 @@ import numpy as np
 
 from planners.kernel import inner_kernel, kernel
 from planners.search.kernel_world import (
-    MAX_BINS_PER_PRIMITIVE,
     PrimitiveArrays,
+    Scratch,
     SearchWorld,
     end_state,
-    is_safe,
+    find_escape,
     trace_back,
     try_primitive,
 )
@@ -96,6 +96,7 @@ def wavefront(
     world: SearchWorld,
     primitives: PrimitiveArrays,
     lattice: float,
+    scratch: Scratch,
 ) -> Int32s:
     """Visit all states that can be reached within `allowed`, or up to the first bin; breadth first over the primitives.
 
@@ -116,7 +117,6 @@ def wavefront(
     """
     reached[:] = False
     queue = new_queue(1 << 16)
-    covered = np.empty(MAX_BINS_PER_PRIMITIVE, np.int64)
     queue.at[0, 0], queue.at[0, 1], queue.hs[0], queue.parents[0] = state[0], state[1], int(state[2]), -1
     head, tail = 0, 1
     reached[int((state[0] - world.x0) / lattice), int((state[1] - world.y0) / lattice), queue.hs[0]] = True
@@ -125,14 +125,14 @@ def wavefront(
             queue = doubled(queue)
         new = tail
         tail = _expand_wavefront(
-            head, tail, queue, allowed, reached, depth > 0, world, primitives, lattice, covered
+            head, tail, queue, allowed, reached, depth > 0, world, primitives, lattice, scratch.covered
         )
         head += 1
         for end in range(new, tail):
             if queue.branches[end] < 0:
                 queue.branches[end] = -1 - queue.branches[end]
                 x, y, h = queue.at[end, 0], queue.at[end, 1], queue.hs[end]
-                if is_safe(x, y, h, 0, depth, world, primitives, covered):
+                if find_escape(x, y, int(h), 0, depth, world, primitives, scratch) >= 0:
                     out = np.empty(end, np.int32)
                     return out[: trace_back(end, queue.parents, queue.branches, out)].copy()
     return np.empty(0, np.int32)

@@ -8,8 +8,9 @@ import numpy as np
 
 from planners.kernel import inner_kernel
 from planners.search.heuristic import HeuristicLattice
-from planners.search.kernel_world import MAX_BINS_PER_PRIMITIVE, PrimitiveArrays
-from planners.search.settings import KERNELS
+from planners.search.kernel_world import MAX_BINS_PER_PRIMITIVE, PrimitiveArrays, Scratch, new_scratch
+from planners.search.motion_primitives import MotionPrimitives
+from planners.search.settings import KERNELS, SearchSettings
 from planners.types import Floats, Int16s, Int32s, Ints
 
 GOAL_ROOM = KERNELS.goal_room
@@ -35,6 +36,28 @@ class BeamSettings(NamedTuple):
     lattice: float
     """[m]"""
     guided_width: int
+
+
+def beam_settings(settings: SearchSettings, primitives: MotionPrimitives) -> BeamSettings:
+    """Return the settings in units of time of the primitives."""
+    s, unit = settings, primitives.unit
+    horizon = max(round(s.horizon / unit), 4)
+    return BeamSettings(
+        horizon=horizon,
+        executed=max(round(s.executed / unit), 1),
+        width=s.beam_width,
+        safe_depth=primitives.safe_depth,
+        min_bins=s.min_bins,
+        goal_horizon=s.goal_horizon,
+        goal_width=s.goal_width,
+        goal_max_states=s.goal_max_states,
+        discount=s.discount / horizon,
+        goal_pull=s.goal_pull,
+        completion_weight=s.completion_weight,
+        overtime=s.overtime,
+        lattice=s.lattice,
+        guided_width=s.guided_width,
+    )
 
 
 class HeuristicBuffers(NamedTuple):
@@ -84,6 +107,19 @@ class Workspace(NamedTuple):
     """(slots,) the search that wrote each slot; others are free."""
     stamp: Ints
     """(1,) number of the last search."""
+    costs: Floats
+    """(n,) of the nodes that are put in order, ..."""
+    heap: Ints
+    """(n,) ... and the heap that does it."""
+    leaves: Int32s
+    """(n,) nodes at the horizon."""
+    way: Int32s
+    """(n,) the branches that a search found."""
+    far: Ints
+    """(nx, ny) count of cell borders to the nearest cell with a missing bin."""
+    cell_queue: Ints
+    """(nx * ny,) cells that wait while `far` is filled."""
+    scratch: Scratch
 
 
 @inner_kernel
@@ -95,10 +131,10 @@ def beam_room(width: int, n_branches: int) -> int:
     return width * n_branches * (2 if n_branches > 3 else 1)
 
 
-def workspace_for(settings: BeamSettings, primitives: PrimitiveArrays) -> Workspace:
-    """Return the memory that searches with these settings need."""
-    n_branches, slowest = primitives.next_mode.shape[1], int(primitives.cost.max())
-    layers = settings.horizon + slowest + 1
+def workspace_for(settings: BeamSettings, primitives: PrimitiveArrays, shape: tuple[int, ...]) -> Workspace:
+    """Return the memory that searches with these settings need in an area of `shape` (nx, ny) cells."""
+    n_branches = primitives.next_mode.shape[1]
+    layers = settings.horizon + primitives.max_cost + 1
     room = max(beam_room(settings.width, n_branches), settings.goal_width * GOAL_ROOM)
     most = max(settings.goal_max_states, layers * beam_room(settings.width, n_branches))
     slots = 1 << int(np.ceil(np.log2(2 * most)))
@@ -118,4 +154,11 @@ def workspace_for(settings: BeamSettings, primitives: PrimitiveArrays) -> Worksp
         hash_keys=np.empty(slots, dtype=np.int64),
         hash_stamps=np.zeros(slots, dtype=np.int64),
         stamp=np.zeros(1, dtype=np.int64),
+        costs=np.empty(most),
+        heap=np.empty(most, dtype=np.int64),
+        leaves=np.empty(most, dtype=np.int32),
+        way=np.empty(most, dtype=np.int32),
+        far=np.empty(shape, dtype=np.int64),
+        cell_queue=np.empty(shape[0] * shape[1], dtype=np.int64),
+        scratch=new_scratch(abs(settings.safe_depth)),
     )

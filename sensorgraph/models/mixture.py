@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from planners.kernel import kernel
+from planners.kernel import inner_kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction
 from sensorgraph.models.settings import MIXTURE
 from sensorgraph.types import Bools, Floats
@@ -27,7 +27,7 @@ MEDIAN, MODE, MEAN, SIGMA, NO_RETURN, P_OFF = range(6)
 """Columns that `summarise` gives."""
 
 
-@kernel
+@inner_kernel
 def chance_below(x: float, r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
     """Return the weight of candidates first ... last - 1 that falls below x [m], Gaussian tails counted."""
     total = 0.0
@@ -40,7 +40,7 @@ def chance_below(x: float, r: Floats, w: Floats, s: Floats, first: int, last: in
     return total
 
 
-@kernel
+@inner_kernel
 def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
     """Return the median [m] of candidates first ... last - 1 as a mixture of Gaussians."""
     total = 0.0
@@ -84,7 +84,7 @@ def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
     return float(x)
 
 
-@kernel
+@inner_kernel
 def densest(r: Floats, w: Floats, s: Floats, n: int) -> tuple[int, int]:
     """Return first and last (excluded) of the heaviest run of candidates within `MODE_WINDOW` sigma of its first."""
     best, first, last = -1.0, 0, n
@@ -99,7 +99,7 @@ def densest(r: Floats, w: Floats, s: Floats, n: int) -> tuple[int, int]:
     return first, last
 
 
-@kernel
+@inner_kernel
 def summarise(
     r: Floats, w: Floats, s: Floats, n: int, leftover: float, farthest: float, which: int
 ) -> tuple[float, float, float, float, float, float]:

@@ -161,8 +161,10 @@ def standard_errors(normal: NormalEquations, chosen: Bools) -> Floats:
 def _forward(matrix: Any, right: Any, prices: Any) -> Any:
     """Greedy Cholesky: each step takes the unknown that lowers the squares most and takes it out of all others."""
     n = len(right)
-    left, rest = np.diag(matrix).copy(), right.copy()
-    whole = left.copy()
+    left, rest, whole = np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):
+        left[i] = whole[i] = matrix[i, i]
+        rest[i] = right[i]
     chosen = np.zeros(n, np.bool_)
     rows = np.zeros((n, n))  # of the Cholesky factor, one for every chosen unknown
     worth = 0.0
@@ -176,13 +178,16 @@ def _forward(matrix: Any, right: Any, prices: Any) -> Any:
                 best, at = gain, i
         if at < 0:
             break
-        row = matrix[at].copy()
+        row = rows[step]
+        for i in range(n):
+            row[i] = matrix[at, i]
         for k in range(step):
-            row -= rows[k, at] * rows[k]
-        row /= np.sqrt(left[at])
+            for i in range(n):
+                row[i] -= rows[k, at] * rows[k, i]
+        for i in range(n):
+            row[i] /= np.sqrt(left[at])
         amount = rest[at] / np.sqrt(left[at])
         worth += 0.5 * amount**2 - (prices[at] if prices[at] > -1e300 else 0.0)
-        rows[step] = row
         chosen[at] = True
         for i in range(n):
             left[i] -= row[i] ** 2

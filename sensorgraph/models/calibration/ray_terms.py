@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import inner_kernel
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.types import Floats
 
@@ -71,7 +71,7 @@ def _power_text(a: int, b: int) -> str:
     return " ".join(f"{x}^{p}" if p > 1 else x for x, p in powers if p > 0)
 
 
-@kernel
+@inner_kernel
 def incidence_terms(v: Any, q: Any, out: Any) -> Any:
     """Fill the terms of S, in the order of `INCIDENCE_POWERS`."""
     out[0] = v
@@ -83,7 +83,7 @@ def incidence_terms(v: Any, q: Any, out: Any) -> Any:
     out[6] = v * v * q * q
 
 
-@kernel
+@inner_kernel
 def incidence_bias(den: Any, rho: Any, s: Any) -> Any:
     """Return S [m] for |den| = |n·u| at range rho."""
     v = 1.0 - abs(den)

@@ -7,15 +7,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planners.kernel import kernel
-from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, MIN_VISIBILITY, FaceSet, bucket_grid
+from sensorgraph.models.faces.ray_march import (
+    CANDIDATE_SLOTS,
+    MIN_VISIBILITY,
+    FaceSet,
+    bucket_grid,
+    crossed_faces,
+)
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
     REACH_MARGIN,
     REACH_SIGMAS,
     Rays,
     ReturnNoise,
-    inlined_crossed_faces,
-    inlined_stop_probabilities,
+    stop_probabilities,
 )
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -131,8 +136,8 @@ def _list_crossings(
 ) -> Any:
     """List all crossings: face, abscissa, chance that the ray stopped given that it came so far, and that chance."""
     size = 3 * len(ranges) + 64
-    face, at = np.empty(size, np.int32), np.empty(size)
-    stop, weight = np.empty(size), np.empty(size)
+    face, rows = np.empty(size, np.int32), np.empty((3, size))
+    at, stop, weight = rows[0], rows[1], rows[2]
     r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
     k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
     gamma, survive = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
@@ -140,8 +145,8 @@ def _list_crossings(
     for i in range(len(ranges)):
         qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
         reach = range_max if z > 1e300 else z + REACH_MARGIN + REACH_SIGMAS * np.sqrt(noise[0])
-        n = inlined_crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
-        _, stray = inlined_stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+        n = crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
+        _, stray = stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
         if stray > MAX_STRAY:
             continue
         for m in range(n):
@@ -149,10 +154,11 @@ def _list_crossings(
                 continue
             if count == size:
                 size *= 2
-                face = np.concatenate((face, np.empty(count, np.int32)))
-                at = np.concatenate((at, np.empty(count)))
-                stop = np.concatenate((stop, np.empty(count)))
-                weight = np.concatenate((weight, np.empty(count)))
+                more_faces, more = np.empty(size, np.int32), np.empty((3, size))
+                for c in range(count):
+                    more_faces[c] = face[c]
+                    more[0, c], more[1, c], more[2, c] = at[c], stop[c], weight[c]
+                face, at, stop, weight = more_faces, more[0], more[1], more[2]
             face[count], at[count] = k[m], t[m]
             stop[count], weight[count] = min(gamma[m] / survive[m], 1.0), survive[m]
             count += 1
@@ -191,8 +197,9 @@ def _partition(stop: Any, weight: Any, price: Any) -> Any:
             s += stop[i] * weight[i]
             w += weight[i]
         ones[a + 1], all_[a + 1] = ones[a] + s, all_[a] + w
-    best = np.full(n_runs + 1, np.inf)
-    since = np.zeros(n_runs + 1, np.int64)
+    best, since = np.empty(n_runs + 1), np.zeros(n_runs + 1, np.int64)
+    for b in range(n_runs + 1):
+        best[b] = np.inf
     best[0] = -price
     for b in range(1, n_runs + 1):
         for a in range(max(0, b - MAX_RUNS), b):
@@ -208,4 +215,4 @@ def _partition(stop: Any, weight: Any, price: Any) -> Any:
         m += 1
         b = since[b]
     cuts[m] = 0
-    return cuts[: m + 1][::-1].copy()
+    return cuts[: m + 1][::-1]

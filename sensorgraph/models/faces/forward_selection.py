@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.heap import make_heap, pop_least
+from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.faces.hit_moments import HIT_CELL, HitMoments
 from sensorgraph.models.faces.settings import FACES, LineLimits
 from sensorgraph.types import Floats, Ints
@@ -74,8 +75,8 @@ def select_lines(
     middle = hit_moments.centres.mean(axis=0)  # keeps d small far from the origin
     rows = _select_lines(
         grid,
-        column,
-        row,
+        np.ascontiguousarray(column),
+        np.ascontiguousarray(row),
         hit_moments.centres - middle,
         hit_moments.moments,
         float(max(SELECTION.band_sigmas * sigma, SELECTION.min_band_cells * HIT_CELL)),
@@ -114,17 +115,17 @@ def _select_lines(
     for i in range(n_cells):
         reach = max(reach, np.hypot(mean[i, 0], mean[i, 1]))
     n_d = int(2 * reach / OFFSET_BIN) + 5
-    cos, sin = (
-        np.cos(2 * np.pi * np.arange(N_ANGLES) / N_ANGLES),
-        np.sin(2 * np.pi * np.arange(N_ANGLES) / N_ANGLES),
-    )
+    cos, sin, stale = np.empty(N_ANGLES), np.empty(N_ANGLES), np.empty(N_ANGLES, np.bool_)
+    for b in range(N_ANGLES):
+        stale[b] = True
+        cos[b], sin[b] = np.cos(2 * np.pi * b / N_ANGLES), np.sin(2 * np.pi * b / N_ANGLES)
     votes = np.zeros((N_ANGLES, n_d))
     tops = np.zeros(N_ANGLES)
     places = np.zeros(N_ANGLES, np.int64)
-    live = np.ones(n_cells, np.bool_)
+    live = np.empty(n_cells, np.bool_)
     for i in range(n_cells):
+        live[i] = True
         _vote(votes, i, angle, mean, moments, cos, sin, reach, 1.0)
-    stale = np.ones(N_ANGLES, np.bool_)
     found = np.zeros((MAX_LINES, 5))
     n_found = 0
     failures = 0
@@ -156,19 +157,20 @@ def _select_lines(
             stale[a] = True
             failures += 1
             continue
-        found[n_found] = line
+        for c in range(5):
+            found[n_found, c] = line[c]
         n_found += 1
         for i in members:
             live[i] = False
             _vote(votes, i, angle, mean, moments, cos, sin, reach, -1.0)
-            b = int(angle[i])
-            if b >= 0:
+            own = int(angle[i])
+            if own >= 0:
                 for s in range(-VOTE_SPREAD, VOTE_SPREAD + 1):
-                    stale[(b + s) % N_ANGLES] = True
+                    stale[(own + s) % N_ANGLES] = True
     return found[:n_found].copy()
 
 
-@kernel
+@inner_kernel
 def _vote(
     votes: Any, i: Any, angle: Any, mean: Any, moments: Any, cos: Any, sin: Any, reach: Any, sign: Any
 ) -> Any:
@@ -189,8 +191,9 @@ def _normal_bins(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -
     """Find each cell's angle bin by the moments of 5 x 5 cells or 9 x 9 seen from the same side; -1 where unclear."""
     n_cells = len(column)
     nx, ny = grid.shape
-    angle = np.full(n_cells, -1.0)
+    angle = np.empty(n_cells)
     for i in range(n_cells):
+        angle[i] = -1.0
         for half in NEIGHBOURHOODS:
             m0, mx, my, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             ux, uy = moments[i, 6], moments[i, 7]
@@ -268,12 +271,15 @@ def _fit_run(
             n += 1
         if n == 0:
             return line, none
-        members = index[:n].copy()
+        heap, place = np.empty(n, np.int64), np.empty(n)
+        for k in range(n):
+            place[k] = -ny * mean[index[k], 0] + nx * mean[index[k], 1]
+        make_heap(heap, n, place)
+        members: Any = np.empty(n, np.int64)
         t = np.empty(n)
         for k in range(n):
-            t[k] = -ny * mean[members[k], 0] + nx * mean[members[k], 1]
-        order = np.argsort(t)
-        members, t = members[order], t[order]
+            o = pop_least(heap, n - k, place)
+            members[k], t[k] = index[o], place[o]
         first, last, most = 0, 0, -1.0
         start, total = 0, 0.0
         for k in range(n):

@@ -40,7 +40,8 @@ class HitMoments:
     def of(cls, points: Floats, directions: Floats, weights: Floats | None = None) -> HitMoments:
         """Pool end points (n, 2) [m] of rays with directions (n, 2); `weights` (n,) count them, default 1."""
         weights = np.ones(len(points)) if weights is None else weights
-        keys, moments = _pool(points, directions, weights, HIT_CELL)
+        n, keys, moments = _pool(points, directions, weights, HIT_CELL)
+        keys, moments = keys[:n], moments[:n]
         order = np.argsort(keys, kind="stable")
         keys = keys[order]
         return cls(cells=_cells(keys), moments=moments[order])
@@ -75,11 +76,17 @@ def _cells(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @kernel
 def _pool(points: Any, directions: Any, weights: Any, cell: Any) -> Any:
-    """Add up moments by cell in an open hash table; keys are column << 32 | row, shifted to be positive."""
+    """Add up moments by cell in an open hash table; keys are column << 32 | row, shifted to be positive.
+
+    Returns the count of cells, and arrays whose first so many rows hold keys and moments.
+    """
     size = 1 << 12
-    table = np.full(size, -1, np.int64)  # slot -> row of moments
+    table: Any = np.empty(size, np.int64)  # slot -> row of moments
+    slot: Any = 0
+    for slot in range(size):
+        table[slot] = -1
     keys = np.empty(size, np.int64)
-    moments = np.zeros((size, 8))
+    moments = np.zeros((size, N_MOMENTS))
     n = 0
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
@@ -110,16 +117,18 @@ def _pool(points: Any, directions: Any, weights: Any, cell: Any) -> Any:
         m[7] += w * directions[i, 1]
         if n * 2 > size:
             size *= 2
-            grown = np.empty(size, np.int64)
-            grown[:n] = keys[:n]
-            keys = grown
-            larger = np.zeros((size, 8))
-            larger[:n] = moments[:n]
-            moments = larger
-            table = np.full(size, -1, np.int64)
+            grown, larger = np.empty(size, np.int64), np.zeros((size, N_MOMENTS))
+            table = np.empty(size, np.int64)
+            for slot in range(size):
+                table[slot] = -1
+            for row in range(n):
+                grown[row] = keys[row]
+                for c in range(N_MOMENTS):
+                    larger[row, c] = moments[row, c]
+            keys, moments = grown, larger
             for row in range(n):
                 slot = (keys[row] * 0x9E3779B97F4A7C1 >> 20) & (size - 1)
                 while table[slot] >= 0:
                     slot = (slot + 1) & (size - 1)
                 table[slot] = row
-    return keys[:n].copy(), moments[:n].copy()
+    return n, keys, moments

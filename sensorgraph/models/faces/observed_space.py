@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
-from planners.kernel import kernel
+from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Bools, Floats
 
@@ -92,7 +92,7 @@ class ObservedSpace:
         return out
 
 
-@kernel
+@inner_kernel
 def is_ray_observed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any, cell: Any, room: Any) -> Any:
     """Walk the cells of a ray, as far at a time as there is `ObservedSpace.distance_to_unobserved`; stop at one that nothing crossed."""
     nx, ny = room.shape
@@ -124,7 +124,7 @@ def is_ray_observed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any,
             return False
 
 
-@kernel
+@inner_kernel
 def _are_rays_observed(
     origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, room: Any, out: Any
 ) -> Any:
@@ -147,7 +147,7 @@ def _extent(origins: Any, directions: Any, reach: Any) -> Any:
     return low, high
 
 
-@kernel
+@inner_kernel
 def _count_rays(origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, counts: Any) -> Any:
     nx, ny = counts.shape
     for k in range(len(reach)):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import inlined_kernel, inner_kernel, kernel
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Floats, Ints
 
@@ -140,7 +140,7 @@ def _rasterise(
                     at[bucket] += 1
 
 
-@kernel
+@inner_kernel
 def edge_before(edges: Any, a: Any, b: Any, t: Any) -> Any:
     """Return j in a - 1 ... b - 1 with edges[j] <= t < edges[j + 1]: a - 1 before the first, b - 1 after the last."""
     low, high = a, b
@@ -153,7 +153,7 @@ def edge_before(edges: Any, a: Any, b: Any, t: Any) -> Any:
     return low - 1
 
 
-@kernel
+@inlined_kernel
 def crossed_faces(
     qx: Any,
     qy: Any,

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.faces.forward_selection import Lines
-from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid
+from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid, crossed_faces
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
     FIT_GATE,
@@ -17,8 +17,7 @@ from sensorgraph.models.faces.visibility import (
     REACH_SIGMAS,
     Rays,
     ReturnNoise,
-    inlined_crossed_faces,
-    inlined_stop_probabilities,
+    stop_probabilities,
     variance,
     visible_lines,
 )
@@ -86,13 +85,20 @@ def _pieces(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, f
     return done
 
 
-@kernel
+@inner_kernel
 def _line_fit(s: Any, e: Any, w: Any) -> Any:
     """Fit e = a + b s by weighted least squares, b held near 0 by its prior."""
-    m = w.sum()
-    cs, ce = (w * s).sum() / m, (w * e).sum() / m
-    b = (w * (s - cs) * (e - ce)).sum() / ((w * (s - cs) ** 2).sum() + SLOPE_PRECISION)
-    return ce - b * cs, b
+    total, total_s, total_e, across, along = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(w)):
+        total += w[i]
+        total_s += w[i] * s[i]
+        total_e += w[i] * e[i]
+    mean_s, mean_e = total_s / total, total_e / total
+    for i in range(len(w)):
+        across += w[i] * (s[i] - mean_s) * (e[i] - mean_e)
+        along += w[i] * (s[i] - mean_s) ** 2
+    slope = across / (along + SLOPE_PRECISION)
+    return mean_e - slope * mean_s, slope
 
 
 @kernel
@@ -111,15 +117,17 @@ def _best_cut(s: Any, e: Any, w: Any, fewest: Any) -> Any:
         sums[i + 1, 2] = sums[i, 2] + w[i] * x * x
         sums[i + 1, 3] = sums[i, 3] + w[i] * e[i]
         sums[i + 1, 4] = sums[i, 4] + w[i] * x * e[i]
-    whole_ = _explained(sums[n])
+    whole, rest = _explained(sums[n]), np.zeros(6)
     for i in range(fewest, n - fewest + 1):
-        gain = 0.5 * (_explained(sums[i]) + _explained(sums[n] - sums[i]) - whole_)
+        for k in range(5):
+            rest[k] = sums[n, k] - sums[i, k]
+        gain = 0.5 * (_explained(sums[i]) + _explained(rest) - whole)
         if gain > best:
             best, place_ = gain, i
     return place_, best
 
 
-@kernel
+@inner_kernel
 def _explained(m: Any) -> Any:
     """Return the weighted squares that a line explains, from its moments."""
     if m[0] <= 0:
@@ -147,8 +155,8 @@ def _hits(
         if z > 1e300:
             continue
         reach = z + REACH_MARGIN + REACH_SIGMAS * np.sqrt(noise[0])
-        n = inlined_crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
-        inlined_stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+        n = crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
+        stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
         for m in range(n):
             if gamma[m] < MIN_HIT_SHARE:
                 continue

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
-from planners.kernel import inlined, kernel
+from planners.kernel import inlined_kernel, inner_kernel, kernel
 from sensorgraph.models.faces.forward_selection import Lines
 from sensorgraph.models.faces.ray_march import (
     CANDIDATE_SLOTS,
@@ -227,13 +227,13 @@ def estimate_noise(noise: ReturnNoise, spread: Floats, stray: float) -> ReturnNo
     )
 
 
-@kernel
+@inner_kernel
 def variance(rho: Any, t_u: Any, den: Any, noise: Any) -> Any:
     """Return the variance [m²] of a return from a face at range rho, t_u = t·u, den = n·u."""
     return noise[0] + (noise[1] + (rho * t_u) ** 2 * noise[2]) / max(den * den, MIN_SQUARED_COSINE)
 
 
-@kernel
+@inlined_kernel
 def stop_probabilities(
     qx: Any,
     qy: Any,
@@ -288,10 +288,6 @@ def stop_probabilities(
     return total, stray / total
 
 
-inlined_crossed_faces, inlined_stop_probabilities = inlined(crossed_faces), inlined(stop_probabilities)
-"""For kernels that do this for each of many rays."""
-
-
 @kernel
 def _e_step(
     origins: Any,
@@ -312,14 +308,14 @@ def _e_step(
     r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
     k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
     gamma, survive = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    passed = np.log(np.maximum(1.0 - levels, MIN_PASSED))
+    passed = np.empty(len(levels))
+    for m in range(len(levels)):
+        passed[m] = np.log(max(1.0 - levels[m], MIN_PASSED))
     for i in range(len(ranges)):
         qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
         reach = range_max if z > 1e300 else z + REACH_MARGIN + REACH_SIGMAS * np.sqrt(noise[0])
-        n = inlined_crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
-        value, stray = inlined_stop_probabilities(
-            qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive
-        )
+        n = crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
+        value, stray = stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
         total[0] += np.log(max(value, MIN_LIKELIHOOD))
         total[1] += min(z, range_max)
         unexplained[i] = stray

@@ -1,0 +1,46 @@
+"""A binary heap for compiled kernels: takes indices in ascending order of their costs.
+
+It stands for `np.argsort` where only the first few are needed, and compiles in a tenth of the time.
+"""
+
+from __future__ import annotations
+
+from planners.kernel import inner_kernel
+from planners.types import Floats, Ints
+
+
+@inner_kernel
+def make_heap(heap: Ints, size: int, costs: Floats) -> None:
+    """Fill `heap[:size]` with the indices of `costs[:size]`, so that `pop_least` takes them in ascending order."""
+    for o in range(size):
+        heap[o] = o
+    for top in range(size // 2 - 1, -1, -1):
+        _sift_down(heap, top, size, costs)
+
+
+@inner_kernel
+def pop_least(heap: Ints, size: int, costs: Floats) -> int:
+    """Take the index of the least cost off a heap of `size` entries; of equal costs, the least index comes first."""
+    least = heap[0]
+    heap[0] = heap[size - 1]
+    _sift_down(heap, 0, size - 1, costs)
+    return int(least)
+
+
+@inner_kernel
+def _sift_down(heap: Ints, top: int, size: int, costs: Floats) -> None:
+    """Let the entry at `top` sink below all that come before it."""
+    moved, hole = heap[top], top
+    cost = costs[moved]
+    while 2 * hole + 1 < size:
+        child = 2 * hole + 1
+        a = heap[child]
+        if child + 1 < size:
+            b = heap[child + 1]
+            if costs[b] < costs[a] or (costs[b] == costs[a] and b < a):
+                child, a = child + 1, b
+        if cost < costs[a] or (cost == costs[a] and moved < a):
+            break
+        heap[hole] = a
+        hole = child
+    heap[hole] = moved
