@@ -338,6 +338,7 @@ def _stamp_warnings(run: Run) -> list[str]:
     return out
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _pose_warnings(run: Run) -> list[str]:
     poses, stamps = run.poses, run.pose_stamps
     out: list[str] = []

@@ -125,7 +125,7 @@ def find_code(ranges: Floats, range_max: float | None = None) -> float | None:
         return None
     levels, counts = np.unique(values, return_counts=True)
     top = levels[-1]
-    near = levels > top - CODE_SEARCH.spread
+    near = levels >= top - CODE_SEARCH.spread
     below = counts[(levels > top - CODE_SEARCH.spread - CODE_SEARCH.empty) & ~near].sum()
     # a stray return next to the codes is no code: it does not repeat
     codes = levels[near & (counts >= max(2, counts[near].max() // CODE_SEARCH.min_share))]

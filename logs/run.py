@@ -219,6 +219,7 @@ class Pairing:
         return f"{int(self.paired.sum())} of {len(self.paired)} scans paired with poses{reasons}"
 
 
+@np.errstate(over="ignore", invalid="ignore")  # poses that are not finite are dropped below, and counted
 def pair(run: Run, *, max_gap: float = 0.2) -> Pairing:
     """Interpolate the reference pose at every scan's stamp; never across a gap above `max_gap` [s].
 

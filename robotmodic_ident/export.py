@@ -26,7 +26,7 @@ def from_json(text: str) -> Narmax:
     """Restore what `to_json` gave."""
     try:
         return Narmax.from_dict(json.loads(text))
-    except (KeyError, TypeError, ValueError) as exc:
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as exc:
         if isinstance(exc, IdentError):
             raise
         raise IdentError(f"not a model: {exc}; give the text that to_json wrote") from exc

@@ -315,7 +315,7 @@ class Narmax:
         try:
             data = json.loads(path.read_text())
             return cls.from_dict(data)
-        except (KeyError, TypeError, ValueError) as exc:
+        except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as exc:
             if isinstance(exc, IdentError):
                 raise
             raise IdentError(f"{path}: not a model ({exc}); write one with Narmax.save") from exc

@@ -241,7 +241,15 @@ class Moments:
                 out.gram, out.cross = data["gram"], data["cross"]
                 out.power, out.count = data["power"], data["count"]
                 out.missing = dict(zip(data["missing_outputs"].tolist(), data["missing"], strict=True))
-        except (KeyError, TypeError, EOFError, ValueError) as exc:
+        except (
+            AttributeError,
+            KeyError,
+            TypeError,
+            EOFError,
+            ValueError,
+            RecursionError,
+            MemoryError,
+        ) as exc:
             if isinstance(exc, IdentError):
                 raise
             raise IdentError(f"{path}: not a file of moments ({exc}); write one with Moments.save") from exc

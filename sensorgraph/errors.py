@@ -11,6 +11,8 @@ from logs.errors import LogError
 from planners.errors import PlanError
 from robotmodic_ident.errors import IdentError
 
+MAX_TEXT = 1200
+"""Characters of a message; what a hostile file puts into it is cut in the middle."""
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -21,6 +23,10 @@ class SensorgraphError(ValueError):
     `planners`, `logs` and `robotmodic_ident` can be used alone and have errors of their own; behind
     `import sensorgraph` they arrive as this one, with the original as `__cause__`.
     """
+
+    def __str__(self) -> str:
+        text = " ".join(super().__str__().split())
+        return text if len(text) <= MAX_TEXT else f"{text[: MAX_TEXT - 300]} ... {text[-290:]}"
 
 
 def as_sensorgraph_error(function: Callable[P, R]) -> Callable[P, R]:

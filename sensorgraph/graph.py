@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import textwrap
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.html_table import html_table
+from logs.inflation import most_plain
 from logs.run import PoseFrame, RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import atomic_file
@@ -176,7 +178,15 @@ class Sensorgraph:
             )
             model = MODELS[top["model"]].restore(sensor, top["state"], arrays)
             return cls(model=model, sensor=sensor, pose_frame=top["pose_frame"], origin=top["origin"])
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as exc:
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            IndexError,
+            OverflowError,
+            MemoryError,
+        ) as exc:
             detail = f"{type(exc).__name__}: {exc}"
             raise SensorgraphError(f"{path}: the sensorgraph is damaged ({detail}); build it again") from exc
 
@@ -195,21 +205,40 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         with zipfile.ZipFile(path) as file:
             if "header.json" not in file.namelist():
                 raise SensorgraphError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
+            stored, promised = path.stat().st_size, sum(info.file_size for info in file.infolist())
+            if promised > most_plain(stored):
+                raise SensorgraphError(
+                    f"{path}: {stored:,} bytes that say to unpack to {promised:,}, which no sensorgraph does; "
+                    "it is damaged, or made to fill the memory: build it again"
+                )
             top = json.loads(file.read("header.json"))
             for name in file.namelist():
                 if name.endswith(".npy"):
-                    data = io.BytesIO(file.read(name))
-                    arrays[name.removesuffix(".npy")] = np.lib.format.read_array(data, allow_pickle=False)
+                    arrays[name.removesuffix(".npy")] = _array(file.read(name))
     except SensorgraphError:
         raise
-    except (zipfile.BadZipFile, EOFError, ValueError, NotImplementedError, RuntimeError) as exc:
-        raise SensorgraphError(
-            f"{path}: not a sensorgraph, or cut short ({exc}); build it again with `sensorgraph build`"
-        ) from exc
-    except Exception as exc:  # zlib.error has no common base with the others
-        if type(exc).__name__ != "error":
+    except Exception as exc:  # zipfile, zlib and numpy meet a damaged file with errors of many kinds
+        if isinstance(exc, OSError) and exc.filename is not None:  # it cannot be opened
             raise
-        raise SensorgraphError(f"{path}: the sensorgraph is damaged ({exc}); build it again") from exc
+        raise SensorgraphError(
+            f"{path}: not a sensorgraph, or damaged ({exc}); build it again with `sensorgraph build`"
+        ) from exc
     if not isinstance(top, dict):
         raise SensorgraphError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")
     return top, arrays
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    """Read one array in numpy's format; its header must promise exactly the bytes that follow it."""
+    file = io.BytesIO(data)
+    if np.lib.format.read_magic(file) != (1, 0):
+        raise ValueError("an array of another version of numpy's format")
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
+    if (
+        dtype.hasobject
+        or min(shape, default=0) < 0
+        or math.prod(shape) * dtype.itemsize != len(data) - file.tell()
+    ):
+        raise ValueError(f"an array says {shape} of {dtype}, and holds {len(data) - file.tell()} bytes")
+    flat = np.frombuffer(data, dtype=dtype, offset=file.tell()).copy()
+    return flat.reshape(shape, order="F" if fortran else "C")

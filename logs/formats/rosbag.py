@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Mapping
 from contextlib import closing
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from logs.errors import LogError
 from logs.formats import mcap_file
+from logs.inflation import BZIP2_MAGIC, LZ4_MAGIC, most_plain, unpack
 from logs.ros.definitions import typestore
 from logs.ros.interpret import to_run
 from logs.ros.recording import ENCODINGS, KEPT_TYPES, Recording, Topic, full_type
 from logs.run import Run
 from logs.types import Progress
+from logs.yaml_text import parse_yaml
 
+ALLOW_OUTSIDE = "SENSORGRAPH_ALLOW_OUTSIDE"
+"""Environment variable; 1 allows files outside the folder of a bag or a map."""
+MAX_NAME = 1000
+"""Characters of a file's name that are looked at."""
 SQLITE_MAGIC, ROS1_MAGIC = b"SQLite format 3\x00", b"#ROSBAG V"
 
 
@@ -54,26 +63,28 @@ def load(path: Path, progress: Progress | None = None) -> Recording:
 def _folder(path: Path, progress: Progress | None) -> Recording:
     """Read a rosbag2 folder: the files that its metadata.yaml lists, in order."""
     about = _metadata(path)
-    files = [path / str(name) for name in about.get("relative_file_paths") or []]
+    files = _listed(path, about)
     absent = [file.name for file in files if not file.is_file()]
     if absent or not files:
         what = f"lists {', '.join(absent)}, which {'is' if len(absent) == 1 else 'are'} not there"
         raise LogError(
             f"{path / 'metadata.yaml'} {what if absent else 'lists no files'}; copy the folder whole"
         )
-    if about.get("compression_mode") not in (None, "", "NONE", "none"):
-        return _by_rosbags(path, "rosbag2, compressed", progress)
     storage = about.get("storage_identifier")
-    if storage == "sqlite3":
-        recording = _sqlite(files, progress)
-    elif storage == "mcap":
-        recording = Recording(format="rosbag2, mcap")
-        for file in files:
-            _merge(recording, mcap_file.load(file, progress))
-    else:
+    if storage not in ("mcap", "sqlite3"):
         raise LogError(
-            f"{path} is stored as {storage}; expected mcap or sqlite3, convert it with `ros2 bag convert`"
+            f"{path} is stored as {str(storage)[:40]}; expected mcap or sqlite3, convert it with `ros2 bag convert`"
         )
+    mode = str(about.get("compression_mode") or "none").lower()
+    if mode == "file":
+        with TemporaryDirectory() as plain:
+            recording = _stored(_unpacked(files, Path(plain)), storage, progress)
+    else:
+        recording = _stored(files, storage, progress)
+    if mode == "message":
+        _unpack_messages(recording, path, most_plain(sum(file.stat().st_size for file in files)))
+    if mode != "none":
+        recording.format += ", compressed"
     claimed = about.get("message_count")
     found = sum(topic.n_messages for topic in recording.topics.values())
     if isinstance(claimed, int) and claimed != found:
@@ -81,15 +92,64 @@ def _folder(path: Path, progress: Progress | None) -> Recording:
     return recording
 
 
-def _metadata(path: Path) -> dict[str, Any]:
-    import yaml
+def _listed(path: Path, about: Mapping[str, Any]) -> list[Path]:
+    """Return the files that metadata.yaml lists; those outside the folder are refused."""
+    names = about.get("relative_file_paths") or []
+    if not isinstance(names, list):
+        raise LogError(f"{path / 'metadata.yaml'}: relative_file_paths is no list; copy the folder whole")
+    files = [path / str(name)[:MAX_NAME] for name in names]
+    outside = [file for file in files if not file.resolve().is_relative_to(path.resolve())]
+    if outside and os.environ.get(ALLOW_OUTSIDE) != "1":
+        raise LogError(
+            f"{path / 'metadata.yaml'} lists {outside[0]}, outside its folder; copy the file into the folder, or, if "
+            f"you trust the bag, set {ALLOW_OUTSIDE}=1"
+        )
+    return files
 
+
+def _stored(files: list[Path], storage: str, progress: Progress | None) -> Recording:
+    """Read the files of a folder, in order."""
+    if storage == "sqlite3":
+        return _sqlite(files, progress)
+    recording = Recording(format="rosbag2, mcap")
+    for file in files:
+        _merge(recording, mcap_file.load(file, progress))
+    return recording
+
+
+def _unpacked(files: list[Path], folder: Path) -> list[Path]:
+    """Unpack files compressed as a whole, NAME.zstd to NAME."""
+    plain = []
+    for file in files:
+        data = file.read_bytes()
+        plain.append(folder / (file.stem if file.suffix in (".zstd", ".zst") else file.name))
+        try:
+            plain[-1].write_bytes(unpack(data, most_plain(len(data))))
+        except ValueError as exc:
+            raise LogError(f"{file} cannot be unpacked ({exc}); copy it again") from exc
+    return plain
+
+
+def _unpack_messages(recording: Recording, path: Path, most: int) -> None:
+    """Unpack messages that are compressed one by one, in place; `most` [bytes] may come out of all of them."""
+    for topic in recording.topics.values():
+        for i, payload in enumerate(topic.payloads):
+            try:
+                topic.payloads[i] = unpack(payload, most)
+            except ValueError as exc:
+                raise LogError(
+                    f"{path}: message {i} of {topic.name} cannot be unpacked ({exc}); copy the bag again"
+                ) from exc
+            most -= len(topic.payloads[i])
+
+
+def _metadata(path: Path) -> dict[str, Any]:
     try:
-        about = yaml.safe_load((path / "metadata.yaml").read_text(errors="replace"))
+        about = parse_yaml((path / "metadata.yaml").read_text(errors="replace"))
         about = about["rosbag2_bagfile_information"]
         if not isinstance(about, dict):
             raise TypeError("not a mapping")
-    except (yaml.YAMLError, KeyError, TypeError) as exc:
+    except (KeyError, TypeError, ValueError) as exc:
         raise LogError(
             f"{path / 'metadata.yaml'} is not rosbag2's ({' '.join(str(exc).split())[:80]}); "
             "expected rosbag2_bagfile_information, rebuild it with `ros2 bag reindex`"
@@ -114,7 +174,7 @@ def _sqlite(files: list[Path], progress: Progress | None) -> Recording:
         try:
             with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as base:
                 _sqlite_file(base, recording, progress)
-        except sqlite3.Error as exc:
+        except (sqlite3.Error, UnicodeDecodeError) as exc:
             raise LogError(
                 f"{file} is damaged or no rosbag2 ({exc}); save what is whole: "
                 f"sqlite3 {file} .recover | sqlite3 {file.with_name(file.stem + '.recovered.db3')}"
@@ -123,28 +183,36 @@ def _sqlite(files: list[Path], progress: Progress | None) -> Recording:
 
 
 def _sqlite_file(base: sqlite3.Connection, recording: Recording, progress: Progress | None) -> None:
+    views = base.execute("SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger')").fetchone()
+    if views is not None:
+        raise sqlite3.DatabaseError(f"it holds a view or trigger, {views[0]!s:.40}, as no bag does")
     damage = base.execute("PRAGMA quick_check(1)").fetchone()[0]
     if damage != "ok":
         raise sqlite3.DatabaseError(" ".join(str(damage).split()))
     topics: dict[int, Topic] = {}
-    for key, name, kind, encoding in base.execute("SELECT id, name, type, serialization_format FROM topics"):
+    for row in base.execute("SELECT id, name, type, serialization_format FROM topics"):
+        if not (isinstance(row[0], int) and all(isinstance(text, str) for text in row[1:])):
+            raise sqlite3.DatabaseError(f"a topic is {str(row)[:80]}, expected a number and three texts")
+        key, name, kind, encoding = row
         topics[key] = recording.topics.setdefault(name, Topic(name, full_type(kind), encoding))
     (total,) = base.execute("SELECT count(*) FROM messages").fetchone()
     kept = [key for key, topic in topics.items() if topic.type in KEPT_TYPES and topic.encoding in ENCODINGS]
-    marks = ",".join("?" * len(kept))
+    kept_keys, marks = set(kept), ",".join("?" * len(kept))
     query = f"SELECT topic_id, timestamp, CASE WHEN topic_id IN ({marks}) THEN data END FROM messages ORDER BY timestamp, id"
     for done, (key, stamp, data) in enumerate(base.execute(query, kept)):
+        if key not in topics or not isinstance(stamp, int) or not isinstance(data, bytes | None):
+            raise sqlite3.DatabaseError(f"message {done} has topic {key!r:.20} and time {stamp!r:.20}")
         topic = topics[key]
         topic.n_messages += 1
         topic.log_times.append(stamp)
-        if data is not None:
-            topic.payloads.append(data)
+        if key in kept_keys:
+            topic.payloads.append(data or b"")
         if progress is not None and done % 512 == 0:
             progress(done, total)
 
 
 def _by_rosbags(path: Path, kind: str, progress: Progress | None) -> Recording:
-    """Read by rosbags, which knows ROS 1 and compressed bags."""
+    """Read by rosbags, which knows ROS 1."""
     from rosbags.highlevel import AnyReader
 
     recording = Recording(format=kind)
@@ -158,6 +226,7 @@ def _by_rosbags(path: Path, kind: str, progress: Progress | None) -> Recording:
                 )
                 topic.n_messages += connection.msgcount
             total = reader.message_count
+            cap_chunks(reader, path.stat().st_size)
             kept = [c for c in reader.connections if full_type(c.msgtype) in KEPT_TYPES]
             for done, (connection, stamp, raw) in enumerate(reader.messages(kept) if kept else ()):
                 topic = recording.topics[connection.topic]
@@ -178,3 +247,20 @@ def _by_rosbags(path: Path, kind: str, progress: Progress | None) -> Recording:
                 "the bag is damaged, copy it again or `rosbag reindex` it"
             )
     return recording
+
+
+def cap_chunks(reader: Any, stored: int) -> None:
+    """Let the chunks of a ROS 1 bag unpack to no more than a bag of `stored` bytes can hold."""
+    most, sizes = most_plain(stored), dict[int, int]()
+
+    def inflate(at: int, data: bytes) -> bytes:
+        if not data.startswith((BZIP2_MAGIC, LZ4_MAGIC)):
+            return data
+        plain = unpack(data, most - sum(sizes.values()) + sizes.get(at, 0))  # a chunk may be read again
+        sizes[at] = len(plain)
+        return plain
+
+    for bag in reader.readers:
+        bag.chunks = {
+            at: chunk._replace(decompressor=partial(inflate, at)) for at, chunk in bag.chunks.items()
+        }

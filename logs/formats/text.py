@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import bz2
-import gzip
-import io
 import zlib
 from pathlib import Path
 
 from logs.errors import LogError
+from logs.inflation import BZIP2_MAGIC, GZIP_MAGIC, TooLarge, most_plain, unpack
 
-GZIP_MAGIC, BZIP2_MAGIC = b"\x1f\x8b", b"BZh"
 HEAD_SIZE = 1 << 16
 
 
@@ -25,7 +23,7 @@ def first_bytes(path: Path) -> bytes:
     if not head.startswith(GZIP_MAGIC):
         return head
     try:
-        return zlib.decompressobj(wbits=31).decompress(head)
+        return zlib.decompressobj(wbits=31).decompress(head, HEAD_SIZE)
     except zlib.error as exc:
         raise LogError(f"{path} is a damaged gzip file ({exc}); copy it again from where it came") from exc
 
@@ -42,13 +40,16 @@ def read_lines(path: Path) -> list[str]:
     """Return all lines of a text file, plain, gzip or bzip2."""
     data = path.read_bytes()
     if data.startswith((GZIP_MAGIC, BZIP2_MAGIC)):
-        is_gzip = data.startswith(GZIP_MAGIC)
-        packed = io.BytesIO(data)
+        kind, tool = ("gzip", "zcat") if data.startswith(GZIP_MAGIC) else ("bzip2", "bzcat")
         try:
-            data = gzip.GzipFile(fileobj=packed).read() if is_gzip else bz2.BZ2File(packed).read()
-        except (EOFError, OSError, zlib.error) as exc:
-            why = "is cut short" if isinstance(exc, EOFError) else "is damaged"
-            kind, tool = ("gzip", "zcat") if is_gzip else ("bzip2", "bzcat")
+            data = unpack(data, most_plain(len(data)))
+        except TooLarge as exc:
+            raise LogError(
+                f"{path} is {len(data):,} bytes of {kind} and {exc}, which no log does; if you trust it, unpack it: "
+                f"`{tool} {path} > {path.stem}`"
+            ) from exc
+        except ValueError as exc:
+            why = "is cut short" if isinstance(exc.__cause__, EOFError) else "is damaged"
             raise LogError(
                 f"{path} {why} ({kind}: {exc}); copy it again, or keep its whole start with "
                 f"`{tool} {path} > {path.stem}`"

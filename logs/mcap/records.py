@@ -7,6 +7,8 @@ import zlib
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from logs.inflation import TooLarge, unpack
+
 if TYPE_CHECKING:
     from mmap import mmap
 
@@ -130,22 +132,18 @@ class Cursor:
             raise DamagedRecord(f"{self.end - self.pos} bytes are left over in a record")
 
 
-def inflate(compression: str, data: bytes) -> bytes:
-    """Decompress as much of a chunk as is there."""
-    try:
-        if compression == "zstd":
-            import zstandard
-
-            return zstandard.ZstdDecompressor().decompressobj().decompress(data)
-        if compression == "lz4":
-            import lz4.frame  # type: ignore[import-untyped]
-
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
-    except Exception as exc:  # each library has its own error, and they have no common root
-        raise DamagedRecord(f"a {compression} chunk does not decompress") from exc
-    if compression:
+def inflate(compression: str, data: bytes, most: int) -> bytes:
+    """Decompress as much of a chunk as is there, at most so many bytes."""
+    if not compression:
+        return data
+    if compression not in ("zstd", "lz4"):
         raise DamagedRecord(f"compression {compression!r} is not known; expected zstd, lz4 or none")
-    return data
+    try:
+        return unpack(data, most)
+    except TooLarge as exc:
+        raise DamagedRecord(f"a chunk {exc}, which is more than it or a file of this size can hold") from exc
+    except ValueError as exc:
+        raise DamagedRecord(f"a {compression} chunk does not decompress") from exc
 
 
 def chunk_fields(cursor: Cursor) -> tuple[int, int, str, bytes]:

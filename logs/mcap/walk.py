@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logs.inflation import most_plain
 from logs.mcap.records import (
     ATTACHMENT,
     CHANNEL_RECORD,
@@ -69,6 +70,7 @@ class RecordWalk:
         self._after_bad_chunk = False
         self._has_chunks = True
         self._in_summary = False
+        self._left = most_plain(self.size)  # [bytes] that its chunks may still unpack to
 
     def steps(self) -> Iterator[int]:
         """Walk to the end, yielding the position after each record."""
@@ -197,7 +199,8 @@ class RecordWalk:
         size, crc, compression, data = chunk_fields(cursor)
         self.contents.n_chunks += 1
         try:
-            plain = inflate(compression, data)
+            plain = inflate(compression, data, min(size, self._left))
+            self._left -= len(plain)
             if len(plain) != size:
                 raise DamagedRecord(f"a chunk holds {len(plain)} bytes, expected {size}")
             if crc and crc != zlib.crc32(plain):
@@ -255,7 +258,8 @@ class RecordWalk:
             stored = cursor.number(U8)
             if stored <= self.size - cursor.pos:
                 return False  # not cut: its length is wrong
-            self._chunk_content(inflate(compression, self.data[cursor.pos : self.size]), complete=False)
+            rest = inflate(compression, self.data[cursor.pos : self.size], self._left)
+            self._chunk_content(rest, complete=False)
         except DamagedRecord:
             return True
         return True

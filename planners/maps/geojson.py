@@ -33,6 +33,8 @@ GEOMETRIES = {
     "obstacle": ("Polygon", "MultiPolygon"),
     "wall": ("LineString", "MultiLineString"),
 }
+MAX_COORDINATE = 1e8
+"""[m] from the origin: a corner farther off is a mistake."""
 MIN_EXTENT = 0.05
 """[m] A smaller arena is taken for one in degrees."""
 _EDGE = re.compile(r"(?P<stem>.*)/edge_(?P<number>0|[1-9]\d*)")
@@ -189,6 +191,10 @@ def _points(name: str, part: Any) -> Floats:
     if not np.isfinite(points).all():
         bad = int(np.argmin(np.isfinite(points).all(axis=1)))
         raise PlanError(f"feature {name!r}, vertex {bad} is {points[bad].tolist()}, expected finite numbers")
+    if np.abs(points).max() > MAX_COORDINATE:
+        raise PlanError(
+            f"feature {name!r} reaches {np.abs(points).max():g} m, expected metres within {MAX_COORDINATE:g}"
+        )
     repeated = np.flatnonzero((points[1:] == points[:-1]).all(axis=1))
     if len(repeated):
         raise PlanError(f"feature {name!r}, vertex {repeated[0] + 1} repeats the one before it; remove it")

@@ -21,6 +21,7 @@ from shapely.validation import explain_validity
 
 from planners.arena import Arena
 from planners.errors import PlanError
+from planners.maps.geojson import MAX_COORDINATE
 
 KIND = "no_go"
 
@@ -109,12 +110,12 @@ def _polygons(name: str, geometry: Any) -> list[Polygon]:
 def _checked(name: str, rings: Any) -> Polygon:
     try:
         chains = [np.array(ring, dtype=np.float64)[:, :2] for ring in rings]
-        is_finite = all(np.isfinite(chain).all() for chain in chains)
+        is_finite = all((np.abs(chain) <= MAX_COORDINATE).all() for chain in chains)
         polygon = Polygon(chains[0], chains[1:]) if is_finite else Polygon()
     except (TypeError, ValueError, IndexError, shapely.errors.GEOSException):
         raise PlanError(f"{name} is no polygon; expected rings of at least three x, y in metres") from None
     if not is_finite:
-        raise PlanError(f"{name} has a coordinate that is not finite")
+        raise PlanError(f"{name} has a coordinate that is not finite, or beyond {MAX_COORDINATE:g} m")
     if not polygon.is_valid:
         raise PlanError(f"{name} crosses or touches itself: {explain_validity(polygon)}")
     if not polygon.area > 0:

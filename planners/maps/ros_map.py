@@ -8,13 +8,13 @@ unknown whatever free_thresh says, for its usual 0.25 would make them free.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
-import yaml
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from shapely.geometry import MultiPolygon, Polygon
@@ -22,9 +22,12 @@ from shapely.geometry import MultiPolygon, Polygon
 from planners.arena import Arena
 from planners.errors import PlanError
 from planners.types import Bools, Floats
+from planners.yaml_text import parse_yaml
 
 REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 MODES = ("trinary", "scale", "raw")
+ALLOW_OUTSIDE = "SENSORGRAPH_ALLOW_OUTSIDE"
+"""Environment variable; 1 allows an image outside the folder of its map."""
 MAX_CELLS = 100_000_000
 UNKNOWN_OCCUPANCY = 50
 """[1/255] what map_saver writes for an unknown cell: grey 205, or 50 in a negated image."""
@@ -38,7 +41,7 @@ def read(path: Path) -> Arena:
     PlanError : the yaml or its image is at fault, or no cell is free
     """
     facts = _facts(path)
-    pixels, opaque = _pixels(path, path.parent / facts["image"])
+    pixels, opaque = _pixels(path, _image(path, facts["image"]))
     occupied, free = classify(pixels, opaque, facts)
     if not free.any():
         raise PlanError(f"{path}: no cell is free; check negate, free_thresh and the image")
@@ -84,8 +87,8 @@ def _taken(
 def _facts(path: Path) -> dict[str, Any]:
     """Read and check the yaml."""
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as exc:
+        data = parse_yaml(path.read_text(encoding="utf-8"))
+    except ValueError as exc:
         raise PlanError(f"{path}: not YAML: {exc}; expected a map_server map") from exc
     if not isinstance(data, dict):
         raise PlanError(f"{path}: holds a {type(data).__name__}, expected keys {', '.join(REQUIRED)}")
@@ -117,6 +120,20 @@ def _facts(path: Path) -> dict[str, Any]:
     if facts["mode"] not in MODES:
         raise PlanError(f"{path}: mode is {facts['mode']!r}, expected one of {', '.join(MODES)}")
     return facts
+
+
+def _image(path: Path, name: str) -> Path:
+    """Return the image of a map; one outside the folder of the yaml is refused."""
+    image = path.parent / name
+    homes = (path.parent.resolve(), path.resolve().parent)  # they differ where the yaml is a link
+    if os.environ.get(ALLOW_OUTSIDE) != "1" and not any(
+        image.resolve().is_relative_to(home) for home in homes
+    ):
+        raise PlanError(
+            f"{path}: image is {name[:100]!r}, outside the folder of the map; copy it beside the yaml, or, if you trust "
+            f"the map, set {ALLOW_OUTSIDE}=1"
+        )
+    return image
 
 
 def _number(path: Path, key: str, value: Any) -> float:

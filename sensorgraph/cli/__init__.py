@@ -70,8 +70,16 @@ def _root(
         bool,
         typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and exit."),
     ] = False,
+    allow_outside: Annotated[
+        bool,
+        typer.Option(
+            "--allow-outside",
+            help="Let a map's `image` and a bag's file list name files outside their folder.",
+        ),
+    ] = False,
 ) -> None:
-    pass
+    if allow_outside:
+        os.environ["SENSORGRAPH_ALLOW_OUTSIDE"] = "1"
 
 
 def _one_line(exc: BaseException) -> str:

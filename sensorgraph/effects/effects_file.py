@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 
 from planners.arena import Arena
+from planners.yaml_text import parse_yaml
 from sensorgraph.effects import EFFECTS, Amendment, Effect, Location
 from sensorgraph.effects.places import named_walls
 from sensorgraph.errors import SensorgraphError
@@ -81,8 +82,8 @@ def loads(text: str, arena: Arena | None = None, *, name: str = "effects.yaml") 
     SensorgraphError : the text is not YAML, or not a list of known effects with numbers and places that fit
     """
     try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as exc:
+        data = parse_yaml(text)
+    except ValueError as exc:
         raise SensorgraphError(f"{name}: not YAML: {' '.join(str(exc).split())}") from exc
     data = [] if data is None else data
     if not isinstance(data, list):

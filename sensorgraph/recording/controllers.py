@@ -150,7 +150,7 @@ class PolynomialController:
         model = Narmax.load(path)
         try:
             return cls(model, json.loads(path.read_text()), robot, name=path.name)
-        except (AttributeError, TypeError, ValueError) as exc:
+        except (AttributeError, TypeError, ValueError, RecursionError) as exc:
             if isinstance(exc, SensorgraphError | IdentError):
                 raise
             raise SensorgraphError(f"{path}: not a controller ({exc}); write one with `identify`") from exc

@@ -85,7 +85,7 @@ class DriveSource:
             return {}
         try:
             report = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as exc:
+        except (ValueError, RecursionError) as exc:
             raise SensorgraphError(f"{path}: not JSON ({exc}); plan again, or take the file away") from exc
         return kept_plan(report)
 

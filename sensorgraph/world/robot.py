@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from importlib.resources import files
@@ -10,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from logs.run import RangeSensor
 from planners.arena import wrap
 from planners.vehicle import DRIVES, Limits, Vehicle
+from planners.yaml_text import parse_yaml
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 
@@ -162,8 +163,8 @@ def parse_robot(text: str, *, name: str = "robot.yaml") -> Robot:
     SensorgraphError : not YAML, an unknown key, or a value that cannot be; `name` stands in the message
     """
     try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as exc:
+        data = parse_yaml(text)
+    except ValueError as exc:
         raise SensorgraphError(f"{name}: not YAML: {exc}") from exc
     data = {} if data is None else data
     if not isinstance(data, dict):
@@ -312,4 +313,6 @@ def _number(value: Any) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return isinstance(value, int) or math.isfinite(value)

@@ -206,6 +206,8 @@ class CellModel:
         ValueError : an array has a wrong shape
         """
         nx, ny = map(int, header["shape"])
+        if min(nx, ny) < 1 or (nx * ny + 7) // 8 != arrays["kept"].size:
+            raise ValueError(f"{arrays['kept'].size} bytes cannot hold {nx} x {ny} cells")
         kept = np.unpackbits(arrays["kept"], count=nx * ny).astype(np.bool_).reshape(nx, ny)
         n = int(kept.sum())
         index = np.full((nx, ny), -1, dtype=np.int32)

@@ -19,7 +19,7 @@ from robotmodic_ident.notation.expand import expand
 from robotmodic_ident.notation.printing import sum_text
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
-from sensorgraph.models.polynomial.complexity import Auto, PolynomialForm, select_form
+from sensorgraph.models.polynomial.complexity import Auto, PolynomialForm, n_candidates, select_form
 from sensorgraph.models.polynomial.settings import POLYNOMIAL
 from sensorgraph.models.polynomial.support import Support
 from sensorgraph.types import Floats, Ints, Progress
@@ -240,6 +240,8 @@ class Polynomial:
         ValueError : an array has a wrong shape
         """
         form = PolynomialForm(**header["choice"])
+        if n_candidates(form.degree, form.harmonics) != arrays["theta"].shape[-1]:
+            raise ValueError(f"theta has shape {arrays['theta'].shape}, not of degree {form.degree}")
         terms = dictionary(form.degree, form.harmonics)
         q, m = sensor.n_rays, len(terms)
         k = arrays["order"].shape[-1]

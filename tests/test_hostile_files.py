@@ -1,0 +1,216 @@
+"""Files that somebody made to do harm, or that were damaged: one line, little memory, nothing from outside their folder."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import io
+import json
+import struct
+import tracemalloc
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import lz4.frame  # type: ignore[import-untyped]
+import numpy as np
+import pytest
+import zstandard
+
+import logs
+from benchmarks import fuzz
+from logs import inflation
+from logs.errors import LogError
+from logs.inflation import ALLOWANCE
+from logs.recovery import recover
+from planners import maps
+from planners.errors import PlanError
+from planners.yaml_text import parse_yaml
+from sensorgraph.cli import run as cli
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.world.robot import parse_robot
+
+GIB = 1 << 30
+MAGIC = b"\x89MCAP0\r\n"
+
+
+def peak(action: Callable[[], object]) -> int:
+    """Return the most memory [bytes] that Python held meanwhile."""
+    tracemalloc.start()
+    try:
+        action()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def zeros(size: int) -> bytes:
+    """Pack so many zeros by zstd, without holding them."""
+    packer = zstandard.ZstdCompressor(level=1).compressobj(size=size)
+    return b"".join(packer.compress(bytes(1 << 20)) for _ in range(size >> 20)) + packer.flush()
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def chunk(kind: bytes, data: bytes, promised: int) -> bytes:
+    head = struct.pack("<QQQI", 0, 0, promised, 0) + struct.pack("<I", len(kind)) + kind
+    return record(6, head + struct.pack("<Q", len(data)) + data)
+
+
+@pytest.mark.parametrize("promised", [1000, GIB])
+def test_a_chunk_that_unpacks_to_a_gibibyte_is_refused_in_little_memory(
+    tmp_path: Path, promised: int
+) -> None:
+    data = zeros(GIB)
+    assert len(data) < 100_000
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(
+        MAGIC + record(1, bytes(8)) + chunk(b"zstd", data, promised) + record(15, bytes(4)) + MAGIC
+    )
+
+    def read() -> None:
+        with pytest.raises(LogError, match="more than it or a file of this size can hold"):
+            logs.read(path)
+        with pytest.raises(LogError):
+            recover(path, tmp_path / "out.mcap")
+
+    assert peak(read) < 2 * ALLOWANCE
+
+
+@pytest.mark.parametrize(
+    "pack", [lambda d: gzip.compress(d, 9), lambda d: bz2.compress(d, 9)], ids=["gzip", "bzip2"]
+)
+def test_a_packed_text_log_that_unpacks_without_end_is_refused(
+    pack: Callable[[bytes], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(inflation, "ALLOWANCE", 1 << 20)
+    path = tmp_path / "bomb.log"
+    path.write_bytes(pack(b"FLASER 1 1.0 0 0 0 0 0 0 0 h 0\n") + pack(b" " * (20 << 20)))
+
+    def read() -> None:
+        with pytest.raises(LogError, match="which no log does"):
+            logs.read(path)
+
+    assert peak(read) < 15 << 20  # bzip2 and gzip work in blocks
+
+
+def test_a_sensorgraph_that_unpacks_to_gibibytes_is_refused_before_it_does(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.sensorgraph"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("header.json", "{}")
+        with file.open("a.npy", "w", force_zip64=True) as member:
+            for _ in range(128):
+                member.write(bytes(1 << 20))
+
+    def load() -> None:
+        with pytest.raises(SensorgraphError, match="which no sensorgraph does"):
+            Sensorgraph.load(path)
+
+    assert peak(load) < 10_000_000
+
+
+def test_an_array_that_promises_more_than_it_holds_is_refused(tmp_path: Path) -> None:
+    array = io.BytesIO()
+    np.lib.format.write_array_header_1_0(array, {"descr": "<f8", "fortran_order": False, "shape": (10**10,)})
+    path = tmp_path / "bomb.sensorgraph"
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("header.json", "{}")
+        file.writestr("a.npy", array.getvalue() + bytes(80))
+    with pytest.raises(SensorgraphError, match="holds 80 bytes"):
+        Sensorgraph.load(path)
+
+
+@pytest.fixture
+def outside(tmp_path: Path) -> Path:
+    """A map whose image lies beside its folder, and a link to it."""
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "secret.pgm").write_bytes(fuzz.PGM)
+    return tmp_path / "maps"
+
+
+@pytest.mark.parametrize("name", ["../secret.pgm", "{tmp}/secret.pgm", "link.pgm"])
+def test_the_image_of_a_map_stays_in_its_folder_unless_allowed(
+    name: str, outside: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (outside / "link.pgm").symlink_to(outside.parent / "secret.pgm")
+    path = outside / "map.yaml"
+    image = name.format(tmp=outside.parent)
+    path.write_bytes(fuzz.MAP.replace(b"map.pgm", image.encode()))
+    monkeypatch.delenv("SENSORGRAPH_ALLOW_OUTSIDE", raising=False)
+    with pytest.raises(PlanError, match="outside the folder of the map"):
+        maps.load(path)
+    monkeypatch.setenv(
+        "SENSORGRAPH_ALLOW_OUTSIDE", "0"
+    )  # set again by the option, and put back by monkeypatch
+    words = ["plan", str(path), "--start", "9,9,9", "-o", str(outside / "plan")]
+    assert cli(words) == 2
+    assert "outside the folder" in capsys.readouterr().err
+    assert cli(["--allow-outside", *words]) == 2
+    assert "outside the folder" not in capsys.readouterr().err
+
+
+def test_a_map_and_its_image_that_are_links_into_one_folder_are_read(outside: Path) -> None:
+    """As `colcon build --symlink-install` leaves them."""
+    (outside.parent / "map.yaml").write_bytes(fuzz.MAP.replace(b"map.pgm", b"secret.pgm"))
+    for name in ("map.yaml", "secret.pgm"):
+        (outside / name).symlink_to(outside.parent / name)
+    assert maps.load(outside / "map.yaml").free.area > 0
+
+
+def test_a_bag_lists_only_files_of_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("SENSORGRAPH_ALLOW_OUTSIDE", raising=False)
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    db3 = fuzz.small_bag()
+    (tmp_path / "a.db3").write_bytes(db3)
+    (bag / "metadata.yaml").write_bytes(fuzz.METADATA.replace(b"a.db3", b"../a.db3"))
+    with pytest.raises(LogError, match="outside its folder"):
+        logs.read(bag)
+    monkeypatch.setenv("SENSORGRAPH_ALLOW_OUTSIDE", "1")
+    assert logs.read(bag).n_scans == 12
+
+
+def test_nine_lines_of_yaml_do_not_say_a_billion_words() -> None:
+    lines = ["a0: &a0 [lol, lol, lol, lol, lol, lol, lol, lol, lol]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 10)]
+    with pytest.raises(SensorgraphError, match="once its aliases are followed"):
+        parse_robot("\n".join(lines))
+    assert parse_yaml("a: &a [1, 2]\nb: *a") == {"a": [1, 2], "b": [1, 2]}
+
+
+def test_a_message_of_an_error_is_one_line_of_readable_length() -> None:
+    for kind in (LogError, PlanError, SensorgraphError):
+        assert str(kind("a\n  b")) == "a b"
+        assert len(str(kind("x" * 10_000))) < 1500
+
+
+def test_ros_1_chunks_do_not_unpack_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inflation, "ALLOWANCE", 1 << 20)
+    for pack in (bz2.compress, lz4.frame.compress):
+        bomb = pack(bytes(20 << 20))
+        reader = type("Bag", (), {})()
+        reader.readers = [type("Inner", (), {"chunks": {0: fuzz.Chunk(len(bomb), 0, None)}})()]
+        logs.formats.rosbag.cap_chunks(reader, len(bomb))
+        with pytest.raises(ValueError, match="unpacks to more than"):
+            reader.readers[0].chunks[0].decompressor(bomb)
+
+
+@pytest.mark.parametrize("name", [name for name in fuzz.READERS if name not in ("sensorgraph", "model")])
+def test_a_damaged_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
+    """`python -m benchmarks.fuzz` tries 100,000; here some of each kind."""
+    assert not fuzz.fuzz_reader(fuzz.READERS[name](), 60, 1, tmp_path)
+
+
+def test_an_odd_option_is_refused_in_one_line(tmp_path: Path) -> None:
+    assert not fuzz.fuzz_commands(30, 1, tmp_path, ("inspect", "recover", "show", "diagnose"))
+
+
+def test_a_deeply_nested_json_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "deep.geojson"
+    path.write_text("[" * 100_000)
+    assert cli(["plan", str(path), "-o", str(tmp_path / "plan")]) == 2
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [[]] * 3}))
+    assert cli(["plan", str(path), "-o", str(tmp_path / "plan")]) == 2
