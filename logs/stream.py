@@ -8,7 +8,7 @@ handed out as one piece.
 from __future__ import annotations
 
 import mmap
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,7 +22,7 @@ from logs.mcap.records import Contents, Loss
 from logs.mcap.walk import RecordWalk
 from logs.no_return import check_no_return
 from logs.ros import interpret, own_record
-from logs.ros.laser_scan import ScanShape, shape_of
+from logs.ros.laser_scan import ShapeCensus, shape_of
 from logs.ros.recording import (
     ENCODINGS,
     KEPT_TYPES,
@@ -121,7 +121,7 @@ class McapStream:
     roles: Mapping[str, str]
     no_return: str | None
     """As the user named it, or as it was noticed in the first messages; None: the file is ours."""
-    shapes: Mapping[str, Counter[ScanShape]]
+    census: Mapping[str, ShapeCensus]
     """Topic -> how often each shape of scan is met."""
     _contents: Contents = field(repr=False)
 
@@ -136,7 +136,7 @@ class McapStream:
         """Check every record, count scans, and tell from the first messages what plays which role."""
         counts: dict[int, int] = {}
         look: dict[int, Topic] = {}
-        shapes: dict[int, Counter[ScanShape]] = {}
+        shapes: dict[int, ShapeCensus] = {}
 
         def keep(
             contents: Contents, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes
@@ -144,9 +144,9 @@ class McapStream:
             counts[channel] = counts.get(channel, 0) + 1
             is_new = counts[channel] == 1 and channel in contents.channels
             if is_new and mcap_file.type_of(contents, channel) == SCAN_TYPE:
-                shapes[channel] = Counter()
+                shapes[channel] = ShapeCensus()
             if channel in shapes and (shape := shape_of(payload)) is not None:
-                shapes[channel][shape] += 1
+                shapes[channel].add(shape)
             if counts[channel] <= SETTINGS.first_messages:
                 kept = look.setdefault(channel, Topic("", ""))
                 kept.log_times.append(log_time)
@@ -163,8 +163,8 @@ class McapStream:
             if key in look and topic.type in KEPT_TYPES and topic.encoding in ENCODINGS:
                 topic.log_times += look[key].log_times
                 topic.payloads += look[key].payloads
-        shapes_of = {contents.channels[key].topic: found for key, found in shapes.items()}
-        head = interpret.to_run(recording, path.name, topics, no_return, shapes_of)
+        census = {contents.channels[key].topic: found for key, found in shapes.items()}
+        head = interpret.to_run(recording, path.name, topics, no_return, census)
         if no_return is None and not own_record.is_own(recording, topics):
             no_return = head.meta.get("no_return", "inf")
         name = head.meta.get("scan_topic") or choose(recording, "scan", topics) or "/scan"
@@ -177,7 +177,7 @@ class McapStream:
             scan_topic=name,
             roles=dict(topics or {}),
             no_return=no_return,
-            shapes=shapes_of,
+            census=census,
             _contents=contents,
         )
 
@@ -193,7 +193,7 @@ class McapStream:
 
     def _run(self, recording: Recording) -> Run:
         """Interpret a piece; poses of another source than the log's are none."""
-        run = interpret.to_run(recording, self.path.name, self.roles, self.no_return, self.shapes)
+        run = interpret.to_run(recording, self.path.name, self.roles, self.no_return, self.census)
         if run.meta.get("pose_source") != self.head.meta.get("pose_source"):
             run = replace(
                 run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3)), pose_frame=self.head.pose_frame

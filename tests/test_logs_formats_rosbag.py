@@ -16,6 +16,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import logs
+from logs import stream
 from logs.ros import cdr
 from logs.ros.recording import (
     ODOMETRY_TYPE,
@@ -334,6 +335,30 @@ def test_scans_of_another_geometry_are_resampled_and_counted(tmp_path: Path) -> 
         "/scan: scans have 0 to 4 rays: 3 of 8 were resampled to the 3 rays of most, none dropped"
         in run.meta["notes"]
     )
+
+
+def test_a_log_read_by_pieces_has_the_bearings_of_most_scans_and_loses_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first look sees scans of 37 rays alone, with returns of 0 for nothing seen; most have 36."""
+    rng = np.random.default_rng(0)
+    bag = []
+    for i in range(60):
+        n = 37 if i < 20 else 36
+        ranges = np.where(rng.random(n) < 0.2, 0.0, rng.uniform(2, 3, n))
+        bag += [scan(0.1 * i, ranges, angle_min=0.1, increment=2 * np.pi / n), pose(0.1 * i, 0.1 * i, 0, 0)]
+    path = next(file for file in write_bag2(tmp_path / "bag", bag).iterdir() if file.suffix == ".mcap")
+    monkeypatch.setattr(stream, "SETTINGS", stream.StreamSettings(piece=7, ahead=2, first_messages=5))
+    log = stream.open_log(path)
+    pieces = list(log.pieces())
+    whole = logs.read(path)
+    assert len(pieces) > 5 and log.n_scans == 60
+    np.testing.assert_allclose(log.head.sensor.bearings, whole.sensor.bearings, atol=1e-6)
+    ranges = np.concatenate([piece.ranges for piece in pieces])
+    assert ranges.shape == (60, 36)
+    np.testing.assert_array_equal(np.isposinf(ranges), np.isposinf(whole.ranges))
+    np.testing.assert_allclose(ranges[np.isfinite(ranges)], whole.ranges[np.isfinite(ranges)], atol=1e-5)
+    assert "20 of 60 were resampled to the 36 rays of most, none dropped" in log.head.meta["notes"]
 
 
 @pytest.mark.parametrize("mode", [None, "FILE", "MESSAGE"])

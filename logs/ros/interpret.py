@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,7 +10,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.ros import own_record
 from logs.ros.composite import combine
-from logs.ros.laser_scan import LaserScans, ScanShape, order_rays, read_scans
+from logs.ros.laser_scan import LaserScans, ShapeCensus, order_rays, read_scans
 from logs.ros.range_readings import read_ranges
 from logs.ros.recording import (
     ODOMETRY_TYPE,
@@ -41,7 +40,7 @@ def to_run(
     source: str,
     topics: Mapping[str, str] | None = None,
     no_return: str | None = None,
-    shapes: Mapping[str, Counter[ScanShape]] | None = None,
+    census: Mapping[str, ShapeCensus] | None = None,
 ) -> Run:
     """Interpret a recording as a run.
 
@@ -49,7 +48,7 @@ def to_run(
     ----------
     topics : role -> topic, where a log names them otherwise
     no_return : how the driver logs a missing return, one of `NO_RETURNS`; None: noticed
-    shapes : topic -> how often each shape of scan is met in the whole log, where the recording is a piece of it
+    census : topic -> how often each shape of scan is met in the whole log, where the recording is a piece of it
 
     Raises
     ------
@@ -64,7 +63,7 @@ def to_run(
     odom_name, cmd_name = choose(recording, "odom", topics), choose(recording, "cmd", topics)
     odom = _odometry(recording, odom_name)
     children = (odom.child,) if odom and odom.child else ()
-    reading = _read_sensors(recording, names, tree, children, no_return, shapes or {})
+    reading = _read_sensors(recording, names, tree, children, no_return, census or {})
     scans, base = reading.scans, reading.base
     pose, frame, pose_source = _reference(recording, topics, tree, base, scans, odom, odom_name)
     command = None
@@ -115,7 +114,7 @@ def _read_sensors(
     tree: TransformTree,
     children: Sequence[str],
     no_return: str | None,
-    shapes: Mapping[str, Counter[ScanShape]],
+    census: Mapping[str, ShapeCensus],
 ) -> SensorReading:
     """Read the scans of some topics: one laser as it is, several sensors as one in base_link."""
     parts: list[LaserScans] = []
@@ -126,7 +125,7 @@ def _read_sensors(
             found = read_ranges(topic, no_return)
             titles += [name if len(found) == 1 else f"{name} in {part.frame}" for part in found]
         else:
-            found = [read_scans(topic, no_return, shapes.get(name))]
+            found = [read_scans(topic, no_return, census.get(name))]
             titles.append(name)
         parts += found
     bases = [tree.first_ancestor(part.frame, (*BASE_FRAMES, *children)) for part in parts]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -21,11 +21,33 @@ _U4, _LIMITS = struct.Struct("<I"), struct.Struct("<7fI")
 
 
 class ScanShape(NamedTuple):
-    """Which bearings a scan has, to a hundred-thousandth of a radian."""
+    """Which bearings a scan has."""
 
     n_rays: int
     angle_min: float
+    """[rad]"""
     increment: float
+    """[rad]"""
+
+    def rounded(self) -> ScanShape:
+        """Return the shape to a hundred-thousandth of a radian: those alike there are one."""
+        return ScanShape(self.n_rays, round(self.angle_min, 5), round(self.increment, 5))
+
+
+@dataclass
+class ShapeCensus:
+    """How often each shape of scan is met in a log."""
+
+    counts: Counter[ScanShape] = field(default_factory=Counter)
+    """By the rounded shape."""
+    first: dict[ScanShape, ScanShape] = field(default_factory=dict)
+    """Rounded shape -> the first that was met."""
+
+    def add(self, shape: ScanShape, count: int = 1) -> None:
+        """Count scans of a shape."""
+        key = shape.rounded()
+        self.counts[key] += count
+        self.first.setdefault(key, shape)
 
 
 @dataclass
@@ -80,18 +102,16 @@ def shape_of(payload: bytes) -> ScanShape | None:
         *limits, n = _LIMITS.unpack_from(payload, at + -(at - 4) % 4)
     except struct.error:
         return None
-    return ScanShape(n, round(limits[0], 5), round(limits[2], 5))
+    return ScanShape(n, limits[0], limits[2])
 
 
-def read_scans(
-    topic: Topic, no_return: str | None = None, shapes: Counter[ScanShape] | None = None
-) -> LaserScans:
+def read_scans(topic: Topic, no_return: str | None = None, census: ShapeCensus | None = None) -> LaserScans:
     """Decode LaserScan messages; those of another shape than most are resampled to the bearings of most.
 
     Parameters
     ----------
     no_return : one of `NO_RETURNS`; None: noticed from its frequency
-    shapes : how often each shape is met in the whole log, where the topic holds a piece of it
+    census : of the whole log, where the topic holds a piece of it
 
     Raises
     ------
@@ -109,11 +129,12 @@ def read_scans(
         )
         for k, i in enumerate(first.tolist()):
             mine = np.flatnonzero(which.ravel() == k)
-            shape = ScanShape(n_rays, round(float(limits[i, 0]), 5), round(float(limits[i, 2]), 5))
+            shape = ScanShape(n_rays, float(limits[i, 0]), float(limits[i, 2])).rounded()
             group = groups.setdefault(shape, _Group([], [], limits[i], frame))
             group.index.append(block.index[mine])
             group.ranges.append(block["ranges"][mine].astype(np.float64))
-    counts = shapes or Counter({shape: sum(map(len, group.index)) for shape, group in groups.items()})
+    counts = Counter({shape: sum(map(len, group.index)) for shape, group in groups.items()})
+    counts = counts if census is None else census.counts
     most = max(counts, key=lambda shape: counts[shape])
     if most.n_rays == 0:
         raise LogError(f"{topic.name}: most scans have no rays")
@@ -122,7 +143,9 @@ def read_scans(
     notes: list[str] = []
     parts = [part for group in groups.values() for part in group.ranges]
     range_min, range_max, no_return = clean_ranges(parts, (limits[5], limits[6]), no_return, notes)
-    bearings = main.bearings() if most in groups else _bearings(*most)
+    bearings = (
+        _bearings(*census.first[most]) if census is not None and most not in groups else main.bearings()
+    )
     ranges = np.empty((n, most.n_rays))
     for shape, group in groups.items():
         part = np.concatenate(group.ranges)
