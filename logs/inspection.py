@@ -11,6 +11,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.formats import FORMATS, format_of, mcap_file, rosbag
+from logs.jumps import JUMP_LIMITS
 from logs.no_return import check_no_return
 from logs.ros import cdr
 from logs.ros.interpret import to_run
@@ -356,6 +357,8 @@ def _pose_warnings(run: Run) -> list[str]:
         steps = np.diff(stamps)
         moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
         jumps = (moved > LIMITS.jump) & (moved > LIMITS.jump_speed * np.maximum(steps, 1e-3))
+        if run.meta.get("clock") == "assumed":
+            jumps = moved > JUMP_LIMITS.untimed
         if jumps.any():
             at = float(stamps[int(np.argmax(np.where(jumps, moved, 0)))])
             out.append(
