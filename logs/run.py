@@ -38,7 +38,7 @@ class RangeSensor:
     rate: float = 10.0
     """[Hz] scans per second."""
     sweep_time: float = 0.0
-    """[s] from the first ray to the last (plus one); a scan's stamp is the time of its first ray."""
+    """[s] from ray 0 to the last (plus one), negative for a clockwise sweep; a scan's stamp is the time of ray 0."""
     height: float = 0.0
     """[m] of the scan plane above the floor."""
     origins: Floats = field(default_factory=lambda: _empty(0, 2))
@@ -75,6 +75,11 @@ class RangeSensor:
     def is_composite(self) -> bool:
         """Tell whether rays start at several places: several sensors read as one."""
         return bool(self.origins.any())
+
+    @property
+    def ray_delays(self) -> Floats:
+        """(n_rays,) [s] when each ray is taken, after the scan's stamp; all 0 without a sweep."""
+        return self.sweep_time * np.arange(self.n_rays) / self.n_rays
 
     @property
     def is_evenly_spaced(self) -> bool:
@@ -224,7 +229,8 @@ def pair(run: Run, *, max_gap: float = 0.2) -> Pairing:
     """Interpolate the reference pose at every scan's stamp; never across a gap above `max_gap` [s].
 
     A scan whose stamp equals a pose's stamp is paired whatever the gaps around it. Where several scans share a stamp
-    with as many poses, they are paired in their order.
+    with as many poses, they are paired in their order. The poses must last until the last ray of a sweep; where each
+    ray was taken says `logs.motion.ray_poses`.
     """
     n_scans = run.n_scans
     poses = np.full((n_scans, 3), np.nan)
@@ -245,7 +251,9 @@ def pair(run: Run, *, max_gap: float = 0.2) -> Pairing:
     poses[:, :2] = run.poses[left, :2] + share[:, None] * (run.poses[right, :2] - run.poses[left, :2])
     phi = run.poses[left, 2] + share * turn
     poses[:, 2] = np.pi - (np.pi - phi) % (2 * np.pi)
-    paired = ~(before | after | gap)
+    last_rays = run.stamps + run.sensor.ray_delays[-1]
+    beyond = ~(before | after | gap) & ((last_rays > run.pose_stamps[-1]) | (last_rays < run.pose_stamps[0]))
+    paired = ~(before | after | gap | beyond)
     broken = paired & ~np.isfinite(poses).all(axis=1)
     paired &= ~broken
     poses[~paired] = np.nan
@@ -253,6 +261,7 @@ def pair(run: Run, *, max_gap: float = 0.2) -> Pairing:
         "before the first pose": int(before.sum()),
         "after the last pose": int(after.sum()),
         f"in a gap of the poses above {max_gap:g} s": int(gap.sum()),
+        "sweeping beyond the poses": int(beyond.sum()),
         "at a pose that is not finite": int(broken.sum()),
     }
     return Pairing(poses=poses, paired=paired, dropped={k: v for k, v in counts.items() if v})

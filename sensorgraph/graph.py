@@ -51,7 +51,8 @@ class Sensorgraph:
 
         Parameters
         ----------
-        poses : (n_poses, 3) [m, m, rad] of `pose_frame` in map
+        poses : (n_poses, 3) [m, m, rad] of `pose_frame` in map; (n_poses, n_rays, 3) where each ray has its own, as
+            while a laser sweeps on a moving robot (`logs.motion.ray_poses`)
         rays : indices of the rays wanted; None: all
         point : which value of the mixture `ranges` is
 
@@ -65,21 +66,33 @@ class Sensorgraph:
         SensorgraphError : a pose that is not finite or too far off, an unknown ray or point value
         """
         poses = np.asarray(poses, dtype=np.float64)
-        if poses.ndim != 2 or poses.shape[1] != 3:
-            raise ValueError(f"poses has shape {poses.shape}, expected (n_poses, 3): x, y, phi")
-        if not np.isfinite(poses).all():
-            row = int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
-            raise SensorgraphError(f"pose {row} is not finite; leave such poses out")
-        if np.abs(poses[:, :2]).max(initial=0.0) > MAX_POSE_DISTANCE:
-            row = int(np.abs(poses[:, :2]).max(axis=1).argmax())
-            raise SensorgraphError(
-                f"pose {row} is {poses[row, :2].tolist()}, expected metres within {MAX_POSE_DISTANCE:g} of the origin"
-            )
-        if point not in POINTS:
-            raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
         index = np.arange(self.sensor.n_rays) if rays is None else np.asarray(rays, dtype=np.intp)
         self._check_rays(index)
-        return self.model.predict(poses, index, point)
+        self._check_poses(poses, len(index))
+        if point not in POINTS:
+            raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
+        if poses.ndim == 2:
+            return self.model.predict(poses, index, point)
+        of_rays = [
+            self.model.predict(np.ascontiguousarray(poses[:, j]), index[j : j + 1], point)
+            for j in range(len(index))
+        ]
+        return Prediction.concatenate(of_rays, axis=1)
+
+    def _check_poses(self, poses: Floats, n_rays: int) -> None:
+        if poses.shape[-1:] != (3,) or poses.shape[1:-1] not in ((), (n_rays,)):
+            raise ValueError(
+                f"poses has shape {poses.shape}, expected (n_poses, 3), x, y, phi, or (n_poses, {n_rays}, 3)"
+            )
+        flat = poses.reshape(len(poses), -1, 3)
+        if not np.isfinite(poses).all():
+            row = int(np.flatnonzero(~np.isfinite(flat).all(axis=(1, 2)))[0])
+            raise SensorgraphError(f"pose {row} is not finite; leave such poses out")
+        if np.abs(poses[..., :2]).max(initial=0.0) > MAX_POSE_DISTANCE:
+            row, ray = divmod(int(np.abs(flat[..., :2]).max(axis=2).argmax()), flat.shape[1])
+            raise SensorgraphError(
+                f"pose {row} is {flat[row, ray, :2].tolist()}, expected metres within {MAX_POSE_DISTANCE:g} of the origin"
+            )
 
     def __repr__(self) -> str:
         """Say in a few lines what it holds and where it came from."""

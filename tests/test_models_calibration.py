@@ -92,7 +92,7 @@ def log(
 
 def readings_from(ranges: Floats) -> Readings:
     scan, ray = np.divmod(np.arange(ranges.size), ranges.shape[1])
-    return Readings(scan=scan, ray=ray, ranges=ranges.ravel(), bearings=BEARINGS, range_max=10.0)
+    return Readings(scan=scan, pose=scan, ray=ray, ranges=ranges.ravel(), bearings=BEARINGS, range_max=10.0)
 
 
 def scans_of(poses: Floats, ranges: Floats, **options: object) -> TrainingScans:

@@ -233,10 +233,10 @@ def test_responsibilities_share_out_each_ray_once() -> None:
     size = 91 * 300
     rows, sectors = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     label, weight = np.empty(size), np.empty(size)
-    n = list_at_risk(poses, room(poses), BEARINGS, table, rows, sectors, label, weight)
+    n = list_at_risk(poses[:, None], room(poses), BEARINGS, table, rows, sectors, label, weight)
     assert (label[:n] * weight[:n]).sum() == pytest.approx(91, abs=1.0)  # each of 91 rays stopped once
     nothing = np.full((1, 91), np.inf)
-    n = list_at_risk(poses, nothing, BEARINGS, table, rows, sectors, label, weight)
+    n = list_at_risk(poses[:, None], nothing, BEARINGS, table, rows, sectors, label, weight)
     assert not label[:n].any()
     assert weight[:n].sum() == pytest.approx(91 * table.reach / table.cell, rel=1e-9)
 

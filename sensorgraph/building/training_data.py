@@ -11,6 +11,7 @@ import numpy as np
 
 from logs.inspection import warnings_of
 from logs.jumps import find_jumps
+from logs.motion import ray_poses
 from logs.run import Pairing, PoseFrame, RangeSensor, Run, pair
 from logs.stream import LogStream
 from sensorgraph.building.split import held_out
@@ -63,19 +64,18 @@ class TrainingData:
         first = 0
         for i, (log, name) in enumerate(zip(self.logs, self.names, strict=True)):
             intake = _LogIntake(name, log.n_scans, self.split, force=self.force)
-            rows: list[tuple[Floats, Floats]] = []
+            rows: list[tuple[Floats, ...]] = []
             waiting = 0
             for run in log.pieces():
                 rows.append(intake.take(run))
                 waiting += len(rows[-1][0])
                 while waiting >= SCANS_PER_BLOCK:
-                    poses, ranges = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-                    yield self._block(first, i, poses[:SCANS_PER_BLOCK], ranges[:SCANS_PER_BLOCK])
+                    joined = [np.concatenate(parts) for parts in zip(*rows, strict=True)]
+                    yield self._block(first, i, *(part[:SCANS_PER_BLOCK] for part in joined))
                     first, waiting = first + SCANS_PER_BLOCK, waiting - SCANS_PER_BLOCK
-                    rows = [(poses[SCANS_PER_BLOCK:], ranges[SCANS_PER_BLOCK:])]
+                    rows = [tuple(part[SCANS_PER_BLOCK:] for part in joined)]
             if waiting:
-                poses, ranges = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-                yield self._block(first, i, poses, ranges)
+                yield self._block(first, i, *(np.concatenate(parts) for parts in zip(*rows, strict=True)))
                 first += waiting
             entry = intake.entry()
             twin = next((known for known in self.entries if known["sha256"] == entry["sha256"]), None)
@@ -85,7 +85,7 @@ class TrainingData:
                 )
             self.entries.append(entry)
 
-    def _block(self, first: int, i: int, poses: Floats, ranges: Floats) -> Block:
+    def _block(self, first: int, i: int, poses: Floats, ranges: Floats, rays: Floats | None = None) -> Block:
         scans = TrainingScans(
             sensor=self.sensor,
             poses=poses,
@@ -93,6 +93,7 @@ class TrainingData:
             run=np.full(len(poses), i, dtype=np.intp),
             bounds=self.bounds,
             pose_frame=self.pose_frame,
+            ray_poses=rays,
         )
         return Block(first=first, scans=scans)
 
@@ -110,8 +111,8 @@ class _LogIntake:
         self.digest: hashlib._Hash | None = None
         self.last: tuple[Floats, Floats] = np.zeros(0), np.zeros((0, 3))
 
-    def take(self, run: Run) -> tuple[Floats, Floats]:
-        """Return poses and ranges of the scans of a piece to train on."""
+    def take(self, run: Run) -> tuple[Floats, ...]:
+        """Return poses and ranges of the scans of a piece to train on; of a sweep, the poses of its rays, too."""
         if self.digest is None:
             self.digest = begin_digest(run.sensor)
             self._look(run)
@@ -143,7 +144,9 @@ class _LogIntake:
             self.box = np.array(
                 [np.minimum(self.box[0], poses.min(axis=0)), np.maximum(self.box[1], poses.max(axis=0))]
             )
-        return poses, run.ranges[use]
+        if run.sensor.sweep_time == 0:
+            return poses, run.ranges[use]
+        return poses, run.ranges[use], ray_poses(run, pairing, np.flatnonzero(use))
 
     def _check_jumps(self, run: Run, pairing: Pairing) -> None:
         """Refuse poses that jump between the scans of this piece, or from the last one."""
@@ -209,4 +212,12 @@ def all_scans(feed: TrainingData) -> TrainingScans | None:
         run=np.concatenate([part.run for part in parts]),
         bounds=feed.bounds,
         pose_frame=feed.pose_frame,
+        ray_poses=_all_ray_poses(parts),
     )
+
+
+def _all_ray_poses(parts: Sequence[TrainingScans]) -> Floats | None:
+    """Put the poses of all rays together, if the laser swept in any part."""
+    if all(part.ray_poses is None for part in parts):
+        return None
+    return np.concatenate([part.poses_of_rays for part in parts])

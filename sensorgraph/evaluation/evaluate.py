@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from logs.html_table import html_table
-from logs.run import PoseFrame, Run, pair
+from logs.motion import motion_of, ray_poses
+from logs.run import Pairing, PoseFrame, Run, pair
 from sensorgraph.building.build import is_same_sensor, training_scans
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_jumps
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
-from sensorgraph.types import Bools, Floats, Progress
+from sensorgraph.types import Bools, Floats, Ints, Progress
+from sensorgraph.world.raycast import laser_poses
+from sensorgraph.world.simulate import SCANS_PER_STEP
 
 MIN_SCORED_RANGE = 0.1
 """[m] a shorter return does not count: the robot's own body, or a broken reading."""
@@ -148,9 +151,7 @@ def evaluate(
         held = "" if split is None else f", none of them in split {split}"
         raise SensorgraphError(f"nothing to evaluate: {pairing}{held}")
     measured = run.ranges[index]
-    prediction = graph.predict(
-        poses_for(graph, run.pose_frame, run.sensor.mount, pairing.poses[index]), point=point or "mode"
-    )
+    prediction = predict_scans(graph, run, pairing, index, point=point or "mode")
     scored = np.isfinite(measured) & (measured > MIN_SCORED_RANGE) & (measured < cap)
     if not scored.any():
         raise SensorgraphError(
@@ -267,17 +268,31 @@ def _reliability(said: Floats, wrong: Bools) -> list[dict[str, float]]:
     return rows
 
 
+def predict_scans(
+    graph: Sensorgraph, run: Run, pairing: Pairing, scans: Ints, *, point: Point = "mode"
+) -> Prediction:
+    """Predict paired scans (n,) of a run, each ray of a sweep from where the robot was at its time."""
+    mount = run.sensor.mount
+    if run.sensor.sweep_time == 0:
+        return graph.predict(poses_for(graph, run.pose_frame, mount, pairing.poses[scans]), point=point)
+    motion, parts = motion_of(run), []
+    for start in range(0, len(scans), SCANS_PER_STEP):
+        poses = ray_poses(run, pairing, scans[start : start + SCANS_PER_STEP], motion=motion)
+        parts.append(graph.predict(poses_for(graph, run.pose_frame, mount, poses), point=point))
+    return Prediction.concatenate(parts)
+
+
 def poses_for(graph: Sensorgraph, frame: PoseFrame, mount: Floats, poses: Floats) -> Floats:
-    """Express poses (n, 3) of a frame in the frame that the graph was built from; `mount` (3,): T_base_laser."""
+    """Express poses (..., 3) of a frame in the frame that the graph was built from; `mount` (3,): T_base_laser."""
     if frame == graph.pose_frame:
         return poses
     x, y, yaw = map(float, mount)
     if graph.pose_frame == "base_link":  # T_map_base = T_map_laser @ inverse(T_base_laser)
         c, s = math.cos(yaw), math.sin(yaw)
         x, y, yaw = -(c * x + s * y), -(c * y - s * x), -yaw
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    phi = np.pi - (np.pi - (poses[:, 2] + yaw)) % (2 * np.pi)
-    return np.column_stack([poses[:, 0] + cos * x - sin * y, poses[:, 1] + sin * x + cos * y, phi])
+    moved = laser_poses(poses, np.array([x, y, yaw]))
+    moved[..., 2] = np.pi - (np.pi - moved[..., 2]) % (2 * np.pi)
+    return moved
 
 
 def _training_overlap(graph: Sensorgraph, run: Run, index: NDArray[np.intp], split: str | None) -> str:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
+from logs.motion import Motion, motion_of
 from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
 from sensorgraph.building.build import is_same_sensor
@@ -59,10 +60,7 @@ def predict(
     run: Run, arena: Arena, sensor: RangeSensor, scans: Ints, effects: Sequence[Transform]
 ) -> Prediction:
     """Predict some scans (n,) of a run from its reference poses; people are a chance of short readings."""
-    pairing = pair(run)
-    known = pairing.paired
-    stamps, poses = run.stamps[known], pairing.poses[known]
-    track = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
+    motion = motion_of(run) if sensor.sweep_time else _motion_of_scans(run)
     if run.pose_frame == "laser":
         sensor = replace(sensor, mount=np.zeros(3))
     parts = []
@@ -71,17 +69,21 @@ def predict(
             arena=arena,
             sensor=sensor,
             stamps=run.stamps[scans[start : start + SCANS_PER_STEP]],
-            motion=lambda t: np.stack([np.interp(t, stamps, column) for column in track.T], axis=-1),
+            motion=motion.at,
             span=float(run.stamps[-1] - run.stamps[0]),
             begin=float(run.stamps[0]),
         )
         scene.run(effects)
         parts.append(_prediction_of(scene))
-    return Prediction(
-        **{
-            key: np.concatenate([getattr(part, key) for part in parts])
-            for key in Prediction.__dataclass_fields__
-        }
+    return Prediction.concatenate(parts)
+
+
+def _motion_of_scans(run: Run) -> Motion:
+    """Return the motion through the poses at the stamps of the scans."""
+    pairing = pair(run)
+    poses = pairing.poses[pairing.paired]
+    return Motion(
+        stamps=run.stamps[pairing.paired], poses=np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
     )
 
 

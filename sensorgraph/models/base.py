@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol, Self, get_args
@@ -35,15 +35,30 @@ class TrainingScans:
     """(x_min, y_min, x_max, y_max) [m] of the arena, if it is known."""
     pose_frame: PoseFrame = "base_link"
     """Whose poses these are; base_link carries the laser at `sensor.mount`."""
+    ray_poses: Floats | None = None
+    """(n_scans, n_rays, 3) [m, m, rad] where each ray of a sweep was taken; None: all rays of a scan at `poses`."""
 
     @property
     def laser_mount(self) -> Floats:
         """(3,) [m, m, rad] laser in the frame of the poses."""
         return np.zeros(3) if self.pose_frame == "laser" else self.sensor.mount
 
+    @property
+    def poses_of_rays(self) -> Floats:
+        """(n_scans, n_rays, 3) where each ray was taken, whether the laser sweeps or not."""
+        if self.ray_poses is not None:
+            return self.ray_poses
+        return np.broadcast_to(self.poses[:, None], (*self.ranges.shape, 3))
+
     def part(self, index: slice) -> TrainingScans:
         """Return some of the scans."""
-        return replace(self, poses=self.poses[index], ranges=self.ranges[index], run=self.run[index])
+        return replace(
+            self,
+            poses=self.poses[index],
+            ranges=self.ranges[index],
+            run=self.run[index],
+            ray_poses=None if self.ray_poses is None else self.ray_poses[index],
+        )
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -76,6 +91,12 @@ class Prediction:
         shapes = {name: np.shape(getattr(self, name)) for name in self.__dataclass_fields__}
         if len(set(shapes.values())) != 1:
             raise ValueError(f"a prediction has shapes {shapes}, expected one shape (n_poses, n_rays)")
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Self], *, axis: int = 0) -> Self:
+        """Put predictions one after the other: of poses (`axis` 0), or of rays (1)."""
+        names = cls.__dataclass_fields__
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts], axis) for name in names})
 
     def save(self, path: Path) -> None:
         """Write the arrays of SAVED_ARRAYS, each (n_poses, n_rays), as NPZ.

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from logs.motion import ray_poses
 from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
 from sensorgraph.types import Floats
-from sensorgraph.world.raycast import cast, laser_poses
+from sensorgraph.world.raycast import cast, cast_rays, laser_poses
 
 MIN_SCANS, MAX_SCANS = 10, 300
 CAUSES = {
@@ -71,7 +72,8 @@ def orientation(run: Run, arena: Arena | None) -> Orientation | None:
     if len(index) < MIN_SCANS:
         return None
     some = index[np.linspace(0, len(index) - 1, min(MAX_SCANS, len(index))).astype(np.intp)]
-    ranges, poses = run.ranges[some], pairing.poses[some]
+    ranges = run.ranges[some]
+    poses = ray_poses(run, pairing, some)  # (n, n_rays or 1, 3)
     lasers = poses if run.pose_frame == "laser" else laser_poses(poses, run.sensor.mount)
     fits = {}
     for name, (sign, turn) in CAUSES.items():
@@ -85,16 +87,20 @@ def orientation(run: Run, arena: Arena | None) -> Orientation | None:
 def _against_map(
     ranges: Floats, lasers: Floats, sensor: RangeSensor, arena: Arena, sign: int, turn: float
 ) -> float:
-    bearings = sensor.bearings if sign > 0 else -sensor.bearings[::-1]
-    turned = lasers + np.array([0.0, 0.0, turn])
-    ideal = cast(arena, turned, replace(sensor, bearings=bearings, mount=np.zeros(3))).ranges[:, ::sign]
+    if lasers.shape[1] > 1:  # each ray from its own pose
+        origins = np.broadcast_to(lasers[..., :2], (*ranges.shape, 2))
+        ideal = cast_rays(arena, origins, lasers[..., 2] + sign * sensor.bearings + turn, sensor).ranges
+    else:
+        bearings = sensor.bearings if sign > 0 else -sensor.bearings[::-1]
+        turned = lasers[:, 0] + np.array([0.0, 0.0, turn])
+        ideal = cast(arena, turned, replace(sensor, bearings=bearings, mount=np.zeros(3))).ranges[:, ::sign]
     seen = np.isfinite(ranges) & (ranges > 0.1)
     return float(np.median(np.abs(ranges[seen] - np.minimum(ideal[seen], sensor.range_max))))
 
 
 def _against_itself(ranges: Floats, lasers: Floats, bearings: Floats, sign: int, turn: float) -> float:
-    phi = lasers[:, 2:] + sign * bearings + turn
-    ends = lasers[:, None, :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+    phi = lasers[..., 2] + sign * bearings + turn
+    ends = lasers[..., :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
     near = np.isfinite(ranges) & (ranges > 0.1) & (ranges < 10.0)
     cells = np.floor(ends[near] / END_POINT_CELL).astype(np.int64)
     return float(len(np.unique(cells[:, 0] * 1_000_003 + cells[:, 1])))

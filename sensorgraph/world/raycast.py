@@ -39,11 +39,11 @@ class Hits:
 
 
 def laser_poses(poses: Floats, mount: Floats) -> Floats:
-    """Move base_link poses (n, 3) to the laser mounted at `mount` (3,): T_map_base @ T_base_laser."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x = poses[:, 0] + c * mount[0] - s * mount[1]
-    y = poses[:, 1] + s * mount[0] + c * mount[1]
-    return np.stack([x, y, poses[:, 2] + mount[2]], axis=1)
+    """Move base_link poses (..., 3) to the laser mounted at `mount` (3,): T_map_base @ T_base_laser."""
+    c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+    x = poses[..., 0] + c * mount[0] - s * mount[1]
+    y = poses[..., 1] + s * mount[0] + c * mount[1]
+    return np.stack([x, y, poses[..., 2] + mount[2]], axis=-1)
 
 
 def ray_starts(lasers: Floats, sensor: RangeSensor) -> Floats:

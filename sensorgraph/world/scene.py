@@ -154,8 +154,7 @@ class Scene:
         self.walls = self.arena.walls.copy()
         self.mount = self.sensor.mount.copy()
         self.bearings = self.sensor.bearings
-        n = self.sensor.n_rays
-        self.delay = max(self.sensor.sweep_time, 0.0) * np.arange(n) / n
+        self.delay = self.sensor.ray_delays
 
     def shoot(self, offset: float | Floats = 0.0, *, bearings: Floats | None = None) -> Beams:
         """Cast every ray, turned by `offset` [rad], at walls, discs and movers, and let the surfaces act.
@@ -189,7 +188,7 @@ class Scene:
             ranges, wall = cast_laser(self.walls, lasers, bearings, MAX_DISTANCE)
         else:
             poses = self.motion(self.stamps[:, None] + delay)  # (n_scans, n_rays, 3)
-            lasers = laser_poses(poses.reshape(-1, 3), self.mount).reshape(poses.shape)
+            lasers = laser_poses(poses, self.mount)
             if spread:
                 lasers = ray_starts(lasers, self.sensor)
             ox, oy, phi = lasers[..., 0], lasers[..., 1], lasers[..., 2] + bearings

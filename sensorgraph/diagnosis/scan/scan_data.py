@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.motion import Motion, motion_of
 from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -77,7 +78,7 @@ class ScanData:
     def motion(self, times: Floats) -> Floats:
         """Interpolate the reference (..., 3) at times (...) [s]."""
         stamps, poses = self.track
-        return np.stack([np.interp(times, stamps, column) for column in poses.T], axis=-1)
+        return Motion(stamps=stamps, poses=poses).at(times)
 
     def scene(self, seed: int | None = None) -> Scene:
         """Set up the simulator for these scans."""
@@ -161,9 +162,7 @@ def prepare_scans(
         )
     laser_frame = run.pose_frame == "laser"
     sensor = _sensor(run, robot, laser_frame)
-    finite = np.isfinite(run.poses).all(axis=1)
-    stamps, poses = run.pose_stamps[finite], run.poses[finite]
-    poses[:, 2] = np.unwrap(poses[:, 2])
+    motion = motion_of(run, use_odometry=sensor.sweep_time > 0)
     when = run.stamps[kept]
     data = ScanData(
         arena=arena,
@@ -171,9 +170,9 @@ def prepare_scans(
         tolerances=_positive_tolerances(robot.tolerances),
         stamps=when,
         ranges=run.ranges[kept],
-        poses=_unwrapped_like(np.interp(when, stamps, poses[:, 2]), pairing.poses[kept]),
-        twists=velocities(stamps, poses, when),
-        track=(stamps, poses),
+        poses=_unwrapped_like(motion.at(when)[:, 2], pairing.poses[kept]),
+        twists=velocities(motion.stamps, motion.poses, when),
+        track=(motion.stamps, motion.poses),
         begin=float(when[0]),
         span=float(max(when[-1] - when[0], 1e-9)),
         laser_frame=laser_frame,

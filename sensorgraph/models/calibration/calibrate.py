@@ -61,17 +61,27 @@ class CalibratedFaces:
 
 
 def readings_of(sample: RaySample, sensor: RangeSensor) -> tuple[Readings, Floats]:
-    """Tell which scan each ray of a sample comes from; return readings and the poses (n_scans, 3) of the scans."""
+    """Tell which scan each ray of a sample comes from; return readings and their poses (n_poses, 3).
+
+    The poses are those of the scans, or of all rays where the laser sweeps. A slow sweep counts as several scans
+    (`PoseSettings.sweep_rate`).
+    """
     new = np.ones(len(sample), dtype=np.bool_)
     new[1:] = (sample.poses[1:] != sample.poses[:-1]).any(axis=1)
+    sweeps = sample.ray_poses is not None
+    if sweeps:
+        n_parts = max(1, round(abs(sensor.sweep_time) * CALIBRATION.poses.sweep_rate))
+        new[1:] |= np.diff(sample.beams * n_parts // sensor.n_rays) != 0
+    scan = np.cumsum(new) - 1
     readings = Readings(
-        scan=np.cumsum(new) - 1,
+        scan=scan,
+        pose=np.arange(len(sample)) if sweeps else scan,
         ray=sample.beams.astype(np.intp),
         ranges=sample.ranges,
         bearings=sensor.bearings,
         range_max=sensor.range_max,
     )
-    return readings, sample.poses[new]
+    return readings, sample.poses_of_rays if sweeps else sample.poses[new]
 
 
 def observed_by(rays: Rays) -> ObservedSpace:
@@ -146,7 +156,11 @@ class _JointCalibration:
     def __init__(self, readings: Readings, poses: Floats, mount: Floats, *, can_mount: bool) -> None:
         self.readings, self.poses, self.can_mount = readings, poses, can_mount
         self.stated, self.mount = mount, mount.copy()
-        self.shifts = np.zeros_like(poses)
+        self.n_scans = int(readings.scan.max(initial=-1)) + 1
+        self.scan_of_pose = np.zeros(len(poses), dtype=np.intp)
+        self.scan_of_pose[readings.pose] = readings.scan
+        self.shifts = np.zeros((self.n_scans, 3))
+        self._lasers: tuple[Floats, Floats, Floats] | None = None
         self.terms = RayTerms.none(len(readings.bearings))
         self.mean_bias = 0.0
         self.is_amiss = False
@@ -160,8 +174,12 @@ class _JointCalibration:
 
     @property
     def lasers(self) -> Floats:
-        """(n_scans, 3) by mount and refined poses."""
-        return compose_poses(compose_poses(self.poses, self.mount), self.shifts)
+        """(n_poses, 3) by mount and refined poses."""
+        kept = self._lasers
+        if kept is None or kept[0] is not self.mount or kept[1] is not self.shifts:
+            found = compose_poses(compose_poses(self.poses, self.mount), self.shifts[self.scan_of_pose])
+            self._lasers = kept = self.mount, self.shifts, found
+        return kept[2]
 
     def rays(self, readings: Readings, ranges: Floats) -> Rays:
         origins, directions = directions_of(readings, self.lasers)
@@ -224,7 +242,7 @@ class _JointCalibration:
         price = prices[0]
         prices[MOUNT] = np.inf
         terms = select_terms(normal, np.zeros(len(prices)), prices)[2]
-        limits = np.array([better.sigma_xy, better.sigma_xy, better.sigma_yaw]) ** 2 / len(self.poses)
+        limits = np.array([better.sigma_xy, better.sigma_xy, better.sigma_yaw]) ** 2 / self.n_scans
         own = normal.matrix[MOUNT, MOUNT] + CALIBRATION.adjustment.ridge * np.eye(3)
         spread = np.linalg.inv(own) + np.diag(limits)
         offset = np.linalg.solve(own, normal.rhs[MOUNT])
@@ -313,7 +331,7 @@ class _JointCalibration:
 
     def calibration(self) -> Calibration:
         # the mean of the poses' noise over all scans is a mount to us
-        limits = np.array([*2 * self.pose_noise[:1], self.pose_noise[1]]) / math.sqrt(len(self.poses))
+        limits = np.array([*2 * self.pose_noise[:1], self.pose_noise[1]]) / math.sqrt(self.n_scans)
         return Calibration(
             terms=self.terms,
             offset=self.mount - self.stated,

@@ -31,6 +31,8 @@ class Readings:
 
     scan: Ints
     """(n,)"""
+    pose: Ints
+    """(n,) row of the pose that it was taken at: the scan's, or its own where the laser sweeps."""
     ray: Ints
     """(n,)"""
     ranges: Floats
@@ -46,6 +48,7 @@ class Readings:
         """Return some of the readings."""
         return Readings(
             scan=self.scan[index],
+            pose=self.pose[index],
             ray=self.ray[index],
             ranges=self.ranges[index],
             bearings=self.bearings,
@@ -82,9 +85,9 @@ class Matches:
 
 
 def directions_of(readings: Readings, lasers: Floats) -> tuple[Floats, Floats]:
-    """Return origins and directions (n, 2) of readings from lasers (n_scans, 3)."""
-    theta = lasers[readings.scan, 2] + readings.bearings[readings.ray]
-    return lasers[readings.scan, :2], np.stack([np.cos(theta), np.sin(theta)], axis=1)
+    """Return origins and directions (n, 2) of readings from lasers (n_poses, 3)."""
+    theta = lasers[readings.pose, 2] + readings.bearings[readings.ray]
+    return lasers[readings.pose, :2], np.stack([np.cos(theta), np.sin(theta)], axis=1)
 
 
 def match_readings(

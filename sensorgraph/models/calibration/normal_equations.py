@@ -73,7 +73,7 @@ def normal_equations(
     centre = np.bincount(face, weight * matches.den**2 * np.nan_to_num(matches.at), k) / total
     matrix, right = np.zeros((n, n)), np.zeros(n)
     own, own_right, across = np.zeros((k, 2, 2)), np.zeros((k, 2)), np.zeros((k, 2, n))
-    heading = lasers[readings.scan, 2]
+    heading = lasers[readings.pose, 2]
     _accumulate(
         readings.ray, np.cos(heading), np.sin(heading), face, matches.rho, matches.den, matches.along, matches.at,
         matches.residual, weight, faces.normals, centre, matrix, right, own, own_right, across,

@@ -36,10 +36,16 @@ class RefinedPoses:
 def refine_poses(
     readings: Readings, lasers: Floats, matches: Matches, faces: FaceSet, shifts: Floats, sigma: float
 ) -> RefinedPoses:
-    """Refine poses by returns of range noise `sigma` [m]; `shifts` (n_scans, 3) are those applied already."""
-    n = len(lasers)
+    """Refine poses by returns of range noise `sigma` [m].
+
+    Parameters
+    ----------
+    lasers : (n_poses, 3) [m, m, rad] in map
+    shifts : (n_scans, 3) [m, m, rad] applied to them already; all rays of a scan share one, of a sweep, too
+    """
+    n = len(shifts)
     own, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
-    heading = lasers[readings.scan, 2]
+    heading = lasers[readings.pose, 2]
     weight = np.where(matches.weight > 0, matches.probability / sigma**2, 0.0)
     _pose_equations(
         readings.scan, np.cos(heading), np.sin(heading), np.maximum(matches.face, 0), matches.rho, matches.den,

@@ -65,6 +65,8 @@ class PoseSettings:
     """[m, rad] noise of the poses to begin with."""
     rounds: int = 30
     """Of EM."""
+    sweep_rate: float = 15.0
+    """[1/s] corrections in a second of a sweep: the noise of a reference changes from one of its poses to the next."""
     max_noise: tuple[float, float] = (0.10, 0.10)
     """[m, rad] beyond it the log is broken (mirrored, other units) and no small step mends it."""
 

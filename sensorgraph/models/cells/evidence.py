@@ -19,6 +19,7 @@ from sensorgraph.models.cells.grid import (
     GridWindow,
     RowGrid,
     max_cells_met,
+    per_ray,
     sector_of,
     traverse,
 )
@@ -83,16 +84,22 @@ class CellEvidence:
         cell: float = CELL_SIZE,
         reach: float = MAX_REACH,
     ) -> CellEvidence:
-        """Gather the evidence of scans at poses (n, 3) with ranges (n, n_rays)."""
+        """Gather the evidence of scans with ranges (n, n_rays), taken at poses as in `add`."""
         evidence = cls.empty(cell, reach)
         evidence.add(poses, ranges, bearings)
         return evidence
 
     def add(self, poses: Floats, ranges: Floats, bearings: Floats) -> None:
-        """Add scans at poses (n, 3) [m, m, rad] with ranges (n, n_rays) [m] at bearings (n_rays,) [rad]."""
+        """Add scans with ranges (n, n_rays) [m] at bearings (n_rays,) [rad].
+
+        Parameters
+        ----------
+        poses : (n, 3) [m, m, rad] of the laser in map; (n, n_rays, 3) when each ray was taken, of a sweep
+        """
         if len(poses) == 0:
             return
-        self._hold(GridWindow.around(poses[:, :2], self.reach, self.window.cell))
+        poses = per_ray(poses)
+        self._hold(GridWindow.around(poses[..., :2].reshape(-1, 2), self.reach, self.window.cell))
         gaps = np.append(np.diff(bearings), 0.0)
         between = np.maximum(
             np.round(gaps / EVIDENCE.max_ray_spacing).astype(np.int64) - 1, 0
@@ -210,12 +217,13 @@ def add_scans(
     for scan in range(start, len(poses)):
         if n_rows + room > len(hits) or n_faces + n_rays > len(moments):
             return scan, n_rows, n_faces
-        x, y = poses[scan, 0] - low[0] * cell, poses[scan, 1] - low[1] * cell
         for ray in range(n_rays):
             r = ranges[scan, ray]
             if not r > MIN_RANGE:  # too close or broken
                 continue
-            angle = poses[scan, 2] + bearings[ray]
+            pose = poses[scan, min(ray, poses.shape[1] - 1)]
+            x, y = pose[0] - low[0] * cell, pose[1] - low[1] * cell
+            angle = pose[2] + bearings[ray]
             c, s = math.cos(angle), math.sin(angle)
             b = sector_of(c, s)
             free = r - cell if r < reach else reach

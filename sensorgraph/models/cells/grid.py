@@ -74,6 +74,11 @@ class GridWindow:
         return places
 
 
+def per_ray(poses: Floats) -> Floats:
+    """Return poses (n, n_rays or 1, 3) of poses (n, 3) that all rays of a scan share, or of each ray's own."""
+    return poses if poses.ndim == 3 else poses[:, None]
+
+
 @kernel
 def sector_of(c: float, s: float) -> int:
     """Return the sector of direction (c, s)."""

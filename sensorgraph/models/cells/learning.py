@@ -8,7 +8,7 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.models.cells.evidence import MIN_RANGE, CellEvidence
-from sensorgraph.models.cells.grid import CellIndices, max_cells_met, sector_of, traverse
+from sensorgraph.models.cells.grid import CellIndices, max_cells_met, per_ray, sector_of, traverse
 from sensorgraph.models.cells.ray_march import RATES, CellTable, face_range
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import Floats32, expand_products, features
@@ -40,7 +40,7 @@ def list_at_risk(
     label: Floats,
     weight: Floats,
 ) -> int:
-    """List every cell that a ray was still at risk in.
+    """List every cell that a ray was still at risk in; poses (n, n_rays or 1, 3) of the laser.
 
     Fills row, sector, label (chance that it stopped the ray, given that none before did) and weight (chance that
     none before did) of up to len(rows) samples; returns how many there are. `left` chance not explained: no sample.
@@ -54,11 +54,12 @@ def list_at_risk(
             z = ranges[p, q]
             if not z > MIN_RANGE:
                 continue
-            angle = poses[p, 2] + bearings[q]
+            pose = poses[p, min(q, poses.shape[1] - 1)]
+            angle = pose[2] + bearings[q]
             c, s = math.cos(angle), math.sin(angle)
             b = sector_of(c, s)
             hit = z < table.reach
-            x0, y0 = poses[p, 0] - table.low[0], poses[p, 1] - table.low[1]
+            x0, y0 = pose[0] - table.low[0], pose[1] - table.low[1]
             far = min(z + CANDIDATE_DISTANCE, table.reach) if hit else table.reach
             n_steps = traverse(x0, y0, c, s, far, table.cell, at, ends)
             if n + n_steps > len(rows):
@@ -149,7 +150,7 @@ def training_samples(
     size = max(len(poses) * len(bearings) * LEARNING.samples_per_ray, 1000)
     rows, sectors = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     label, weight = np.empty(size), np.empty(size)
-    n = list_at_risk(poses, ranges, bearings, table, rows, sectors, label, weight)
+    n = list_at_risk(per_ray(poses), ranges, bearings, table, rows, sectors, label, weight)
     label, weight = label[:n], weight[:n]
     use: list[CellIndices] = []
     weight = weight.copy()

@@ -21,6 +21,7 @@ from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import POINTS, Point, Prediction, TrainingScans
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
+from sensorgraph.models.cells.grid import per_ray
 from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
 from sensorgraph.models.cells.probability_calibration import KNOTS, best_sigma, calibrate_p_off
 from sensorgraph.models.cells.ray_march import CellTable, list_candidates, summarise_rays, tabulate
@@ -83,11 +84,9 @@ class CellModel:
             raise SensorgraphError(f"cell is {cell:g} m, expected {MIN_CELL:g} to {MAX_CELL:g}")
         keep = is_key_frame(scans.poses, scans.run)
         mount = scans.laser_mount
-        poses, ranges, bearings = (
-            laser_poses(scans.poses[keep], mount),
-            scans.ranges[keep],
-            scans.sensor.bearings,
-        )
+        taken = scans.poses if scans.ray_poses is None else scans.ray_poses
+        poses, ranges = laser_poses(taken[keep], mount), scans.ranges[keep]
+        bearings = scans.sensor.bearings
         reach = min(MAX_REACH, scans.sensor.range_max)
         if not ((ranges > MIN_RANGE) & (ranges < reach)).any():
             raise SensorgraphError(
@@ -249,11 +248,11 @@ def is_key_frame(poses: Floats, run: Ints) -> Bools:
 
 
 def laser_poses(poses: Floats, mount: Floats) -> Floats:
-    """Return the laser's pose in map (n, 3) for poses (n, 3) of the frame it is mounted in."""
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x = poses[:, 0] + cos * mount[0] - sin * mount[1]
-    y = poses[:, 1] + sin * mount[0] + cos * mount[1]
-    return np.column_stack([x, y, poses[:, 2] + mount[2]])
+    """Return the laser's pose in map (..., 3) for poses (..., 3) of the frame it is mounted in."""
+    cos, sin = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+    x = poses[..., 0] + cos * mount[0] - sin * mount[1]
+    y = poses[..., 1] + sin * mount[0] + cos * mount[1]
+    return np.stack([x, y, poses[..., 2] + mount[2]], axis=-1)
 
 
 def learn_visibility(
@@ -286,8 +285,8 @@ def learn_visibility(
 def summarise_poses(
     table: CellTable, poses: Floats, bearings: Floats, point: Point
 ) -> tuple[NDArray[np.float64], Floats, Floats]:
-    """March all rays; return (n_poses, n_rays, 6) summaries, chance within 10 cm of the median, way [m] never seen."""
+    """March all rays from poses (n, 3), or (n, n_rays, 3); return (n_poses, n_rays, 6) summaries, chance within 10 cm of the median, way [m] never seen."""
     shape = (len(poses), len(bearings))
     out, near, dark = np.empty((*shape, 6)), np.empty(shape), np.empty(shape)
-    summarise_rays(poses, bearings, table, which_of(point), out, near, dark)
+    summarise_rays(per_ray(poses), bearings, table, which_of(point), out, near, dark)
     return out, near, dark

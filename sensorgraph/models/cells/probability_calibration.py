@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planners.kernel import kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS
 from sensorgraph.models.cells.evidence import MIN_RANGE
-from sensorgraph.models.cells.grid import max_cells_met
+from sensorgraph.models.cells.grid import max_cells_met, per_ray
 from sensorgraph.models.cells.ray_march import CellTable, stop_candidates
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.mixture import MEAN, MEDIAN, MODE, P_OFF, TAIL
@@ -27,7 +27,10 @@ STRAY_DENSITY, KNOTS = ANSWERS.stray_density, np.array(ANSWERS.knots)
 def log_likelihoods(
     poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, sigmas: Floats, out: Floats
 ) -> None:
-    """Fill out (n_sigmas,) with the log likelihood of all returns, were that the spread about each face."""
+    """Fill out (n_sigmas,) with the log likelihood of all returns, were that the spread about each face.
+
+    Poses (n, n_rays or 1, 3) are the laser's.
+    """
     size = max_cells_met(table.reach, table.cell)
     at = np.empty((size, 2), dtype=np.int64)
     ends, r, w, sigma, unseen = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
@@ -37,10 +40,11 @@ def log_likelihoods(
             z = ranges[p, q]
             if not (z > MIN_RANGE and z < table.reach):
                 continue
-            angle = poses[p, 2] + bearings[q]
+            pose = poses[p, min(q, poses.shape[1] - 1)]
+            angle = pose[2] + bearings[q]
             n, _ = stop_candidates(
-                poses[p, 0],
-                poses[p, 1],
+                pose[0],
+                pose[1],
                 math.cos(angle),
                 math.sin(angle),
                 table,
@@ -63,7 +67,7 @@ def log_likelihoods(
 def best_sigma(poses: Floats, ranges: Floats, bearings: Floats, table: CellTable) -> float:
     """Return the spread [m] under which set-aside returns are likeliest."""
     out = np.empty(len(TRIED_SIGMAS))
-    log_likelihoods(poses, ranges, bearings, table, TRIED_SIGMAS, out)
+    log_likelihoods(per_ray(poses), ranges, bearings, table, TRIED_SIGMAS, out)
     k = int(np.clip(np.argmax(out), 1, len(TRIED_SIGMAS) - 2))
     below, here, above = out[k - 1 : k + 2]
     bend = below - 2 * here + above

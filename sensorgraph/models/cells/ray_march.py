@@ -164,7 +164,7 @@ def stop_candidates(
 def summarise_rays(
     poses: Floats, bearings: Floats, table: CellTable, which: int, out: Floats, near: Floats, dark: Floats
 ) -> None:
-    """Summarise every ray.
+    """Summarise every ray; poses (n_poses, n_rays or 1, 3) are the laser's.
 
     Fills out (n_poses, n_rays, 6) as `mixture.summarise`, near (n_poses, n_rays) with the chance that a return lies
     within 2 `OFF_DISTANCE` of the median, dark (n_poses, n_rays) with the way [m] through cells never seen before the mode.
@@ -174,9 +174,10 @@ def summarise_rays(
     ends, r, w, sigma, unseen = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     for p in range(len(poses)):
         for q in range(len(bearings)):
-            angle = poses[p, 2] + bearings[q]
+            pose = poses[p, min(q, poses.shape[1] - 1)]
+            angle = pose[2] + bearings[q]
             c, s = math.cos(angle), math.sin(angle)
-            n, left = stop_candidates(poses[p, 0], poses[p, 1], c, s, table, at, ends, r, w, sigma, unseen)
+            n, left = stop_candidates(pose[0], pose[1], c, s, table, at, ends, r, w, sigma, unseen)
             summary = summarise(r, w, sigma, n, left, table.reach, which)
             for k in range(6):
                 out[p, q, k] = summary[k]

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -28,6 +29,7 @@ from sensorgraph.models.faces.fit import N_STEPS, StepCounter, fit_faces
 from sensorgraph.models.faces.prediction import predict_rays
 from sensorgraph.models.faces.ray_march import (
     MIN_VISIBILITY,
+    BucketGrid,
     bucket_grid,
 )
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block, MapBlocks, blocks_of, reduce_blocks
@@ -71,6 +73,11 @@ class Faces(FacesData):
         wanted = options.get("cells")
         cluttered = fitted.is_cluttered if wanted is None else bool(wanted)
         return fitted.with_cells(scans, progress=progress) if cluttered else fitted
+
+    @cached_property
+    def buckets(self) -> BucketGrid:
+        """Which faces are near where: what rays march through."""
+        return bucket_grid(self.faces)
 
     @property
     def is_cluttered(self) -> bool:
@@ -202,7 +209,7 @@ class Faces(FacesData):
         x, y, cos, sin = self._lasers(poses)
         bearings, terms = self.sensor.bearings[rays], self.calibration.terms
         predict_rays(
-            x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces, bucket_grid(self.faces),
+            x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces, self.buckets,
             self.noise.array, self.observed.origin, self.observed.cell, self.observed.distance_to_unobserved, self.returns,
             terms.constant[rays], terms.slope[rays], terms.incidence, not terms.is_none,
             which_of(point), table, supported,
@@ -222,7 +229,7 @@ class Faces(FacesData):
         bearings, terms = self.sensor.bearings, self.calibration.terms
         draw_rays(
             x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces,
-            bucket_grid(self.faces), self.noise.sigma, terms.constant, terms.slope, terms.incidence, uniform, normal, out,
+            self.buckets, self.noise.sigma, terms.constant, terms.slope, terms.incidence, uniform, normal, out,
         )  # fmt: skip
         return out
 

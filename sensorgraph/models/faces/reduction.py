@@ -33,11 +33,18 @@ class RaySample:
     """Some rays, as the log has them: at which pose, which ray, what range."""
 
     poses: Floats
-    """(n, 3) [m, m, rad]"""
+    """(n, 3) [m, m, rad] of the scan."""
     beams: NDArray[np.int32]
     """(n,) index of the ray in its scan."""
     ranges: Floats
     """(n,) [m]; +inf nothing seen."""
+    ray_poses: Floats | None = None
+    """(n, 3) [m, m, rad] where the ray was taken, of a laser that sweeps; None: all at `poses`."""
+
+    @property
+    def poses_of_rays(self) -> Floats:
+        """(n, 3) [m, m, rad] where each ray was taken, whether the laser sweeps or not."""
+        return self.poses if self.ray_poses is None else self.ray_poses
 
     def __len__(self) -> int:
         return len(self.ranges)
@@ -48,10 +55,11 @@ class RaySample:
 
     def rays(self, sensor: RangeSensor, mount: Floats) -> Rays:
         """Return them as rays from a laser mounted at `mount` (3,)."""
-        cos, sin = np.cos(self.poses[:, 2]), np.sin(self.poses[:, 2])
-        x = self.poses[:, 0] + cos * mount[0] - sin * mount[1]
-        y = self.poses[:, 1] + sin * mount[0] + cos * mount[1]
-        theta = self.poses[:, 2] + mount[2] + sensor.bearings[self.beams]
+        poses = self.poses_of_rays
+        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        x = poses[:, 0] + cos * mount[0] - sin * mount[1]
+        y = poses[:, 1] + sin * mount[0] + cos * mount[1]
+        theta = poses[:, 2] + mount[2] + sensor.bearings[self.beams]
         return Rays(
             origins=np.stack([x, y], axis=1),
             directions=np.stack([np.cos(theta), np.sin(theta)], axis=1),
@@ -113,16 +121,20 @@ def blocks_of(scans: TrainingScans, first: int = 0, size: int = SCANS_PER_BLOCK)
 def reduce_block(block: Block, *, mount: Floats, share: float) -> Reduction:
     """Reduce one block for a laser mounted at `mount` (3,); `share` of its rays are kept in the sample."""
     scans = block.scans
-    sensor, poses = scans.sensor, scans.poses
+    sensor, poses, bearings = scans.sensor, scans.poses, scans.sensor.bearings
+    ranges = np.ascontiguousarray(scans.ranges, dtype=np.float64)
+    if scans.ray_poses is not None:  # each ray is a scan of its own, with its bearing in the heading below
+        poses, ranges, bearings = scans.ray_poses.reshape(-1, 3), ranges.reshape(-1, 1), np.zeros(1)
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = poses[:, 0] + cos * mount[0] - sin * mount[1], poses[:, 1] + sin * mount[0] + cos * mount[1]
     theta = poses[:, 2] + mount[2]
-    n = scans.ranges.size
+    if scans.ray_poses is not None:
+        theta += np.tile(sensor.bearings, len(scans))
+    n = ranges.size
     origins, directions, ends = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2))
     reach, place = np.empty(n), np.empty(n, dtype=np.int64)
-    ranges = np.ascontiguousarray(scans.ranges, dtype=np.float64)
     n_rays, n_returns = _flatten(
-        x, y, np.cos(theta), np.sin(theta), np.cos(sensor.bearings), np.sin(sensor.bearings), ranges,
+        x, y, np.cos(theta), np.sin(theta), np.cos(bearings), np.sin(bearings), ranges,
         sensor.range_max, origins, directions, ends, reach, place,
     )  # fmt: skip
     origins, directions, ends = origins[:n_rays], directions[:n_rays], ends[:n_rays]
@@ -132,7 +144,12 @@ def reduce_block(block: Block, *, mount: Floats, share: float) -> Reduction:
     return Reduction(
         hit_moments=HitMoments.of(ends, directions),
         observed=ObservedSpace.of(origins, directions, reach),
-        sample=RaySample(poses=poses[row], beams=beam.astype(np.int32), ranges=ranges.ravel()[taken]),
+        sample=RaySample(
+            poses=scans.poses[row],
+            beams=beam.astype(np.int32),
+            ranges=ranges.ravel()[taken],
+            ray_poses=None if scans.ray_poses is None else scans.ray_poses[row, beam],
+        ),
         n_rays=n_rays,
         n_returns=n_returns,
     )
@@ -170,6 +187,9 @@ def _concatenate(samples: Sequence[RaySample]) -> RaySample:
         poses=np.concatenate([s.poses for s in samples]),
         beams=np.concatenate([s.beams for s in samples]),
         ranges=np.concatenate([s.ranges for s in samples]),
+        ray_poses=np.concatenate([s.poses_of_rays for s in samples])
+        if any(s.ray_poses is not None for s in samples)
+        else None,
     )
 
 

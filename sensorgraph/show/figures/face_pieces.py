@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from logs.motion import ray_poses
 from logs.run import Run, pair
 from sensorgraph.evaluation.evaluate import evaluate, poses_for
 from sensorgraph.graph import Sensorgraph
@@ -106,12 +107,13 @@ def predicted_ends(graph: Sensorgraph, run: Run) -> tuple[Floats, Floats, Floats
     Rays with a residual above MAX_RESIDUAL met another surface and are left out.
     """
     evaluation = evaluate(graph, run, force=True)
-    poses = poses_for(graph, run.pose_frame, run.sensor.mount, pair(run).poses[evaluation.scan_indices])
+    poses = ray_poses(run, pair(run), evaluation.scan_indices)  # (n, n_rays or 1, 3)
+    poses = poses_for(graph, run.pose_frame, run.sensor.mount, poses)
     assert isinstance(graph.model, (Faces, CellModel))
     lasers = laser_poses(poses, graph.model.mount)
-    bearing = lasers[:, 2:] + graph.sensor.bearings
+    bearing = lasers[..., 2] + graph.sensor.bearings
     directions = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-    ends = lasers[:, None, :2] + evaluation.prediction.mode[..., None] * directions
+    ends = lasers[..., :2] + evaluation.prediction.mode[..., None] * directions
     use = (
         np.abs(np.nan_to_num(evaluation.residual, nan=np.inf)) < MAX_RESIDUAL
     ) & evaluation.prediction.answered

@@ -164,7 +164,7 @@ def count_cells(
     Parameters
     ----------
     visited : (n, 3) poses of all scans; `shown`: those (m, 3) that were evaluated
-    rays : lasers (m, 3) in map and bearings with ranges as (m, n_rays, 2): bearing in map [rad], range [m]
+    rays : lasers (m, n_rays or 1, 3) in map and bearings with ranges as (m, n_rays, 2): bearing in map [rad], range [m]
     cell : [m]; None: CELL_SIZE, or coarser where that would be too many
     """
     ends = _ends(*rays)
@@ -223,8 +223,8 @@ def _ends(lasers: Floats, rays: Floats) -> Floats:
     """Return where rays end, (m, n_rays, 2) [m, map]; without a return MAX_REACH away, broken ones at the laser."""
     bearing, ranges = rays[..., 0], rays[..., 1]
     reach = np.minimum(ranges, MAX_REACH)[..., None]
-    ends = lasers[:, None, :2] + reach * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-    return np.asarray(np.where((ranges > 0)[..., None], ends, lasers[:, None, :2]))
+    ends = lasers[..., :2] + reach * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+    return np.asarray(np.where((ranges > 0)[..., None], ends, lasers[..., :2]))
 
 
 def _free(
@@ -236,7 +236,7 @@ def _free(
         i, j = np.indices((nx, ny))
         middles = origin + (np.stack([i, j], axis=-1).reshape(-1, 2) + 0.5) * side
         return np.asarray(arena.contains(middles).reshape(nx, ny))
-    origins = np.repeat(lasers[:, :2], ends.shape[1], axis=0)
+    origins = np.broadcast_to(lasers[..., :2], ends.shape).reshape(-1, 2)
     way = ends.reshape(-1, 2) - origins
     length = np.hypot(*way.T)
     went = length > side

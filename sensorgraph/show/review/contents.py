@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.motion import ray_poses
 from logs.run import Pairing, Run, pair
 from planners.arena import Arena
 from sensorgraph.building.build import training_scans
@@ -49,7 +50,7 @@ class Review:
     shown: NDArray[np.intp]
     """(n_shown,) indices of the scans in the review."""
     lasers: Floats
-    """(n_shown, 3) [m, m, rad] laser in map."""
+    """(n_shown, n_rays, 3) [m, m, rad] laser in map when each ray was taken; (n_shown, 1, 3) without a sweep."""
     measured: Floats
     """(n_shown, n_rays) [m]"""
     predicted: Floats | None
@@ -69,8 +70,8 @@ class Review:
     def points(self, ranges: Floats, part: slice = slice(None)) -> list[Floats]:
         """Return the end points (n, 2) [m, map] of each shown scan in `part`; `ranges` (n_shown, n_rays) [m]."""
         lasers, ranges = self.lasers[part], ranges[part]
-        phi = lasers[:, 2:] + self.run.sensor.bearings
-        ends = lasers[:, None, :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+        phi = lasers[..., 2] + self.run.sensor.bearings
+        ends = lasers[..., :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
         return [scan[hit] for scan, hit in zip(ends, np.isfinite(ranges), strict=True)]
 
     @property
@@ -138,8 +139,9 @@ def collect(
         predicted = np.full(part.ranges.shape, np.nan)
         prediction = evaluation.prediction
         predicted[evaluation.scan_indices] = np.where(prediction.answered, prediction.ranges, np.nan)
-    lasers = poses if run.pose_frame == "laser" else laser_poses(poses, run.sensor.mount)
-    rays = np.stack([lasers[:, 2:] + run.sensor.bearings, part.ranges], axis=-1)
+    lasers = ray_poses(run, pairing, shown)
+    lasers = lasers if run.pose_frame == "laser" else laser_poses(lasers, run.sensor.mount)
+    rays = np.stack([lasers[..., 2] + run.sensor.bearings, part.ranges], axis=-1)
     return Review(
         run=run,
         name=name or run.meta.get("source", "run").rsplit("/", 1)[-1],

@@ -79,7 +79,7 @@ def _send_scans(recording: rr.RecordingStream, review: Review, part: slice, ray:
     """Send a block of scans, poses and the series of one ray."""
     stamps = review.run.stamps[review.shown[part]]
     time = [rr.TimeColumn("time", duration=stamps), rr.TimeColumn("scan", sequence=review.shown[part])]
-    lasers = review.lasers[part]
+    lasers = review.lasers[part, 0]
     size = max(0.35, 0.03 * (_extent(review)[2] - _extent(review)[0]))
     arrows = size * np.stack([np.cos(lasers[:, 2]), np.sin(lasers[:, 2])], axis=1)
     recording.send_columns("plan/robot", time, rr.Arrows2D.columns(origins=lasers[:, :2], vectors=arrows))

@@ -1,0 +1,101 @@
+"""Where the robot was at any time of a run, and so where each ray of a sweeping laser was taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.run import Pairing, Run
+from logs.transforms import compose, invert, wrap
+from logs.types import Floats, Ints
+
+MIN_ODOMETRY = 2
+"""Odometry poses between two references, from which on the odometry says how the robot moved between them."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """A track of poses in map, straight between neighbours."""
+
+    stamps: Floats
+    """(n,) [s] not decreasing."""
+    poses: Floats
+    """(n, 3) [m, m, rad] of the run's `pose_frame` in map; phi is unwrapped."""
+
+    def at(self, times: Floats) -> Floats:
+        """Return the poses (..., 3) at times (...) [s]; before the first and after the last, these."""
+        return np.stack([np.interp(times, self.stamps, column) for column in self.poses.T], axis=-1)
+
+
+def motion_of(run: Run, *, use_odometry: bool = True) -> Motion:
+    """Return the motion by the reference poses, and by the odometry between references that are slow.
+
+    Where `MIN_ODOMETRY` odometry poses or more lie between two references, the robot moved as they say; the
+    difference to the second reference is spread evenly over the time between. Poses that are not finite are left out.
+
+    Raises
+    ------
+    ValueError : the run has no finite reference pose
+    """
+    finite = np.isfinite(run.poses).all(axis=1)
+    stamps, poses = run.pose_stamps[finite], run.poses[finite]
+    if len(stamps) == 0:
+        raise ValueError("the run has no reference pose")
+    between = _between_references(run, stamps, poses) if use_odometry else None
+    if between is not None:
+        order = np.argsort(np.concatenate([stamps, between.stamps]), kind="stable")
+        stamps = np.concatenate([stamps, between.stamps])[order]
+        poses = np.concatenate([poses, between.poses])[order]
+    return Motion(stamps=stamps, poses=np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
+
+
+def ray_poses(run: Run, pairing: Pairing, scans: Ints, *, motion: Motion | None = None) -> Floats:
+    """Return where the rays of some scans were taken.
+
+    Parameters
+    ----------
+    pairing : of the run
+    scans : (n,) indices of paired scans
+    motion : of the run, where it is at hand; None: `motion_of(run)`
+
+    Returns
+    -------
+    (n, n_rays, 3) [m, m, rad] pose of the run's `pose_frame` in map at the time of each ray of a sweep; without a
+    sweep (n, 1, 3), one for all rays of a scan
+    """
+    if run.sensor.sweep_time == 0:
+        return pairing.poses[scans][:, None]
+    if len(scans) == 0:  # perhaps not one reference pose
+        return np.zeros((0, run.sensor.n_rays, 3))
+    motion = motion_of(run) if motion is None else motion
+    poses = motion.at(run.stamps[scans][:, None] + run.sensor.ray_delays)
+    poses[..., 2] = wrap(poses[..., 2])
+    return poses
+
+
+def _between_references(run: Run, stamps: Floats, poses: Floats) -> Motion | None:
+    """Return the odometry poses between slow references, moved into map; None where there are none."""
+    known = np.isfinite(run.odometry).all(axis=1)
+    when, odometry = run.odom_stamps[known], run.odometry[known]
+    if len(when) < MIN_ODOMETRY or len(stamps) < 2:
+        return None
+    if run.pose_frame == "laser":
+        odometry = compose(odometry, run.sensor.mount)
+    odometry = np.column_stack([odometry[:, :2], np.unwrap(odometry[:, 2])])
+    there = Motion(stamps=when, poses=odometry).at(stamps)  # odometry at the references
+    right = np.searchsorted(stamps, when, side="left")
+    left = right - 1
+    inside = (left >= 0) & (right < len(stamps))
+    left, right = np.where(inside, left, 0), np.where(inside, right, 1)
+    inside &= (when < stamps[right]) & (stamps[left] >= when[0]) & (stamps[right] <= when[-1])
+    count = np.bincount(left[inside], minlength=len(stamps))
+    inside &= count[left] >= MIN_ODOMETRY
+    if not inside.any():
+        return None
+    left, right, when, odometry = left[inside], right[inside], when[inside], odometry[inside]
+    so_far = compose(poses[left], compose(invert(there[left]), odometry))
+    miss = poses[right] - compose(poses[left], compose(invert(there[left]), there[right]))
+    miss[:, 2] = wrap(miss[:, 2])
+    share = (when - stamps[left]) / (stamps[right] - stamps[left])
+    return Motion(stamps=when, poses=so_far + share[:, None] * miss)
