@@ -26,7 +26,7 @@ from logs.ros.recording import (
     transform_tree,
 )
 from logs.run import Run, pair
-from logs.types import Floats, Progress
+from logs.types import Floats, Mounts, Progress
 
 LOADERS: dict[str, Callable[[Path, Progress | None], Recording]] = {
     "mcap": mcap_file.load,
@@ -130,6 +130,7 @@ def inspect(
     topics: Mapping[str, str] | None = None,
     *,
     no_return: str | None = None,
+    mounts: Mounts | None = None,
     progress: Progress | None = None,
 ) -> Inspection:
     """Look into a file; what cannot be a run is still described.
@@ -149,13 +150,13 @@ def inspect(
     if kind in LOADERS:
         recording = LOADERS[kind](path, progress)
         try:
-            run = to_run(recording, path.name, topics, no_return)
+            run = to_run(recording, path.name, topics, no_return, mounts)
         except LogError as exc:
             if topics:
                 raise
             missing.append(str(exc))
     else:
-        run = FORMATS[kind].read(path, topics, progress, no_return)
+        run = FORMATS[kind].read(path, topics, progress, no_return, mounts)
     warnings = _ros_warnings(recording) if recording is not None else []
     usable: list[str] = []
     pairing = ""
@@ -249,6 +250,8 @@ def _usable(run: Run) -> list[str]:
     if run.ranges.size:
         shares = [(np.isfinite(run.ranges), "a return"), (np.isposinf(run.ranges), "nothing seen")]
         shares += [(np.isneginf(run.ranges), "too close"), (np.isnan(run.ranges), "broken")]
+        if run.sensor.is_composite:
+            shares[-1] = (shares[-1][0], "not measured at a scan's time, or broken")
         out.append("rays: " + ", ".join(f"{mask.mean():.1%} {what}" for mask, what in shares if mask.any()))
     x, y, yaw = sensor.mount
     if sensor.is_composite:

@@ -34,7 +34,7 @@ from logs.ros.recording import (
     choose,
 )
 from logs.run import Run
-from logs.types import Progress
+from logs.types import Mounts, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +91,7 @@ def open_log(
     *,
     topics: Mapping[str, str] | None = None,
     no_return: str | None = None,
+    mounts: Mounts | None = None,
     progress: Progress | None = None,
 ) -> LogStream:
     """Look through a file; a damaged one is refused before anything is made of it.
@@ -104,10 +105,10 @@ def open_log(
     check_roles(topics)
     check_no_return(no_return)
     if format_of(path) == "mcap" and path.stat().st_size > 0:
-        stream = McapStream.open(path, topics, progress, no_return)
+        stream = McapStream.open(path, topics, progress, no_return, mounts)
         if not stream.head.sensor.is_composite and not stream.head.sensor.cones.any():
             return stream
-    return WholeRun(head=read(path, topics=topics, no_return=no_return, progress=progress))
+    return WholeRun(head=read(path, topics=topics, no_return=no_return, mounts=mounts, progress=progress))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,6 +122,7 @@ class McapStream:
     roles: Mapping[str, str]
     no_return: str | None
     """As the user named it, or as it was noticed in the first messages; None: the file is ours."""
+    mounts: Mounts | None
     census: Mapping[str, ShapeCensus]
     """Topic -> how often each shape of scan is met."""
     _contents: Contents = field(repr=False)
@@ -132,6 +134,7 @@ class McapStream:
         topics: Mapping[str, str] | None,
         progress: Progress | None,
         no_return: str | None = None,
+        mounts: Mounts | None = None,
     ) -> McapStream:
         """Check every record, count scans, and tell from the first messages what plays which role."""
         counts: dict[int, int] = {}
@@ -164,7 +167,7 @@ class McapStream:
                 topic.log_times += look[key].log_times
                 topic.payloads += look[key].payloads
         census = {contents.channels[key].topic: found for key, found in shapes.items()}
-        head = interpret.to_run(recording, path.name, topics, no_return, census)
+        head = interpret.to_run(recording, path.name, topics, no_return, mounts, census)
         if no_return is None and not own_record.is_own(recording, topics):
             no_return = head.meta.get("no_return", "inf")
         name = head.meta.get("scan_topic") or choose(recording, "scan", topics) or "/scan"
@@ -177,6 +180,7 @@ class McapStream:
             scan_topic=name,
             roles=dict(topics or {}),
             no_return=no_return,
+            mounts=mounts,
             census=census,
             _contents=contents,
         )
@@ -193,7 +197,9 @@ class McapStream:
 
     def _run(self, recording: Recording) -> Run:
         """Interpret a piece; poses of another source than the log's are none."""
-        run = interpret.to_run(recording, self.path.name, self.roles, self.no_return, self.census)
+        run = interpret.to_run(
+            recording, self.path.name, self.roles, self.no_return, self.mounts, self.census
+        )
         if run.meta.get("pose_source") != self.head.meta.get("pose_source"):
             run = replace(
                 run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3)), pose_frame=self.head.pose_frame

@@ -47,19 +47,27 @@ RobotLike = Robot | Path | str
 
 
 @as_sensorgraph_error
-def read(path: Path | str, *, topics: Mapping[str, str] | None = None, no_return: str | None = None) -> Run:
+def read(
+    path: Path | str,
+    *,
+    topics: Mapping[str, str] | None = None,
+    no_return: str | None = None,
+    robot: RobotLike | None = None,
+) -> Run:
     """Read a run: MCAP, a rosbag2 folder, a ROS 1 bag, a CARMEN log or a CSV table.
 
     Parameters
     ----------
     topics : role (`scan`, `pose`, `odom`, `cmd`) -> topic, where a log names them otherwise
     no_return : how a missing return was logged: `range_max`, `zero` or `inf`; None: noticed from its frequency
+    robot : whose `sensors` sit where no transform in the log says
 
     Raises
     ------
     SensorgraphError : the file is no log, or is damaged
     """
-    return logs.read(path, topics=topics, no_return=no_return)
+    mounts = None if robot is None else _robot(robot).mounts
+    return logs.read(path, topics=topics, no_return=no_return, mounts=mounts)
 
 
 @as_sensorgraph_error

@@ -290,6 +290,7 @@ def test_real_log_is_read_whole(name: str, tmp_path: Path) -> None:
     assert again.pose_frame == run.pose_frame
 
 
+@pytest.mark.slow
 def test_the_real_raw_log_drives_as_far_as_its_lines_say_whatever_its_stamps(real_logs: Path) -> None:
     """Stamps of the raw Intel log go back 631 times, by up to 0.9 s; its PROVENANCE says 508 m."""
     run = logs.read(real_logs / "raw-carmen" / "intel.clf.bz2")

@@ -16,6 +16,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import logs
+import sensorgraph as sg
 from logs import stream
 from logs.ros import cdr
 from logs.ros.recording import (
@@ -27,6 +28,7 @@ from logs.ros.recording import (
     TF_TYPE,
     TWIST_TYPE,
 )
+from sensorgraph.cli import run as cli
 
 EPOCH = 1_600_000_000_000_000_000
 Message = tuple[str, str, int, bytes]
@@ -445,6 +447,23 @@ def test_sonars_of_several_topics_or_frames_are_one_sensor_with_a_mount_for_each
         for field in ("bearings", "origins", "cones", "mount"):
             np.testing.assert_array_equal(getattr(again.sensor, field), getattr(run.sensor, field))
         np.testing.assert_array_equal(again.ranges, run.ranges)
+
+
+def test_sonars_without_transforms_sit_where_robot_yaml_says(tmp_path: Path) -> None:
+    path = write_bag2(tmp_path / "bag", [m for m in ring() if m[0] != "/tf_static"])
+    with pytest.raises(
+        logs.LogError, match=r"nothing says where /sonar/0 in sonar_0, .* sit .* record /tf_static"
+    ):
+        logs.read(path)
+    entries = [
+        f"  - {{name: {name}, mount: [{x}, {y}, {yaw}]}}"
+        for name, (x, y, yaw) in zip(["/sonar/0", "sonar_1", "/sonar/2", "sonar_3"], RING, strict=True)
+    ]  # by topic or by frame
+    (tmp_path / "robot.yaml").write_text("\n".join(["sensors:", *entries]))
+    run = sg.read(path, robot=tmp_path / "robot.yaml")
+    np.testing.assert_allclose(run.sensor.origins, np.array(RING)[[3, 0, 1, 2], :2], atol=1e-12)
+    assert cli(["inspect", str(path), "--robot", str(tmp_path / "robot.yaml")]) == 0
+    assert cli(["inspect", str(path)]) == 0, "what cannot be a run is still described"
 
 
 def test_some_sonars_are_chosen_by_name_or_pattern(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from logs.formats import carmen, mcap_file, rosbag, table, wean
 from logs.formats.text import first_bytes
 from logs.no_return import check_no_return
 from logs.run import OccupancyMap, Run
-from logs.types import Progress
+from logs.types import Mounts, Progress
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -21,8 +21,8 @@ class Format(NamedTuple):
 
     matches: Callable[[Path, bytes], bool]
     """Tell from the path and its first bytes (unpacked, if gzip) whether a file is of this kind."""
-    read: Callable[[Path, Mapping[str, str] | None, Progress | None, str | None], Run]
-    """Read (path, topics, progress, no_return)."""
+    read: Callable[[Path, Mapping[str, str] | None, Progress | None, str | None, Mounts | None], Run]
+    """Read (path, topics, progress, no_return, mounts)."""
 
 
 FORMATS: dict[str, Format] = {
@@ -40,6 +40,7 @@ def read(
     *,
     topics: Mapping[str, str] | None = None,
     no_return: str | None = None,
+    mounts: Mounts | None = None,
     progress: Progress | None = None,
 ) -> Run:
     """Read a run from a file of any known format, told by its content.
@@ -49,6 +50,7 @@ def read(
     topics : role -> topic, for files with other names than ours: roles scan, pose, odom, cmd
     no_return : how a missing return was logged: `range_max` (exactly that range), `zero` or `inf`; None: noticed from
         its frequency, and said in the notes
+    mounts : topic or frame of a sensor -> (3,) [m, m, rad] where it sits in base_link, where no transform says it
 
     Raises
     ------
@@ -59,7 +61,7 @@ def read(
     """
     path = Path(path)
     check_no_return(no_return)
-    return FORMATS[format_of(path)].read(path, topics, progress, no_return)
+    return FORMATS[format_of(path)].read(path, topics, progress, no_return, mounts)
 
 
 def format_of(path: Path) -> str:

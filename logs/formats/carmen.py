@@ -20,7 +20,7 @@ from logs.no_return import decode
 from logs.resampling import resample, resampled_text
 from logs.run import PoseFrame, RangeSensor, Run
 from logs.transforms import compose, invert, twists_of, wrap
-from logs.types import Floats, Progress
+from logs.types import Floats, Mounts, Progress
 
 SCAN_KEYWORDS = ("FLASER", "ROBOTLASER1", "RAWLASER1", "RLASER", "ROBOTLASER2", "RAWLASER2")
 """Kinds of scan lines; the first kind that a log holds is read unless `topics` says otherwise, for example scan=RLASER."""
@@ -79,6 +79,7 @@ def read(
     topics: Mapping[str, str] | None = None,
     progress: Progress | None = None,
     no_return: str | None = None,
+    mounts: Mounts | None = None,
 ) -> Run:
     """Read a run; in corrected logs its poses are the laser's.
 

@@ -46,7 +46,7 @@ from logs.ros.recording import (
 )
 from logs.run import OccupancyMap, RangeSensor, Run, pair
 from logs.transforms import Stamps, compose, interpolate, invert
-from logs.types import Progress
+from logs.types import Mounts, Progress
 
 logger = logging.getLogger(__name__)
 
@@ -281,6 +281,7 @@ def read(
     topics: Mapping[str, str] | None = None,
     progress: Progress | None = None,
     no_return: str | None = None,
+    mounts: Mounts | None = None,
 ) -> Run:
     """Read a run from MCAP; a damaged file is refused, never read in part.
 
@@ -289,7 +290,7 @@ def read(
     LogError
         if a checksum fails, the file is cut, or it holds no scans
     """
-    return to_run(load(path, progress), path.name, topics, no_return)
+    return to_run(load(path, progress), path.name, topics, no_return, mounts)
 
 
 def load(path: Path, progress: Progress | None = None) -> Recording:

@@ -18,7 +18,7 @@ from logs.ros.definitions import typestore
 from logs.ros.interpret import to_run
 from logs.ros.recording import ENCODINGS, KEPT_TYPES, Recording, Topic, full_type
 from logs.run import Run
-from logs.types import Progress
+from logs.types import Mounts, Progress
 from logs.yaml_text import parse_yaml
 
 ALLOW_OUTSIDE = "SENSORGRAPH_ALLOW_OUTSIDE"
@@ -40,6 +40,7 @@ def read(
     topics: Mapping[str, str] | None = None,
     progress: Progress | None = None,
     no_return: str | None = None,
+    mounts: Mounts | None = None,
 ) -> Run:
     """Read a run from a bag.
 
@@ -48,7 +49,7 @@ def read(
     LogError
         if the bag is damaged, incomplete, of an unknown storage, or without scans
     """
-    return to_run(load(path, progress), path.name, topics, no_return)
+    return to_run(load(path, progress), path.name, topics, no_return, mounts)
 
 
 def load(path: Path, progress: Progress | None = None) -> Recording:

@@ -26,7 +26,7 @@ from logs.no_return import apply_no_return, find_code
 from logs.ros.own_record import SENSOR_SCALARS, parse_bearings, parse_numbers, sensor_facts
 from logs.run import RangeSensor, Run, pair
 from logs.transforms import interpolate, twists_of, wrap
-from logs.types import Floats, Progress
+from logs.types import Floats, Mounts, Progress
 
 POSE_COLUMNS, ODOMETRY_COLUMNS, TWIST_COLUMNS, COMMAND_COLUMNS = (
     ("x", "y", "phi"),
@@ -52,6 +52,7 @@ def read(
     topics: Mapping[str, str] | None = None,
     progress: Progress | None = None,
     no_return: str | None = None,
+    mounts: Mounts | None = None,
 ) -> Run:
     """Read a run from a table.
 

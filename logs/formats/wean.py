@@ -12,7 +12,7 @@ from logs.formats.text import read_lines
 from logs.no_return import mask
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert, twists_of, wrap
-from logs.types import Progress
+from logs.types import Mounts, Progress
 
 N_WEAN_RAYS = 180
 NO_RETURN_RANGE = 81.83
@@ -31,6 +31,7 @@ def read(
     topics: Mapping[str, str] | None = None,
     progress: Progress | None = None,
     no_return: str | None = None,
+    mounts: Mounts | None = None,
 ) -> Run:
     """Read a run; its only poses are wheel odometry.
 

@@ -29,7 +29,7 @@ from logs.ros.recording import (
 from logs.ros.transform_tree import TransformTree
 from logs.run import PoseFrame, RangeSensor, Run
 from logs.transforms import to_planar
-from logs.types import Floats
+from logs.types import Floats, Mounts
 
 MAP_FRAMES, BASE_FRAMES = ("map", "world"), ("base_link", "base_footprint", "base")
 MIN_UPRIGHT_COSINE = 0.98  # cosine of the tilt (11°) up to which a laser counts as level
@@ -40,6 +40,7 @@ def to_run(
     source: str,
     topics: Mapping[str, str] | None = None,
     no_return: str | None = None,
+    mounts: Mounts | None = None,
     census: Mapping[str, ShapeCensus] | None = None,
 ) -> Run:
     """Interpret a recording as a run.
@@ -48,6 +49,7 @@ def to_run(
     ----------
     topics : role -> topic, where a log names them otherwise
     no_return : how the driver logs a missing return, one of `NO_RETURNS`; None: noticed
+    mounts : topic or frame of a sensor -> (3,) [m, m, rad] in base_link, where no transform says it
     census : topic -> how often each shape of scan is met in the whole log, where the recording is a piece of it
 
     Raises
@@ -63,7 +65,8 @@ def to_run(
     odom_name, cmd_name = choose(recording, "odom", topics), choose(recording, "cmd", topics)
     odom = _odometry(recording, odom_name)
     children = (odom.child,) if odom and odom.child else ()
-    reading = _read_sensors(recording, names, tree, children, no_return, census or {})
+    parts, titles = _read_topics(recording, names, no_return, census or {})
+    reading = _placed(parts, titles, source, tree, children, mounts or {})
     scans, base = reading.scans, reading.base
     pose, frame, pose_source = _reference(recording, topics, tree, base, scans, odom, odom_name)
     command = None
@@ -108,43 +111,69 @@ class SensorReading:
     """[Hz] of the fastest of several sensors."""
 
 
-def _read_sensors(
-    recording: Recording,
-    names: Sequence[str],
-    tree: TransformTree,
-    children: Sequence[str],
-    no_return: str | None,
-    census: Mapping[str, ShapeCensus],
-) -> SensorReading:
-    """Read the scans of some topics: one laser as it is, several sensors as one in base_link."""
+def _read_topics(
+    recording: Recording, names: Sequence[str], no_return: str | None, census: Mapping[str, ShapeCensus]
+) -> tuple[list[LaserScans], list[tuple[str, str]]]:
+    """Read the sensors of some topics; return them, and the topic and frame of each."""
     parts: list[LaserScans] = []
-    titles: list[str] = []
+    titles: list[tuple[str, str]] = []
     for name in names:
         topic = recording.topics[name]
-        if topic.type == RANGE_TYPE:
-            found = read_ranges(topic, no_return)
-            titles += [name if len(found) == 1 else f"{name} in {part.frame}" for part in found]
-        else:
-            found = [read_scans(topic, no_return, census.get(name))]
-            titles.append(name)
-        parts += found
-    bases = [tree.first_ancestor(part.frame, (*BASE_FRAMES, *children)) for part in parts]
-    mounts = []
-    for part, base in zip(parts, bases, strict=True):
-        mount, height, upside_down = _mount(tree, base, part)
-        order_rays(part, upside_down=upside_down)
-        mounts.append((mount, height))
-    if len(parts) == 1:
-        cones = np.full(len(parts[0].bearings) if parts[0].cone > 0 else 0, parts[0].cone)
-        return SensorReading(
-            scans=parts[0],
-            base=bases[0],
-            mount=mounts[0][0],
-            height=mounts[0][1],
-            origins=np.zeros((0, 2)),
-            cones=cones,
+        is_range = topic.type == RANGE_TYPE
+        found = (
+            read_ranges(topic, no_return) if is_range else [read_scans(topic, no_return, census.get(name))]
         )
-    rays = combine(parts, [mount for mount, _ in mounts], titles)
+        parts += found
+        titles += [(name, part.frame) for part in found]
+    return parts, titles
+
+
+def _placed(
+    parts: Sequence[LaserScans],
+    titles: Sequence[tuple[str, str]],
+    source: str,
+    tree: TransformTree,
+    children: Sequence[str],
+    stated: Mounts,
+) -> SensorReading:
+    """Place sensors on the robot: one laser as it is, several sensors as one in base_link.
+
+    Parameters
+    ----------
+    titles : topic and frame of each sensor
+    children : further names of the robot's base
+    stated : mounts that count where the tree has none
+    """
+    bases = [tree.first_ancestor(part.frame, (*BASE_FRAMES, *children)) for part in parts]
+    mounts: list[Floats] = []
+    heights: list[float] = []
+    lost: list[str] = []
+    for part, base, title in zip(parts, bases, titles, strict=True):
+        known = next((np.asarray(stated[name]) for name in title if name in stated), None)
+        is_in_tree = part.frame in BASE_FRAMES or (
+            base is not None and tree.place(base, part.frame) is not None
+        )
+        mount, height, upside_down = (
+            (known, 0.0, False) if known is not None and not is_in_tree else _mount(tree, base, part)
+        )
+        if known is None and not is_in_tree:
+            lost.append(" in ".join(filter(None, title)))
+        order_rays(part, upside_down=upside_down)
+        mounts.append(mount)
+        heights.append(height)
+    if len(parts) == 1:
+        n_cones = len(parts[0].bearings) if parts[0].cone > 0 else 0
+        return SensorReading(
+            scans=parts[0], base=bases[0], mount=mounts[0], height=heights[0],
+            origins=np.zeros((0, 2)), cones=np.full(n_cones, parts[0].cone),
+        )  # fmt: skip
+    if lost:
+        raise LogError(
+            f"{source}: nothing says where {', '.join(lost)} sit on the robot; record /tf_static, give a robot.yaml "
+            "whose `sensors` name them (`robot`), or choose one with `topics` scan=NAME"
+        )
+    names = [topic for topic, _ in titles]
+    rays = combine(parts, mounts, [" in ".join(t) if names.count(t[0]) > 1 else t[0] for t in titles])
     base = next(filter(None, bases), None)
     rays.scans.frame = base or BASE_FRAMES[0]
     periods = [float(np.median(np.diff(part.stamps))) for part in parts if len(part.stamps) > 1]
@@ -152,7 +181,7 @@ def _read_sensors(
         scans=rays.scans,
         base=base,
         mount=np.zeros(3),
-        height=float(np.median([height for _, height in mounts])),
+        height=float(np.median(heights)),
         origins=rays.origins,
         cones=rays.cones,
         rate=1e9 / min(periods) if periods and min(periods) > 0 else None,

@@ -64,7 +64,7 @@ def build(
     from logs.stream import open_log
     from sensorgraph.building.build import build as build_graph
     from sensorgraph.building.dask_cluster import cluster
-    from sensorgraph.cli.inputs import check_output, check_runs, read_robot_sensor
+    from sensorgraph.cli.inputs import check_output, check_runs, mounts_of, read_robot_sensor
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
@@ -84,10 +84,10 @@ def build(
     space = None if arena is None else load_arena(arena)
     names = parse_topics(topic or [])
     known = None if update is None else Sensorgraph.load(update)
-    loaded = []
+    loaded, mounts = [], mounts_of(robot)
     for path in runs:
         with progress("reading", "bytes") as tick:
-            loaded.append(open_log(path, topics=names, no_return=no_return, progress=tick))
+            loaded.append(open_log(path, topics=names, no_return=no_return, mounts=mounts, progress=tick))
     if robot is not None:
         read_robot_sensor(
             robot, [(str(path), log.head.sensor) for path, log in zip(runs, loaded, strict=True)]

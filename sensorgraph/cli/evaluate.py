@@ -17,6 +17,7 @@ from sensorgraph.cli.options import (
     Force,
     GraphFile,
     NoReturn,
+    SensorMounts,
     Topics,
 )
 from sensorgraph.cli.progress import progress
@@ -55,6 +56,7 @@ def evaluate(
     topic: Topics = None,
     no_return: NoReturn = None,
     force: Force = False,
+    robot: SensorMounts = None,
 ) -> None:
     """Compare what a sensorgraph predicts with what a run measured.
 
@@ -69,7 +71,7 @@ def evaluate(
     from typing import cast
 
     from logs import parse_topics, read
-    from sensorgraph.cli.inputs import check_output, write_json
+    from sensorgraph.cli.inputs import check_output, mounts_of, write_json
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.evaluation.evaluate import evaluate as evaluate_graph
     from sensorgraph.graph import Sensorgraph
@@ -82,7 +84,8 @@ def evaluate(
     value = cast("Point | None", point)
     model = Sensorgraph.load(graph)
     with progress("reading", "messages") as tick:
-        log = read(run, topics=parse_topics(topic or []), no_return=no_return, progress=tick)
+        names = parse_topics(topic or [])
+        log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
     with progress("evaluating", "scans") as tick:
         result = evaluate_graph(model, log, split=split, point=value, cap=cap, force=force, progress=tick)
     simulator = None if effects is None else _simulator(result, log, effects, value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
@@ -53,6 +53,13 @@ def _probe(folder: Path, output: Path) -> None:
         TemporaryFile(dir=folder).close()
     except OSError as exc:
         raise OSError(exc.errno, exc.strerror, str(output)) from exc
+
+
+def mounts_of(robot: Path | None) -> Mapping[str, Floats]:
+    """Return where the named sensors of a robot.yaml sit, for logs without transforms."""
+    from sensorgraph.world.robot import load_robot
+
+    return {} if robot is None else load_robot(robot).mounts
 
 
 def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) -> None:

@@ -8,7 +8,14 @@ from typing import Any
 import typer
 
 from sensorgraph.cli.messages import with_flags
-from sensorgraph.cli.options import InspectArena, InspectFile, InspectJson, InspectTopic, NoReturn
+from sensorgraph.cli.options import (
+    InspectArena,
+    InspectFile,
+    InspectJson,
+    InspectTopic,
+    NoReturn,
+    SensorMounts,
+)
 
 
 def inspect(
@@ -17,6 +24,7 @@ def inspect(
     arena: InspectArena = None,
     json: InspectJson = None,
     no_return: NoReturn = None,
+    robot: SensorMounts = None,
 ) -> None:
     """Say what is in a log: topics, rates, frames, what is usable, what is missing, what looks wrong; or in a map.
 
@@ -33,7 +41,7 @@ def inspect(
     from logs import parse_topics
     from logs.inspection import inspect as look
     from planners.maps import MAPS
-    from sensorgraph.cli.inputs import check_output, write_json
+    from sensorgraph.cli.inputs import check_output, mounts_of, write_json
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import arena_in, load_arena
@@ -48,7 +56,9 @@ def inspect(
         typer.echo("\n".join([f"{file}: a map, {facts['map']}", *(f"  {note}" for note in facts["notes"])]))
         return
     with progress("reading") as tick:
-        found = look(file, parse_topics(topic or []), no_return=no_return, progress=tick)
+        found = look(
+            file, parse_topics(topic or []), no_return=no_return, mounts=mounts_of(robot), progress=tick
+        )
     lines = found.lines()
     oriented = None
     if found.run is not None:

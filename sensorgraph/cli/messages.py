@@ -21,6 +21,7 @@ FLAGS = {
     "planner": "--planner",
     "priority": "--priority",
     "resume": "--resume",
+    "robot": "--robot",
     "start": "--start",
     "topics": "--topic",
     "update": "--update",

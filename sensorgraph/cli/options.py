@@ -19,6 +19,10 @@ GraphFile = Annotated[Path, typer.Argument(metavar="GRAPH", help="A *.sensorgrap
 TopicsByExample = Annotated[list[str] | None, typer.Option(help="ROLE=NAME, for example scan=/front/scan.")]
 
 Force = Annotated[bool, typer.Option("--force", help="Take a run whose poses jump by metres as it is.")]
+SensorMounts = Annotated[
+    Path | None,
+    typer.Option("--robot", help="robot.yaml whose `sensors` sit where no transform in the log says."),
+]
 NoReturn = Annotated[
     str | None,
     typer.Option(help="How the log writes a missing return: range_max, zero or inf; default: noticed."),

@@ -85,6 +85,8 @@ class Robot(Vehicle):
     wheels: Wheels = field(default_factory=Wheels)
     actuators: Actuators = field(default_factory=Actuators)
     tolerances: Tolerances = field(default_factory=Tolerances)
+    mounts: Mapping[str, Floats] = field(default_factory=dict)
+    """Name of each of several sensors, its topic or frame in logs -> (3,) [m, m, rad] in base_link."""
     text: str = ""
     """The file as it came, kept for the record."""
 
@@ -109,10 +111,11 @@ SECTIONS: dict[str, dict[str, Any]] = {
     "actuators": asdict(Actuators()),
     "tolerances": asdict(Tolerances()),
 }
-RING: dict[str, Any] = {"ring": 16, "radius": 0.2, "first": 0.0, "cone": 0.0}
-"""Sensors around the robot that look outwards: how many, how far [m] from its centre, where the first looks [rad]."""
-MOUNTED: dict[str, Any] = {"mount": [0.0, 0.0, 0.0], "cone": 0.0, "n_rays": 1, "fov": 3.14159265}
-"""A sensor at its place in base_link; with more than one ray, a laser."""
+RING: dict[str, Any] = {"name": "", "ring": 16, "radius": 0.2, "first": 0.0, "cone": 0.0}
+"""Sensors around the robot that look outwards: how many, how far [m] from its centre, where the first looks [rad].
+The k-th is called `name` with k behind it."""
+MOUNTED: dict[str, Any] = {"name": "", "mount": [0.0, 0.0, 0.0], "cone": 0.0, "n_rays": 1, "fov": 3.14159265}
+"""A sensor at its place in base_link, named as its topic or frame in logs; with more than one ray, a laser."""
 TOP: dict[str, Any] = {f.name: f.default for f in fields(Vehicle) if f.name != "limits"}
 MOST = {"n_rays": 100_000, "ring": 1000, "rate": 10_000.0}
 POSITIVE = {
@@ -193,6 +196,7 @@ def parse_robot(text: str, *, name: str = "robot.yaml") -> Robot:
             wheels=Wheels(**values["wheels"]),
             actuators=Actuators(**values["actuators"]),
             tolerances=Tolerances(**values["tolerances"]),
+            mounts={part.name: part.mount for part in sensors or [] if part.name},
             text=text,
         )
     except ValueError as exc:
@@ -209,8 +213,22 @@ def bearings(n_rays: int, fov: float) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.linspace(-fov / 2, fov / 2, n_rays) if n_rays > 1 else np.zeros(1)
 
 
-def parse_sensors(name: str, entries: Any) -> list[tuple[Floats, Floats, float]]:
-    """Read `sensors:`, a list of mounts and rings; return mount (3,), bearings (n_rays,) and cone of each.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorPlace:
+    """One of several sensors."""
+
+    mount: Floats
+    """(3,) [m, m, rad] in base_link."""
+    bearings: Floats
+    """(n_rays,) [rad]"""
+    cone: float
+    """[rad]"""
+    name: str
+    """Its topic or frame in logs; empty: not said."""
+
+
+def parse_sensors(name: str, entries: Any) -> list[SensorPlace]:
+    """Read `sensors:`, a list of mounts and rings.
 
     Raises
     ------
@@ -229,26 +247,29 @@ def parse_sensors(name: str, entries: Any) -> list[tuple[Floats, Floats, float]]
             mounts = np.stack(
                 [values["radius"] * np.cos(angles), values["radius"] * np.sin(angles), angles], axis=1
             )
-            out += [(mount, np.zeros(1), values["cone"]) for mount in mounts]
+            names = [f"{values['name']}{k}" if values["name"] else "" for k in range(len(mounts))]
+            out += [
+                SensorPlace(mount=mount, bearings=np.zeros(1), cone=values["cone"], name=names[k])
+                for k, mount in enumerate(mounts)
+            ]
         else:
             rays = bearings(values["n_rays"], values["fov"]) if values["n_rays"] > 1 else np.zeros(1)
-            out.append((np.array(values["mount"], dtype=np.float64), rays, values["cone"]))
+            mount = np.array(values["mount"], dtype=np.float64)
+            out.append(SensorPlace(mount=mount, bearings=rays, cone=values["cone"], name=values["name"]))
     return out
 
 
-def _sensor(
-    values: Mapping[str, Any], sensors: list[tuple[Floats, Floats, float]] | None = None
-) -> RangeSensor:
+def _sensor(values: Mapping[str, Any], sensors: list[SensorPlace] | None = None) -> RangeSensor:
     """Return the sensor, or several as one in base_link."""
     if sensors is not None:
         shared = {key: value for key, value in values.items() if key not in ("n_rays", "fov", "mount")}
-        phi = np.concatenate([wrap(rays + mount[2]) for mount, rays, _ in sensors])
-        owner = np.repeat(np.arange(len(sensors)), [len(rays) for _, rays, _ in sensors])
+        phi = np.concatenate([wrap(part.bearings + part.mount[2]) for part in sensors])
+        owner = np.repeat(np.arange(len(sensors)), [len(part.bearings) for part in sensors])
         order = np.argsort(phi, kind="stable")
         return RangeSensor(
             bearings=phi[order],
-            origins=np.array([sensors[k][0][:2] for k in owner[order]]),
-            cones=np.array([sensors[k][2] for k in owner[order]]),
+            origins=np.array([sensors[k].mount[:2] for k in owner[order]]),
+            cones=np.array([sensors[k].cone for k in owner[order]]),
             **shared,
         )
     n_rays, fov = values["n_rays"], values["fov"]
