@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -70,6 +70,15 @@ class RangeSensor:
     def n_rays(self) -> int:
         """Count of rays in a scan."""
         return len(self.bearings)
+
+    def take(self, rays: NDArray[np.integer] | slice) -> RangeSensor:
+        """Return the sensor with some of its rays, in increasing order."""
+        return replace(
+            self,
+            bearings=self.bearings[rays],
+            origins=self.origins[rays] if len(self.origins) else self.origins,
+            cones=self.cones[rays] if len(self.cones) else self.cones,
+        )
 
     @property
     def is_composite(self) -> bool:

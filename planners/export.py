@@ -30,7 +30,7 @@ def stops_yaml(curve: Curve, stops: Floats, end: Floats) -> str:
     Nav2's path followers leave out turns on the spot; `spin` [rad, relative, maybe more than a full turn] is what
     its Spin behaviour takes as `target_yaw`. Where the drive is made of straight moves and turns on the spot, `steps`
     are the actions to send, one after the other. A drive that turns and moves at once has none: see
-    docs/planning.md.
+    docs/pages/how-to/nav2.md.
     """
     lines = ["frame_id: map", "poses:"]
     every = [*stops.tolist(), [*end.tolist(), 0.0]]
@@ -41,7 +41,9 @@ def stops_yaml(curve: Curve, stops: Floats, end: Floats) -> str:
             f"orientation: {{x: 0.0, y: 0.0, z: {z:.9f}, w: {w:.9f}}}, spin: {spin:.6f}}}"
         )
     if np.isin(curve.labels, ("drift", "drive")).any():
-        lines.append("steps: []  # it turns while it moves: drive trajectory.csv, see docs/planning.md")
+        lines.append(
+            "steps: []  # it turns while it moves: drive trajectory.csv, see docs/pages/how-to/nav2.md"
+        )
     else:
         lines += ["steps:", *_steps(np.array(every), curve)]
     return "\n".join(lines) + "\n"

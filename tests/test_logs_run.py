@@ -125,3 +125,13 @@ def test_repr_says_in_three_lines_what_a_run_holds() -> None:
     assert third == "  2 poses of base_link from /pose"
     bare = Run(sensor=run.sensor, stamps=np.zeros(0), ranges=np.zeros((0, 5)))
     assert bare.duration == 0.0 and "no poses" in repr(bare)
+
+
+def test_a_sensor_of_some_rays_keeps_their_origins_and_cones() -> None:
+    bearings = np.linspace(-1.0, 1.0, 5)
+    ring = RangeSensor(bearings=bearings, origins=np.stack([bearings, bearings], axis=1), cones=bearings**2)
+    some = ring.take(np.array([1, 3]))
+    np.testing.assert_array_equal(some.origins[:, 0], some.bearings)
+    np.testing.assert_array_equal(some.cones, some.bearings**2)
+    plain = RangeSensor(bearings=bearings).take(slice(0, 2))
+    assert plain.n_rays == 2 and plain.origins.shape == (0, 2) and plain.cones.shape == (0,)

@@ -177,7 +177,7 @@ def _planned_scans(
     phi = poses[:, 2]
     data = PlannedScans(
         arena=arena,
-        sensor=replace(sensor, bearings=sensor.bearings[rays]),
+        sensor=sensor.take(rays),
         tolerances=robot.tolerances,
         stamps=times,
         ranges=np.zeros((len(poses), len(rays))),
