@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planners.array_kernels import is_any, make_heap, pop_least, set_all
 from planners.cars.arc_path import (
     MAX_BINS,
     ArcPath,
@@ -343,18 +344,25 @@ def choose_replacements(
     context: CarContext,
     replacements: Replacements,
 ) -> Ints:
-    """Choose parts to replace, those that save most first, none touching another; return the arcs (k,) where they begin."""
+    """Choose parts to replace, those that save most first, none touching another; return the arcs (k,) where they begin,
+    in that order.
+    """
     arcs, word, gained = empty_arcs(2 * MAX_ARCS), np.empty(MAX_ARCS), np.empty(MAX_BINS, np.int64)
     is_run_taken, is_taken = np.zeros(len(runs.length), np.bool_), np.zeros(len(intervals.bin), np.bool_)
     chosen, n_chosen = np.empty(len(path.length), np.int64), 0
-    for i in np.argsort(-replacements.saved, kind="mergesort"):
+    costs, heap = np.empty(len(replacements.saved)), np.empty(len(replacements.saved), np.int64)
+    for i in range(len(costs)):
+        costs[i] = -replacements.saved[i]
+    make_heap(heap, len(heap), costs)
+    for popped in range(len(heap)):
+        i = pop_least(heap, len(heap) - popped, costs)
         if replacements.saved[i] <= 0:
             break
         j = replacements.end[i]
         first, last = max(intervals.before[i], 0), intervals.after[j]
-        if is_taken[first : last + 1].any():
+        if is_any(is_taken, first, last):
             continue
-        if context.can_reverse and is_run_taken[runs.run[i - 1] : runs.run[j] + 1].any():
+        if context.can_reverse and is_any(is_run_taken, runs.run[i - 1], runs.run[j]):
             continue
         n_arcs = find_shortcut(i, j, replacements.via[i], path, intervals, context, word, arcs)
         n_gained = bins_covered(i, j, arcs, n_arcs, path, intervals, context, gained)
@@ -372,8 +380,8 @@ def choose_replacements(
             for k in range(n_gained):
                 count[gained[k]] -= 1
             continue
-        is_taken[first : last + 1] = True
-        is_run_taken[runs.run[i - 1] : runs.run[j] + 1] = True
+        set_all(is_taken, first, last)
+        set_all(is_run_taken, runs.run[i - 1], runs.run[j])
         chosen[n_chosen] = i
         n_chosen += 1
-    return np.sort(chosen[:n_chosen])
+    return chosen[:n_chosen]

@@ -109,7 +109,7 @@ def _one_pass(
     except BaseException:
         threads.shutdown(cancel_futures=True)
         raise
-    chosen = choose_replacements(path, intervals, runs, covers, count, context, replacements)
+    chosen = np.sort(choose_replacements(path, intervals, runs, covers, count, context, replacements))
     return _splice(path, intervals, context, replacements, chosen)
 
 

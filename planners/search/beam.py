@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planners.heap import make_heap, pop_least
+from planners.array_kernels import make_heap, pop_least
 from planners.kernel import inner_kernel
 from planners.search.kernel_goals import cell_distance, is_safe
 from planners.search.kernel_world import (

@@ -42,8 +42,9 @@ def doubled(queue: WavefrontQueue) -> WavefrontQueue:
     """Return a queue with twice the room."""
     n = len(queue.hs)
     more = new_queue(2 * n)
-    more.at[:n], more.hs[:n] = queue.at, queue.hs
-    more.parents[:n], more.branches[:n] = queue.parents, queue.branches
+    for k in range(n):
+        more.at[k, 0], more.at[k, 1], more.hs[k] = queue.at[k, 0], queue.at[k, 1], queue.hs[k]
+        more.parents[k], more.branches[k] = queue.parents[k], queue.branches[k]
     return more
 
 

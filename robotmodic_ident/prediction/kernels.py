@@ -278,6 +278,6 @@ def run_ahead(
                 value = np.nan
             past[k], quiet[k] = value, 0.0
         out[last] = value
-        past[first : last + 1] = measured[first : last + 1]
-        quiet[first : last + 1] = noise[first : last + 1]
+        for k in range(first, last + 1):
+            past[k], quiet[k] = measured[k], noise[k]
     return out

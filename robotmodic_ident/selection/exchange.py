@@ -104,7 +104,9 @@ def settle(a: Floats, inside: Bools, locked: Bools, usable: Bools, most: int) ->
 @kernel
 def refresh(a: Floats, original: Floats, inside: Bools) -> None:
     """Sweep anew from the original: rounding does not pile up."""
-    a[:] = original
+    for j in range(len(a)):
+        for k in range(len(a)):
+            a[j, k] = original[j, k]
     for j in range(len(inside)):
         if inside[j]:
             sweep(a, j)
@@ -169,7 +171,8 @@ def thin(a: Floats, original: Floats, locked: Bools, usable: Bools, rss: Floats,
     for size in range(len(rss) - 1, 1, -1):
         if not np.isfinite(rss[size]):
             continue
-        inside[:] = sets[size]
+        for j in range(len(inside)):
+            inside[j] = sets[size, j]
         refresh(a, original, inside)
         i = best_removal(a, inside, locked)
         if i >= 0:

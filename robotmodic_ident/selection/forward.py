@@ -106,13 +106,16 @@ def _choose(
             b[j] = cross[p, i] / norm[j]  # what is left of the output along it
         for k in range(n_max):
             if k < len(keep):
-                c = int(np.argmax(order == keep[k]))
+                c = 0
+                while order[c] != keep[k]:
+                    c += 1
                 c = c if left[c] > DEPENDENCE_TOLERANCE else -1
             else:
                 c = _best(b, left, 4.0 * EPSILON * power[i])
             if c < 0:
                 factor[i, k, k] = 1.0
-                basis[k] = 0.0
+                for j in range(m):
+                    basis[k, j] = 0.0
                 continue
             root = math.sqrt(left[c])
             for j in range(m):
@@ -124,7 +127,8 @@ def _choose(
                 b[j] -= z * basis[k, j]
                 left[j] -= basis[k, j] * basis[k, j]
             left[c] = 0.0
-            factor[i, :k, k] = basis[:k, c] * norm[c]
+            for step in range(k):
+                factor[i, step, k] = basis[step, c] * norm[c]
             factor[i, k, k] = root * norm[c]
             chosen[i, k], gain[i, k] = order[c], z
 

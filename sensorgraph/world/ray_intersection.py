@@ -22,8 +22,9 @@ def nearest_walls(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats)
     -------
     (n,) [m], inf where no wall is met, and (n,) index of the wall, the first of several equally near; -1 none
     """
-    ranges, wall = np.full(len(ux), np.inf), np.full(len(ux), -1, np.intp)
+    ranges, wall = np.empty(len(ux)), np.empty(len(ux), np.intp)
     for k in range(len(ux)):
+        ranges[k], wall[k] = np.inf, -1
         for at in range(len(walls)):
             dx, dy = walls[at, 1, 0] - walls[at, 0, 0], walls[at, 1, 1] - walls[at, 0, 1]
             ax, ay = walls[at, 0, 0] - ox[k], walls[at, 0, 1] - oy[k]

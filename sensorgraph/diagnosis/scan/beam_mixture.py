@@ -98,7 +98,7 @@ def mixture(
                 own = rest * p_back * (1 - p_alternative[k])
                 if lattice > 0:
                     steps = reading / lattice
-                    if abs(steps - np.round(steps)) * lattice > LATTICE_SLACK * cell + 1e-9:
+                    if abs(steps - math.floor(steps + 0.5)) * lattice > LATTICE_SLACK * cell + 1e-9:
                         own = OFF_LATTICE
                     half = lattice / 2
                     t = tail_width * s

@@ -59,7 +59,8 @@ def wall_sums(
                 if value != 0.0:
                     gl[j, 0, wall[i, m]] += value * ends[0, i, m]
                     gl[j, 1, wall[i, m]] += value * ends[1, i, m]
-    square[1, 0] = square[0, 1]
+    for at in range(n_walls):
+        square[1, 0, at] = square[0, 1, at]
     return cl, gl, rl, square
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.heap import make_heap, pop_least
+from planners.array_kernels import make_heap, pop_least
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.faces.hit_moments import HIT_CELL, HitMoments
 from sensorgraph.models.faces.settings import FACES, LineLimits
@@ -223,7 +223,7 @@ def _normal_bins(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -
                 nx_, ny_ = -np.sin(along), np.cos(along)
                 if nx_ * ux + ny_ * uy > 0:
                     nx_, ny_ = -nx_, -ny_
-                angle[i] = np.round(np.arctan2(ny_, nx_) / (2 * np.pi) * N_ANGLES) % N_ANGLES
+                angle[i] = np.floor(np.arctan2(ny_, nx_) / (2 * np.pi) * N_ANGLES + 0.5) % N_ANGLES
                 break
     return angle
 

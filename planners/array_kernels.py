@@ -1,12 +1,13 @@
-"""A binary heap for compiled kernels: takes indices in ascending order of their costs.
+"""What compiled kernels do to arrays, written out: an order by cost, and stretches of a mask.
 
-It stands for `np.argsort` where only the first few are needed, and compiles in a tenth of the time.
+`np.argsort`, slices and their like compile with all their error texts, which takes seconds; these take a tenth of that.
+A heap is also quicker to run where only the first few in order are needed.
 """
 
 from __future__ import annotations
 
 from planners.kernel import inner_kernel
-from planners.types import Floats, Ints
+from planners.types import Bools, Floats, Ints
 
 
 @inner_kernel
@@ -44,3 +45,19 @@ def _sift_down(heap: Ints, top: int, size: int, costs: Floats) -> None:
         heap[hole] = a
         hole = child
     heap[hole] = moved
+
+
+@inner_kernel
+def is_any(mask: Bools, first: int, last: int) -> bool:
+    """Tell whether any of mask[first] ... mask[last] is set."""
+    found = False
+    for k in range(first, last + 1):
+        found |= mask[k]
+    return found
+
+
+@inner_kernel
+def set_all(mask: Bools, first: int, last: int) -> None:
+    """Set mask[first] ... mask[last]."""
+    for k in range(first, last + 1):
+        mask[k] = True
