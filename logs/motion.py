@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.run import Pairing, Run
+from logs.run import Pairing, PoseFrame, RangeSensor, Run
 from logs.transforms import compose, invert, wrap
 from logs.types import Floats, Ints
 
@@ -61,17 +61,31 @@ def ray_poses(run: Run, pairing: Pairing, scans: Ints, *, motion: Motion | None 
 
     Returns
     -------
-    (n, n_rays, 3) [m, m, rad] pose of the run's `pose_frame` in map at the time of each ray of a sweep; without a
-    sweep (n, 1, 3), one for all rays of a scan
+    (n, n_rays, 3) [m, m, rad] pose of the run's `pose_frame` in map at the time of each ray of a sweep, moved to where
+    the ray starts if several sensors are read as one; without either (n, 1, 3), one for all rays of a scan
     """
     if run.sensor.sweep_time == 0:
-        return pairing.poses[scans][:, None]
+        return to_ray_starts(pairing.poses[scans][:, None], run.sensor, run.pose_frame)
     if len(scans) == 0:  # perhaps not one reference pose
         return np.zeros((0, run.sensor.n_rays, 3))
     motion = motion_of(run) if motion is None else motion
     poses = motion.at(run.stamps[scans][:, None] + run.sensor.ray_delays)
     poses[..., 2] = wrap(poses[..., 2])
-    return poses
+    return to_ray_starts(poses, run.sensor, run.pose_frame)
+
+
+def to_ray_starts(poses: Floats, sensor: RangeSensor, frame: PoseFrame) -> Floats:
+    """Move poses (n, n_rays or 1, 3) of a frame so that its laser is where each ray of several sensors starts.
+
+    Returns (n, n_rays, 3); the poses as they are if all rays start in one place.
+    """
+    if not sensor.is_composite:
+        return poses
+    phi = poses[..., 2] + (0.0 if frame == "laser" else sensor.mount[2])
+    cos, sin = np.cos(phi), np.sin(phi)
+    x, y = sensor.origins.T
+    moved = (poses[..., 0] + cos * x - sin * y, poses[..., 1] + sin * x + cos * y)
+    return np.stack([*moved, np.broadcast_to(poses[..., 2], moved[0].shape)], axis=-1)
 
 
 def _between_references(run: Run, stamps: Floats, poses: Floats) -> Motion | None:

@@ -91,6 +91,11 @@ class RangeSensor:
         return self.sweep_time * np.arange(self.n_rays) / self.n_rays
 
     @property
+    def has_ray_poses(self) -> bool:
+        """Tell whether the rays of a scan are taken from different places on a moving robot."""
+        return self.sweep_time != 0 or self.is_composite
+
+    @property
     def is_evenly_spaced(self) -> bool:
         """Tell whether all neighbouring bearings are equally far apart (to 1e-6 rad)."""
         steps = np.diff(self.bearings)

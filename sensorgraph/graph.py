@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from logs.html_table import html_table
 from logs.inflation import most_plain
+from logs.motion import to_ray_starts
 from logs.run import PoseFrame, RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import atomic_file
@@ -71,6 +72,8 @@ class Sensorgraph:
         self._check_poses(poses, len(index))
         if point not in POINTS:
             raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
+        if poses.ndim == 2 and self.sensor.is_composite and self.model.name != "polynomial":
+            poses = to_ray_starts(poses[:, None], self.sensor, self.pose_frame)[:, index]
         if poses.ndim == 2:
             return self.model.predict(poses, index, point)
         of_rays = [

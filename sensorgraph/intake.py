@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from logs.jumps import Jumps, find_jumps
 from logs.run import Pairing, RangeSensor, Run
 from sensorgraph.errors import SensorgraphError
+
+NARROW_CONE = float(np.radians(5.0))
+"""[rad] a narrower cone counts as a thin ray: met at 45°, its nearest surface is 4 % nearer than the ray's."""
 
 
 def check_jumps(run: Run, pairing: Pairing, *, force: bool, name: str | None = None) -> None:
@@ -28,18 +33,25 @@ def refuse_jumps(jumps: Jumps | None, name: str, *, force: bool) -> None:
         )
 
 
-def check_one_laser(sensor: RangeSensor, name: str, *, takes: str, remedy: str) -> None:
-    """Refuse rays that start at several places, or measure within a cone, where these are not understood.
+def check_rays(sensor: RangeSensor, name: str, *, takes: str, remedy: str, one_place: bool = True) -> None:
+    """Refuse wide cones, and rays that start at several places, where these are not understood.
 
     Parameters
     ----------
-    takes : who takes the thin rays of one place, for the message
+    takes : who takes thin rays, for the message
     remedy : what to do
+    one_place : rays must start in one place
 
     Raises
     ------
     SensorgraphError : the sensor has such rays
     """
-    if sensor.is_composite or sensor.cones.any():
-        what = "rays from several places" if sensor.is_composite else "a cone for each ray"
-        raise SensorgraphError(f"{name} has {what}; {takes} the thin rays of one laser: {remedy}")
+    widest = float(sensor.cones.max(initial=0.0))
+    if widest > NARROW_CONE:
+        raise SensorgraphError(
+            f"{name} measures the nearest surface in cones of {np.degrees(widest):.0f}°; {takes} thin rays: {remedy}"
+        )
+    if one_place and sensor.is_composite:
+        raise SensorgraphError(
+            f"{name} has rays from several places; {takes} the rays of one laser: {remedy}"
+        )

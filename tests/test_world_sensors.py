@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import logs
 import sensorgraph as sg
 from planners.arena import Arena
 from planners.trajectory import Trajectory
@@ -105,13 +105,52 @@ def test_a_cone_measures_its_nearest_surface(empty_room: Arena) -> None:
     assert (got >= want - 1e-9).all()
 
 
-def test_a_recorded_ring_is_read_built_predicted_and_scored(tmp_path: Path, empty_room: Arena) -> None:
+def winding() -> Trajectory:
+    """Drive through the room for two minutes."""
     t = np.arange(0, 120, 0.02)
     poses = np.column_stack([2 + 1.2 * np.sin(0.21 * t), 1.5 + 0.8 * np.sin(0.13 * t), np.zeros_like(t)])
     heading = np.unwrap(np.arctan2(np.gradient(poses[:, 1]), np.gradient(poses[:, 0])))
     poses[:, 2] = np.angle(np.exp(1j * heading))
     twists = np.column_stack([np.hypot(*np.gradient(poses[:, :2], axis=0).T), np.gradient(heading)]) / 0.02
-    drive = Trajectory(stamps=t, poses=poses, twists=twists, primitives=np.full(len(t), "arc"))
+    return Trajectory(stamps=t, poses=poses, twists=twists, primitives=np.full(len(t), "arc"))
+
+
+FRONT_AND_REAR = """
+sensors:
+  - {name: front, mount: [0.35, 0.1, 0.3], n_rays: 40, fov: 3.0}
+  - {name: rear, mount: [-0.35, -0.1, 3.3], n_rays: 40, fov: 3.0}
+sensor: {sigma: 0.005, resolution: 0.0, rate: 5.0}
+pose: {sigma_xy: 0.0005, sigma_yaw: 0.0003}
+"""
+
+
+def test_faces_of_front_and_rear_laser_know_where_each_ray_starts(empty_room: Arena) -> None:
+    run = sg.record(winding(), empty_room, parse_robot(FRONT_AND_REAR))
+    graph = sg.build(run, calibrate=False)
+    assert sg.evaluate(graph, run).all["median_m"] < 0.01  # one origin for all rays: 0.1 m
+    poses = np.array([[2.0, 1.5, 0.4], [1.2, 1.1, 2.0]])
+    want = cast(empty_room, poses, run.sensor).ranges
+    found = graph.predict(poses)
+    assert found.answered.mean() > 0.9
+    np.testing.assert_allclose(found.ranges[found.answered], want[found.answered], atol=0.02)  # 4 sigma
+    some = graph.predict(poses, rays=[3, 70])
+    np.testing.assert_array_equal(some.ranges, found.ranges[:, [3, 70]])
+    equations = re.findall(r"face \d+: r = \((.*?)\) / \((.*?)\)", graph.model.equation(3))
+    x, y, phi = poses[0]
+    at = {"": 1.0, "x": x, "y": y, "c": np.cos(phi), "s": np.sin(phi)}
+
+    def value(text: str) -> float:
+        return sum(
+            float(number.replace(" ", "")) * at[symbol]
+            for number, symbol in re.findall(r"([+-]? ?[\d.]+) ?([xycs]?)", text)
+        )
+
+    printed = [value(above) / value(below) for above, below in equations if value(below) < 0]
+    assert min(r for r in printed if r > 0) == pytest.approx(want[0, 3], abs=0.02)
+
+
+def test_a_recorded_ring_is_read_built_predicted_and_scored(tmp_path: Path, empty_room: Arena) -> None:
+    drive = winding()
     robot = parse_robot((RING % 0.26).replace("sigma: 0.0", "sigma: 0.01"))
     run = sg.record(drive, empty_room, robot, path=tmp_path / "ring.mcap")
     again = sg.read(tmp_path / "ring.mcap")
@@ -124,4 +163,3 @@ def test_a_recorded_ring_is_read_built_predicted_and_scored(tmp_path: Path, empt
     np.testing.assert_array_equal(kept.sensor.origins, again.sensor.origins)
     np.testing.assert_array_equal(kept.sensor.cones, again.sensor.cones)
     assert sg.evaluate(kept, again).all["median_m"] < 0.3
-    assert isinstance(again, logs.Run)

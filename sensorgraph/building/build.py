@@ -15,7 +15,7 @@ from sensorgraph.building.split import held_out
 from sensorgraph.building.training_data import TrainingData, all_scans, begin_digest, ranges_bytes
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.intake import check_one_laser
+from sensorgraph.intake import check_rays
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import Model
 from sensorgraph.models.faces.model import Faces
@@ -60,9 +60,9 @@ def build(
     _check_alike([source.head for source in sources], names)
     if model != "polynomial":
         for source, name in zip(sources, names, strict=True):
-            check_one_laser(
+            check_rays(
                 source.head.sensor, name, takes=f"the model {model} takes",
-                remedy="set `model` polynomial, or choose one sensor with `topics` scan=NAME",
+                remedy="set `model` polynomial, or choose one sensor with `topics` scan=NAME", one_place=False,
             )  # fmt: skip
     bounds = None if arena is None else arena.bounds
     feed = TrainingData(sources, names, split=split, bounds=bounds, force=force)

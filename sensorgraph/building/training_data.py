@@ -144,7 +144,7 @@ class _LogIntake:
             self.box = np.array(
                 [np.minimum(self.box[0], poses.min(axis=0)), np.maximum(self.box[1], poses.max(axis=0))]
             )
-        if run.sensor.sweep_time == 0:
+        if not run.sensor.has_ray_poses:
             return poses, run.ranges[use]
         return poses, run.ranges[use], ray_poses(run, pairing, np.flatnonzero(use))
 

@@ -273,7 +273,7 @@ def predict_scans(
 ) -> Prediction:
     """Predict paired scans (n,) of a run, each ray of a sweep from where the robot was at its time."""
     mount = run.sensor.mount
-    if run.sensor.sweep_time == 0:
+    if run.sensor.sweep_time == 0:  # where the rays of several sensors start knows the graph
         return graph.predict(poses_for(graph, run.pose_frame, mount, pairing.poses[scans]), point=point)
     motion, parts = motion_of(run), []
     for start in range(0, len(scans), SCANS_PER_STEP):

@@ -21,6 +21,7 @@ from sensorgraph.building.build import is_same_sensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.intake import check_rays
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.recording.controllers import controller_named
 from sensorgraph.recording.record import no_progress
@@ -97,6 +98,10 @@ class IdentifiedWorld:
                 f"the graph has {graph.sensor.n_rays} rays, the robot {robot.sensor.n_rays} or other bearings; "
                 "give the robot.yaml of the sensor that the graph was built from"
             )
+        check_rays(
+            robot.sensor, robot.name, takes="an identified world draws",
+            remedy="drive in an arena, or give the robot of one laser",
+        )  # fmt: skip
         self.graph, self.seed = graph, seed
         self.sensor = replace(robot.sensor, range_max=min(robot.sensor.range_max, graph.sensor.range_max))
         self.n_rays = self.unanswered = 0

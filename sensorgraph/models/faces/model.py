@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor
+from logs.transforms import compose
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Point, Prediction, TrainingScans
 from sensorgraph.models.calibration.calibrate import calibrate_faces, corrected_rays, observed_by
@@ -233,10 +234,16 @@ class Faces(FacesData):
         )  # fmt: skip
         return out
 
+    def _start_of(self, ray: int) -> Floats:
+        """Return where a ray starts (3,) [m, m, rad] in the frame of the poses: the laser, or one of several sensors."""
+        if not self.sensor.is_composite:
+            return self.mount
+        return compose(self.mount, np.append(self.sensor.origins[ray], 0.0))
+
     def equation(self, ray: int) -> str:
         """Print the explicit equations of one ray, face by face, those that explain most returns first."""
         lines = face_equations(
-            self.faces, self.hits, self.noise, self.calibration.terms, self.mount,
+            self.faces, self.hits, self.noise, self.calibration.terms, self._start_of(ray),
             ray=ray, bearing=float(self.sensor.bearings[ray]),
         )  # fmt: skip
         if self.cells is not None:

@@ -17,7 +17,7 @@ from sensorgraph.building.build import training_scans
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.intake import check_jumps, check_one_laser
+from sensorgraph.intake import check_jumps
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.show.review.cells import ReviewCells, count_cells
 from sensorgraph.types import Floats
@@ -118,10 +118,6 @@ def collect(
     SensorgraphError : no scan has a pose, the poses jump, or the sensor of the run is not that of the graph
     """
     pairing = pair(run)
-    check_one_laser(
-        run.sensor, run.meta.get("source", "the run"), takes="a review takes",
-        remedy="choose one laser with `topics` scan=NAME",
-    )  # fmt: skip
     check_jumps(run, pairing, force=force)
     index = np.flatnonzero(pairing.paired)
     if not len(index):
