@@ -15,7 +15,6 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.naming import is_material
 from sensorgraph.diagnosis.scan.deviations import dispersion
 from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, solver_for, start_state
-from sensorgraph.diagnosis.scan.gauss_newton import boxed
 from sensorgraph.diagnosis.scan.goodness_of_fit import check, replicate
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings, plain_e_step
@@ -24,11 +23,9 @@ from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
-from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.nuisance import Nuisance
-from sensorgraph.effects.proposals import best_run
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.world.robot import default_robot, parse_robot
 from sensorgraph.world.scene import Scene, draw_readings
@@ -174,36 +171,6 @@ def test_eliminating_the_poses_solves_the_whole_system(quiet: ScanData, null: Fi
     )
 
 
-def test_compiled_sums_by_wall_are_the_plain_ones() -> None:
-    rng = np.random.default_rng(4)
-    shape, k, n_walls = (7, 11), 5, 6
-    w = np.where(rng.random(shape) < 0.3, 0.0, rng.random(shape))
-    wall = rng.integers(0, n_walls, shape)
-    pose, stack = rng.normal(size=(7, 3, 11)), rng.normal(size=(7, k, 11))
-    ends, y = rng.normal(size=(2, 7, 11)), rng.normal(size=shape)
-    got = wall_sums(w, pose, stack, ends, wall, y, n_walls)
-    for compiled, plain in zip(got, plain_wall_sums(w, pose, stack, ends, wall, y, n_walls), strict=True):
-        np.testing.assert_allclose(compiled, plain, atol=1e-12)
-
-
-def test_the_box_holds_and_binds_only_where_it_must() -> None:
-    rng = np.random.default_rng(3)
-    a = rng.normal(size=(30, 6))
-    matrix, tau = a.T @ a, np.full(5, 0.1)
-    right = matrix @ np.array([0.02, -0.01, 3.0, 0.0, 0.03, 2.0])
-    locked = np.array([False, False, False, True, False])
-    g, p = boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, locked)
-    assert (np.abs(g) <= SCAN.nuisance.max_tolerances * tau * (1 + 1e-9)).all()
-    assert g[3] == 0.0
-    assert abs(abs(g[2]) - SCAN.nuisance.max_tolerances * 0.1) < 1e-9
-    x = np.concatenate([g, p])
-    slope = right - matrix @ x - np.concatenate([g / tau**2, [0.0]])
-    free = np.array([abs(v) < SCAN.nuisance.max_tolerances * 0.1 - 1e-9 for v in g] + [True]) & ~np.append(
-        locked, False
-    )
-    np.testing.assert_allclose(slope[free], 0.0, atol=1e-5)
-
-
 @pytest.mark.parametrize(("short", "lattice"), [(0.0, 0.0), (0.05, 0.0), (0.0, 0.01), (0.02, 0.05)])
 def test_the_compiled_likelihood_is_the_plain_one(quiet: ScanData, short: float, lattice: float) -> None:
     """Readings of every kind: returned, lost, too near and broken, aimed at something or not, beside edges or not."""
@@ -313,15 +280,6 @@ def test_a_fit_recovers_what_was_planted(
     sd = np.sqrt(np.diag(got.solution.covariance))
     for k, (parameter, deviation) in enumerate(zip(planted.effect.steps, sd, strict=True)):
         assert abs(got.model[0][parameter] - values[parameter]) < 4 * deviation + 1e-4, (k, parameter)
-
-
-def test_best_run_is_the_best_of_all_runs() -> None:
-    values = np.random.default_rng(5).normal(size=(7, 12))
-    first, last, total = best_run(values)
-    for row, i, j, s in zip(values, first, last, total, strict=True):
-        plain = max(row[a : b + 1].sum() for a in range(12) for b in range(a, 12))
-        assert s == pytest.approx(plain)
-        assert row[i : j + 1].sum() == pytest.approx(plain)
 
 
 def test_replicates_are_as_the_model_says(quiet: ScanData, null: Fitted) -> None:

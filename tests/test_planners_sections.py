@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
-import re
 import signal
 import time
 from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import shapely
 import yaml
-from planners_samples import door_arena, outlined, shipped
+from planners_samples import door_arena, outlined
 
 from planners import Plan, PlanError, plan, planning
 from planners.arena import Arena, wrap
@@ -26,10 +23,8 @@ from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.curve import Curve
 from planners.export import commands, waypoints
-from planners.maps.no_go import without, zones
 from planners.methods import coverage_spins
 from planners.methods.repair_cars import CarRepair
-from planners.sampling import sampling_warnings
 from planners.sections import (
     PathCache,
     cut_points,
@@ -41,7 +36,6 @@ from planners.sections import (
     turning_stops,
 )
 from planners.task import JoinCounts, PlannedDrive, Task
-from planners.trajectory import Trajectory
 from planners.vehicle import Drive, Limits, Vehicle
 from sensorgraph.planning.plan_folder import counted
 
@@ -88,9 +82,12 @@ def assert_drives(curve: Curve, arena: Arena) -> None:
 
 
 @pytest.mark.parametrize("planner", ["coverage", "stop_and_spin"])
-def test_sections_between_any_cuts_pass_all_that_the_whole_passes(planner: str) -> None:
-    arena = door_arena(0.9)
-    made = plan(arena, ROBOT, planner=planner, **GRID)
+def test_sections_between_any_cuts_pass_all_that_the_whole_passes(
+    planner: str, rooms: tuple[Plan, Arena]
+) -> None:
+    made, arena = rooms
+    if planner != "coverage":
+        made = plan(arena, ROBOT, planner=planner, **GRID)
     choice = cut_points(made.curve, ROBOT)
     marks = [int(choice[k]) for k in (0, len(choice) // 3, len(choice) // 2, -1)]
     logged = []
@@ -174,52 +171,6 @@ def test_stops_found_in_a_curve_turn_as_far_as_the_robot_does(rooms: tuple[Plan,
     turned = (curve.twists[:, 1] * dt + 0.5 * curve.rates[:, 1] * dt**2).sum()
     assert found[:, 3].sum() == pytest.approx(turned, abs=1e-6)
     assert abs(found[:, 3]).max() <= 2 * np.pi + np.pi / 4
-
-
-def test_a_zone_is_kept_free_of_the_whole_robot_and_is_seen_through() -> None:
-    arena = outlined(shapely.box(0, 0, 4, 3))
-    zone = zones("1.5,0,2.5,0,2.5,1.5,1.5,1.5")
-    less = without(arena, zone)
-    assert less.walls is arena.walls
-    made = plan(less, ROBOT, **GRID)
-    places = shapely.points(made.trajectory.poses[:, :2])
-    assert shapely.distance(places, zone[0]).min() >= ROBOT.footprint_radius
-    assert made.report["coverage"] == 1.0
-    assert made.report["limit_violations"] == 0
-    assert check(made.trajectory, less, ROBOT).count == 0
-    whole = plan(arena, ROBOT, **GRID)
-    assert made.report["reachable_cells"] < whole.report["reachable_cells"]
-    assert check(whole.trajectory, less, ROBOT).violations["clearance"] > 0
-
-
-def test_zones_are_read_from_features_of_their_kind(tmp_path: Path) -> None:
-    def feature(kind: str, *corners: tuple[float, float]) -> dict[str, object]:
-        geometry = {"type": "Polygon", "coordinates": [[*corners, corners[0]]]}
-        return {"type": "Feature", "properties": {"name": kind, "kind": kind}, "geometry": geometry}
-
-    path = tmp_path / "zones.geojson"
-    features = [feature("arena", (0, 0), (4, 0), (4, 4)), feature("no_go", (1, 1), (2, 1), (2, 2))]
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
-    assert [zone.area for zone in zones(str(path))] == [0.5]
-
-
-@pytest.mark.parametrize(
-    ("given", "says"),
-    [
-        ("1,1,2,2,2,1,1,2", "crosses or touches itself"),
-        ("10,10,11,10,11,11", "outside the arena"),
-        ("-1,-1,9,-1,9,9,-1,9", "cover all"),
-        ("1,1,2,2", "at least three corners"),
-        ("1,1,2,2,3", "at least three corners"),
-        ("1,1,2,2,3,3", "touches itself|no area"),
-        ("1,1,nan,2,3,1", "not finite"),
-        ("nowhere.geojson", "is no file"),
-    ],
-)
-def test_bad_zones_are_one_line(given: str, says: str) -> None:
-    with pytest.raises(PlanError, match=says) as caught:
-        without(shipped("square"), zones(given))
-    assert "\n" not in str(caught.value)
 
 
 def test_a_plan_for_batteries_tells_of_every_run(rooms: tuple[Plan, Arena]) -> None:
@@ -377,51 +328,6 @@ def test_nav2_steps_visit_every_stop_and_turn_as_far(rooms: tuple[Plan, Arena]) 
         here[:2] = place["x"], place["y"]
     np.testing.assert_allclose(here[:2], made.trajectory.poses[-1, :2], atol=0.01)
     assert yaml.safe_load(waypoints(rooms[0]))["steps"] == []  # it turns while it moves
-
-
-def drive(v: float, omega: float) -> Trajectory:
-    n = 10
-    return Trajectory(
-        stamps=np.arange(n) / 50.0,
-        poses=np.zeros((n, 3)),
-        twists=np.tile([v, omega], (n, 1)),
-        primitives=np.full(n, "move"),
-    )
-
-
-@pytest.mark.parametrize(
-    ("v", "omega", "rate", "sweep_time", "said"),
-    [
-        (0.4, 1.0, 10.0, 0.0, []),
-        (0.4, 0.78, 4.0, 0.0, []),  # the paper's 4 Hz serve 22.5 degrees up to 0.785 rad/s
-        (0.4, 0.79, 4.0, 0.0, ["heading bin"]),
-        (0.51, 0.1, 4.0, 0.0, ["cell"]),
-        (0.0, 1.9, 100.0, 0.1, []),
-        (0.0, 2.0, 100.0, 0.1, ["half a heading bin"]),
-        (0.49, 0.0, 100.0, 0.25, []),
-        (0.51, 0.0, 100.0, 0.25, ["half a cell"]),
-        (1.0, 4.0, 4.0, 0.15, ["cell", "heading bin", "half a cell", "half a heading bin"]),
-    ],
-)
-def test_a_log_too_slow_for_the_bins_is_said(
-    v: float, omega: float, rate: float, sweep_time: float, said: list[str]
-) -> None:
-    lines = sampling_warnings(drive(v, omega), cell=0.25, headings=16, rate=rate, sweep_time=sweep_time)
-    assert len(lines) == len(said)
-    assert all(word in line for word, line in zip(said, lines, strict=True))
-
-
-def test_who_does_what_a_warning_says_is_not_warned_again() -> None:
-    grid = {"cell": 0.25, "headings": 16, "sweep_time": 0.15}
-    fast = " ".join(sampling_warnings(drive(1.3, 4.0), rate=4.0, **grid))
-    rates = [float(number) for number in re.findall(r"log at (\S+) Hz", fast)]
-    speeds = [float(number) for number in re.findall(r"drive at (\S+) m/s", fast)]
-    spins = [float(number) for number in re.findall(r"turn at (\S+) rad/s", fast)]
-    assert (len(rates), len(speeds), len(spins)) == (2, 2, 2)
-    assert not [
-        line for line in sampling_warnings(drive(1.3, 4.0), rate=max(rates), **grid) if "log of" in line
-    ]
-    assert sampling_warnings(drive(min(speeds), min(spins)), rate=4.0, **grid) == []
 
 
 @pytest.mark.slow

@@ -1,0 +1,50 @@
+"""Sums by wall, the bounded solve and the best run of rays, each against its plain definition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sensorgraph.diagnosis.scan.gauss_newton import boxed
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
+from sensorgraph.effects.proposals import best_run
+
+
+def test_compiled_sums_by_wall_are_the_plain_ones() -> None:
+    rng = np.random.default_rng(4)
+    shape, k, n_walls = (7, 11), 5, 6
+    w = np.where(rng.random(shape) < 0.3, 0.0, rng.random(shape))
+    wall = rng.integers(0, n_walls, shape)
+    pose, stack = rng.normal(size=(7, 3, 11)), rng.normal(size=(7, k, 11))
+    ends, y = rng.normal(size=(2, 7, 11)), rng.normal(size=shape)
+    got = wall_sums(w, pose, stack, ends, wall, y, n_walls)
+    for compiled, plain in zip(got, plain_wall_sums(w, pose, stack, ends, wall, y, n_walls), strict=True):
+        np.testing.assert_allclose(compiled, plain, atol=1e-12)
+
+
+def test_the_box_holds_and_binds_only_where_it_must() -> None:
+    rng = np.random.default_rng(3)
+    a = rng.normal(size=(30, 6))
+    matrix, tau = a.T @ a, np.full(5, 0.1)
+    right = matrix @ np.array([0.02, -0.01, 3.0, 0.0, 0.03, 2.0])
+    locked = np.array([False, False, False, True, False])
+    g, p = boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, locked)
+    assert (np.abs(g) <= SCAN.nuisance.max_tolerances * tau * (1 + 1e-9)).all()
+    assert g[3] == 0.0
+    assert abs(abs(g[2]) - SCAN.nuisance.max_tolerances * 0.1) < 1e-9
+    x = np.concatenate([g, p])
+    slope = right - matrix @ x - np.concatenate([g / tau**2, [0.0]])
+    free = np.array([abs(v) < SCAN.nuisance.max_tolerances * 0.1 - 1e-9 for v in g] + [True]) & ~np.append(
+        locked, False
+    )
+    np.testing.assert_allclose(slope[free], 0.0, atol=1e-5)
+
+
+def test_best_run_is_the_best_of_all_runs() -> None:
+    values = np.random.default_rng(5).normal(size=(7, 12))
+    first, last, total = best_run(values)
+    for row, i, j, s in zip(values, first, last, total, strict=True):
+        plain = max(row[a : b + 1].sum() for a in range(12) for b in range(a, 12))
+        assert s == pytest.approx(plain)
+        assert row[i : j + 1].sum() == pytest.approx(plain)
