@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnosis_samples import ROBOT, make_run, without_commands, without_odometry
+from diagnosis_samples import ROBOT, make_run, profile, without_commands, without_odometry
+from scipy.signal import lfilter
 
+from logs.run import Run
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 
 PLANTED: list[tuple[str, dict[str, Any], str, float]] = [
@@ -50,6 +52,78 @@ def test_motors_that_ignore_small_commands_are_unknown(column: int, least: float
         told[still, column] = 0.6 * least * shift[still]
         result = diagnose_drive(replace(run, commands=told), ROBOT)
         assert result.unknown is not None and "small" in result.unknown.statement and result.effects == ()
+
+
+def real_base(
+    seed: int,
+    *,
+    tick: float = 0.0,
+    jitter: float = 0.0,
+    second: float = 0.0,
+    sigma: float = 1.0,
+    drag: tuple[float, float] = (0.0, 0.0),
+) -> Run:
+    """Return a run whose base acts at ticks of its own loop, through two lags in series; commands come at 20 Hz.
+
+    Parameters
+    ----------
+    tick, jitter, second : [s] of the base, of the transport of commands, of the second lag
+    sigma : times the nominal noise of the encoders
+    drag : share of the speed that is lost, and the command [m/s] below which it is
+    """
+    rng, fine = np.random.default_rng(seed), 0.005
+    run = make_run(seed, duration=1.0)
+    commands = profile(rng, 90.0)
+    stamps = 0.05 * np.arange(len(commands))
+    t = fine * np.arange(len(commands) * 10)
+    arrival = stamps + np.abs(rng.normal(size=len(stamps))) * jitter
+    if tick:
+        arrival = np.ceil(arrival / tick) * tick - tick / 2  # robot.yaml's delay holds the mean
+    held = commands[np.maximum(np.searchsorted(np.maximum.accumulate(arrival), t, side="right") - 1, 0)]
+    share, below = drag
+    held = np.where(np.abs(held) < below, held * (1 - share), held)
+    for tau in (0.10 - second, second):
+        if tau > 0:
+            keep = np.exp(-fine / tau)
+            held = lfilter([1 - keep], [1, -keep], held, axis=0)
+    moved = np.cumsum(held * fine, axis=0)
+    way = np.stack([np.interp(stamps, t + fine, c) for c in moved.T], axis=1)
+    twists = np.diff(way, axis=0, prepend=way[:1]) / 0.05
+    twists += rng.normal(size=twists.shape) * [0.004, 0.006] * sigma
+    return replace(
+        run,
+        odom_stamps=stamps,
+        odometry=np.zeros((len(stamps), 3)),
+        odom_twists=twists,
+        cmd_stamps=stamps,
+        commands=commands,
+    )
+
+
+@pytest.mark.parametrize(
+    "base",
+    [
+        {"tick": 0.0495},
+        {"tick": 0.0333},
+        {"tick": 0.02, "jitter": 0.005},
+        {"second": 0.03},
+        {"second": 0.03, "tick": 0.0495, "sigma": 0.01},
+    ],
+    ids=str,
+)
+def test_what_every_base_does_is_no_reason_to_doubt(base: dict[str, float]) -> None:
+    result = diagnose_drive(real_base(1, **base), ROBOT)
+    assert result.effects == () and result.unknown is None
+
+
+def test_better_encoders_do_not_make_a_trifle_material() -> None:
+    """That motors ignore 1 cm/s is proven by fine encoders and matters to nobody; that they ignore 8 cm/s does."""
+    trifle, real = (
+        diagnose_drive(real_base(1, sigma=0.02, drag=(1.0, below)), ROBOT) for below in (0.01, 0.08)
+    )
+    assert trifle.unknown is None
+    assert real.unknown is not None and real.unknown.size["speed_m_s"] > 0.005
+    assert "off by" in real.unknown.statement and len(real.unknown.families) >= 1
 
 
 def test_run_without_commands_or_odometry_is_skipped_with_reason() -> None:

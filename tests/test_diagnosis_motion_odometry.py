@@ -12,6 +12,7 @@ from diagnosis_samples import ROBOT, make_run, without_odometry
 
 from logs.run import Run
 from planners.arena import wrap
+from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
@@ -133,6 +134,14 @@ def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: st
         assert result.unknown.deviation is not None
         assert f"({result.unknown.statistic:.0f} nats of evidence)" in result.unknown.deviation.sentence()
         assert not {a.name for a in result.effects} & {"wheel_slip", "wheel_base", "wheel_radius_diff"}
+
+
+def test_what_the_odometry_shows_is_not_said_again_of_the_motors() -> None:
+    run = worn_half_way(make_run(11))
+    odometry = diagnose_odometry(run, ROBOT)
+    assert odometry.motion is not None
+    assert diagnose_drive(run, ROBOT).unknown is not None
+    assert diagnose_drive(run, ROBOT, wheels=odometry.motion).unknown is None
 
 
 def test_camera_louder_than_said_is_no_structure() -> None:

@@ -214,7 +214,9 @@ def diagnose_motion(
     model = motion_model(robot, known)
     odometry = name_motion_effects(diagnose_odometry(run, model, seed=seed), known)
     use_clock = odometry.unknown is None
-    drive = name_motion_effects(diagnose_drive(run, model, use_clock=use_clock), known)
+    drive = name_motion_effects(
+        diagnose_drive(run, model, use_clock=use_clock, wheels=odometry.motion), known
+    )
     return odometry, drive
 
 

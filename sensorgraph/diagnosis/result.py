@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sensorgraph.effects import Amendment
+from sensorgraph.types import Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +64,10 @@ class Unknown:
     deviation: Deviation | None = None
     statistic: float = 0.0
     threshold: float = 0.0
+    size: Mapping[str, float] = field(default_factory=dict)
+    """By how much a simulation without it is off, each number named with its unit."""
+    families: tuple[str, ...] = ()
+    """What it may be, in the words of a robot engineer, the likeliest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +104,16 @@ class Rival:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class MotionDifference:
+    """What the body did beyond what the wheels say, where a patch or structure explains it."""
+
+    stamps: Floats
+    """(n,) [s] of the reference's clock."""
+    rates: Floats
+    """(n, 2) [m/s, rad/s]"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ChannelResult:
     """What one channel shows."""
 
@@ -120,3 +135,5 @@ class ChannelResult:
     """Why the channel was not looked at; empty if it was."""
     notes: Mapping[str, Any] = field(default_factory=dict)
     """What else is worth knowing, plain data."""
+    motion: MotionDifference | None = None
+    """Of the odometry channel: what other channels are to know of its finding."""

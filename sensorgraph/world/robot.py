@@ -74,6 +74,10 @@ class Tolerances:
     """[rad]"""
     stamp: float = 0.0035
     """[s] clocks."""
+    control_period: float = 0.05
+    """[s] of the base's control loop: a command waits for the next tick, so its delay is uniform over one period."""
+    transport_jitter: float = 0.005
+    """[s] standard deviation of a command's time from its stamp to the base."""
 
 
 @dataclass(frozen=True, kw_only=True)

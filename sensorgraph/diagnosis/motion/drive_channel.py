@@ -13,11 +13,13 @@ from sensorgraph.diagnosis.motion.motors.report import deviations_before_naming,
 from sensorgraph.diagnosis.motion.motors.rows import commands_of, drive_rows
 from sensorgraph.diagnosis.motion.motors.selection import confirmed, select, with_structure
 from sensorgraph.diagnosis.motion.odometry_channel import odometry_clock_offset
-from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.diagnosis.result import ChannelResult, MotionDifference
 from sensorgraph.world.robot import Robot
 
 
-def diagnose_drive(run: Run, robot: Robot, *, use_clock: bool = True) -> ChannelResult:
+def diagnose_drive(
+    run: Run, robot: Robot, *, use_clock: bool = True, wheels: MotionDifference | None = None
+) -> ChannelResult:
     """Name what makes commands and odometry differ.
 
     A run without odometry or without commands is skipped; `ChannelResult.skipped` says why.
@@ -25,16 +27,17 @@ def diagnose_drive(run: Run, robot: Robot, *, use_clock: bool = True) -> Channel
     Parameters
     ----------
     use_clock : trust the reference poses for the offset of the odometry's clock
+    wheels : what the odometry channel has explained by slip or structure
     """
     try:
-        wheels = wheel_increments(run)
+        increments = wheel_increments(run)
         commands = commands_of(run)
         clock = odometry_clock_offset(run, robot) if use_clock else None
-        rows = drive_rows(wheels, commands, robot, clock)
+        rows = drive_rows(increments, commands, robot, clock)
     except ChannelSkippedError as exc:
         return ChannelResult(channel="drive", skipped=str(exc))
     model = DriveModel(commands, rows, robot)
     selected = select(model)
     deviations = deviations_before_naming(model)
-    selected, evidence = confirmed(model, with_structure(model, selected))
+    selected, evidence = confirmed(model, with_structure(model, selected, wheels))
     return drive_result(model, selected, evidence, deviations)

@@ -43,6 +43,18 @@ class EvidenceSettings:
     """z above which a deviation is listed."""
     observable_size: float = 3.0
     """Materialities: an effect of this size should show."""
+    reckoning_time: float = 60.0
+    """[s] of dead reckoning after which a simulation without something is judged."""
+    min_drift: float = 0.05
+    """[m] by which it must be off then for the user to mind, of a robot that drives 0.4 m/s; a faster one in proportion."""
+    min_speed_error: float = 0.005
+    """[m/s] by which the wheels' speed must be off for the user to mind; in proportion, too."""
+    reference_speed: float = 0.4
+    """[m/s] of the robot that these are for."""
+    min_place_error: float = 0.005
+    """[m] by which a reference must be bent over the place for the user to mind."""
+    min_yaw_error: float = 0.005
+    """[rad] the same of its yaw."""
     clock_tolerance_share: float = 0.6
     """Of the tolerance of one stamp: the standard deviation of a clock offset that needs no effect."""
     clock_tolerance_range: tuple[float, float] = (0.0015, 0.0035)
@@ -316,6 +328,14 @@ class DriveChannelSettings:
     """[s] of the odometry's clock against the reference's, below which it is not corrected."""
     max_clock_error: float = 0.01
     """[s] largest standard error of that offset which counts."""
+    second_lag: float = 0.03
+    """[s] of a second lag in series with the first, as real motors have one; at most half of both together."""
+    second_lag_sigma: float = 0.4
+    """Standard deviation a priori of the share of such a lag that is there."""
+    beat_time: float = 5.0
+    """[s] over which the ticks of the base and the stamps of the commands keep their phase."""
+    max_beats: int = 24
+    """Pieces of the run with a delay of their own; in a longer run they are longer."""
     min_top_speed: float = 0.05
     """[m/s] of the largest command, below which no saturation is looked for."""
     min_saturation: float = 0.02

@@ -8,10 +8,11 @@ Gaussian prior, so that a family is compared by its marginal likelihood (evidenc
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationError
 from sensorgraph.diagnosis.motion.reference_noise import robust_log_likelihood
 from sensorgraph.diagnosis.motion.regression import RIDGE
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
@@ -33,6 +34,8 @@ class StructureFamily:
     """Standard deviation of each coefficient, a priori."""
     statement: str
     """How the readings differ, as the end of a sentence."""
+    is_of_reference: bool = False
+    """It is the reference that would be off, not the robot."""
     choice_price: float = 0.0
     """[nats] for having been chosen among several of its kind."""
 
@@ -46,6 +49,10 @@ class AcceptedStructure:
     """[nats]"""
     threshold: float
     """[nats] that it needed."""
+    size: SimulationError | ReferenceError
+    """By how much a simulation without it is off, or the reference."""
+    rivals: Sequence[str] = ()
+    """Statements of the families that explain most after it."""
 
 
 NoiseFitter = Callable[[int, Floats, Bools], WhiteningFilter]
@@ -55,8 +62,16 @@ NoiseFitter = Callable[[int, Floats, Bools], WhiteningFilter]
 class StructureTest:
     """Compares families of structure with noise, and with each other."""
 
-    def __init__(self, valid: Bools, y: Floats, fit_noise: NoiseFitter) -> None:
-        """Compare over rows y (2 n,), those of `valid` (n,)."""
+    def __init__(
+        self, valid: Bools, y: Floats, fit_noise: NoiseFitter, nuisances: Floats | None = None
+    ) -> None:
+        """Compare over rows y (2 n,), those of `valid` (n,).
+
+        Parameters
+        ----------
+        nuisances : (2 n, m) columns that are part of every model, in units of their standard deviation a priori
+        """
+        self.nuisances = np.zeros((len(y), 0)) if nuisances is None else nuisances
         self.valid, self.y, self.fit_noise, self.n = valid, y, fit_noise, len(valid)
         white = WhiteningFilter.white(0, 1.0)
         self.whitener = Whitener.plain((white, white), valid)
@@ -68,6 +83,29 @@ class StructureTest:
         screened = [self._evidence_at_this_noise(own, family) for family in candidates]
         k = int(np.argmax(screened))
         return candidates[k], max(self._evidence(own, candidates[k]) - here, screened[k])
+
+    def ranking(self, own: Floats, candidates: Sequence[StructureFamily]) -> list[StructureFamily]:
+        """Return the likeliest family of each kind, the likeliest first; those that explain nothing are left out."""
+        self._evidence(own)
+        screened = {family: self._evidence_at_this_noise(own, family) for family in candidates}
+        found: dict[str, StructureFamily] = {}
+        for family in sorted(candidates, key=lambda family: -screened[family]):
+            if screened[family] > 0:
+                found.setdefault(family.kind, family)
+        return list(found.values())
+
+    def explained(self, own: Floats, families: Sequence[StructureFamily]) -> Floats:
+        """Return by how much the rows (2 n,) differ between the models with families and without.
+
+        All rows weigh alike: what is off in a few rows by much is an outlier to evidence, and all the more to a user.
+        """
+        self._evidence(own, families[0])
+        self.whitener = Whitener.plain(self.whitener.filters, self.valid)
+        columns = np.concatenate([family.columns for family in families], axis=1)
+        sigma = np.concatenate([np.full(family.columns.shape[1], family.sigma) for family in families])
+        joint = replace(families[0], columns=columns * sigma, sigma=1.0)
+        with_them, without = (self._fit_columns(own, family)[0] for family in (joint, None))
+        return np.asarray(without - with_them)
 
     def dispersion(self, span: float, period: float) -> float:
         """Return how much more than noise of the fitted kind the last fit left, over blocks of `span` [s]; at least 1.
@@ -110,9 +148,10 @@ class StructureTest:
 
     def _normal_equations(self, own: Floats, family: StructureFamily | None) -> tuple[Floats, Floats, Floats]:
         """Return columns (2 n, k + m) in units of their norm or prior, and their whitened normal equations."""
-        columns = own / np.maximum(np.linalg.norm(own, axis=0), 1e-12)
+        parts = [own / np.maximum(np.linalg.norm(own, axis=0), 1e-12), self.nuisances]
         if family is not None:
-            columns = np.concatenate([columns, family.columns * family.sigma], axis=1)
+            parts.append(family.columns * family.sigma)
+        columns = np.concatenate(parts, axis=1)
         Z = self.whitener(columns)
         return columns, Z.T @ Z, Z.T @ self.whitener(self.y)
 
@@ -123,19 +162,28 @@ class StructureTest:
         prior = np.concatenate([_ridge(G, k), np.ones(len(G) - k)])
         theta = np.linalg.solve(G + np.diag(prior), b)
         price = 0.5 * float(theta[k:] @ theta[k:])
-        if family is not None:
-            information = _information_beside(G, k)
-            price += 0.5 * float(np.linalg.slogdet(np.eye(len(G) - k) + information)[1])
-            price += family.choice_price
+        information = _information_beside(G, k)
+        price += 0.5 * float(np.linalg.slogdet(np.eye(len(G) - k) + information)[1])
+        price += 0.0 if family is None else family.choice_price
         return self.y - columns @ theta, price
 
     def _evidence_at_this_noise(self, own: Floats, family: StructureFamily) -> float:
         """Return the evidence of a family if the noise stays as it is [nats]."""
         _, G, b = self._normal_equations(own, family)
-        k = own.shape[1]
+        k, m = own.shape[1], self.nuisances.shape[1]
         c = b[k:] - G[k:, :k] @ np.linalg.solve(G[:k, :k] + np.diag(_ridge(G, k)), b[:k])
         H = np.eye(len(G) - k) + _information_beside(G, k)
-        return float(0.5 * c @ np.linalg.solve(H, c) - 0.5 * np.linalg.slogdet(H)[1]) - family.choice_price
+        return _gain(H, c) - _gain(H[:m, :m], c[:m]) - family.choice_price
+
+
+def _gain(H: Floats, c: Floats) -> float:
+    """Return the evidence of columns with unit priors [nats].
+
+    Parameters
+    ----------
+    H, c : (k, k), (k,) their normal equations, prior included
+    """
+    return float(0.5 * c @ np.linalg.solve(H, c) - 0.5 * np.linalg.slogdet(H)[1])
 
 
 def _ridge(G: Floats, k: int) -> Floats:

@@ -78,6 +78,8 @@ def unknown_dict(unknown: Unknown) -> dict[str, Any]:
         "where": None if unknown.deviation is None else asdict(unknown.deviation),
         "statistic": unknown.statistic,
         "threshold": unknown.threshold,
+        "size": dict(unknown.size),
+        "families": list(unknown.families),
     }
 
 

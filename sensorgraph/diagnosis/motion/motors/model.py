@@ -44,6 +44,8 @@ class Column(IntEnum):
     GAIN_OMEGA = 3
     TURN_PER_DISTANCE = 4
     V_MAX = 5
+    SECOND_LAG = 6
+    """How much of the lag is a second one in series, as in every real motor: the shape of a step, not its delay."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,8 @@ class DriveModel:
         base = rates(motors)
         least, share = FIT.tau_quotient
         d_tau, d_delay, d_v_max = max(least, share * motors.tau), FIT.delay_quotient, FIT.v_max_quotient
+        second = min(DRIVE.second_lag, motors.tau / 2)
+        in_series = replace(motors, tau=motors.tau - second, second=second)
         v, omega = both_kinds(base, self.rows.n)
         nothing = np.zeros(self.rows.n)
         by_v_max = np.zeros(2 * self.rows.n)
@@ -162,6 +166,7 @@ class DriveModel:
             Column.GAIN_OMEGA: np.concatenate([nothing, omega]),
             Column.TURN_PER_DISTANCE: np.concatenate([nothing, v]),
             Column.V_MAX: by_v_max,
+            Column.SECOND_LAG: rates(in_series) - base,
         }
         motion = MotorMotion(v=v, omega=omega, duration=self.rows.end - self.rows.start)
         own = [
@@ -184,6 +189,7 @@ class DriveModel:
                 DRIVE.gain_sigma,
                 DRIVE.turn_sigma / base,
                 SHUT_SIGMA,
+                DRIVE.second_lag_sigma,
                 *(regressor.tolerance for _, regressor in self.layout.regressors),
             ]
         )

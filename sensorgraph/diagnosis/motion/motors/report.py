@@ -154,9 +154,9 @@ def deviations_before_naming(model: DriveModel) -> tuple[Deviation, ...]:
 
 def _unknown(model: DriveModel, structure: AcceptedStructure) -> Unknown:
     """Say what structure entered the model in the stead of effects."""
-    family, evidence = structure.family, structure.evidence
+    family, evidence, size = structure.family, structure.evidence, structure.size
     return Unknown(
-        statement=f"commands and odometry differ {family.statement}, which no effect of the library explains",
+        statement=f"commands and odometry differ {family.statement}, which no effect of the library explains; {size.sentence()}",
         deviation=Deviation(
             family="bias",
             partition=family.kind,
@@ -168,6 +168,8 @@ def _unknown(model: DriveModel, structure: AcceptedStructure) -> Unknown:
             channel="drive",
         ),
         statistic=evidence,
+        size=size.to_dict(),
+        families=(family.statement, *structure.rivals),
         threshold=structure.threshold,
     )
 

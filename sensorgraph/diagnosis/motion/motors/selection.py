@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from sensorgraph.diagnosis.motion.consequence import simulation_error
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm, fitted_noise
+from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
 from sensorgraph.diagnosis.motion.motors.structure import drive_families
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureTest
+from sensorgraph.diagnosis.motion.whitening import both_kinds
+from sensorgraph.diagnosis.result import MotionDifference
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 
 
@@ -77,17 +83,33 @@ def evidence_of_each(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFi
     return out
 
 
-def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelection:
-    """Let structure that no effect makes stand beside the effects, or in their stead."""
+def with_structure(
+    model: DriveModel, selected: MotorSelection, wheels: MotionDifference | None = None
+) -> MotorSelection:
+    """Let structure that no effect makes stand beside the effects, or in their stead.
+
+    Parameters
+    ----------
+    wheels : what the odometry channel has explained already
+    """
     terms, here = list(selected.terms), selected.fit
     has_limit = any(term.effect is SPEED_SATURATION for term in terms)
     own = here.columns[:, [k for k in range(model.layout.n) if has_limit or k != Column.V_MAX]]
-    test = StructureTest(model.rows.valid, model.rows.masked(model.rows.y - here.simulated), fitted_noise)
-    family, gain = test.best(own, drive_families(model, here))
+    left = model.rows.masked(model.rows.y - here.simulated)
+    test = StructureTest(model.rows.valid, left, fitted_noise, drive_nuisances(model, here, wheels))
+    families = drive_families(model, here)
+    family, gain = test.best(own, families)
     strongest = max(evidence_of_each(model, terms, here).values(), default=0.0)
     needed = max(EVIDENCE.threshold, DRIVE.structure.share * strongest)
     if gain < needed:
         return selected
+    dt = model.rows.end - model.rows.start
+    distance, turn = both_kinds(here.simulated, model.rows.n)
+    missing = test.explained(own, [family, *families]) * np.concatenate([dt, dt])
+    size = simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base)
+    if not size.is_material(model.robot.limits.v):
+        return selected
+    rivals = [other.statement for other in test.ranking(own, families)]
     model.structure = family
     full = model.fit(terms, here.motors)
     model.fit_noise(model.residual(full))
@@ -96,7 +118,13 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     return MotorSelection(
         terms=tuple(terms),
         fit=full,
-        structure=AcceptedStructure(family=family, evidence=gain, threshold=needed),
+        structure=AcceptedStructure(
+            family=family,
+            evidence=gain,
+            threshold=needed,
+            size=size,
+            rivals=[text for text in rivals if text != family.statement][:2],
+        ),
     )
 
 

@@ -28,6 +28,8 @@ class MotorParameters:
     """[s] dead time."""
     v_max: float = float("inf")
     """[m/s]"""
+    second: float = 0.0
+    """[s] time constant of a second lag in series."""
 
 
 class MotorSimulation:
@@ -84,6 +86,10 @@ class MotorSimulation:
             for i, most in enumerate(self.slew):
                 if np.abs(np.diff(speed[:, i])).max(initial=0.0) > SLEW_MARGIN * most * STEP:
                     speed[:, i] = _with_limited_change(held[:, i], keep, most * STEP)
+        if motors.second > AT_ONCE:
+            again = float(np.exp(-STEP / motors.second))
+            bands = np.array([[1.0], [-again]]) * np.ones(len(held))
+            speed = solve_banded((1, 0), bands, (1 - again) * speed)
         # speed[k] is reached at the end of step k
         sums = np.cumsum(np.concatenate([np.zeros((1, 2)), speed[:-1] + speed[1:]]), axis=0)
         return np.asarray(sums * STEP / 2)

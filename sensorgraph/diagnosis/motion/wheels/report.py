@@ -17,7 +17,15 @@ from sensorgraph.diagnosis.motion.wheels.model import WheelModel
 from sensorgraph.diagnosis.motion.wheels.patch_search import best_patch
 from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
 from sensorgraph.diagnosis.motion.whitening import both_kinds
-from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
+from sensorgraph.diagnosis.result import (
+    ChannelResult,
+    Deviation,
+    FitQuality,
+    Gap,
+    MotionDifference,
+    Rival,
+    Unknown,
+)
 from sensorgraph.effects import Amendment, Effect
 from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
@@ -59,6 +67,20 @@ def odometry_result(
             "clock_offset_s": model.rows.clock + float(fit.theta[model.layout.clock]),
             "rows": int(model.rows.valid_rows.sum()),
         },
+        motion=_motion_difference(model, fit),
+    )
+
+
+def _motion_difference(model: WheelModel, fit: RegressionFit) -> MotionDifference | None:
+    """Return what patches and structure explain; None where there are none."""
+    more = model.columns[:, model.layout.n :]
+    if not more.shape[1]:
+        return None
+    rows = both_kinds(more @ fit.theta[model.layout.n :], model.rows.n)
+    dt = np.gradient(model.rows.stamps)
+    return MotionDifference(
+        stamps=model.rows.stamps,
+        rates=np.stack([np.where(model.rows.valid, x, 0.0) / dt for x in rows], axis=1),
     )
 
 
@@ -184,9 +206,9 @@ def _unknown(model: WheelModel) -> Unknown | None:
     """Say what structure entered the model in the stead of effects."""
     if model.structure is None:
         return None
-    family, evidence = model.structure.family, model.structure.evidence
+    family, evidence, size = model.structure.family, model.structure.evidence, model.structure.size
     return Unknown(
-        statement=f"odometry and reference pose differ {family.statement}, which no effect of the library explains",
+        statement=f"odometry and reference pose differ {family.statement}, which no effect of the library explains; {size.sentence()}",
         deviation=Deviation(
             family="bias",
             partition=family.kind,
@@ -198,6 +220,8 @@ def _unknown(model: WheelModel) -> Unknown | None:
             channel="odometry",
         ),
         statistic=evidence,
+        size=size.to_dict(),
+        families=(family.statement, *model.structure.rivals),
         threshold=model.structure.threshold,
     )
 

@@ -7,6 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sensorgraph.diagnosis.motion.consequence import (
+    ReferenceError,
+    SimulationError,
+    reference_error,
+    simulation_error,
+)
 from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, noise_limits
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import (
@@ -119,14 +125,35 @@ def _admit_structure(model: WheelModel, terms: list[WheelTerm]) -> None:
         needed = max(needed, _inexactness(model, terms))
     if candidate.evidence < needed:
         return
+    beside = model.A if candidate.replaces_patches else own
+    likely = [family for family in test.ranking(beside, families) if not family.is_of_reference]
+    explained = [candidate.family] if candidate.family.is_of_reference else likely or [candidate.family]
+    size = _size(model, test.explained(beside, explained), candidate.family)
+    if not candidate.replaces_patches and not size.is_material(model.robot.limits.v):
+        return
+    rivals = [family.statement for family in likely]
     if candidate.replaces_patches:
         model.patches = []
         terms[:] = [term for term in terms if term.effect is not WHEEL_SLIP]
     model.structure = AcceptedStructure(
-        family=candidate.family, evidence=candidate.evidence, threshold=needed
+        family=candidate.family,
+        evidence=candidate.evidence,
+        threshold=needed,
+        size=size,
+        rivals=[text for text in rivals if text != candidate.family.statement][:2],
     )
     model.fit_noise()
     _take_back(model, terms)
+
+
+def _size(model: WheelModel, missing: Floats, family: StructureFamily) -> SimulationError | ReferenceError:
+    """Return by how much a simulation, or the reference, is off that misses rows (2 n,)."""
+    distance = model.rows.D_along @ model.motion.distance
+    turn = model.rows.D_yaw @ model.motion.turn
+    if family.is_of_reference:
+        return reference_error(turn, missing)
+    dt = np.gradient(model.rows.stamps)
+    return simulation_error(distance, turn, missing, dt, model.robot.wheels.base)
 
 
 def _in_stead_of_patches(

@@ -193,6 +193,7 @@ def _distorted_reference(rows: OdometryRows, distance: Floats) -> list[Structure
             labels=["yaw of the reference by place"] * len(yaw),
             sigma=ODOMETRY.structure.yaw_sigma,
             statement="by a yaw of the reference that depends on the place",
+            is_of_reference=True,
         ),
         StructureFamily(
             kind="reference place",
@@ -200,6 +201,7 @@ def _distorted_reference(rows: OdometryRows, distance: Floats) -> list[Structure
             labels=["position of the reference by place"] * len(position),
             sigma=ODOMETRY.structure.position_sigma,
             statement="by a position of the reference that is distorted over the place",
+            is_of_reference=True,
         ),
     ]
 

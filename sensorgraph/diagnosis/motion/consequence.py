@@ -1,0 +1,102 @@
+"""What structure costs a user: how far a simulation without it is off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.settings import EVIDENCE, EvidenceSettings
+from sensorgraph.types import Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationError:
+    """By how much a simulation of the run is off."""
+
+    drift: float
+    """[m] root mean square of the position after a minute of dead reckoning."""
+    speed: float
+    """[m/s] root mean square of the wheels' speed."""
+
+    def to_dict(self) -> dict[str, float]:
+        """Return plain data for the report."""
+        return {"drift_m_per_minute": self.drift, "speed_m_s": self.speed}
+
+    def sentence(self) -> str:
+        """Say it in words."""
+        return f"a simulation without it is off by {self.drift:.2g} m after a minute and by {100 * self.speed:.2g} cm/s"
+
+    def is_material(self, top_speed: float, settings: EvidenceSettings = EVIDENCE) -> bool:
+        """Tell whether a user would mind.
+
+        Parameters
+        ----------
+        top_speed : [m/s] of the robot; a fast one may be off by more
+        """
+        factor = max(1.0, top_speed / settings.reference_speed)
+        return self.drift > settings.min_drift * factor or self.speed > settings.min_speed_error * factor
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceError:
+    """By how much the reference poses are off, if they are what is bent."""
+
+    place: float
+    """[m] root mean square of the position along the way."""
+    yaw: float
+    """[rad] root mean square."""
+
+    def to_dict(self) -> dict[str, float]:
+        """Return plain data for the report."""
+        return {"reference_m": self.place, "reference_rad": self.yaw}
+
+    def sentence(self) -> str:
+        """Say it in words."""
+        return f"the reference is off by {100 * self.place:.2g} cm and {np.degrees(self.yaw):.2g} degrees"
+
+    def is_material(self, top_speed: float, settings: EvidenceSettings = EVIDENCE) -> bool:
+        """Tell whether a user would mind."""
+        return self.place > settings.min_place_error or self.yaw > settings.min_yaw_error
+
+
+def reference_error(turn: Floats, missing: Floats) -> ReferenceError:
+    """Return by how much a reference is off whose steps differ from the wheels'.
+
+    Parameters
+    ----------
+    turn : (n,) [rad] of the robot, in steps that follow each other
+    missing : (2 n,) [m, then rad] of each step that the wheels did not make
+    """
+    n = len(turn)
+    place = np.cumsum(missing[:n] * np.exp(1j * np.cumsum(turn)))
+    return ReferenceError(place=float(np.std(place)), yaw=float(np.std(np.cumsum(missing[n:]))))
+
+
+def simulation_error(
+    distance: Floats, turn: Floats, missing: Floats, dt: Floats, base: float
+) -> SimulationError:
+    """Return by how much dead reckoning is off that misses something.
+
+    Parameters
+    ----------
+    distance, turn : (n,) [m, rad] of the robot, in steps that follow each other
+    missing : (2 n,) [m, then rad] of each step that the simulation lacks
+    dt : (n,) [s] of each step
+    base : [m] wheelbase
+    """
+    n = len(distance)
+    away, yaw = missing[:n], missing[n:]
+    step = float(np.median(dt))
+    heading, error = np.cumsum(turn), np.cumsum(yaw)
+    true = np.cumsum(distance * np.exp(1j * heading))
+    off = np.cumsum((distance + away) * np.exp(1j * (heading + error)))
+    k = max(min(round(EVIDENCE.reckoning_time / step), n - 1), 1)
+    starts = np.arange(0, n - k, max(k // 6, 1))
+    # from a common pose: what the error had turned before the start is turned back
+    ahead = (off[starts + k] - off[starts]) * np.exp(-1j * error[starts]) - (true[starts + k] - true[starts])
+    drift = float(np.sqrt(np.mean(np.abs(ahead) ** 2))) if len(starts) else 0.0
+    wheel = (away / dt) ** 2 + (base / 2 * yaw / dt) ** 2
+    return SimulationError(
+        drift=drift * EVIDENCE.reckoning_time / (k * step), speed=float(np.sqrt(np.mean(wheel)))
+    )
