@@ -6,6 +6,9 @@ files of the kernels it calls; here all files of a package that hold kernels cou
 
 from __future__ import annotations
 
+import os
+import pickle
+import subprocess
 import sys
 from collections.abc import Callable
 from functools import cache, partial
@@ -40,6 +43,53 @@ def _inner(function: Function, **options: bool) -> Function:
         return _stored(partial(numba.njit, _nrt=False, **options), function)
     except KeyError:  # a numba that always counts
         return _stored(partial(numba.njit, **options), function)
+
+
+def compile_for(*calls: tuple[Callable[..., object], tuple[object, ...]]) -> None:
+    """Compile kernels for arguments like these, or read them from disk, without running them.
+
+    Of those that no disk holds, every second one is compiled by another process at the same time, where the machine has
+    another processor. The kernels must not call each other.
+
+    Parameters
+    ----------
+    calls : kernels with the arguments of a call of each
+    """
+    typeof: Any = numba.typeof
+    types: list[tuple[Any, tuple[Any, ...]]] = [
+        (function, tuple(typeof(a) for a in arguments)) for function, arguments in calls
+    ]
+    new = [(f.py_func.__module__, f.py_func.__name__, kinds) for f, kinds in types if _is_new(f)]
+    helper: subprocess.Popen[bytes] | None = None
+    if len(new) > 1 and (os.cpu_count() or 1) > 1:
+        helper = subprocess.Popen(
+            [sys.executable, "-c", HELPER], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+        assert helper.stdin is not None
+        with helper.stdin as pipe:
+            pipe.write(pickle.dumps((sys.path, new[1::2])))
+    theirs = {name for _, name, _ in new[1::2]} if helper else set()
+    for function, kinds in types:
+        if function.py_func.__name__ not in theirs:
+            function.compile(kinds)
+    if helper is not None:
+        helper.wait()
+    for function, kinds in types:
+        function.compile(kinds)
+
+
+HELPER = """
+import importlib, pickle, sys
+sys.path[:], jobs = pickle.load(sys.stdin.buffer)
+for module, name, kinds in jobs:
+    getattr(importlib.import_module(module), name).compile(kinds)
+"""
+
+
+def _is_new(compiled: Any) -> bool:
+    """Tell whether a kernel can be kept on disk, and is not."""
+    store: Any = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
+    return hasattr(store, "_load_index") and not store._load_index()
 
 
 def _widen_integers(compiled: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from planners_samples import door_arena
@@ -10,7 +11,10 @@ from planners_samples import door_arena
 from planners.clearance import Barriers
 from planners.reach import Reach, reach
 from planners.search.area import search_area
+from planners.search.beam import beam_search, drive
+from planners.search.kernel_goals import cell_distances
 from planners.search.motion_primitives import spin_primitives
+from planners.search.nearest_goal import nearest_goal_search
 from planners.search.search import CoverageSearch, SearchStatus
 from planners.search.settings import SearchSettings
 from planners.types import Bools
@@ -100,3 +104,13 @@ def driven(search: CoverageSearch) -> np.ndarray:
 
 def test_done_is_said_when_all_is_met() -> None:
     assert searching(OPEN).run(lambda _: True) == SearchStatus.DONE
+
+
+def test_a_search_that_was_compiled_compiles_nothing_more() -> None:
+    search = searching(SHUT, OPEN)
+    search.compile()
+    kernels: list[Any] = [beam_search, drive, cell_distances, nearest_goal_search]
+    before = [len(kernel.signatures) for kernel in kernels]
+    assert min(before) > 0
+    assert search.run(lambda _: True) == SearchStatus.DONE
+    assert [len(kernel.signatures) for kernel in kernels] == before

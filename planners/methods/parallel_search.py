@@ -109,10 +109,8 @@ def search_in_parallel(
 
 
 def _compile(task: Task) -> None:
-    """Compile the kernels, or read them from disk, before the progress starts, by a search for no bin."""
-    notice = threading.Timer(
-        COMPILE_NOTICE, logger.warning, ["compiling the search for this machine: a minute, once"]
-    )
+    """Compile the kernels, or read them from disk, before the progress starts."""
+    notice = threading.Timer(COMPILE_NOTICE, logger.warning, ["compiling the search for this machine, once"])
     notice.daemon = True
     cells = np.zeros(task.reach.shape, dtype=np.bool_)
     cells[tuple(np.argwhere(task.reach.cells())[0])] = True
@@ -120,7 +118,7 @@ def _compile(task: Task) -> None:
     none = np.zeros((*area.inner.shape, task.coverage.headings), dtype=np.bool_)
     notice.start()
     try:
-        CoverageSearch(area, primitives_of(task), none, task.rate).run(lambda _: False)
+        CoverageSearch(area, primitives_of(task), none, task.rate).compile()
         if task.vehicle.drive != "diff":
             _compile_shortening(task)
     finally:

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planners.kernel import compile_for
 from planners.rooms import NEIGHBOUR_STEPS
 from planners.search.area import SearchArea
 from planners.search.beam import beam_search, drive
-from planners.search.heuristic import heuristic_lattice
 from planners.search.kernel_goals import cell_distances
 from planners.search.kernel_world import (
     PrimitiveArrays,
@@ -23,9 +23,16 @@ from planners.search.kernel_world import (
     new_scratch,
 )
 from planners.search.motion_primitives import MotionPrimitives
-from planners.search.nearest_goal import find_nearest_goal
+from planners.search.nearest_goal import find_nearest_goal, nearest_goal_search
 from planners.search.settings import KERNELS, SearchSettings
-from planners.search.workspace import BeamSettings, HeuristicBuffers, Workspace, beam_settings, workspace_for
+from planners.search.workspace import (
+    BeamSettings,
+    HeuristicBuffers,
+    Workspace,
+    beam_settings,
+    heuristic_buffers,
+    workspace_for,
+)
 from planners.types import Bools, Floats, Int32s, Ints
 
 DECISIONS_PER_TICK = KERNELS.decisions_per_tick
@@ -152,7 +159,7 @@ class CoverageSearch:
         """Drive until no bin is missing or none can be reached; `tick` takes the bins left and tells whether to go on."""
         settings, primitives = beam_settings(self.settings, self.primitives), self.primitive_arrays()
         workspace = workspace_for(settings, primitives, self.world.missing.shape)
-        heuristic, left = self._heuristic_buffers(), self.left
+        heuristic, left = heuristic_buffers(self.settings, self.primitives, self.area), self.left
         for decision in count():
             if decision % DECISIONS_PER_TICK == 0:
                 if decision > 0 and not tick(left):
@@ -163,6 +170,25 @@ class CoverageSearch:
                 tick(left)
                 return status
         return SearchStatus.STOPPED
+
+    def compile(self) -> None:
+        """Compile what `run` calls, or read it from disk, so that its progress starts with the search."""
+        settings, primitives, world = (
+            beam_settings(self.settings, self.primitives),
+            self.primitive_arrays(),
+            self.world,
+        )
+        workspace = workspace_for(settings, primitives, world.missing.shape)
+        buffers = heuristic_buffers(self.settings, self.primitives, self.area)
+        compile_for(
+            (beam_search, (self.state, settings, world, primitives, workspace)),
+            (
+                nearest_goal_search,
+                (self.state, settings, world, primitives, 1, True, buffers, workspace),
+            ),
+            (drive, (self.state, 0, 0, 0, settings, world, primitives, workspace)),
+            (cell_distances, (world, workspace.far, workspace.cell_queue)),
+        )
 
     def _decide(
         self,
@@ -280,17 +306,6 @@ class CoverageSearch:
             start=self.start,
             sequence=np.concatenate([np.empty(0, dtype=np.int32), *self._parts]),
             left=self.world.need.copy(),
-        )
-
-    def _heuristic_buffers(self) -> HeuristicBuffers:
-        area = self.area
-        lattice = heuristic_lattice(self.primitives, area.distance, area.step, area.cell, area.clearance)
-        side = lattice.side if self.settings.guided_width > 0 else 1
-        cost_to_go = np.empty(side * side * len(lattice.bins) * lattice.n_gears, dtype=np.int16)
-        entries = np.empty((2, 4 * cost_to_go.size), dtype=np.int32)
-        heads = np.empty(int(lattice.cost.max()) + lattice.pause + 1, dtype=np.int32)
-        return HeuristicBuffers(
-            lattice, cost_to_go, entries[0], entries[1], heads, np.zeros(2, dtype=np.int64)
         )
 
     def primitive_arrays(self) -> PrimitiveArrays:

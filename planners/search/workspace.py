@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from planners.kernel import inner_kernel
-from planners.search.heuristic import HeuristicLattice
+from planners.search.area import SearchArea
+from planners.search.heuristic import HeuristicLattice, heuristic_lattice
 from planners.search.kernel_world import MAX_BINS_PER_PRIMITIVE, PrimitiveArrays, Scratch, new_scratch
 from planners.search.motion_primitives import MotionPrimitives
 from planners.search.settings import KERNELS, SearchSettings
@@ -74,6 +75,18 @@ class HeuristicBuffers(NamedTuple):
     """(ring,) the first entry of each cost, costs being taken modulo the length."""
     corner: Ints
     """(2,) lattice point of the window's (0, 0)."""
+
+
+def heuristic_buffers(
+    settings: SearchSettings, primitives: MotionPrimitives, area: SearchArea
+) -> HeuristicBuffers:
+    """Return the memory of the cost-to-go map; next to none where the settings ask for no guided search."""
+    lattice = heuristic_lattice(primitives, area.distance, area.step, area.cell, area.clearance)
+    side = lattice.side if settings.guided_width > 0 else 1
+    cost_to_go = np.empty(side * side * len(lattice.bins) * lattice.n_gears, dtype=np.int16)
+    entries = np.empty((2, 4 * cost_to_go.size), dtype=np.int32)
+    heads = np.empty(int(lattice.cost.max()) + lattice.pause + 1, dtype=np.int32)
+    return HeuristicBuffers(lattice, cost_to_go, entries[0], entries[1], heads, np.zeros(2, dtype=np.int64))
 
 
 class Workspace(NamedTuple):
