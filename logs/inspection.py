@@ -26,6 +26,7 @@ from logs.ros.recording import (
     transform_tree,
 )
 from logs.run import Run, pair
+from logs.sweep import sweep_line, sweep_warnings
 from logs.types import Floats, Mounts, Progress
 
 LOADERS: dict[str, Callable[[Path, Progress | None], Recording]] = {
@@ -259,6 +260,8 @@ def _usable(run: Run) -> list[str]:
         out.append(f"several sensors as one: rays from {n_places} places in base_link")
     else:
         out.append(f"laser at ({x:.3f}, {y:.3f}) m, {np.degrees(yaw):.1f}° in base_link")
+    if not sensor.is_composite and not sensor.cones.any():
+        out.append(sweep_line(sensor))
     if sensor.cones.any():
         low, high = np.degrees([sensor.cones.min(), sensor.cones.max()])
         span = f"{low:.1f}°" if low == high else f"{low:.1f}° to {high:.1f}°"
@@ -311,7 +314,7 @@ def warnings_of(run: Run) -> list[str]:
         out.append("the poses were estimated from these scans: they absorb errors of mount and clock")
     if source.startswith("odometry"):
         out.append("the poses are odometry: they drift, a map built from them is bent")
-    out += _stamp_warnings(run) + _pose_warnings(run)
+    out += _stamp_warnings(run) + _pose_warnings(run) + sweep_warnings(run)
     finite = np.isfinite(run.ranges)
     if finite.any():
         middle = float(np.median(run.ranges[finite]))

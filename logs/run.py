@@ -239,12 +239,12 @@ class Pairing:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # poses that are not finite are dropped below, and counted
-def pair(run: Run, *, max_gap: float = 0.2) -> Pairing:
+def pair(run: Run, *, max_gap: float = 0.2, whole_sweep: bool = True) -> Pairing:
     """Interpolate the reference pose at every scan's stamp; never across a gap above `max_gap` [s].
 
     A scan whose stamp equals a pose's stamp is paired whatever the gaps around it. Where several scans share a stamp
-    with as many poses, they are paired in their order. The poses must last until the last ray of a sweep; where each
-    ray was taken says `logs.motion.ray_poses`.
+    with as many poses, they are paired in their order. With `whole_sweep` the poses must last until the last ray
+    of a sweep; where each ray was taken says `logs.motion.ray_poses`.
     """
     n_scans = run.n_scans
     poses = np.full((n_scans, 3), np.nan)
@@ -265,7 +265,7 @@ def pair(run: Run, *, max_gap: float = 0.2) -> Pairing:
     poses[:, :2] = run.poses[left, :2] + share[:, None] * (run.poses[right, :2] - run.poses[left, :2])
     phi = run.poses[left, 2] + share * turn
     poses[:, 2] = np.pi - (np.pi - phi) % (2 * np.pi)
-    last_rays = run.stamps + run.sensor.ray_delays[-1]
+    last_rays = run.stamps + (run.sensor.ray_delays[-1] if whole_sweep else 0.0)
     beyond = ~(before | after | gap) & ((last_rays > run.pose_stamps[-1]) | (last_rays < run.pose_stamps[0]))
     paired = ~(before | after | gap | beyond)
     broken = paired & ~np.isfinite(poses).all(axis=1)

@@ -93,7 +93,7 @@ def open_log(
     no_return: str | None = None,
     mounts: Mounts | None = None,
     progress: Progress | None = None,
-) -> LogStream:
+) -> McapStream | WholeRun:
     """Look through a file; a damaged one is refused before anything is made of it.
 
     Raises

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.run import Run
+from logs.sweep import differs
 from planners import maps
 from planners.arena import Arena
 from planners.errors import PlanError
@@ -114,6 +116,25 @@ def robot_in(run: Run) -> Robot | None:
     if text is None:
         return None
     return parse_robot(text.decode(errors="replace"), name="robot.yaml in the run")
+
+
+def sweep_warning(run: Run, robot: Robot, *, name: str = "robot.yaml") -> str | None:
+    """Say where a robot file and a log disagree about how long a sweep of the laser takes; None where they agree."""
+    logged, described = run.sensor.sweep_time, robot.sensor.sweep_time
+    if not differs(abs(logged), described):
+        return None
+    return f"the log says that a sweep takes {abs(logged):.3g} s, sensor.sweep_time of {name} is {described:.3g} s"
+
+
+def with_sweep_of(run: Run, robot: Robot) -> Run:
+    """Return a run whose laser sweeps for as long as a robot file says, in the direction that the log says.
+
+    Drivers often leave `time_increment` at 0, or get it wrong.
+    """
+    if sweep_warning(run, robot) is None:
+        return run
+    sweep_time = math.copysign(robot.sensor.sweep_time, run.sensor.sweep_time)
+    return replace(run, sensor=replace(run.sensor, sweep_time=sweep_time))
 
 
 def robot_for(run: Run, source: str | Path | None = None) -> Robot:

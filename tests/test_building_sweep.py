@@ -158,6 +158,15 @@ def test_cells_of_a_sweep_are_as_sharp_as_without() -> None:
     assert off[SWEEP_TIME] < 1.1 * off[0.0]  # type: ignore[operator]
 
 
+def test_polynomial_of_a_sweep_is_as_good_as_without() -> None:
+    off = {}
+    for sweep_time in (SWEEP_TIME, 0.0):
+        run = run_of(0, sweep_time=sweep_time)
+        graph = build([run], model="polynomial", degree=2, harmonics=1, n_terms=8)
+        off[sweep_time] = evaluate(graph, run_of(1, sweep_time=sweep_time)).all["mae_m"]
+    assert off[SWEEP_TIME] < 1.05 * off[0.0]  # type: ignore[operator]
+
+
 def test_rays_are_where_the_robot_was_between_references() -> None:
     run = run_of(4, duration=20.0)
     exact = replace(run, poses=path(run.pose_stamps))

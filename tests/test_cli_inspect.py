@@ -79,8 +79,8 @@ def test_dropped_scans_are_counted_with_the_reason(tmp_path: Path) -> None:
     logs.write(changed(run, pose_stamps=run.pose_stamps[keep], poses=run.poses[keep]), tmp_path / "run.mcap")
     found = inspect(tmp_path / "run.mcap")
     assert found.pairing == (
-        "20 of 40 scans paired with poses, 5 before the first pose, 5 after the last pose, "
-        "10 in a gap of the poses above 0.2 s"
+        "19 of 40 scans paired with poses, 5 before the first pose, 5 after the last pose, "
+        "10 in a gap of the poses above 0.2 s, 1 sweeping beyond the poses"
     )
 
 

@@ -251,7 +251,7 @@ def _transforms(run: Run, ns: Stamps) -> Iterator[_Part]:
     Without odometry it is map -> base_link. When the poses are the laser's, the base follows from the mount,
     so that every listener sees one tree; /pose keeps the laser's poses, and the metadata says whose they are.
     """
-    pairing = pair(run)
+    pairing = pair(run, whole_sweep=False)
     poses, paired = pairing.poses[pairing.paired], pairing.paired
     if run.pose_frame == "laser":
         poses = compose(poses, invert(run.sensor.mount))

@@ -122,7 +122,7 @@ def write(run: Run, path: Path) -> None:
     names, columns = ["t"], [run.stamps[:, None]]
     if len(run.pose_stamps):
         names += POSE_COLUMNS
-        columns.append(pair(run).poses)
+        columns.append(pair(run, whole_sweep=False).poses)
     if len(run.odom_stamps):
         names += (*ODOMETRY_COLUMNS, *TWIST_COLUMNS)
         columns.append(interpolate(run.stamps, run.odom_stamps, run.odometry))

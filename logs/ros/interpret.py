@@ -10,7 +10,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.ros import own_record
 from logs.ros.composite import combine
-from logs.ros.laser_scan import LaserScans, ShapeCensus, order_rays, read_scans
+from logs.ros.laser_scan import LaserScans, ShapeCensus, check_sweep, order_rays, read_scans
 from logs.ros.range_readings import read_ranges
 from logs.ros.recording import (
     ODOMETRY_TYPE,
@@ -87,6 +87,7 @@ def to_run(
             "format": recording.format,
             "scan_topic": ",".join(names),
             "pose_source": pose_source,
+            **({"scan_time": f"{scans.scan_time:.6g}"} if np.isfinite(scans.scan_time) else {}),
             **({"no_return": scans.no_return} if scans.no_return != "inf" else {}),
             **({"odom_topic": odom_name} if odom_name else {}),
             **({"cmd_topic": cmd_name} if cmd_name else {}),
@@ -158,6 +159,7 @@ def _placed(
         )
         if known is None and not is_in_tree:
             lost.append(" in ".join(filter(None, title)))
+        check_sweep(part)
         order_rays(part, upside_down=upside_down)
         mounts.append(mount)
         heights.append(height)

@@ -14,6 +14,7 @@ from logs.no_return import CODE_SEARCH, notice, range_max_text, zero_text
 from logs.resampling import resample, resampled_text
 from logs.ros import cdr
 from logs.ros.recording import Topic, settle
+from logs.sweep import LIMITS
 from logs.transforms import Stamps, wrap
 from logs.types import Floats
 
@@ -214,6 +215,19 @@ def clean_ranges(
         notes.append(zero_text(zeros, total))
     notes += [f"{count} ranges {what}" for what, count in counts.items() if count]
     return range_min, range_max, no_return
+
+
+def check_sweep(scans: LaserScans) -> None:
+    """Take a sweep that would last longer than the time between scans as 0, in place; that is noted."""
+    steps = np.diff(scans.stamps)
+    period = float(np.median(steps)) / 1e9 if len(steps) else 0.0
+    sweep = abs(scans.time_increment) * len(scans.bearings)
+    if not np.isfinite(sweep) or (period > 0 and sweep > LIMITS.max_periods * period):
+        scans.notes.append(
+            f"time_increment {scans.time_increment:.3g} s makes no sense, {len(scans.bearings)} rays would take "
+            f"{sweep:.3g} s of the {period:.3g} s between scans: 0 was taken"
+        )
+        scans.time_increment = 0.0
 
 
 def order_rays(scans: LaserScans, *, upside_down: bool) -> None:

@@ -173,6 +173,14 @@ def is_same_sensor(a: Floats, b: Floats) -> bool:
     return len(a) == len(b) and bool(np.allclose(a, b, rtol=0, atol=1e-3))
 
 
+def has_same_rays(a: Floats, b: Floats) -> bool:
+    """Tell whether bearings (n_rays,) point the same ways to a thousandth of a radian, whichever comes first."""
+    if len(a) != len(b) or is_same_sensor(a, b):
+        return len(a) == len(b)
+    start = a[0] - 0.5 * (2 * np.pi / len(a) if len(a) == 1 else a[1] - a[0])  # between two rays
+    return is_same_sensor(*(np.sort((bearings - start) % (2 * np.pi)) for bearings in (a, b)))
+
+
 def training_scans(graph: Sensorgraph, run: Run) -> Bools | None:
     """Tell which scans (n_scans,) of a run the graph was fitted to; None if it has not seen this run."""
     mine = digest(run)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -64,7 +65,7 @@ def build(
     from logs.stream import open_log
     from sensorgraph.building.build import build as build_graph
     from sensorgraph.building.dask_cluster import cluster
-    from sensorgraph.cli.inputs import check_output, check_runs, mounts_of, read_robot_sensor
+    from sensorgraph.cli.inputs import check_output, check_runs, mounts_of, with_robot
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
@@ -87,11 +88,8 @@ def build(
     loaded, mounts = [], mounts_of(robot)
     for path in runs:
         with progress("reading", "bytes") as tick:
-            loaded.append(open_log(path, topics=names, no_return=no_return, mounts=mounts, progress=tick))
-    if robot is not None:
-        read_robot_sensor(
-            robot, [(str(path), log.head.sensor) for path, log in zip(runs, loaded, strict=True)]
-        )
+            log = open_log(path, topics=names, no_return=no_return, mounts=mounts, progress=tick)
+        loaded.append(replace(log, head=with_robot(log.head, str(path), robot)))
     with (
         cluster(dask) if dask is not None else nullcontext(map) as map_blocks,
         progress("building", "blocks") as tick,

@@ -17,7 +17,7 @@ from sensorgraph.cli.options import (
     Force,
     GraphFile,
     NoReturn,
-    SensorMounts,
+    RunRobot,
     Topics,
 )
 from sensorgraph.cli.progress import progress
@@ -56,7 +56,7 @@ def evaluate(
     topic: Topics = None,
     no_return: NoReturn = None,
     force: Force = False,
-    robot: SensorMounts = None,
+    robot: RunRobot = None,
 ) -> None:
     """Compare what a sensorgraph predicts with what a run measured.
 
@@ -71,7 +71,7 @@ def evaluate(
     from typing import cast
 
     from logs import parse_topics, read
-    from sensorgraph.cli.inputs import check_output, mounts_of, write_json
+    from sensorgraph.cli.inputs import check_output, mounts_of, with_robot, write_json
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.evaluation.evaluate import evaluate as evaluate_graph
     from sensorgraph.graph import Sensorgraph
@@ -86,6 +86,7 @@ def evaluate(
     with progress("reading", "messages") as tick:
         names = parse_topics(topic or [])
         log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
+    log = with_robot(log, str(run), robot)
     with progress("evaluating", "scans") as tick:
         result = evaluate_graph(model, log, split=split, point=value, cap=cap, force=force, progress=tick)
     simulator = None if effects is None else _simulator(result, log, effects, value)

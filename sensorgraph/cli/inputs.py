@@ -7,11 +7,13 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
+import typer
+
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import atomic_file
 
 if TYPE_CHECKING:
-    from logs.run import RangeSensor
+    from logs.run import Run
     from sensorgraph.types import Floats
 
 
@@ -62,18 +64,24 @@ def mounts_of(robot: Path | None) -> Mapping[str, Floats]:
     return {} if robot is None else load_robot(robot).mounts
 
 
-def read_robot_sensor(path: Path, sensors: Sequence[tuple[str, RangeSensor]]) -> None:
-    """Check that a robot file describes the sensor that recorded."""
-    from sensorgraph.building.build import is_same_sensor
+def with_robot(run: Run, name: str, path: Path | None) -> Run:
+    """Return a run with the sweep of a robot file, which must describe the sensor that recorded; None: as it is."""
+    from sensorgraph.building.build import has_same_rays
+    from sensorgraph.loading import sweep_warning, with_sweep_of
     from sensorgraph.world.robot import load_robot
 
-    described = load_robot(path).sensor
-    for name, sensor in sensors:
-        if not is_same_sensor(sensor.bearings, described.bearings):
-            raise SensorgraphError(
-                f"{name} has {sensor.n_rays} rays, {path} describes {described.n_rays} or other bearings; "
-                "give the robot that recorded the run"
-            )
+    if path is None:
+        return run
+    robot = load_robot(path)
+    if not has_same_rays(run.sensor.bearings, robot.sensor.bearings):
+        raise SensorgraphError(
+            f"{name} has {run.sensor.n_rays} rays, {path} describes {robot.sensor.n_rays} or other bearings; "
+            "give the robot that recorded the run"
+        )
+    warning = sweep_warning(run, robot, name=str(path))
+    if warning is not None:
+        typer.echo(f"warning: {name}: {warning}: that of the robot was taken", err=True)
+    return with_sweep_of(run, robot)
 
 
 def write_json(path: Path, data: Any) -> None:

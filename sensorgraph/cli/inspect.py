@@ -14,7 +14,7 @@ from sensorgraph.cli.options import (
     InspectJson,
     InspectTopic,
     NoReturn,
-    SensorMounts,
+    RunRobot,
 )
 
 
@@ -24,7 +24,7 @@ def inspect(
     arena: InspectArena = None,
     json: InspectJson = None,
     no_return: NoReturn = None,
-    robot: SensorMounts = None,
+    robot: RunRobot = None,
 ) -> None:
     """Say what is in a log: topics, rates, frames, what is usable, what is missing, what looks wrong; or in a map.
 
@@ -44,8 +44,9 @@ def inspect(
     from sensorgraph.cli.inputs import check_output, mounts_of, write_json
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
-    from sensorgraph.loading import arena_in, load_arena
+    from sensorgraph.loading import arena_in, load_arena, robot_in, sweep_warning
     from sensorgraph.world.orientation import orientation
+    from sensorgraph.world.robot import load_robot
 
     if json is not None:
         check_output(json, file)
@@ -69,6 +70,9 @@ def inspect(
                 walls = arena_in(found.run)
             except SensorgraphError as exc:
                 lines += [f"WARNING: {exc}"]
+        machine = robot_in(found.run) if robot is None else load_robot(robot)
+        warning = None if machine is None else sweep_warning(found.run, machine)
+        lines += [] if warning is None else [f"WARNING: {warning}"]
         oriented = orientation(found.run, walls)
         lines += ["orientation", *(f"  {line}" for line in oriented.lines())] if oriented is not None else []
     if json is not None:

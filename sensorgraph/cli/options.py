@@ -19,9 +19,12 @@ GraphFile = Annotated[Path, typer.Argument(metavar="GRAPH", help="A *.sensorgrap
 TopicsByExample = Annotated[list[str] | None, typer.Option(help="ROLE=NAME, for example scan=/front/scan.")]
 
 Force = Annotated[bool, typer.Option("--force", help="Take a run whose poses jump by metres as it is.")]
-SensorMounts = Annotated[
+RunRobot = Annotated[
     Path | None,
-    typer.Option("--robot", help="robot.yaml whose `sensors` sit where no transform in the log says."),
+    typer.Option(
+        "--robot",
+        help="robot.yaml of the robot that recorded: its sweep_time, and where its `sensors` sit if the log does not say.",
+    ),
 ]
 NoReturn = Annotated[
     str | None,
@@ -111,7 +114,7 @@ BuildArena = Annotated[
     str | None, typer.Option(help="GeoJSON, map yaml, or a shipped one: its bounds set the scale.")
 ]
 BuildRobot = Annotated[
-    Path | None, typer.Option(help="Robot yaml: its sensor must be the one that recorded.")
+    Path | None, typer.Option(help="Robot yaml of the robot that recorded; its sensor.sweep_time is taken.")
 ]
 BuildModel = Annotated[str, typer.Option(help="What to fit: faces, cells, or polynomial, the form of 2004.")]
 BuildSplit = Annotated[str | None, typer.Option(help="Hold scans out: every10 or block.")]

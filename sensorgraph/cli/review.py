@@ -14,6 +14,7 @@ from sensorgraph.cli.options import (
     ReviewRay,
     ReviewRun,
     ReviewShow,
+    RunRobot,
     TopicsByExample,
 )
 
@@ -29,6 +30,7 @@ def review(
     show: ReviewShow = False,
     no_return: NoReturn = None,
     force: Force = False,
+    robot: RunRobot = None,
 ) -> None:
     """Show a run, and a sensorgraph against it: coverage, error by place, heading and ray.
 
@@ -39,7 +41,7 @@ def review(
       sensorgraph review intel.log.gz --graph intel.sensorgraph -o intel.rrd && rerun intel.rrd
     """
     from logs import parse_topics, read
-    from sensorgraph.cli.inputs import check_output
+    from sensorgraph.cli.inputs import check_output, mounts_of, with_robot
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import arena_in, load_arena
@@ -50,7 +52,9 @@ def review(
     if out.suffix != ".rrd":
         raise SensorgraphError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
     with progress("reading", "messages") as tick:
-        log = read(run, topics=parse_topics(topic or []), no_return=no_return, progress=tick)
+        names = parse_topics(topic or [])
+        log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
+    log = with_robot(log, run.name, robot)
     walls = load_arena(arena) if arena is not None else arena_in(log)
     written = write_review(
         log, path=out, graph=graph, plan=plan, arena=walls, ray=ray, name=run.name, force=force

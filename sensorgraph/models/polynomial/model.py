@@ -123,10 +123,11 @@ class Polynomial:
     def _with_residuals(self, scans: TrainingScans) -> Self:
         """Fill sigma and spread from the residuals of the training scans, corrected for the terms used."""
         residual = np.empty_like(scans.ranges)
-        for start in range(0, len(scans), POSES_PER_BLOCK):
-            rows = slice(start, start + POSES_PER_BLOCK)
-            phi = self.terms.matrix(columns(scans.poses[rows]), self.scale)
-            residual[rows] = np.abs(scans.ranges[rows] - self._clip(phi @ self.theta.T))
+        for rays in _rays_of_one_pose(scans, self.n_rays):
+            for start in range(0, len(scans), POSES_PER_BLOCK):
+                rows = slice(start, start + POSES_PER_BLOCK)
+                phi = self.terms.matrix(columns(_poses(scans, rays, rows)), self.scale)
+                residual[rows, rays] = np.abs(scans.ranges[rows, rays] - self._clip(phi @ self.theta[rays].T))
         sigma, spread = np.empty(self.n_rays), np.empty((self.n_rays, len(QUANTILES)))
         used = (self.order >= 0).sum(axis=1)
         span = self.sensor.range_max - self.sensor.range_min
@@ -294,7 +295,7 @@ def _select_all(
             "no ray of any training scan returned a range; record where the sensor sees something"
         )
     out["theta"][:, terms.names.index("1")] = np.where(out["returns"] > 0, 0.0, scans.sensor.range_max)
-    step = max(1, min(q, POLYNOMIAL.max_gram_numbers // (2 * m * m)))
+    step = max(1, min(q, POLYNOMIAL.max_gram_numbers // (2 * m * m))) if scans.ray_poses is None else 1
     total = -(-n // POSES_PER_BLOCK) * -(-q // step)
     done = 0
     gram = np.zeros((m, m))
@@ -304,7 +305,8 @@ def _select_all(
         nothing = Moments(terms, len(rays), scale=scale)
         for start in range(0, n, POSES_PER_BLOCK):
             block = scans.ranges[start : start + POSES_PER_BLOCK, rays]
-            phi = terms.matrix(columns(scans.poses[start : start + POSES_PER_BLOCK]), scale)
+            there = _poses(scans, slice(first, first + step), slice(start, start + POSES_PER_BLOCK))
+            phi = terms.matrix(columns(there), scale)
             ranges.add_rows(phi, np.where(np.isfinite(block), block, np.nan))
             nothing.add_rows(phi, np.where(np.isnan(block), np.nan, np.isposinf(block)))
             if first == 0:
@@ -322,6 +324,16 @@ def _select_all(
                 out["theta_none"][rays[few]] = select(nothing.pick(outputs=few), size, keep=["1"]).theta
     out["gram"] = gram
     return out
+
+
+def _rays_of_one_pose(scans: TrainingScans, n_rays: int) -> list[slice]:
+    """Return the rays that share their poses: all of them, or one by one where the laser sweeps."""
+    return [slice(0, n_rays)] if scans.ray_poses is None else [slice(j, j + 1) for j in range(n_rays)]
+
+
+def _poses(scans: TrainingScans, rays: slice, rows: slice) -> Floats:
+    """Return the poses (n, 3) of some scans, of a sweep those of the first of some rays."""
+    return scans.poses[rows] if scans.ray_poses is None else scans.ray_poses[rows, rays.start]
 
 
 def _by_size(count: NDArray[np.int64], k: int) -> list[tuple[Ints, int]]:

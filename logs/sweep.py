@@ -1,0 +1,57 @@
+"""What a log says of the laser's sweep: the time from a scan's first ray to its last, and whether it can be true."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.run import RangeSensor, Run
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepLimits:
+    """When what a log says of the sweep is odd; conventions, none is fitted to data."""
+
+    full_turn: float = 5.8
+    """[rad] of bearings from which on a laser spins, so that a scan takes the time between two scans."""
+    max_periods: float = 1.5
+    """Times between scans that a sweep cannot be longer than: `time_increment` is wrong."""
+    max_difference: float = 0.05
+    """Share by which two statements of one sweep may differ."""
+
+
+LIMITS = SweepLimits()
+
+
+def differs(a: float, b: float) -> bool:
+    """Tell whether two statements of the time [s] of a sweep disagree."""
+    return abs(a - b) > LIMITS.max_difference * max(abs(a), abs(b))
+
+
+def sweep_line(sensor: RangeSensor) -> str:
+    """Say how long a sweep takes."""
+    period = 1.0 / sensor.rate
+    if sensor.sweep_time == 0:
+        return f"no sweep: all rays of a scan at its stamp; a scan every {period:.3g} s"
+    step = 1e3 * sensor.sweep_time / sensor.n_rays
+    return f"a sweep of {sensor.sweep_time:.3g} s (time_increment {step:.3g} ms), a scan every {period:.3g} s"
+
+
+def sweep_warnings(run: Run) -> list[str]:
+    """Return what is odd about the sweep that a driver stated: `time_increment` against `scan_time` and the rate.
+
+    A laser that looks all around spins: from its first ray to its last it takes all of the time between two scans.
+    Logs that state the sensor themselves, as those of `sensorgraph.record`, are taken at their word.
+    """
+    sensor = run.sensor
+    if "scan_time" not in run.meta or run.n_scans < 2 or np.ptp(sensor.bearings) < LIMITS.full_turn:
+        return []
+    stated = float(run.meta["scan_time"])
+    turn, source = (stated, "scan_time") if stated > 0 else (1.0 / sensor.rate, "the rate of the scans")
+    if not differs(abs(sensor.sweep_time), turn):
+        return []
+    return [
+        f"time_increment says that a sweep takes {abs(sensor.sweep_time):.3g} s, {source} that a turn takes "
+        f"{turn:.3g} s; if the laser spins, write sensor.sweep_time: {turn:.3g} into a robot.yaml and give it as `robot`"
+    ]

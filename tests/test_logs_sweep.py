@@ -1,0 +1,91 @@
+"""What a log says of a laser's sweep: shown, doubted where it cannot be, and overruled by a robot.yaml."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_logs_formats_rosbag import Message, pose, scan, write_bag2
+
+import logs
+from logs.inspection import inspect
+from logs.run import RangeSensor, Run
+from sensorgraph.building.build import has_same_rays
+from sensorgraph.cli import run as command
+from sensorgraph.loading import sweep_warning, with_sweep_of
+from sensorgraph.world.robot import parse_robot
+
+N_RAYS, PERIOD = 36, 0.1
+ROBOT = parse_robot("sensor: {n_rays: 36, fov: 6.283185307, sweep_time: 0.1}")
+
+
+def spinning(folder: Path, time_increment: float) -> Path:
+    """Write a bag of a laser that looks all around, 10 times a second, as `scan_time` says, too."""
+    messages: list[Message] = []
+    for k in range(20):
+        at = k * PERIOD
+        messages.append(
+            scan(
+                at,
+                np.full(N_RAYS, 1.0 + 0.01 * k),
+                angle_min=0.0,
+                increment=2 * np.pi / N_RAYS,
+                time_increment=time_increment,
+            )
+        )
+        messages.append(pose(at, 0.02 * k, 0.0, 0.0))
+    write_bag2(folder / "bag", messages)
+    return folder / "bag"
+
+
+def test_inspect_shows_the_sweep(tmp_path: Path) -> None:
+    found = inspect(spinning(tmp_path, PERIOD / N_RAYS))
+    assert "a sweep of 0.1 s (time_increment 2.78 ms), a scan every 0.1 s" in found.usable
+    assert not [line for line in found.warnings if "sweep" in line]
+
+
+@pytest.mark.parametrize("time_increment", [0.0, 3e-5], ids=["left at 0", "as of the LDS-01"])
+def test_time_increment_that_disagrees_with_scan_time_is_warned_of(
+    tmp_path: Path, time_increment: float
+) -> None:
+    (warning,) = [line for line in inspect(spinning(tmp_path, time_increment)).warnings if "sweep" in line]
+    assert "scan_time that a turn takes 0.1 s" in warning and "sensor.sweep_time: 0.1" in warning
+
+
+def test_sweep_longer_than_the_time_between_scans_is_not_believed(tmp_path: Path) -> None:
+    run = logs.read(spinning(tmp_path, 0.1))
+    assert run.sensor.sweep_time == 0
+    assert "makes no sense, 36 rays would take 3.6 s of the 0.1 s between scans" in run.meta["notes"]
+
+
+def test_robot_yaml_overrules_the_log_and_inspect_says_that_they_disagree(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = spinning(tmp_path, 3e-5)
+    run = logs.read(bag)
+    assert with_sweep_of(run, ROBOT).sensor.sweep_time == 0.1
+    clockwise = replace(run, sensor=replace(run.sensor, sweep_time=-0.05))
+    assert with_sweep_of(clockwise, ROBOT).sensor.sweep_time == -0.1
+    agreeing = with_sweep_of(run, ROBOT)
+    assert with_sweep_of(agreeing, ROBOT) is agreeing and sweep_warning(agreeing, ROBOT) is None
+    (tmp_path / "robot.yaml").write_text(ROBOT.text)
+    assert command(["inspect", str(bag), "--robot", str(tmp_path / "robot.yaml")]) == 0
+    said = capsys.readouterr().out
+    assert "WARNING: the log says that a sweep takes 0.00108 s, sensor.sweep_time of" in said
+
+
+def test_rays_from_zero_to_a_turn_are_those_from_behind_to_behind() -> None:
+    step = 2 * np.pi / N_RAYS
+    behind, ahead = -np.pi + step * np.arange(N_RAYS), step * np.arange(N_RAYS)
+    assert has_same_rays(behind, ahead) and has_same_rays(ahead, behind)
+    assert has_same_rays(ahead, ahead + 1e-9) and has_same_rays(ahead, ahead - 1e-9)
+    assert not has_same_rays(behind, ahead + 0.3 * step)
+    assert not has_same_rays(behind, behind[1:])
+
+
+def test_run_that_we_recorded_is_taken_at_its_word() -> None:
+    sensor = RangeSensor(bearings=np.linspace(-np.pi, np.pi, 90, endpoint=False), rate=5.0)
+    run = Run(sensor=sensor, stamps=np.arange(3) / 5, ranges=np.ones((3, 90)))
+    assert not [line for line in logs.inspection.warnings_of(run) if "sweep" in line]
