@@ -29,6 +29,8 @@ class Jumps:
     """The jumps of a run's poses."""
 
     count: int
+    share: float
+    """Of all steps from scan to scan."""
     farthest: float
     """[m]"""
     at: float
@@ -59,4 +61,9 @@ def find_jumps(stamps: Floats, poses: Floats, *, is_timed: bool = True) -> Jumps
     if not jumps.any():
         return None
     farthest = int(np.argmax(np.where(jumps, moved, 0.0)))
-    return Jumps(count=int(jumps.sum()), farthest=float(moved[farthest]), at=float(stamps[farthest + 1]))
+    return Jumps(
+        count=int(jumps.sum()),
+        share=float(jumps.mean()),
+        farthest=float(moved[farthest]),
+        at=float(stamps[farthest + 1]),
+    )

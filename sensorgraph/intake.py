@@ -4,33 +4,63 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.jumps import Jumps, find_jumps
+from logs.jumps import find_jumps
 from logs.run import Pairing, RangeSensor, Run
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.types import Floats
+from sensorgraph.world.orientation import MAX_ERROR_RATIO, orientation
+
+SCATTERED = 0.25
+"""Share of the steps that jump, above which the poses are no drive but places one by one."""
 
 NARROW_CONE = float(np.radians(5.0))
 """[rad] a narrower cone counts as a thin ray: met at 45°, its nearest surface is 4 % nearer than the ray's."""
 
 
-def check_jumps(run: Run, pairing: Pairing, *, force: bool, name: str | None = None) -> None:
+def check_jumps(
+    run: Run,
+    pairing: Pairing,
+    *,
+    force: bool,
+    name: str | None = None,
+    last: tuple[Floats, Floats] = (np.zeros(0), np.zeros((0, 3))),
+) -> None:
     """Refuse a run whose pose jumps between consecutive scans; with `force`, take it as it is.
+
+    Poses that jump at every other scan are no drive: where the scans themselves fit together at these poses
+    (`orientation`), they are single measurements, and are taken.
+
+    Parameters
+    ----------
+    last : stamp (1,) and pose (1, 3) of the scan before, where the run is a piece of a log
 
     Raises
     ------
     SensorgraphError : it jumps farther than a robot drives
     """
-    poses = pairing.poses[pairing.paired]
-    jumps = find_jumps(run.stamps[pairing.paired], poses, is_timed=run.meta.get("clock") != "assumed")
-    refuse_jumps(jumps, name or run.meta.get("source", "the run"), force=force)
+    if force:
+        return
+    stamps = np.concatenate([last[0], run.stamps[pairing.paired]])
+    poses = np.concatenate([last[1], pairing.poses[pairing.paired]])
+    jumps = find_jumps(stamps, poses, is_timed=run.meta.get("clock") != "assumed")
+    if jumps is None or (jumps.share > SCATTERED and _fits_itself(run)):
+        return
+    raise SensorgraphError(
+        f"{name or run.meta.get('source', 'the run')}: {jumps}; expected poses along which a robot can drive: check the "
+        "clocks and where the poses are from (sensorgraph inspect), or set `force` to use them as they are"
+    )
 
 
-def refuse_jumps(jumps: Jumps | None, name: str, *, force: bool) -> None:
-    """Raise an error that says how far the poses of a run jump, and what to do; not with `force`."""
-    if jumps is not None and not force:
-        raise SensorgraphError(
-            f"{name}: {jumps}; expected poses along which a robot can drive: check the clocks and where the poses "
-            "are from (sensorgraph inspect), or set `force` to use them as they are"
-        )
+def _fits_itself(run: Run) -> bool:
+    """Tell whether end points of the scans fall on each other clearly better than those of turned or mirrored scans.
+
+    Where that cannot be told (a few scans, several sensors as one), they are believed.
+    """
+    found = orientation(run, None)
+    if found is None:
+        return True
+    others = [value for name, value in found.fits.items() if name != "as logged"]
+    return found.fits["as logged"] < MAX_ERROR_RATIO * min(others)
 
 
 def check_rays(sensor: RangeSensor, name: str, *, takes: str, remedy: str, one_place: bool = True) -> None:

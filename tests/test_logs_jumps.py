@@ -13,6 +13,8 @@ import sensorgraph as sg
 from logs.jumps import find_jumps
 from planners.arena import Arena
 from sensorgraph.cli import run as command
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.intake import check_jumps
 from sensorgraph.world.raycast import cast
 
 
@@ -34,6 +36,22 @@ def test_a_clock_of_whole_seconds_is_no_jump_and_no_clock_allows_two_metres() ->
     assert find_jumps(np.floor(np.arange(20) / 2), poses) is None
     assert find_jumps(np.arange(20) * 0.1, poses, is_timed=False) is None
     assert find_jumps(np.arange(20) * 0.1, 2 * poses, is_timed=False) is not None
+
+
+def test_places_measured_one_by_one_are_taken_where_the_scans_fit_together(
+    room: Arena, sensor: logs.RangeSensor
+) -> None:
+    """No drive, but true poses; the same poses in another order are garbage."""
+    rng = np.random.default_rng(1)
+    poses = np.column_stack([rng.uniform(0.3, 2.2, 200), rng.uniform(0.3, 2.7, 200), rng.uniform(-3, 3, 200)])
+    stamps = np.arange(200) * 0.1
+    ranges = cast(room, poses, sensor).ranges
+    run = logs.Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)
+    check_jumps(run, logs.pair(run), force=False)
+    shuffled = replace(run, ranges=rng.permutation(ranges))
+    with pytest.raises(SensorgraphError, match="the pose jumps"):
+        check_jumps(shuffled, logs.pair(shuffled), force=False)
+    check_jumps(shuffled, logs.pair(shuffled), force=True)
 
 
 @pytest.fixture(scope="module")

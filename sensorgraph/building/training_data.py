@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from logs.inspection import warnings_of
-from logs.jumps import find_jumps
 from logs.motion import ray_poses
 from logs.run import Pairing, PoseFrame, RangeSensor, Run, pair
 from logs.stream import LogStream
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.intake import refuse_jumps
+from sensorgraph.intake import check_jumps
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block
 from sensorgraph.types import Bools, Floats
@@ -150,11 +149,9 @@ class _LogIntake:
 
     def _check_jumps(self, run: Run, pairing: Pairing) -> None:
         """Refuse poses that jump between the scans of this piece, or from the last one."""
-        stamps = np.concatenate([self.last[0], run.stamps[pairing.paired]])
-        poses = np.concatenate([self.last[1], pairing.poses[pairing.paired]])
-        is_timed = run.meta.get("clock") != "assumed"
-        refuse_jumps(find_jumps(stamps, poses, is_timed=is_timed), self.name, force=self.force)
-        self.last = stamps[-1:], poses[-1:]
+        check_jumps(run, pairing, force=self.force, name=self.name, last=self.last)
+        if pairing.paired.any():
+            self.last = run.stamps[pairing.paired][-1:], pairing.poses[pairing.paired][-1:]
 
     def _look(self, run: Run) -> None:
         """Refuse what no map can come of, from the first piece: other units, a mirrored scan."""
