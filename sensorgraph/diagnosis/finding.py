@@ -46,6 +46,16 @@ class Finding:
         return tuple(a for channel in self.channels.values() for a in channel.undecided)
 
     @property
+    def pose_scale(self) -> float | None:
+        """By how much the reference is worse than its tolerances, as the accepted model fits it; 1 is as stated."""
+        return None if self.explained is None else self.explained.final.state.pose_scale
+
+    @property
+    def map_scale(self) -> float | None:
+        """The same of the map."""
+        return None if self.explained is None else self.explained.final.state.map_scale
+
+    @property
     def unknown(self) -> Unknown | None:
         """What no effect of the library explains."""
         return next((channel.unknown for channel in self.channels.values() if channel.unknown), None)

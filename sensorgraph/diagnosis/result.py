@@ -90,6 +90,8 @@ class Gap:
     after: FitQuality
     noise_floor: FitQuality
     n_rays: int
+    stated_floor: FitQuality | None = None
+    """The noise floor if map and reference are as good as robot.yaml states; None where only one floor is known."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -80,7 +80,7 @@ def summarise(finding: Finding) -> Summary:
         outcome = Outcome.FOUND
     else:
         headline, outcome = "Nothing material found.", Outcome.NOTHING
-        details.insert(0, "Simulation and measurement agree within what a careful set-up holds.")
+        details.insert(0, _agreement(finding))
     if unknown is not None:
         text = deviation_text(unknown.deviation) if unknown.deviation is not None else unknown.statement
         text = text.removeprefix("something no effect of the library explains: ")
@@ -96,8 +96,34 @@ def summarise(finding: Finding) -> Summary:
             fit, _, why = str(finding.intake["arena"]).partition(": ")
             details[:0] = [sentence_case(why), headline]
             headline = sentence_case(fit)
+    if outcome is not Outcome.NOTHING and (worse := _worse_than_stated(finding)):
+        details.append(f"The fit assumes that {worse} than robot.yaml says.")
     details += tolerance_sentences(finding)
     return Summary(outcome=outcome, headline=headline, details=tuple(details))
+
+
+def _agreement(finding: Finding) -> str:
+    """Say that nothing is left, and what that takes."""
+    worse = _worse_than_stated(finding)
+    if not worse:
+        return "Simulation and measurement agree within what a careful set-up holds."
+    text = f"Simulation and measurement agree only if {worse} than robot.yaml says"
+    gap = finding.channels["scan"].gap
+    if gap is None or gap.stated_floor is None:
+        return f"{text}."
+    stated, widened = 100 * gap.stated_floor.rmse_m, 100 * gap.noise_floor.rmse_m
+    return f"{text} (noise floor {widened:.2f} cm; {stated:.2f} cm with the tolerances as stated)."
+
+
+def _worse_than_stated(finding: Finding) -> str:
+    """Say which tolerances the fit had to widen, and by how much; empty where they hold."""
+    scales = (("map", finding.map_scale), ("reference pose", finding.pose_scale))
+    least = SCAN.nuisance.stretched_scale
+    return " and ".join(
+        f"the {name} is {scale:.1f} times worse"
+        for name, scale in scales
+        if scale is not None and scale >= least
+    )
 
 
 def _misplaced(unknown: Unknown) -> Summary:

@@ -101,23 +101,37 @@ def held_out_gap(
     seen = odd & (after.expected.p_alternative < edge) & (before.expected.p_alternative < edge)
     seen &= judged_after.stray <= stray
     seen &= (after.steep < sigma) & (before.steep < sigma)
-    floors = []
-    for _ in range(n_replicates):
-        drawn = _drawn(data, after, final, rng)
-        responsibilities, mu = after.e_step(drawn)
-        clear = seen & (responsibilities.stray <= stray)
-        floors.append(_fit(drawn, mu, responsibilities, clear, odd, sigma))
-    floor = FitQuality(
-        rmse_m=float(np.mean([f.rmse_m for f in floors])),
-        normalised=float(np.mean([f.normalised for f in floors])),
-        nats_per_ray=float(np.mean([f.nats_per_ray for f in floors])),
-    )
+
+    def floor(side: _HeldOutFit) -> FitQuality:
+        floors = []
+        for _ in range(n_replicates):
+            drawn = _drawn(data, side, side.fitted, rng)
+            responsibilities, mu = side.e_step(drawn)
+            clear = seen & (responsibilities.stray <= stray)
+            floors.append(_fit(drawn, mu, responsibilities, clear, odd, sigma))
+        return FitQuality(
+            rmse_m=float(np.mean([f.rmse_m for f in floors])),
+            normalised=float(np.mean([f.normalised for f in floors])),
+            nats_per_ray=float(np.mean([f.nats_per_ray for f in floors])),
+        )
+
+    stated = _as_stated(final)
     return Gap(
         before=_fit(data, mu_before, judged_before, seen, odd, sigma),
         after=_fit(data, mu_after, judged_after, seen, odd, sigma),
-        noise_floor=floor,
+        noise_floor=floor(after),
         n_rays=int(odd.sum()),
+        stated_floor=None if stated is None else floor(_HeldOutFit(data, named, stated, after.noise)),
     )
+
+
+def _as_stated(fitted: Fitted) -> Fitted | None:
+    """Return a fit with the tolerances that robot.yaml states; None where it did not widen them."""
+    state = fitted.state
+    if max(state.pose_scale, state.map_scale) < SCAN.nuisance.stretched_scale:
+        return None
+    narrow = replace(state, pose_scale=min(state.pose_scale, 1.0), map_scale=1.0)
+    return replace(fitted, solution=replace(fitted.solution, state=narrow))
 
 
 def _fit(
