@@ -122,7 +122,7 @@ def build(
     """
     several = [runs] if isinstance(runs, Run | Path | str) else list(runs)
     walls = None if arena is None else _arena(arena)
-    return building.build([_run(run) for run in several], arena=walls, **options)
+    return building.build([_run(run) for run in several], arena=walls, **{"force": False, **options})
 
 
 @as_sensorgraph_error

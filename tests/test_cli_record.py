@@ -155,6 +155,7 @@ def test_another_robot_or_arena_than_the_plan_has_is_warned_of(
     ("arguments", "said"),
     [
         (["record", "{plan}", "--arena", "nowhere", "-o", "{tmp}/a.mcap"], "one of office, square"),
+        (["record", "{plan}", "-o", "{tmp}/a.mcap"], "keeps no arena; give --arena NAME or --graph GRAPH"),
         (["record", "{tmp}/none", "--arena", "square", "-o", "{tmp}/a.mcap"], "does not exist"),
         (["record", "{plan}", "--arena", "square", "-o", "{tmp}/a.bag"], "name it a.mcap"),
         (["record", "{plan}", "--arena", "square", "-o", "{tmp}/no/a.mcap"], "make it first"),

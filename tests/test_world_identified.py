@@ -176,8 +176,7 @@ def test_controllers_are_compared_on_one_seed(
     [
         (["--graph", "{g}", "--controller", "dwa"], "expected each of plan, wall_following, random_bounce"),
         (["--graph", "{g}", "--controller", "plan", "--controller", "plan"], "at most once"),
-        (["--controller", "wall_following"], "goes with --arena or --graph"),
-        ([], "give --arena NAME or --graph GRAPH"),
+        (["--controller", "wall_following", "--start", "1,1,0"], "goes with --arena or --graph"),
         (["--graph", "{g}", "--start", "1,1,0"], "go with --arena"),
     ],
 )

@@ -35,7 +35,7 @@ def build(
     names: Sequence[str] | None = None,
     map_blocks: MapBlocks = map,
     update: Sensorgraph | None = None,
-    force: bool = False,
+    force: bool = True,
     progress: Progress | None = None,
     **options: Any,
 ) -> Sensorgraph:
@@ -50,7 +50,7 @@ def build(
     split : `every10` or `block` hold scans out of each run; the graph remembers it
     map_blocks : where blocks of scans are reduced; `map`: here. See `sensorgraph.building.dask_cluster`
     update : a graph of faces to which the runs are added; its own runs are not needed
-    force : use runs whose poses jump, too
+    force : take a run whose poses jump, too; False: refuse it, as the commands do
     options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
     """
     if model not in MODELS:

@@ -58,7 +58,7 @@ def diagnose(
     baseline: SiteBaseline | None = None,
     seed: int = 0,
     plan_next: bool = True,
-    force: bool = False,
+    force: bool = True,
     progress: Progress | None = None,
 ) -> Finding:
     """Compare a run with the simulator of its arena and robot, and name what is missing.
@@ -74,7 +74,7 @@ def diagnose(
     baseline : what good runs of the site show (`commissioning`); the diagnosis is of the difference to it
     seed : of the replicates and of the next run
     plan_next : plan the run that would tell more
-    force : take a run whose poses jump, too
+    force : take a run whose poses jump, too; False: refuse it, as the commands do
     progress : is called with how many of the STAGES are done, and how many there are
 
     Raises

@@ -121,7 +121,7 @@ def evaluate(
     split: str | None = None,
     point: Point | None = None,
     cap: float | None = None,
-    force: bool = False,
+    force: bool = True,
     progress: Progress | None = None,
 ) -> Evaluation:
     """Predict the scans of a run that have a pose, and compare.
@@ -129,7 +129,7 @@ def evaluate(
     A ray is scored where a return between 0.1 m and `cap` was measured (default: 10 m, or range_max if that
     is smaller). Errors compare it with the value predicted given a return; whether a return was predicted
     at all is scored by `no_return_recall` and `no_return_precision`, over all rays that are not broken.
-    With `force`, a run whose poses jump is compared, too.
+    Without `force`, a run whose poses jump is refused, as the commands do.
 
     Raises
     ------

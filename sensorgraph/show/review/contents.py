@@ -100,7 +100,7 @@ def collect(
     plan: Mapping[str, Any] | None = None,
     cell: float | None = None,
     max_scans: int = MAX_SCANS,
-    force: bool = False,
+    force: bool = True,
 ) -> Review:
     """Collect what there is to see of a run, and of a sensorgraph against it.
 
@@ -111,7 +111,7 @@ def collect(
     planned : (n, 2) [m] path of the plan
     cell : [m] of the maps; None: 0.25, or coarser where that would be too many
     max_scans : of a longer run, so many are shown, evenly chosen
-    force : show a run whose poses jump, too
+    force : take a run whose poses jump, too; False: refuse it, as the commands do
 
     Raises
     ------

@@ -28,7 +28,7 @@ def review(
     arena: Arena | None = None,
     ray: int | None = None,
     name: str | None = None,
-    force: bool = False,
+    force: bool = True,
 ) -> Review:
     """Write what there is to see of a run, and of a sensorgraph against it, as a file for rerun's viewer.
 
@@ -44,7 +44,7 @@ def review(
     arena : walls to draw; None: those that the run keeps, if it keeps any
     ray : index of the ray whose series is shown; None: the one that looks straight ahead
     name : what to call the run; None: the file it says it came from
-    force : show a run whose poses jump, too
+    force : take a run whose poses jump, too; False: refuse it, as the commands do
 
     Returns
     -------
