@@ -470,7 +470,7 @@ COMMANDS = {
         ("--split", "--cap", "--point", "--effects", "--json", "--topic"),
     ),
     "predict": ("predict {graph} --poses {poses} -o {folder}/o.npz", ("--poses", "--point", "-o")),
-    "show": ("show {graph}", ("--ray", "--figure", "--run")),
+    "show": ("show {graph}", ("--ray", "--bearing", "--out", "--run")),
     "record": (
         "record {plan} --arena {arena} -o {folder}/o.mcap",
         ("--arena", "--robot", "--effects", "--seed", "--start", "--graph"),

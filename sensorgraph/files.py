@@ -5,11 +5,13 @@ Each writer has a temporary name of its own, so that two commands that write one
 
 from __future__ import annotations
 
+import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import mkdtemp
+from typing import Any
 from uuid import uuid4
 
 
@@ -48,3 +50,9 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
             for path in made:
                 path.rmdir()
         raise
+
+
+def write_timing(folder: Path, seconds: Mapping[str, Any]) -> None:
+    """Write timing.json: how long the work took, apart from the files that the same seed repeats."""
+    with atomic_file(folder / "timing.json") as part:
+        part.write_text(json.dumps(seconds, indent=1) + "\n", encoding="utf-8")

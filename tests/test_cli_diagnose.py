@@ -91,9 +91,8 @@ def test_the_same_seed_writes_the_same_report_with_and_without_attachments(
     texts = []
     for name, path in (("a", folder / "run.mcap"), ("b", stripped)):
         assert cli(["diagnose", str(path), *given, "-o", str(tmp_path / name)]) == 0
-        report = json.loads((tmp_path / name / "report.json").read_text())
-        del report["cpu_s"]  # how long it took
-        texts.append(json.dumps(report))
+        texts.append((tmp_path / name / "report.json").read_text())
+        assert json.loads((tmp_path / name / "timing.json").read_text())["cpu_s"]
     assert texts[0] == texts[1]
     assert (tmp_path / "a" / "effects.yaml").read_bytes() == (tmp_path / "b" / "effects.yaml").read_bytes()
 
@@ -266,10 +265,8 @@ def test_ctrl_c_half_way_leaves_nothing(folder: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from sensorgraph.cli import main; main()"]
     options = ["diagnose", str(folder / "run.mcap"), "-o", str(tmp_path / "out")]
     work = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    while not (tmp_path / "out").exists():
-        time.sleep(0.02)
-    time.sleep(0.7)  # it is fitting by now
+    time.sleep(4.0)  # it is reading or fitting by now
     work.send_signal(signal.SIGINT)
     out, err = work.communicate(timeout=30)
     assert (work.returncode, out, err.splitlines()[-1]) == (130, "", "interrupted")
-    assert list((tmp_path / "out").iterdir()) == []
+    assert not (tmp_path / "out").exists()

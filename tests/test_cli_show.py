@@ -94,7 +94,7 @@ def test_faces_and_cells_are_drawn(name: str, with_run: bool, files: Path, tmp_p
     ("words", "says"),
     [
         ("{d}/plain.sensorgraph --figure {out}/a.png", "neither faces nor cells to draw"),
-        ("{d}/faces.sensorgraph --run {d}/run.mcap", "--run is for --figure"),
+        ("{d}/faces.sensorgraph --run {d}/run.mcap", "--run is for the picture"),
         ("{d}/faces.sensorgraph --figure {out}/a.pdf", "name it a.png"),
     ],
 )

@@ -35,7 +35,7 @@ ROBOT = """
 name: tester
 sensor: {mount: [0.1, 0.0, 0.0], n_rays: 61, fov: 3.14159265, range_min: 0.05, range_max: 8.0, sigma: 0.01, rate: 10.0}
 """
-FILES = {"report.json", "report.html", "effects.yaml", "review.rrd"}
+FILES = {"report.json", "report.html", "effects.yaml", "review.rrd", "timing.json"}
 KEYS = {
     "effects", "unknown", "where", "runner_up", "gap", "within_tolerance", "not_observable", "next_run", "intake",
 }  # fmt: skip

@@ -39,13 +39,14 @@ class Case:
     label: str
     truth: dict[str, Any]
     report: dict[str, Any] | None
+    timing: dict[str, Any] | None
     command_s: float | None
     """[s] CPU time of the whole command, pictures and recordings included."""
 
     @property
     def cpu_s(self) -> float | None:
         """CPU time of the diagnosis alone [s]."""
-        return None if self.report is None else float(sum(self.report["cpu_s"].values()))
+        return None if self.timing is None else float(sum(self.timing["cpu_s"].values()))
 
     @property
     def suite(self) -> str:
@@ -125,12 +126,13 @@ def load(folders: Iterable[Path]) -> list[Case]:
             result = folder / "results" / path.stem
             if not result.exists():
                 continue
-            report, run = result / "report.json", result / "run.json"
+            report, timing, run = result / "report.json", result / "timing.json", result / "run.json"
             cases.append(
                 Case(
                     label=f"{folder.name}/{path.stem}",
                     truth=json.loads(path.read_text()),
                     report=json.loads(report.read_text()) if report.exists() else None,
+                    timing=json.loads(timing.read_text()) if timing.exists() else None,
                     command_s=json.loads(run.read_text()).get("cpu_s") if run.exists() else None,
                 )
             )

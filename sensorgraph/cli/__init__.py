@@ -21,6 +21,7 @@ from sensorgraph.cli.evaluate import evaluate
 from sensorgraph.cli.identify import identify
 from sensorgraph.cli.inspect import inspect
 from sensorgraph.cli.messages import with_flags
+from sensorgraph.cli.narrow_help import is_narrow, set_narrow
 from sensorgraph.cli.plan import plan
 from sensorgraph.cli.predict import predict
 from sensorgraph.cli.record import record
@@ -52,8 +53,17 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+OLD_NAMES = {"build": {"output": "out"}, "predict": {"output": "out"}, "show": {"figure": "out"}}
+"""Command -> option as it was once called -> as it is called; the old name keeps working."""
+
+
+def _as_now(command: str) -> Callable[[str], str]:
+    names = OLD_NAMES.get(command, {})
+    return lambda option: names.get(option, option)
+
+
 for _name, _command in COMMANDS.items():
-    app.command(_name)(_command)
+    app.command(_name, context_settings={"token_normalize_func": _as_now(_name)})(_command)
 
 
 def _show_version(value: bool) -> None:
@@ -89,6 +99,8 @@ def _one_line(exc: BaseException) -> str:
 def run(arguments: list[str] | None = None) -> int:
     """Run one command; return 0 done, 2 the user's input is at fault, 1 our fault, 130 interrupted."""
     command = typer.main.get_command(app)
+    if is_narrow():
+        set_narrow(command)
     try:
         code = int(command.main(args=arguments, prog_name="sensorgraph", standalone_mode=False) or 0)
         if code == INTERRUPTED:  # typer turns Ctrl-C into an exit code

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 FLAGS = {
+    "bearing": "--bearing",
     "battery": "--battery",
     "budget": "--budget",
     "degree": "--degree",
@@ -21,6 +22,7 @@ FLAGS = {
     "planner": "--planner",
     "priority": "--priority",
     "resume": "--resume",
+    "ray": "--ray",
     "robot": "--robot",
     "start": "--start",
     "topics": "--topic",

@@ -41,7 +41,12 @@ DemoSeed = Annotated[int, typer.Option(min=0, help="Of planning and all noise.")
 # plan
 PlanArena = Annotated[str, typer.Argument(help="GeoJSON, map_server yaml, or a shipped one: square, office.")]
 PlanOut = Annotated[Path, typer.Option("-o", "--out", help="Folder to write the plan to.")]
-PlanPlanner = Annotated[str, typer.Option(help="coverage, stop_and_spin, random_bounce or wall_following.")]
+PlanPlanner = Annotated[
+    str,
+    typer.Option(
+        help="coverage, stop_and_spin, views (with --views), or the baselines random_bounce and wall_following."
+    ),
+]
 PlanViews = Annotated[
     int | None,
     typer.Option(
@@ -101,14 +106,14 @@ InspectJson = Annotated[Path | None, typer.Option(help="Write the findings there
 RecoverFile = Annotated[
     Path, typer.Argument(help="A cut or damaged MCAP file; also the .part of a killed recorder.")
 ]
-RecoverOut = Annotated[Path, typer.Option("--out", "-o", help="Where to write what was saved.")]
+RecoverOut = Annotated[Path, typer.Option("-o", "--out", help="Where to write what was saved.")]
 
 # build
 BuildRuns = Annotated[
     list[Path], typer.Argument(metavar="RUN...", help="Recordings (MCAP, bag, CARMEN log) with poses.")
 ]
 BuildOutput = Annotated[
-    Path, typer.Option("--output", "-o", metavar="GRAPH", help="File to write, *.sensorgraph.")
+    Path, typer.Option("-o", "--out", metavar="GRAPH", help="File to write, *.sensorgraph.")
 ]
 BuildArena = Annotated[
     str | None, typer.Option(help="GeoJSON, map yaml, or a shipped one: its bounds set the scale.")
@@ -157,16 +162,30 @@ EvaluateJson = Annotated[Path | None, typer.Option("--json", metavar="FILE", hel
 
 # predict
 PredictPoses = Annotated[Path, typer.Option(help="CSV with columns x,y,phi in m, m, rad.")]
-PredictOutput = Annotated[Path, typer.Option("--output", "-o", metavar="NPZ", help="File to write.")]
+PredictOutput = Annotated[Path, typer.Option("-o", "--out", metavar="NPZ", help="File to write.")]
 PredictPoint = Annotated[str, typer.Option(help="Which value `ranges` is: mode, median or mean.")]
 
 # show
-ShowRay = Annotated[int | None, typer.Option(help="Print the equation of this ray, given by index.")]
+ShowRay = Annotated[
+    int | None, typer.Option(metavar="INDEX", help="Print the equation of this ray, given by index.")
+]
+Bearing = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DEG", help="The ray that looks there from the robot: 0 ahead, counter-clockwise, in degrees."
+    ),
+]
 ShowFigure = Annotated[
-    Path | None, typer.Option(help="Draw faces, visibility and what was never looked through, *.png.")
+    Path | None,
+    typer.Option(
+        "-o",
+        "--out",
+        metavar="PNG",
+        help="Draw faces, visibility and what was never looked through, *.png.",
+    ),
 ]
 ShowRun = Annotated[
-    Path | None, typer.Option(help="With --figure: a run whose mean residuals are drawn on the faces.")
+    Path | None, typer.Option(help="With --out: a run whose mean residuals are drawn on the faces.")
 ]
 
 # review
@@ -176,7 +195,8 @@ ReviewGraph = Annotated[Path | None, typer.Option(help="A sensorgraph to hold ag
 ReviewPlan = Annotated[Path | None, typer.Option(help="The plan's folder: its path is drawn too.")]
 ReviewArena = Annotated[str | None, typer.Option(help="Walls to draw; default: the arena kept in the run.")]
 ReviewRay = Annotated[
-    int | None, typer.Option(help="The ray whose series is shown; default: straight ahead.")
+    int | None,
+    typer.Option(metavar="INDEX", help="The ray whose series is shown; default: straight ahead."),
 ]
 ReviewShow = Annotated[bool, typer.Option("--show", help="Open it in rerun's viewer when done.")]
 

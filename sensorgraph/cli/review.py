@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from sensorgraph.cli.options import (
+    Bearing,
     Force,
     NoReturn,
     ReviewArena,
@@ -26,6 +27,7 @@ def review(
     plan: ReviewPlan = None,
     arena: ReviewArena = None,
     ray: ReviewRay = None,
+    bearing: Bearing = None,
     topic: TopicsByExample = None,
     show: ReviewShow = False,
     no_return: NoReturn = None,
@@ -45,6 +47,7 @@ def review(
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import arena_in, load_arena
+    from sensorgraph.show.rays import chosen_ray
     from sensorgraph.show.rerun_file import open_viewer
     from sensorgraph.show.review.review import review as write_review
 
@@ -57,7 +60,14 @@ def review(
     log = with_robot(log, run.name, robot)
     walls = load_arena(arena) if arena is not None else arena_in(log)
     written = write_review(
-        log, path=out, graph=graph, plan=plan, arena=walls, ray=ray, name=run.name, force=force
+        log,
+        path=out,
+        graph=graph,
+        plan=plan,
+        arena=walls,
+        ray=chosen_ray(log.sensor, ray, bearing),
+        name=run.name,
+        force=force,
     )
     typer.echo(f"{written.pairing}; {len(written.shown):,} scans shown")
     typer.echo(f"wrote {out}; open it with: rerun {out}")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from sensorgraph.cli.options import GraphFile, ShowFigure, ShowRay, ShowRun, TopicsByExample
+from sensorgraph.cli.options import Bearing, GraphFile, ShowFigure, ShowRay, ShowRun, TopicsByExample
 
 if TYPE_CHECKING:
     from sensorgraph.graph import Sensorgraph
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 def show(
     graph: GraphFile,
     ray: ShowRay = None,
+    bearing: Bearing = None,
     figure: ShowFigure = None,
     run: ShowRun = None,
     topic: TopicsByExample = None,
@@ -28,16 +29,20 @@ def show(
 
       sensorgraph show square.sensorgraph --ray 67
 
-      sensorgraph show square.sensorgraph --figure faces.png --run run.mcap
+      sensorgraph show square.sensorgraph --bearing 45
+
+      sensorgraph show square.sensorgraph --run run.mcap -o faces.png
     """
     from math import degrees
 
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
+    from sensorgraph.show.rays import chosen_ray
 
     if run is not None and figure is None:
-        raise SensorgraphError("--run is for --figure; say where to draw with --figure faces.png")
+        raise SensorgraphError("--run is for the picture; say where to draw it with -o faces.png")
     model = Sensorgraph.load(graph)
+    ray = chosen_ray(model.sensor, ray, bearing)
     if figure is not None:
         _draw(model, figure, graph, run, topic or [])
         if ray is None:

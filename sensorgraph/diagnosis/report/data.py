@@ -42,7 +42,6 @@ def to_dict(finding: Finding) -> dict[str, Any]:
         "next_run": None if finding.next_run is None else finding.next_run.to_dict(),
         "intake": finding.intake,
         "channels": {name: channel_dict(result) for name, result in finding.channels.items()},
-        "cpu_s": finding.seconds,
     }
 
 

@@ -17,7 +17,7 @@ from sensorgraph.diagnosis.report.markdown import markdown
 from sensorgraph.diagnosis.report.places import marks, wall_sections
 from sensorgraph.diagnosis.report.rerun_view import write as write_review
 from sensorgraph.effects import effects_file
-from sensorgraph.files import atomic_file, atomic_folder
+from sensorgraph.files import atomic_file, atomic_folder, write_timing
 from sensorgraph.types import Progress
 from sensorgraph.version import __version__
 from sensorgraph.world.robot import Robot
@@ -79,6 +79,7 @@ def save_report(
     files = {key: folder / key for key in ("report.json", "effects.yaml", "report.html", "review.rrd")}
     with atomic_file(files["report.json"]) as part:
         part.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_timing(folder, {"cpu_s": dict(finding.seconds)})
     done(1)
     effects_file.write(finding.effects, files["effects.yaml"])
     done(2)

@@ -9,6 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from logs.transforms import wrap
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.show.rerun_file import BACKGROUND, DIM, ORANGE, WALL, WHITE, folded, recorded
 from sensorgraph.show.review.contents import RayVerdict, Review
@@ -30,7 +31,9 @@ def write(review: Review, path: Path, *, ray: int | None = None) -> None:
     ----------
     ray : whose series is shown; None: the one that looks straight ahead
     """
-    ray = int(np.abs(review.run.sensor.bearings).argmin()) if ray is None else ray
+    sensor = review.run.sensor
+    if ray is None:
+        ray = int(np.abs(wrap(sensor.bearings + sensor.mount[2])).argmin())
     if not 0 <= ray < review.run.sensor.n_rays:
         raise SensorgraphError(
             f"ray {ray} does not exist; this sensor has rays 0 to {review.run.sensor.n_rays - 1}"
