@@ -126,6 +126,7 @@ class Inspection:
         return {**shown, "topics": [asdict(topic) for topic in self.topics], "is_run": self.run is not None}
 
 
+@np.errstate(all="ignore")  # numbers that overflow are what it tells of
 def inspect(
     path: Path | str,
     topics: Mapping[str, str] | None = None,
@@ -345,7 +346,6 @@ def _stamp_warnings(run: Run) -> list[str]:
     return out
 
 
-@np.errstate(over="ignore", invalid="ignore")
 def _pose_warnings(run: Run) -> list[str]:
     poses, stamps = run.poses, run.pose_stamps
     out: list[str] = []

@@ -86,6 +86,7 @@ class WholeRun:
         yield self.head
 
 
+@np.errstate(all="ignore")
 def open_log(
     path: Path | str,
     *,
@@ -195,6 +196,7 @@ class McapStream:
         if window.n_scans:
             yield self._run(window.cut(window.n_scans))
 
+    @np.errstate(all="ignore")
     def _run(self, recording: Recording) -> Run:
         """Interpret a piece; poses of another source than the log's are none."""
         run = interpret.to_run(

@@ -10,13 +10,11 @@ from logs.types import Floats
 Stamps = NDArray[np.int64]
 
 
-@np.errstate(over="ignore", invalid="ignore")
 def wrap(angle: Floats) -> Floats:
     """Wrap angles [rad] into (-pi, pi]."""
     return np.pi - (np.pi - angle) % (2 * np.pi)
 
 
-@np.errstate(over="ignore", invalid="ignore")
 def compose(T_a_b: Floats, T_b_c: Floats) -> Floats:
     """Return T_a_c of planar poses (..., 3) [m, m, rad]."""
     cos, sin = np.cos(T_a_b[..., 2]), np.sin(T_a_b[..., 2])
@@ -25,7 +23,6 @@ def compose(T_a_b: Floats, T_b_c: Floats) -> Floats:
     return np.stack([x, y, wrap(T_a_b[..., 2] + T_b_c[..., 2])], axis=-1)
 
 
-@np.errstate(over="ignore", invalid="ignore")
 def invert(T_a_b: Floats) -> Floats:
     """Return T_b_a of planar poses (..., 3) [m, m, rad]."""
     cos, sin = np.cos(T_a_b[..., 2]), np.sin(T_a_b[..., 2])

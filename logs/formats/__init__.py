@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from logs.errors import LogError
 from logs.formats import carmen, mcap_file, rosbag, table, wean
 from logs.formats.text import first_bytes
@@ -61,7 +63,8 @@ def read(
     """
     path = Path(path)
     check_no_return(no_return)
-    return FORMATS[format_of(path)].read(path, topics, progress, no_return, mounts)
+    with np.errstate(all="ignore"):  # numbers that overflow become inf or nan, which is dropped and counted
+        return FORMATS[format_of(path)].read(path, topics, progress, no_return, mounts)
 
 
 def format_of(path: Path) -> str:

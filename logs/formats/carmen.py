@@ -264,7 +264,11 @@ def _pose_source(name: str, lines: _ParsedLines, laser: Floats, robot: Floats) -
 def _mount(kind: str, lines: _ParsedLines, laser: Floats, robot: Floats, source: str) -> Floats:
     """Return the laser in base_link, from a raw log's own poses or its PARAM lines."""
     rear = kind in ("RLASER", "ROBOTLASER2", "RAWLASER2")
-    stated = float(lines.params.get(f"robot_{'rear' if rear else 'front'}laser_offset", 0.0))
+    name = f"robot_{'rear' if rear else 'front'}laser_offset"
+    try:
+        stated = float(lines.params.get(name, 0.0))
+    except ValueError:
+        raise LogError(f"PARAM {name} is {lines.params[name]!r}, expected metres; mend that line") from None
     whole = np.isfinite(laser).all(axis=1)
     if source in ("odometry", "TRUEPOS") and whole.any():
         return np.asarray(np.median(compose(invert(robot[whole]), laser[whole]), axis=0))
