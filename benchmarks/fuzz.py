@@ -58,9 +58,9 @@ from sensorgraph.world.robot import load_robot
 
 OURS = (LogError, PlanError, IdentError, SensorgraphError)
 SECONDS = 10.0
-"""A small file takes less."""
+"""[s] of CPU time; a small file takes less."""
 COMMAND_SECONDS = 120.0
-"""A command may have to compile its kernels first."""
+"""[s] of CPU time; a command may have to compile its kernels first."""
 MEMORY = 3 * 1024**3
 """[bytes] of address space that a small file may take beyond what is taken at the start."""
 TOKENS = (
@@ -378,15 +378,15 @@ def limits(seconds: float) -> Iterator[None]:
 
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    before = signal.signal(signal.SIGALRM, stop)
+    before = signal.signal(signal.SIGPROF, stop)
     resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, hard))
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGPROF, before)
 
 
 def judge(action: Callable[[], object], seconds: float = SECONDS) -> str:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import textwrap
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from logs.html_table import html_table
 from logs.motion import motion_of, ray_poses
@@ -17,6 +17,7 @@ from logs.run import Pairing, PoseFrame, Run, pair
 from sensorgraph.building.build import is_same_sensor, training_scans
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.evaluation.metrics import POINT_OF, Metrics, MetricSums, Reliability
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_jumps
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
@@ -28,25 +29,8 @@ MIN_SCORED_RANGE = 0.1
 """[m] a shorter return does not count: the robot's own body, or a broken reading."""
 MAX_SCORED_RANGE = 10.0
 """[m] a longer return does not count, unless another cap is asked for."""
-MATCH_DISTANCE = 0.1
-"""[m] end points closer than this match in the f-score."""
-RELIABILITY_EDGES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0)
-"""Bins of the said chance of being off."""
-POINT_OF: dict[str, Point] = {
-    "median_m": "mode",
-    "mae_m": "median",
-    "rmse_m": "mean",
-    "within_0.1m": "mode",
-    "within_0.5m": "mode",
-    "within_3sigma": "mode",
-    "wrong_5cm": "mode",
-    "pearson_r": "mean",
-    "chamfer_m": "mode",
-    "f_score": "mode",
-}
-"""Which point value a number belongs to, unless one is asked for."""
-
-Metrics = dict[str, float | None]
+SCANS_AT_A_TIME = 2048
+"""Scans that are predicted together: memory does not grow with the run."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,8 +39,12 @@ class Evaluation:
 
     scan_indices: NDArray[np.intp]
     """(n_scans,) which scans of the run were evaluated."""
-    prediction: Prediction
-    """(n_scans, n_rays) what the graph says of them."""
+    graph: Sensorgraph
+    run: Run
+    point: Point
+    """Which value of the mixture `residual` and `prediction.ranges` are of."""
+    answered_rays: Bools
+    """(n_scans, n_rays) the graph answers."""
     residual: Floats
     """(n_scans, n_rays) [m] measured - predicted (mode, or the point asked for); nan where not scored."""
     all: Metrics
@@ -67,6 +55,11 @@ class Evaluation:
     """Share of the scored rays that the graph answers."""
     settings: dict[str, Any]
     """`scored`, `point`, `split`, `sigma_m`, `training`, counts."""
+
+    @cached_property
+    def prediction(self) -> Prediction:
+        """(n_scans, n_rays) what the graph says of the scans; predicted again, since it is large and seldom needed."""
+        return predict_scans(self.graph, self.run, pair(self.run), self.scan_indices, point=self.point)
 
     @property
     def n_rays(self) -> int:
@@ -136,13 +129,7 @@ def evaluate(
     SensorgraphError : another sensor, poses that jump, nothing to evaluate, or no ray that can be scored
     """
     cap = min(MAX_SCORED_RANGE, run.sensor.range_max) if cap is None else cap
-    if not cap > MIN_SCORED_RANGE:
-        raise SensorgraphError(f"cap is {cap:g} m, expected more than {MIN_SCORED_RANGE} m")
-    if not is_same_sensor(graph.sensor.bearings, run.sensor.bearings):
-        raise SensorgraphError(
-            f"the run has {run.sensor.n_rays} rays at other bearings than the {graph.sensor.n_rays} of the graph; "
-            "evaluate with a run of the same sensor"
-        )
+    _check_fits(graph, run, cap)
     pairing = pair(run)
     check_jumps(run, pairing, force=force)
     use = pairing.paired & (held_out(run, split) if split is not None else True)
@@ -150,26 +137,42 @@ def evaluate(
     if len(index) == 0:
         held = "" if split is None else f", none of them in split {split}"
         raise SensorgraphError(f"nothing to evaluate: {pairing}{held}")
-    measured = run.ranges[index]
-    prediction = predict_scans(graph, run, pairing, index, point=point or "mode")
-    scored = np.isfinite(measured) & (measured > MIN_SCORED_RANGE) & (measured < cap)
-    if not scored.any():
+    sigma = run.sensor.sigma if run.sensor.sigma > 0 else 0.01
+    every, answered = (
+        MetricSums(bearings=run.sensor.bearings, point=point, sigma=sigma) for _ in ("all", "answered")
+    )
+    calibration = Reliability()
+    residual = np.full((len(index), run.sensor.n_rays), np.nan)
+    answered_rays = np.zeros(residual.shape, dtype=np.bool_)
+    for first in range(0, len(index), SCANS_AT_A_TIME):
+        if progress is not None:
+            progress(first, len(index))
+        some = slice(first, first + SCANS_AT_A_TIME)
+        measured = run.ranges[index[some]]
+        prediction = predict_scans(graph, run, pairing, index[some], point=point or "mode")
+        scored = np.isfinite(measured) & (measured > MIN_SCORED_RANGE) & (measured < cap)
+        off = np.where(scored, measured - prediction.point(point or "mode"), np.nan)
+        residual[some], answered_rays[some] = off, prediction.answered
+        valid = ~np.isnan(measured)
+        every.add(measured, prediction, scored, valid)
+        answered.add(measured, prediction, scored & prediction.answered, valid & prediction.answered)
+        calibration.add(prediction.p_off[scored], np.abs(off[scored]) > OFF_DISTANCE)
+    if not every.total["n"]:
         raise SensorgraphError(
             f"no ray of the run returned between {MIN_SCORED_RANGE} m and {cap:g} m; nothing to score"
         )
-    sigma = run.sensor.sigma if run.sensor.sigma > 0 else 0.01
-    residual = np.where(scored, measured - prediction.point(point or "mode"), np.nan)
-    job = Comparison(
-        measured=measured, prediction=prediction, bearings=run.sensor.bearings, point=point, sigma=sigma
-    )
+    is_scored = np.isfinite(residual)
     return Evaluation(
         scan_indices=index,
-        prediction=prediction,
+        graph=graph,
+        run=run,
+        point=point or "mode",
+        answered_rays=answered_rays,
         residual=residual,
-        all=job.metrics(scored, ~np.isnan(measured), progress),
-        answered_only=job.metrics(scored & prediction.answered, ~np.isnan(measured) & prediction.answered),
-        calibration=_reliability(prediction.p_off[scored], np.abs(residual[scored]) > OFF_DISTANCE),
-        answered=float(prediction.answered[scored].mean()),
+        all=every.metrics(np.abs(residual[is_scored])),
+        answered_only=answered.metrics(np.abs(residual[is_scored & answered_rays])),
+        calibration=calibration.rows(),
+        answered=answered.total["n"] / every.total["n"],
         settings={
             "scored": {
                 "from_m": MIN_SCORED_RANGE,
@@ -185,87 +188,15 @@ def evaluate(
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Comparison:
-    """What all metrics are computed from."""
-
-    measured: Floats
-    prediction: Prediction
-    bearings: Floats
-    point: Point | None
-    sigma: float
-
-    def value(self, name: str) -> Floats:
-        return self.prediction.point(self.point or POINT_OF[name])
-
-    def metrics(self, scored: Bools, valid: Bools, progress: Progress | None = None) -> Metrics:
-        """Compute one block; `scored` and `valid` (n_scans, n_rays) say which rays count."""
-        out: Metrics = dict.fromkeys((*POINT_OF, "no_return_recall", "no_return_precision"))
-        nothing = np.isposinf(self.measured) & valid
-        said = np.isposinf(self.prediction.ranges) & valid
-        both = int((nothing & said).sum())
-        out["no_return_recall"] = both / int(nothing.sum()) if nothing.any() else None
-        out["no_return_precision"] = both / int(said.sum()) if said.any() else None
-        out["within_3sigma_said"] = None
-        if not scored.any():
-            return out
-        truth = self.measured[scored]
-        off = {name: np.abs(self.value(name)[scored] - truth) for name in POINT_OF}
-        out["median_m"] = float(np.median(off["median_m"]))
-        out["mae_m"] = float(off["mae_m"].mean())
-        out["rmse_m"] = float(np.sqrt((off["rmse_m"] ** 2).mean()))
-        out["within_0.1m"] = float((off["within_0.1m"] <= 0.1).mean())
-        out["within_0.5m"] = float((off["within_0.5m"] <= 0.5).mean())
-        out["within_3sigma"] = float((off["within_3sigma"] <= 3 * self.sigma).mean())
-        out["within_3sigma_said"] = float((off["within_3sigma"] <= 3 * self.prediction.sigma[scored]).mean())
-        out["wrong_5cm"] = float((off["wrong_5cm"] > OFF_DISTANCE).mean())
-        out["pearson_r"] = _pearson(truth, self.value("pearson_r")[scored])
-        out["chamfer_m"], out["f_score"] = self.shape(scored, progress)
-        return out
-
-    def shape(self, scored: Bools, progress: Progress | None) -> tuple[float, float]:
-        """Compare the end points of each scan in the plane; return mean chamfer distance [m] and f-score.
-
-        Chamfer is half the sum of the mean distances to the nearest end point, measured to predicted and
-        back; the f-score is the harmonic mean of both shares within 0.1 m. Scans without a scored ray do not count.
-        """
-        directions = np.column_stack([np.cos(self.bearings), np.sin(self.bearings)])
-        value = self.value("chamfer_m")
-        chamfer, f_score = [], []
-        for i in range(len(scored)):
-            if progress is not None and i % 100 == 0:
-                progress(i, len(scored))
-            rays = np.flatnonzero(scored[i])
-            if len(rays) == 0:
-                continue
-            seen = self.measured[i, rays, None] * directions[rays]
-            said = value[i, rays, None] * directions[rays]
-            there = np.asarray(cKDTree(said).query(seen)[0])
-            back = np.asarray(cKDTree(seen).query(said)[0])
-            chamfer.append((there.mean() + back.mean()) / 2)
-            recall, precision = (there <= MATCH_DISTANCE).mean(), (back <= MATCH_DISTANCE).mean()
-            both = recall + precision
-            f_score.append(2 * recall * precision / both if both > 0 else 0.0)
-        return float(np.mean(chamfer)), float(np.mean(f_score))
-
-
-def _pearson(a: Floats, b: Floats) -> float | None:
-    a, b = a - a.mean(), b - b.mean()
-    size = math.sqrt(float(a @ a) * float(b @ b))
-    return float(a @ b) / size if size > 0 else None
-
-
-def _reliability(said: Floats, wrong: Bools) -> list[dict[str, float]]:
-    """Compare the said chance with the seen share in every bin that holds a ray."""
-    place = np.clip(np.searchsorted(RELIABILITY_EDGES, said, side="right") - 1, 0, len(RELIABILITY_EDGES) - 2)
-    rows = []
-    for i in range(len(RELIABILITY_EDGES) - 1):
-        here = place == i
-        if here.any():
-            rows.append(
-                {"said": float(said[here].mean()), "seen": float(wrong[here].mean()), "n": int(here.sum())}
-            )
-    return rows
+def _check_fits(graph: Sensorgraph, run: Run, cap: float) -> None:
+    """Refuse a cap below what is scored at all, and a run of another sensor."""
+    if not cap > MIN_SCORED_RANGE:
+        raise SensorgraphError(f"cap is {cap:g} m, expected more than {MIN_SCORED_RANGE} m")
+    if not is_same_sensor(graph.sensor.bearings, run.sensor.bearings):
+        raise SensorgraphError(
+            f"the run has {run.sensor.n_rays} rays at other bearings than the {graph.sensor.n_rays} of the graph; "
+            "evaluate with a run of the same sensor"
+        )
 
 
 def predict_scans(

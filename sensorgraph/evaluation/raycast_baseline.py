@@ -14,7 +14,8 @@ from planners.arena import Arena
 from sensorgraph.building.build import is_same_sensor
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.evaluation.evaluate import Comparison, Evaluation, Metrics
+from sensorgraph.evaluation.evaluate import Evaluation
+from sensorgraph.evaluation.metrics import POINT_OF, Metrics, MetricSums
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Ints
 from sensorgraph.world.scene import Scene, Transform, fade
@@ -45,14 +46,11 @@ def compare(
     out: dict[str, Metrics] = {}
     scan = [a for a in effects if a.effect.channel == "scan"]
     for name, some in (("nominal", ()), ("amended", scan)):
-        job = Comparison(
-            measured=measured,
-            prediction=predict(run, arena, sensor, result.scan_indices, some),
-            bearings=run.sensor.bearings,
-            point=point,
-            sigma=result.settings["sigma_m"],
-        )
-        out[name] = job.metrics(scored, ~np.isnan(measured))
+        sums = MetricSums(bearings=run.sensor.bearings, point=point, sigma=result.settings["sigma_m"])
+        prediction = predict(run, arena, sensor, result.scan_indices, some)
+        sums.add(measured, prediction, scored, ~np.isnan(measured))
+        value = prediction.point(point or POINT_OF["median_m"])
+        out[name] = sums.metrics(np.abs(value[scored] - measured[scored]))
     return out
 
 

@@ -52,7 +52,7 @@ class RayCounts:
     def of(cls, evaluation: Evaluation, poses: Floats, grid: Coverage) -> RayCounts:
         """Count the rays of each scan in the cell of its pose (n_scans, 3), all on the grid."""
         scored = np.isfinite(evaluation.residual)
-        answered = scored & evaluation.prediction.answered
+        answered = scored & evaluation.answered_rays
         wrong = answered & (np.abs(np.nan_to_num(evaluation.residual)) > OFF_DISTANCE)
         return cls(**{
             name: sum_in_cells(rays.sum(axis=1), poses, grid).astype(np.intp)

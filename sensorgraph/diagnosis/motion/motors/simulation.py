@@ -12,6 +12,8 @@ from sensorgraph.diagnosis.motion.settings import DRIVE
 from sensorgraph.types import Floats
 
 STEP = DRIVE.step
+MAX_KNOWN = 6
+"""Simulated drives that are kept: a fit asks for each three times in a row; one of two hours takes 12 MB a 10 ms step."""
 AT_ONCE = 1e-6
 """[s] a shorter time constant is none."""
 SLEW_MARGIN = 1.02
@@ -54,9 +56,13 @@ class MotorSimulation:
     def rates(self, motors: MotorParameters, *, later: float = 0.0) -> Floats:
         """Return mean rates (2 n,) of the motors over each row, all `later` [s] than commanded; 0 where not valid."""
         key = (motors, self.is_limited)
-        if key not in self._known:
-            self._known[key] = self._travelled(motors, self.commands.values)
-        return self._mean_rates(self._known[key], later)
+        travelled = self._known.pop(key, None)
+        if travelled is None:
+            travelled = self._travelled(motors, self.commands.values)
+        self._known[key] = travelled  # the last one used stands last
+        if len(self._known) > MAX_KNOWN:
+            del self._known[next(iter(self._known))]
+        return self._mean_rates(travelled, later)
 
     def rates_of(self, motors: MotorParameters, commands: Floats) -> Floats:
         """Return the same for other commands (n_commands, 2) at the same stamps."""

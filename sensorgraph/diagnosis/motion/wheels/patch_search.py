@@ -15,6 +15,8 @@ from sensorgraph.types import Floats
 PATCH = ODOMETRY.patch
 PATCH_PRICE = EVIDENCE.price * len(WHEEL_SLIP.parameters)
 """[nats] of a patch."""
+MAX_VALUES = 4_000_000
+"""Rows times discs that are held at a time: 32 MB an array."""
 
 
 def best_patch(
@@ -49,13 +51,18 @@ def gains_of_discs(model: WheelModel, discs: Floats, terms: Sequence[WheelTerm])
     """Return likelihood gained [nats] and share of the motion lost (n_discs,), given a set of effects."""
     regression = model.regression
     fit = regression.solve(model.prior(terms))
-    Z = model.whitener(model.slip_columns(discs))
-    score = (regression.y - regression.A @ fit.theta) @ Z
-    cross = regression.A.T @ Z
+    residual = regression.y - regression.A @ fit.theta
     free = np.diag(fit.covariance) > 0
     C = fit.covariance[np.ix_(free, free)]
-    total = np.einsum("ij,ij->j", Z, Z)
-    information = total - np.einsum("ij,ij->j", cross[free], C @ cross[free])
+    score, total, information = (np.zeros(len(discs)) for _ in range(3))
+    at_a_time = max(1, MAX_VALUES // len(residual))
+    for first in range(0, len(discs), at_a_time):  # a long run has rows by the hundred thousand
+        some = slice(first, first + at_a_time)
+        Z = model.whitener(model.slip_columns(discs[some]))
+        score[some] = residual @ Z
+        cross = regression.A[:, free].T @ Z
+        total[some] = np.einsum("ij,ij->j", Z, Z)
+        information[some] = total[some] - np.einsum("ij,ij->j", cross, C @ cross)
     information = np.maximum(information, 1e-9 + 1e-6 * total)
     lost = np.clip(score / information, 0.0, PATCH.max_slip)
     gains = lost * score - 0.5 * lost**2 * information

@@ -1,0 +1,162 @@
+"""What `evaluate` measures, added up piece by piece, so that a run of hours takes no more memory than one of minutes."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
+from sensorgraph.types import Bools, Floats
+
+MATCH_DISTANCE = 0.1
+"""[m] end points closer than this match in the f-score."""
+RELIABILITY_EDGES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0)
+"""Bins of the said chance of being off."""
+POINT_OF: dict[str, Point] = {
+    "median_m": "mode",
+    "mae_m": "median",
+    "rmse_m": "mean",
+    "within_0.1m": "mode",
+    "within_0.5m": "mode",
+    "within_3sigma": "mode",
+    "wrong_5cm": "mode",
+    "pearson_r": "mean",
+    "chamfer_m": "mode",
+    "f_score": "mode",
+}
+"""Which point value a number belongs to, unless one is asked for."""
+
+Metrics = dict[str, float | None]
+
+
+@dataclass(kw_only=True, eq=False)
+class MetricSums:
+    """One block of metrics in the making."""
+
+    bearings: Floats
+    """(n_rays,) [rad]"""
+    point: Point | None
+    """For all numbers; None: to each its own of POINT_OF."""
+    sigma: float
+    """[m] of the sensor."""
+    total: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
+    """Sums over the rays, by name."""
+    chamfer: list[float] = field(default_factory=list)
+    f_score: list[float] = field(default_factory=list)
+    """Of each scan with a scored ray."""
+
+    def add(self, measured: Floats, prediction: Prediction, scored: Bools, valid: Bools) -> None:
+        """Add scans (n_scans, n_rays) [m]; `scored` and `valid` say which rays count."""
+        nothing, said = np.isposinf(measured) & valid, np.isposinf(prediction.ranges) & valid
+        add = self.total
+        add["nothing"] += int(nothing.sum())
+        add["said"] += int(said.sum())
+        add["both"] += int((nothing & said).sum())
+        if not scored.any():
+            return
+        truth = measured[scored]
+        off = {
+            point: np.abs(prediction.point(point)[scored] - truth)
+            for point in {self.point or p for p in POINT_OF.values()}
+        }
+        error = {name: off[self.point or point] for name, point in POINT_OF.items()}
+        add["n"] += len(truth)
+        add["mae_m"] += float(error["mae_m"].sum())
+        add["rmse_m"] += float((error["rmse_m"] ** 2).sum())
+        add["within_0.1m"] += int((error["within_0.1m"] <= 0.1).sum())
+        add["within_0.5m"] += int((error["within_0.5m"] <= 0.5).sum())
+        add["within_3sigma"] += int((error["within_3sigma"] <= 3 * self.sigma).sum())
+        add["within_3sigma_said"] += int((error["within_3sigma"] <= 3 * prediction.sigma[scored]).sum())
+        add["wrong_5cm"] += int((error["wrong_5cm"] > OFF_DISTANCE).sum())
+        self._add_correlation(truth, prediction.point(self.point or POINT_OF["pearson_r"])[scored])
+        self._add_shape(measured, prediction.point(self.point or POINT_OF["chamfer_m"]), scored)
+
+    def _add_correlation(self, a: Floats, b: Floats) -> None:
+        """Merge means and co-moments (Chan, Golub and LeVeque 1979), so that nothing cancels."""
+        add, n = self.total, len(a)
+        before = add["pairs"]
+        mean_a, mean_b = float(a.mean()), float(b.mean())
+        step_a, step_b = mean_a - add["mean_a"], mean_b - add["mean_b"]
+        share = before * n / (before + n)
+        add["aa"] += float((a - mean_a) @ (a - mean_a)) + step_a * step_a * share
+        add["bb"] += float((b - mean_b) @ (b - mean_b)) + step_b * step_b * share
+        add["ab"] += float((a - mean_a) @ (b - mean_b)) + step_a * step_b * share
+        add["mean_a"] += step_a * n / (before + n)
+        add["mean_b"] += step_b * n / (before + n)
+        add["pairs"] += n
+
+    def _add_shape(self, measured: Floats, value: Floats, scored: Bools) -> None:
+        """Compare the end points of each scan in the plane.
+
+        Chamfer is half the sum of the mean distances to the nearest end point, measured to predicted and
+        back; the f-score is the harmonic mean of both shares within 0.1 m. Scans without a scored ray do not count.
+        """
+        directions = np.column_stack([np.cos(self.bearings), np.sin(self.bearings)])
+        for i in np.flatnonzero(scored.any(axis=1)).tolist():
+            rays = np.flatnonzero(scored[i])
+            seen = measured[i, rays, None] * directions[rays]
+            said = value[i, rays, None] * directions[rays]
+            there = np.asarray(cKDTree(said).query(seen)[0])
+            back = np.asarray(cKDTree(seen).query(said)[0])
+            self.chamfer.append(float((there.mean() + back.mean()) / 2))
+            recall, precision = (there <= MATCH_DISTANCE).mean(), (back <= MATCH_DISTANCE).mean()
+            both = recall + precision
+            self.f_score.append(float(2 * recall * precision / both) if both > 0 else 0.0)
+
+    def metrics(self, errors: Floats) -> Metrics:
+        """Return the block.
+
+        Parameters
+        ----------
+        errors : (n,) [m] absolute errors of all scored rays, by the point value of `median_m`; put into another order
+        """
+        total = self.total
+        out: Metrics = dict.fromkeys((*POINT_OF, "no_return_recall", "no_return_precision"))
+        out["no_return_recall"] = total["both"] / total["nothing"] if total["nothing"] else None
+        out["no_return_precision"] = total["both"] / total["said"] if total["said"] else None
+        out["within_3sigma_said"] = None
+        n = total["n"]
+        if not n:
+            return out
+        out["median_m"] = float(np.median(errors, overwrite_input=True))
+        for name in (
+            "mae_m",
+            "within_0.1m",
+            "within_0.5m",
+            "within_3sigma",
+            "within_3sigma_said",
+            "wrong_5cm",
+        ):
+            out[name] = total[name] / n
+        out["rmse_m"] = math.sqrt(total["rmse_m"] / n)
+        size = math.sqrt(total["aa"] * total["bb"])
+        out["pearson_r"] = total["ab"] / size if size > 0 else None
+        out["chamfer_m"], out["f_score"] = float(np.mean(self.chamfer)), float(np.mean(self.f_score))
+        return out
+
+
+@dataclass(kw_only=True, eq=False)
+class Reliability:
+    """Said and seen chance of being off, in bins of the said one."""
+
+    sums: Floats = field(default_factory=lambda: np.zeros((3, len(RELIABILITY_EDGES) - 1)))
+    """Said chances, rays that were off, and rays."""
+
+    def add(self, said: Floats, wrong: Bools) -> None:
+        """Add rays (n,)."""
+        last = len(RELIABILITY_EDGES) - 2
+        place = np.clip(np.searchsorted(RELIABILITY_EDGES, said, side="right") - 1, 0, last)
+        for row, weights in zip(self.sums, (said, wrong.astype(np.float64), np.ones(len(said))), strict=True):
+            row += np.bincount(place, weights, minlength=last + 1)
+
+    def rows(self) -> list[dict[str, float]]:
+        """Return {said, seen, n} of every bin that holds a ray."""
+        return [
+            {"said": float(said / n), "seen": float(wrong / n), "n": int(n)}
+            for said, wrong, n in self.sums.T.tolist()
+            if n
+        ]
