@@ -107,11 +107,12 @@ def early(made: Plan, priority: Floats) -> float:
 def test_all_drives_meet_first_what_has_priority(drive: Drive) -> None:
     vehicle = Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.3))
     start = np.array([0.8, 0.8, 0.3])
-    without = plan(door_arena(1.2), vehicle, headings=8, start=start)
+    without = plan(door_arena(1.2), vehicle, cell=0.4, headings=8, start=start)
     left, right = np.zeros((2, *without.coverage.counts.shape))
     left[: len(left) // 2], right[len(right) // 2 :] = 1.0, 1.0
     by_left, by_right = (
-        plan(door_arena(1.2), vehicle, headings=8, start=start, priority=own) for own in (left, right)
+        plan(door_arena(1.2), vehicle, cell=0.4, headings=8, start=start, priority=own)
+        for own in (left, right)
     )
     assert early(by_left, left) > early(by_right, left) + 0.25
     assert early(by_right, right) > early(by_left, right) + 0.25

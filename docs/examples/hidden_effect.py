@@ -19,6 +19,8 @@ for effect in finding.effects:
     for name, value in effect.parameters.items():
         print(f"  {name} = {value:.4f} +- {effect.stderr[name]:.4f}")
 
+finding.save("diagnosis")  # the report, and its pictures
+
 gap = finding.second_gap
 print(f"gap on the second run: {100 * gap.before.rmse_m:.2f} cm -> {100 * gap.after.rmse_m:.2f} cm")
 print(f"noise alone would leave: {100 * gap.noise_floor.rmse_m:.2f} cm")

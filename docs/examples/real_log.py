@@ -44,6 +44,7 @@ print(f"{found.pairing}\n")
 
 # Hold five stretches out of the log, build from the rest, and score the stretches.
 graph = sg.build(log, split="block")
+graph.save(Path("somebody.sensorgraph"))
 evaluation = sg.evaluate(graph, log, split="block")
 print(f"model {graph.model.name}; poses of the {graph.pose_frame}")
 print(f"scored {evaluation.n_rays:,} rays, answered {100 * evaluation.answered:.1f} %")
