@@ -59,9 +59,8 @@ def demo(folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: Progr
     drives: list[DemoDrive] = []
     for planner in ("coverage", "random_bounce"):
         drives.append(_drive(folder, arena, robot, planner, drives, check, seed=seed, progress=progress))
-    with progress("build polynomial", "blocks") as tick:
-        run = logs.read(folder / "coverage.mcap")
-        plain = build([run], arena=arena, model=BASELINE, names=["coverage.mcap"], progress=tick)
+    run = logs.read(folder / "coverage.mcap")
+    plain = build([run], arena=arena, model=BASELINE, names=["coverage.mcap"], progress=progress)
     plain.save(folder / f"coverage.{BASELINE}.sensorgraph")
     drives.append(replace(drives[0], model=BASELINE, graph=plain, checked=evaluate(plain, check)))
     races = {
@@ -129,8 +128,7 @@ def _drive(
             progress=tick,
         )
     run = record(folder / f"{planner}.mcap", arena, robot, planned.trajectory, seed=seed, progress=progress)
-    with progress("build", "blocks") as tick:
-        graph = build([run], arena=arena, names=[f"{planner}.mcap"], progress=tick)
+    graph = build([run], arena=arena, names=[f"{planner}.mcap"], progress=progress)
     graph.save(folder / f"{planner}.sensorgraph")
     poses = logs.pair(run).poses
     coverage = counted(planned.coverage, poses)

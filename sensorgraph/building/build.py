@@ -20,7 +20,7 @@ from sensorgraph.models import MODELS
 from sensorgraph.models.base import Model
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.reduction import MapBlocks
-from sensorgraph.types import Bools, Floats, Progress
+from sensorgraph.types import Bools, Floats, ProgressBars, no_progress
 from sensorgraph.version import __version__
 
 MIN_SCANS = 10
@@ -36,7 +36,7 @@ def build(
     map_blocks: MapBlocks = map,
     update: Sensorgraph | None = None,
     force: bool = True,
-    progress: Progress | None = None,
+    progress: ProgressBars = no_progress,
     **options: Any,
 ) -> Sensorgraph:
     """Fit a model to every scan that has a pose and is not held out.
@@ -51,6 +51,7 @@ def build(
     map_blocks : where blocks of scans are reduced; `map`: here. See `sensorgraph.building.dask_cluster`
     update : a graph of faces to which the runs are added; its own runs are not needed
     force : take a run whose poses jump, too; False: refuse it, as the commands do
+    progress : opens a bar for each stage
     options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
     """
     if model not in MODELS:
@@ -83,7 +84,7 @@ def _fit(
     feed: TrainingData,
     model: type[Model],
     map_blocks: MapBlocks,
-    progress: Progress | None,
+    progress: ProgressBars,
     options: dict[str, Any],
 ) -> Model:
     """Fit a model to blocks, if it can take them one after the other, else to all scans together."""
@@ -110,18 +111,20 @@ def _fit(
             TrainingData(feed.logs, feed.names, split=feed.split, bounds=feed.bounds, force=feed.force)
         )
         assert scans is not None
-        return fitted.with_cells(scans, progress=progress)
+        with progress("fitting cells", "steps") as tick:
+            return fitted.with_cells(scans, progress=tick)
     scans = all_scans(feed)
     _check_enough(feed)
     assert scans is not None
-    return model.fit(scans, progress=progress, **options)
+    with progress(f"fitting {model.name}", "steps") as tick:
+        return model.fit(scans, progress=tick, **options)
 
 
 def _updated(
     graph: Sensorgraph,
     feed: TrainingData,
     map_blocks: MapBlocks,
-    progress: Progress | None,
+    progress: ProgressBars,
     options: dict[str, Any],
 ) -> Sensorgraph:
     """Add the runs of a feed to a graph."""

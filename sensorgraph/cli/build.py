@@ -29,6 +29,9 @@ from sensorgraph.cli.options import (
 from sensorgraph.cli.progress import progress
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from logs.stream import LogStream
     from sensorgraph.graph import Sensorgraph
 
 
@@ -90,10 +93,8 @@ def build(
         with progress("reading", "bytes") as tick:
             log = open_log(path, topics=names, no_return=no_return, mounts=mounts, progress=tick)
         loaded.append(replace(log, head=with_robot(log.head, str(path), robot)))
-    with (
-        cluster(dask) if dask is not None else nullcontext(map) as map_blocks,
-        progress("building", "blocks") as tick,
-    ):
+    said = _say_what_is_ahead(list(zip(runs, loaded, strict=True)))
+    with cluster(dask) if dask is not None else nullcontext(map) as map_blocks:
         graph = build_graph(
             loaded,
             arena=space,
@@ -103,16 +104,32 @@ def build(
             map_blocks=map_blocks,
             update=known,
             force=force,
-            progress=tick,
+            progress=progress,
             **options,
         )
     graph.save(output)
-    _report(graph, split)
+    _report(graph, split, said)
     typer.echo(f"wrote {output}: {graph.sensor.n_rays} rays, poses of {graph.pose_frame}")
 
 
-def _report(graph: Sensorgraph, split: str | None) -> None:
-    """Say what became of each run, and what was fitted."""
+def _say_what_is_ahead(logs: list[tuple[Path, LogStream]]) -> set[str]:
+    """Say, before anything is fitted, what the logs make hard; return what was said."""
+    from logs.inspection import warnings_of
+
+    said = set()
+    for path, log in logs:
+        sweep = abs(log.head.sensor.sweep_time)
+        if sweep:
+            typer.echo(f"{path.name}: the laser sweeps for {sweep:.3g} s; each ray is taken at its own pose")
+        for text in warnings_of(log.head):
+            line = f"warning: {path.name}: {with_flags(text)}"
+            said.add(line)
+            typer.echo(line, err=True)
+    return said
+
+
+def _report(graph: Sensorgraph, split: str | None, said: set[str]) -> None:
+    """Say what became of each run, and what was fitted; warnings only that were not said before."""
     for entry in graph.origin["inputs"]:
         dropped = "".join(f", {count} {why}" for why, count in entry["dropped"].items())
         held = f", {entry['held_out']} held out ({split})" if split else ""
@@ -121,7 +138,9 @@ def _report(graph: Sensorgraph, split: str | None) -> None:
             f"{entry['trained']} fitted"
         )
         for text in entry.get("warnings", ()):
-            typer.echo(f"warning: {entry['name']}: {with_flags(text)}", err=True)
+            line = f"warning: {entry['name']}: {with_flags(text)}"
+            if line not in said:
+                typer.echo(line, err=True)
     for label, text in graph.model.summary().items():
         typer.echo(f"{label}: {text}")
 

@@ -42,33 +42,44 @@ def _bar(label: str, unit: str) -> Iterator[Progress]:
     )
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(label, total=None, rate="")
-        start: float | None = None
+        start: tuple[float, int] | None = None
 
         def tick(done: int, total: int) -> None:
             nonlocal start
-            start = time.monotonic() if start is None else start
-            rate = done / max(time.monotonic() - start, 1e-9)
+            start = (time.monotonic(), done) if start is None else start
+            rate = (done - start[1]) / max(time.monotonic() - start[0], 1e-9)
             bar.update(task, completed=done, total=total, rate=f"{rate:,.0f} {unit}/s".replace(" /", "/"))
 
         yield tick
 
 
+class _PlainLines:
+    """When the last plain line was written, whatever stage it was of."""
+
+    last = time.monotonic()
+
+    @classmethod
+    def write(cls, text: str) -> None:
+        cls.last = time.monotonic()
+        sys.stderr.write(f"{text}\n")
+        sys.stderr.flush()
+
+
 def _plain(label: str, unit: str) -> Progress:
-    start: float | None = None
-    last_line = 0.0
+    start: tuple[float, int] | None = None
 
     def tick(done: int, total: int) -> None:
-        nonlocal start, last_line
+        nonlocal start
         now = time.monotonic()
-        if start is None:
-            start = last_line = now
-        if now - last_line < PLAIN_EVERY or done <= 0:
+        start = (now, done) if start is None else start
+        if now - _PlainLines.last < PLAIN_EVERY:
             return
-        last_line = now
-        rate = done / (now - start)
-        left = (total - done) / rate
+        since, first = start
         counted = f"{done:,} of {total:,} {unit}".rstrip()
-        sys.stderr.write(f"{label}: {counted}, {rate:,.0f}/s, {left:.0f} s left\n")
-        sys.stderr.flush()
+        if done <= first:
+            _PlainLines.write(f"{label}: {counted}")
+            return
+        rate = (done - first) / max(now - since, 1e-9)
+        _PlainLines.write(f"{label}: {counted}, {rate:,.0f}/s, {(total - done) / rate:.0f} s left")
 
     return tick

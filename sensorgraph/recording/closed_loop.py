@@ -18,8 +18,7 @@ from sensorgraph.recording.identified_world import (
     IdentifiedWorld,
     record_in_world,
 )
-from sensorgraph.recording.record import no_progress
-from sensorgraph.types import ProgressBars
+from sensorgraph.types import ProgressBars, no_progress
 from sensorgraph.world.robot import Robot
 
 

@@ -24,8 +24,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_rays
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.recording.controllers import controller_named
-from sensorgraph.recording.record import no_progress
-from sensorgraph.types import Floats, ProgressBars
+from sensorgraph.types import Floats, ProgressBars, no_progress
 from sensorgraph.world.drive import follow, react
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from planners.maps import geojson
 from planners.trajectory import Trajectory
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effects_file import check_places, dumps
-from sensorgraph.types import Floats, ProgressBars
+from sensorgraph.types import Floats, ProgressBars, no_progress
 from sensorgraph.world.drive import ExecutedDrive, follow, replay
 from sensorgraph.world.drivetrain import Drivetrain
 from sensorgraph.world.robot import Robot
@@ -34,11 +33,6 @@ class Commands:
     """(n, 2) [m/s, rad/s], each held until the next."""
     start: Floats
     """(3,) [m, m, rad] pose in map."""
-
-
-def no_progress(label: str, unit: str) -> AbstractContextManager[Callable[[int, int], None]]:
-    """Show nothing."""
-    return nullcontext(lambda done, total: None)
 
 
 def record(

@@ -38,14 +38,17 @@ from sensorgraph.models.calibration.normal_equations import (
 from sensorgraph.models.calibration.pose_refinement import RefinedPoses, compose_poses, refine_poses
 from sensorgraph.models.calibration.ray_terms import RayTerms
 from sensorgraph.models.calibration.settings import CALIBRATION
-from sensorgraph.models.faces.fit import FittedFaces, draft_faces, fit_faces
+from sensorgraph.models.faces.fit import FittedFaces, WorkCounter, draft_faces, fit_cost, fit_faces
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.reduction import RaySample
 from sensorgraph.models.faces.visibility import Rays, ReturnNoise
-from sensorgraph.types import Floats
+from sensorgraph.types import Floats, Progress, ProgressBars, no_progress
 
 logger = logging.getLogger(__name__)
+
+COARSE_PASSES, ROUND_PASSES, REFINE_PASSES = 6, 12, 3
+"""Passes over the readings that a coarse round, a fine one and a refinement of the poses take, about; they only tell progress."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,6 +121,7 @@ def calibrate_faces(
     *,
     can_mount: bool = True,
     calibrate: bool | None = None,
+    progress: ProgressBars = no_progress,
 ) -> CalibratedFaces:
     """Identify the laser that took a sample, and fit the faces again with it, where the evidence pays for it.
 
@@ -131,8 +135,11 @@ def calibrate_faces(
     readings, poses = readings_of(sample, sensor)
     work = _JointCalibration(readings, poses, mount, can_mount=can_mount)
     work.take(fitted)
-    if calibrate is not False and work.is_worth(force=calibrate is True):
-        found = work.run()
+    with progress("testing the laser", "%") as tick:
+        is_worth = calibrate is not False and work.is_worth(force=calibrate is True, tick=tick)
+    if is_worth:
+        with progress("calibrating the laser", "%") as tick:
+            found = work.run(tick)
         if found.calibration.is_plausible and _log_likelihood_per_ray(found.fitted) > _log_likelihood_per_ray(
             fitted
         ):
@@ -197,7 +204,7 @@ class _JointCalibration:
         self.mean_bias = mean_incidence(found, self.terms)
         return found
 
-    def is_worth(self, *, force: bool) -> bool:
+    def is_worth(self, *, force: bool, tick: Progress) -> bool:
         """Test whether ray terms or refined poses pay on faces that were fitted without them.
 
         Noise of a pose moves all returns of a scan together, and many such scans look like terms that are not
@@ -206,11 +213,13 @@ class _JointCalibration:
         if _is_broken(self.noise.sigma_xy, self.noise.sigma_yaw):
             logger.info("calibration: returns and poses do not belong together: %s", self.noise)
             return False
-        everything = self.readings
-        if not force and len(everything) > 2 * CALIBRATION.probe_readings:
-            self.readings = _whole_scans(everything, CALIBRATION.probe_readings)
+        everything, probe = self.readings, CALIBRATION.probe_readings
+        work = WorkCounter(tick, probe + len(everything))
+        if not force and len(everything) > 2 * probe:
+            self.readings = _whole_scans(everything, probe)
             mount, terms, better = self._paying()
             self.readings = everything
+            work.add(probe)
             if max(mount, terms, better.log_evidence) <= 0:
                 return False
         mount, terms, better = self._paying()
@@ -248,8 +257,14 @@ class _JointCalibration:
         offset = np.linalg.solve(own, normal.rhs[MOUNT])
         return 0.5 * float(offset @ np.linalg.solve(spread, offset)) - 3 * price, terms
 
-    def run(self) -> CalibratedFaces:
+    def run(self, tick: Progress) -> CalibratedFaces:
         """Go from coarse to fine; a laser that is as stated needs only its poses."""
+        reaches = CALIBRATION.gauge.reaches[: 2 if self.is_amiss else 1]
+        n = len(self.readings)
+        fit, round_ = fit_cost(n), (ROUND_PASSES if self.is_amiss else REFINE_PASSES) * n
+        coarse = COARSE_PASSES * n
+        n_coarse = len(CALIBRATION.coarse_sigmas) if self.is_amiss else 0
+        work = WorkCounter(tick, n_coarse * coarse + len(reaches) * (fit + round_) + fit)
         if self.is_amiss:
             self.shifts = np.zeros_like(self.shifts)  # they tried to make up for the laser
             self.pose_noise = (0.0, 0.0)
@@ -257,17 +272,20 @@ class _JointCalibration:
                 self.take(draft_faces(self.corrected(), sigma=sigma), least=sigma)
                 self.adjust(incidence=i > 0)
                 self.adjust(incidence=i > 0)
-        reaches = CALIBRATION.gauge.reaches
-        for reach in reaches if self.is_amiss else reaches[:1]:
-            self.take(fit_faces(self.corrected(), sigma=CALIBRATION.fine_sigma))
+                work.add(coarse)
+        for reach in reaches:
+            rays = self.corrected()
+            self.take(fit_faces(rays, sigma=CALIBRATION.fine_sigma, progress=work.part(fit)))
+            work.add(fit)
             if self.is_amiss:
                 self.adjust(incidence=True)
                 self.refine_poses()
                 self.adjust(incidence=True)
                 self.settle(reach)
             self.refine_poses()
+            work.add(round_)
         rays = self.corrected()
-        fitted = fit_faces(rays)
+        fitted = fit_faces(rays, progress=work.part(fit))
         return CalibratedFaces(fitted=fitted, calibration=self.calibration(), rays=rays, mount=self.mount)
 
     def corrected(self) -> Rays:
@@ -287,7 +305,7 @@ class _JointCalibration:
         current = np.concatenate([np.zeros(5), self.terms.incidence, self.terms.constant, self.terms.slope])
         for _ in range(
             CALIBRATION.adjustment.price_rounds
-        ):  # the price of a ray's term falls with the share of rays that have one
+        ):  # prices fall with the share of rays that have a term
             values, chosen, _ = select_terms(normal, current, self._prices(normal, incidence=incidence))
             self.own = chosen[N_COMMON:].reshape(2, -1)
         self.faces = step_faces(faces, normal, values - current)
@@ -305,12 +323,8 @@ class _JointCalibration:
         """Move the training poses where their noise shows."""
         matches = self.match()
         better = self._poses(matches)
-        logger.info(
-            "poses: %.0f nats, %.2f mm, %.3f mrad",
-            better.log_evidence,
-            1e3 * better.sigma_xy,
-            1e3 * better.sigma_yaw,
-        )
+        size = 1e3 * better.sigma_xy, 1e3 * better.sigma_yaw
+        logger.info("poses: %.0f nats, %.2f mm, %.3f mrad", better.log_evidence, *size)
         if better.log_evidence < CALIBRATION.min_gain:
             return
         self.shifts = better.shifts

@@ -21,8 +21,8 @@ from sensorgraph.types import Floats, Progress
 logger = logging.getLogger(__name__)
 
 FIT = FACES.fit
-N_STEPS = 5 + 2 * FIT.rounds
-"""That `fit_faces` reports to its progress."""
+SELECT_PASSES, SPLIT_PASSES, FINAL_PASSES = 4, 2, 5
+"""Passes over the rays that a selection, a split and the last fit take, about; they only tell progress."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,36 +57,33 @@ def fit_faces(
     hit_moments : pooled hits of all rays that `rays` are a sample of; None: of `rays` themselves
     sigma : [m] range noise to begin with; it is then estimated, and so is the noise of the poses
     """
-    steps = StepCounter(progress, N_STEPS)
+    work = WorkCounter(progress, fit_cost(len(rays)))
     if hit_moments is None:
         hit_moments = HitMoments.of(rays.hits, rays.directions)
-    steps.tick()
-    draft = _thinned(rays, FIT.draft_rays)
+    draft, final = _thinned(rays, FIT.draft_rays), _thinned(rays, FIT.final_rays)
     faces, noise, expectation = _select_and_fit(draft, hit_moments, sigma)
-    steps.tick()
+    work.add(SELECT_PASSES * len(draft))
     for _ in range(FIT.rounds):
         more = _lines_unexplained(draft, expectation, noise)
         faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FIT.min_face_gain))
         faces = binned_faces(split_bent_faces(draft, faces, noise).joined(more))
-        steps.tick()
         faces, noise, expectation = _em(draft, faces, noise, passes=FIT.round_passes)
-        steps.tick()
+        work.add((SPLIT_PASSES + FIT.round_passes) * len(draft))
         logger.info("%d faces, %.4f nats a ray", faces.n_faces, expectation.log_likelihood / len(draft))
-    final = _thinned(rays, FIT.final_rays)
     faces = fit_stretches(faces, crossings_of(draft, faces, noise))
     faces = take_faces(faces, np.flatnonzero(is_visible(faces)))
-    steps.tick()
+    work.add(len(draft))
     faces, noise, expectation = _em(final, faces, noise, passes=1)
     crossings = crossings_of(final, faces, noise)
     faces = fit_stretches(faces, crossings)
     seen_faces = np.flatnonzero(is_visible(faces))
     faces, crossings = take_faces(faces, seen_faces), crossings.of_faces(seen_faces)
-    steps.tick()
+    work.add(3 * len(final))
     faces = join_corners(faces, crossings)
     expectation = e_step(final, faces, noise)
     statistics = SufficientStatistics.of(final, faces, expectation, crossings, n_rays=len(final))
     faces = with_edge_errors(faces, expectation.line_sums)
-    steps.tick()
+    work.add((FINAL_PASSES - 3) * len(final))
     return FittedFaces(
         faces=faces, noise=noise, expectation=expectation, n_rays=len(final), statistics=statistics
     )
@@ -151,16 +148,28 @@ def _thinned(rays: Rays, most: int) -> Rays:
     return rays if step == 1 else rays.take(slice(None, None, step + 1 - step % 2))
 
 
-class StepCounter:
-    """Count steps for a progress bar."""
+def fit_cost(n_rays: int) -> int:
+    """Return how many rays `fit_faces` looks at in all its passes, about: a measure of its time."""
+    draft, final = min(n_rays, FIT.draft_rays), min(n_rays, FIT.final_rays)
+    return (SELECT_PASSES + (SPLIT_PASSES + FIT.round_passes) * FIT.rounds + 1) * draft + FINAL_PASSES * final
+
+
+class WorkCounter:
+    """Tell a progress bar in percent how much of the work is done; parts of it take different times."""
 
     def __init__(self, progress: Progress | None, total: int) -> None:
-        self.progress, self.total, self.done = progress, total, 0
+        self.progress, self.total, self.done = progress, max(total, 1), 0
+        self.add(0)
 
-    def tick(self) -> None:
-        self.to(self.done + 1)
+    def add(self, amount: int) -> None:
+        """Report that so much more of the total is done."""
+        self.done += amount
+        self._show(self.done)
 
-    def to(self, done: int) -> None:
-        self.done = done
+    def part(self, amount: int) -> Progress:
+        """Return the progress of a part of the total; `add` its amount when it is done."""
+        return lambda done, total: self._show(self.done + amount * done // max(total, 1))
+
+    def _show(self, done: int) -> None:
         if self.progress is not None:
-            self.progress(self.done, self.total)
+            self.progress(min(100 * done // self.total, 100), 100)

@@ -10,7 +10,8 @@ What the class holds and how it is stored stands in `data`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -26,7 +27,7 @@ from sensorgraph.models.calibration.calibrate import calibrate_faces, corrected_
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.data import FacesData, restored_fields, stored
 from sensorgraph.models.faces.equations import face_equations
-from sensorgraph.models.faces.fit import N_STEPS, StepCounter, fit_faces
+from sensorgraph.models.faces.fit import fit_faces
 from sensorgraph.models.faces.prediction import predict_rays
 from sensorgraph.models.faces.ray_march import (
     MIN_VISIBILITY,
@@ -38,7 +39,7 @@ from sensorgraph.models.faces.sampling import draw_rays
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.update import update_faces
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
-from sensorgraph.types import Floats, Ints, Progress
+from sensorgraph.types import Floats, Ints, Progress, ProgressBars, no_progress
 
 PREDICTION = FACES.prediction
 
@@ -69,7 +70,7 @@ class Faces(FacesData):
             n_scans=len(scans),
             can_mount=scans.pose_frame != "laser",
             calibrate=options.get("calibrate"),
-            progress=progress,
+            progress=no_progress if progress is None else lambda label, unit: nullcontext(progress),
         )
         wanted = options.get("cells")
         cluttered = fitted.is_cluttered if wanted is None else bool(wanted)
@@ -102,7 +103,7 @@ class Faces(FacesData):
         map_blocks: MapBlocks = map,
         can_mount: bool = True,
         calibrate: bool | None = None,
-        progress: Progress | None = None,
+        progress: ProgressBars = no_progress,
     ) -> Self:
         """Identify faces from blocks of scans that need not be in memory together.
 
@@ -112,26 +113,29 @@ class Faces(FacesData):
         map_blocks : where the blocks are reduced; `map`: here, one after the other
         can_mount : the poses are of a base that carries the laser; False where they are the laser's own
         calibrate : identify the laser with the faces; None: where that is worth it
+        progress : a bar for each stage: reading scans, fitting faces, testing and calibrating the laser
 
         Raises
         ------
         SensorgraphError : no ray returned
         """
-        n_blocks = -(-n_scans // SCANS_PER_BLOCK)
-        steps = StepCounter(progress, n_blocks + N_STEPS)
-        reduced = reduce_blocks(
-            blocks, mount=mount, n_rays=n_scans * sensor.n_rays, map_blocks=map_blocks, tick=steps.tick
-        )
+        with progress("reading scans", "scans") as tick:
+            reduced = reduce_blocks(
+                blocks,
+                mount=mount,
+                n_rays=n_scans * sensor.n_rays,
+                map_blocks=map_blocks,
+                tick=_block_ticks(tick, n_scans),
+            )
         if reduced is None or reduced.n_returns == 0:
             raise SensorgraphError(
                 "no ray of the log returned; check range_max and the no-return code of the log"
             )
         rays = reduced.sample.rays(sensor, mount)
-        fitted = fit_faces(
-            rays, hit_moments=reduced.hit_moments, progress=lambda done, _: steps.to(n_blocks + done)
-        )
+        with progress("fitting faces", "%") as tick:
+            fitted = fit_faces(rays, hit_moments=reduced.hit_moments, progress=tick)
         found = calibrate_faces(
-            reduced.sample, sensor, mount, fitted, can_mount=can_mount, calibrate=calibrate
+            reduced.sample, sensor, mount, fitted, can_mount=can_mount, calibrate=calibrate, progress=progress
         )
         if not found.calibration.is_as_stated and len(found.rays) == reduced.n_rays:
             # of a larger log the grid of all its rays, a few cm off, tells more than that of a sample
@@ -158,7 +162,7 @@ class Faces(FacesData):
         *,
         n_scans: int,
         map_blocks: MapBlocks = map,
-        progress: Progress | None = None,
+        progress: ProgressBars = no_progress,
     ) -> Self:
         """Add blocks of new scans, of the same laser, without the old ones.
 
@@ -172,23 +176,24 @@ class Faces(FacesData):
             )
         if self.statistics is None:
             raise SensorgraphError("the graph remembers too little of its rays to be updated; build it again")
-        steps = StepCounter(progress, -(-n_scans // SCANS_PER_BLOCK) + 1)
-        new = reduce_blocks(
-            blocks,
-            mount=self.mount,
-            n_rays=n_scans * self.sensor.n_rays,
-            map_blocks=map_blocks,
-            tick=steps.tick,
-        )
+        with progress("reading scans", "scans") as tick:
+            new = reduce_blocks(
+                blocks,
+                mount=self.mount,
+                n_rays=n_scans * self.sensor.n_rays,
+                map_blocks=map_blocks,
+                tick=_block_ticks(tick, n_scans),
+            )
         if new is None or new.n_returns == 0:
             raise SensorgraphError(
                 "no ray of the new log returned; check range_max and the no-return code of the log"
             )
         rays = corrected_rays(new.sample, self.sensor, self.mount, self.calibration, self.faces, self.noise)
-        faces, noise, statistics = update_faces(
-            self.faces, self.noise, self.statistics, self.observed, rays, n_rays=new.n_rays
-        )
-        steps.tick()
+        with progress("updating faces", "steps") as tick:
+            tick(0, 1)
+            faces, noise, statistics = update_faces(
+                self.faces, self.noise, self.statistics, self.observed, rays, n_rays=new.n_rays
+            )
         n_rays = self.n_rays + new.n_rays
         return replace(
             self,
@@ -287,3 +292,16 @@ class Faces(FacesData):
         x, y = poses[:, 0] + cos * mx - sin * my, poses[:, 1] + sin * mx + cos * my
         c, s = math.cos(yaw), math.sin(yaw)
         return x, y, cos * c - sin * s, sin * c + cos * s
+
+
+def _block_ticks(tick: Progress, n_scans: int) -> Callable[[], None]:
+    """Return what to call after each block, to tell how many of the scans were read."""
+    done = 0
+    tick(0, n_scans)
+
+    def next_block() -> None:
+        nonlocal done
+        done = min(done + SCANS_PER_BLOCK, n_scans)
+        tick(done, n_scans)
+
+    return next_block

@@ -1,0 +1,69 @@
+"""Progress of long work: every stage is named, and the time left follows from what was done since it began."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_building_sweep import run_of
+
+import logs
+from sensorgraph.building.build import build
+from sensorgraph.cli import progress as shown
+from sensorgraph.cli import run as command
+from sensorgraph.types import Progress
+
+
+def test_every_stage_of_a_build_is_named_and_ends_at_all_of_it() -> None:
+    stages: dict[str, list[tuple[int, int]]] = {}
+
+    @contextmanager
+    def bar(label: str, unit: str) -> Iterator[Progress]:
+        ticks = stages.setdefault(label, [])
+        yield lambda done, total: ticks.append((done, total))
+
+    build([run_of(0, duration=12.0)], progress=bar, calibrate=True)
+    assert list(stages) == ["reading scans", "fitting faces", "testing the laser", "calibrating the laser"]
+    for label, ticks in stages.items():
+        done = [n for n, _ in ticks]
+        assert done[0] == 0 and (np.diff(done) >= 0).all(), label
+    for label in ("reading scans", "fitting faces", "calibrating the laser"):
+        assert stages[label][-1][0] == stages[label][-1][1], label
+
+
+def test_time_left_follows_from_what_was_done_since_the_stage_began(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = 100.0
+    monkeypatch.setattr(shown.time, "monotonic", lambda: now)
+    monkeypatch.setattr(shown._PlainLines, "last", 99.0)
+    with shown.progress("reading", "scans") as tick:
+        tick(1000, 4000)  # done before the clock started
+        now = 110.0
+        tick(2000, 4000)
+    assert "reading: 2,000 of 4,000 scans, 100/s, 20 s left" in capsys.readouterr().err
+    with shown.progress("fitting", "%") as tick:
+        now = 116.0
+        tick(0, 100)
+    assert capsys.readouterr().err == "fitting: 0 of 100 %\n"  # named, though nothing of it is done
+
+
+def test_build_says_before_it_fits_what_the_log_makes_hard(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = run_of(0, duration=8.0)
+    odometry = type(run)(**{**run.__dict__, "pose_stamps": np.zeros(0), "poses": np.zeros((0, 3))})
+    logs.write(odometry, tmp_path / "run.mcap")
+
+    def stop(*given: object, **options: object) -> None:
+        raise logs.LogError("fitting begins here")
+
+    monkeypatch.setattr("sensorgraph.building.build.build", stop)
+    assert command(["build", str(tmp_path / "run.mcap"), "-o", str(tmp_path / "g.sensorgraph")]) == 2
+    said = capsys.readouterr()
+    assert re.search(r"run.mcap: the laser sweeps for 0.2 s; each ray is taken at its own pose", said.out)
+    assert "warning: run.mcap: the poses are odometry: they drift, a map built from them is bent" in said.err
