@@ -13,7 +13,7 @@ from planners import Plan
 from planners.arena import Arena
 from planners.holes import unmet
 from sensorgraph.show.figures.plan import REASONS, legend_above, title_flush_left
-from sensorgraph.show.figures.style import ALARM, FLOOR, INK, TEAL, fill_solid, new_figure, save_figure
+from sensorgraph.show.figures.style import ALARM, FLOOR, INK, SMALL, TEAL, fill_solid, new_figure, save_figure
 from sensorgraph.types import Floats
 
 MAX_HEADINGS = 16
@@ -137,4 +137,4 @@ def _name(axes: Any, plan: Plan, heading: int, corner: Floats, label: float) -> 
         if reachable
         else f"{np.degrees(phi):.4g}°   nothing counts"
     )
-    axes.text(*(corner + label * np.array([0.72, 0.42])), label_text, va="center", fontsize=8, color=INK)
+    axes.text(*(corner + label * np.array([0.72, 0.42])), label_text, va="center", fontsize=SMALL, color=INK)

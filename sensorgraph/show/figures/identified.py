@@ -14,10 +14,14 @@ from robotmodic_ident.records import lagged
 from sensorgraph.identification.identify import IdentifiedSignal
 from sensorgraph.show.figures.style import (
     ALARM,
+    FINE,
     INK,
+    SMALL,
     SOFT,
     SOLID,
     TEAL,
+    TEXT,
+    TINY,
     colour_bar,
     new_figure,
     reduce_frame,
@@ -68,10 +72,12 @@ def series(axes: Any, found: IdentifiedSignal, *, most: int = MAX_SAMPLES, unit:
             when[shown], found.free_run[i][shown], color=ALARM, lw=1.0, ls=(0, (4, 2)),
             label=_label("free run", free.r, free.r_low, free.r_high),
         )  # fmt: skip
-    axes.set_xlabel("time [s]" if found.data.period else "sample", color=INK, fontsize=9)
+    axes.set_xlabel("time [s]" if found.data.period else "sample", color=INK, fontsize=TEXT)
     axes.set_ylabel(f"{found.question.output}{f' [{unit}]' if unit else ''}", color=INK)
-    axes.grid(color=SOLID, lw=0.6)
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False, fontsize=8, labelcolor=INK)
+    axes.grid(color=SOLID, lw=FINE)
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False, fontsize=SMALL, labelcolor=INK
+    )
     axes.margins(x=0.01)
     reduce_frame(axes)
 
@@ -89,9 +95,9 @@ def _scatter(axes: Any, found: IdentifiedSignal) -> None:
         ends = [float(min(x.min(), y.min())), float(max(x.max(), y.max()))]
         axes.plot(ends, ends, color=SOFT, lw=0.8)
     axes.plot(x, y, ".", ms=3, color=TEAL, alpha=0.4, mew=0)
-    axes.set_xlabel(f"measured {found.question.output}", color=INK, fontsize=9)
+    axes.set_xlabel(f"measured {found.question.output}", color=INK, fontsize=TEXT)
     axes.set_ylabel(
-        "free run" if found.free_run is not found.one_step else "predicted", color=INK, fontsize=9
+        "free run" if found.free_run is not found.one_step else "predicted", color=INK, fontsize=TEXT
     )
     reduce_frame(axes)
 
@@ -111,11 +117,11 @@ def _correlation(axes: Any, found: IdentifiedSignal) -> None:
     axes.vlines(np.arange(1, MAX_LAGS + 1), 0, rho[1:], color=TEAL, lw=2)
     axes.axhline(0, color=SOFT, lw=0.8)
     axes.set(ylim=(-1.05, 1.05))
-    axes.set_xlabel("lag [samples]", color=INK, fontsize=9)
-    axes.set_ylabel("correlation of the residual", color=INK, fontsize=9)
+    axes.set_xlabel("lag [samples]", color=INK, fontsize=TEXT)
+    axes.set_ylabel("correlation of the residual", color=INK, fontsize=TEXT)
     lines = [f"{t['test']}: p {_p(t['p_value'])}" for t in found.validation[:8]]
     axes.text(
-        0.98, 0.98, "\n".join(lines), transform=axes.transAxes, ha="right", va="top", fontsize=7, color=INK
+        0.98, 0.98, "\n".join(lines), transform=axes.transAxes, ha="right", va="top", fontsize=TINY, color=INK
     )
     reduce_frame(axes)
 
@@ -154,7 +160,7 @@ def surface_map(figure: Any, axes: Any, model: Narmax, columns: dict[str, Floats
     mesh = axes.contourf(grid[0], grid[1], z, levels=levels, cmap=colours, extend="both")
     step = max(1, len(columns[a]) // 600)
     axes.plot(columns[a][::step], columns[b][::step], ".", ms=2, color="white", alpha=0.7, mew=0)
-    axes.set_xlabel(a, color=INK, fontsize=9)
-    axes.set_ylabel(b, color=INK, fontsize=9)
+    axes.set_xlabel(a, color=INK, fontsize=TEXT)
+    axes.set_ylabel(b, color=INK, fontsize=TEXT)
     colour_bar(figure, mesh, axes, model.output)
     reduce_frame(axes)

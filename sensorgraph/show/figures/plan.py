@@ -13,13 +13,19 @@ from planners.holes import REASON_TEXTS, cut_off, unmet
 from sensorgraph.show.figures.style import (
     ALARM,
     AMBER,
+    FINE,
     FLOOR,
+    HEADLINE,
     INK,
+    LEGEND_ROOM,
+    SMALL,
     SOFT,
     SOLID,
     TEAL,
+    TITLE,
     colour_bar,
     draw_floor,
+    map_height,
     new_figure,
     reduce_frame,
     save_figure,
@@ -42,10 +48,8 @@ COUNTS = ("not_driven", "no_way_found")
 
 def plan_picture(plan: Plan, arena: Arena, path: Path, *, title: str = "") -> None:
     """Draw the plan over the arena with time as colour, its start and holes, and coverage over time."""
-    x0, y0, x1, y1 = arena.bounds
     width = 10.0
-    tall = float(np.clip(width * 0.60 * (y1 - y0) / max(x1 - x0, 1e-9), 3.2, 11.0))
-    figure = new_figure(width, tall + 1.2)
+    figure = new_figure(width, map_height(width * 0.60, arena.bounds, 3.2, 11.0) + LEGEND_ROOM)
     left, right = figure.subplots(1, 2, width_ratios=[2.4, 1.0])
     _route(figure, left, plan)
     draw_floor(left, arena)
@@ -67,9 +71,8 @@ def reach_picture(plan: Plan, arena: Arena, path: Path) -> None:
     left_out = unmet(plan.coverage, plan.reach, plan.lost)
     behind = cut_off(plan.reach)
     panels = 2 if behind.any() or any(where.any() for where in left_out.values()) else 1
-    x0, y0, x1, y1 = arena.bounds
     width = 5.6
-    tall = float(np.clip((width - 0.6) * (y1 - y0) / max(x1 - x0, 1e-9), 2.0, 9.0))
+    tall = map_height(width - 0.6, arena.bounds, 2.0, 9.0)
     figure = new_figure(width * panels + 0.5, tall + 1.4)
     axes = figure.subplots(1, panels, squeeze=False)[0]
     _what_counts(figure, axes[0], plan, arena)
@@ -136,12 +139,12 @@ def _coverage_curve(axes: Any, plan: Plan) -> None:
     reference = plan.report["t_ref_s"] / 60.0
     axes.axvline(reference, color=SOFT, lw=1.0, ls=(0, (4, 3)))
     axes.annotate(
-        "reference time", (reference, 3), rotation=90, ha="right", va="bottom", fontsize=8, color=SOFT
+        "reference time", (reference, 3), rotation=90, ha="right", va="bottom", fontsize=SMALL, color=SOFT
     )
     axes.set(xlim=(0, max(float(minutes[-1]), reference) * 1.02), ylim=(0, 101.5))
     axes.set_xlabel("time [min]", color=INK)
     axes.set_ylabel("bins covered [%]", color=INK)
-    axes.grid(color=SOLID, lw=0.6)
+    axes.grid(color=SOLID, lw=FINE)
     reduce_frame(axes)
 
 
@@ -202,7 +205,7 @@ def _what_is_left(axes: Any, plan: Plan, arena: Arena) -> None:
 def _panel_title(axes: Any, text: str, columns: int) -> None:
     """Write a panel's title above its legend of so many columns."""
     rows = -(-len(axes.get_legend_handles_labels()[1]) // columns)
-    axes.set_title(text, loc="left", fontsize=10.5, color=INK, pad=7 + 13 * rows)
+    axes.set_title(text, loc="left", fontsize=TITLE, color=INK, pad=7 + 13 * rows)
     legend_above(axes, columns)
 
 
@@ -234,14 +237,14 @@ def _no_go(axes: Any, plan: Plan) -> None:
 def legend_above(axes: Any, columns: int = 4) -> None:
     """Put the legend above the axes."""
     axes.legend(
-        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, fontsize=8, labelcolor=INK,
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, fontsize=SMALL, labelcolor=INK,
         borderaxespad=0.3, borderpad=0.0, handletextpad=0.4, columnspacing=1.4,
     )  # fmt: skip
 
 
 def title_flush_left(figure: Any, text: str) -> None:
     """Write the title of the figure, flush left."""
-    figure.suptitle(text, x=0.012, ha="left", fontsize=11.5, color=INK)
+    figure.suptitle(text, x=0.012, ha="left", fontsize=HEADLINE, color=INK)
 
 
 def _hours(seconds: float) -> str:

@@ -27,7 +27,9 @@ from sensorgraph.show.figures.style import (
     INK,
     SOFT,
     SOLID,
+    SUBTITLE,
     colour_bar,
+    map_height,
     new_figure,
     reduce_frame,
     save_figure,
@@ -66,7 +68,7 @@ def graph_picture(graph: Sensorgraph, path: Path, *, run: Run | None = None) -> 
     residuals = None if run is None else predicted_ends(graph, run)
     (x0, y0), (x1, y1) = _limits(model)
     width = 12.0
-    tall = float(np.clip(0.46 * width * (y1 - y0) / (x1 - x0), 2.5, 10.0))
+    tall = map_height(0.46 * width, (x0, y0, x1, y1), 2.5, 10.0)
     figure = new_figure(width, tall + 0.9)
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes in (left, right):
@@ -81,7 +83,7 @@ def graph_picture(graph: Sensorgraph, path: Path, *, run: Run | None = None) -> 
     elif isinstance(model, Faces):
         _training_returns(figure, right, model)
     else:
-        right.set_title("residuals: give a run", loc="left", fontsize=10, color=SOFT)
+        right.set_title("residuals: give a run", loc="left", fontsize=SUBTITLE, color=SOFT)
     save_figure(figure, path)
 
 
@@ -147,7 +149,7 @@ def _visibility(figure: Any, axes: Any, model: Faces | CellModel) -> None:
         order = np.argsort(pieces.values, kind="stable")
         image = _draw_pieces(axes, pieces.ends[order], pieces.values[order], "viridis_r", (0.0, 1.0))
         title += f": {model.faces.n_faces} faces"
-    axes.set_title(title, loc="left", fontsize=10, color=INK)
+    axes.set_title(title, loc="left", fontsize=SUBTITLE, color=INK)
     colour_bar(figure, image, axes, "chance", **COLOUR_BAR)
 
 
@@ -159,11 +161,11 @@ def _training_returns(figure: Any, axes: Any, model: Faces) -> None:
     pieces = pieces_of(model, owner, model.faces.edges[edge], model.faces.edges[edge + 1], hits / length)
     value = np.log10(np.maximum(pieces.values, 1.0))
     image = _draw_pieces(axes, pieces.ends, value, "magma_r", (0.0, max(float(value.max(initial=1.0)), 1.0)))
-    axes.set_title("identified from so many returns a metre", loc="left", fontsize=10, color=INK)
+    axes.set_title("identified from so many returns a metre", loc="left", fontsize=SUBTITLE, color=INK)
     if model.statistics is not None and len(model.statistics.unexplained_hits.cells):
         axes.plot(*model.statistics.unexplained_hits.centres.T, ".", ms=1.2, color=ALARM, alpha=0.5, zorder=2)
         axes.set_title(
-            "identified from so many returns a metre; red: explained by no face", loc="left", fontsize=10, color=INK
+            "identified from so many returns a metre; red: explained by no face", loc="left", fontsize=SUBTITLE, color=INK
         )  # fmt: skip
     colour_bar(figure, image, axes, "log10 of returns a metre", **COLOUR_BAR)
 
@@ -198,7 +200,7 @@ def _mean_residuals(
             zorder=1,
         )
     axes.set_title(
-        f"mean residual of {len(residual):,} answered rays; red: measured farther", loc="left", fontsize=10, color=INK
+        f"mean residual of {len(residual):,} answered rays; red: measured farther", loc="left", fontsize=SUBTITLE, color=INK
     )  # fmt: skip
     colour_bar(figure, image, axes, "measured − predicted [cm]", **COLOUR_BAR)
 

@@ -5,6 +5,7 @@ matplotlib is imported when the first figure is made.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,19 @@ FLOOR, SOLID = "#ffffff", "#d9dce4"
 """Free space; what is solid, or was never seen."""
 TEAL, AMBER, ALARM = "#2a788e", "#c9892b", "#d1345b"
 """Good or the main series; the second; bad, or what the eye shall find."""
+
+TINY, SMALL, TEXT, SUBTITLE, TITLE, HEADLINE = 7, 8, 9, 10, 10.5, 11.5
+"""[pt] sizes of type: statistics within a chart, ticks and legends, labels, and three ranks of titles."""
+FINE, LINE = 0.6, 1.9
+"""[pt] widths of grid lines and of a main curve."""
+TITLE_ROOM, LEGEND_ROOM, CHART_ROOM = 0.6, 1.2, 0.7
+"""[in] beside a map's own height: for a title, for a title and a legend, for the axes of a chart."""
+
+
+def map_height(extent: float, bounds: Sequence[float], least: float, most: float) -> float:
+    """Return the height [in] of a map `extent` [in] wide with bounds (x0, y0, x1, y1) [m], within limits."""
+    x0, y0, x1, y1 = bounds
+    return float(np.clip(extent * (y1 - y0) / max(x1 - x0, 1e-9), least, most))
 
 
 def new_figure(width: float, height: float, *, layout: Any = "constrained") -> Any:
@@ -79,13 +93,13 @@ def reduce_frame(axes: Any) -> None:
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
         axes.spines[side].set_color(SOFT)
-    axes.tick_params(colors=INK, labelsize=8, length=3)
+    axes.tick_params(colors=INK, labelsize=SMALL, length=3)
     axes.set_axisbelow(True)
 
 
 def colour_bar(figure: Any, mapped: Any, axes: Any, label: str, **placing: Any) -> None:
     """Put a colour bar for what is `mapped` to colours beside one or several axes."""
     bar = figure.colorbar(mapped, ax=axes, **placing)
-    bar.set_label(label, color=INK, fontsize=8)
-    bar.ax.tick_params(labelsize=8, colors=INK)
+    bar.set_label(label, color=INK, fontsize=SMALL)
+    bar.ax.tick_params(labelsize=SMALL, colors=INK)
     bar.outline.set_visible(False)
