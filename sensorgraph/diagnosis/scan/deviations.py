@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import erf
 
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.result import Deviation
@@ -48,10 +49,14 @@ def scores(view: FitResiduals) -> Scores:
     tail = view.noise.tail
     lattice_variance = expected.lattice**2 / 12 if expected.lattice > 0 else 0.0
     expected_square = (
-        (1 - tail) * settings.clipped_variance
-        + tail * settings.clipped_tail_variance
+        (1 - tail) * clipped_variance(1.0, settings.clip)
+        + tail * clipped_variance(likelihood.tail_width, settings.clip)
         + lattice_variance / np.square(view.sigma)
     )
+    spread = np.where(explained, clipped**2 - expected_square, 0.0)
+    # what every bin has in common is the level of the noise, and no place, time or bearing
+    common = float(spread.sum() / max(explained.sum(), 1))
+    spread -= explained * np.clip(common, -settings.max_common_spread, settings.max_common_spread)
     returned = view.returned & view.aimed & off_edge
     p_stray = view.noise.stray + expected.stray + expected.short
     due = view.aimed & off_edge & ~np.isnan(view.z)
@@ -68,12 +73,20 @@ def scores(view: FitResiduals) -> Scores:
     return Scores(
         values={
             "bias": np.where(explained, clipped, 0.0),
-            "spread": np.where(explained, clipped**2 - expected_square, 0.0),
+            "spread": np.where(explained, spread, 0.0),
             "outliers": np.where(returned, is_stray - p_stray, 0.0),
             "misses": np.where(due, view.lost - p_lost, 0.0),
         },
         counted={"bias": explained, "spread": explained, "outliers": returned, "misses": due},
     )
+
+
+def clipped_variance(sigma: float, limit: float) -> float:
+    """Return the mean square of a normal variable of standard deviation `sigma` that is cut at +- `limit`."""
+    a = limit / sigma
+    inside = float(erf(a / np.sqrt(2)))
+    density = float(np.exp(-0.5 * a**2) / np.sqrt(2 * np.pi))
+    return sigma**2 * (inside - 2 * a * density) + limit**2 * (1 - inside)
 
 
 def _outlines(view: FitResiduals) -> Bools | None:

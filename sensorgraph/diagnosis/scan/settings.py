@@ -304,10 +304,8 @@ class GoodnessOfFitSettings:
     """[m] of the raster of places."""
     clip: float = 4.0
     """Standard deviations at which a residual is cut."""
-    clipped_variance: float = 0.9866
-    """Mean square of a unit normal that is cut there, nearly."""
-    clipped_tail_variance: float = 5.4
-    """The same of the tail."""
+    max_common_spread: float = 0.15
+    """Excess of the mean square that all bins may share: the level of the noise, which names no place."""
     min_rays: int = 40
     """Rays in a bin."""
     min_blocks: int = 5
