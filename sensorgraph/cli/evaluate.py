@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from logs.run import Run
-    from sensorgraph.evaluation.evaluate import Evaluation, Metrics
+    from sensorgraph.evaluation.evaluate import Evaluation
+    from sensorgraph.evaluation.metrics import Metrics
     from sensorgraph.models.base import Point
 
 ROWS = (
