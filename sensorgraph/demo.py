@@ -10,13 +10,16 @@ import numpy as np
 
 import logs
 from logs.run import Run
+from planners import Plan
 from planners import plan as make_plan
 from planners.arena import Arena
 from planners.coverage import Coverage
 from planners.maps import geojson
 from sensorgraph.building.build import build
+from sensorgraph.demo_effect import HiddenEffect, hide_and_find
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.other_process import OtherProcess
 from sensorgraph.planning.plan_folder import counted, save
 from sensorgraph.recording.record import record
 from sensorgraph.show.figures.drives import race_picture
@@ -52,23 +55,67 @@ class DemoDrive:
     """On poses spread evenly over the arena that no run has seen."""
 
 
-def demo(folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: ProgressBars) -> list[DemoDrive]:
-    """Run the loop; leave plan, runs, graphs, review and `demo.json` in `folder`."""
+def demo(
+    folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: ProgressBars
+) -> tuple[list[DemoDrive], HiddenEffect]:
+    """Run the loop; leave plan, runs, graphs, review and diagnosis in `folder`.
+
+    The random drive and the hidden effect are the work of other processes, as they need nothing of the planned run.
+
+    Returns
+    -------
+    the planned drive, the random one, and the planned one with the model of 2004; and the effect that was hidden
+    """
     check = check_run(arena, robot, np.random.default_rng([seed, 99]))
     logs.write(check, folder / "check.mcap", occupancy=occupancy_map(arena))
-    drives: list[DemoDrive] = []
-    for planner in ("coverage", "random_bounce"):
-        drives.append(_drive(folder, arena, robot, planner, drives, check, seed=seed, progress=progress))
-    run = logs.read(folder / "coverage.mcap")
-    plain = build([run], arena=arena, model=BASELINE, names=["coverage.mcap"], progress=progress)
-    plain.save(folder / f"coverage.{BASELINE}.sensorgraph")
-    drives.append(replace(drives[0], model=BASELINE, graph=plain, checked=evaluate(plain, check)))
+    with OtherProcess(hide_and_find, folder / "diagnosis", arena, robot, seed) as hiding:
+        plan = _plan(arena, robot, "coverage", None, seed, progress)
+        duration = plan.trajectory.duration
+        with OtherProcess(_random_drive, folder, arena, robot, seed, duration, check) as driving:
+            planned = _drive(folder, arena, robot, "coverage", plan, check, seed=seed, progress=progress)
+            run = logs.read(folder / "coverage.mcap")
+            plain = build([run], arena=arena, model=BASELINE, names=["coverage.mcap"], progress=progress)
+            plain.save(folder / f"coverage.{BASELINE}.sensorgraph")
+            random = driving.result(progress)
+        hidden = hiding.result(progress)
+    drives = [planned, random, replace(planned, model=BASELINE, graph=plain, checked=evaluate(plain, check))]
     races = {
         label: (drive.growth[0] / 60, drive.growth[1], drive.coverage)
         for label, drive in zip(("planned", "random"), drives[:2], strict=True)
     }
     race_picture(races, arena, folder / "coverage.png")
-    return drives
+    return drives, hidden
+
+
+def _random_drive(
+    folder: Path,
+    arena: Arena,
+    robot: Robot,
+    seed: int,
+    duration: float,
+    check: Run,
+    *,
+    progress: ProgressBars,
+) -> DemoDrive:
+    """Drive at random for as long as the plan takes."""
+    plan = _plan(arena, robot, "random_bounce", duration, seed, progress)
+    return _drive(folder, arena, robot, "random_bounce", plan, check, seed=seed, progress=progress)
+
+
+def _plan(
+    arena: Arena, robot: Robot, planner: str, duration: float | None, seed: int, progress: ProgressBars
+) -> Plan:
+    """Plan one way of driving."""
+    with progress(f"plan {planner}", "cells") as tick:
+        return make_plan(
+            arena,
+            robot,
+            planner=planner,
+            seed=seed,
+            rate=robot.sensor.rate,
+            duration=duration,
+            progress=tick,
+        )
 
 
 def check_run(arena: Arena, robot: Robot, rng: np.random.Generator, n: int = N_CHECK_POSES) -> Run:
@@ -110,29 +157,19 @@ def _drive(
     arena: Arena,
     robot: Robot,
     planner: str,
-    before: list[DemoDrive],
+    planned: Plan,
     check: Run,
     *,
     seed: int,
     progress: ProgressBars,
 ) -> DemoDrive:
-    """Plan, record, build and evaluate one way of driving; a baseline drives as long as the coverage plan."""
-    with progress(f"plan {planner}", "cells") as tick:
-        planned = make_plan(
-            arena,
-            robot,
-            planner=planner,
-            seed=seed,
-            rate=robot.sensor.rate,
-            duration=before[0].drive_time if before else None,
-            progress=tick,
-        )
+    """Record, build and evaluate one way of driving; of the coverage plan, save the plan and the review, too."""
     run = record(folder / f"{planner}.mcap", arena, robot, planned.trajectory, seed=seed, progress=progress)
     graph = build([run], arena=arena, names=[f"{planner}.mcap"], progress=progress)
     graph.save(folder / f"{planner}.sensorgraph")
     poses = logs.pair(run).poses
     coverage = counted(planned.coverage, poses)
-    if not before:
+    if planner == "coverage":
         save(planned, folder / "plan", arena, robot)
         review(
             run,

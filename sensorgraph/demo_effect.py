@@ -62,7 +62,7 @@ def to_dict(hidden: HiddenEffect) -> dict[str, Any]:
 
 
 def hide_and_find(
-    folder: Path, arena: Arena, robot: Robot, *, seed: int, progress: ProgressBars
+    folder: Path, arena: Arena, robot: Robot, seed: int, *, progress: ProgressBars
 ) -> HiddenEffect:
     """Drive twice with an effect that the map and robot.yaml lack; diagnose one run, prove it on the other."""
     planted = random_effect(arena, robot, np.random.default_rng([seed, 7]))

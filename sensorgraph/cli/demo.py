@@ -34,7 +34,6 @@ def demo(
     from sensorgraph.cli.progress import progress
     from sensorgraph.demo import demo as run_demo
     from sensorgraph.demo import to_dict
-    from sensorgraph.demo_effect import hide_and_find
     from sensorgraph.demo_effect import to_dict as hidden_dict
     from sensorgraph.loading import load_arena
     from sensorgraph.version import __version__
@@ -53,8 +52,7 @@ def demo(
         "seed": seed,
     }
     write_json(folder / "config.json", config)
-    drives = run_demo(folder, walls, machine, seed=seed, progress=progress)
-    hidden = hide_and_find(folder / "diagnosis", walls, machine, seed=seed, progress=progress)
+    drives, hidden = run_demo(folder, walls, machine, seed=seed, progress=progress)
     results = {**to_dict(drives), "hidden_effect": hidden_dict(hidden)}
     write_json(folder / "demo.json", results)
     if out is None:

@@ -1,0 +1,118 @@
+"""Work that another process does while this one goes on with its own."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from types import TracebackType
+from typing import Any, Generic, TypeVar
+
+from sensorgraph.types import Progress, ProgressBars
+
+Result = TypeVar("Result")
+MESSAGE_PERIOD = 0.2
+"""[s] between two messages about progress."""
+
+
+class OtherProcess(Generic[Result]):
+    """A function that runs in another process; on a machine with one processor, it runs here when its result is wanted.
+
+    Parameters
+    ----------
+    work : a function of a module; takes `arguments` and, by keyword, `progress`
+    """
+
+    def __init__(self, work: Callable[..., Result], *arguments: object) -> None:
+        self._work, self._arguments = work, arguments
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._stage: tuple[str, str, int, int] | None = None
+        self._answer: tuple[bool, Any] | None = None
+
+    def __enter__(self) -> OtherProcess[Result]:
+        if (os.cpu_count() or 1) > 1:
+            context = multiprocessing.get_context("spawn")
+            ours, theirs = context.Pipe(duplex=False)
+            self._process = context.Process(
+                target=_run, args=(theirs, self._work, self._arguments), daemon=True
+            )
+            self._process.start()
+            theirs.close()
+            self._reader = threading.Thread(target=self._read, args=(ours,), daemon=True)
+            self._reader.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._process is not None:
+            self._process.terminate()
+            self._process.join()
+
+    def result(self, progress: ProgressBars) -> Result:
+        """Wait for the result, and show meanwhile which stage the work is at.
+
+        Raises
+        ------
+        whatever the work raised
+        RuntimeError : the process ended without an answer
+        """
+        if self._process is None:
+            return self._work(*self._arguments, progress=progress)
+        while self._reader.is_alive():
+            stage = self._stage
+            if stage is None:
+                self._reader.join(MESSAGE_PERIOD)
+                continue
+            with progress(*stage[:2]) as tick:
+                while self._reader.is_alive() and self._stage is not None and self._stage[:2] == stage[:2]:
+                    tick(*self._stage[2:])
+                    self._reader.join(MESSAGE_PERIOD)
+        if self._answer is None:
+            raise RuntimeError(f"{self._work.__name__} ended without an answer: was its process killed?")
+        is_done, value = self._answer
+        if not is_done:
+            raise value
+        result: Result = value
+        return result
+
+    def _read(self, pipe: Connection) -> None:
+        """Take messages: (stage, unit, done, total), and at last (whether it succeeded, result or error)."""
+        while True:
+            try:
+                message = pipe.recv()
+            except EOFError:
+                return
+            if len(message) == 2:
+                self._answer = message
+                return
+            self._stage = message
+
+
+def _run(pipe: Connection, work: Callable[..., object], arguments: tuple[object, ...]) -> None:
+    """Run the work in this process and send its progress and what came of it."""
+
+    @contextmanager
+    def progress(title: str, unit: str = "") -> Iterator[Progress]:
+        last = 0.0
+
+        def tick(done: int, total: int) -> None:
+            nonlocal last
+            if time.monotonic() - last > MESSAGE_PERIOD:
+                last = time.monotonic()
+                pipe.send((title, unit, done, total))
+
+        yield tick
+
+    try:
+        answer = True, work(*arguments, progress=progress)
+    except KeyboardInterrupt:
+        return
+    except BaseException as error:
+        pipe.send((False, error))
+        return
+    pipe.send(answer)
