@@ -15,8 +15,8 @@ from sensorgraph.types import Floats
 PATCH = ODOMETRY.patch
 PATCH_PRICE = EVIDENCE.price * len(WHEEL_SLIP.parameters)
 """[nats] of a patch."""
-MAX_VALUES = 4_000_000
-"""Rows times discs that are held at a time: 32 MB an array."""
+MAX_VALUES = 1_000_000
+"""Rows times discs that are held at a time: 8 MB an array."""
 
 
 def best_patch(
