@@ -13,7 +13,7 @@ from planners.arena import Arena, wrap
 from planners.types import Floats
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.naming import is_material
-from sensorgraph.diagnosis.scan.deviations import clipped_variance, dispersion
+from sensorgraph.diagnosis.scan.deviations import dispersion
 from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check, replicate
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
@@ -398,11 +398,3 @@ def test_what_hardly_stands_out_of_a_mapped_obstacle_is_none(
         stderr={"x": 0.002, "y": 0.002, "r": 0.002},
     )
     assert is_material(null, disc) == is_named
-
-
-@pytest.mark.parametrize("sigma", [1.0, 3.0])
-def test_the_mean_square_of_a_cut_normal_is_that_of_drawn_ones(sigma: float) -> None:
-    drawn = np.clip(sigma * np.random.default_rng(1).normal(size=400_000), -4.0, 4.0)
-    np.testing.assert_allclose(
-        clipped_variance(sigma, 4.0), np.mean(drawn**2), rtol=0.01
-    )  # 1 / sqrt(400,000), five times

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sensorgraph.diagnosis.scan.deviations import clipped_variance
 from sensorgraph.diagnosis.scan.gauss_newton import boxed
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.wall_sums import plain_wall_sums, wall_sums
@@ -48,3 +49,11 @@ def test_best_run_is_the_best_of_all_runs() -> None:
         plain = max(row[a : b + 1].sum() for a in range(12) for b in range(a, 12))
         assert s == pytest.approx(plain)
         assert row[i : j + 1].sum() == pytest.approx(plain)
+
+
+@pytest.mark.parametrize("sigma", [1.0, 3.0])
+def test_the_mean_square_of_a_cut_normal_is_that_of_drawn_ones(sigma: float) -> None:
+    drawn = np.clip(sigma * np.random.default_rng(1).normal(size=400_000), -4.0, 4.0)
+    np.testing.assert_allclose(
+        clipped_variance(sigma, 4.0), np.mean(drawn**2), rtol=0.01
+    )  # 1 / sqrt(400,000), five times
