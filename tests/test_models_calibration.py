@@ -12,7 +12,7 @@ from planners.maps import geojson
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.calibration.gauge import Gauge, estimate_gauge, find_peak
 from sensorgraph.models.calibration.laser_calibration import Calibration
-from sensorgraph.models.calibration.matching import Readings, match_readings, range_change
+from sensorgraph.models.calibration.matching import Readings, match_readings, mean_incidence, range_change
 from sensorgraph.models.calibration.normal_equations import (
     INCIDENCE,
     MOUNT,
@@ -122,6 +122,25 @@ def test_kernel_of_incidence_terms_agrees_with_the_plain_form() -> None:
     for rho, den in zip(rng.uniform(0.1, 9, 50), -rng.uniform(0, 1, 50), strict=True):
         plain = terms.reading(np.array([rho]), np.array([-den]))[0] - rho
         assert incidence_bias(den, rho, terms.incidence) == pytest.approx(plain, abs=1e-12)
+
+
+def test_the_mean_of_the_incidence_terms_is_that_of_the_plain_form() -> None:
+    rng = np.random.default_rng(4)
+    poses, ranges, _ = log(rng, 40, mount=STATED, terms=planted(rng))
+    terms = RayTerms(
+        constant=np.zeros(len(BEARINGS)),
+        slope=np.zeros(len(BEARINGS)),
+        incidence=rng.normal(size=N_INCIDENCE),
+    )
+    lasers = compose_poses(poses, STATED)
+    none = RayTerms.none(len(BEARINGS))
+    matches = match_readings(readings_from(ranges), lasers, none, true_faces(), ReturnNoise(sigma=0.03), 0.0)
+    known = matches.weight > 0
+    plain = [
+        terms.reading(np.array([rho]), np.array([-den]))[0] - rho
+        for rho, den in zip(matches.rho[known], matches.den[known], strict=True)
+    ]
+    assert mean_incidence(matches, terms) == pytest.approx(np.mean(plain), abs=1e-9)
 
 
 def test_adjustment_recovers_mount_constants_and_slopes_on_known_walls() -> None:

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from planners.kernel import inner_kernel
+from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.types import Floats
 
@@ -71,9 +71,9 @@ def _power_text(a: int, b: int) -> str:
     return " ".join(f"{x}^{p}" if p > 1 else x for x, p in powers if p > 0)
 
 
-@inner_kernel
+@kernel
 def incidence_terms(v: Any, q: Any, out: Any) -> Any:
-    """Fill the terms of S, in the order of `INCIDENCE_POWERS`."""
+    """Fill the terms of S, in the order of `INCIDENCE_POWERS`; v and q are numbers, or arrays (n,) where out is (7, n)."""
     out[0] = v
     out[1] = v * v
     out[2] = v * v * v
