@@ -6,6 +6,7 @@ files of the kernels it calls; here all files of a package that hold kernels cou
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 import subprocess
@@ -17,6 +18,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+logger = logging.getLogger(__name__)
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
@@ -113,7 +115,11 @@ def _wide(kind: Any) -> Any:
 
 
 def _stored(compiler: Callable[..., Any], function: Function) -> Function:
-    compiled = compiler(cache=True, error_model="numpy", nogil=True)(function)
+    try:
+        compiled = compiler(cache=True, error_model="numpy", nogil=True)(function)
+    except RuntimeError:  # no folder that it could write to
+        _say_that_nothing_is_kept()
+        compiled = compiler(error_model="numpy", nogil=True)(function)
     store = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if store is not None and hasattr(store, "_version"):
         # numba reads the rest of a file only if this agrees, so it never looks for a type that has another name now
@@ -122,6 +128,15 @@ def _stored(compiler: Callable[..., Any], function: Function) -> Function:
         compiled = compiler(error_model="numpy", nogil=True)(function)
     _widen_integers(compiled)
     return cast(Function, compiled)
+
+
+@cache
+def _say_that_nothing_is_kept() -> None:
+    """Say it once."""
+    logger.warning(
+        "compiled code cannot be kept, as neither the package's folder nor the user's cache can be written to: every "
+        "command compiles anew, for half a minute or so; set NUMBA_CACHE_DIR to a folder that can be written to"
+    )
 
 
 @cache

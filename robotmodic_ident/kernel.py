@@ -19,7 +19,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def kernel(function: Function) -> Function:
     """Compile a function on its first call and keep the result on disk; x / 0 is inf, as in numpy."""
-    compiled = numba.njit(cache=True, error_model="numpy")(function)
+    try:
+        compiled = numba.njit(cache=True, error_model="numpy")(function)
+    except RuntimeError:  # no folder that it could write to
+        compiled = numba.njit(error_model="numpy")(function)
     store = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if store is not None and hasattr(store, "_version"):
         store._version = (

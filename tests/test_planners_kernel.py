@@ -22,16 +22,29 @@ print(json.dumps([made, hits, [len(k.signatures) for k in (make_heap, pop_least,
 """
 
 
-def run(folder: Path) -> str:
+NOWHERE = """
+import numba.core.caching as caching
+for made in (vars(caching)[name] for name in ("_CacheImpl", "CacheImpl") if name in vars(caching)):
+    made._locator_classes = []
+"""
+"""As on a read-only file system."""
+
+
+def run(folder: Path, script: str = SCRIPT) -> subprocess.CompletedProcess[str]:
     env = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT], env=env, capture_output=True, text=True, check=True, cwd=Path.cwd()
-    )
-    return done.stdout.strip()
+    command = [sys.executable, "-c", script]
+    return subprocess.run(command, env=env, capture_output=True, text=True, check=True, cwd=Path.cwd())
 
 
 def test_kernels_are_compiled_once_and_kept(tmp_path: Path) -> None:
     """The first run compiles each kernel once, one of them in another process; the second reads all from disk."""
     shared = (os.cpu_count() or 1) > 1
-    assert run(tmp_path) == f"[[1, 1, 1], [0, {int(shared)}, 0], [1, 1, 1]]"
-    assert run(tmp_path) == "[[1, 1, 1], [1, 1, 1], [1, 1, 1]]"
+    assert run(tmp_path).stdout.strip() == f"[[1, 1, 1], [0, {int(shared)}, 0], [1, 1, 1]]"
+    assert run(tmp_path).stdout.strip() == "[[1, 1, 1], [1, 1, 1], [1, 1, 1]]"
+
+
+def test_where_nothing_can_be_kept_it_works_and_says_so_once(tmp_path: Path) -> None:
+    done = run(tmp_path, NOWHERE + SCRIPT)
+    assert done.stdout.strip() == "[[1, 1, 1], [0, 0, 0], [1, 1, 1]]"
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("compiled code cannot be kept") and "NUMBA_CACHE_DIR" in line

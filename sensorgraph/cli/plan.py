@@ -73,8 +73,9 @@ def plan(
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.planning.plan import plan as make_plan
 
-    if not (log := logging.getLogger("planners")).hasHandlers():
-        log.addHandler(logging.NullHandler())  # its warnings are said below
+    for name in ("planners.report", "planners.ompl_planner"):
+        if not (log := logging.getLogger(name)).hasHandlers():
+            log.addHandler(logging.NullHandler())  # their warnings are said below
     check_folder(out)
     with progress("planning", "bins" if planner == "coverage" and views is None else "stops") as tick:
         made = make_plan(
