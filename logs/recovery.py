@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from dataclasses import dataclass, replace
 from mmap import mmap
 from pathlib import Path
@@ -102,6 +103,8 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
         )
     if not (known.n_messages or known.attachments or known.metadata):
         raise LogError(f"{path} has no whole message, attachment or metadata left; there is nothing to save")
+    if not out.name:
+        raise IsADirectoryError(errno.EISDIR, "Is a directory", str(out))
     part = out.with_name(
         f"{out.name}.{uuid4().hex[:8]}.part"
     )  # NAME.part may be the very file that is to be saved

@@ -5,6 +5,7 @@ Each writer has a temporary name of its own, so that two commands that write one
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 from collections.abc import Iterator, Mapping
@@ -18,6 +19,8 @@ from uuid import uuid4
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
     """Yield a temporary name to write to; on leaving it becomes `path`, after an exception it is removed."""
+    if not path.name:
+        raise IsADirectoryError(errno.EISDIR, "Is a directory", str(path))
     part = path.with_name(f"{path.name}.{uuid4().hex[:8]}.part")
     try:
         yield part

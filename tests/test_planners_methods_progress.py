@@ -32,9 +32,11 @@ def test_what_comes_before_the_first_tick_says_nothing_of_the_time_left(
     """A minute of compiling, then 100 bins a second."""
     clock = [0.0]
     monkeypatch.setattr(told.time, "monotonic", lambda: clock[0])
+    told.start_silence()
     with told.progress("planning", "bins") as tick:
         clock[0] = 60.0
         tick(0, 2000)
         clock[0] = 70.0
         tick(1000, 2000)
-    assert capsys.readouterr().err == "planning: 1,000 of 2,000 bins, 100/s, 10 s left\n"
+    said = "planning: 0 of 2,000 bins\nplanning: 1,000 of 2,000 bins, 100/s, 10 s left\n"
+    assert capsys.readouterr().err == said

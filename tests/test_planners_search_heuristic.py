@@ -15,6 +15,7 @@ from planners.search.motion_primitives import GEARS, car_primitives
 from planners.search.nearest_goal import time_to_goal, update_heuristic
 from planners.search.search import CoverageSearch
 from planners.search.settings import SearchSettings
+from planners.search.workspace import heuristic_buffers
 from planners.types import Bools, Floats
 from planners.vehicle import Limits
 
@@ -38,7 +39,7 @@ def away(search: CoverageSearch, pose: tuple[float, float, float], mode: int = 0
     """Return the units of time from a pose to the nearest missing bin, seen from there."""
     state = state_at(search.primitives, np.array(pose))
     state[3] = mode
-    heuristic = search._heuristic_buffers()
+    heuristic = heuristic_buffers(search.settings, search.primitives, search.area)
     update_heuristic(state, search.world, heuristic)
     x, y, h, _ = state.tolist()
     return int(time_to_goal(x, y, int(h), mode, search.world, heuristic))

@@ -24,6 +24,7 @@ from sensorgraph.cli.messages import with_flags
 from sensorgraph.cli.narrow_help import is_narrow, set_narrow
 from sensorgraph.cli.plan import plan
 from sensorgraph.cli.predict import predict
+from sensorgraph.cli.progress import start_silence
 from sensorgraph.cli.record import record
 from sensorgraph.cli.recover import recover
 from sensorgraph.cli.review import review
@@ -88,6 +89,7 @@ def _root(
         ),
     ] = False,
 ) -> None:
+    start_silence()
     if allow_outside:
         os.environ["SENSORGRAPH_ALLOW_OUTSIDE"] = "1"
 

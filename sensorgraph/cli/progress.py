@@ -53,6 +53,11 @@ def _bar(label: str, unit: str) -> Iterator[Progress]:
         yield tick
 
 
+def start_silence() -> None:
+    """Count from now on how long nothing was said: a command begins."""
+    _PlainLines.last = time.monotonic()
+
+
 class _PlainLines:
     """When the last plain line was written, whatever stage it was of."""
 

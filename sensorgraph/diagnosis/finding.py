@@ -46,12 +46,12 @@ class Finding:
         return tuple(a for channel in self.channels.values() for a in channel.undecided)
 
     @property
-    def pose_scale(self) -> float | None:
+    def pose_tolerance_factor(self) -> float | None:
         """By how much the reference is worse than its tolerances, as the accepted model fits it; 1 is as stated."""
         return None if self.explained is None else self.explained.final.state.pose_scale
 
     @property
-    def map_scale(self) -> float | None:
+    def map_tolerance_factor(self) -> float | None:
         """The same of the map."""
         return None if self.explained is None else self.explained.final.state.map_scale
 

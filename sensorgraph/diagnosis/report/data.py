@@ -31,8 +31,8 @@ def to_dict(finding: Finding) -> dict[str, Any]:
         "gap": next((gap_dict(one.gap, name) for name, one in results.items() if one.gap is not None), None),
         "gap_bare_simulator": None if bare is None else gap_dict(bare),
         "gap_second_run": None if finding.second_gap is None else gap_dict(finding.second_gap),
-        "pose_scale": finding.pose_scale,
-        "map_scale": finding.map_scale,
+        "pose_tolerance_factor": finding.pose_tolerance_factor,
+        "map_tolerance_factor": finding.map_tolerance_factor,
         "within_tolerance": [effect_dict(a) for result in results.values() for a in result.within_tolerance],
         "not_observable": [
             {"name": name, "why": why}

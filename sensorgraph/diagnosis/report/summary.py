@@ -117,7 +117,7 @@ def _agreement(finding: Finding) -> str:
 
 def _worse_than_stated(finding: Finding) -> str:
     """Say which tolerances the fit had to widen, and by how much; empty where they hold."""
-    scales = (("map", finding.map_scale), ("reference pose", finding.pose_scale))
+    scales = (("map", finding.map_tolerance_factor), ("reference pose", finding.pose_tolerance_factor))
     least = SCAN.nuisance.stretched_scale
     return " and ".join(
         f"the {name} is {scale:.1f} times worse"
