@@ -168,7 +168,9 @@ def _read_contents(data: bytes | mmap) -> Contents:
 
 
 def _check(path: Path, out: Path) -> None:
-    """Refuse what is no MCAP file, and saving a file over itself."""
+    """Refuse what is no MCAP file, and saving a file over itself or a folder."""
+    if out.is_dir():
+        raise LogError(f"{out} is a folder; give the name of a file to write")
     if path.is_dir():
         inside = sorted(path.glob("*.mcap"))
         what = (

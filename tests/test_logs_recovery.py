@@ -230,6 +230,13 @@ def test_whole_file_is_recovered_whole(whole: bytes, tmp_path: Path) -> None:
     assert logs.read(tmp_path / "out.mcap").attachments == ORIGINAL.attachments
 
 
+@pytest.mark.parametrize("out", ["", "."])
+def test_recovery_into_a_folder_is_refused(out: str, whole: bytes, tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_bytes(whole)
+    with pytest.raises(logs.LogError, match="is a folder; give the name of a file"):
+        recover(tmp_path / "run.mcap", Path(out))
+
+
 def test_recovery_never_overwrites_the_damaged_file(whole: bytes, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(whole[:-100])
