@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import atomic_file
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import POINTS, Model, Point, Prediction
+from sensorgraph.models.stored_numbers import check_numbers
 from sensorgraph.types import Floats
 
 FORMAT = "sensorgraph"
@@ -31,6 +32,8 @@ VERSION = 1
 MAX_POSE_DISTANCE = 1e8
 """[m] from the origin of map: a pose farther off is a mistake."""
 _ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # the zip's oldest date: the same graph gives the same bytes
+_MAY_BE_NAN = ("calibration.offset_se",)
+"""Arrays of a file in which nan says that something was not identified."""
 _SENSOR_FIELDS = ("range_min", "range_max", "sigma", "resolution", "rate", "sweep_time", "height")
 
 
@@ -185,6 +188,8 @@ class Sensorgraph:
                 f"{path}: model {top.get('model')!r} is not known; expected {', '.join(MODELS)}"
             )
         try:
+            check_numbers(top["state"], arrays, may_be_nan=_MAY_BE_NAN)
+            _check_origin(top)
             sensor = RangeSensor(
                 bearings=arrays.pop("sensor.bearings"),
                 mount=arrays.pop("sensor.mount"),
@@ -192,6 +197,8 @@ class Sensorgraph:
                 cones=arrays.pop("sensor.cones", np.zeros(0)),
                 **{name: float(top["sensor"][name]) for name in _SENSOR_FIELDS},
             )
+            if any(math.isnan(getattr(sensor, name)) for name in _SENSOR_FIELDS):
+                raise ValueError(f"the sensor is {top['sensor']}, expected numbers")
             model = MODELS[top["model"]].restore(sensor, top["state"], arrays)
             return cls(model=model, sensor=sensor, pose_frame=top["pose_frame"], origin=top["origin"])
         except (
@@ -205,6 +212,15 @@ class Sensorgraph:
         ) as exc:
             detail = f"{type(exc).__name__}: {exc}"
             raise SensorgraphError(f"{path}: the sensorgraph is damaged ({detail}); build it again") from exc
+
+
+def _check_origin(top: Mapping[str, Any]) -> None:
+    """Check whose poses it takes, and that it says where it came from as `save` does."""
+    if top["pose_frame"] not in get_args(PoseFrame):
+        raise ValueError(f"pose_frame is {top['pose_frame']!r}, expected {' or '.join(get_args(PoseFrame))}")
+    inputs = top["origin"].get("inputs", [])
+    if not isinstance(inputs, list) or not all(isinstance(entry, dict) for entry in inputs):
+        raise ValueError(f"the inputs are {inputs!r}, expected one entry for each run")
 
 
 def _sensor_arrays(sensor: RangeSensor) -> dict[str, NDArray[Any]]:
@@ -256,5 +272,5 @@ def _array(data: bytes) -> NDArray[Any]:
         or math.prod(shape) * dtype.itemsize != len(data) - file.tell()
     ):
         raise ValueError(f"an array says {shape} of {dtype}, and holds {len(data) - file.tell()} bytes")
-    flat = np.frombuffer(data, dtype=dtype, offset=file.tell()).copy()
+    flat = np.frombuffer(data, dtype=dtype, offset=file.tell()).astype(dtype.newbyteorder("="))
     return flat.reshape(shape, order="F" if fortran else "C")

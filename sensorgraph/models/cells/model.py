@@ -24,10 +24,11 @@ from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, C
 from sensorgraph.models.cells.grid import per_ray
 from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
 from sensorgraph.models.cells.probability_calibration import KNOTS, best_sigma, calibrate_p_off
-from sensorgraph.models.cells.ray_march import CellTable, list_candidates, summarise_rays, tabulate
+from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, summarise_rays, tabulate
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
+from sensorgraph.models.stored_numbers import check_positive, check_range, check_shape
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
 MIN_CELL, MAX_CELL = 0.01, 0.5
@@ -202,7 +203,7 @@ class CellModel:
 
         Raises
         ------
-        ValueError : an array has a wrong shape
+        ValueError : an array has a wrong shape, or a number that no table has
         """
         nx, ny = map(int, header["shape"])
         if min(nx, ny) < 1 or (nx * ny + 7) // 8 != arrays["kept"].size:
@@ -216,8 +217,15 @@ class CellModel:
             "beta": (len(TERMS),), "said": (len(POINTS), len(KNOTS)), "mount": (3,), "low": (2,),
         }  # fmt: skip
         for name, shape in expected.items():
-            if arrays[name].shape != shape:
-                raise ValueError(f"{name} has shape {arrays[name].shape}, expected {shape}")
+            kind = {"rate": "u1", "angle": "u1", "is_seen": "u1", "offset": "i1"}.get(name, "f8")
+            if arrays[name].dtype != kind:
+                raise ValueError(f"{name} holds {arrays[name].dtype}, expected {np.dtype(kind)}")
+            check_shape(name, arrays[name], shape)
+        check_range("rate", arrays["rate"], 0, len(RATES) - 1)
+        check_range("said", arrays["said"], 0, 1)
+        check_range("nothing", header["nothing"], 0, 1)
+        for name in ("cell", "reach", "sigma"):
+            check_positive(name, header[name])
         table = CellTable(
             low=arrays["low"], cell=float(header["cell"]), reach=float(header["reach"]), rows=index,
             rate=arrays["rate"], angle=arrays["angle"], offset=arrays["offset"],

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.cells.model import CellModel
+from sensorgraph.models.faces.hit_moments import N_MOMENTS
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.sufficient_statistics import SufficientStatistics
 from sensorgraph.models.faces.visibility import ReturnNoise
+from sensorgraph.models.stored_numbers import check_positive, check_range, check_shape
 from sensorgraph.types import Floats
 
 
@@ -73,12 +75,15 @@ def restored_fields(
 
     Raises
     ------
-    ValueError : an array has a wrong shape, or points outside another one
+    ValueError : an array has a wrong shape, or points outside another one, or a number that no model has
     """
+    for name in ("first", "neighbour"):
+        check_shape(name, arrays[name], (arrays[name].size,), "iu")
     faces = FaceSet(
         **{name: np.asarray(arrays[name], _INTEGER_FIELDS.get(name, float)) for name in FaceSet._fields}
     )
     _check_face_set(faces)
+    _check_rest(faces, header, arrays)
     statistics = _with_prefix("memory.", arrays)
     return {
         "sensor": sensor,
@@ -108,7 +113,34 @@ def _with_prefix(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, N
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
+ROUNDING = 1e-6
+"""By which a stored share may exceed 1, and the length of a normal differ from it."""
+MAX_DISTANCE = 1e8
+"""[m] of a stored face from the origin of map."""
 _INTEGER_FIELDS: dict[str, type] = {"first": np.intp, "neighbour": np.intp}
+
+
+def _check_rest(faces: FaceSet, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Refuse what belongs to the faces and cannot be so."""
+    check_shape("hits", arrays["hits"], (faces.n_faces,), "f")
+    check_shape("mount", arrays["mount"], (3,), "f")
+    check_shape("crossed.origin", arrays["crossed.origin"], (2,), "f")
+    counts = arrays["crossed.counts"]
+    if counts.ndim != 2 or counts.size == 0 or counts.dtype != np.uint8:
+        raise ValueError(
+            f"crossed.counts has shape {counts.shape} of {counts.dtype}, expected (nx, ny) of uint8"
+        )
+    check_positive("cell", header["cell"])
+    check_range("returns", header["returns"], 0, 1 + ROUNDING)
+    check_range("n_rays", header.get("n_rays", 0), 0)
+    check_positive("noise.sigma", header["noise"]["sigma"])
+    check_range("noise", list(header["noise"].values()), 0)
+    if statistics := _with_prefix("memory.", arrays):
+        face, cells = statistics["face"], statistics["left.cells"]
+        check_shape("memory.face", face, statistics["t"].shape, "iu")
+        check_range("memory.face", face, 0, faces.n_faces - 1)
+        check_shape("memory.left.cells", cells, (len(cells), 2), "iu")
+        check_shape("memory.left.moments", statistics["left.moments"], (len(cells), N_MOMENTS), "f")
 
 
 def _check_face_set(faces: FaceSet) -> None:
@@ -124,5 +156,18 @@ def _check_face_set(faces: FaceSet) -> None:
         raise ValueError(
             f"faces' edges start at {faces.first.tolist()[:8]} ..., expected 0 to {e}, increasing"
         )
+    check_range("levels", faces.levels, 0, 1 + ROUNDING)
+    check_range("blur", faces.blur, 0)
+    ends = faces.first[1:] - 1
+    if faces.levels[ends].any():
+        raise ValueError("something is visible beyond the last edge of a face, expected nothing")
+    inside = np.ones(e, dtype=np.bool_)
+    inside[ends] = False
+    if (np.diff(faces.edges)[inside[:-1]] < 0).any():
+        raise ValueError("the edges of a face are not in increasing order")
+    if (np.abs(np.hypot(*faces.normals.T) - 1) > ROUNDING).any():
+        raise ValueError("a normal of a face has not length 1")
+    check_range("offsets", faces.offsets, -MAX_DISTANCE, MAX_DISTANCE)
+    check_range("edges", faces.edges, -MAX_DISTANCE, MAX_DISTANCE)
     if len(faces.neighbour) and not (faces.neighbour.min() >= -1 and faces.neighbour.max() < k):
         raise ValueError(f"neighbours reach {faces.neighbour.max()}, expected less than {k} faces")

@@ -21,7 +21,9 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
 from sensorgraph.models.polynomial.complexity import Auto, PolynomialForm, n_candidates, select_form
 from sensorgraph.models.polynomial.settings import POLYNOMIAL
+from sensorgraph.models.polynomial.stored_form import check_order, check_scale
 from sensorgraph.models.polynomial.support import Support
+from sensorgraph.models.stored_numbers import check_range, check_shape
 from sensorgraph.types import Floats, Ints, Progress
 
 SUPPORT = POLYNOMIAL.support
@@ -156,7 +158,8 @@ class Polynomial:
             phi = self.terms.matrix(columns(poses[rows]), self.scale)
             value[rows] = self._clip(phi @ self.theta[rays].T)
             none[rows] = np.clip(phi @ self.theta_none[rays].T, least, 1.0 - least)
-            leverage = np.minimum(((phi @ self.root) ** 2).sum(axis=1), SUPPORT.max_leverage)
+            with np.errstate(over="ignore"):  # however large, it is cut
+                leverage = np.minimum(((phi @ self.root) ** 2).sum(axis=1), SUPPORT.max_leverage)
             widen = np.sqrt(1.0 + leverage)
             sigma[rows] = self.sigma[rays] * widen[:, None]
             for j, ray in enumerate(rays.tolist()):
@@ -238,22 +241,29 @@ class Polynomial:
 
         Raises
         ------
-        ValueError : an array has a wrong shape
+        ValueError : an array has a wrong shape or points outside the terms, or the powers of the scaled poses
+            would overflow
         """
         form = PolynomialForm(**header["choice"])
+        if not all(type(n) is int and n >= 0 for n in (form.degree, form.harmonics, form.n_terms)):
+            raise ValueError(f"the form is {form}, expected whole numbers from 0")
         if n_candidates(form.degree, form.harmonics) != arrays["theta"].shape[-1]:
             raise ValueError(f"theta has shape {arrays['theta'].shape}, not of degree {form.degree}")
         terms = dictionary(form.degree, form.harmonics)
         q, m = sensor.n_rays, len(terms)
         k = arrays["order"].shape[-1]
         for name, shape in zip(_ARRAYS, _shapes(q, m, k), strict=True):
-            if arrays[name].shape != shape:
-                raise ValueError(f"{name} has shape {arrays[name].shape}, expected {shape}")
+            check_shape(name, arrays[name], shape, "iu" if name in ("order", "returns", "nothing") else "f")
+        check_order(arrays["order"], m)
+        for name in ("returns", "nothing", "sigma", "spread"):
+            check_range(name, arrays[name], 0)
+        scale = Scale.from_dict(header["scale"])
+        check_scale(scale, form.degree)
         return cls(
             sensor=sensor,
             form=form,
             terms=terms,
-            scale=Scale.from_dict(header["scale"]),
+            scale=scale,
             leverage_limit=float(header["leverage_limit"]),
             support=Support.restore(header["support"], arrays),
             **{name: arrays[name] for name in _ARRAYS},

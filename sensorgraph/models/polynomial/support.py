@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensorgraph.models.polynomial.settings import POLYNOMIAL
+from sensorgraph.models.stored_numbers import check_positive, check_range, check_shape
 from sensorgraph.types import Bools, Floats
 
 CellKeys = NDArray[np.int64]
@@ -73,16 +74,21 @@ class Support:
 
         Raises
         ------
-        ValueError : the keys are not one array
+        ValueError : the keys are not one sorted array, or the cells have no size
         """
-        keys = np.asarray(arrays["visited"], dtype=np.int64)
-        if keys.ndim != 1 or len(keys) == 0:
-            raise ValueError(f"visited has shape {keys.shape}, expected (n_cells,)")
+        keys = arrays["visited"]
+        check_shape("visited", keys, (max(keys.size, 1),), "i")
+        if (keys[1:] <= keys[:-1]).any():
+            raise ValueError("visited is not in increasing order")
+        origin = np.array(header["origin"], dtype=np.float64)
+        check_shape("the support's origin", origin, (2,))
+        check_positive("the support's cell", header["cell"])
+        check_range("n_sectors", header["n_sectors"], 1, SUPPORT.n_sectors)
         return cls(
             cell=float(header["cell"]),
             n_sectors=int(header["n_sectors"]),
-            origin=np.array(header["origin"], dtype=np.float64),
-            keys=keys,
+            origin=origin,
+            keys=keys.astype(np.int64),
         )
 
 

@@ -1,0 +1,89 @@
+"""Check the numbers of a file before a model is made of them: one that is damaged, or made to do harm, may hold any."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+LARGEST = 1e24
+"""Of any number of a model: sums over a year of rays reach 1e20, and the products that predictions take stay finite."""
+LARGEST_INTEGER = 1 << 60
+"""Of any whole number in an array: sums of a few stay within 64 bits."""
+
+
+def check_numbers(
+    header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], *, may_be_nan: Collection[str] = ()
+) -> None:
+    """Check that all is finite and of sensible size.
+
+    Parameters
+    ----------
+    may_be_nan : names of arrays in which nan and inf say that something is not known
+
+    Raises
+    ------
+    ValueError : a number is not finite or too large, or an array holds something else than numbers
+    """
+    _check_plain("state", header)
+    for name, array in arrays.items():
+        if array.dtype.kind not in "biuf" or array.dtype.itemsize > 8:
+            raise ValueError(f"{name} holds {array.dtype}, expected numbers of 64 bits at most")
+        most = LARGEST if array.dtype.kind == "f" else LARGEST_INTEGER
+        with np.errstate(invalid="ignore"):
+            right = (array <= most) & (array >= -most) if array.dtype.kind != "b" else array | True
+        if name in may_be_nan:
+            right |= ~np.isfinite(array)
+        if not right.all():
+            raise ValueError(f"{name} holds {array[~right].flat[0]}, expected finite numbers up to {most:g}")
+
+
+def _check_plain(name: str, value: object) -> None:
+    if isinstance(value, Mapping):
+        for key, part in value.items():
+            _check_plain(f"{name}.{key}", part)
+    elif isinstance(value, list):
+        for part in value:
+            _check_plain(name, part)
+    elif isinstance(value, int | float) and not abs(value) <= LARGEST:
+        raise ValueError(f"{name} is {value:.6g}, expected a finite number up to {LARGEST:g}")
+
+
+def check_shape(name: str, array: NDArray[Any], shape: tuple[int, ...], kinds: str = "iuf") -> None:
+    """Check the shape of an array and what it holds.
+
+    Parameters
+    ----------
+    kinds : numpy's letters for what it may hold: i and u whole numbers, f others
+
+    Raises
+    ------
+    ValueError : it has another shape, or holds something else
+    """
+    if array.shape != shape or array.dtype.kind not in kinds:
+        raise ValueError(f"{name} has shape {array.shape} of {array.dtype}, expected {shape} of {kinds}")
+
+
+def check_range(name: str, values: object, low: float, high: float = LARGEST) -> None:
+    """Check that a number, or all of an array, lies between two others, both included.
+
+    Raises
+    ------
+    ValueError : one does not
+    """
+    array = np.asarray(values)
+    if array.size and not (array.min() >= low and array.max() <= high):
+        raise ValueError(f"{name} is {array.min()} to {array.max()}, expected {low:g} to {high:g}")
+
+
+def check_positive(name: str, value: float) -> None:
+    """Check that a number is above 0.
+
+    Raises
+    ------
+    ValueError : it is not
+    """
+    if not value > 0:
+        raise ValueError(f"{name} is {value}, expected a positive number")
