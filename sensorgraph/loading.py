@@ -16,11 +16,11 @@ from planners import maps
 from planners.arena import Arena
 from planners.errors import PlanError
 from planners.maps import geojson
-from sensorgraph.building.build import is_same_sensor
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import arena_of
+from sensorgraph.world.ray_order import ray_order
 from sensorgraph.world.robot import Robot, load_robot, parse_robot
 
 
@@ -140,6 +140,6 @@ def with_sweep_of(run: Run, robot: Robot) -> Run:
 def robot_for(run: Run, source: str | Path | None = None) -> Robot:
     """Open a robot.yaml; without a source, the shipped robot with the sensor that the run itself describes."""
     robot = load_robot(source)
-    if source is None and not is_same_sensor(run.sensor.bearings, robot.sensor.bearings):
+    if source is None and ray_order(run.sensor.bearings, robot.sensor.bearings) is None:
         return replace(robot, sensor=replace(run.sensor, height=robot.sensor.height))
     return robot

@@ -54,9 +54,10 @@ def run_of(
     duration: float = 60.0,
     pose_rate: float = 30.0,
     odom_rate: float = 20.0,
+    first: float = -np.pi,
 ) -> Run:
     rng = np.random.default_rng(seed)
-    bearings = -np.pi + 2 * np.pi * np.arange(N_RAYS) / N_RAYS
+    bearings = first + 2 * np.pi * np.arange(N_RAYS) / N_RAYS
     mount = np.array([-0.03, 0.0, 0.0])
     sensor = RangeSensor(
         bearings=bearings,

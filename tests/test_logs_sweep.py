@@ -12,9 +12,9 @@ from test_logs_formats_rosbag import Message, pose, scan, write_bag2
 import logs
 from logs.inspection import inspect
 from logs.run import RangeSensor, Run
-from sensorgraph.building.build import has_same_rays
 from sensorgraph.cli import run as command
 from sensorgraph.loading import sweep_warning, with_sweep_of
+from sensorgraph.world.ray_order import ray_order
 from sensorgraph.world.robot import parse_robot
 
 N_RAYS, PERIOD = 36, 0.1
@@ -79,10 +79,13 @@ def test_robot_yaml_overrules_the_log_and_inspect_says_that_they_disagree(
 def test_rays_from_zero_to_a_turn_are_those_from_behind_to_behind() -> None:
     step = 2 * np.pi / N_RAYS
     behind, ahead = -np.pi + step * np.arange(N_RAYS), step * np.arange(N_RAYS)
-    assert has_same_rays(behind, ahead) and has_same_rays(ahead, behind)
-    assert has_same_rays(ahead, ahead + 1e-9) and has_same_rays(ahead, ahead - 1e-9)
-    assert not has_same_rays(behind, ahead + 0.3 * step)
-    assert not has_same_rays(behind, behind[1:])
+    order = ray_order(behind, ahead)
+    assert order is not None
+    np.testing.assert_allclose(np.exp(1j * behind[order]), np.exp(1j * ahead), atol=1e-9)
+    for off in (1e-9, -1e-9):
+        np.testing.assert_array_equal(ray_order(ahead, ahead + off), np.arange(N_RAYS))
+    assert ray_order(behind, ahead + 0.3 * step) is None
+    assert ray_order(behind, behind[1:]) is None
 
 
 def test_run_that_we_recorded_is_taken_at_its_word() -> None:

@@ -20,8 +20,9 @@ from sensorgraph.models import MODELS
 from sensorgraph.models.base import Model
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.reduction import MapBlocks
-from sensorgraph.types import Bools, Floats, ProgressBars, no_progress
+from sensorgraph.types import Bools, ProgressBars, no_progress
 from sensorgraph.version import __version__
+from sensorgraph.world.ray_order import bearings_text, ray_order, with_rays_like
 
 MIN_SCANS = 10
 
@@ -132,11 +133,14 @@ def _updated(
     if not isinstance(model, Faces) or options:
         asked = f", and option {', '.join(sorted(options))} is of a new fit" if options else ""
         raise SensorgraphError(f"`update` adds runs to a graph of faces; this one is of {model.name}{asked}")
-    if not is_same_sensor(graph.sensor.bearings, feed.sensor.bearings):
+    of_log = feed.logs[0].head.sensor
+    sensor = with_rays_like(of_log, graph.sensor.bearings)
+    if sensor is None:
         raise SensorgraphError(
-            f"{feed.names[0]} has {feed.sensor.n_rays} rays at other bearings than the {graph.sensor.n_rays} of "
-            "the graph; build one graph for each sensor"
+            f"{feed.names[0]} has {of_log.n_rays} rays at other bearings than the {graph.sensor.n_rays} of the graph "
+            f"({bearings_text(of_log.bearings, graph.sensor.bearings)}); build one graph for each sensor"
         )
+    feed.sensor = sensor
     if feed.pose_frame != graph.pose_frame:
         raise SensorgraphError(
             f"{feed.names[0]} has poses of {feed.pose_frame}, the graph of {graph.pose_frame}"
@@ -171,19 +175,6 @@ def digest(run: Run) -> str:
     return total.hexdigest()
 
 
-def is_same_sensor(a: Floats, b: Floats) -> bool:
-    """Tell whether two sensors have the same bearings (n_rays,) to a thousandth of a radian."""
-    return len(a) == len(b) and bool(np.allclose(a, b, rtol=0, atol=1e-3))
-
-
-def has_same_rays(a: Floats, b: Floats) -> bool:
-    """Tell whether bearings (n_rays,) point the same ways to a thousandth of a radian, whichever comes first."""
-    if len(a) != len(b) or is_same_sensor(a, b):
-        return len(a) == len(b)
-    start = a[0] - 0.5 * (2 * np.pi / len(a) if len(a) == 1 else a[1] - a[0])  # between two rays
-    return is_same_sensor(*(np.sort((bearings - start) % (2 * np.pi)) for bearings in (a, b)))
-
-
 def training_scans(graph: Sensorgraph, run: Run) -> Bools | None:
     """Tell which scans (n_scans,) of a run the graph was fitted to; None if it has not seen this run."""
     mine = digest(run)
@@ -198,10 +189,10 @@ def _check_alike(runs: Sequence[Run], names: Sequence[str]) -> None:
         raise SensorgraphError("no run to build from; give at least one recording")
     first = runs[0]
     for name, run in zip(names[1:], runs[1:], strict=True):
-        if not is_same_sensor(run.sensor.bearings, first.sensor.bearings):
+        if ray_order(run.sensor.bearings, first.sensor.bearings) is None:
             raise SensorgraphError(
-                f"{name} has {run.sensor.n_rays} rays at other bearings than the {first.sensor.n_rays} of "
-                f"{names[0]}; build one graph for each sensor"
+                f"{name} has {run.sensor.n_rays} rays at other bearings than the {first.sensor.n_rays} of {names[0]} "
+                f"({bearings_text(run.sensor.bearings, first.sensor.bearings)}); build one graph for each sensor"
             )
         if run.pose_frame != first.pose_frame:
             raise SensorgraphError(

@@ -20,6 +20,7 @@ from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.orientation import orientation
+from sensorgraph.world.ray_order import bearings_text, ray_order, ray_order_line
 
 logger = logging.getLogger(__name__)
 
@@ -43,11 +44,8 @@ class TrainingData:
     ) -> None:
         self.logs, self.names, self.split, self.bounds, self.force = logs, names, split, bounds, force
         self.entries: list[dict[str, Any]] = []
-
-    @property
-    def sensor(self) -> RangeSensor:
-        """Of all logs."""
-        return self.logs[0].head.sensor
+        self.sensor = logs[0].head.sensor
+        """Of all logs; the rays of a log that numbers them otherwise are brought to its order."""
 
     @property
     def pose_frame(self) -> PoseFrame:
@@ -63,10 +61,21 @@ class TrainingData:
         first = 0
         for i, (log, name) in enumerate(zip(self.logs, self.names, strict=True)):
             intake = _LogIntake(name, log.n_scans, self.split, force=self.force)
+            own = log.head.sensor.bearings
+            order = ray_order(own, self.sensor.bearings)
+            if order is None:
+                raise SensorgraphError(
+                    f"{name} has rays at other bearings ({bearings_text(own, self.sensor.bearings)}); "
+                    "build one graph for each sensor"
+                )
+            if order[0] != 0:
+                line = ray_order_line(own, self.sensor.bearings, "the graph")
+                logger.info("%s: %s", name, line)
             rows: list[tuple[Floats, ...]] = []
             waiting = 0
             for run in log.pieces():
-                rows.append(intake.take(run))
+                poses, *of_rays = intake.take(run)
+                rows.append((poses, *(part if order[0] == 0 else part[:, order] for part in of_rays)))
                 waiting += len(rows[-1][0])
                 while waiting >= SCANS_PER_BLOCK:
                     joined = [np.concatenate(parts) for parts in zip(*rows, strict=True)]

@@ -68,7 +68,7 @@ def build(
     from logs.stream import open_log
     from sensorgraph.building.build import build as build_graph
     from sensorgraph.building.dask_cluster import cluster
-    from sensorgraph.cli.inputs import check_output, check_runs, mounts_of, with_robot
+    from sensorgraph.cli.inputs import check_output, check_runs, mounts_of, say_ray_order, with_robot
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
@@ -93,6 +93,9 @@ def build(
         with progress("reading", "bytes") as tick:
             log = open_log(path, topics=names, no_return=no_return, mounts=mounts, progress=tick)
         loaded.append(replace(log, head=with_robot(log.head, str(path), robot)))
+    first = (str(runs[0]), loaded[0].head.sensor) if known is None else (str(update), known.sensor)
+    for path, log in zip(runs, loaded, strict=True):
+        say_ray_order(str(path), log.head.sensor.bearings, first[0], first[1].bearings)
     said = _say_what_is_ahead(list(zip(runs, loaded, strict=True)))
     with cluster(dask) if dask is not None else nullcontext(map) as map_blocks:
         graph = build_graph(

@@ -54,7 +54,7 @@ def diagnose(
 
       sensorgraph diagnose today.log.gz --commissioning good.log.gz --arena lab.geojson --robot robot.yaml
     """
-    from sensorgraph.cli.inputs import check_folder
+    from sensorgraph.cli.inputs import check_folder, say_ray_order
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.diagnose import diagnose as diagnose_run
     from sensorgraph.diagnosis.report.files import save_diagnosis
@@ -63,6 +63,8 @@ def diagnose(
     check_folder(out)
     loaded = [_read(path, topic, no_return) for path in runs]
     walls, machine = _place(loaded[0], runs[0], arena, robot)
+    for path, run in zip(runs, loaded, strict=True):
+        say_ray_order(str(path), run.sensor.bearings, machine.name, machine.sensor.bearings)
     known = _known(effects, walls)
     baseline = (
         None

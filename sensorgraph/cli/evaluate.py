@@ -72,7 +72,7 @@ def evaluate(
     from typing import cast
 
     from logs import parse_topics, read
-    from sensorgraph.cli.inputs import check_output, mounts_of, with_robot, write_json
+    from sensorgraph.cli.inputs import check_output, mounts_of, say_ray_order, with_robot, write_json
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.evaluation.evaluate import evaluate as evaluate_graph
     from sensorgraph.graph import Sensorgraph
@@ -88,6 +88,7 @@ def evaluate(
         names = parse_topics(topic or [])
         log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
     log = with_robot(log, str(run), robot)
+    say_ray_order(str(run), log.sensor.bearings, str(graph), model.sensor.bearings)
     with progress("evaluating", "scans") as tick:
         result = evaluate_graph(model, log, split=split, point=value, cap=cap, force=force, progress=tick)
     simulator = None if effects is None else _simulator(result, log, effects, value)

@@ -66,22 +66,32 @@ def mounts_of(robot: Path | None) -> Mapping[str, Floats]:
 
 def with_robot(run: Run, name: str, path: Path | None) -> Run:
     """Return a run with the sweep of a robot file, which must describe the sensor that recorded; None: as it is."""
-    from sensorgraph.building.build import has_same_rays
     from sensorgraph.loading import sweep_warning, with_sweep_of
+    from sensorgraph.world.ray_order import bearings_text, ray_order
     from sensorgraph.world.robot import load_robot
 
     if path is None:
         return run
     robot = load_robot(path)
-    if not has_same_rays(run.sensor.bearings, robot.sensor.bearings):
+    if ray_order(run.sensor.bearings, robot.sensor.bearings) is None:
         raise SensorgraphError(
-            f"{name} has {run.sensor.n_rays} rays, {path} describes {robot.sensor.n_rays} or other bearings; "
+            f"{name} has {run.sensor.n_rays} rays, {path} describes {robot.sensor.n_rays} or other bearings "
+            f"({bearings_text(run.sensor.bearings, robot.sensor.bearings)}); "
             "give the robot that recorded the run"
         )
     warning = sweep_warning(run, robot, name=str(path))
     if warning is not None:
         typer.echo(f"warning: {name}: {warning}: that of the robot was taken", err=True)
     return with_sweep_of(run, robot)
+
+
+def say_ray_order(name: str, bearings: Floats, other_name: str, other: Floats) -> None:
+    """Say in one line where a log numbers the same rays (n_rays,) otherwise than a graph or a robot does."""
+    from sensorgraph.world.ray_order import ray_order_line
+
+    line = ray_order_line(bearings, other, other_name)
+    if line:
+        typer.echo(f"{name}: {line}")
 
 
 def write_json(path: Path, data: Any) -> None:

@@ -11,6 +11,7 @@ from sensorgraph.effects.exposures import MIN_RAYS
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import cut_off, within_range
 from sensorgraph.effects.set_up import map_error
+from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene, fade
 
 EITHER_WAY = -0.7
@@ -48,11 +49,17 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     return f"no return from nearer than {nearest:.2f} m"
 
 
+def spread(bearings: Floats) -> float:
+    """Return the angle [rad] of the narrowest sector that holds all bearings (n,)."""
+    turned = np.sort(bearings % (2 * np.pi))
+    return float(2 * np.pi - np.diff(turned, append=turned[0] + 2 * np.pi).max())
+
+
 def look_alike(exposure: Exposure) -> tuple[str, str] | None:
     """Tell whether all near returns came from one bearing."""
     near = exposure.seen & (exposure.reading < NEAR)
     rays = np.flatnonzero(near.any(axis=0))
-    if near.sum() >= MIN_RAYS and np.ptp(exposure.sensor.bearings[rays]) < ONE_BEARING:
+    if near.sum() >= MIN_RAYS and spread(exposure.sensor.bearings[rays]) < ONE_BEARING:
         return "self_occlusion", "all near returns came from one bearing"
     return None
 

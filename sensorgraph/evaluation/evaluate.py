@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from logs.html_table import html_table
 from logs.motion import motion_of, ray_poses
 from logs.run import Pairing, PoseFrame, Run, pair
-from sensorgraph.building.build import is_same_sensor, training_scans
+from sensorgraph.building.build import training_scans
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.metrics import POINT_OF, Metrics, MetricSums, Reliability
@@ -22,6 +22,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_jumps
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Bools, Floats, Ints, Progress
+from sensorgraph.world.ray_order import bearings_text, ray_order
 from sensorgraph.world.raycast import laser_poses
 from sensorgraph.world.simulate import SCANS_PER_STEP
 
@@ -192,24 +193,40 @@ def _check_fits(graph: Sensorgraph, run: Run, cap: float) -> None:
     """Refuse a cap below what is scored at all, and a run of another sensor."""
     if not cap > MIN_SCORED_RANGE:
         raise SensorgraphError(f"cap is {cap:g} m, expected more than {MIN_SCORED_RANGE} m")
-    if not is_same_sensor(graph.sensor.bearings, run.sensor.bearings):
+    _rays_of(graph, run)
+
+
+def _rays_of(graph: Sensorgraph, run: Run) -> Ints:
+    """Return the ray of the graph that each ray (n_rays,) of the run is."""
+    rays = ray_order(graph.sensor.bearings, run.sensor.bearings)
+    if rays is None:
         raise SensorgraphError(
-            f"the run has {run.sensor.n_rays} rays at other bearings than the {graph.sensor.n_rays} of the graph; "
-            "evaluate with a run of the same sensor"
+            f"the run has {run.sensor.n_rays} rays at other bearings than the {graph.sensor.n_rays} of the graph "
+            f"({bearings_text(run.sensor.bearings, graph.sensor.bearings)}); evaluate with a run of the same sensor"
         )
+    return rays
 
 
 def predict_scans(
     graph: Sensorgraph, run: Run, pairing: Pairing, scans: Ints, *, point: Point = "mode"
 ) -> Prediction:
-    """Predict paired scans (n,) of a run, each ray of a sweep from where the robot was at its time."""
-    mount = run.sensor.mount
+    """Predict paired scans (n,) of a run, each ray of a sweep from where the robot was at its time.
+
+    The rays are numbered as those of the run.
+
+    Raises
+    ------
+    SensorgraphError : the run is of another sensor
+    """
+    mount, rays = run.sensor.mount, _rays_of(graph, run)
     if run.sensor.sweep_time == 0:  # where the rays of several sensors start knows the graph
-        return graph.predict(poses_for(graph, run.pose_frame, mount, pairing.poses[scans]), point=point)
+        return graph.predict(
+            poses_for(graph, run.pose_frame, mount, pairing.poses[scans]), rays=rays, point=point
+        )
     motion, parts = motion_of(run), []
     for start in range(0, len(scans), SCANS_PER_STEP):
         poses = ray_poses(run, pairing, scans[start : start + SCANS_PER_STEP], motion=motion)
-        parts.append(graph.predict(poses_for(graph, run.pose_frame, mount, poses), point=point))
+        parts.append(graph.predict(poses_for(graph, run.pose_frame, mount, poses), rays=rays, point=point))
     return Prediction.concatenate(parts)
 
 

@@ -11,13 +11,13 @@ from scipy.special import ndtr
 from logs.motion import Motion, motion_of
 from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
-from sensorgraph.building.build import is_same_sensor
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.evaluation.metrics import POINT_OF, Metrics, MetricSums
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Ints
+from sensorgraph.world.ray_order import with_rays_like
 from sensorgraph.world.scene import Scene, Transform, fade
 from sensorgraph.world.simulate import SCANS_PER_STEP
 
@@ -38,7 +38,8 @@ def compare(
     sensor : what robot.yaml says of the sensor that recorded the run
     effects : those of the scan channel count; odometry and drive have no part in it
     """
-    if not is_same_sensor(sensor.bearings, run.sensor.bearings):
+    described = with_rays_like(sensor, run.sensor.bearings)
+    if described is None:
         raise SensorgraphError(
             "the robot kept in the run has another sensor than the run; effects cannot be evaluated"
         )
@@ -47,7 +48,7 @@ def compare(
     scan = [a for a in effects if a.effect.channel == "scan"]
     for name, some in (("nominal", ()), ("amended", scan)):
         sums = MetricSums(bearings=run.sensor.bearings, point=point, sigma=result.settings["sigma_m"])
-        prediction = predict(run, arena, sensor, result.scan_indices, some)
+        prediction = predict(run, arena, described, result.scan_indices, some)
         sums.add(measured, prediction, scored, ~np.isnan(measured))
         value = prediction.point(point or POINT_OF["median_m"])
         out[name] = sums.metrics(np.abs(value[scored] - measured[scored]))

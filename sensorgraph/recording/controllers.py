@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from planners.arena import wrap
 from robotmodic_ident import Narmax
 from robotmodic_ident.errors import IdentError
 from sensorgraph.errors import SensorgraphError
@@ -39,7 +40,7 @@ class _ReactiveController:
 
     def __init__(self, robot: Robot, seed: int) -> None:
         self.limits, self.radius = robot.limits, robot.footprint_radius
-        self.bearings = robot.sensor.bearings + robot.sensor.mount[2]
+        self.bearings = wrap(robot.sensor.bearings + robot.sensor.mount[2])
         self.reach = float(np.hypot(*robot.sensor.mount[:2]))
         self.ahead = np.abs(self.bearings) < AHEAD_HALF_WIDTH
         self.rng = np.random.default_rng([seed, 4])

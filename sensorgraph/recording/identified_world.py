@@ -17,7 +17,6 @@ from logs.run import RangeSensor, Run
 from planners.arena import Arena
 from planners.maps import geojson
 from planners.trajectory import Trajectory
-from sensorgraph.building.build import is_same_sensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
@@ -26,6 +25,7 @@ from sensorgraph.models.faces.model import Faces
 from sensorgraph.recording.controllers import controller_named
 from sensorgraph.types import Floats, ProgressBars, no_progress
 from sensorgraph.world.drive import follow, react
+from sensorgraph.world.ray_order import bearings_text, ray_order
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot
 from sensorgraph.world.scene import apply_range_limits
@@ -92,16 +92,18 @@ class IdentifiedWorld:
     """Readings drawn from a graph; `unanswered` of `n_rays` were drawn where the graph has no answer."""
 
     def __init__(self, graph: Sensorgraph, robot: Robot, seed: int) -> None:
-        if not is_same_sensor(graph.sensor.bearings, robot.sensor.bearings):
+        rays = ray_order(graph.sensor.bearings, robot.sensor.bearings)
+        if rays is None:
             raise SensorgraphError(
-                f"the graph has {graph.sensor.n_rays} rays, the robot {robot.sensor.n_rays} or other bearings; "
+                f"the graph has {graph.sensor.n_rays} rays, the robot {robot.sensor.n_rays} or other bearings "
+                f"({bearings_text(robot.sensor.bearings, graph.sensor.bearings)}); "
                 "give the robot.yaml of the sensor that the graph was built from"
             )
         check_rays(
             robot.sensor, robot.name, takes="an identified world draws",
             remedy="drive in an arena, or give the robot of one laser",
         )  # fmt: skip
-        self.graph, self.seed = graph, seed
+        self.graph, self.seed, self.rays = graph, seed, rays
         self.sensor = replace(robot.sensor, range_max=min(robot.sensor.range_max, graph.sensor.range_max))
         self.n_rays = self.unanswered = 0
         self._noise = ScanNoise(seed, robot.sensor.n_rays)
@@ -128,7 +130,7 @@ class IdentifiedWorld:
         else:
             said = self.graph.predict(poses)
             readings = np.where(uniform < said.p_no_return, np.inf, said.mode + said.sigma * normal)
-        return apply_range_limits(readings, self.sensor)
+        return apply_range_limits(readings[:, self.rays], self.sensor)
 
 
 def record_in_world(

@@ -18,6 +18,7 @@ from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats
+from sensorgraph.world.ray_order import bearings_text, with_rays_like
 from sensorgraph.world.robot import Robot, Tolerances
 from sensorgraph.world.scene import Scene
 
@@ -229,22 +230,19 @@ def _positive_tolerances(tolerances: Tolerances) -> Tolerances:
 
 
 def _sensor(run: Run, robot: Robot, laser_frame: bool) -> RangeSensor:
-    """Return the sensor of robot.yaml, at the bearings that the run has.
+    """Return the sensor of robot.yaml, its rays numbered as those of the run.
 
     Raises
     ------
     SensorgraphError
         The run is of another sensor, or the sensor has too few rays.
     """
-    settings, described, recorded = SCAN.intake, robot.sensor, run.sensor
-    if (
-        recorded.n_rays != described.n_rays
-        or np.abs(recorded.bearings - described.bearings).max() > settings.max_bearing_mismatch
-    ):
+    settings, recorded = SCAN.intake, run.sensor.bearings
+    described = with_rays_like(robot.sensor, recorded, tolerance=settings.max_bearing_mismatch)
+    if described is None:
         raise SensorgraphError(
-            f"the run has {recorded.n_rays} rays from {recorded.bearings[0]:.3f} to {recorded.bearings[-1]:.3f} rad, "
-            f"robot.yaml describes {described.n_rays} from {described.bearings[0]:.3f} to "
-            f"{described.bearings[-1]:.3f}; give the robot that recorded it"
+            f"the run has {len(recorded)} rays, robot.yaml describes {robot.sensor.n_rays} or other bearings "
+            f"({bearings_text(recorded, robot.sensor.bearings)}); give the robot that recorded it"
         )
     if described.n_rays < settings.min_rays:
         raise SensorgraphError(

@@ -1,0 +1,79 @@
+"""Which rays of two sensors point the same way: bearings are compared modulo 2 pi, whichever ray comes first.
+
+Drivers of lasers that look all around number their rays from 0 to 2 pi (LDS-01 of the TurtleBot3, RPLIDAR) or from -pi
+to pi. The rays keep the index that their log gives them; what is said of another numbering is brought to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from logs.run import RangeSensor
+from planners.arena import wrap
+from sensorgraph.types import Floats, Ints
+
+SAME_BEARING = 1e-3
+"""[rad] between bearings that are one and the same."""
+
+
+def ray_order(bearings: Floats, wanted: Floats, *, tolerance: float = SAME_BEARING) -> Ints | None:
+    """Return which ray points where each of the wanted bearings does; None: they are the bearings of other sensors.
+
+    Parameters
+    ----------
+    bearings : (n_rays,) [rad], increasing
+    wanted : (n_rays,) [rad], increasing
+    tolerance : [rad] by which bearings may differ
+
+    Returns
+    -------
+    index (n_rays,) into `bearings`, a cyclic shift
+    """
+    n = len(bearings)
+    if len(wanted) != n or n == 0:
+        return None
+    shifts = (0, int(np.abs(wrap(bearings - wanted[0])).argmin()))
+    orders = [(np.arange(n, dtype=np.intp) + shift) % n for shift in shifts]
+    errors = [float(np.abs(wrap(bearings[order] - wanted)).max()) for order in orders]
+    best = int(errors[1] < errors[0])
+    return orders[best] if errors[best] <= tolerance else None
+
+
+def with_rays_like(
+    sensor: RangeSensor, wanted: Floats, *, tolerance: float = SAME_BEARING
+) -> RangeSensor | None:
+    """Return a sensor whose rays are numbered as the wanted bearings (n_rays,) [rad] are; None: it is another sensor."""
+    order = ray_order(sensor.bearings, wanted, tolerance=tolerance)
+    if order is None:
+        return None
+    bearings = sensor.bearings[order]
+    turns = np.round((wanted - bearings) / (2 * np.pi))
+    if not turns.any() and (order[:1] == 0).all():
+        return sensor
+    return replace(
+        sensor,
+        bearings=bearings + 2 * np.pi * turns,
+        origins=sensor.origins[order] if len(sensor.origins) else sensor.origins,
+        cones=sensor.cones[order] if len(sensor.cones) else sensor.cones,
+    )
+
+
+def ray_order_line(
+    bearings: Floats, other: Floats, other_name: str, *, tolerance: float = SAME_BEARING
+) -> str:
+    """Say that two sensors number the same rays differently; empty where they do not."""
+    order = ray_order(bearings, other, tolerance=tolerance)
+    if order is None or order[0] == 0:
+        return ""
+    return (
+        f"ray 0 points to {np.degrees(bearings[0]):.4g}°, that of {other_name} to {np.degrees(other[0]):.4g}°: "
+        "the same rays modulo 360°, each keeps the index of its log"
+    )
+
+
+def bearings_text(bearings: Floats, other: Floats) -> str:
+    """Say where rays (n_rays,) point, and where they were expected to: (n_other,) [rad]."""
+    (a, b), (c, d) = (np.degrees(some[[0, -1]]) for some in (bearings, other))
+    return f"{a:.4g}° to {b:.4g}°, expected {c:.4g}° to {d:.4g}°"
