@@ -102,6 +102,22 @@ def settle(a: Floats, inside: Bools, locked: Bools, usable: Bools, most: int) ->
 
 
 @kernel
+def copy_mask(source: Bools, target: Bools) -> None:
+    """Copy a mask; numba compiles a slice that is written to with all its error texts."""
+    for j in range(len(source)):
+        target[j] = source[j]
+
+
+@kernel
+def size_of(mask: Bools) -> int:
+    """Return how many entries are set."""
+    size = 0
+    for j in range(len(mask)):
+        size += mask[j]
+    return size
+
+
+@kernel
 def refresh(a: Floats, original: Floats, inside: Bools) -> None:
     """Sweep anew from the original: rounding does not pile up."""
     for j in range(len(a)):
@@ -118,7 +134,7 @@ def remember(a: Floats, inside: Bools, size: int, rss: Floats, sets: Bools) -> b
     value = max(a[len(a) - 1, len(a) - 1], 0.0)
     if value < rss[size] * (1.0 - MIN_EXCHANGE_GAIN) - 1e-16:
         rss[size] = value
-        sets[size] = inside
+        copy_mask(inside, sets[size])
         return True
     return False
 
@@ -129,7 +145,7 @@ def climb(
 ) -> bool:
     """Add terms one by one up to the largest size, with exchanges after each; tell whether any size got better."""
     better = False
-    size = int(inside.sum())
+    size = size_of(inside)
     while size < len(rss) - 1:
         j = best_addition(a, inside, usable)
         if j < 0:
@@ -149,7 +165,7 @@ def descend(
 ) -> bool:
     """Take terms out one by one, with exchanges after each; tell whether any size got better."""
     better = False
-    size = int(inside.sum())
+    size = size_of(inside)
     while size > 1:
         i = best_removal(a, inside, locked)
         if i < 0:
@@ -164,15 +180,18 @@ def descend(
 
 
 @kernel
-def thin(a: Floats, original: Floats, locked: Bools, usable: Bools, rss: Floats, sets: Bools) -> bool:
-    """Take one term out of the best set of every size, largest first; tell whether any size got better."""
+def thin(
+    a: Floats, original: Floats, inside: Bools, locked: Bools, usable: Bools, rss: Floats, sets: Bools
+) -> bool:
+    """Take one term out of the best set of every size, largest first; tell whether any size got better.
+
+    inside : (m,) what is written here on the way means nothing
+    """
     better = False
-    inside = locked.copy()
     for size in range(len(rss) - 1, 1, -1):
         if not np.isfinite(rss[size]):
             continue
-        for j in range(len(inside)):
-            inside[j] = sets[size, j]
+        copy_mask(sets[size], inside)
         refresh(a, original, inside)
         i = best_removal(a, inside, locked)
         if i >= 0:
@@ -185,8 +204,16 @@ def thin(a: Floats, original: Floats, locked: Bools, usable: Bools, rss: Floats,
 
 @kernel
 def search_one(
-    original: Floats, locked: Bools, usable: Bools, cost: Floats, count: float, swap: bool, restart: bool
-) -> tuple[Floats, Bools]:
+    original: Floats,
+    locked: Bools,
+    usable: Bools,
+    cost: Floats,
+    count: float,
+    swap: bool,
+    restart: bool,
+    rss: Floats,
+    sets: Bools,
+) -> None:
     """Search the best set of every size for one output.
 
     Parameters
@@ -197,18 +224,14 @@ def search_one(
     count : rows behind the Gram
     swap : exchange terms
     restart : forward selection from every term of the best model (iOFR: Guo et al. 2015)
-
-    Returns
-    -------
-    rss (n_max + 1,), sets (n_max + 1, m)
+    rss : (n_max + 1,) all inf; filled with the unexplained share of the best set of each size
+    sets : (n_max + 1, m) filled with these sets
     """
     m, n_max = len(original) - 1, len(cost) - 1
-    rss = np.full(n_max + 1, np.inf)
-    sets = np.zeros((n_max + 1, m), dtype=np.bool_)
-    a = original.copy()
-    inside = locked.copy()
+    a, inside, spare = np.empty((m + 1, m + 1)), np.empty(m, np.bool_), np.empty(m, np.bool_)
+    copy_mask(locked, inside)
     refresh(a, original, inside)
-    remember(a, inside, int(inside.sum()), rss, sets)
+    remember(a, inside, size_of(inside), rss, sets)
     climb(a, inside, locked, usable, swap, rss, sets)
     if swap:
         for _ in range(MAX_PASSES):
@@ -216,25 +239,27 @@ def search_one(
             better = descend(a, inside, locked, usable, swap, rss, sets)
             refresh(a, original, inside)
             better = climb(a, inside, locked, usable, swap, rss, sets) or better
-            better = thin(a, original, locked, usable, rss, sets) or better
+            better = thin(a, original, spare, locked, usable, rss, sets) or better
             if not better:
                 break
     if restart:
-        tried = np.zeros(m, dtype=np.bool_)
+        tried = spare
+        for j in range(m):
+            tried[j] = False
         while True:
-            size = best_size(rss, cost, count)
-            fresh = sets[size] & ~tried & ~locked
-            if not fresh.any():
+            best = sets[best_size(rss, cost, count)]
+            first = 0
+            while first < m and (not best[first] or tried[first] or locked[first]):
+                first += 1
+            if first == m:
                 break
-            first = int(np.argmax(fresh))
             tried[first] = True
-            inside = locked.copy()
+            copy_mask(locked, inside)
             refresh(a, original, inside)
-            if a[first, first] > DEPENDENCE_TOLERANCE and int(inside.sum()) < n_max:
+            if a[first, first] > DEPENDENCE_TOLERANCE and size_of(inside) < n_max:
                 inside[first] = True
                 sweep(a, first)
                 climb(a, inside, locked, usable, swap, rss, sets)
-    return rss, sets
 
 
 @kernel
@@ -250,7 +275,6 @@ def best_size(rss: Floats, cost: Floats, count: float) -> int:
     return choice
 
 
-@kernel
 def search(
     grams: Floats,
     cross: Floats,
@@ -278,7 +302,7 @@ def search(
     rest (n, n_max + 1) unexplained share of the best set of each size; sets (n, n_max + 1, m)
     """
     m, n = cross.shape
-    rss = np.empty((n, cost.shape[1]))
+    rss = np.full((n, cost.shape[1]), np.inf)
     sets = np.zeros((n, cost.shape[1], m), dtype=np.bool_)
     a = np.empty((m + 1, m + 1))
     for i in range(n):
@@ -286,12 +310,9 @@ def search(
         norm = np.sqrt(np.maximum(np.diag(gram), 0.0))
         mine = usable & (norm > 0.0)
         norm = np.where(norm > 0.0, norm, 1.0)
-        size = np.sqrt(power[i]) if power[i] > 0.0 else 1.0
-        for r in range(m):
-            for c in range(m):
-                a[r, c] = gram[r, c] / (norm[r] * norm[c])
-            a[r, m] = cross[r, i] / (norm[r] * size)
-            a[m, r] = a[r, m]
+        size = float(np.sqrt(power[i])) if power[i] > 0.0 else 1.0
+        a[:m, :m] = gram / (norm[:, None] * norm)
+        a[:m, m] = a[m, :m] = cross[:, i] / (norm * size)
         a[m, m] = power[i] / (size * size)
-        rss[i], sets[i] = search_one(a, locked & mine, mine, cost[i], count[i], swap, restart)
+        search_one(a, locked & mine, mine, cost[i], float(count[i]), swap, restart, rss[i], sets[i])
     return rss, sets
