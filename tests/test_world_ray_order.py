@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from planners.maps import geojson
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+from sensorgraph.effects import sector_bias, self_occlusion, tilt
 from sensorgraph.effects.min_range import spread
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import evaluate
@@ -163,3 +166,38 @@ def test_near_returns_astride_the_seam_come_from_one_bearing() -> None:
     assert spread(np.radians([0.0, 1.0, 358.0, 359.0])) == pytest.approx(np.radians(3.0))
     assert spread(np.radians([-90.0, 90.0])) == pytest.approx(np.pi)
     assert spread(np.radians([15.0])) == 0.0
+
+
+def residuals(first: float) -> Any:
+    """Residuals of a full turn whose rays from -12° to 16° read 0.3 m, 0.2 m too much of what is expected."""
+    bearings = first + 2 * np.pi * np.arange(N_RAYS) / N_RAYS
+    odd = (np.degrees(bearings) + 12.5) % 360 < 28.6
+    shape = (50, N_RAYS)
+    short, every = np.broadcast_to(odd, shape), np.ones(shape, dtype=np.bool_)
+    noise = 0.001 * np.random.default_rng(0).normal(size=shape)
+    return SimpleNamespace(
+        sensor=RangeSensor(bearings=bearings), short=short, aimed=every, valid=every, returned=every,
+        z=np.where(short, 0.3, 2.0), mu=np.full(shape, 2.0), residual=0.2 * short + noise, log_p=np.zeros(shape),
+        weight=np.full(shape, 1e4), sigma=np.full(shape, 0.01), likely=lambda mu, some: np.zeros(some.sum()),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("effect", [self_occlusion, sector_bias], ids=["self_occlusion", "sector_bias"])
+@pytest.mark.parametrize("first", [-np.pi, 0.0], ids=["seam behind", "seam ahead"])
+def test_a_sector_astride_the_seam_is_one_sector(effect: Any, first: float) -> None:
+    (found,) = effect.propose(residuals(first))
+    ends = [np.degrees(found.values[name]) for name in ("theta1", "theta2")]
+    np.testing.assert_allclose(
+        np.exp(1j * np.radians(ends)), np.exp(1j * np.radians([-14.0, 18.0])), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("first", [-np.pi, 0.0], ids=["seam behind", "seam ahead"])
+def test_a_dip_ahead_is_looked_for_ahead_wherever_the_first_ray_points(first: float) -> None:
+    """Rays are long ahead only: a tilt shows there."""
+    bearings = first + 2 * np.pi * np.arange(N_RAYS) / N_RAYS
+    reading = np.broadcast_to(np.where(np.cos(bearings) > 0.5, 8.0, 0.5), (50, N_RAYS))
+    exposure: Any = SimpleNamespace(
+        sensor=RangeSensor(bearings=bearings, height=0.2), seen=np.isfinite(reading), reading=reading
+    )
+    assert tilt.unobservable(exposure, {"beta": 0.05}, 10.0) == ""

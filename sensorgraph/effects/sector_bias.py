@@ -13,6 +13,7 @@ from sensorgraph.effects.places import in_sector
 from sensorgraph.effects.proposals import best_first, half_spacing
 from sensorgraph.effects.set_up import between_rays
 from sensorgraph.types import Floats
+from sensorgraph.world.ray_order import is_full_turn
 from sensorgraph.world.scene import Scene
 
 MAX_SHARE = 0.8
@@ -38,9 +39,10 @@ def propose(residuals: Residuals) -> list[Proposal]:
         w = np.where(valid, weight, 0.0)
         num, den = (w * residuals.residual).sum(axis=0), w.sum(axis=0)
         n = len(num)
-        cn, cd = np.concatenate([[0.0], np.cumsum(num)]), np.concatenate([[0.0], np.cumsum(den)])
-        i, j = np.triu_indices(n + 1, 1)
-        few = (j - i) <= MAX_SHARE * n
+        turns = 2 if is_full_turn(bearings) else 1  # a sector may straddle the last ray and the first
+        cn, cd = (np.concatenate([[0.0], np.cumsum(np.tile(part, turns))]) for part in (num, den))
+        i, j = np.triu_indices(turns * n + 1, 1)
+        few = ((j - i) <= MAX_SHARE * n) & (i < n)
         i, j = i[few], j[few]
         s, d = cn[j] - cn[i], cd[j] - cd[i]
         score = 0.5 * s**2 / np.maximum(d, 1e-9) - 1.5 * np.log(n)
@@ -48,7 +50,7 @@ def propose(residuals: Residuals) -> list[Proposal]:
         half = half_spacing(residuals)
         values = {
             "theta1": float(bearings[i[at]] - half),
-            "theta2": float(bearings[j[at] - 1] + half),
+            "theta2": float(bearings[(j[at] - 1) % n] + half),
             "b": float(s[at] / max(d[at], 1e-9)),
         }
         found.append(Proposal(values=values, gain=float(score[at])))

@@ -13,6 +13,7 @@ from sensorgraph.effects.places import in_sector
 from sensorgraph.effects.proposals import half_spacing
 from sensorgraph.effects.set_up import between_rays
 from sensorgraph.effects.shared import LOSS_LEFTOVERS
+from sensorgraph.world.ray_order import is_full_turn
 from sensorgraph.world.scene import Scene
 
 MIN_SHORT = 0.3
@@ -40,15 +41,17 @@ def propose(residuals: Residuals) -> list[Proposal]:
         return []
     found = []
     bearings, half = residuals.sensor.bearings, half_spacing(residuals)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], odd.astype(int), [0]])))
+    first_ray = int(odd.argmin()) if is_full_turn(bearings) else 0  # no sector straddles it
+    rays = (np.arange(len(odd)) + first_ray) % len(odd)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], odd[rays].astype(int), [0]])))
     for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
-        sector = slice(first, last + 1)
+        sector = rays[first : last + 1]
         r0 = float(np.median(z[:, sector][short[:, sector]]))
         mu = np.minimum(np.where(residuals.aimed[:, sector], residuals.mu[:, sector], np.inf), r0)
         some = np.zeros(z.shape, dtype=np.bool_)
         some[:, sector] = True
         gain = float((residuals.likely(mu.ravel(), some) - residuals.log_p[some]).sum())
-        ends = {"theta1": float(bearings[first] - half), "theta2": float(bearings[last] + half)}
+        ends = {"theta1": float(bearings[sector[0]] - half), "theta2": float(bearings[sector[-1]] + half)}
         found.append(Proposal(values={"r0": r0, **ends}, gain=gain))
     return found
 

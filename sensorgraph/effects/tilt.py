@@ -12,6 +12,7 @@ from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import PROPOSAL
 from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.types import Floats
+from sensorgraph.world.ray_order import is_full_turn
 from sensorgraph.world.scene import Scene
 
 FARTHER = 1.5
@@ -80,7 +81,8 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     """Count the rays that a dip ahead would let meet the floor."""
     beta, sensor = typical["beta"], exposure.sensor
     floor = sensor.height / np.sin(beta)
-    middle = np.cos(sensor.bearings - sensor.bearings.mean())
+    ahead = 0.0 if is_full_turn(sensor.bearings) else sensor.bearings.mean()
+    middle = np.cos(sensor.bearings - ahead)
     with np.errstate(divide="ignore"):
         meets = np.where(middle > 0, sensor.height / np.sin(np.maximum(beta * middle, 1e-12)), np.inf)
     some = exposure.seen & (exposure.reading > meets)

@@ -41,6 +41,12 @@ def ray_order(bearings: Floats, wanted: Floats, *, tolerance: float = SAME_BEARI
     return orders[best] if errors[best] <= tolerance else None
 
 
+def is_full_turn(bearings: Floats) -> bool:
+    """Tell whether the last of the bearings (n_rays,) [rad] lies one step before the first."""
+    n = len(bearings)
+    return n > 2 and bool((bearings[-1] - bearings[0]) * (n + 0.5) / (n - 1) > 2 * np.pi)
+
+
 def with_rays_like(
     sensor: RangeSensor, wanted: Floats, *, tolerance: float = SAME_BEARING
 ) -> RangeSensor | None:
