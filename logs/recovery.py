@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from dataclasses import dataclass, replace
 from mmap import mmap
 from pathlib import Path
@@ -85,7 +84,7 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
     Raises
     ------
     LogError
-        if the file is no MCAP, nothing in it is whole, or `out` is the damaged file itself
+        if the file is no MCAP, nothing in it is whole, or `out` is a folder or the damaged file itself
     """
     path, out = Path(path), Path(out)
     _check(path, out)
@@ -103,8 +102,6 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
         )
     if not (known.n_messages or known.attachments or known.metadata):
         raise LogError(f"{path} has no whole message, attachment or metadata left; there is nothing to save")
-    if not out.name:
-        raise IsADirectoryError(errno.EISDIR, "Is a directory", str(out))
     part = out.with_name(
         f"{out.name}.{uuid4().hex[:8]}.part"
     )  # NAME.part may be the very file that is to be saved
