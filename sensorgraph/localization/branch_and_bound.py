@@ -144,9 +144,9 @@ def _turns(half: float, step: float) -> tuple[Floats, bool]:
     """Return the turns (n,) [rad] from the centre that are tried, and whether they make a full turn."""
     if half >= np.pi:
         n = int(np.ceil(2 * np.pi / step))
-        return (np.arange(n) - n // 2) * (2 * np.pi / n), True
+        return np.arange(-(n // 2), n - n // 2, dtype=np.float64) * (2 * np.pi / n), True
     n = int(half / step + 1e-9)
-    return np.arange(-n, n + 1) * step, False
+    return np.arange(-n, n + 1, dtype=np.float64) * step, False
 
 
 def _cells(points: Floats, headings: Floats, window: SearchWindow, field: LikelihoodField) -> _Cells:
@@ -187,8 +187,7 @@ def _best_first(
             for dx in range(-reach[0], reach[0] + 1, side):
                 total = _bound(levels, cells, top, heading, dx, dy, lowest)
                 if total >= lowest:
-                    if used == nodes.shape[0]:
-                        nodes = _doubled(nodes)
+                    nodes = _with_room(nodes, used)
                     _fill(nodes, used, stacks[total], top, heading, dx, dy)
                     stacks[total] = used
                     used += 1
@@ -211,16 +210,14 @@ def _best_first(
         half = 1 << (level - 1)
         for child in range(4):
             x, y = dx + half * (child & 1), dy + half * (child >> 1)
-            if x > reach[0] or y > reach[1]:
-                continue
-            total = _bound(levels, cells, level - 1, heading, x, y, lowest)
+            is_inside = x <= reach[0] and y <= reach[1]
+            total = _bound(levels, cells, level - 1, heading, x, y, lowest) if is_inside else 0
             if total < lowest:
                 continue
             if free >= 0:
                 node, free = free, nodes[free, 0]
             else:
-                if used == nodes.shape[0]:
-                    nodes = _doubled(nodes)
+                nodes = _with_room(nodes, used)
                 node = used
                 used += 1
             _fill(nodes, node, stacks[total], level - 1, heading, x, y)
@@ -281,7 +278,10 @@ def _record(found: _Cells, at: int, total: int, heading: int, dx: int, dy: int) 
 
 
 @kernel
-def _doubled(nodes: _Cells) -> _Cells:
+def _with_room(nodes: _Cells, used: int) -> _Cells:
+    """Return the nodes, or twice as many with the same ones first where all are used."""
+    if used < nodes.shape[0]:
+        return nodes
     more = np.empty((2 * nodes.shape[0], nodes.shape[1]), dtype=np.int32)
     for i in range(nodes.shape[0]):
         for j in range(nodes.shape[1]):

@@ -52,7 +52,7 @@ def field_of_points(points: Floats, *, resolution: float = 0.05, sigma: float = 
     ----------
     points : (n, 2) [m, map] finite
     resolution : [m] side of a cell, doubled until the grid has at most `MAX_CELLS`
-    sigma : [m] how far returns scatter around a surface, the error of its place included
+    sigma : [m] how far returns scatter around a surface, the error of its place included; at least a cell is taken
 
     Raises
     ------
@@ -60,10 +60,12 @@ def field_of_points(points: Floats, *, resolution: float = 0.05, sigma: float = 
     """
     if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0 or not np.isfinite(points).all():
         raise ValueError(f"points has shape {points.shape}, expected (n, 2), n > 0, all finite")
+    extent = np.ptp(points, axis=0)
+    while np.prod((extent + 2 * REACH * max(sigma, resolution)) / resolution + 2) > MAX_CELLS:
+        resolution *= 2
+    sigma = max(sigma, resolution)
     reach = REACH * sigma
     lowest, highest = points.min(axis=0) - reach, points.max(axis=0) + reach
-    while np.prod(np.ceil((highest - lowest) / resolution) + 1) > MAX_CELLS:
-        resolution *= 2
     origin = np.floor(lowest / resolution) * resolution
     nx, ny = (np.floor((highest - origin) / resolution) + 1).astype(int)
     squares = np.full((ny, nx), reach**2)
@@ -85,7 +87,8 @@ def points_on(segments: Floats, spacing: float) -> Floats:
     owner = np.repeat(np.arange(len(segments)), counts)
     rank = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
     share = rank / np.maximum(counts[owner] - 1, 1)
-    return segments[owner, 0] + share[:, None] * (segments[owner, 1] - segments[owner, 0])
+    points: Floats = segments[owner, 0] + share[:, None] * (segments[owner, 1] - segments[owner, 0])
+    return points
 
 
 @kernel
