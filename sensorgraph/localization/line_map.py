@@ -1,0 +1,153 @@
+"""Points of surfaces in buckets, and the line that fits them around any place.
+
+A line is the weighted principal axis of the points within a radius that lie on the same side of a surface (weights
+(1 - d²/r²)², Cleveland 1979).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planners.kernel import inner_kernel, kernel
+from sensorgraph.localization.settings import MATCH
+from sensorgraph.types import Floats, Ints
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LineMap:
+    """Points in the buckets of a hash table; made by `line_map`."""
+
+    side: float
+    """[m] of a bucket; lines are fitted within this radius at most."""
+    keys: Ints
+    """(n_slots,) packed bucket of each slot, -1: empty; n_slots is a power of 2."""
+    first: Ints
+    """(n_slots,) first point of the bucket."""
+    counts: Ints
+    """(n_slots,) points in the bucket."""
+    points: Floats
+    """(n_points, 2) [m] in map, sorted by bucket."""
+    normals: Floats
+    """(n_points, 2) unit normals towards where the point was seen from; 0, 0: not known."""
+    order: Ints
+    """(n_points,) where each point stood in what the map was made of."""
+
+
+def line_map(points: Floats, normals: Floats | None = None, *, side: float = MATCH.first_radius) -> LineMap:
+    """Put points into buckets.
+
+    Parameters
+    ----------
+    points : (n, 2) [m] in map
+    normals : (n, 2) towards where each point was seen from; None, or 0, 0: not known
+    side : [m] of a bucket
+    """
+    n = len(points)
+    normals = np.zeros((n, 2)) if normals is None else normals
+    n_slots = 1 << max(4, int(2 * n).bit_length())
+    keys = np.full(n_slots, -1, dtype=np.intp)
+    first, counts = np.zeros(n_slots, dtype=np.intp), np.zeros(n_slots, dtype=np.intp)
+    order = np.zeros(n, dtype=np.intp)
+    _fill(np.ascontiguousarray(points), side, keys, first, counts, order)
+    return LineMap(
+        side=side,
+        keys=keys,
+        first=first,
+        counts=counts,
+        points=points[order],
+        normals=normals[order],
+        order=order,
+    )
+
+
+@inner_kernel
+def bucket_key(x: int, y: int) -> int:
+    """Pack a bucket's two numbers into one that is not negative."""
+    return ((x + 1073741824) << 31) | (y + 1073741824)
+
+
+@inner_kernel
+def find_slot(keys: Ints, key: int) -> int:
+    """Return the slot of a bucket, or the empty one where it would go."""
+    mask = len(keys) - 1
+    slot = (key * 0x9E3779B97F4A7C1 ^ (key >> 29)) & mask
+    while keys[slot] != -1 and keys[slot] != key:
+        slot = (slot + 1) & mask
+    return slot
+
+
+@kernel
+def _fill(points: Floats, side: float, keys: Ints, first: Ints, counts: Ints, order: Ints) -> None:
+    n = len(points)
+    slots = np.empty(n, dtype=np.intp)
+    for k in range(n):
+        key = bucket_key(int(np.floor(points[k, 0] / side)), int(np.floor(points[k, 1] / side)))
+        slot = find_slot(keys, key)
+        keys[slot] = key
+        counts[slot] += 1
+        slots[k] = slot
+    total = 0
+    for slot in range(len(keys)):
+        first[slot] = total
+        total += counts[slot]
+        counts[slot] = 0
+    for k in range(n):
+        slot = slots[k]
+        order[first[slot] + counts[slot]] = k
+        counts[slot] += 1
+
+
+@inner_kernel
+def fit_line(
+    x: float,
+    y: float,
+    nx: float,
+    ny: float,
+    radius: float,
+    same_side: float,
+    side: float,
+    keys: Ints,
+    first: Ints,
+    counts: Ints,
+    points: Floats,
+    normals: Floats,
+) -> tuple[float, float, float, float, float, float, float]:
+    """Fit a line to the points around (x, y) whose normals agree with (nx, ny), where both are known.
+
+    Returns
+    -------
+    weight of the points (0: none), x and y of their mean [m], unit normal x and y, variances across and along [m²]
+    """
+    w, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    bx, by = int(np.floor(x / side)), int(np.floor(y / side))
+    inverse = 1.0 / (radius * radius)
+    known = nx * nx + ny * ny > 0.25
+    for ix in range(bx - 1, bx + 2):
+        for iy in range(by - 1, by + 2):
+            slot = find_slot(keys, bucket_key(ix, iy))
+            for k in range(first[slot], first[slot] + counts[slot]):
+                dx, dy = points[k, 0] - x, points[k, 1] - y
+                near = 1.0 - (dx * dx + dy * dy) * inverse
+                if near <= 0.0:
+                    continue
+                if known:
+                    px, py = normals[k, 0], normals[k, 1]
+                    if px * nx + py * ny < same_side and px * px + py * py > 0.25:
+                        continue
+                u = near * near
+                w += u
+                sx += u * dx
+                sy += u * dy
+                sxx += u * dx * dx
+                sxy += u * dx * dy
+                syy += u * dy * dy
+    if w <= 0.0:
+        return 0.0, x, y, 1.0, 0.0, 0.0, 0.0
+    sx, sy = sx / w, sy / w
+    sxx, sxy, syy = sxx / w - sx * sx, sxy / w - sx * sy, syy / w - sy * sy
+    half = 0.5 * (sxx + syy)
+    spread = np.sqrt(0.25 * (sxx - syy) * (sxx - syy) + sxy * sxy)
+    angle = 0.5 * np.arctan2(2.0 * sxy, sxx - syy)
+    return w, x + sx, y + sy, -np.sin(angle), np.cos(angle), max(half - spread, 0.0), half + spread

@@ -1,0 +1,153 @@
+"""Returns of a run as points in base_link, deskewed through the sweep, each with the normal of its surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.motion import Motion
+from logs.run import RangeSensor, Run
+from logs.transforms import compose, invert
+from planners.kernel import kernel
+from sensorgraph.localization.settings import SCANS, PointSettings
+from sensorgraph.types import Bools, Floats, Ints
+
+MANY = 1000
+"""Scans that are deskewed at a time: bounds the memory."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScanPoints:
+    """The returns of all scans of a run, one scan after the other."""
+
+    first: Ints
+    """(n_scans + 1,) scan k has the points first[k] to first[k + 1]."""
+    points: Floats
+    """(n_points, 2) [m] in base_link at the stamp of their scan."""
+    normals: Floats
+    """(n_points, 2) unit normal of the surface towards the laser, in base_link; 0, 0 where neighbours do not tell."""
+    ranges: Floats
+    """(n_points,) [m] length of the ray."""
+    starts: Floats
+    """(n_points, 2) [m] where the ray began, in base_link at the stamp of the scan."""
+
+    @property
+    def n_scans(self) -> int:
+        """Count of scans."""
+        return len(self.first) - 1
+
+    def of(self, scan: int) -> slice:
+        """Return which points belong to a scan."""
+        return slice(int(self.first[scan]), int(self.first[scan + 1]))
+
+
+def scan_points(run: Run, motion: Motion | None = None, settings: PointSettings = SCANS) -> ScanPoints:
+    """Turn every return of a run into a point in base_link at its scan's stamp.
+
+    Parameters
+    ----------
+    motion : of base_link in any frame, by which rays of a sweep are moved to their scan's stamp; None: not moved
+    """
+    sensor = run.sensor
+    used = (run.ranges > sensor.range_min) & (run.ranges < min(sensor.range_max, settings.max_range))
+    if sensor.resolution > 0:  # the last step before range_max is often "nothing seen" rounded down
+        used &= run.ranges < sensor.range_max - sensor.resolution
+    blocks = [
+        _block(run, slice(start, start + MANY), used[start : start + MANY], motion, settings)
+        for start in range(0, max(run.n_scans, 1), MANY)
+    ]
+    counts = np.concatenate([block[0] for block in blocks])
+    points, normals, ranges, starts = (np.concatenate([block[k] for block in blocks]) for k in range(1, 5))
+    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
+    return ScanPoints(first=first, points=points, normals=normals, ranges=ranges, starts=starts)
+
+
+def _block(
+    run: Run, scans: slice, used: Bools, motion: Motion | None, settings: PointSettings
+) -> tuple[Ints, Floats, Floats, Floats, Floats]:
+    """Return counts (n,), and points, normals, ranges and starts of some scans."""
+    rays = laser_rays(run.sensor, run.stamps[scans], motion)  # (n or 1, n_rays, 3)
+    ranges = np.where(used, run.ranges[scans], 0.0)
+    points = np.stack(
+        [rays[..., 0] + ranges * np.cos(rays[..., 2]), rays[..., 1] + ranges * np.sin(rays[..., 2])], axis=-1
+    )
+    starts = np.broadcast_to(rays[..., :2], points.shape)
+    kept = np.zeros(used.shape, dtype=np.bool_)
+    normals = np.zeros_like(points)
+    _normals(points, np.ascontiguousarray(starts), used, settings.reach, settings.gap, normals)
+    _thin(points, used, settings.spacing, kept)
+    return kept.sum(axis=1), points[kept], normals[kept], ranges[kept], starts[kept]
+
+
+def laser_rays(sensor: RangeSensor, stamps: Floats, motion: Motion | None) -> Floats:
+    """Return where the rays of scans start and point, in base_link at each scan's stamp.
+
+    Returns
+    -------
+    (n_scans or 1, n_rays, 3) [m, m, rad]
+    """
+    rays = np.zeros((1, sensor.n_rays, 3))
+    rays[..., 2] = sensor.bearings
+    if len(sensor.origins):
+        rays[0, :, :2] = sensor.origins
+    rays = compose(np.broadcast_to(sensor.mount, rays.shape), rays)
+    if sensor.sweep_time == 0 or motion is None:
+        return rays
+    base = motion.at(stamps[:, None] + sensor.ray_delays)  # (n, n_rays, 3)
+    moved = compose(invert(base[:, :1]), base)
+    return compose(moved, np.broadcast_to(rays, moved.shape))
+
+
+@kernel
+def _thin(points: Floats, used: Bools, spacing: float, kept: Bools) -> None:
+    """Keep a point where it is not near the one kept before it in the scan."""
+    n_scans, n_rays = used.shape
+    for i in range(n_scans):
+        last = -1
+        for k in range(n_rays):
+            if not used[i, k]:
+                continue
+            if last >= 0:
+                dx = points[i, k, 0] - points[i, last, 0]
+                dy = points[i, k, 1] - points[i, last, 1]
+                if dx * dx + dy * dy < spacing * spacing:
+                    continue
+            kept[i, k] = True
+            last = k
+
+
+@kernel
+def _normals(points: Floats, starts: Floats, used: Bools, reach: float, gap: float, normals: Floats) -> None:
+    """Fit a line to the neighbours of each point along its scan; its normal looks at the laser."""
+    n_scans, n_rays = used.shape
+    for i in range(n_scans):
+        for k in range(n_rays):
+            if not used[i, k]:
+                continue
+            n, sx, sy, sxx, sxy, syy = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for way in (-1, 1):
+                last, j, length = k, k + way, 0.0
+                while 0 <= j < n_rays and used[i, j]:
+                    step = np.hypot(
+                        points[i, j, 0] - points[i, last, 0], points[i, j, 1] - points[i, last, 1]
+                    )
+                    length += step
+                    if step > gap or (length > reach and last != k):
+                        break
+                    dx, dy = points[i, j, 0] - points[i, k, 0], points[i, j, 1] - points[i, k, 1]
+                    n += 1.0
+                    sx, sy = sx + dx, sy + dy
+                    sxx, sxy, syy = sxx + dx * dx, sxy + dx * dy, syy + dy * dy
+                    last, j = j, j + way
+            if n < 3:
+                continue
+            sxx, sxy, syy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
+            angle = 0.5 * np.arctan2(2 * sxy, sxx - syy)  # of the line
+            nx, ny = -np.sin(angle), np.cos(angle)
+            across = nx * nx * sxx + 2 * nx * ny * sxy + ny * ny * syy
+            if across > 0.25 * (sxx + syy):  # as wide as long: no line
+                continue
+            if nx * (points[i, k, 0] - starts[i, k, 0]) + ny * (points[i, k, 1] - starts[i, k, 1]) > 0:
+                nx, ny = -nx, -ny
+            normals[i, k, 0], normals[i, k, 1] = nx, ny
