@@ -97,7 +97,9 @@ def latency(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.ra
     )  # scans between two far poses are dropped
     columns = [log.poses[around, 0], log.poses[around, 1], np.unwrap(log.poses[around, 2])]
     poses = np.stack([np.interp(told, log.stamps[around], column) for column in columns], axis=1)
-    return replace(run, stamps=run.stamps + size, pose_stamps=told, poses=poses)
+    return replace(
+        run, stamps=run.stamps + size, pose_stamps=told, poses=poses, pose_covariances=np.zeros((0, 3, 3))
+    )
 
 
 def occlusion(run: Run, log: Run, scans: NDArray[np.intp], size: float, rng: np.random.Generator) -> Run:

@@ -114,6 +114,8 @@ class Run:
     pose_stamps: Floats = field(default_factory=lambda: _empty(0))
     poses: Floats = field(default_factory=lambda: _empty(0, 3))
     """(n_poses, 3) [m, m, rad] reference pose of `pose_frame` in map."""
+    pose_covariances: Floats = field(default_factory=lambda: _empty(0, 3, 3))
+    """(n_poses, 3, 3) of x, y, phi in map [m, m, rad]; (0, 3, 3), the default: not known."""
     odom_stamps: Floats = field(default_factory=lambda: _empty(0))
     odometry: Floats = field(default_factory=lambda: _empty(0, 3))
     """(n_odom, 3) [m, m, rad] base_link in odom (drifts)."""
@@ -145,6 +147,11 @@ class Run:
         ):
             if data.shape != (len(stamps), width):
                 raise ValueError(f"{name} has shape {data.shape}, expected ({len(stamps)}, {width})")
+        if self.pose_covariances.shape not in ((0, 3, 3), (len(self.poses), 3, 3)):
+            raise ValueError(
+                f"pose_covariances has shape {self.pose_covariances.shape}, expected ({len(self.poses)}, 3, 3), or "
+                "(0, 3, 3) where they are not known"
+            )
         for name in ("stamps", "pose_stamps", "odom_stamps", "cmd_stamps"):
             if not (np.diff(getattr(self, name)) >= 0).all():
                 raise ValueError(f"{name} goes back in time; sort the run by its stamps first")

@@ -204,7 +204,11 @@ class McapStream:
         )
         if run.meta.get("pose_source") != self.head.meta.get("pose_source"):
             run = replace(
-                run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3)), pose_frame=self.head.pose_frame
+                run,
+                pose_stamps=np.zeros(0),
+                poses=np.zeros((0, 3)),
+                pose_covariances=np.zeros((0, 3, 3)),
+                pose_frame=self.head.pose_frame,
             )
         return replace(run, sensor=self.head.sensor)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from rosbags.highlevel import AnyReader
 
 import logs
 from logs import OccupancyMap, RangeSensor, Run
+from logs.stream import open_log
 from logs.transforms import compose, interpolate
 
 OCCUPANCY = OccupancyMap(
@@ -164,6 +166,34 @@ def test_transform_tree_agrees_with_the_reference(
     assert mount is not None
     np.testing.assert_allclose(mount.poses[0], run.sensor.mount, atol=1e-12)
     np.testing.assert_allclose(compose(want, np.zeros(3)), want, atol=1e-12)
+
+
+def with_covariances(run: Run) -> Run:
+    roots = np.random.default_rng(5).normal(0, 0.01, (len(run.poses), 3, 3))
+    return replace(run, pose_covariances=roots @ roots.transpose(0, 2, 1))
+
+
+def test_pose_covariances_come_back_and_stand_where_ros_has_them(tmp_path: Path) -> None:
+    run = with_covariances(some_run())
+    logs.write(run, tmp_path / "run.mcap")
+    assert_same_run(logs.read(tmp_path / "run.mcap"), run)
+    np.testing.assert_array_equal(logs.read(tmp_path / "run.mcap").pose_covariances, run.pose_covariances)
+    foreign = logs.read(tmp_path / "run.mcap", topics={"pose": "/pose_with_covariance"})
+    np.testing.assert_allclose(foreign.poses, run.poses, atol=1e-12)
+    np.testing.assert_array_equal(foreign.pose_covariances, run.pose_covariances)
+    found = [m for topic, _, m in messages(tmp_path / "run.mcap") if topic == "/pose_with_covariance"]
+    assert len(found) == len(run.poses)
+    six = np.reshape(found[4].pose.covariance, (6, 6))
+    assert six[0, 5] == run.pose_covariances[4, 0, 2] and six[1, 1] == run.pose_covariances[4, 1, 1]
+    assert (six[2:5] == 0).all()
+    pieces = list(open_log(tmp_path / "run.mcap").pieces())
+    np.testing.assert_array_equal(pieces[0].pose_covariances, run.pose_covariances)
+
+
+def test_run_refuses_covariances_of_another_count() -> None:
+    run = some_run()
+    with pytest.raises(ValueError, match="pose_covariances has shape"):
+        replace(run, pose_covariances=np.zeros((len(run.poses) - 1, 3, 3)))
 
 
 def test_foreign_reader_of_our_topics_finds_the_same_run(tmp_path: Path) -> None:

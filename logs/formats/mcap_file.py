@@ -25,6 +25,7 @@ from logs.ros.messages import (
     command_messages,
     map_message,
     odometry_messages,
+    pose_covariance_messages,
     pose_messages,
     scan_messages,
     to_ns,
@@ -33,9 +34,11 @@ from logs.ros.messages import (
 )
 from logs.ros.own_record import METADATA_NAME, sensor_facts
 from logs.ros.recording import (
+    COVARIANCE_TOPIC,
     ENCODINGS,
     KEPT_TYPES,
     ODOMETRY_TYPE,
+    POSE_COVARIANCE_TYPE,
     POSE_TYPE,
     SCAN_TYPE,
     TF_TYPE,
@@ -238,6 +241,9 @@ def _messages(run: Run, zero: int) -> Iterator[_Part]:
     yield from _transforms(run, ns)
     at = to_ns(run.pose_stamps, zero)
     yield _Part("/pose", POSE_TYPE, at, pose_messages(at, run.poses))
+    if len(run.pose_covariances):
+        rows = pose_covariance_messages(at, run.poses, run.pose_covariances)
+        yield _Part(COVARIANCE_TOPIC, POSE_COVARIANCE_TYPE, at, rows)
     at = to_ns(run.odom_stamps, zero)
     yield _Part("/odom", ODOMETRY_TYPE, at, odometry_messages(at, run.odometry, run.odom_twists))
     at = to_ns(run.cmd_stamps, zero)

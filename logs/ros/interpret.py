@@ -11,9 +11,11 @@ from logs.errors import LogError
 from logs.ros import own_record
 from logs.ros.composite import combine
 from logs.ros.laser_scan import LaserScans, ShapeCensus, check_sweep, order_rays, read_scans
+from logs.ros.messages import planar_covariances
 from logs.ros.range_readings import read_ranges
 from logs.ros.recording import (
     ODOMETRY_TYPE,
+    POSE_COVARIANCE_TYPE,
     RANGE_TYPE,
     ROLES,
     TF_TYPE,
@@ -266,8 +268,11 @@ def _odometry_as_poses(run: Run) -> Run:
 
 
 def _poses(recording: Recording, name: str) -> Track:
-    found = track(recording.topics[name], "pose", 7)
+    topic = recording.topics[name]
+    found = track(topic, "pose", 7)
     found.values = to_planar(found.values)
+    if topic.type == POSE_COVARIANCE_TYPE:
+        found.covariances = planar_covariances(track(topic, "covariance", 36).values)
     return found
 
 
@@ -307,6 +312,7 @@ def _assemble(
         ranges=scans.ranges,
         pose_stamps=((pose.stamps if pose is not None else none) - epoch) / 1e9,
         poses=poses,
+        pose_covariances=pose.covariances if pose is not None else np.zeros((0, 3, 3)),
         odom_stamps=((odom.stamps if odom is not None else none) - epoch) / 1e9,
         odometry=driven[:, :3],
         odom_twists=driven[:, 3:],

@@ -9,12 +9,21 @@ from numpy.typing import NDArray
 
 from logs.errors import LogError
 from logs.ros import cdr
-from logs.ros.recording import ODOMETRY_TYPE, POSE_TYPE, SCAN_TYPE, TF_TYPE, TWIST_STAMPED_TYPE
+from logs.ros.recording import (
+    ODOMETRY_TYPE,
+    POSE_COVARIANCE_TYPE,
+    POSE_TYPE,
+    SCAN_TYPE,
+    TF_TYPE,
+    TWIST_STAMPED_TYPE,
+)
 from logs.run import OccupancyMap, RangeSensor
 from logs.transforms import Stamps, to_translation_quaternion
 from logs.types import Floats
 
 GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
+PLANAR = np.array([0, 1, 5])
+"""x, y and yaw among the six rows of a covariance in ROS."""
 
 
 def zero_time(epoch_ns: int, first: float) -> int:
@@ -56,6 +65,19 @@ def pose_messages(ns: Stamps, poses: Floats) -> cdr.Bytes:
     """Pack PoseStamped messages in map (n, size)."""
     columns = {**header(ns), "pose": to_translation_quaternion(poses)}
     return cdr.pack(POSE_TYPE, len(ns), strings={"frame_id": "map"}, columns=columns)
+
+
+def pose_covariance_messages(ns: Stamps, poses: Floats, covariances: Floats) -> cdr.Bytes:
+    """Pack PoseWithCovarianceStamped messages in map (n, size); covariances (n, 3, 3) of x, y, phi."""
+    six = np.zeros((len(poses), 6, 6))
+    six[:, PLANAR[:, None], PLANAR] = covariances
+    columns = {**header(ns), "pose": to_translation_quaternion(poses), "covariance": six.reshape(-1, 36)}
+    return cdr.pack(POSE_COVARIANCE_TYPE, len(ns), strings={"frame_id": "map"}, columns=columns)
+
+
+def planar_covariances(rows: Floats) -> Floats:
+    """Return the covariances (n, 3, 3) of x, y, phi in ROS's (n, 36) of x, y, z and three rotations."""
+    return rows.reshape(-1, 6, 6)[:, PLANAR[:, None], PLANAR].astype(np.float64)
 
 
 def odometry_messages(ns: Stamps, poses: Floats, twists: Floats) -> cdr.Bytes:

@@ -14,8 +14,11 @@ import numpy as np
 from logs.errors import LogError
 from logs.no_return import apply_no_return
 from logs.ros import cdr
+from logs.ros.messages import planar_covariances
 from logs.ros.recording import (
+    COVARIANCE_TOPIC,
     ODOMETRY_TYPE,
+    POSE_COVARIANCE_TYPE,
     POSE_TYPE,
     SCAN_TYPE,
     TWIST_STAMPED_TYPE,
@@ -25,7 +28,7 @@ from logs.ros.recording import (
     track,
 )
 from logs.run import RangeSensor, Run
-from logs.transforms import to_planar
+from logs.transforms import Stamps, to_planar
 from logs.types import Floats
 
 METADATA_NAME = "sensorgraph"
@@ -113,6 +116,7 @@ def to_run(recording: Recording, source: str, no_return: str | None = None) -> R
         ranges=ranges,
         pose_stamps=(pose.stamps - zero) / 1e9,
         poses=to_planar(pose.values),
+        pose_covariances=_covariances(recording, pose.stamps),
         odom_stamps=(odom.stamps - zero) / 1e9,
         odometry=to_planar(odom.values),
         odom_twists=twist.values[:, [0, 5]],
@@ -130,6 +134,15 @@ def _track(recording: Recording, role: str, msgtype: str, column: str, width: in
     if topic is None or topic.type != msgtype or not topic.payloads:
         return Track(np.zeros(0, dtype=np.int64), np.zeros((0, width)))
     return track(topic, column, width, absolute=True)
+
+
+def _covariances(recording: Recording, stamps: Stamps) -> Floats:
+    """Return the covariance (n, 3, 3) of each pose, or none where a stamp lacks one."""
+    topic = recording.topics.get(COVARIANCE_TOPIC)
+    if topic is None or topic.type != POSE_COVARIANCE_TYPE or not topic.payloads:
+        return np.zeros((0, 3, 3))
+    found = track(topic, "covariance", 36, absolute=True)
+    return planar_covariances(found.values) if np.array_equal(found.stamps, stamps) else np.zeros((0, 3, 3))
 
 
 def _scans(recording: Recording, n_rays: int, source: str) -> tuple[np.ndarray, Floats]:

@@ -50,6 +50,8 @@ ROLES: dict[str, tuple[str, tuple[str, ...]]] = {
     "cmd": ("/cmd_vel", (TWIST_STAMPED_TYPE, TWIST_TYPE)),
 }
 """Role -> (the name that needs no telling, the types that can play it)."""
+COVARIANCE_TOPIC = "/pose_with_covariance"
+"""The poses of /pose once more, each with its covariance, as what listens to AMCL takes them."""
 
 
 @dataclass
@@ -92,6 +94,8 @@ class Track:
     frame: str = ""
     child: str = ""
     notes: list[str] = field(default_factory=list)
+    covariances: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    """(n, 3, 3) of x, y, phi, or (0, 3, 3): not known."""
 
 
 def full_type(msgtype: str) -> str:

@@ -125,7 +125,7 @@ def collect(
     shown = index[np.linspace(0, len(index) - 1, min(len(index), max_scans)).round().astype(np.intp)]
     part, poses = replace(run, stamps=run.stamps[shown], ranges=run.ranges[shown]), pairing.poses[shown]
     if (np.diff(run.stamps) == 0).any():  # scans that share a stamp are paired in their order: keep the pairs
-        part = replace(part, pose_stamps=part.stamps, poses=poses)
+        part = replace(part, pose_stamps=part.stamps, poses=poses, pose_covariances=np.zeros((0, 3, 3)))
     evaluation = evaluate(graph, part, force=True) if graph is not None else None
     held_out = predicted = None
     if graph is not None and evaluation is not None:
