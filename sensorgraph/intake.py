@@ -7,14 +7,12 @@ import numpy as np
 from logs.jumps import find_jumps
 from logs.run import Pairing, RangeSensor, Run
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Floats
 from sensorgraph.world.orientation import MAX_ERROR_RATIO, orientation
 
 SCATTERED = 0.25
 """Share of the steps that jump, above which the poses are no drive but places one by one."""
-
-NARROW_CONE = float(np.radians(5.0))
-"""[rad] a narrower cone counts as a thin ray: met at 45°, its nearest surface is 4 % nearer than the ray's."""
 
 
 def check_jumps(
@@ -76,10 +74,10 @@ def check_rays(sensor: RangeSensor, name: str, *, takes: str, remedy: str, one_p
     ------
     SensorgraphError : the sensor has such rays
     """
-    widest = float(sensor.cones.max(initial=0.0))
-    if widest > NARROW_CONE:
+    if measures_cones(sensor):
+        widest = np.degrees(sensor.cones.max())
         raise SensorgraphError(
-            f"{name} measures the nearest surface in cones of {np.degrees(widest):.0f}°; {takes} thin rays: {remedy}"
+            f"{name} measures the nearest surface in cones of {widest:.0f}°; {takes} thin rays: {remedy}"
         )
     if one_place and sensor.is_composite:
         raise SensorgraphError(

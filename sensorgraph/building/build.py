@@ -60,11 +60,11 @@ def build(
     names = [_name(run, i) for i, run in enumerate(runs)] if names is None else names
     sources = [WholeRun(head=run) if isinstance(run, Run) else run for run in runs]
     _check_alike([source.head for source in sources], names)
-    if model != "polynomial":
+    if model == "cells" or options.get("cells"):
         for source, name in zip(sources, names, strict=True):
             check_rays(
-                source.head.sensor, name, takes=f"the model {model} takes",
-                remedy="set `model` polynomial, or choose one sensor with `topics` scan=NAME", one_place=False,
+                source.head.sensor, name, takes="cells take",
+                remedy="set `model` faces or polynomial, or choose one sensor with `topics` scan=NAME", one_place=False,
             )  # fmt: skip
     bounds = None if arena is None else arena.bounds
     feed = TrainingData(sources, names, split=split, bounds=bounds, force=force)

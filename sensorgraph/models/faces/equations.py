@@ -59,10 +59,8 @@ def _rational(faces: FaceSet, k: int, mount: Floats, bearing: float) -> str:
     (nx, ny), d = faces.normals[k], faces.offsets[k]
     mx, my = mount[:2]
     cos, sin = math.cos(bearing), math.sin(bearing)
-    above = _sum_text(
-        [(d, ""), (-nx, "x"), (-ny, "y"), (-(nx * mx + ny * my), "c"), (nx * my - ny * mx, "s")]
-    )
-    below = _sum_text([(nx * cos + ny * sin, "c"), (ny * cos - nx * sin, "s")])
+    above = sum_text([(d, ""), (-nx, "x"), (-ny, "y"), (-(nx * mx + ny * my), "c"), (nx * my - ny * mx, "s")])
+    below = sum_text([(nx * cos + ny * sin, "c"), (ny * cos - nx * sin, "s")])
     return f"({above}) / ({below})"
 
 
@@ -75,10 +73,10 @@ def _visible_stretches(faces: FaceSet, k: int) -> str:
         for j in range(a, b)
         if levels[j] > MIN_VISIBILITY
     ]
-    return f"{', '.join(parts)}; t = {_sum_text([(-ny, 'x_hit'), (nx, 'y_hit')])}"
+    return f"{', '.join(parts)}; t = {sum_text([(-ny, 'x_hit'), (nx, 'y_hit')])}"
 
 
-def _sum_text(parts: list[tuple[float, str]]) -> str:
+def sum_text(parts: list[tuple[float, str]]) -> str:
     """Write a sum of products, leaving zeros out."""
     text = ""
     for value, name in parts:

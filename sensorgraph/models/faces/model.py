@@ -24,7 +24,11 @@ from logs.transforms import compose
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Point, Prediction, TrainingScans
 from sensorgraph.models.calibration.calibrate import calibrate_faces, corrected_rays, observed_by
+from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.cells.model import CellModel
+from sensorgraph.models.cones.fit import fit_cones, readings_of_cones
+from sensorgraph.models.cones.prediction import cone_equations, cone_table
+from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.models.faces.data import FacesData, restored_fields, stored
 from sensorgraph.models.faces.equations import face_equations
 from sensorgraph.models.faces.fit import fit_faces
@@ -34,12 +38,19 @@ from sensorgraph.models.faces.ray_march import (
     BucketGrid,
     bucket_grid,
 )
-from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block, MapBlocks, blocks_of, reduce_blocks
+from sensorgraph.models.faces.reduction import (
+    SCANS_PER_BLOCK,
+    Block,
+    MapBlocks,
+    Reduction,
+    blocks_of,
+    reduce_blocks,
+)
 from sensorgraph.models.faces.sampling import draw_rays
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.update import update_faces
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
-from sensorgraph.types import Floats, Ints, Progress, ProgressBars, no_progress
+from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
 PREDICTION = FACES.prediction
 
@@ -83,8 +94,8 @@ class Faces(FacesData):
 
     @property
     def is_cluttered(self) -> bool:
-        """Tell whether faces leave so much unexplained that cells predict better."""
-        return self.noise.stray > PREDICTION.max_stray
+        """Tell whether faces leave so much unexplained that cells predict better; cells take thin rays."""
+        return self.noise.stray > PREDICTION.max_stray and not measures_cones(self.sensor)
 
     def with_cells(self, scans: TrainingScans, *, progress: Progress | None = None) -> Self:
         """Add cells from the same scans; from then on they predict."""
@@ -131,6 +142,8 @@ class Faces(FacesData):
             raise SensorgraphError(
                 "no ray of the log returned; check range_max and the no-return code of the log"
             )
+        if measures_cones(sensor):
+            return cls(**_fit_cones(reduced, sensor, mount, can_mount=can_mount, progress=progress))
         rays = reduced.sample.rays(sensor, mount)
         with progress("fitting faces", "%") as tick:
             fitted = fit_faces(rays, hit_moments=reduced.hit_moments, progress=tick)
@@ -168,14 +181,17 @@ class Faces(FacesData):
 
         Raises
         ------
-        SensorgraphError : the model predicts with cells, remembers too little of its rays, or no new ray returned
+        SensorgraphError : the model is of cones or predicts with cells, remembers too little of its rays, or no new ray
+            returned
         """
         if self.cells is not None:
             raise SensorgraphError(
                 "the graph predicts with cells, which are not updated; build it again from all runs"
             )
         if self.statistics is None:
-            raise SensorgraphError("the graph remembers too little of its rays to be updated; build it again")
+            is_of_cones = measures_cones(self.sensor)
+            why = "is of cones, which are not updated" if is_of_cones else "remembers too little of its rays"
+            raise SensorgraphError(f"the graph {why}; build it again from all runs")
         with progress("reading scans", "scans") as tick:
             new = reduce_blocks(
                 blocks,
@@ -210,18 +226,26 @@ class Faces(FacesData):
         """Predict rays (n_rays,) at poses (n_poses, 3)."""
         if self.cells is not None:
             return self.cells.predict(poses, rays, point)
+        if measures_cones(self.sensor):
+            table, supported = cone_table(self, _lasers(poses, self.mount), rays, which_of(point))
+        else:
+            table, supported = self._thin_table(poses, rays, which_of(point))
+        sure = (table[..., P_OFF] < PREDICTION.max_p_off) | (table[..., NO_RETURN] > 1 - PREDICTION.max_p_off)
+        return to_prediction(table, point, supported & sure)
+
+    def _thin_table(self, poses: Floats, rays: Ints, which: int) -> tuple[Floats, Bools]:
+        """Return summaries (n_poses, n_rays, 6) as `mixture.summarise` gives, and whether the way there was seen."""
         table = np.empty((len(poses), len(rays), 6))
         supported = np.empty((len(poses), len(rays)), dtype=np.bool_)
-        x, y, cos, sin = self._lasers(poses)
+        x, y, cos, sin = _lasers(poses, self.mount)
         bearings, terms = self.sensor.bearings[rays], self.calibration.terms
         predict_rays(
             x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces, self.buckets,
             self.noise.array, self.observed.origin, self.observed.cell, self.observed.distance_to_unobserved, self.returns,
             terms.constant[rays], terms.slope[rays], terms.incidence, not terms.is_none,
-            which_of(point), table, supported,
+            which, table, supported,
         )  # fmt: skip
-        sure = (table[..., P_OFF] < PREDICTION.max_p_off) | (table[..., NO_RETURN] > 1 - PREDICTION.max_p_off)
-        return to_prediction(table, point, supported & sure)
+        return table, supported
 
     def draw(self, poses: Floats, uniform: Floats, normal: Floats) -> Floats:
         """Draw one reading of every ray at poses (n_poses, 3), with range noise and without the poses' noise.
@@ -231,7 +255,7 @@ class Faces(FacesData):
         if self.cells is not None:
             return self.cells.draw(poses, uniform, normal)
         out = np.empty(uniform.shape)
-        x, y, cos, sin = self._lasers(poses)
+        x, y, cos, sin = _lasers(poses, self.mount)
         bearings, terms = self.sensor.bearings, self.calibration.terms
         draw_rays(
             x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces,
@@ -239,16 +263,12 @@ class Faces(FacesData):
         )  # fmt: skip
         return out
 
-    def _start_of(self, ray: int) -> Floats:
-        """Return where a ray starts (3,) [m, m, rad] in the frame of the poses: the laser, or one of several sensors."""
-        if not self.sensor.is_composite:
-            return self.mount
-        return compose(self.mount, np.append(self.sensor.origins[ray], 0.0))
-
     def equation(self, ray: int) -> str:
         """Print the explicit equations of one ray, face by face, those that explain most returns first."""
+        if measures_cones(self.sensor):
+            return "\n".join(cone_equations(self, _start_of(ray, self.sensor, self.mount), ray))
         lines = face_equations(
-            self.faces, self.hits, self.noise, self.calibration.terms, self._start_of(ray),
+            self.faces, self.hits, self.noise, self.calibration.terms, _start_of(ray, self.sensor, self.mount),
             ray=ray, bearing=float(self.sensor.bearings[ray]),
         )  # fmt: skip
         if self.cells is not None:
@@ -285,13 +305,38 @@ class Faces(FacesData):
         """
         return cls(**restored_fields(sensor, header, arrays))
 
-    def _lasers(self, poses: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return x, y, cos and sin (n_poses,) of the laser's heading."""
-        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        mx, my, yaw = self.mount
-        x, y = poses[:, 0] + cos * mx - sin * my, poses[:, 1] + sin * mx + cos * my
-        c, s = math.cos(yaw), math.sin(yaw)
-        return x, y, cos * c - sin * s, sin * c + cos * s
+
+def _start_of(ray: int, sensor: RangeSensor, mount: Floats) -> Floats:
+    """Return where a ray starts (3,) [m, m, rad] in the frame of the poses: at the laser, or at one of several sensors."""
+    return compose(mount, np.append(sensor.origins[ray], 0.0)) if sensor.is_composite else mount
+
+
+def _lasers(poses: Floats, mount: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return x, y, cos and sin (n_poses,) of the heading of a laser mounted at `mount` (3,)."""
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    mx, my, yaw = mount
+    x, y = poses[:, 0] + cos * mx - sin * my, poses[:, 1] + sin * mx + cos * my
+    c, s = math.cos(yaw), math.sin(yaw)
+    return x, y, cos * c - sin * s, sin * c + cos * s
+
+
+def _fit_cones(
+    reduced: Reduction, sensor: RangeSensor, mount: Floats, *, can_mount: bool, progress: ProgressBars
+) -> dict[str, Any]:
+    """Return the fields of faces that were fitted to cones; the sensors are taken as stated."""
+    with progress("fitting faces", "%") as tick:
+        found = fit_cones(readings_of_cones(reduced.sample, sensor, mount), progress=tick)
+    return {
+        "sensor": sensor,
+        "faces": found.faces,
+        "noise": found.noise,
+        "hits": found.hits * (reduced.n_rays / max(found.n_readings, 1)),
+        "observed": found.observed,
+        "returns": reduced.n_returns / reduced.n_rays,
+        "mount": mount,
+        "calibration": Calibration.none(sensor.n_rays, can_mount=can_mount),
+        "n_rays": reduced.n_rays,
+    }
 
 
 def _block_ticks(tick: Progress, n_scans: int) -> Callable[[], None]:

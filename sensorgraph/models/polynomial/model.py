@@ -188,8 +188,10 @@ class Polynomial:
             return f"ray {ray} never returned in {self.nothing[ray]} training scans: no equation"
         terms, theta, _ = expand(self.terms[chosen.tolist()], self.theta[ray, chosen], self.scale)
         bearing = np.degrees(self.sensor.bearings[ray])
+        cone = float(np.degrees(self.sensor.cones[ray])) if len(self.sensor.cones) else 0.0
+        what = f", the nearest surface in a cone of {cone:.2f} deg" if cone > 0 else ""
         lines = [
-            f"ray {ray}, bearing {bearing:.2f} deg: {len(chosen)} terms, sigma {self.sigma[ray]:.4g} m, "
+            f"ray {ray}, bearing {bearing:.2f} deg{what}: {len(chosen)} terms, sigma {self.sigma[ray]:.4g} m, "
             f"{self.returns[ray]} returns, {self.nothing[ray]} without",
             f"r{ray} = {sum_text(terms, theta, digits=8)}   [m; x, y in m, phi in rad]",
             "",

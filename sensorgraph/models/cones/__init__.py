@@ -1,0 +1,1 @@
+"""Faces from sensors that measure the nearest surface in a cone: sonars and infrared."""

@@ -1,0 +1,82 @@
+"""Predict cones from faces, and print what is predicted of one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sensorgraph.models.cones.kernels import predict_cones
+from sensorgraph.models.cones.settings import CONES
+from sensorgraph.models.faces.data import FacesData
+from sensorgraph.models.faces.equations import sum_text
+from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet
+from sensorgraph.types import Bools, Floats, Ints
+
+
+def visible_stretches(faces: FaceSet) -> tuple[Floats, Floats]:
+    """Return the visible stretches (n, 5) of faces, n_x, n_y, d, low, high, and the chance (n,) that each returns."""
+    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    at = np.flatnonzero(faces.levels > MIN_VISIBILITY)
+    k = owner[at]
+    table = (
+        np.column_stack([faces.normals[k], faces.offsets[k], faces.edges[at], faces.edges[at + 1]])
+        if len(at)
+        else np.zeros((0, 5))
+    )
+    return np.ascontiguousarray(table), faces.levels[at]
+
+
+def cone_table(
+    model: FacesData, lasers: tuple[Floats, Floats, Floats, Floats], rays: Ints, which: int
+) -> tuple[Floats, Bools]:
+    """Return summaries (n_poses, n_rays, 6) as `mixture.summarise` gives, and whether the cones were seen.
+
+    Parameters
+    ----------
+    lasers : x, y, cos and sin (n_poses,) of where the rays start
+    """
+    table = np.empty((len(lasers[0]), len(rays), 6))
+    supported = np.empty(table.shape[:2], dtype=np.bool_)
+    bearings = model.sensor.bearings[rays]
+    stretches, levels = visible_stretches(model.faces)
+    predict_cones(
+        *lasers, np.cos(bearings), np.sin(bearings), 0.5 * model.sensor.cones[rays], model.sensor.range_max,
+        stretches, levels, model.noise.sigma, model.observed.origin, model.observed.cell,
+        model.observed.distance_to_unobserved, which, table, supported,
+    )  # fmt: skip
+    return table, supported
+
+
+def cone_equations(model: FacesData, start: Floats, ray: int) -> list[str]:
+    """Write the equations of a cone, face by face, those that explain most returns first.
+
+    Parameters
+    ----------
+    start : (3,) [m, m, rad] where the cone starts, in the frame of the poses
+    """
+    half, bearing = 0.5 * float(model.sensor.cones[ray]), float(model.sensor.bearings[ray])
+    faces = model.faces
+    lines = [
+        f"ray {ray}, bearing {math.degrees(bearing):.2f}°, a cone of {math.degrees(2 * half):.2f}°: "
+        "r is the least of these r_k, the distance of the nearest surface in the cone",
+        "(x, y, phi: pose; c = cos phi, s = sin phi)",
+        "each face k has h, how far the sensor is in front of it; f, the abscissa of the foot of the perpendicular; and a, "
+        "the angle of the axis against it (in -pi to pi)",
+        f"    r_k = sqrt(h^2 + v^2), v = the number nearest 0 that lies in [-h tan(a + {half:.5f}), -h tan(a - {half:.5f})] "
+        "and in [low - f, high - f]",
+        f"    where both overlap and h > 0; the angles of the tangents are held within {math.degrees(math.acos(CONES.min_cosine)):.1f}°",
+        "so v = 0, r_k = h where the foot is in the cone and on the face; else the nearer edge of the cone, or an end of the face",
+    ]
+    mx, my, yaw = map(float, start)
+    for k in np.argsort(-model.hits, kind="stable").tolist():
+        (nx, ny), d = faces.normals[k], faces.offsets[k]
+        h = sum_text([(-d, ""), (nx, "x"), (ny, "y"), (nx * mx + ny * my, "c"), (ny * mx - nx * my, "s")])
+        f = sum_text([(-ny, "x"), (nx, "y"), (nx * my - ny * mx, "c"), (nx * mx + ny * my, "s")])
+        turn = math.remainder(bearing + yaw - math.atan2(-ny, -nx), 2 * math.pi)
+        lines.append(f"face {k}: h = {h}; f = {f}; a = phi {'-' if turn < 0 else '+'} {abs(turn):.5f}")
+        for j in range(faces.first[k], faces.first[k + 1] - 1):
+            if faces.levels[j] > MIN_VISIBILITY:
+                low, high = faces.edges[j], faces.edges[j + 1]
+                lines.append(f"    low {low:.3f}, high {high:.3f} (chance {faces.levels[j]:.3f})")
+    return [*lines, f"returns spread by {model.noise.sigma:.4f} m of range"]

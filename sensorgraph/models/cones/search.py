@@ -1,0 +1,150 @@
+"""Find stretches of wall in readings of cones: a Hough transform of the lines that touch each reading's arc.
+
+Each reading votes for the lines that are perpendicular to a ray of its cone, at its range (Tardos, Neira, Newman and Leonard
+2002, Robust Mapping and Localization in Indoor Environments Using Sonar Data). A peak becomes a line by least squares, and
+is seen where readings end on it and few passed it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.models.cones.kernels import count_along_line
+from sensorgraph.models.cones.readings import ConeReadings, Stretch
+from sensorgraph.models.cones.settings import CONES
+from sensorgraph.types import Bools, Floats, Ints, Progress
+
+EVERYWHERE = (-1e9, 1e9)
+
+
+class TangentVotes:
+    """Votes of readings for lines: angle of the normal times offset."""
+
+    def __init__(self, readings: ConeReadings, voters: Ints) -> None:
+        """Let the readings of these indices vote."""
+        self.centre = 0.5 * (readings.origins.min(axis=0) + readings.origins.max(axis=0))
+        self.radius = float(np.hypot(*(readings.origins - self.centre).T).max()) + readings.range_max
+        self.n_offsets = int(2 * self.radius / CONES.offset_bin) + 2
+        step = 2 * np.pi / CONES.n_angles
+        some = readings.take(voters)
+        backward = np.arctan2(-some.directions[:, 1], -some.directions[:, 0])
+        home = np.rint(backward / step).astype(np.intp)
+        angles = step * np.arange(CONES.n_angles)
+        cos, sin = np.cos(angles), np.sin(angles)
+        width = int(np.ceil(some.halves.max(initial=0.0) / step))
+        bins, owners = [], []
+        for k in range(-width, width + 1):
+            off = step * (home + k) - backward
+            inside = np.flatnonzero(np.abs(off) <= np.maximum(some.halves, 0.5 * step))
+            a = (home[inside] + k) % CONES.n_angles
+            x, y = (some.origins[inside] - self.centre).T
+            d = x * cos[a] + y * sin[a] - some.ranges[inside]
+            bins.append(a * self.n_offsets + np.floor((d + self.radius) / CONES.offset_bin).astype(np.intp))
+            owners.append(inside)
+        bin_of, owner = np.concatenate(bins), np.concatenate(owners)
+        order = np.argsort(owner, kind="stable")
+        self._bins = bin_of[order]
+        self._first = np.searchsorted(owner[order], np.arange(len(voters) + 1))
+        self._rank = np.full(len(readings), -1, dtype=np.intp)
+        self._rank[voters] = np.arange(len(voters))
+        self.counts = np.bincount(self._bins, minlength=CONES.n_angles * self.n_offsets)
+
+    def peak(self) -> tuple[int, Stretch]:
+        """Return the votes of the line with most of them, and the line; it gets no more votes."""
+        at = int(self.counts.argmax())
+        votes = int(self.counts[at])
+        a, j = divmod(at, self.n_offsets)
+        angle = 2 * np.pi * a / CONES.n_angles
+        offset = (j + 0.5) * CONES.offset_bin - self.radius
+        offset += float(self.centre @ [np.cos(angle), np.sin(angle)])
+        near = [(a + k) % CONES.n_angles for k in (-1, 0, 1)]
+        self.counts.reshape(CONES.n_angles, -1)[near, max(j - 1, 0) : j + 2] = 0
+        return votes, Stretch(angle, offset, *EVERYWHERE)
+
+    def withdraw(self, readings: Ints) -> None:
+        """Take back the votes of readings that are explained."""
+        rank = self._rank[readings]
+        first, last = self._first[rank], self._first[rank + 1]
+        within = np.arange(int((last - first).sum())) - np.repeat(
+            np.cumsum(last - first) - (last - first), last - first
+        )
+        places = np.repeat(first, last - first) + within
+        self.counts -= np.bincount(self._bins[places], minlength=len(self.counts))
+
+
+def search(
+    readings: ConeReadings, free: Bools, sigma: float, *, progress: Progress | None = None
+) -> list[Stretch]:
+    """Find stretches among the readings (n,) that are free of an explanation, by votes, most first."""
+    free = free & readings.returned
+    found: list[Stretch] = []
+    n_free = int(free.sum())
+    if n_free < CONES.min_hits:
+        return found
+    votes = TangentVotes(readings, np.flatnonzero(free))
+    failures = 0
+    while failures < CONES.max_failures and len(found) < CONES.max_stretches:
+        count, line = votes.peak()
+        if count < CONES.min_hits:
+            break
+        failures += 1
+        line = _line_of_peak(readings.take(free), line, sigma)
+        for stretch in _seen_of(readings, line, free, sigma):
+            r, _ = readings.to(stretch)
+            with np.errstate(invalid="ignore"):
+                explained = free & (np.abs(readings.ranges - r) < CONES.fit_sigmas * sigma)
+            if explained.sum() < CONES.min_hits:
+                continue
+            found.append(stretch)
+            free = free & ~explained
+            votes.withdraw(np.flatnonzero(explained))
+            failures = 0
+        if progress is not None:
+            progress(n_free - int(free.sum()), n_free)
+    return found
+
+
+def _line_of_peak(free: ConeReadings, line: Stretch, sigma: float) -> Stretch:
+    """Fit the line of a peak to the free readings near it, in a band that narrows."""
+    for share in (1.0, 0.5, 0.25, 0.0, 0.0):
+        line = free.refit(line, max(sigma, share * CONES.first_band / CONES.fit_sigmas))
+    return line
+
+
+def _seen_of(readings: ConeReadings, line: Stretch, free: Bools, sigma: float) -> list[Stretch]:
+    """Return the stretches of a line where readings end and few passed."""
+    size, tolerance = CONES.bin, CONES.fit_sigmas * sigma
+    r, t = readings.to(line)
+    with np.errstate(invalid="ignore"):
+        mine = free & (np.abs(readings.ranges - r) < tolerance)
+    if mine.sum() < CONES.min_hits:
+        return []
+    start = (np.floor(t[mine].min() / size) - 1) * size
+    n = int((t[mine].max() - start) / size) + 2
+    hits, fresh, passes = np.zeros(n), np.zeros(n), np.zeros(n + 1)
+    count_along_line(
+        readings.origins, readings.directions, readings.halves, readings.ranges, readings.reach, free,
+        float(np.cos(line.angle)), float(np.sin(line.angle)), line.offset, tolerance,
+        tolerance + CONES.pass_margin, start, size, hits, fresh, passes,
+    )  # fmt: skip
+    passed = np.cumsum(passes)[:n]
+    stands = np.flatnonzero((hits > CONES.max_pass_share * passed) & (fresh > 0))
+    out: list[Stretch] = []
+    for run in _runs(stands, hits, passed):
+        if fresh[run].sum() >= CONES.min_hits:
+            out.append(line._replace(low=start + run.start * size, high=start + run.stop * size))
+    return out
+
+
+def _runs(stands: Ints, hits: Floats, passed: Floats) -> list[slice]:
+    """Join bins in which something stands, across gaps of which nothing is known."""
+    runs: list[slice] = []
+    for i in stands.tolist():
+        if runs:
+            gap = slice(runs[-1].stop, i)
+            is_open = (passed[gap] > np.maximum(2.0, 0.5 * hits[gap])).any()
+            if not is_open and (i - runs[-1].stop) * CONES.bin <= CONES.max_gap:
+                runs[-1] = slice(runs[-1].start, i + 1)
+                continue
+        runs.append(slice(i, i + 1))
+    return runs
