@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planners.kernel import inner_kernel, kernel
-from sensorgraph.localization.settings import MATCH
+from sensorgraph.localization.settings import LINES, MATCH
 from sensorgraph.types import Floats, Ints
 
 
@@ -60,6 +60,48 @@ def line_map(points: Floats, normals: Floats | None = None, *, side: float = MAT
         normals=normals[order],
         order=order,
     )
+
+
+def thinned(points: Floats, normals: Floats, side: float = LINES.voxel) -> tuple[Floats, Floats]:
+    """Return the means (m, 2) of points and normals that share a square cell and an eighth of all directions."""
+    n = len(points)
+    keys = np.full(1 << max(4, int(2 * n).bit_length()), -1, dtype=np.intp)
+    sums = np.zeros((n, 5))
+    m = _add_up(
+        np.ascontiguousarray(points),
+        np.ascontiguousarray(normals),
+        side,
+        keys,
+        np.zeros(len(keys), np.intp),
+        sums,
+    )
+    means = sums[:m, :4] / sums[:m, 4:]
+    lengths = np.hypot(means[:, 2], means[:, 3])
+    means[:, 2:] /= np.where(lengths > 0, lengths, 1.0)[:, None]
+    return means[:, :2], means[:, 2:]
+
+
+@kernel
+def _add_up(points: Floats, normals: Floats, side: float, keys: Ints, rows: Ints, sums: Floats) -> int:
+    m = 0
+    for k in range(len(points)):
+        x, y, nx, ny = points[k, 0], points[k, 1], normals[k, 0], normals[k, 1]
+        sector = 8
+        if nx * nx + ny * ny > 0.25:
+            sector = 4 * int(nx > 0) + 2 * int(ny > 0) + int(abs(nx) > abs(ny))
+        key = bucket_key(9 * int(np.floor(x / side)) + sector, int(np.floor(y / side)))
+        slot = find_slot(keys, key)
+        if keys[slot] == -1:
+            keys[slot] = key
+            rows[slot] = m
+            m += 1
+        row = rows[slot]
+        sums[row, 0] += x
+        sums[row, 1] += y
+        sums[row, 2] += nx
+        sums[row, 3] += ny
+        sums[row, 4] += 1.0
+    return m
 
 
 @inner_kernel

@@ -1,0 +1,263 @@
+"""Track the scans of a run, one after the other, against the map of the last key frames.
+
+The odometry, corrected by what the laser found out about it, is the prior of each match; without odometry the last
+motion is. Where too few points fit, other starts are tried; where none fits for long, a new piece of track begins, tied
+to the last one loosely, and left to the loop closures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from logs.transforms import compose, invert
+from sensorgraph.localization.line_map import LineMap, line_map, thinned
+from sensorgraph.localization.matching import Match, match
+from sensorgraph.localization.scans import ScanPoints
+from sensorgraph.localization.settings import FRONT_END, FrontEndSettings
+from sensorgraph.localization.wheels import WheelEstimate
+from sensorgraph.types import Bools, Floats, Ints, Progress
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """Where the scans are as seen from one to the next: accurate nearby, adrift in the long run."""
+
+    poses: Floats
+    """(n_scans, 3) [m, m, rad] base_link from the first scan's."""
+    matched: Bools
+    """(n_scans,) the scan fits the key frames before it, or was too near to the last that does."""
+    key_frames: Ints
+    """(n_key,) scans that make the map."""
+    piece: Ints
+    """(n_key,) number of the piece of track; between two of them the way is not known."""
+    edge_information: Floats
+    """(n_key - 1, 3, 3) of each key frame's pose in the one before it."""
+    jumps: tuple[int, ...]
+    """Scans before which the odometry jumped."""
+    wheels: WheelEstimate | None
+
+
+@dataclass
+class _State:
+    """What changes from scan to scan."""
+
+    pose: Floats
+    wheels: WheelEstimate | None
+    key_frames: list[int] = field(default_factory=list)
+    piece: list[int] = field(default_factory=list)
+    edges: list[Floats] = field(default_factory=list)
+    jumps: list[int] = field(default_factory=list)
+    surfaces: LineMap | None = None
+    last_matched: int = 0
+    """Scan."""
+    failures: list[int] = field(default_factory=list)
+    """Scans since then that fit nowhere."""
+    velocity: Floats = field(default_factory=lambda: np.zeros(3))
+    """[m/s, m/s, rad/s] in base_link, of the last two matches."""
+
+
+def points_in(scans: ScanPoints, chosen: list[int] | Ints, poses: Floats) -> tuple[Floats, Floats]:
+    """Return points and normals (n, 2) of some scans, seen from their poses (n_chosen, 3)."""
+    points, normals = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    for scan, (x, y, phi) in zip(chosen, poses, strict=True):
+        turn = np.array([[np.cos(phi), np.sin(phi)], [-np.sin(phi), np.cos(phi)]])
+        points.append(scans.points[scans.of(scan)] @ turn + (x, y))
+        normals.append(scans.normals[scans.of(scan)] @ turn)
+    return np.concatenate(points), np.concatenate(normals)
+
+
+def information_at(pose: Floats, deviations: Floats) -> Floats:
+    """Return the information (3, 3) of x, y, phi in map, of standard deviations (3,) ahead, left and in heading."""
+    turn = np.eye(3)
+    turn[:2, :2] = [[np.cos(pose[2]), -np.sin(pose[2])], [np.sin(pose[2]), np.cos(pose[2])]]
+    return (turn * deviations**-2.0) @ turn.T
+
+
+class Tracker:
+    """Place one scan after the other."""
+
+    def __init__(
+        self,
+        scans: ScanPoints,
+        stamps: Floats,
+        odometry: Floats | None,
+        settings: FrontEndSettings = FRONT_END,
+    ) -> None:
+        self.scans, self.stamps, self.odometry, self.settings = scans, stamps, odometry, settings
+        self.poses = np.zeros((scans.n_scans, 3))
+        self.matched = np.zeros(scans.n_scans, dtype=np.bool_)
+        self.state = _State(pose=np.zeros(3), wheels=None if odometry is None else WheelEstimate())
+
+    def run(self, progress: Progress) -> Track:
+        """Place all scans."""
+        for k in range(self.scans.n_scans):
+            self._place(k)
+            if k % 50 == 0:
+                progress(k, self.scans.n_scans)
+        state = self.state
+        return Track(
+            poses=self.poses,
+            matched=self.matched,
+            key_frames=np.array(state.key_frames, dtype=np.intp),
+            piece=np.array(state.piece, dtype=np.intp),
+            edge_information=np.array(state.edges).reshape(-1, 3, 3),
+            jumps=tuple(state.jumps),
+            wheels=state.wheels,
+        )
+
+    def _place(self, k: int) -> None:
+        state, s = self.state, self.settings
+        if not state.key_frames:
+            if self.scans.first[k + 1] > self.scans.first[k]:
+                self._add_key_frame(k, np.zeros((3, 3)))
+            self.poses[k] = state.pose
+            self.matched[k] = bool(state.key_frames)
+            state.last_matched = k
+            return
+        predicted, deviations = self._predict(k)
+        moved = compose(invert(self.poses[state.last_matched]), predicted)
+        since = self.stamps[k] - self.stamps[state.last_matched]
+        is_still = np.hypot(moved[0], moved[1]) < s.still_way and abs(moved[2]) < s.still_turn
+        if self.odometry is not None and is_still and since < s.still_time and deviations is not None:
+            self.poses[k], self.matched[k] = predicted, self.matched[k - 1]
+            return
+        found = self._match(k, predicted, deviations)
+        self.matched[k] = found is not None
+        self.poses[k] = predicted if found is None else found.pose
+        if found is None:
+            self._bridge(k)
+            return
+        if since > 0:
+            state.velocity = compose(invert(self.poses[state.last_matched]), found.pose) / since
+        state.last_matched = k
+        state.failures.clear()
+        way = compose(invert(self.poses[state.key_frames[-1]]), found.pose)
+        if np.hypot(way[0], way[1]) > s.way or abs(way[2]) > s.turn:
+            self._learn(k, way)
+            odometry = None if deviations is None else deviations
+            self._add_key_frame(k, self._edge(found, predicted, odometry))
+
+    def _predict(self, k: int) -> tuple[Floats, Floats | None]:
+        """Return where scan k should be, and the standard deviations of that; None: nobody knows (a jump)."""
+        state = self.state
+        last = state.last_matched
+        dt = max(float(self.stamps[k] - self.stamps[last]), 0.0)
+        if self.odometry is None or state.wheels is None:
+            deviations = np.array(
+                [self.settings.speed_sd, self.settings.speed_sd, self.settings.turn_rate_sd]
+            )
+            return compose(self.poses[last], state.velocity * dt), deviations * dt + 0.01
+        step = compose(invert(self.odometry[last]), self.odometry[k])
+        way, limits = float(np.hypot(step[0], step[1])), state.wheels.settings
+        if way > limits.max_speed * dt + 0.1 or abs(step[2]) > limits.max_turn_rate * dt + 0.2:
+            state.jumps.append(k)
+            return compose(self.poses[last], state.velocity * dt), None
+        corrected = state.wheels.corrected(step)
+        return compose(self.poses[last], corrected), state.wheels.deviations(way, float(corrected[2]))
+
+    def _match(self, k: int, predicted: Floats, deviations: Floats | None) -> Match | None:
+        """Return the best match, None where none is good enough."""
+        assert self.state.surfaces is not None
+        points, normals = self.scans.points[self.scans.of(k)], self.scans.normals[self.scans.of(k)]
+        if deviations is None:
+            first = match(points, normals, self.state.surfaces, predicted)
+        else:
+            first = match(
+                points,
+                normals,
+                self.state.surfaces,
+                predicted,
+                prior_information=information_at(predicted, deviations),
+            )
+        if self._is_good(first):
+            return first
+        return self._other_starts(points, normals, predicted, first)
+
+    def _other_starts(self, points: Floats, normals: Floats, predicted: Floats, first: Match) -> Match | None:
+        """Return the best match from starts around the prediction and around the last pose."""
+        s, best = self.settings, first
+        assert self.state.surfaces is not None
+        last = self.poses[self.state.last_matched]
+        offsets = [(a, b) for a in s.start_ways for b in s.start_ways if a == 0 or b == 0]
+        for base in (predicted, last):
+            for turn in s.start_turns:
+                for offset in offsets:
+                    start = compose(base, np.array([*offset, turn]))
+                    found = match(points, normals, self.state.surfaces, start)
+                    if found.agreement > best.agreement:
+                        best = found
+            if self._is_good(best):
+                return best
+        return best if self._is_good(best) else None
+
+    def _is_good(self, found: Match) -> bool:
+        return found.inliers >= self.settings.enough and found.overlap >= self.settings.least_overlap
+
+    def _edge(self, found: Match, predicted: Floats, deviations: Floats | None) -> Floats:
+        """Return the information (3, 3) of the new key frame's pose in the last one."""
+        s = self.settings
+        information = found.information / s.correlation + 1e-3 * np.eye(3)
+        if deviations is not None:
+            information = information + information_at(predicted, deviations)
+        floor = np.diag([s.floor_place**2, s.floor_place**2, s.floor_turn**2])
+        covariance = np.linalg.inv(information) + floor
+        phi = self.poses[self.state.key_frames[-1]][2]
+        turn = np.eye(3)
+        turn[:2, :2] = [[np.cos(phi), np.sin(phi)], [-np.sin(phi), np.cos(phi)]]
+        return np.linalg.inv(turn @ covariance @ turn.T)
+
+    def _learn(self, k: int, way: Floats) -> None:
+        state = self.state
+        if self.odometry is not None and state.wheels is not None:
+            last = state.key_frames[-1]
+            if not any(last < jump <= k for jump in state.jumps):
+                state.wheels.learn(compose(invert(self.odometry[last]), self.odometry[k]), way)
+
+    def _add_key_frame(self, k: int, information: Floats, *, is_new_piece: bool = False) -> None:
+        state = self.state
+        if state.key_frames:
+            state.edges.append(information)
+        piece = state.piece[-1] + int(is_new_piece) if state.piece else 0
+        state.key_frames.append(k)
+        state.piece.append(piece)
+        length = sum(p == piece for p in state.piece[-self.settings.window :])
+        recent = state.key_frames[-length:]
+        state.surfaces = line_map(*thinned(*points_in(self.scans, recent, self.poses[recent])))
+
+    def _bridge(self, k: int) -> None:
+        """Wait for a match, or begin a new piece of track."""
+        state, s = self.state, self.settings
+        state.failures.append(k)
+        first = state.failures[0]
+        moved = self.poses[k, :2] - self.poses[first, :2]
+        is_long = self.stamps[k] - self.stamps[first] > s.patience or np.hypot(*moved) > s.patience_way
+        if (
+            len(state.failures) < s.patience_scans
+            or not is_long
+            or self.scans.first[k + 1] == self.scans.first[k]
+        ):
+            return
+        loose = np.array([s.broken_place, s.broken_place, s.broken_turn]) ** -2.0
+        state.last_matched = k
+        state.failures.clear()
+        state.velocity = np.zeros(3)
+        self._add_key_frame(k, np.diag(loose), is_new_piece=True)
+
+
+def track(
+    scans: ScanPoints,
+    stamps: Floats,
+    odometry: Floats | None,
+    progress: Progress,
+    settings: FrontEndSettings = FRONT_END,
+) -> Track:
+    """Track all scans.
+
+    Parameters
+    ----------
+    stamps : (n_scans,) [s]
+    odometry : (n_scans, 3) [m, m, rad] at the scans; None: by the scans alone
+    """
+    return Tracker(scans, stamps, odometry, settings).run(progress)
