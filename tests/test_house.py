@@ -34,6 +34,7 @@ OWNERS = {
     "PIL": {"planners/maps/"},
     "distributed": {"sensorgraph/building/dask_cluster.py"},
     "numba": {"robotmodic_ident/kernel.py", "planners/kernel.py"},
+    "gtsam": {"sensorgraph/localization/pose_graph.py"},
     "numpy": set(PACKAGES),
     "scipy": set(PACKAGES),
 }
@@ -49,6 +50,7 @@ HEAVY = {
     "scipy",
     "PIL",
     "numba",
+    "gtsam",
     "distributed",
 }
 

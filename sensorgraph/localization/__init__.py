@@ -8,6 +8,13 @@
 | `scans` | returns of a run as points in base_link, deskewed, with the normals of their surfaces |
 | `line_map` | points in buckets, and the line that fits them around any place |
 | `matching` | one scan against a line map: pose, information, inliers, weak direction |
+| `wheels` | scale, turn scale and heading bias of the odometry |
+| `front_end` | one scan after the other against the last key frames |
+| `submaps`, `loop_closures` | places that the robot came back to: search, tests, what was refused |
+| `pose_graph` | poses that agree best with steps and closures; the only one that knows GTSAM |
+| `patches`, `refinement` | poses and surfaces together |
+| `covariances` | how well the poses are known, by a bootstrap of the residuals |
+| `mapping` | `map_run`: all of these, for a run in a new place |
 | `likelihood_field` | how likely a return is at each place of a map |
 | `branch_and_bound` | where in a likelihood field a scan fits, without a guess |
 """

@@ -15,13 +15,13 @@ from logs.transforms import compose, invert
 from sensorgraph.localization.line_map import LineMap, line_map, thinned
 from sensorgraph.localization.matching import Match, match
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.settings import FRONT_END, FrontEndSettings
+from sensorgraph.localization.settings import FRONT_END, MATCH, FrontEndSettings
 from sensorgraph.localization.wheels import WheelEstimate
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Track:
+class ScanTrack:
     """Where the scans are as seen from one to the next: accurate nearby, adrift in the long run."""
 
     poses: Floats
@@ -86,18 +86,19 @@ class Tracker:
         settings: FrontEndSettings = FRONT_END,
     ) -> None:
         self.scans, self.stamps, self.odometry, self.settings = scans, stamps, odometry, settings
+        self.matching = MATCH.for_spacing(scans.spacing)
         self.poses = np.zeros((scans.n_scans, 3))
         self.matched = np.zeros(scans.n_scans, dtype=np.bool_)
         self.state = _State(pose=np.zeros(3), wheels=None if odometry is None else WheelEstimate())
 
-    def run(self, progress: Progress) -> Track:
+    def run(self, progress: Progress) -> ScanTrack:
         """Place all scans."""
         for k in range(self.scans.n_scans):
             self._place(k)
             if k % 50 == 0:
                 progress(k, self.scans.n_scans)
         state = self.state
-        return Track(
+        return ScanTrack(
             poses=self.poses,
             matched=self.matched,
             key_frames=np.array(state.key_frames, dtype=np.intp),
@@ -162,7 +163,7 @@ class Tracker:
         assert self.state.surfaces is not None
         points, normals = self.scans.points[self.scans.of(k)], self.scans.normals[self.scans.of(k)]
         if deviations is None:
-            first = match(points, normals, self.state.surfaces, predicted)
+            first = match(points, normals, self.state.surfaces, predicted, settings=self.matching)
         else:
             first = match(
                 points,
@@ -170,6 +171,7 @@ class Tracker:
                 self.state.surfaces,
                 predicted,
                 prior_information=information_at(predicted, deviations),
+                settings=self.matching,
             )
         if self._is_good(first):
             return first
@@ -185,7 +187,7 @@ class Tracker:
             for turn in s.start_turns:
                 for offset in offsets:
                     start = compose(base, np.array([*offset, turn]))
-                    found = match(points, normals, self.state.surfaces, start)
+                    found = match(points, normals, self.state.surfaces, start, settings=self.matching)
                     if found.agreement > best.agreement:
                         best = found
             if self._is_good(best):
@@ -206,7 +208,7 @@ class Tracker:
         phi = self.poses[self.state.key_frames[-1]][2]
         turn = np.eye(3)
         turn[:2, :2] = [[np.cos(phi), np.sin(phi)], [-np.sin(phi), np.cos(phi)]]
-        return np.linalg.inv(turn @ covariance @ turn.T)
+        return np.asarray(np.linalg.inv(turn @ covariance @ turn.T), dtype=np.float64)
 
     def _learn(self, k: int, way: Floats) -> None:
         state = self.state
@@ -224,7 +226,9 @@ class Tracker:
         state.piece.append(piece)
         length = sum(p == piece for p in state.piece[-self.settings.window :])
         recent = state.key_frames[-length:]
-        state.surfaces = line_map(*thinned(*points_in(self.scans, recent, self.poses[recent])))
+        state.surfaces = line_map(
+            *thinned(*points_in(self.scans, recent, self.poses[recent])), side=self.matching.first_radius
+        )
 
     def _bridge(self, k: int) -> None:
         """Wait for a match, or begin a new piece of track."""
@@ -252,7 +256,7 @@ def track(
     odometry: Floats | None,
     progress: Progress,
     settings: FrontEndSettings = FRONT_END,
-) -> Track:
+) -> ScanTrack:
     """Track all scans.
 
     Parameters

@@ -37,6 +37,15 @@ class ScanPoints:
         """Count of scans."""
         return len(self.first) - 1
 
+    @property
+    def spacing(self) -> float:
+        """Median distance [m] from a point to the next of its scan; 0 without any."""
+        steps = np.hypot(*np.diff(self.points, axis=0).T)
+        inner = np.ones(len(steps), dtype=np.bool_)
+        ends = self.first[1:-1] - 1
+        inner[ends[(ends >= 0) & (ends < len(steps))]] = False
+        return float(np.median(steps[inner])) if inner.any() else 0.0
+
     def of(self, scan: int) -> slice:
         """Return which points belong to a scan."""
         return slice(int(self.first[scan]), int(self.first[scan + 1]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +57,15 @@ class LineMatchSettings:
     """[m] the residuals are never believed to be smaller: the information of a match stays finite."""
     inlier: float = 2.0
     """Standard deviations within which a point is an inlier."""
+    dense: float = 0.09
+    """[m] from a point of a scan to the next, above which the radii grow in proportion."""
+    max_growth: float = 4.0
+    """Of the radii at most."""
+
+    def for_spacing(self, spacing: float) -> LineMatchSettings:
+        """Return the settings for scans whose points are `spacing` [m] apart: wider for lasers of few rays."""
+        growth = min(max(spacing / self.dense, 1.0), self.max_growth)
+        return replace(self, first_radius=growth * self.first_radius, last_radius=growth * self.last_radius)
 
 
 MATCH = LineMatchSettings()
@@ -144,3 +153,137 @@ class FrontEndSettings:
 
 
 FRONT_END = FrontEndSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphSettings:
+    """The pose graph."""
+
+    cauchy: float = 1.0
+    """Standard deviations at which a closure's weight is halved."""
+    tolerance: float = 1e-4
+    """Relative decrease of the error at which a solution is good enough."""
+    inlier_probability: float = 0.999
+    """A closure is true within this share of chi²."""
+
+
+GRAPH = GraphSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClosureSettings:
+    """Search and test of loop closures."""
+
+    submap: int = 16
+    """Key frames of a submap."""
+    step: int = 8
+    """Key frames from one submap to the next."""
+    seen: int = 6
+    """Key frames in the middle of a submap that are sought in an older one."""
+    apart: int = 24
+    """Key frames between two submaps, below which they are neighbours on the way."""
+    reach: float = 4.0
+    """[m] between the middles of two submaps that can see the same."""
+    window: float = 0.4
+    """[m] half width of the search at least."""
+    window_per_metre: float = 0.015
+    """[m/m] more of it per way since the last closure."""
+    max_window: float = 12.0
+    """[m] at most."""
+    turn_window: float = 0.05
+    """[rad] half width of the headings that are tried, at least."""
+    turn_window_per_metre: float = 0.003
+    """[rad/m] more of it per way since the last closure."""
+    max_turn_window: float = 0.8
+    """[rad] at most."""
+    broken_window: float = 3.0
+    """[m] more of the window after the track broke, until the next closure."""
+    candidates: int = 3
+    """Older visits of a place that are tried for each submap."""
+    score: float = 0.55
+    """Of the likelihood field, below which nothing fits."""
+    rivalry: float = 0.92
+    """Share of the best score from which another place is as good."""
+    rival_apart: float = 0.5
+    """[m] from the best place to another."""
+    inliers: float = 0.6
+    """Share of the points near surfaces that lie on them."""
+    overlap: float = 0.4
+    """Share of the points that have surfaces near."""
+    correlation: float = 20.0
+    """Times a match of submaps knows less than its residuals say."""
+    weak: float = 0.03
+    """[m] standard deviation above which a direction says nothing: a corridor."""
+    no_information: float = 10.0
+    """[m] standard deviation along a corridor."""
+    see_through: float = 0.25
+    """Share of an older place's points in view that may lie where rays went through."""
+    margin: float = 0.3
+    """[m] before the end of a ray that count as free."""
+    floor_place: float = 0.004
+    """[m] least standard deviation."""
+    floor_turn: float = 0.0007
+    """[rad] the same of the heading."""
+    solve_every: int = 4
+    """Submaps after which closures are taken into the graph while the map is made."""
+    second_window: float = 0.4
+    """[m] of the second pass, when the first has closed the loops."""
+    second_turn: float = 0.035
+    """[rad] of the second pass."""
+
+
+CLOSURES = ClosureSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefinementSettings:
+    """Poses and surfaces together."""
+
+    iterations: int = 8
+    """Gauss-Newton steps; surfaces are cut anew before each."""
+    first_side: float = 0.30
+    """[m] between the middles of neighbouring surface patches, at first."""
+    last_side: float = 0.20
+    """[m] the same in the last iterations."""
+    first_gate: float = 0.25
+    """[m] from a patch's line to the points that belong to it, at first."""
+    last_gate: float = 0.10
+    """[m] the same in the last iterations."""
+    first_sigma: float = 0.06
+    """[m] standard deviation of a point around its patch, at first."""
+    last_sigma: float = 0.03
+    """[m] the same in the last iterations: above it, Cauchy's weights fall."""
+    min_sigma: float = 0.002
+    """[m] a patch is never believed to be smoother."""
+    shrinkage: float = 10.0
+    """Points that the noise of all patches counts in the noise of one."""
+    roundness: float = 0.25
+    """Ratio of the variances across and along a patch, above which it is none."""
+    min_points: float = 4.0
+    """Points of a patch at least."""
+    tolerance: float = 1e-3
+    """Relative residual at which conjugate gradients stop."""
+    max_steps: int = 300
+    """Of conjugate gradients."""
+    samples: int = 48
+    """Of the bootstrap of the covariances: their standard deviations are right to about 1 / sqrt(2 · samples)."""
+
+
+REFINEMENT = RefinementSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinalSettings:
+    """Scans between key frames, placed in the refined map."""
+
+    place_sd: float = 0.03
+    """[m] standard deviation of the track between two key frames."""
+    turn_sd: float = 0.015
+    """[rad] the same of its heading."""
+    inliers: float = 0.5
+    """Share of the points near surfaces that must lie on them."""
+    overlap: float = 0.3
+    """Share of the points that must have surfaces near."""
+
+
+FINAL = FinalSettings()

@@ -73,12 +73,20 @@ def corrected_steps(steps: Floats, way_scale: float, turn_scale: float, heading_
 def identify_wheels(steps: Floats, measured: Floats, settings: WheelSettings = WHEELS) -> WheelParameters:
     """Fit the parameters to steps (n, 3) of the odometry and the same steps as measured, with standard errors.
 
-    Steps that deviate by more than `settings.outlier` robust standard deviations are left out: slip.
+    What is believed beforehand counts, so that turns and ways that always come together are told apart by it. Steps
+    that deviate by more than `settings.outlier` robust standard deviations are left out: slip.
     """
     way = np.hypot(steps[:, 0], steps[:, 1]) * np.where(steps[:, 0] >= 0, 1.0, -1.0)
-    ahead, (way_sd,) = _regress(steps[:, :1], measured[:, 0], settings.outlier)
+    s = settings
+    ahead, (way_sd,) = _regress(
+        steps[:, :1], measured[:, 0], np.array([1.0]), np.array([s.way_scale_sd]), s.outlier
+    )
     turns, (turn_sd, bias_sd) = _regress(
-        np.column_stack([steps[:, 2], way]), measured[:, 2], settings.outlier
+        np.column_stack([steps[:, 2], way]),
+        wrap(measured[:, 2]),
+        np.array([1.0, 0.0]),
+        np.array([s.turn_scale_sd, s.heading_bias_sd]),
+        s.outlier,
     )
     return WheelParameters(
         way_scale=float(ahead[0]),
@@ -90,17 +98,18 @@ def identify_wheels(steps: Floats, measured: Floats, settings: WheelSettings = W
     )
 
 
-def _regress(rows: Floats, values: Floats, outlier: float) -> tuple[Floats, Floats]:
-    """Return robust coefficients and their standard errors; nan errors without enough rows."""
+def _regress(
+    rows: Floats, values: Floats, before: Floats, before_sd: Floats, outlier: float
+) -> tuple[Floats, Floats]:
+    """Return robust coefficients and their standard errors, starting from what is believed before (k,)."""
     kept = np.isfinite(values) & np.isfinite(rows).all(axis=1)
-    theta = np.zeros(rows.shape[1])
+    theta, covariance = before, np.diag(before_sd**2)
     for _ in range(4):
-        if kept.sum() <= rows.shape[1]:
-            return np.eye(1, rows.shape[1])[0], np.full(rows.shape[1], np.nan)
-        theta = np.linalg.lstsq(rows[kept], values[kept], rcond=None)[0]
         off = np.abs(values - rows @ theta)
-        scale = 1.4826 * float(np.median(off[np.isfinite(off)])) + 1e-12
+        scale = 1.4826 * float(np.median(off[kept])) + 1e-12 if kept.any() else 1.0
         kept = off < outlier * scale
-    variance = float((off[kept] ** 2).sum()) / max(int(kept.sum()) - len(theta), 1)
-    covariance = variance * np.linalg.pinv(rows[kept].T @ rows[kept])
+        information = rows[kept].T @ rows[kept] / scale**2 + np.diag(before_sd**-2.0)
+        moment = rows[kept].T @ values[kept] / scale**2 + before * before_sd**-2.0
+        covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        theta = covariance @ moment
     return theta, np.sqrt(np.diag(covariance))

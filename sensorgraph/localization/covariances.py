@@ -1,0 +1,90 @@
+"""How well the poses of a map are known: a bootstrap of its own residuals.
+
+The residuals of one key frame on one patch share their errors (a wall is no line, ranges are rounded), those of different
+pairs do not. So the sum of each pair's scores gets a random sign, and the normal equations are solved again: the wild
+cluster bootstrap (Cameron, Gelbach and Miller 2008), in which the noise need not be known. Scores are divided by √(1 - h),
+h being the leverage, since fitting makes residuals small (MacKinnon and White 1985, HC2).
+
+Poses are relative to the mean of all (inner constraints, Baarda 1973): the map may lie anywhere.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.localization.refinement import ReducedSystem, Refined, conjugate_gradients
+from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
+from sensorgraph.types import Floats
+
+MAX_LEVERAGE = 0.8
+"""Of a cluster; above it, the formula would divide by nearly 0."""
+
+
+def key_frame_covariances(
+    refined: Refined, rng: np.random.Generator, settings: RefinementSettings = REFINEMENT
+) -> tuple[Floats, Floats]:
+    """Return covariances (n_key, 3, 3) of x, y, phi in map, and the part of them that all but the frame itself makes."""
+    system = refined.system
+    n = system.n_frames
+    draws = bootstrap_scores(system, rng, settings.samples)
+    samples, _ = conjugate_gradients(
+        system, draws, refined.preconditioner, settings.tolerance, settings.max_steps
+    )
+    deviations = without_rigid_motion(samples.reshape(n, 3, -1), refined.poses)
+    covariances = np.einsum("fim,fjm->fij", deviations, deviations) / settings.samples
+    own = np.linalg.inv(system.blocks + _diagonal(system) + 1e-9 * np.eye(3))
+    values, vectors = np.linalg.eigh(covariances - own)
+    shared = np.einsum("fij,fj,fkj->fik", vectors, np.maximum(values, 0.0), vectors)
+    return covariances, shared
+
+
+def _diagonal(system: ReducedSystem) -> Floats:
+    """Return the wheels' blocks (n_frames, 3, 3) on the diagonal."""
+    n = system.n_frames
+    diagonals = np.zeros((n, 3, 3))
+    for offset in range(-2, 3):
+        values = system.wheels.diagonal(offset)
+        rows = np.arange(len(values)) + max(-offset, 0)
+        columns = rows + offset
+        same = rows // 3 == columns // 3
+        diagonals[rows[same] // 3, rows[same] % 3, columns[same] % 3] = values[same]
+    return diagonals
+
+
+def bootstrap_scores(system: ReducedSystem, rng: np.random.Generator, n_samples: int) -> Floats:
+    """Return right hand sides (3 n_frames, n_samples) as other noise of the same size would have made them."""
+    n, m = system.n_frames, len(system.inverse) // 2
+    frames, patches = system.cluster_frame, system.cluster_patch
+    leverage = (
+        2.0 / np.bincount(patches, minlength=m)[patches] + 3.0 / np.bincount(frames, minlength=n)[frames]
+    )
+    grown = 1.0 / np.sqrt(1.0 - np.minimum(leverage, MAX_LEVERAGE))
+    out = np.zeros((3 * n, n_samples))
+    roots = np.linalg.cholesky(system.edges.information + 1e-12 * np.eye(3)) if len(system.edges) else None
+    for k in range(n_samples):
+        sign = grown * rng.choice([-1.0, 1.0], size=len(frames))
+        pose = np.column_stack([np.bincount(frames, sign * column, n) for column in system.scores.T]).ravel()
+        line = np.column_stack(
+            [np.bincount(patches, sign * column, m) for column in system.line_scores.T]
+        ).ravel()
+        out[:, k] = pose - system.coupling @ (system.inverse * line)
+        if roots is not None:
+            noise = np.einsum("eij,ej->ei", roots, rng.normal(size=(len(system.edges), 3)))
+            out[:, k] += system.edge_rows.T @ noise.ravel()
+    return out
+
+
+def without_rigid_motion(deviations: Floats, poses: Floats) -> Floats:
+    """Take the rigid motion that fits them best out of deviations (n, 3, m) of poses (n, 3)."""
+    offset = poses[:, :2] - poses[:, :2].mean(axis=0)
+    inertia = float((offset**2).sum())
+    shift = deviations[:, :2].mean(axis=0)
+    turn = np.einsum("fm,f->m", deviations[:, 1], offset[:, 0]) - np.einsum(
+        "fm,f->m", deviations[:, 0], offset[:, 1]
+    )
+    turn = turn / inertia if inertia > 0 else deviations[:, 2].mean(axis=0)
+    out = deviations.copy()
+    out[:, 0] += turn * offset[:, 1, None] - shift[0]
+    out[:, 1] -= turn * offset[:, 0, None] + shift[1]
+    out[:, 2] -= turn
+    return out

@@ -1,0 +1,243 @@
+"""Places that the robot came back to: found by branch and bound, tested, and taken into the pose graph as it grows.
+
+A closure is kept only if no other place fits as well, if enough points lie on the older surfaces, if no ray of either
+visit went through a wall of the other, and if it agrees with the other closures. In a corridor the direction along it
+says nothing, and is left out (Olson 2009; Hess et al. 2016; traps of the study).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.branch_and_bound import SearchWindow
+from sensorgraph.localization.front_end import ScanTrack
+from sensorgraph.localization.matching import Match, match
+from sensorgraph.localization.pose_graph import PoseEdges, PoseGraph
+from sensorgraph.localization.result import Closure
+from sensorgraph.localization.scans import ScanPoints
+from sensorgraph.localization.settings import CLOSURES, ClosureSettings
+from sensorgraph.localization.submaps import Submap, cut_submaps
+from sensorgraph.types import Floats, Progress
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClosedTrack:
+    """Key frames after the loops were closed."""
+
+    poses: Floats
+    """(n_key, 3) [m, m, rad]"""
+    kept: tuple[Closure, ...]
+    refused: tuple[Closure, ...]
+    steps: PoseEdges
+    """Between neighbours of the track."""
+    closures: PoseEdges
+    """Those that are kept."""
+
+
+def steps_of(track: ScanTrack) -> PoseEdges:
+    """Return the edges between neighbouring key frames."""
+    poses = track.poses[track.key_frames]
+    n = len(poses)
+    return PoseEdges(
+        first=np.arange(n - 1),
+        second=np.arange(1, n),
+        relative=compose(invert(poses[:-1]), poses[1:]),
+        information=track.edge_information,
+    )
+
+
+class LoopCloser:
+    """Search for closures along a track."""
+
+    def __init__(self, scans: ScanPoints, track: ScanTrack, settings: ClosureSettings = CLOSURES) -> None:
+        self.settings, self.track = settings, track
+        self.submaps = cut_submaps(scans, track, settings)
+        self.steps = steps_of(track)
+        start = track.poses[track.key_frames]
+        self.graph = PoseGraph(start, self.steps)
+        ways = np.hypot(*np.diff(start[:, :2], axis=0).T)
+        self.way = np.concatenate([[0.0], np.cumsum(ways)])
+        self.found: list[tuple[int, int, Floats, Floats]] = []
+        self.kept: list[Closure] = []
+        self.refused: list[Closure] = []
+        self._tried: set[tuple[int, int]] = set()
+
+    def run(self, progress: Progress) -> ClosedTrack:
+        """Search twice: along the way, with windows that grow with it, and again where all is nearly right."""
+        s = self.settings
+        n = len(self.submaps)
+        self._first_pass(progress)
+        if self.found:
+            self.graph.solve(PoseEdges.of(self.found))
+            for b in range(n):
+                for a in self._candidates(b, s.reach):
+                    if (a, b) not in self._tried:
+                        self._try(a, b, s.second_window, s.second_turn)
+                progress(n + b, 2 * n)
+        closures = PoseEdges.of(self.found)
+        if self.found:
+            self.graph.solve(closures)
+        poses, is_true = self.graph.solve_robustly(closures)
+        for closure, good in zip(self.kept, is_true, strict=True):
+            if not good:
+                self._refuse(closure, "disagrees with the other closures")
+        kept = tuple(closure for closure, good in zip(self.kept, is_true, strict=True) if good)
+        rows = [row for row, good in zip(self.found, is_true, strict=True) if good]
+        return ClosedTrack(
+            poses=poses, kept=kept, refused=tuple(self.refused), steps=self.steps, closures=PoseEdges.of(rows)
+        )
+
+    def _first_pass(self, progress: Progress) -> None:
+        s, n = self.settings, len(self.submaps)
+        last_way, last_piece, new = 0.0, 0, 0
+        for b, submap in enumerate(self.submaps):
+            way = float(self.way[submap.middle]) - last_way
+            is_broken = int(self.track.piece[submap.middle]) != last_piece
+            window = s.window + s.window_per_metre * way + (s.broken_window if is_broken else 0.0)
+            turn = s.turn_window + s.turn_window_per_metre * way
+            turn = np.pi if is_broken else min(turn, s.max_turn_window)
+            hits = 0
+            for a in self._candidates(b, s.reach + window):
+                hits += self._try(a, b, min(window, s.max_window), turn)
+            if hits:
+                last_way, last_piece = float(self.way[submap.middle]), int(self.track.piece[submap.middle])
+                new += hits
+            if new and (b % s.solve_every == 0 or b == n - 1):
+                self.graph.solve(PoseEdges.of(self.found))
+                new = 0
+            progress(b, 2 * n)
+
+    def _candidates(self, b: int, reach: float) -> Iterator[int]:
+        """Yield older submaps near a submap, the nearest of each visit, the nearest first."""
+        s = self.settings
+        middles = np.array([submap.middle for submap in self.submaps[:b]], dtype=np.intp)
+        newer = self.submaps[b]
+        apart = newer.key_frames[0] - np.array([submap.key_frames[-1] for submap in self.submaps[:b]])
+        is_other = self.track.piece[middles] != self.track.piece[newer.middle]
+        poses = self.graph.poses
+        away = np.hypot(*(poses[middles, :2] - poses[newer.middle, :2]).T) if b else np.zeros(0)
+        order = [int(a) for a in np.argsort(away) if away[a] < reach and (apart[a] >= s.apart or is_other[a])]
+        taken: list[int] = []
+        for a in order:
+            if all(abs(a - other) > 3 for other in taken):
+                taken.append(a)
+                yield a
+            if len(taken) == s.candidates:
+                return
+
+    def _try(self, a: int, b: int, window: float, turn: float) -> bool:
+        """Look for submap b in submap a; True if a closure was kept."""
+        s, older, newer = self.settings, self.submaps[a], self.submaps[b]
+        self._tried.add((a, b))
+        poses = self.graph.poses
+        guess = compose(invert(poses[older.middle]), poses[newer.middle])
+        if len(newer.search_points) < 10 or len(older.points[0]) < 10:
+            return False
+        box = SearchWindow(
+            x=guess[0], y=guess[1], phi=guess[2], half_x=window, half_y=window, half_phi=float(turn)
+        )
+        modes = older.pyramid.search(
+            newer.search_points,
+            box,
+            min_score=s.score,
+            max_modes=2,
+            rival_ratio=s.rivalry,
+            apart=(s.rival_apart, np.radians(10.0)),
+        )
+        if not len(modes.scores):
+            return False
+        found = match(*newer.core_points, older.surfaces, modes.poses[0], settings=older.matching)
+        closure = Closure(
+            first=int(self.track.key_frames[older.middle]),
+            second=int(self.track.key_frames[newer.middle]),
+            relative=found.pose,
+            inliers=found.inliers,
+        )
+        reason = self._objection(older, newer, found, guess, window, modes.rivalry)
+        if reason:
+            self._refuse(closure, reason)
+            return False
+        self.kept.append(closure)
+        self.found.append((older.middle, newer.middle, found.pose, self._information(found)))
+        return True
+
+    def _objection(
+        self, older: Submap, newer: Submap, found: Match, guess: Floats, window: float, rivalry: float
+    ) -> str:
+        """Return why a match is no closure, or nothing."""
+        s = self.settings
+        if rivalry > 0:
+            return f"another place fits {rivalry:.0%} as well"
+        if found.overlap < s.overlap:
+            return f"only {found.overlap:.0%} of the points have a surface near"
+        if found.inliers < s.inliers:
+            return f"only {found.inliers:.0%} of the points lie on surfaces"
+        if np.abs(found.pose[:2] - guess[:2]).max() > window + s.window:
+            return "the match left the window"
+        through = max(
+            newer.sees_through(older, invert(found.pose), s.margin),
+            older.sees_through(newer, found.pose, s.margin),
+        )
+        if through > s.see_through:
+            return f"rays would go through {through:.0%} of the surfaces in view"
+        return ""
+
+    def _information(self, found: Match) -> Floats:
+        """Return the information (3, 3) in the older submap's frame; along a corridor it has none."""
+        s = self.settings
+        information = found.information / s.correlation
+        lowest = float(np.linalg.eigvalsh(information)[0])
+        direction, sd = found.weak_direction
+        covariance: Floats = np.asarray(
+            np.linalg.inv(information + (1e-6 + max(-lowest, 0.0)) * np.eye(3)), dtype=np.float64
+        )
+        covariance = covariance + np.diag([s.floor_place**2, s.floor_place**2, s.floor_turn**2])
+        if sd * np.sqrt(s.correlation) > s.weak:
+            along = np.append(direction, 0.0)
+            covariance = covariance + s.no_information**2 * np.outer(along, along)
+        return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+
+    def _refuse(self, closure: Closure, reason: str) -> None:
+        self.refused.append(
+            Closure(
+                first=closure.first,
+                second=closure.second,
+                relative=closure.relative,
+                inliers=closure.inliers,
+                reason=reason,
+            )
+        )
+
+
+def close_loops(
+    scans: ScanPoints, track: ScanTrack, progress: Progress, settings: ClosureSettings = CLOSURES
+) -> ClosedTrack:
+    """Find the loop closures of a track, and the poses of its key frames with them."""
+    return LoopCloser(scans, track, settings).run(progress)
+
+
+def spread(track: ScanTrack, poses: Floats) -> Floats:
+    """Return poses (n_scans, 3) of all scans from those of the key frames (n_key, 3).
+
+    Between two key frames the track's own motion holds; what is missing at the second is spread evenly over the scans.
+    """
+    keys = track.key_frames
+    n = len(track.poses)
+    index = np.arange(n)
+    left = np.clip(np.searchsorted(keys, index, side="right") - 1, 0, len(keys) - 1)
+    right = np.minimum(left + 1, len(keys) - 1)
+    moved = compose(poses[left], compose(invert(track.poses[keys[left]]), track.poses))
+    there = compose(poses[left], compose(invert(track.poses[keys[left]]), track.poses[keys[right]]))
+    miss = poses[right] - there
+    miss[:, 2] = wrap(miss[:, 2])
+    width = np.maximum(keys[right] - keys[left], 1)
+    share = np.clip((index - keys[left]) / width, 0.0, 1.0) * (right > left)
+    # a piece of track that begins is not bent towards the one before it
+    share = share * (track.piece[left] == track.piece[right])
+    out: Floats = moved + share[:, None] * miss
+    out[:, 2] = wrap(out[:, 2])
+    return out

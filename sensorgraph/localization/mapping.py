@@ -1,0 +1,210 @@
+"""`map_run`: poses of all scans of a run in a place that nobody has mapped."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.run import Run
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.covariances import key_frame_covariances
+from sensorgraph.localization.front_end import ScanTrack, information_at, points_in, track
+from sensorgraph.localization.line_map import LineMap, line_map, thinned
+from sensorgraph.localization.loop_closures import ClosedTrack, close_loops, spread
+from sensorgraph.localization.matching import match
+from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.localization.pose_graph import PoseEdges
+from sensorgraph.localization.refinement import FramePoints, Refined, refine
+from sensorgraph.localization.result import Localization, Status, WheelParameters
+from sensorgraph.localization.scans import ScanPoints, scan_points
+from sensorgraph.localization.settings import FINAL, MATCH, LineMatchSettings
+from sensorgraph.localization.wheels import WheelEstimate, identify_wheels
+from sensorgraph.types import Bools, Floats, Progress, ProgressBars, no_progress
+
+
+def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) -> Localization:
+    """Find where each scan of a run was taken, by its scans and its odometry alone.
+
+    Any reference poses of the run are left aside. The first scan gets the odometry's pose, 0 without odometry.
+
+    Parameters
+    ----------
+    seed : of the bootstrap of the covariances
+    progress : opens a bar for each stage
+
+    Raises
+    ------
+    ValueError : the run has no scan
+    """
+    if run.n_scans == 0:
+        raise ValueError("the run has no scans, expected at least one; check the topic of the scans")
+    motion = odometry_of(run)
+    odometry = None if motion is None else odometry_at_scans(run, motion)
+    scans = scan_points(run, motion)
+    with progress("tracking", "scans") as bar:
+        tracked = track(scans, run.stamps, odometry, bar)
+    if len(tracked.key_frames) == 0:
+        return _nowhere(run, tracked)
+    with progress("closing loops", "submaps") as bar:
+        closed = close_loops(scans, tracked, bar)
+    frames = FramePoints.of(scans, tracked.key_frames)
+    edges, wheels = wheel_edges(odometry, tracked, closed.poses)
+    with progress("refining", "steps") as bar:
+        refined = refine(frames, closed.poses, edges, (closed.steps, closed.closures), bar)
+    with progress("placing scans", "scans") as bar:
+        poses, covariances, matched = _place_all(scans, tracked, refined, np.random.default_rng(seed), bar)
+    origin = np.zeros(3) if odometry is None else odometry[0]
+    poses, covariances = _moved_to(poses, covariances, origin)
+    joined = _joined(tracked, closed)
+    piece = tracked.piece[
+        np.clip(np.searchsorted(tracked.key_frames, np.arange(run.n_scans), side="right") - 1, 0, None)
+    ]
+    is_lost = ~matched | ~joined[piece]
+    status: tuple[Status, ...] = tuple("lost" if lost else "ok" for lost in is_lost)
+    return Localization(
+        t=run.stamps,
+        poses=poses,
+        covariances=covariances,
+        status=status,
+        kept=closed.kept,
+        refused=closed.refused,
+        wheels=wheels,
+        notes=_notes(run, tracked, joined, odometry is None),
+    )
+
+
+def wheel_edges(
+    odometry: Floats | None, tracked: ScanTrack, poses: Floats
+) -> tuple[PoseEdges, WheelParameters | None]:
+    """Return what the odometry says between neighbouring key frames (n_key, 3), corrected, and its parameters.
+
+    Across a break of the track, or a jump of the odometry, it says nothing; without odometry, nothing but that the robot
+    did not jump.
+    """
+    keys = tracked.key_frames
+    n = len(keys)
+    between = np.arange(n - 1)
+    measured = compose(invert(poses[:-1]), poses[1:])
+    if odometry is None:
+        sd = np.broadcast_to([1.0, 1.0, 1.0], (n - 1, 3))
+        relative, wheels = measured, None
+    else:
+        steps = compose(invert(odometry[keys[:-1]]), odometry[keys[1:]])
+        is_whole = tracked.piece[1:] == tracked.piece[:-1]
+        for jump in tracked.jumps:
+            is_whole[np.clip(np.searchsorted(keys, jump) - 1, 0, max(n - 2, 0))] = False
+        between = between[is_whole]
+        steps = steps[is_whole]
+        wheels = identify_wheels(steps, measured[is_whole])
+        estimate = WheelEstimate()
+        estimate.way_scale, estimate.turn_scale = wheels.way_scale, wheels.turn_scale
+        estimate.heading_bias = wheels.heading_bias
+        relative = estimate.corrected(steps)
+        sd = np.array([estimate.deviations(float(np.hypot(x, y)), float(turn)) for x, y, turn in relative])
+    information = np.zeros((len(between), 3, 3))
+    for axis in range(3):
+        information[:, axis, axis] = sd.reshape(-1, 3)[:, axis] ** -2.0
+    edges = PoseEdges(
+        first=between, second=between + 1, relative=relative.reshape(-1, 3), information=information
+    )
+    return edges, wheels
+
+
+def _place_all(
+    scans: ScanPoints, tracked: ScanTrack, refined: Refined, rng: np.random.Generator, progress: Progress
+) -> tuple[Floats, Floats, Bools]:
+    """Return poses, covariances and whether they fit the map, of all scans."""
+    keys, n = tracked.key_frames, scans.n_scans
+    key_covariances, shared = key_frame_covariances(refined, rng)
+    poses = spread(tracked, refined.poses)
+    matching = MATCH.for_spacing(scans.spacing)
+    surfaces = line_map(*thinned(*points_in(scans, keys, refined.poses)), side=matching.first_radius)
+    index = np.arange(n)
+    left = np.clip(np.searchsorted(keys, index, side="right") - 1, 0, len(keys) - 1)
+    right = np.minimum(left + 1, len(keys) - 1)
+    share = np.clip((index - keys[left]) / np.maximum(keys[right] - keys[left], 1), 0.0, 1.0)[:, None, None]
+    covariances = (1 - share) * shared[left] + share * shared[right]
+    covariances[keys] = key_covariances
+    matched = tracked.matched.copy()
+    is_key = np.zeros(n, dtype=np.bool_)
+    is_key[keys] = True
+    for k in index[~is_key]:
+        poses[k], own, fits = _place(scans, int(k), surfaces, poses[k], matching)
+        covariances[k] += own
+        matched[k] &= fits
+        if k % 50 == 0:
+            progress(int(k), n)
+    return poses, covariances, matched
+
+
+def _place(
+    scans: ScanPoints, k: int, surfaces: LineMap, prior: Floats, matching: LineMatchSettings
+) -> tuple[Floats, Floats, bool]:
+    """Return pose, covariance by the scan and the wheels alone, and whether it fits, of one scan between key frames."""
+    own, settings = scans.of(k), FINAL
+    information = information_at(prior, np.array([settings.place_sd, settings.place_sd, settings.turn_sd]))
+    found = match(
+        scans.points[own],
+        scans.normals[own],
+        surfaces,
+        prior,
+        prior_information=information,
+        settings=matching,
+    )
+    fits = found.inliers >= settings.inliers and found.overlap >= settings.overlap
+    if not fits:
+        return prior, np.linalg.inv(information).astype(np.float64), False
+    lowest = max(-float(np.linalg.eigvalsh(found.information)[0]), 0.0)
+    covariance = np.linalg.inv(found.information + lowest * np.eye(3) + information)
+    return found.pose, covariance.astype(np.float64), True
+
+
+def _moved_to(poses: Floats, covariances: Floats, origin: Floats) -> tuple[Floats, Floats]:
+    """Move all so that the first pose is the origin (3,)."""
+    move = compose(origin, invert(poses[0]))
+    cos, sin = np.cos(move[2]), np.sin(move[2])
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    moved = compose(np.broadcast_to(move, poses.shape), poses)
+    moved[:, 2] = wrap(moved[:, 2])
+    return moved, turn @ covariances @ turn.T
+
+
+def _joined(tracked: ScanTrack, closed: ClosedTrack) -> Bools:
+    """Tell which pieces of track hang together with the longest, by closures that were kept."""
+    n_pieces = int(tracked.piece[-1]) + 1
+    label = np.arange(n_pieces)
+    for a, b in zip(closed.closures.first, closed.closures.second, strict=True):
+        one, other = label[tracked.piece[a]], label[tracked.piece[b]]
+        label[label == other] = one
+    weight = np.bincount(label[tracked.piece], minlength=n_pieces)
+    return np.asarray(label == int(weight.argmax()))
+
+
+def _notes(run: Run, tracked: ScanTrack, joined: Bools, without_odometry: bool) -> tuple[str, ...]:
+    notes = []
+    if without_odometry:
+        notes.append("no odometry, or one that never moves: by scan matching alone")
+    if tracked.jumps:
+        first = run.stamps[tracked.jumps[0]]
+        notes.append(f"the odometry jumps {len(tracked.jumps)} times, first at {first:.1f} s: not used there")
+    n_pieces = len(joined)
+    if n_pieces > 1:
+        ends = [int(tracked.key_frames[np.flatnonzero(tracked.piece == k)[0]]) for k in range(1, n_pieces)]
+        times = ", ".join(f"{run.stamps[k]:.1f} s" for k in ends[:5])
+        found = (
+            "all found again by loop closures" if joined.all() else f"{int((~joined).sum())} not found again"
+        )
+        notes.append(f"the track broke {n_pieces - 1} times (at {times}): {found}")
+    return tuple(notes)
+
+
+def _nowhere(run: Run, tracked: ScanTrack) -> Localization:
+    """Return what is known without a single return."""
+    n = run.n_scans
+    status: tuple[Status, ...] = tuple("lost" for _ in range(n))
+    return Localization(
+        t=run.stamps,
+        poses=tracked.poses,
+        covariances=np.broadcast_to(np.eye(3) * 1e6, (n, 3, 3)).copy(),
+        status=status,
+        notes=("no scan has a return within the limits of the sensor: no pose can be told",),
+    )

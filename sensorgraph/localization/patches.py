@@ -1,0 +1,188 @@
+"""Surfaces cut into short straight patches, and which point lies on which."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planners.kernel import kernel
+from sensorgraph.localization.line_map import LineMap, bucket_key, find_slot, fit_line, line_map, thinned
+from sensorgraph.localization.settings import MATCH
+from sensorgraph.types import Bools, Floats, Ints
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Patches:
+    """Middles and normals of patches."""
+
+    middles: Floats
+    """(n, 2) [m] in map."""
+    normals: Floats
+    """(n, 2) unit normals of the lines, to either side."""
+    towards: Floats
+    """(n, 2) unit normals towards where the patch was seen from; 0, 0: not known."""
+    side: float
+    """[m] between neighbours."""
+
+
+def cut_patches(points: Floats, normals: Floats, side: float, roundness: float) -> Patches:
+    """Cut surfaces into patches about `side` [m] apart.
+
+    Parameters
+    ----------
+    points, normals : (n, 2) of all returns in map
+    roundness : ratio of the variances across and along, above which there is no patch
+    """
+    fine = line_map(*thinned(points, normals), side=max(side, 0.1))
+    middles, towards = thinned(points, normals, side)
+    lines = np.zeros((len(middles), 4))
+    _fit(middles, towards, side, roundness, fine, lines)
+    good = lines[:, 2] ** 2 + lines[:, 3] ** 2 > 0
+    middles, towards, directions = lines[good, :2], towards[good], lines[good, 2:]
+    rough = line_map(middles, towards, side=side)
+    kept = np.zeros(len(middles), dtype=np.bool_)
+    _suppress(
+        rough.keys, rough.first, rough.counts, rough.points, rough.normals, side, 0.6 * side, kept
+    )  # in the order of the buckets
+    order = rough.order[kept]
+    return Patches(middles=middles[order], normals=directions[order], towards=towards[order], side=side)
+
+
+def _fit(
+    middles: Floats, towards: Floats, side: float, roundness: float, fine: LineMap, lines: Floats
+) -> None:
+    _fit_lines(
+        np.ascontiguousarray(middles),
+        np.ascontiguousarray(towards),
+        side,
+        roundness,
+        MATCH.same_side,
+        fine.side,
+        fine.keys,
+        fine.first,
+        fine.counts,
+        fine.points,
+        fine.normals,
+        lines,
+    )
+
+
+@kernel
+def _fit_lines(
+    middles: Floats,
+    towards: Floats,
+    radius: float,
+    roundness: float,
+    same_side: float,
+    side: float,
+    keys: Ints,
+    first: Ints,
+    counts: Ints,
+    points: Floats,
+    normals: Floats,
+    lines: Floats,
+) -> None:
+    for k in range(len(middles)):
+        w, cx, cy, nx, ny, across, along = fit_line(
+            middles[k, 0],
+            middles[k, 1],
+            towards[k, 0],
+            towards[k, 1],
+            radius,
+            same_side,
+            side,
+            keys,
+            first,
+            counts,
+            points,
+            normals,
+        )
+        if w > 1.0 and across < roundness * along:
+            off = nx * (middles[k, 0] - cx) + ny * (middles[k, 1] - cy)
+            lines[k, 0], lines[k, 1] = middles[k, 0] - off * nx, middles[k, 1] - off * ny
+            lines[k, 2], lines[k, 3] = nx, ny
+
+
+@kernel
+def _suppress(
+    keys: Ints,
+    first: Ints,
+    counts: Ints,
+    points: Floats,
+    normals: Floats,
+    side: float,
+    apart: float,
+    kept: Bools,
+) -> None:
+    """Keep each point that is not near one of the same side that was kept before it."""
+    for slot in range(len(keys)):
+        for k in range(first[slot], first[slot] + counts[slot]):
+            bx, by = int(np.floor(points[k, 0] / side)), int(np.floor(points[k, 1] / side))
+            is_free = True
+            for ix in range(bx - 1, bx + 2):
+                for iy in range(by - 1, by + 2):
+                    other = find_slot(keys, bucket_key(ix, iy))
+                    for j in range(first[other], first[other] + counts[other]):
+                        if not kept[j]:
+                            continue
+                        dx, dy = points[j, 0] - points[k, 0], points[j, 1] - points[k, 1]
+                        dot = normals[j, 0] * normals[k, 0] + normals[j, 1] * normals[k, 1]
+                        if dx * dx + dy * dy < apart * apart and dot >= 0.5:
+                            is_free = False
+            kept[k] = is_free
+
+
+def assign(points: Floats, normals: Floats, patches: Patches, gate: float) -> Ints:
+    """Return the patch (n,) of each point (n, 2), the nearest whose line is within `gate` [m]; -1: none."""
+    buckets = line_map(patches.middles, patches.towards, side=patches.side)
+    nearest = np.full(len(points), -1, dtype=np.intp)
+    _assign(
+        np.ascontiguousarray(points),
+        np.ascontiguousarray(normals),
+        gate,
+        MATCH.same_side,
+        patches.side,
+        buckets.keys,
+        buckets.first,
+        buckets.counts,
+        buckets.points,
+        buckets.normals,
+        patches.normals[buckets.order],
+        nearest,
+    )
+    return np.where(nearest >= 0, buckets.order[nearest], -1)
+
+
+@kernel
+def _assign(
+    points: Floats,
+    normals: Floats,
+    gate: float,
+    same_side: float,
+    side: float,
+    keys: Ints,
+    first: Ints,
+    counts: Ints,
+    middles: Floats,
+    towards: Floats,
+    lines: Floats,
+    nearest: Ints,
+) -> None:
+    for k in range(len(points)):
+        x, y, nx, ny = points[k, 0], points[k, 1], normals[k, 0], normals[k, 1]
+        known = nx * nx + ny * ny > 0.25
+        bx, by = int(np.floor(x / side)), int(np.floor(y / side))
+        least = side * side
+        for ix in range(bx - 1, bx + 2):
+            for iy in range(by - 1, by + 2):
+                slot = find_slot(keys, bucket_key(ix, iy))
+                for j in range(first[slot], first[slot] + counts[slot]):
+                    dx, dy = x - middles[j, 0], y - middles[j, 1]
+                    if abs(lines[j, 0] * dx + lines[j, 1] * dy) > gate or dx * dx + dy * dy >= least:
+                        continue
+                    tx, ty = towards[j, 0], towards[j, 1]
+                    if known and tx * nx + ty * ny < same_side and tx * tx + ty * ty > 0.25:
+                        continue
+                    least = dx * dx + dy * dy
+                    nearest[k] = j

@@ -1,0 +1,353 @@
+"""Poses and surfaces together: every return of the key frames against the patch of surface that all frames share.
+
+The cost is the sum of squared distances of all points from their patches' lines, with Cauchy weights; each line
+(offset and direction) is eliminated exactly, so that only poses remain (Ruhnke et al. 2011; Liu and Zhang 2021). The
+wheels tie neighbouring key frames. The reduced normal equations are solved by conjugate gradients with the pose graph as
+preconditioner; they are never formed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.patches import assign, cut_patches
+from sensorgraph.localization.pose_graph import PoseEdges
+from sensorgraph.localization.scans import ScanPoints
+from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
+from sensorgraph.types import Floats, Ints, Progress
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FramePoints:
+    """The points of the key frames, one after the other."""
+
+    frame: Ints
+    """(n,) number of the key frame."""
+    points: Floats
+    """(n, 2) [m] in base_link."""
+    normals: Floats
+    """(n, 2) in base_link."""
+
+    @staticmethod
+    def of(scans: ScanPoints, key_frames: Ints) -> FramePoints:
+        """Take the points of some scans."""
+        slices = [scans.of(int(k)) for k in key_frames]
+        index = np.concatenate([np.arange(s.start, s.stop) for s in slices] or [np.zeros(0, np.intp)])
+        counts = [s.stop - s.start for s in slices]
+        return FramePoints(
+            frame=np.repeat(np.arange(len(key_frames)), counts),
+            points=scans.points[index],
+            normals=scans.normals[index],
+        )
+
+    def placed(self, poses: Floats) -> tuple[Floats, Floats]:
+        """Return points and normals (n, 2) in map."""
+        pose = poses[self.frame]
+        cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+        x, y = self.points.T
+        nx, ny = self.normals.T
+        points = np.column_stack([cos * x - sin * y + pose[:, 0], sin * x + cos * y + pose[:, 1]])
+        return points, np.column_stack([cos * nx - sin * ny, sin * nx + cos * ny])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReducedSystem:
+    """The linearised problem at some poses: scans by cluster (a key frame on a patch), wheels by edge."""
+
+    n_frames: int
+    blocks: Floats
+    """(n_frames, 3, 3) sum of weighted JᵀJ of the points of each frame."""
+    coupling: sparse.csr_array
+    """(3 n_frames, 2 n_patches) weighted JᵀJ between poses and lines."""
+    inverse: Floats
+    """(2 n_patches,) inverse of the lines' own."""
+    wheels: sparse.csr_array
+    """(3 n_frames, 3 n_frames) information of the edges."""
+    gradient: Floats
+    """(3 n_frames,) of the cost, lines eliminated."""
+    cluster_frame: Ints
+    """(n_clusters,)"""
+    cluster_patch: Ints
+    """(n_clusters,)"""
+    scores: Floats
+    """(n_clusters, 3) sum of weighted residuals times J of the pose."""
+    line_scores: Floats
+    """(n_clusters, 2) the same of the line."""
+    edges: PoseEdges
+    edge_rows: sparse.csr_array
+    """(3 n_edges, 3 n_frames) derivatives of the edges' residuals."""
+    edge_residuals: Floats
+    """(n_edges, 3)"""
+    noise: float
+    """[m] of a point around its patch."""
+
+    def times(self, x: Floats) -> Floats:
+        """Return the reduced normal matrix times x (3 n_frames, m)."""
+        own = np.einsum("fij,fjm->fim", self.blocks, x.reshape(self.n_frames, 3, -1)).reshape(x.shape)
+        lines = self.inverse[:, None] * (self.coupling.T @ x)
+        out: Floats = own - self.coupling @ lines + self.wheels @ x
+        return out
+
+
+def edge_system(poses: Floats, edges: PoseEdges) -> tuple[sparse.csr_array, Floats, sparse.csr_array]:
+    """Return derivatives, residuals (n, 3) and weighted normal matrix of edges at some poses (in map axes)."""
+    n, m = len(poses), len(edges)
+    a, b = poses[edges.first], poses[edges.second]
+    residuals = compose(invert(a), b) - edges.relative
+    residuals[:, 2] = wrap(residuals[:, 2])
+    cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
+    d = b[:, :2] - a[:, :2]
+    second = np.zeros((m, 3, 3))
+    second[:, 0, 0], second[:, 0, 1] = cos, sin
+    second[:, 1, 0], second[:, 1, 1] = -sin, cos
+    second[:, 2, 2] = 1.0
+    first = -second.copy()
+    first[:, 0, 2] = -sin * d[:, 0] + cos * d[:, 1]
+    first[:, 1, 2] = -cos * d[:, 0] - sin * d[:, 1]
+    rows = _block_matrix(np.arange(m), edges.first, first, (m, n)) + _block_matrix(
+        np.arange(m), edges.second, second, (m, n)
+    )
+    weights = _block_matrix(np.arange(m), np.arange(m), edges.information, (m, m))
+    return rows, residuals, sparse.csr_array(rows.T @ weights @ rows)
+
+
+def _block_matrix(row: Ints, column: Ints, blocks: Floats, shape: tuple[int, int]) -> sparse.csr_array:
+    """Put blocks (n, a, b) at (row, column) of a sparse matrix of that many blocks."""
+    _, a, b = blocks.shape
+    i = (a * row[:, None, None] + np.arange(a)[None, :, None] + np.zeros(b, dtype=np.intp)).ravel()
+    j = (b * column[:, None, None] + np.arange(b)[None, None, :] + np.zeros((a, 1), dtype=np.intp)).ravel()
+    return sparse.csr_array(sparse.coo_array((blocks.ravel(), (i, j)), shape=(a * shape[0], b * shape[1])))
+
+
+def linearise(
+    frames: FramePoints,
+    poses: Floats,
+    wheels: PoseEdges,
+    side: float,
+    gate: float,
+    sigma: float,
+    settings: RefinementSettings = REFINEMENT,
+) -> ReducedSystem:
+    """Cut the surfaces into patches, and linearise all residuals at the poses (n_frames, 3)."""
+    n = len(poses)
+    points, normals = frames.placed(poses)
+    patch_map = cut_patches(points, normals, side, settings.roundness)
+    patch = assign(points, normals, patch_map, gate)
+    used = np.flatnonzero(patch >= 0)
+    m = len(patch_map.middles)
+    patch, frame, points = patch[used], frames.frame[used], points[used]
+    weight, residual, along, normal, noise = _fit_patches(
+        points, patch, frame, patch_map.normals, sigma, settings
+    )
+    kept = weight > 0
+    patch, frame, points = patch[kept], frame[kept], points[kept]
+    weight, residual, along, normal = weight[kept], residual[kept], along[kept], normal[kept]
+    lever = points - poses[frame, :2]
+    turn = normal[:, 1] * lever[:, 0] - normal[:, 0] * lever[:, 1]
+    jacobian = np.column_stack([normal, turn])  # (n_points, 3)
+    lines = np.column_stack([-np.ones(len(along)), -along])  # (n_points, 2)
+    blocks: Floats = np.stack(
+        [_sums(frame, weight * jacobian[:, i] * jacobian[:, j], n) for i in range(3) for j in range(3)],
+        axis=-1,
+    ).reshape(n, 3, 3)
+    keys, cluster = np.unique(frame * m + patch, return_inverse=True)
+    cluster_frame, cluster_patch = keys // m, keys % m
+    c = len(keys)
+    mixed = np.stack(
+        [_sums(cluster, weight * jacobian[:, i] * lines[:, j], c) for i in range(3) for j in range(2)],
+        axis=-1,
+    ).reshape(c, 3, 2)
+    own = np.column_stack([_sums(patch, weight * lines[:, j] ** 2, m) for j in range(2)]).ravel()
+    inverse = np.where(own > 0, 1.0 / np.where(own > 0, own, 1.0), 0.0)
+    scores = np.column_stack([_sums(cluster, weight * residual * jacobian[:, i], c) for i in range(3)])
+    line_scores = np.column_stack([_sums(cluster, weight * residual * lines[:, j], c) for j in range(2)])
+    coupling = _block_matrix(cluster_frame, cluster_patch, mixed, (n, m))
+    rows, edge_residuals, wheel_matrix = edge_system(poses, wheels)
+    weighted = np.einsum("eij,ej->ei", wheels.information, edge_residuals).ravel()
+    gradient = _by_frame(scores, cluster_frame, n) - coupling @ (
+        inverse * _by_frame(line_scores, cluster_patch, m)
+    )
+    return ReducedSystem(
+        n_frames=n,
+        blocks=blocks,
+        coupling=coupling,
+        inverse=inverse,
+        wheels=wheel_matrix,
+        gradient=gradient + rows.T @ weighted,
+        cluster_frame=cluster_frame,
+        cluster_patch=cluster_patch,
+        scores=scores,
+        line_scores=line_scores,
+        edges=wheels,
+        edge_rows=rows,
+        edge_residuals=edge_residuals,
+        noise=noise,
+    )
+
+
+def _sums(index: Ints, values: Floats, n: int) -> Floats:
+    """Add up values (k,) by index; (n,)."""
+    return np.asarray(np.bincount(index, values, n), dtype=np.float64)
+
+
+def _by_frame(values: Floats, index: Ints, n: int) -> Floats:
+    """Add up rows (k, d) by index; (d n,)."""
+    return np.column_stack([_sums(index, column, n) for column in values.T]).ravel()
+
+
+def _fit_patches(
+    points: Floats, patch: Ints, frame: Ints, normals: Floats, sigma: float, settings: RefinementSettings
+) -> tuple[Floats, Floats, Floats, Floats, float]:
+    """Fit each patch's line to its points, robustly.
+
+    Returns
+    -------
+    weights (n,) [1/m²], residuals (n,) [m], place along the patch (n,) [m], normals (n, 2), and the noise [m] of all
+    """
+    m = len(normals)
+    soft = np.ones(len(points))
+    scale = np.full(m, sigma**2)
+    noise = sigma
+    residual = along = np.zeros(len(points))
+    normal = normals[patch]
+    for _ in range(3):
+        total = np.bincount(patch, soft, m) + 1e-12
+        centre = np.column_stack([np.bincount(patch, soft * points[:, i], m) / total for i in range(2)])
+        off = points - centre[patch]
+        xx, xy, yy = (
+            np.bincount(patch, soft * off[:, i] * off[:, j], m) / total for i, j in ((0, 0), (0, 1), (1, 1))
+        )
+        angle = 0.5 * np.arctan2(2 * xy, xx - yy)
+        line_normals = np.column_stack([-np.sin(angle), np.cos(angle)])
+        half, spread = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
+        across, length = np.maximum(half - spread, 0.0), half + spread
+        normal = line_normals[patch]
+        residual = np.einsum("ij,ij->i", off, normal)
+        along = -off[:, 0] * normal[:, 1] + off[:, 1] * normal[:, 0]
+        noise = min(
+            max(1.4826 * float(np.median(np.abs(residual))) if len(residual) else sigma, settings.min_sigma),
+            sigma,
+        )
+        count = np.bincount(patch, minlength=m)
+        scale = (settings.shrinkage * noise**2 + total * across) / (settings.shrinkage + total)
+        soft = 1.0 / (1.0 + residual**2 / (4.0 * np.maximum(scale, noise**2)[patch]))
+    # a patch with one frame says nothing of poses; a round one, nothing of where it is
+    pairs = np.unique(frame * m + patch)
+    n_frames = np.bincount(pairs % m, minlength=m)
+    good = (n_frames > 1) & (across < settings.roundness * length) & (count >= settings.min_points)
+    # centred by the last weights, so that offset and direction of a line are independent
+    total = np.bincount(patch, soft, m) + 1e-12
+    along = along - (np.bincount(patch, soft * along, m) / total)[patch]
+    residual = residual - (np.bincount(patch, soft * residual, m) / total)[patch]
+    weight = np.where(good[patch], soft / np.maximum(scale, settings.min_sigma**2)[patch], 0.0)
+    return weight, residual, along, normal, noise
+
+
+def conjugate_gradients(
+    system: ReducedSystem, rhs: Floats, preconditioner: sparse.csc_array, tolerance: float, max_steps: int
+) -> tuple[Floats, int]:
+    """Solve for all columns of rhs (3 n_frames, m) at once; return the solutions and the count of steps."""
+    solve = splu(preconditioner).solve
+    x = np.zeros_like(rhs)
+    r = rhs.copy()
+    z = solve(r)
+    p = z.copy()
+    rz = (r * z).sum(axis=0)
+    limit = tolerance**2 * np.maximum(rz, 1e-300)
+    for step in range(max_steps):
+        q = system.times(p)
+        alpha = rz / np.maximum((p * q).sum(axis=0), 1e-300)
+        x += alpha * p
+        r -= alpha * q
+        z = solve(r)
+        new = (r * z).sum(axis=0)
+        if (new <= limit).all():
+            return x, step + 1
+        p = z + (new / np.maximum(rz, 1e-300)) * p
+        rz = new
+    return x, max_steps
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Refined:
+    """Key frames after poses and surfaces were fitted together."""
+
+    poses: Floats
+    """(n_key, 3) [m, m, rad]"""
+    system: ReducedSystem
+    """At these poses."""
+    preconditioner: sparse.csc_array
+    frames: FramePoints
+
+
+def refine(
+    frames: FramePoints,
+    poses: Floats,
+    wheels: PoseEdges,
+    graph: tuple[PoseEdges, PoseEdges],
+    progress: Progress,
+    settings: RefinementSettings = REFINEMENT,
+) -> Refined:
+    """Fit poses (n_key, 3) and surfaces together.
+
+    Parameters
+    ----------
+    wheels : what the odometry alone says between neighbouring key frames
+    graph : steps of the track and closures, as in the pose graph: they only speed up the solver
+    """
+    poses = poses.copy()
+    last = settings.iterations - 1
+    scale = np.ones(3)
+    for iteration in range(settings.iterations + 1):
+        share = min(iteration / max(last - 2, 1), 1.0)
+        side = settings.first_side * (settings.last_side / settings.first_side) ** share
+        gate = settings.first_gate * (settings.last_gate / settings.first_gate) ** share
+        sigma = settings.first_sigma * (settings.last_sigma / settings.first_sigma) ** share
+        system = linearise(frames, poses, _scaled(wheels, scale), side, gate, sigma, settings)
+        preconditioner = _preconditioner(system, poses, graph)
+        if iteration == settings.iterations:
+            break
+        step, _ = conjugate_gradients(
+            system, -system.gradient[:, None], preconditioner, settings.tolerance, settings.max_steps
+        )
+        poses = poses + step.reshape(-1, 3)
+        poses[:, 2] = wrap(poses[:, 2])
+        scale = _wheel_scale(poses, wheels)
+        progress(iteration + 1, settings.iterations + 1)
+    return Refined(poses=poses, system=system, preconditioner=preconditioner, frames=frames)
+
+
+def _wheel_scale(poses: Floats, wheels: PoseEdges) -> Floats:
+    """Return by how much the steps of the wheels really scatter, in their stated standard deviations (3,), robustly."""
+    if len(wheels) < 10:
+        return np.ones(3)
+    _, residuals, _ = edge_system(poses, wheels)
+    sd = np.sqrt(1.0 / np.maximum(np.einsum("eii->ei", wheels.information), 1e-12))
+    scale: Floats = np.clip(1.4826 * np.median(np.abs(residuals / sd), axis=0), 0.05, 3.0)
+    return scale
+
+
+def _scaled(wheels: PoseEdges, scale: Floats) -> PoseEdges:
+    return PoseEdges(
+        first=wheels.first,
+        second=wheels.second,
+        relative=wheels.relative,
+        information=wheels.information / np.outer(scale, scale),
+    )
+
+
+def _preconditioner(
+    system: ReducedSystem, poses: Floats, graph: tuple[PoseEdges, PoseEdges]
+) -> sparse.csc_array:
+    """Return the pose graph's normal matrix, tied to the ground a little."""
+    matrix = system.wheels
+    for edges in graph:
+        if len(edges):
+            matrix = matrix + edge_system(poses, edges)[2]
+    ties = np.einsum("fii->fi", system.blocks).ravel() * 1e-3 + 1e-3
+    return sparse.csc_array(matrix + sparse.diags_array(ties))
