@@ -6,11 +6,11 @@ A heap is also quicker to run where only the first few in order are needed.
 
 from __future__ import annotations
 
-from planners.kernel import inner_kernel
+from planners.kernel import inner_kernel, outer_kernel
 from planners.types import Bools, Floats, Ints
 
 
-@inner_kernel
+@outer_kernel
 def make_heap(heap: Ints, size: int, costs: Floats) -> None:
     """Fill `heap[:size]` with the indices of `costs[:size]`, so that `pop_least` takes them in ascending order."""
     for o in range(size):
@@ -19,7 +19,7 @@ def make_heap(heap: Ints, size: int, costs: Floats) -> None:
         _sift_down(heap, top, size, costs)
 
 
-@inner_kernel
+@outer_kernel
 def pop_least(heap: Ints, size: int, costs: Floats) -> int:
     """Take the index of the least cost off a heap of `size` entries; of equal costs, the least index comes first."""
     least = heap[0]
@@ -47,7 +47,7 @@ def _sift_down(heap: Ints, top: int, size: int, costs: Floats) -> None:
     heap[hole] = moved
 
 
-@inner_kernel
+@outer_kernel
 def is_any(mask: Bools, first: int, last: int) -> bool:
     """Tell whether any of mask[first] ... mask[last] is set."""
     found = False
@@ -56,7 +56,7 @@ def is_any(mask: Bools, first: int, last: int) -> bool:
     return found
 
 
-@inner_kernel
+@outer_kernel
 def set_all(mask: Bools, first: int, last: int) -> None:
     """Set mask[first] ... mask[last]."""
     for k in range(first, last + 1):

@@ -27,10 +27,18 @@ def kernel(function: Function) -> Function:
     return _stored(numba.njit, function)
 
 
-def inner_kernel(function: Function) -> Function:
-    """Compile a kernel for inner loops: it makes and returns no array, and calls inner kernels only.
+def outer_kernel(function: Function) -> Function:
+    """Compile a kernel that makes and returns no array, calls only such kernels, and is called from Python.
 
     So it need not count who holds the arrays that it takes, which would be most of the time of a short one.
+    """
+    return _lean(function)
+
+
+def inner_kernel(function: Function) -> Function:
+    """Compile a kernel like `outer_kernel` that kernels call, and nothing else.
+
+    What unpacks Python's objects is a large part of what is compiled, above all for tuples of arrays; here it is left out.
     """
     return _inner(function)
 
@@ -41,6 +49,22 @@ def inlined_kernel(function: Function) -> Function:
 
 
 def _inner(function: Function, **options: bool) -> Function:
+    compiled: Any = _lean(function, no_cpython_wrapper=True, **options)
+
+    def add_overload(result: Any) -> None:  # not handed to Python's calls: there is no way in for them
+        compiled.overloads[tuple(result.signature.args)] = result
+
+    def refuse(*_: object) -> None:
+        raise TypeError(
+            f"{function.__name__} is an inner kernel, which only kernels call: make it an outer one"
+        )
+
+    compiled.add_overload = add_overload
+    compiled._compile_for_args = refuse
+    return cast(Function, compiled)
+
+
+def _lean(function: Function, **options: bool) -> Function:
     try:
         return _stored(partial(numba.njit, _nrt=False, **options), function)
     except KeyError:  # a numba that always counts
@@ -115,17 +139,18 @@ def _wide(kind: Any) -> Any:
 
 
 def _stored(compiler: Callable[..., Any], function: Function) -> Function:
+    compiler = partial(compiler, error_model="numpy", nogil=True, no_cfunc_wrapper=True)  # none for C's calls
     try:
-        compiled = compiler(cache=True, error_model="numpy", nogil=True)(function)
+        compiled = compiler(cache=True)(function)
     except RuntimeError:  # no folder that it could write to
         _say_that_nothing_is_kept()
-        compiled = compiler(error_model="numpy", nogil=True)(function)
+        compiled = compiler()(function)
     store = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if store is not None and hasattr(store, "_version"):
         # numba reads the rest of a file only if this agrees, so it never looks for a type that has another name now
         store._version = (store._version, _stamp(function.__module__.partition(".")[0]))
     else:  # another numba: rather compile anew than run what is stale
-        compiled = compiler(error_model="numpy", nogil=True)(function)
+        compiled = compiler()(function)
     _widen_integers(compiled)
     return cast(Function, compiled)
 

@@ -8,7 +8,7 @@ that holds kernels when they tell whether it is stale: numba itself looks only a
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -19,10 +19,20 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def kernel(function: Function) -> Function:
     """Compile a function on its first call and keep the result on disk; x / 0 is inf, as in numpy."""
+    return _stored(numba.njit, function)
+
+
+def inner_kernel(function: Function) -> Function:
+    """Compile a kernel that other kernels call, and nothing else: the way in from Python would be much of it."""
+    return _stored(partial(numba.njit, no_cpython_wrapper=True), function)
+
+
+def _stored(compiler: Callable[..., Any], function: Function) -> Function:
+    compiler = partial(compiler, error_model="numpy", no_cfunc_wrapper=True)  # C calls none of them
     try:
-        compiled = numba.njit(cache=True, error_model="numpy")(function)
+        compiled = compiler(cache=True)(function)
     except RuntimeError:  # no folder that it could write to
-        compiled = numba.njit(error_model="numpy")(function)
+        compiled = compiler()(function)
     store = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if store is not None and hasattr(store, "_version"):
         store._version = (
@@ -30,7 +40,7 @@ def kernel(function: Function) -> Function:
             _stamp(),
         )  # numba reads the rest of a cache file only if this agrees
     else:  # another numba: rather compile anew than run what is stale
-        compiled = numba.njit(error_model="numpy")(function)
+        compiled = compiler()(function)
     return cast(Function, compiled)
 
 

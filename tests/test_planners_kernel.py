@@ -48,3 +48,36 @@ def test_where_nothing_can_be_kept_it_works_and_says_so_once(tmp_path: Path) -> 
     assert done.stdout.strip() == "[[1, 1, 1], [0, 0, 0], [1, 1, 1]]"
     (line,) = done.stderr.splitlines()
     assert line.startswith("compiled code cannot be kept") and "NUMBA_CACHE_DIR" in line
+
+
+INNER = """
+import numpy as np
+from planners.kernel import inner_kernel, outer_kernel
+
+@inner_kernel
+def twice(x: float) -> float:
+    return 2 * x
+
+@outer_kernel
+def sum_of_twice(x: np.ndarray) -> float:
+    total = 0.0
+    for value in x:
+        total += twice(value)
+    return total
+
+print(sum_of_twice(np.arange(4.0)))
+try:
+    twice(1.0)
+except TypeError as error:
+    print(error)
+"""
+
+
+def test_an_inner_kernel_serves_kernels_and_refuses_python(tmp_path: Path) -> None:
+    script = tmp_path / "inner.py"
+    script.write_text(NOWHERE + INNER)
+    total, refusal = run(
+        tmp_path, f"exec(compile(open({str(script)!r}).read(), {str(script)!r}, 'exec'))"
+    ).stdout.splitlines()
+    assert total == "12.0"
+    assert refusal.startswith("twice is an inner kernel")

@@ -11,7 +11,7 @@ import numpy as np
 
 from planners.cars.reeds_shepp import Arcs, Pose, arc_end
 from planners.cars.settings import ARC_PATH
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, kernel, outer_kernel
 from planners.reach import Reach
 from planners.search.kernel_world import interpolate
 from planners.search.settings import PRIMITIVES
@@ -365,7 +365,7 @@ def even_arc_path(pose: Floats, arcs: Arcs, context: CarContext) -> tuple[ArcPat
     return ArcPath(poses, length, bend, gear), inside.clip(0, len(ends) - 1)
 
 
-@inner_kernel
+@outer_kernel
 def fill_poses(poses: Floats, length: Floats, bend: Ints, gear: Ints, radius: float) -> None:
     """Fill `poses` (n + 1, 3) after the first with the ends of n arcs."""
     for k in range(len(length)):

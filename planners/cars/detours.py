@@ -37,7 +37,7 @@ from planners.cars.reeds_shepp import (
     take_arcs,
 )
 from planners.cars.settings import DETOURS
-from planners.kernel import inner_kernel
+from planners.kernel import inner_kernel, outer_kernel
 from planners.types import Floats, Ints
 from planners.vehicle import SHORTEST_ARC
 
@@ -77,7 +77,7 @@ def insert_detours(path: ArcPath, goals: Floats, bins: Ints, context: CarContext
     return concatenate_arcs([*kept, take_arcs(whole, slice(at, None))])
 
 
-@inner_kernel
+@outer_kernel
 def find_detour(
     goals: Floats,
     own: int,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, kernel, outer_kernel
 from planners.types import Floats, Ints
 
 MAX_ARCS = 5
@@ -75,7 +75,7 @@ def empty_arcs(most: int) -> Arcs:
     return Arcs(np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64))
 
 
-@inner_kernel
+@outer_kernel
 def arc_end(pose: Pose, length: float, bend: int, gear: int, radius: float) -> Pose:
     """Return the pose after an arc; headings run on, unwrapped."""
     x, y, phi = pose
@@ -87,7 +87,7 @@ def arc_end(pose: Pose, length: float, bend: int, gear: int, radius: float) -> P
     return x, y, heading
 
 
-@inner_kernel
+@outer_kernel
 def quickest_word(
     start: Pose,
     goal: Pose,

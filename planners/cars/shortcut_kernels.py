@@ -25,7 +25,7 @@ from planners.cars.arc_path import (
 )
 from planners.cars.reeds_shepp import MAX_ARCS, Arcs, Pose, arc_end, empty_arcs, quickest_word
 from planners.cars.settings import SHORTCUTS
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, kernel, outer_kernel
 from planners.types import Bools, Floats, Ints
 from planners.vehicle import SHORTEST_ARC
 
@@ -90,7 +90,7 @@ def interval_middle(interval: int, path: ArcPath, intervals: BinIntervals, conte
     return arc_end(pose_at(path, k), way - intervals.driven[k], path.bend[k], path.gear[k], context.radius)
 
 
-@inner_kernel
+@outer_kernel
 def find_shortcut(
     i: int,
     j: int,

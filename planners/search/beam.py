@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planners.array_kernels import make_heap, pop_least
-from planners.kernel import inner_kernel
+from planners.kernel import inner_kernel, outer_kernel
 from planners.search.kernel_goals import cell_distance, is_safe
 from planners.search.kernel_world import (
     PrimitiveArrays,
@@ -15,7 +15,7 @@ from planners.search.kernel_world import (
     trace_back,
     try_primitive,
 )
-from planners.search.workspace import BeamSettings, Workspace, beam_room
+from planners.search.workspace import BeamSettings, Workspace, beam_room_kernel
 from planners.types import Floats, Int32s, Ints
 
 
@@ -71,7 +71,7 @@ def _expand(
     return n_nodes
 
 
-@inner_kernel
+@outer_kernel
 def beam_search(
     state: Floats,
     settings: BeamSettings,
@@ -89,7 +89,7 @@ def beam_search(
     count of branches written, and of bins that they cover; 0, 0 where no end is safe
     """
     horizon, most = settings.horizon, 3 * settings.width
-    room = beam_room(settings.width, primitives.next_mode.shape[1])
+    room = beam_room_kernel(settings.width, primitives.next_mode.shape[1])
     at, scores, hs, ms = workspace.places, workspace.scores, workspace.headings, workspace.modes
     pool, fill, costs = workspace.pool, workspace.pool_sizes, workspace.costs
     fill[:] = 0
@@ -154,7 +154,7 @@ def _is_covered(node: int, bin_: int, parents: Int32s, counts: Int32s, bins: Int
     return False
 
 
-@inner_kernel
+@outer_kernel
 def drive(
     state: Floats,
     n: int,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planners.kernel import inner_kernel
+from planners.kernel import inner_kernel, outer_kernel
 from planners.search.kernel_world import PrimitiveArrays, Scratch, SearchWorld, find_escape
 from planners.search.workspace import BeamSettings
 from planners.types import Ints
@@ -41,7 +41,7 @@ def cell_distance(x: float, y: float, world: SearchWorld, far: Ints) -> int:
     return int(far[int((x - world.x0) / world.cell), int((y - world.y0) / world.cell)])
 
 
-@inner_kernel
+@outer_kernel
 def cell_distances(world: SearchWorld, far: Ints, queue: Ints) -> None:
     """Fill `far (nx, ny)` with the count of cell borders to the nearest cell with a missing bin, by a grassfire from all."""
     missing, open_borders = world.missing, world.open_borders

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.kernel import inlined_kernel, inner_kernel
+from planners.kernel import inlined_kernel, inner_kernel, outer_kernel
 from planners.search.settings import KERNELS
 from planners.types import Bools, Floats, Int32s, Ints
 
@@ -201,7 +201,7 @@ def end_state(
     )
 
 
-@inner_kernel
+@outer_kernel
 def find_escape(
     x: float,
     y: float,
@@ -289,7 +289,7 @@ def trace_back(node: int, parents: Int32s, branches: Int32s, out: Int32s) -> int
     return n
 
 
-@inner_kernel
+@outer_kernel
 def apply_primitive(
     state: Floats, j: int, world: SearchWorld, primitives: PrimitiveArrays, covered: Ints
 ) -> int:

@@ -6,7 +6,7 @@ import numpy as np
 
 from planners.coverage import Coverage
 from planners.curve import NODES, WEIGHTS, Curve
-from planners.kernel import inner_kernel
+from planners.kernel import inner_kernel, outer_kernel
 from planners.search.settings import KERNELS
 from planners.types import Bools, Floats
 
@@ -31,7 +31,7 @@ def met(curve: Curve, grid: Coverage, rate: float, clock: float = 0.0) -> Bools:
     return found
 
 
-@inner_kernel
+@outer_kernel
 def mark(
     starts: Floats,
     ends: Floats,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planners.array_kernels import make_heap, pop_least
-from planners.kernel import inner_kernel
+from planners.kernel import inner_kernel, outer_kernel
 from planners.search.heuristic import UNREACHED, backward_wave
 from planners.search.kernel_goals import cell_distance, is_safe
 from planners.search.kernel_world import (
@@ -67,7 +67,7 @@ def _expand_nearest(
     return n_nodes, was_full
 
 
-@inner_kernel
+@outer_kernel
 def nearest_goal_search(
     state: Floats,
     settings: BeamSettings,
@@ -163,7 +163,7 @@ def find_nearest_goal(
     )
 
 
-@inner_kernel
+@outer_kernel
 def update_heuristic(state: Floats, world: SearchWorld, heuristic: HeuristicBuffers) -> None:
     """Fill the cost-to-go map around a state."""
     i0, k0 = backward_wave(
@@ -182,7 +182,7 @@ def update_heuristic(state: Floats, world: SearchWorld, heuristic: HeuristicBuff
     heuristic.corner[0], heuristic.corner[1] = i0, k0
 
 
-@inner_kernel
+@outer_kernel
 def time_to_goal(x: float, y: float, h: int, m: int, world: SearchWorld, heuristic: HeuristicBuffers) -> int:
     """Return the units of time to the nearest missing bin; UNREACHED outside of the map."""
     i = int((x - world.x0) / heuristic.lattice.spacing) - heuristic.corner[0]

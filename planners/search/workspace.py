@@ -135,13 +135,15 @@ class Workspace(NamedTuple):
     scratch: Scratch
 
 
-@inner_kernel
 def beam_room(width: int, n_branches: int) -> int:
     """Return how many nodes of a beam may wait for each unit of time.
 
     Primitives of cars differ in duration, so nodes of several layers wait for the same unit.
     """
     return width * n_branches * (2 if n_branches > 3 else 1)
+
+
+beam_room_kernel = inner_kernel(beam_room)
 
 
 def workspace_for(settings: BeamSettings, primitives: PrimitiveArrays, shape: tuple[int, ...]) -> Workspace:

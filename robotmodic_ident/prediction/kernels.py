@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from robotmodic_ident.kernel import kernel
+from robotmodic_ident.kernel import inner_kernel
 from robotmodic_ident.types import Floats, Ints
 
 KIND_POWER, KIND_COS, KIND_SIN, KIND_LEGENDRE, KIND_CHEBYSHEV, KIND_SPLINE, KIND_WAVELET = range(7)
@@ -22,7 +22,7 @@ GROUP_NUMERATOR, GROUP_DENOMINATOR, GROUP_NOISE = range(3)
 DIVERGED = 1e150
 
 
-@kernel
+@inner_kernel
 def spline(degree: int, index: int, count: int, t: float) -> float:
     """Evaluate B-spline `index` of `count` on uniform knots over [-1, 1]; 0 outside (de Boor 1978)."""
     x = (t + 1.0) / 2.0 * (count - degree) - index + degree  # knots at 0, 1, ..., degree + 1
@@ -37,7 +37,7 @@ def spline(degree: int, index: int, count: int, t: float) -> float:
     return float(values[0])
 
 
-@kernel
+@inner_kernel
 def shape(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
     """Evaluate one function of one (scaled) variable."""
     if kind == KIND_COS:
@@ -60,7 +60,7 @@ def shape(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
     return t
 
 
-@kernel
+@inner_kernel
 def slope(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
     """Differentiate `shape` by t."""
     if kind == KIND_COS:
@@ -91,7 +91,7 @@ def slope(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
     return 1.0
 
 
-@kernel
+@inner_kernel
 def factor(row: Ints, centre: float, width: float, v: float) -> float:
     """Evaluate one factor of a term at the value of its signal."""
     value = shape(row[COL_KIND], row[COL_HARMONIC], row[COL_FIRST], row[COL_SECOND], (v - centre) / width)
@@ -101,7 +101,7 @@ def factor(row: Ints, centre: float, width: float, v: float) -> float:
     return out
 
 
-@kernel
+@inner_kernel
 def factor_slope(row: Ints, centre: float, width: float, v: float) -> float:
     """Differentiate one factor by the value of its signal."""
     t = (v - centre) / width
@@ -117,7 +117,7 @@ def factor_slope(row: Ints, centre: float, width: float, v: float) -> float:
     return float(out)
 
 
-@kernel
+@inner_kernel
 def value_at(
     k: int,
     base: Floats,
@@ -147,7 +147,7 @@ def value_at(
     return top / bottom + noise_part, bottom
 
 
-@kernel
+@inner_kernel
 def run(
     base: Floats,
     theta: Floats,
@@ -202,7 +202,7 @@ def run(
     return out, noise
 
 
-@kernel
+@inner_kernel
 def fill_gradient(
     k: int,
     base: Floats,
@@ -251,7 +251,7 @@ def fill_gradient(
                     gradient[k, parameter] += weight * gradient[before, parameter]
 
 
-@kernel
+@inner_kernel
 def run_ahead(
     base: Floats,
     theta: Floats,

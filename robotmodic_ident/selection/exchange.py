@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robotmodic_ident.kernel import kernel
+from robotmodic_ident.kernel import inner_kernel, kernel
 from robotmodic_ident.selection.forward import DEPENDENCE_TOLERANCE, TIE_TOLERANCE
 from robotmodic_ident.types import Bools, Floats, Ints
 
@@ -21,7 +21,7 @@ EXCHANGES_PER_SIZE = 4
 """Exchanges at one size at most, times the number of sizes: rounding must not exchange for ever."""
 
 
-@kernel
+@inner_kernel
 def sweep(a: Floats, k: int) -> None:
     """Bring variable k in, or take it out again: the two undo each other but for the sign of a row, kept here."""
     n = len(a)
@@ -38,7 +38,7 @@ def sweep(a: Floats, k: int) -> None:
     a[k, k] = 1.0 / pivot
 
 
-@kernel
+@inner_kernel
 def best_addition(a: Floats, inside: Bools, usable: Bools) -> int:
     """Return the term that explains most of what is left; -1: all depend on those inside."""
     m = len(a) - 1
@@ -51,7 +51,7 @@ def best_addition(a: Floats, inside: Bools, usable: Bools) -> int:
     return choice
 
 
-@kernel
+@inner_kernel
 def best_removal(a: Floats, inside: Bools, locked: Bools) -> int:
     """Return the term inside whose loss costs least; -1: all are locked."""
     m = len(a) - 1
@@ -64,7 +64,7 @@ def best_removal(a: Floats, inside: Bools, locked: Bools) -> int:
     return choice
 
 
-@kernel
+@inner_kernel
 def exchange(a: Floats, inside: Bools, locked: Bools, usable: Bools) -> bool:
     """Make the best exchange of one term for another; False: none lowers the residual sum."""
     m = len(a) - 1
@@ -93,7 +93,7 @@ def exchange(a: Floats, inside: Bools, locked: Bools, usable: Bools) -> bool:
     return True
 
 
-@kernel
+@inner_kernel
 def settle(a: Floats, inside: Bools, locked: Bools, usable: Bools, most: int) -> None:
     """Exchange terms until no exchange helps, `most` times at most."""
     for _ in range(most):
@@ -101,14 +101,14 @@ def settle(a: Floats, inside: Bools, locked: Bools, usable: Bools, most: int) ->
             break
 
 
-@kernel
+@inner_kernel
 def copy_mask(source: Bools, target: Bools) -> None:
     """Copy a mask; numba compiles a slice that is written to with all its error texts."""
     for j in range(len(source)):
         target[j] = source[j]
 
 
-@kernel
+@inner_kernel
 def size_of(mask: Bools) -> int:
     """Return how many entries are set."""
     size = 0
@@ -117,7 +117,7 @@ def size_of(mask: Bools) -> int:
     return size
 
 
-@kernel
+@inner_kernel
 def refresh(a: Floats, original: Floats, inside: Bools) -> None:
     """Sweep anew from the original: rounding does not pile up."""
     for j in range(len(a)):
@@ -128,7 +128,7 @@ def refresh(a: Floats, original: Floats, inside: Bools) -> None:
             sweep(a, j)
 
 
-@kernel
+@inner_kernel
 def remember(a: Floats, inside: Bools, size: int, rss: Floats, sets: Bools) -> bool:
     """Keep the set if it is the best of its size so far."""
     value = max(a[len(a) - 1, len(a) - 1], 0.0)
@@ -139,7 +139,7 @@ def remember(a: Floats, inside: Bools, size: int, rss: Floats, sets: Bools) -> b
     return False
 
 
-@kernel
+@inner_kernel
 def climb(
     a: Floats, inside: Bools, locked: Bools, usable: Bools, swap: bool, rss: Floats, sets: Bools
 ) -> bool:
@@ -159,7 +159,7 @@ def climb(
     return better
 
 
-@kernel
+@inner_kernel
 def descend(
     a: Floats, inside: Bools, locked: Bools, usable: Bools, swap: bool, rss: Floats, sets: Bools
 ) -> bool:
@@ -179,7 +179,7 @@ def descend(
     return better
 
 
-@kernel
+@inner_kernel
 def thin(
     a: Floats, original: Floats, inside: Bools, locked: Bools, usable: Bools, rss: Floats, sets: Bools
 ) -> bool:
@@ -262,7 +262,7 @@ def search_one(
                 climb(a, inside, locked, usable, swap, rss, sets)
 
 
-@kernel
+@inner_kernel
 def best_size(rss: Floats, cost: Floats, count: float) -> int:
     """Return the size with the least N log(rss) + cost."""
     floor = 64 * len(rss) * 2.2e-16

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robotmodic_ident.kernel import kernel
+from robotmodic_ident.kernel import inner_kernel, kernel
 from robotmodic_ident.types import Floats
 
 TIE_TOLERANCE = 1e-9
@@ -133,7 +133,7 @@ def _choose(
             chosen[i, k], gain[i, k] = order[c], z
 
 
-@kernel
+@inner_kernel
 def _free(basis: Floats, k: int, c: int) -> None:
     """Take out of row k what candidate c shares with the rows before it."""
     for step in range(k):
@@ -142,7 +142,7 @@ def _free(basis: Floats, k: int, c: int) -> None:
             basis[k, j] -= share * basis[step, j]
 
 
-@kernel
+@inner_kernel
 def _best(b: Floats, left: Floats, floor: float) -> int:
     """Return the first candidate that explains as much as any, up to rounding; -1: all depend on the chosen."""
     best = -1.0

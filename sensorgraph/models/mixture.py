@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from planners.kernel import inner_kernel
+from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction
 from sensorgraph.models.settings import MIXTURE
 from sensorgraph.types import Bools, Floats
@@ -99,7 +99,7 @@ def densest(r: Floats, w: Floats, s: Floats, n: int) -> tuple[int, int]:
     return first, last
 
 
-@inner_kernel
+@outer_kernel
 def summarise(
     r: Floats, w: Floats, s: Floats, n: int, leftover: float, farthest: float, which: int
 ) -> tuple[float, float, float, float, float, float]:

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import inner_kernel, kernel
 from sensorgraph.types import Floats
 
 SQRT_2, SQRT_TAU = math.sqrt(2.0), math.sqrt(2 * math.pi)
@@ -31,7 +31,7 @@ OFF_LATTICE = 1e-9
 LOG_P, WEIGHT, RESIDUAL, CORE, TAIL, LOST, STRAY = range(7)
 
 
-@kernel
+@inner_kernel
 def _normal_cdf(x: float) -> float:
     """Return the standard normal's integral up to x."""
     return 0.5 * math.erfc(-x / SQRT_2)

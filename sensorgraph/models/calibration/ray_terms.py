@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import kernel, outer_kernel
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.types import Floats
 
@@ -83,7 +83,7 @@ def incidence_terms(v: Any, q: Any, out: Any) -> Any:
     out[6] = v * v * q * q
 
 
-@inner_kernel
+@outer_kernel
 def incidence_bias(den: Any, rho: Any, s: Any) -> Any:
     """Return S [m] for |den| = |n·u| at range rho."""
     v = 1.0 - abs(den)

@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.kernel import kernel
+from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.cells.grid import (
     N_SECTORS,
     CellIndices,
@@ -195,7 +195,7 @@ def _moved(array: NDArray[T], rows: NDArray[np.integer], n: int, fill: int = 0) 
     return longer
 
 
-@kernel
+@inner_kernel
 def row_of(i: int, j: int, index: RowGrid, n_rows: int) -> int:
     """Return the row of a cell, the next free one if it has none yet."""
     if index[i, j] < 0:
@@ -246,7 +246,7 @@ def add_scans(
     return len(poses), n_rows, n_faces
 
 
-@kernel
+@inner_kernel
 def add_moments(moments: Floats, x: float, y: float, weight: float) -> None:
     """Add a hit at (x, y) [m] from the middle of its cell to moments (6,)."""
     moments[0] += weight
@@ -257,7 +257,7 @@ def add_moments(moments: Floats, x: float, y: float, weight: float) -> None:
     moments[5] += weight * y * y
 
 
-@kernel
+@inner_kernel
 def pass_through(
     x: float, y: float, c: float, s: float, b: int, free: float, weight: float, cell: float,
     index: RowGrid, n_rows: int, passes: Counts, at: CellIndices, ends: Floats,
@@ -273,7 +273,7 @@ def pass_through(
     return n_rows
 
 
-@kernel
+@inner_kernel
 def fill_gap(
     x: float, y: float, angle: float, gap: float, r: float, q: float, n_between: int, reach: float, cell: float,
     index: RowGrid, n_rows: int, interpolated: Counts, passes: Counts, at: CellIndices, ends: Floats,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.kernel import kernel
+from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.types import Floats
 
 RowGrid = NDArray[np.int32]
@@ -79,13 +79,13 @@ def per_ray(poses: Floats) -> Floats:
     return poses if poses.ndim == 3 else poses[:, None]
 
 
-@kernel
+@inner_kernel
 def sector_of(c: float, s: float) -> int:
     """Return the sector of direction (c, s)."""
     return round(math.atan2(s, c) / (2 * math.pi / N_SECTORS)) % N_SECTORS
 
 
-@kernel
+@outer_kernel
 def traverse(
     x: float, y: float, c: float, s: float, far: float, cell: float, at: CellIndices, ends: Floats
 ) -> int:

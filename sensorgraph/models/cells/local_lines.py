@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.kernel import kernel
+from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.cells.evidence import N_MOMENTS, CellEvidence
 from sensorgraph.models.cells.grid import N_SECTORS, CellIndices, RowGrid
 from sensorgraph.models.cells.settings import CELLS
@@ -31,7 +31,7 @@ COS = np.cos(np.arange(N_ANGLES) * np.pi / N_ANGLES)
 SIN = np.sin(np.arange(N_ANGLES) * np.pi / N_ANGLES)
 
 
-@kernel
+@inner_kernel
 def sum_neighbourhood(
     i: int,
     j: int,
@@ -61,7 +61,7 @@ def sum_neighbourhood(
             out[5] += m[5] + 2.0 * y0 * m[2] + n * y0 * y0
 
 
-@kernel
+@inner_kernel
 def fit_line(m: Floats, cell: float) -> tuple[bool, float, float, float]:
     """Fit a line to moments (6,): is there one, angle of its normal [rad], its offset [m], spread across [m]."""
     if m[0] < MIN_HITS:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.cells.evidence import MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.grid import (
@@ -91,7 +91,7 @@ def tabulate(
     )
 
 
-@kernel
+@inner_kernel
 def face_range(
     x: float, y: float, c: float, s: float, i: int, j: int, middle: float, code: int, offset: int, cell: float
 ) -> float:
@@ -108,7 +108,7 @@ def face_range(
     return r if abs(r - middle) < 2.0 * cell else middle
 
 
-@kernel
+@outer_kernel
 def stop_candidates(
     x: float, y: float, c: float, s: float, table: CellTable, at: CellIndices, ends: Floats,
     r: Floats, w: Floats, sigma: Floats, unseen: Floats,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Bools, Floats
 
@@ -124,7 +124,7 @@ def is_ray_observed(px: Any, py: Any, ux: Any, uy: Any, reach: Any, origin: Any,
             return False
 
 
-@inner_kernel
+@outer_kernel
 def _are_rays_observed(
     origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, room: Any, out: Any
 ) -> Any:
@@ -147,7 +147,7 @@ def _extent(origins: Any, directions: Any, reach: Any) -> Any:
     return low, high
 
 
-@inner_kernel
+@outer_kernel
 def _count_rays(origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, counts: Any) -> Any:
     nx, ny = counts.shape
     for k in range(len(reach)):

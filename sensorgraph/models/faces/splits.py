@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.models.faces.forward_selection import Lines
 from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid, crossed_faces
 from sensorgraph.models.faces.settings import FACES
@@ -85,7 +85,7 @@ def _pieces(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, f
     return done
 
 
-@inner_kernel
+@outer_kernel
 def _line_fit(s: Any, e: Any, w: Any) -> Any:
     """Fit e = a + b s by weighted least squares, b held near 0 by its prior."""
     total, total_s, total_e, across, along = 0.0, 0.0, 0.0, 0.0, 0.0
