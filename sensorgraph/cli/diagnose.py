@@ -61,7 +61,7 @@ def diagnose(
 
     _check_runs(runs)
     check_folder(out)
-    loaded = [_read(path, topic, no_return) for path in runs]
+    loaded = [_read(path, topic, no_return, robot) for path in runs]
     walls, machine = _place(loaded[0], runs[0], arena, robot)
     for path, run in zip(runs, loaded, strict=True):
         say_ray_order(str(path), run.sensor.bearings, machine.name, machine.sensor.bearings)
@@ -69,7 +69,9 @@ def diagnose(
     baseline = (
         None
         if not commissioning
-        else _commission([_read(path, topic, no_return) for path in commissioning], walls, machine, seed)
+        else _commission(
+            [_read(path, topic, no_return, robot) for path in commissioning], walls, machine, seed
+        )
     )
     with progress("diagnosing", "parts") as tick:
         finding = diagnose_run(
@@ -114,12 +116,14 @@ def _check_runs(runs: Sequence[Path]) -> None:
         )
 
 
-def _read(path: Path, topic: list[str] | None, no_return: str | None) -> Run:
+def _read(path: Path, topic: list[str] | None, no_return: str | None, robot: Path | None) -> Run:
     from logs import parse_topics, read
+    from sensorgraph.cli.inputs import mounts_of
     from sensorgraph.cli.progress import progress
 
     with progress("reading", "messages") as tick:
-        return read(path, topics=parse_topics(topic or []), no_return=no_return, progress=tick)
+        topics, mounts = parse_topics(topic or []), mounts_of(robot)
+        return read(path, topics=topics, no_return=no_return, mounts=mounts, progress=tick)
 
 
 def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple[Arena, Robot]:

@@ -34,7 +34,7 @@ from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.intake import check_jumps, check_rays
+from sensorgraph.intake import check_jumps
 from sensorgraph.types import Progress
 from sensorgraph.world.robot import Robot
 
@@ -83,10 +83,6 @@ def diagnose(
         A run is too short, has no returns or no poses, poses that jump, or is of another sensor or place.
     """
     for given in (run,) if second is None else (run, second):
-        check_rays(
-            given.sensor, given.meta.get("source", "the run"), takes="the diagnosis takes",
-            remedy="choose one laser with `topics` scan=NAME",
-        )  # fmt: skip
         check_jumps(given, pair(given), force=force)
     rng = np.random.default_rng(seed)
     clock = _StageClock(progress)

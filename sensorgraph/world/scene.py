@@ -7,20 +7,22 @@ from them (the simulator), and `sensorgraph.diagnose` asks how likely measured r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.special import ndtr
 
 from logs.run import RangeSensor
 from planners.arena import Arena
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.ray_intersection import nearest_walls
 from sensorgraph.world.raycast import cast_laser, directions, laser_poses, ray_starts
+from sensorgraph.world.sensor_parts import check_parts, part_names, part_of, sensor_of_rays
 
 STAGES = ("geometry", "time", "mount", "surface", "optics", "range", "detection", "noise")
 MAX_DISTANCE = 1e4  # [m] nothing is farther; the sensor's own limits come later, as part of the reading
@@ -75,6 +77,8 @@ class Beams:
     """[m] standard deviation of a return."""
     straight: Bools | None = None
     """Where the reading follows from `ranges` by `slope`; None: everywhere."""
+    within: Bools | None = None
+    """Where the nearest surface lies inside a cone, not at its edge, so that turning changes nothing; None: nowhere."""
 
     @property
     def cosine(self) -> Floats:
@@ -156,29 +160,36 @@ class Scene:
         self.bearings = self.sensor.bearings
         self.delay = self.sensor.ray_delays
 
-    def shoot(self, offset: float | Floats = 0.0, *, bearings: Floats | None = None) -> Beams:
-        """Cast every ray, turned by `offset` [rad], at walls, discs and movers, and let the surfaces act.
+    def shoot(self, offset: float = 0.0, *, bearings: Floats | None = None) -> Beams:
+        """Cast every ray or cone, turned by `offset` [rad], at walls, discs and movers, and let the surfaces act.
 
         Other `bearings` than the sensor's are those of one laser at the mount.
         """
-        key = b""
-        if self.memo is not None and bearings is None:
-            parts = (
-                self.walls,
-                self.mount,
-                self.delay,
-                self.discs,
-                self.movers,
-                np.asarray(offset, dtype=np.float64),
-            )
-            key = b"|".join(part.tobytes() for part in parts)
-            kept = self.memo.get(key)
-            if isinstance(kept, Beams):
-                beams = copy(kept)
-                for act in self.surfaces:
-                    act(self, beams)
-                return beams
-        bearings = (self.bearings if bearings is None else bearings) + offset
+        if bearings is not None:
+            return self._shoot_rays(offset, bearings)
+        is_cone = self.sensor.cones.any()
+        if self.memo is None or (
+            is_cone and self.surfaces
+        ):  # surfaces act on each ray of a cone, not on its nearest
+            return self._shoot_cones(offset) if is_cone else self._shoot_rays(offset, self.bearings)
+        parts = (self.walls, self.mount, self.delay, self.discs, self.movers, np.asarray(offset, np.float64))
+        key = b"|".join(part.tobytes() for part in parts)
+        kept = self.memo.get(key)
+        if not isinstance(kept, Beams):
+            surfaces, self.surfaces = self.surfaces, []
+            kept = self._shoot_cones(offset) if is_cone else self._shoot_rays(offset, self.bearings)
+            self.surfaces = surfaces
+            if len(self.memo) >= MAX_CACHED_CASTS:
+                self.memo.pop(next(iter(self.memo)))
+            self.memo[key] = kept
+        beams = copy(kept)
+        for act in self.surfaces:
+            act(self, beams)
+        return beams
+
+    def _shoot_rays(self, offset: float | Floats, bearings: Floats) -> Beams:
+        """Cast thin rays of these bearings (n,), turned by `offset` [rad] or (n,)."""
+        bearings = bearings + offset
         delay = self.delay if len(bearings) == len(self.delay) else np.full(1, self.delay.mean())
         spread = self.sensor.is_composite and len(bearings) == self.sensor.n_rays
         if np.ptp(delay) == 0.0 and not spread:
@@ -194,43 +205,107 @@ class Scene:
             ox, oy, phi = lasers[..., 0], lasers[..., 1], lasers[..., 2] + bearings
             ux, uy = np.cos(phi), np.sin(phi)
             ranges, wall = nearest_from_each(self.walls, ox, oy, ux, uy)
-        beams = _beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma)
+        return self._met(_beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma))
+
+    def _met(self, beams: Beams) -> Beams:
+        """Stop rays that walls have stopped at discs and movers, too, and let the surfaces act."""
         for centres, index in ((self.discs[None], DISC_WALL), (self.movers, DISC_WALL - 1)):
             if centres.shape[1]:
                 _meet_discs(beams, centres, index)
-        if key and self.memo is not None:
-            if len(self.memo) >= MAX_CACHED_CASTS:
-                self.memo.pop(next(iter(self.memo)))
-            self.memo[key] = copy(beams)
         for act in self.surfaces:
             act(self, beams)
         return beams
 
-    def _shoot_cones(self) -> Beams:
+    def _shoot_cones(self, offset: float) -> Beams:
         """Cast rays that fill the cone of each ray; what is measured is the nearest surface in it."""
-        n = 2 * int(np.ceil(self.sensor.cones.max() / CONE_STEP / 2)) + 1
-        parts = [self.shoot(share * self.sensor.cones) for share in np.linspace(-0.5, 0.5, n)]
-        nearest = np.stack([part.ranges for part in parts]).argmin(axis=0)
-        beams = parts[n // 2]
-        for name in ("ux", "uy", "ranges", "wall", "nx", "ny", "reading"):
-            setattr(
-                beams,
-                name,
-                np.take_along_axis(np.stack([getattr(p, name) for p in parts]), nearest[None], 0)[0],
-            )
-        beams.forget()
-        return beams
+        cones, n_scans = self.sensor.cones, len(self.stamps)
+        n = 2 * int(np.ceil(cones.max() / CONE_STEP / 2)) + 1
+        lasers = laser_poses(self.motion(self.stamps[:, None] + self.delay), self.mount)
+        lasers = ray_starts(lasers, self.sensor) if self.sensor.is_composite else lasers
+        fan = self.bearings + offset + np.linspace(-0.5, 0.5, n)[:, None] * cones  # (n, n_rays)
+        phi = (lasers[:, None, :, 2] + fan).reshape(n_scans, -1)
+        ox, oy = (np.tile(lasers[..., axis], (1, n)) for axis in (0, 1))  # (n_scans, n * n_rays)
+        ux, uy = np.cos(phi), np.sin(phi)
+        ranges, wall = nearest_from_each(self.walls, ox, oy, ux, uy)
+        filled = self._met(_beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma))
+        nearest = filled.ranges.reshape(n_scans, n, -1).argmin(axis=1)
+        at = nearest * len(cones) + np.arange(len(cones))
+        out: dict[str, Any] = {}
+        for name in (f.name for f in fields(Beams)):
+            table = getattr(filled, name)
+            is_table = isinstance(table, np.ndarray) and table.shape == filled.ranges.shape
+            out[name] = np.take_along_axis(table, at, 1) if is_table else table
+        return Beams(**{**out, "within": (nearest > 0) & (nearest < n - 1)})
 
     def run(self, effects: Iterable[Transform] = ()) -> Beams:
-        """Apply effects stage by stage, cast, and return the beams."""
+        """Apply effects stage by stage, cast, and return the beams.
+
+        Effects whose place is one of several sensors act on its rays alone.
+
+        Raises
+        ------
+        SensorgraphError : an effect is of a sensor that there is not, or cannot be of one sensor alone
+        """
         ordered = sorted(effects, key=lambda effect: (STAGES.index(effect.stage), effect.key))
+        owner = sensor_of_rays(self.sensor)
+        names = part_names(self.sensor)
+        check_parts([getattr(effect, "place", "") for effect in ordered], names)
+        parts = {
+            k: self._part(np.flatnonzero(owner == k))
+            for k, name in enumerate(names)
+            if _sits_at(ordered, name)
+        }
+        self._apply([effect for effect in ordered if not _sits_at([effect], *names)])
+        for k, part in parts.items():
+            part._apply([effect for effect in ordered if not _sits_at([effect], *names[:k], *names[k + 1 :])])
+            if (part.outliers, part.shorts, part.lattice) != (self.outliers, self.shorts, self.lattice):
+                raise SensorgraphError(
+                    f"an effect on all readings is said to be of {names[k]} alone; leave its location out"
+                )
+            self.beams = _with_rays(self.beams, part.beams, np.flatnonzero(owner == k))
+        return self.beams
+
+    def _apply(self, ordered: Sequence[Transform]) -> None:
+        """Apply effects in this order, and cast in between."""
         cast_after = STAGES.index("optics")
         for effect in (e for e in ordered if STAGES.index(e.stage) < cast_after):
             effect(self)
-        self.beams = self._shoot_cones() if self.sensor.cones.any() else self.shoot()
+        self.beams = self.shoot()
         for effect in (e for e in ordered if STAGES.index(e.stage) >= cast_after):
             effect(self)
-        return self.beams
+
+    def _part(self, rays: Ints) -> Scene:
+        """Return the scene of one of several sensors, by its rays."""
+        return Scene(
+            arena=self.arena,
+            sensor=part_of(self.sensor, rays),
+            stamps=self.stamps,
+            motion=self.motion,
+            span=self.span,
+            begin=self.begin,
+            seed=self.seed,
+        )
+
+
+def _sits_at(effects: Iterable[Transform], *places: str) -> bool:
+    return any(getattr(effect, "place", "") in places for effect in effects)
+
+
+def _with_rays(beams: Beams, part: Beams, rays: Ints) -> Beams:
+    """Return beams of which some rays are those of a part."""
+    out: dict[str, Any] = {}
+    for name in (f.name for f in fields(Beams)):
+        whole, some = (
+            _IF_NONE.get(name) if v is None else v for v in (getattr(beams, name), getattr(part, name))
+        )
+        table = np.broadcast_to(np.asarray(whole), beams.ranges.shape).copy()
+        table[:, rays] = some
+        out[name] = table
+    return Beams(**out)
+
+
+_IF_NONE = {"straight": True, "within": False}
+"""What a field of `Beams` says everywhere where it is None."""
 
 
 def nearest_from_each(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:

@@ -21,6 +21,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted, cast
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.world.scene import Beams
 
 MAX_P_ALTERNATIVE = 0.002
 """Chance of the other side of an edge in depth, above which a ray is not compared."""
@@ -109,6 +110,8 @@ class ComparedScans:
     """(n_scans,) [s] since the start of the run."""
     poses: Floats
     """(n_scans, 3)"""
+    rays: Floats | None
+    """(n_scans, n_rays, 4) [m, m, 1, 1] start and direction of each ray of several sensors, or of cones; None: of one laser."""
     lasers: Floats
     """(n_scans, 3) laser in map."""
     omega: Floats
@@ -171,6 +174,9 @@ class ComparedScans:
     def ends(self, flat: Ints, ranges: Floats) -> Floats:
         """Return where rays (by flat index) of these ranges (k,) end, (k, 2) [m, map]."""
         scan, ray = np.unravel_index(flat, self.measured.shape)
+        if self.rays is not None:
+            rays = self.rays[scan, ray]
+            return np.asarray(rays[:, :2] + ranges[:, None] * rays[:, 2:])
         lasers = self.lasers[scan]
         angle = lasers[:, 2] + self.sensor.bearings[ray]
         way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -277,4 +283,11 @@ def compare(finding: Finding) -> ComparedScans | None:
         before=before,
         after=SimulatedScans.of(final, named) if named else before,
         is_amended=bool(named),
+        rays=_rays_of(beams) if data.sensor.is_composite or data.sensor.cones.any() else None,
     )
+
+
+def _rays_of(beams: Beams) -> Floats:
+    """Return where the rays start and where they point, (n_scans, n_rays, 4); in a cone, to the nearest surface."""
+    ox, oy = (np.broadcast_to(o, beams.ux.shape) for o in (beams.ox, beams.oy))
+    return np.stack([ox, oy, beams.ux, beams.uy], axis=-1)

@@ -116,7 +116,7 @@ def _send_scans(
         clouds[f"plan/{name}"] = model.simulated
         clouds[f"plan/enlarged/{name}"] = compared.enlarged_ranges(model)
     for entity, ranges in clouds.items():
-        points = _points(compared, ranges[shown], lasers)
+        points = _points(compared, ranges[shown], shown)
         columns = rr.Points2D.columns(positions=np.concatenate(points)).partition([len(p) for p in points])
         recording.send_columns(entity, time, columns)
     for name, model, _ in models:
@@ -126,11 +126,18 @@ def _send_scans(
         recording.send_columns(f"residual/{name}", time, rr.Scalars.columns(scalars=residual))
 
 
-def _points(compared: ComparedScans, ranges: Floats, lasers: Floats) -> list[Floats]:
-    angle = lasers[:, 2:] + compared.sensor.bearings
+def _points(
+    compared: ComparedScans, ranges: Floats, shown: np.ndarray[tuple[int], np.dtype[np.intp]]
+) -> list[Floats]:
     seen = np.isfinite(ranges)
     far = np.where(seen, ranges, 0.0)
-    ends = lasers[:, None, :2] + far[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    if compared.rays is not None:
+        rays = compared.rays[shown]
+        ends = rays[..., :2] + far[..., None] * rays[..., 2:]
+    else:
+        lasers = compared.lasers[shown]
+        angle = lasers[:, 2:] + compared.sensor.bearings
+        ends = lasers[:, None, :2] + far[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     return [scan[hit] for scan, hit in zip(ends, seen, strict=True)]
 
 

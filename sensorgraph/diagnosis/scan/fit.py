@@ -28,6 +28,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.scene import Beams, Scene
 
@@ -72,7 +73,8 @@ def cast(data: ScanData, model: Sequence[Amendment]) -> Cast:
     scene = data.scene()
     beams = scene.run((*data.known, *model))
     jacobian = linearise(data, beams, scene.walls, scene.mount, _bent(data, model, beams))
-    edges = None if any(a.effect.diagnostics.wide_beam for a in model) else _edges(data, scene)
+    is_wide = measures_cones(data.sensor) or any(a.effect.diagnostics.wide_beam for a in model)
+    edges = None if is_wide else _edges(data, scene)
     expected = expected_readings(beams, jacobian.steep, edges, scene.outliers, scene.shorts, scene.lattice)
     return Cast(scene=scene, beams=beams, jacobian=jacobian, expected=expected, edges=edges)
 
@@ -159,7 +161,8 @@ def corners_of(data: ScanData) -> Corners:
 def locked(data: ScanData, model: Sequence[Amendment], corners: Corners) -> Bools:
     """Return which nuisances are held at 0: the copies of effects in the model, and the mount of a bare laser."""
     out = np.zeros(len(Nuisance) + 2 * corners.count, dtype=np.bool_)
-    held = [nuisance for a in model for nuisance in a.effect.nuisances]
+    whole = [a for a in model if a.effect.place is not None or not a.place]  # not of one of several sensors
+    held = [nuisance for a in whole for nuisance in a.effect.nuisances]
     if data.laser_frame:
         held += [Nuisance.MOUNT_X, Nuisance.MOUNT_Y, Nuisance.MOUNT_YAW]
     out[held] = True
@@ -172,6 +175,14 @@ def columns_of(data: ScanData, fitted: Fitted, amendment: Amendment) -> Floats:
     return np.stack(_difference_quotients(data, model, len(model) - 1, fitted.cast), axis=1)
 
 
+def slopes(beams: Beams, at: Cast, step: float, jump: float) -> Floats:
+    """Return the change of the readings (n_scans, n_rays) with a step of a parameter; 0 where a reading jumps."""
+    with np.errstate(invalid="ignore"):
+        slope = (beams.reading - at.beams.reading) / step
+    same = (beams.wall == at.beams.wall) & at.jacobian.valid & np.isfinite(slope) & (np.abs(slope) < jump)
+    return np.where(same, slope, 0.0)
+
+
 def _difference_quotients(data: ScanData, model: Sequence[Amendment], index: int, at: Cast) -> list[Floats]:
     """Differentiate the readings by the smooth parameters of one effect of a model; 0 where a reading jumps."""
     amendment, out = model[index], []
@@ -180,15 +191,7 @@ def _difference_quotients(data: ScanData, model: Sequence[Amendment], index: int
         moved[index] = amendment.moved_to({name: amendment.parameters.get(name, 0.0) + step})
         scene = data.scene()
         beams = scene.run((*data.known, *moved))
-        with np.errstate(invalid="ignore"):
-            slope = (beams.reading - at.beams.reading) / step
-        same = (
-            (beams.wall == at.beams.wall)
-            & at.jacobian.valid
-            & np.isfinite(slope)
-            & (np.abs(slope) < amendment.effect.parameter(name).jump)
-        )
-        out.append(np.where(same, slope, 0.0))
+        out.append(slopes(beams, at, step, amendment.effect.parameter(name).jump))
     return out
 
 

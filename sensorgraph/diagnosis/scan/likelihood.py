@@ -251,6 +251,8 @@ def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
     t = data.tolerances
     ranges, wall = beams.ranges, beams.wall
     differ = wall[:, 1:] != wall[:, :-1]
+    if data.sensor.is_composite:  # rays of two sensors are no neighbours
+        differ &= (data.sensor.origins[1:] == data.sensor.origins[:-1]).all(axis=1)
     scan, left = np.nonzero(differ)
     if len(scan) == 0:
         return None

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from logs.run import Run
+from logs.run import RangeSensor, Run
 from sensorgraph.diagnosis.result import Unknown
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Floats
 from sensorgraph.world.orientation import orientation
 from sensorgraph.world.raycast import cast_laser, laser_poses
@@ -124,8 +125,11 @@ def _matching_share(data: ScanData) -> float:
     n = min(data.n_scans, SETTINGS.matching_scans)
     some = np.linspace(0, data.n_scans - 1, n).astype(np.intp)
     sensor, measured = data.sensor, data.ranges[some]
-    lasers = laser_poses(data.poses[some], sensor.mount)
-    cast, _ = cast_laser(data.arena.walls, lasers, sensor.bearings, sensor.range_max)
+    if _is_one_laser(sensor):
+        lasers = laser_poses(data.poses[some], sensor.mount)
+        cast, _ = cast_laser(data.arena.walls, lasers, sensor.bearings, sensor.range_max)
+    else:
+        cast = data.subset(some).scene().shoot().ranges
     returned = np.isfinite(measured)
     if not returned.any():
         return 1.0
@@ -190,14 +194,22 @@ def _rescaled(raster: _Raster, points: Floats, scale: float, shift: Floats) -> t
 
 def _ends(data: ScanData, rng: np.random.Generator) -> Floats:
     """Return where some of the measured rays end, (n, 2) [m, map]."""
-    lasers = laser_poses(data.poses, data.sensor.mount)
     scan, ray = np.nonzero(data.returned)
     if len(scan) > SETTINGS.n_points:
         some = rng.choice(len(scan), SETTINGS.n_points, replace=False)
         scan, ray = scan[some], ray[some]
-    phi = lasers[scan, 2] + data.sensor.bearings[ray]
     r = data.ranges[scan, ray]
+    if not _is_one_laser(data.sensor):  # where the arena makes the nearest surface of a cone
+        beams = data.scene().shoot()
+        x, y = (np.broadcast_to(o, data.ranges.shape)[scan, ray] for o in (beams.ox, beams.oy))
+        return np.stack([x + r * beams.ux[scan, ray], y + r * beams.uy[scan, ray]], axis=1)
+    lasers = laser_poses(data.poses, data.sensor.mount)
+    phi = lasers[scan, 2] + data.sensor.bearings[ray]
     return np.stack([lasers[scan, 0] + r * np.cos(phi), lasers[scan, 1] + r * np.sin(phi)], axis=1)
+
+
+def _is_one_laser(sensor: RangeSensor) -> bool:
+    return not (sensor.is_composite or measures_cones(sensor))
 
 
 def _rotation(turn: float) -> Floats:

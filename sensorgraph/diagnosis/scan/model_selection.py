@@ -26,6 +26,7 @@ from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
 from sensorgraph.types import Bools
+from sensorgraph.world.sensor_parts import sensor_of_rays
 
 logger = logging.getLogger(__name__)
 
@@ -57,6 +58,8 @@ def price(amendment: Amendment, data: ScanData) -> float:
     places = {"wall": data.arena.n_walls, "obstacle": SCAN.selection.n_obstacle_places}.get(
         amendment.effect.place or "", 1
     )
+    if amendment.place and amendment.effect.place is None:
+        places = len(np.unique(sensor_of_rays(data.sensor)))
     counted = [
         v != 0.0 or not amendment.effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items()
     ]

@@ -100,7 +100,7 @@ def linearise(
     bent : which rays (n_scans, n_rays) do not follow from their straight path, their columns by the pose
     (n_scans, 3, n_rays), by difference quotients, and how steeply (n_scans, n_rays) [m/rad] they change with phi
     """
-    cosine = beams.cosine
+    cosine, nx, ny = _facing(beams)
     hit = np.isfinite(beams.ranges) & np.isfinite(beams.reading)
     straight = hit if beams.straight is None else hit & beams.straight
     valid = straight & (cosine > SETTINGS.min_cosine)
@@ -108,11 +108,14 @@ def linearise(
     safe = np.where(valid, cosine, 1.0)
     r = np.where(valid, beams.ranges, 0.0)
     inverse = slope / safe
-    dx, dy = beams.nx * inverse, beams.ny * inverse
-    turn = r * (beams.ny * beams.ux - beams.nx * beams.uy) * inverse
+    dx, dy = nx * inverse, ny * inverse
+    turn = r * (ny * beams.ux - nx * beams.uy) * inverse
     phi = data.poses[:, 2]
     c, s = np.cos(phi)[:, None], np.sin(phi)[:, None]
     lx, ly = c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]
+    if data.sensor.is_composite:  # each ray turns about the mount, and with it about base_link
+        ox, oy = beams.ox - data.poses[:, :1] - lx, beams.oy - data.poses[:, 1:2] - ly
+        turn = turn + ox * dy - oy * dx
     pose = np.stack([dx, dy, turn + lx * dy - ly * dx], axis=1)
     on = valid & (beams.wall >= 0)
     slack = np.zeros(cosine.shape)
@@ -157,11 +160,22 @@ def linearise(
         nuisances=nuisances,
         ends=ends,
         wall=wall,
-        nx=beams.nx,
-        ny=beams.ny,
+        nx=nx,
+        ny=ny,
         valid=valid,
         steep=steep,
     )
+
+
+def _facing(beams: Beams) -> tuple[Floats, Floats, Floats]:
+    """Return the cosine of the incidence and the normal (n_scans, n_rays) by which readings change with the pose.
+
+    The nearest surface within a cone changes them along the ray alone, as a wall does that faces it.
+    """
+    if beams.within is None:
+        return beams.cosine, beams.nx, beams.ny
+    nx, ny = np.where(beams.within, -beams.ux, beams.nx), np.where(beams.within, -beams.uy, beams.ny)
+    return np.where(beams.within, 1.0, beams.cosine), nx, ny
 
 
 def _share(beams: Beams, walls: Floats, wall: Ints) -> Floats:

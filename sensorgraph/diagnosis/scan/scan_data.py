@@ -256,6 +256,11 @@ def _sensor(run: Run, robot: Robot, laser_frame: bool) -> RangeSensor:
             f"{100 * beyond:.0f} % of the readings are beyond sensor.range_max = {described.range_max:g} m of "
             "robot.yaml; give the robot that recorded the run"
         )
+    several = run.sensor.is_composite or described.is_composite
+    if several:  # the places of the run: its transforms, or those of the robot file it was read with
+        described = replace(described, mount=run.sensor.mount, origins=run.sensor.origins)
+    if several or run.sensor.cones.any() or described.cones.any():
+        described = replace(described, cones=run.sensor.cones)
     mount = np.zeros(3) if laser_frame else described.mount
     sigma = max(described.sigma, described.resolution / np.sqrt(12), settings.min_sigma)
     return replace(described, mount=mount, sigma=float(sigma))

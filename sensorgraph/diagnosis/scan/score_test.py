@@ -11,17 +11,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.fit import Fitted, columns_of, corners_of
+from sensorgraph.diagnosis.scan.fit import Fitted, columns_of, corners_of, slopes
 from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
 from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
+from sensorgraph.world.sensor_parts import part_names, sensor_of_rays
 
 MAP_PLACES = ("wall", "obstacle", None, "spot", "sector")
 """Order in which effects of the map are tested: of equal ones, the first counts."""
+
+
+STAGES_OF_ONE_SENSOR = ("mount", "range")
+"""Stages of the effects that one of several sensors may have for itself."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,6 +85,7 @@ def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) ->
         )
         found.append(Candidate(amendment=moved, gain=value - reference))
     found += _by_own_columns(data, fitted, weight)
+    found += _of_one_sensor(data, fitted, weight)
     return sorted(found, key=lambda c: -c.gain)
 
 
@@ -101,6 +107,58 @@ def _by_own_columns(data: ScanData, fitted: Fitted, weight: Floats) -> list[Cand
         values = {name: at_neutral[name] + float(v) for name, v in zip(effect.steps, x[-k:], strict=True)}
         found.append(Candidate(amendment=at_neutral.moved_to(values), gain=value - without))
     return found
+
+
+def _of_one_sensor(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candidate]:
+    """Test biases, scales and mounts of each of several sensors, with one system of the columns of all."""
+    if not data.sensor.is_composite:
+        return []
+    old, state, n = fitted.solver, fitted.state, fitted.solver.n_g
+    owner = sensor_of_rays(data.sensor)
+    present = {(a.name, a.place) for a in fitted.model}
+    blocks, columns = [], [old.effects]
+    for effect in effects_with_nuisances():
+        if effect.stage not in STAGES_OF_ONE_SENSOR:
+            continue
+        by_parameter = _columns_of_sensors(data, fitted, effect)  # (k, n_scans, n_rays)
+        for number, name in enumerate(part_names(data.sensor)):
+            at = effect(**{**dict.fromkeys(effect.steps, 0.0), **effect.at_neutral().parameters}).at(name)
+            if (at.name, at.place) not in present:
+                blocks.append(at)
+                columns.append(np.where(owner == number, by_parameter, 0.0).transpose(1, 0, 2))
+    walls, tau = fitted.cast.scene.walls, old.scaled(state)
+    wide = Solver(
+        data, old.expected, old.jacobian, walls, np.concatenate(columns, axis=1), old.corners, old.locked
+    )
+    system = wide.assemble(weight, state.pose_scale)
+    n_old = len(system.right) - sum(part.shape[1] for part in columns[1:])
+    base = np.arange(n_old)
+    without, _ = _solved(system.matrix[:n_old, :n_old], system.right[:n_old], tau, old.locked, n)
+    found, first = [], n_old
+    for at in blocks:
+        k = len(at.effect.steps)
+        some = np.concatenate([base, np.arange(first, first + k)])
+        value, x = _solved(system.matrix[np.ix_(some, some)], system.right[some], tau, old.locked, n)
+        moved = {name: at[name] + float(v) for name, v in zip(at.effect.steps, x[-k:], strict=True)}
+        found.append(Candidate(amendment=at.moved_to(moved), gain=value - without))
+        first += k
+    return found
+
+
+def _columns_of_sensors(data: ScanData, fitted: Fitted, effect: Effect) -> Floats:
+    """Differentiate the readings of a fit by an effect on each of several sensors, (k, n_scans, n_rays).
+
+    Each ray's columns are by the effect on its own sensor.
+    """
+    places = part_names(data.sensor)
+    out, at = [], fitted.cast
+    for name, step in effect.steps.items():
+        values = {**dict.fromkeys(effect.steps, 0.0), **effect.at_neutral().parameters, name: step}
+        beams = data.scene().run(
+            (*data.known, *fitted.model, *(effect(**values).at(place) for place in places))
+        )
+        out.append(slopes(beams, at, step, effect.parameter(name).jump))
+    return np.stack(out)
 
 
 def hypotheses(data: ScanData, fitted: Fitted) -> list[Hypothesis]:
