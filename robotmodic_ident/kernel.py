@@ -24,7 +24,17 @@ def kernel(function: Function) -> Function:
 
 def inner_kernel(function: Function) -> Function:
     """Compile a kernel that other kernels call, and nothing else: the way in from Python would be much of it."""
-    return _stored(partial(numba.njit, no_cpython_wrapper=True), function)
+    compiled: Any = _stored(partial(numba.njit, no_cpython_wrapper=True), function)
+
+    def add_overload(result: Any) -> None:  # not handed to Python's calls: there is no way in for them
+        compiled.overloads[tuple(result.signature.args)] = result
+
+    def refuse(*_: object) -> None:
+        raise TypeError(f"{function.__name__} is an inner kernel, which only kernels call")
+
+    compiled.add_overload = add_overload
+    compiled._compile_for_args = refuse
+    return cast(Function, compiled)
 
 
 def _stored(compiler: Callable[..., Any], function: Function) -> Function:

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from robotmodic_ident.kernel import inner_kernel
+from robotmodic_ident.kernel import inner_kernel, kernel
 from robotmodic_ident.types import Floats, Ints
 
 KIND_POWER, KIND_COS, KIND_SIN, KIND_LEGENDRE, KIND_CHEBYSHEV, KIND_SPLINE, KIND_WAVELET = range(7)
@@ -37,7 +37,7 @@ def spline(degree: int, index: int, count: int, t: float) -> float:
     return float(values[0])
 
 
-@inner_kernel
+@kernel
 def shape(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
     """Evaluate one function of one (scaled) variable."""
     if kind == KIND_COS:
@@ -60,7 +60,7 @@ def shape(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
     return t
 
 
-@inner_kernel
+@kernel
 def slope(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
     """Differentiate `shape` by t."""
     if kind == KIND_COS:
@@ -147,7 +147,7 @@ def value_at(
     return top / bottom + noise_part, bottom
 
 
-@inner_kernel
+@kernel
 def run(
     base: Floats,
     theta: Floats,
@@ -251,7 +251,7 @@ def fill_gradient(
                     gradient[k, parameter] += weight * gradient[before, parameter]
 
 
-@inner_kernel
+@kernel
 def run_ahead(
     base: Floats,
     theta: Floats,
