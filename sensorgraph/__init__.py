@@ -24,7 +24,18 @@ from sensorgraph.version import __version__ as __version__
 if TYPE_CHECKING:
     from planners.arena import Arena
     from sensorgraph import errors
-    from sensorgraph.api import build, diagnose, evaluate, identify, plan, predict, read, record, review
+    from sensorgraph.api import (
+        build,
+        diagnose,
+        evaluate,
+        identify,
+        locate,
+        plan,
+        predict,
+        read,
+        record,
+        review,
+    )
     from sensorgraph.effects import EFFECTS
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
@@ -43,6 +54,7 @@ __all__ = [
     "identify",
     "load_arena",
     "load_robot",
+    "locate",
     "plan",
     "predict",
     "read",
@@ -58,7 +70,7 @@ _HOMES = {
     "load_arena": "sensorgraph.loading",
     "load_robot": "sensorgraph.world.robot",
 } | dict.fromkeys(
-    ("build", "diagnose", "evaluate", "identify", "plan", "predict", "read", "record", "review"),
+    ("build", "diagnose", "evaluate", "identify", "locate", "plan", "predict", "read", "record", "review"),
     "sensorgraph.api",
 )
 

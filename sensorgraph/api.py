@@ -25,6 +25,8 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification import identify as identifying
 from sensorgraph.identification.signals import SignalData, is_table, signals_of_run, signals_of_table
 from sensorgraph.loading import arena_in, load_arena, read_poses, robot_for, robot_in
+from sensorgraph.localization.locate import LocatedRun, located_run
+from sensorgraph.localization.locate import locate as locate_run
 from sensorgraph.models.base import Point, Prediction
 from sensorgraph.planning.plan import CoveragePlan, plan
 from sensorgraph.recording.drive_source import check_start, kept_plan, open_drive, start_of
@@ -34,7 +36,18 @@ from sensorgraph.show.review.contents import Review
 from sensorgraph.show.review.review import review as write_review
 from sensorgraph.world.robot import Robot, load_robot
 
-__all__ = ["build", "diagnose", "evaluate", "identify", "plan", "predict", "read", "record", "review"]
+__all__ = [
+    "build",
+    "diagnose",
+    "evaluate",
+    "identify",
+    "locate",
+    "plan",
+    "predict",
+    "read",
+    "record",
+    "review",
+]
 
 RunLike = Run | Path | str
 """A run, or a file of one."""
@@ -103,6 +116,40 @@ def record(
     check_start(start_of(way), walls, machine)
     file = None if path is None else Path(path)
     return record_drive(file, walls, machine, way, effects=amendments, seed=seed, attachments=attachments)
+
+
+@as_sensorgraph_error
+def locate(
+    run: RunLike, arena: ArenaLike | GraphLike | None = None, *, path: Path | str | None = None
+) -> LocatedRun:
+    """Find where each scan of a run was taken, from scans and wheels alone.
+
+    Parameters
+    ----------
+    run : of a laser; its own reference poses, if it has any, are left aside
+    arena : the place, where it is known: an arena, a sensorgraph of faces, the file of one, or a shipped arena; None:
+        it is mapped, and the first pose is that of the odometry
+    path : also write the run with its poses there, as MCAP
+
+    Returns
+    -------
+    LocatedRun with poses (n_scans, 3), covariances (n_scans, 3, 3), status, and `run`, which `build` takes
+
+    Raises
+    ------
+    SensorgraphError : too few scans, wide cones, or scans that fit nowhere in the arena
+    """
+    log = _run(run)
+    place = arena
+    if isinstance(arena, str | Path):
+        is_graph = str(arena).endswith(".sensorgraph") and Path(arena).exists()
+        place = _graph(arena) if is_graph else _arena(arena)
+    name = str(arena) if isinstance(arena, str | Path) else "the map"
+    assert place is None or isinstance(place, Arena | Sensorgraph)
+    found = LocatedRun.of(log, locate_run(log, place, name=name))
+    if path is not None:
+        logs.write(located_run(log, found), path)
+    return found
 
 
 @as_sensorgraph_error

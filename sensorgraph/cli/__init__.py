@@ -20,6 +20,7 @@ from sensorgraph.cli.diagnose import diagnose
 from sensorgraph.cli.evaluate import evaluate
 from sensorgraph.cli.identify import identify
 from sensorgraph.cli.inspect import inspect
+from sensorgraph.cli.locate import locate
 from sensorgraph.cli.messages import with_flags
 from sensorgraph.cli.narrow_help import is_narrow, set_narrow
 from sensorgraph.cli.plan import plan
@@ -35,6 +36,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "plan": plan,
     "inspect": inspect,
     "recover": recover,
+    "locate": locate,
     "build": build,
     "evaluate": evaluate,
     "predict": predict,

@@ -141,6 +141,34 @@ BuildDask = Annotated[
     typer.Option(metavar="ADDRESS", help="Scheduler of a Dask cluster that reduces the scans of faces."),
 ]
 
+# locate
+LocateRun = Annotated[
+    Path, typer.Argument(metavar="RUN", help="MCAP, rosbag2 folder, ROS 1 bag, CARMEN log or CSV.")
+]
+LocateArena = Annotated[
+    str | None,
+    typer.Option(
+        metavar="MAP|GRAPH",
+        help="GeoJSON, map_server yaml, a shipped one, or a sensorgraph of the place; default: it is mapped.",
+    ),
+]
+LocateOut = Annotated[
+    Path | None,
+    typer.Option("-o", "--out", metavar="OUT.mcap", help="The run with /pose, its covariances, and /tf."),
+]
+LocateCsv = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="POSES.csv", help="Write t,x,y,phi,sigma_x,sigma_y,sigma_phi,status, one row a scan."
+    ),
+]
+LocateJson = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write counts, stretches, wheels and loop closures.")
+]
+LocatePicture = Annotated[
+    Path | None, typer.Option(metavar="PNG", help="Draw returns, track, loop closures kept and refused.")
+]
+
 # evaluate
 EvaluateRun = Annotated[Path, typer.Argument(metavar="RUN", help="A recording with poses.")]
 EvaluateSplit = Annotated[

@@ -15,6 +15,11 @@
 | `patches`, `refinement` | poses and surfaces together |
 | `covariances` | how well the poses are known, by a bootstrap of the residuals |
 | `mapping` | `map_run`: all of these, for a run in a new place |
+| `locate` | the way in: a known place or a new one; the located run, CSV, summary |
+| `in_map`, `map_tracking` | a run in a known place: search, follow, lose and find again, smooth |
+| `known_map`, `global_search` | walls as lines, fields and rays; all places where a view fits |
+| `smoothing` | all poses at once by a banded Cholesky factor, with covariances |
+| `map_settings` | every tuned number of these, with unit and meaning |
 | `likelihood_field` | how likely a return is at each place of a map |
 | `branch_and_bound` | where in a likelihood field a scan fits, without a guess |
 """

@@ -33,16 +33,7 @@ def arena_of(graph: Sensorgraph) -> Arena:
 
     Connected walls have one name: `room/edge_i` for those that reach farthest, `thing_k/edge_i` for the others.
     """
-    model = graph.model
-    if not isinstance(model, Faces):
-        raise SensorgraphError(
-            f"the graph's model is {model.name}, which has no walls; build one of faces, or give a map"
-        )
-    walls, normals = _walls(model)
-    if len(walls) == 0:
-        raise SensorgraphError(
-            "the graph has no face that is surely seen; build it from a longer log, or give a map"
-        )
+    model, walls, normals = _faces_of(graph)
     thing = _connected_walls(walls)
     size = [
         float(np.prod(np.ptp(walls[thing == k].reshape(-1, 2), axis=0) + 0.1)) for k in range(thing.max() + 1)
@@ -59,6 +50,31 @@ def arena_of(graph: Sensorgraph) -> Arena:
         names=tuple(names),
         surfaces=("wall",) * len(walls),
     )
+
+
+def walls_of(graph: Sensorgraph) -> Floats:
+    """Return the walls (n, 2, 2) [m, map] of a graph of model `faces`, without the free space, which takes long.
+
+    Raises
+    ------
+    SensorgraphError : the graph is of another model, or has no face that is surely seen
+    """
+    return _faces_of(graph)[1]
+
+
+def _faces_of(graph: Sensorgraph) -> tuple[Faces, Floats, Floats]:
+    """Return the model, and walls (n, 2, 2) with their normals (n, 2)."""
+    model = graph.model
+    if not isinstance(model, Faces):
+        raise SensorgraphError(
+            f"the graph's model is {model.name}, which has no walls; build one of faces, or give a map"
+        )
+    walls, normals = _walls(model)
+    if len(walls) == 0:
+        raise SensorgraphError(
+            "the graph has no face that is surely seen; build it from a longer log, or give a map"
+        )
+    return model, walls, normals
 
 
 def _walls(model: Faces) -> tuple[Floats, Floats]:

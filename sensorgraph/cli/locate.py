@@ -1,0 +1,110 @@
+"""`sensorgraph locate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from sensorgraph.cli.options import (
+    LocateArena,
+    LocateCsv,
+    LocateJson,
+    LocateOut,
+    LocatePicture,
+    LocateRun,
+    NoReturn,
+    RunRobot,
+    Topics,
+)
+
+if TYPE_CHECKING:
+    from planners.arena import Arena
+    from sensorgraph.graph import Sensorgraph
+    from sensorgraph.types import Floats
+
+
+def locate(
+    run: LocateRun,
+    arena: LocateArena = None,
+    out: LocateOut = None,
+    csv: LocateCsv = None,
+    json: LocateJson = None,
+    picture: LocatePicture = None,
+    topic: Topics = None,
+    no_return: NoReturn = None,
+    robot: RunRobot = None,
+) -> None:
+    """Find where each scan was taken, from the robot's own log: scans and wheels, in a known place or a new one.
+
+    Without --arena, a map of its own: loop closures, all poses and surfaces fitted together. With one, found there
+    without a guess and followed. Each pose has a covariance; where the place is not sure, it says lost or ambiguous.
+
+    Examples:
+
+      sensorgraph locate raw.mcap -o located.mcap
+
+      sensorgraph locate raw.mcap --arena lab.geojson -o located.mcap --csv poses.csv
+
+      sensorgraph locate monday.clf.bz2 --arena lab.sensorgraph --json monday.json --picture monday.png
+    """
+    from logs import parse_topics, read, write
+    from sensorgraph.cli.inputs import check_output, mounts_of, with_robot, write_json
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.errors import SensorgraphError
+    from sensorgraph.files import atomic_file
+    from sensorgraph.localization.locate import locate as locate_run
+    from sensorgraph.localization.locate import located_run, poses_csv, summary, summary_lines
+    from sensorgraph.show.figures.localization import localization_picture
+
+    for path in (out, csv, json, picture):
+        if path is not None:
+            check_output(path, run)
+    if out is not None and out.suffix != ".mcap":
+        raise SensorgraphError(f"{out}: a run is written as *.mcap; name it {out.with_suffix('.mcap').name}")
+    if picture is not None and picture.suffix != ".png":
+        raise SensorgraphError(
+            f"{picture}: a picture is written as *.png; name it {picture.with_suffix('.png').name}"
+        )
+    place = None if arena is None else _place(arena)
+    with progress("reading", "messages") as tick:
+        names = parse_topics(topic or [])
+        log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
+    log = with_robot(log, str(run), robot)
+    found = locate_run(log, place, name=arena or "the map", progress=progress)
+    for line in summary_lines(found):
+        typer.echo(line)
+    if csv is not None:
+        with atomic_file(csv) as part:
+            part.write_text(poses_csv(found), encoding="utf-8")
+    if json is not None:
+        write_json(json, summary(found))
+    if picture is not None:
+        localization_picture(log, found, picture, walls=_walls(place))
+    if out is not None:
+        with progress("writing", "messages") as tick:
+            write(located_run(log, found), out, progress=tick)
+    written = [str(path) for path in (csv, json, picture, out) if path is not None]
+    typer.echo(
+        f"wrote {', '.join(written)}" if written else "nothing written: name -o OUT.mcap, --csv or --json"
+    )
+
+
+def _place(arena: str) -> Arena | Sensorgraph:
+    """Open a map or a graph."""
+    from sensorgraph.graph import Sensorgraph
+    from sensorgraph.loading import load_arena
+
+    if arena.endswith(".sensorgraph") and Path(arena).exists():
+        return Sensorgraph.load(Path(arena))
+    return load_arena(arena)
+
+
+def _walls(place: Arena | Sensorgraph | None) -> Floats | None:
+    from sensorgraph.graph import Sensorgraph
+    from sensorgraph.world.identified_arena import walls_of
+
+    if place is None:
+        return None
+    return walls_of(place) if isinstance(place, Sensorgraph) else place.walls

@@ -1,0 +1,193 @@
+"""Locate a run in a known place: laser odometry, tracking in the map, and all poses smoothed together."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.run import Run
+from logs.transforms import compose, invert, wrap
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization.front_end import ScanTrack, track
+from sensorgraph.localization.global_search import LocalView, find_places, local_view
+from sensorgraph.localization.known_map import KnownMap, known_map
+from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
+from sensorgraph.localization.map_tracking import MapTrack, MapTracker, rematch
+from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.localization.result import Localization, Status, WheelParameters
+from sensorgraph.localization.scans import ScanPoints, scan_points
+from sensorgraph.localization.smoothing import smooth
+from sensorgraph.localization.wheels import identify_wheels
+from sensorgraph.types import Bools, Floats, ProgressBars, no_progress
+
+
+def locate_in_map(
+    run: Run,
+    walls: Floats,
+    *,
+    name: str = "the map",
+    progress: ProgressBars = no_progress,
+    settings: MapTrackingSettings = MAP_TRACKING,
+) -> Localization:
+    """Find all poses of a run in a place that is known, without a guess.
+
+    Parameters
+    ----------
+    walls : (n, 2, 2) [m, map] both ends of each wall
+    name : of the map, for messages
+
+    Raises
+    ------
+    SensorgraphError : the scans fit nowhere in the map, or there is none
+    """
+    if run.n_scans == 0:
+        raise SensorgraphError("the run has no scan to locate; record /scan")
+    motion = odometry_of(run)
+    scans = scan_points(run, motion)
+    odometry = None if motion is None else odometry_at_scans(run, motion)
+    place = known_map(walls)
+    with progress("following the scans", "scans") as tick:
+        steps = track(scans, run.stamps, odometry, tick)
+    with progress(f"locating in {name}", "scans") as tick:
+        found = MapTracker(scans, run.stamps, steps, place, settings).run(tick)
+    if np.isnan(found.poses[:, 0]).all() and not found.rivals:
+        raise SensorgraphError(_no_fit(scans, steps, place, found, name, settings))
+    poses = _filled(found, steps)
+    with progress("smoothing", "scans") as tick:
+        start = _smoothed(poses, steps, found.breaks, found.poses, found.information, settings)[0]
+        start[np.isnan(found.poses[:, 0])] = np.nan
+        places, information, noise = rematch(scans, start, place, tick)
+    poses, covariances = _smoothed(poses, steps, found.breaks, places, information, settings)
+    covariances = covariances + _map_error(noise, run.sensor.sigma, settings)
+    status = _status(run.stamps, information, found, settings)
+    notes = () if odometry is not None else ("no odometry that moves: located by the scans alone",)
+    return Localization(
+        t=run.stamps,
+        poses=poses,
+        covariances=covariances,
+        status=status,
+        wheels=None if odometry is None else _wheels(poses, odometry, steps),
+        rivals=found.rivals,
+        notes=(*notes, *_lost_notes(run.stamps, status)),
+    )
+
+
+def _wheels(poses: Floats, odometry: Floats, steps: ScanTrack) -> WheelParameters:
+    """Identify the wheels on the ways from key frame to key frame."""
+    keys = steps.key_frames
+    is_whole = np.diff(steps.piece) == 0
+    driven = compose(invert(odometry[keys[:-1]]), odometry[keys[1:]])[is_whole]
+    measured = compose(invert(poses[keys[:-1]]), poses[keys[1:]])[is_whole]
+    driven[:, 2], measured[:, 2] = wrap(driven[:, 2]), wrap(measured[:, 2])
+    return identify_wheels(driven, measured)
+
+
+def _smoothed(
+    poses: Floats,
+    steps: ScanTrack,
+    breaks: Bools,
+    places: Floats,
+    information: Floats,
+    settings: MapTrackingSettings,
+) -> tuple[Floats, Floats]:
+    """Return poses and covariances of the whole run."""
+    s = settings
+    relative = compose(invert(steps.poses[:-1]), steps.poses[1:])
+    way, turn = np.hypot(relative[:, 0], relative[:, 1]), np.abs(relative[:, 2])
+    sd = np.asarray(s.step_floor) + (s.step_per_metre * way + s.step_per_turn * turn)[:, None]
+    sd[~steps.matched[1:]] *= s.blind_step
+    sd[breaks[1:]] = s.broken_step
+    step_information = np.zeros((len(sd), 3, 3))
+    step_information[:, np.arange(3), np.arange(3)] = sd**-2.0
+    values, vectors = np.linalg.eigh(information)  # a match may know less than nothing along a wall
+    weighted = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) / s.correlation
+    result = smooth(poses, relative, step_information, np.where(np.isfinite(places), places, 0.0), weighted)
+    return result.poses, result.covariances
+
+
+def _map_error(noise: Floats, sigma: float, settings: MapTrackingSettings) -> Floats:
+    """Return the covariance (3, 3) that a map's own errors add: walls that are off scatter the returns."""
+    usual = float(np.nanmedian(noise)) if np.isfinite(noise).any() else sigma
+    excess = np.sqrt(max(usual**2 - sigma**2, 0.0))
+    share = np.array([settings.map_share, settings.map_share, settings.map_share_turn])
+    return np.diag(np.asarray(settings.place_floor) ** 2 + (share * excess) ** 2)
+
+
+def _filled(found: MapTrack, steps: ScanTrack) -> Floats:
+    """Return poses (n, 3) for all scans: those not known as the way from the nearest known one says."""
+    poses = found.poses.copy()
+    if np.isnan(poses[:, 0]).all():
+        first = min(found.rivals)
+        poses[first] = found.rivals[first][0]
+    known, every = np.flatnonzero(np.isfinite(poses[:, 0])), np.arange(len(poses))
+    nearest = known[
+        np.clip(np.searchsorted(known, every, side="right") - 1, 0, None)
+    ]  # the last one, or the first
+    lost = np.isnan(poses[:, 0])
+    way = compose(invert(steps.poses[nearest[lost]]), steps.poses[lost])
+    poses[lost] = compose(poses[nearest[lost]], way)
+    return poses
+
+
+def _status(
+    stamps: Floats, information: Floats, found: MapTrack, settings: MapTrackingSettings
+) -> tuple[Status, ...]:
+    """Return for each scan whether it fits the map, or is near enough to one that does."""
+    good = np.flatnonzero(information.any(axis=(1, 2)))
+    is_ok = np.zeros(len(stamps), dtype=np.bool_)
+    if len(good):
+        after = good[np.clip(np.searchsorted(good, np.arange(len(stamps))), 0, len(good) - 1)]
+        before = good[np.clip(np.searchsorted(good, np.arange(len(stamps)), side="right") - 1, 0, None)]
+        near = np.minimum(np.abs(stamps[after] - stamps), np.abs(stamps - stamps[before]))
+        is_ok = (near <= settings.ok_within) & np.isfinite(found.poses[:, 0])
+    is_ambiguous = _ambiguous(is_ok, found)
+    words: dict[bool, Status] = {True: "ambiguous", False: "lost"}
+    return tuple("ok" if ok else words[bool(a)] for ok, a in zip(is_ok, is_ambiguous, strict=True))
+
+
+def _ambiguous(is_ok: Bools, found: MapTrack) -> Bools:
+    """Tell in which stretches without a place a search had several answers."""
+    starts = np.flatnonzero(np.diff(np.concatenate([[True], is_ok])) & ~is_ok)
+    out = np.zeros(len(is_ok), dtype=np.bool_)
+    for start in starts:
+        stop = start + int(np.argmax(np.append(is_ok[start:], True)))
+        out[start:stop] = any(start <= k < stop for k in found.rivals)
+    return out
+
+
+def _lost_notes(stamps: Floats, status: tuple[Status, ...]) -> tuple[str, ...]:
+    """Say when the robot was lost, or might have been in several places."""
+    notes: list[str] = []
+    start = 0
+    for k in range(1, len(status) + 1):
+        if k == len(status) or status[k] != status[start]:
+            if status[start] != "ok":
+                notes.append(f"{status[start]} from {stamps[start]:.1f} s to {stamps[k - 1]:.1f} s")
+            start = k
+    return tuple(notes)
+
+
+def _no_fit(
+    scans: ScanPoints,
+    steps: ScanTrack,
+    place: KnownMap,
+    found: MapTrack,
+    name: str,
+    settings: MapTrackingSettings,
+) -> str:
+    """Say that the scans fit nowhere, and whether they would as seen in a mirror."""
+    flip = np.array([1.0, -1.0])
+    for k in steps.key_frames[: settings.view_scans]:
+        view = local_view(scans, np.array([k]), steps.poses[[k]])
+        mirrored = LocalView(
+            points=view.points * flip, normals=view.normals * flip, starts=view.starts * flip
+        )
+        if find_places(mirrored, place).fit > max(found.best_fit + 0.2, settings.found_fit):
+            return (
+                f"the scans fit {name} only as seen in a mirror: the laser counts its rays clockwise; give a robot.yaml "
+                "or a transform that says so"
+            )
+    return (
+        f"the scans fit nowhere in {name}: at the best place the returns on its walls, less twice those through walls, are "
+        f"{max(found.best_fit, 0):.0%} of all, expected {settings.found_fit:.0%}; give the map of the place where the run "
+        "was recorded, or none"
+    )

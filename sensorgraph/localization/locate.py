@@ -1,0 +1,201 @@
+"""`locate`: poses of a run in a known place or a new one, and the run that carries them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from logs.run import Run
+from planners.arena import Arena
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.intake import check_rays
+from sensorgraph.localization.in_map import locate_in_map
+from sensorgraph.localization.mapping import map_run
+from sensorgraph.localization.result import Closure, Localization
+from sensorgraph.types import Floats, ProgressBars, no_progress
+from sensorgraph.world.identified_arena import walls_of
+
+POSE_SOURCE = "locate"
+"""`pose_source` of a located run."""
+ATTACHMENT = "localization.json"
+"""What a located run keeps of how it was located."""
+MIN_SCANS = 2
+"""Fewer make no drive."""
+COLUMNS = ("t", "x", "y", "phi", "sigma_x", "sigma_y", "sigma_phi", "status")
+
+
+def locate(
+    run: Run,
+    place: Arena | Sensorgraph | None = None,
+    *,
+    name: str = "the map",
+    progress: ProgressBars = no_progress,
+) -> Localization:
+    """Find the pose of every scan of a run, from its scans and its odometry.
+
+    Parameters
+    ----------
+    place : an arena or a sensorgraph in which the robot was; None: a place that nobody has mapped
+    name : of the place, for messages
+
+    Raises
+    ------
+    SensorgraphError : too few scans, rays that are wide cones, or scans that fit nowhere in the place
+    """
+    if run.n_scans < MIN_SCANS:
+        raise SensorgraphError(
+            f"the run has {run.n_scans} scan{'' if run.n_scans == 1 else 's'}, expected a drive of many; give a longer log"
+        )
+    check_rays(run.sensor, "the run", takes="locate takes", remedy="give the run of a laser", one_place=False)
+    if not np.isfinite(run.ranges).any():
+        raise SensorgraphError(
+            "no ray of the run ever returned; check the topic of the scans (sensorgraph inspect)"
+        )
+    if place is None:
+        return map_run(run, progress=progress)
+    walls = walls_of(place) if isinstance(place, Sensorgraph) else place.walls
+    return locate_in_map(run, walls, name=name, progress=progress)
+
+
+def has_reference(run: Run) -> bool:
+    """Tell whether the poses of a run are more than its odometry."""
+    source = run.meta.get("pose_source", "")
+    return len(run.pose_stamps) > 0 and not source.startswith("odometry")
+
+
+def located_run(run: Run, found: Localization) -> Run:
+    """Return the run with the poses of the scans that were located, and everything else as it was."""
+    ok = np.array(found.status) == "ok"
+    if not ok.any():
+        raise SensorgraphError(
+            f"no scan could be located for sure: {'; '.join(found.notes) or 'all are ' + found.status[0]}"
+        )
+    return replace(
+        run,
+        pose_stamps=run.stamps[ok],
+        poses=found.poses[ok],
+        pose_covariances=found.covariances[ok],
+        pose_frame="base_link",
+        meta={**run.meta, "pose_source": POSE_SOURCE},
+        attachments={**run.attachments, ATTACHMENT: (json.dumps(summary(found), indent=1) + "\n").encode()},
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class LocatedRun(Localization):
+    """What `sg.locate` gives: poses, covariances and status of all scans, and the run that carries them."""
+
+    run: Run
+    """With the poses of the scans that were located as its reference; all else as it was."""
+
+    @classmethod
+    def of(cls, run: Run, found: Localization) -> LocatedRun:
+        """Join a run and where it was located."""
+        values = {one.name: getattr(found, one.name) for one in fields(Localization)}
+        none = replace(
+            run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3)), pose_covariances=np.zeros((0, 3, 3))
+        )
+        return cls(**values, run=located_run(run, found) if "ok" in found.status else none)
+
+    def __repr__(self) -> str:
+        return "\n".join(summary_lines(self))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return counts, stretches, wheels and loop closures as plain data."""
+        return summary(self)
+
+
+def deviations(found: Localization) -> Floats:
+    """Return the standard deviations (n_scans, 3) [m, m, rad] of x, y, phi."""
+    return np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))
+
+
+def poses_csv(found: Localization) -> str:
+    """Return one row a scan, in the order of the log: t,x,y,phi,sigma_x,sigma_y,sigma_phi,status."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    sigma = deviations(found)
+    for k, status in enumerate(found.status):
+        numbers = (found.t[k], *found.poses[k], *sigma[k])
+        writer.writerow([*(f"{value:.6f}" for value in numbers), status])
+    return text.getvalue()
+
+
+def summary(found: Localization) -> dict[str, Any]:
+    """Return what was found, as plain data for JSON."""
+    states = np.array(found.status)
+    ok = states == "ok"
+    sigma = deviations(found)
+    wheels = found.wheels
+    return {
+        "n_scans": len(found.t),
+        **{word: int((states == word).sum()) for word in ("ok", "lost", "ambiguous")},
+        "stretches": stretches(found),
+        "rivals": {str(scan): poses.tolist() for scan, poses in found.rivals.items()},
+        "sigma_median": [float(np.median(sigma[ok, i])) if ok.any() else None for i in range(3)],
+        "wheels": None if wheels is None else {
+            name: value if np.isfinite(value) else None for name, value in vars(wheels).items()
+        },
+        "closures": {
+            "kept": [_closure(one) for one in found.kept],
+            "refused": [_closure(one) for one in found.refused],
+        },
+        "notes": list(found.notes),
+    }  # fmt: skip
+
+
+def stretches(found: Localization) -> list[dict[str, Any]]:
+    """Return from when to when the robot was ok, lost or ambiguous."""
+    out: list[dict[str, Any]] = []
+    start, n = 0, len(found.status)
+    for k in range(1, n + 1):
+        if k == n or found.status[k] != found.status[start]:
+            out.append({
+                "status": found.status[start], "from_s": float(found.t[start]), "to_s": float(found.t[k - 1]),
+                "n_scans": k - start,
+            })  # fmt: skip
+            start = k
+    return out
+
+
+def _closure(one: Closure) -> dict[str, Any]:
+    return {
+        "first": int(one.first),
+        "second": int(one.second),
+        "relative": [float(value) for value in one.relative],
+        "inliers": float(one.inliers),
+        **({"reason": one.reason} if one.reason else {}),
+    }
+
+
+def summary_lines(found: Localization) -> list[str]:
+    """Say in a few lines what was found."""
+    states = np.array(found.status)
+    n, ok = len(states), states == "ok"
+    counts = ", ".join(
+        f"{int((states == word).sum()):,} {word}" for word in ("lost", "ambiguous") if (states == word).any()
+    )
+    lines = [f"{int(ok.sum()):,} of {n:,} scans located{f'; {counts}' if counts else ''}"]
+    if ok.any():
+        sigma = np.median(deviations(found)[ok], axis=0)
+        place = 100 * float(np.hypot(sigma[0], sigma[1]) / np.sqrt(2))
+        lines.append(f"standard deviation: {place:.1f} cm, {np.degrees(sigma[2]):.2f}° (median)")
+    if found.wheels is not None:
+        lines.append(f"wheels: {found.wheels}")
+    if found.kept or found.refused:
+        lines.append(f"loop closures: {len(found.kept)} kept, {len(found.refused)} refused")
+    lines += found.notes[:MOST_NOTES]
+    if len(found.notes) > MOST_NOTES:
+        lines.append(f"... and {len(found.notes) - MOST_NOTES} more (--json FILE lists all)")
+    return lines
+
+
+MOST_NOTES = 6
+"""Lines of notes in the summary."""

@@ -1,0 +1,119 @@
+"""`sensorgraph locate` and `sg.locate`: files as promised, one line for each mistake."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from localization_samples import ROOM, loop_poses, room_run
+
+import logs
+import sensorgraph as sg
+from logs.run import pair
+from sensorgraph.cli import run as command
+
+TRUTH = loop_poses(100, laps=1.1)
+PLACE = {
+    "type": "FeatureCollection",
+    "features": [
+        {
+            "type": "Feature",
+            "properties": {"name": "room", "kind": "arena"},
+            "geometry": {
+                "type": "Polygon",
+                "coordinates": [[*[list(wall[:2]) for wall in ROOM[:10]], list(ROOM[0][:2])]],
+            },
+        },
+        {
+            "type": "Feature",
+            "properties": {"name": "box", "kind": "obstacle"},
+            "geometry": {
+                "type": "Polygon",
+                "coordinates": [[*[list(wall[:2]) for wall in ROOM[10:]], list(ROOM[10][:2])]],
+            },
+        },
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("locate")
+    logs.write(room_run(TRUTH, way_scale=0.97, heading_bias=0.05), path / "raw.mcap")
+    (path / "room.geojson").write_text(json.dumps(PLACE))
+    return path
+
+
+def test_locate_in_a_map_writes_run_csv_json_and_picture(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = [
+        str(folder / name) for name in ("raw.mcap", "room.geojson", "out.mcap", "p.csv", "l.json", "l.png")
+    ]
+    arguments = ["--arena", out[1], "-o", out[2], "--csv", out[3], "--json", out[4], "--picture", out[5]]
+    assert command(["locate", out[0], *arguments]) == 0
+    said = capsys.readouterr().out
+    assert "100 of 100 scans located" in said and "wheels: way x 1.0" in said
+    rows = list(csv.DictReader((folder / "p.csv").read_text().splitlines()))
+    assert list(rows[0]) == ["t", "x", "y", "phi", "sigma_x", "sigma_y", "sigma_phi", "status"]
+    assert len(rows) == 100 and {row["status"] for row in rows} == {"ok"}
+    raw, located = logs.read(folder / "raw.mcap"), logs.read(folder / "out.mcap")
+    np.testing.assert_allclose([float(row["t"]) for row in rows], raw.stamps, atol=1e-6)
+    table = np.array([[float(row[name]) for name in ("x", "y", "phi")] for row in rows])
+    np.testing.assert_allclose(table, located.poses, atol=1e-6)
+    assert np.hypot(*(located.poses - TRUTH)[:, :2].T).max() < 0.02
+    assert located.pose_covariances.shape == (100, 3, 3)
+    sigma = np.sqrt(np.diagonal(located.pose_covariances, axis1=1, axis2=2))
+    np.testing.assert_allclose([float(row["sigma_x"]) for row in rows], sigma[:, 0], atol=1e-6)
+    assert json.loads((folder / "l.json").read_text())["ok"] == 100
+    assert (folder / "l.png").stat().st_size > 10_000
+    np.testing.assert_array_equal(located.ranges, raw.ranges)
+    np.testing.assert_allclose(located.odometry, raw.odometry, atol=1e-9)
+    assert pair(located).paired.all() and located.meta["pose_source"] == "locate"
+
+
+def test_tf_of_a_located_run_leads_from_map_to_the_base(folder: Path) -> None:
+    found = sg.locate(folder / "raw.mcap", folder / "room.geojson", path=folder / "api.mcap")
+    by_tf = logs.read(folder / "api.mcap", topics={"pose": "/tf"})
+    np.testing.assert_allclose(by_tf.poses[:, :2], found.poses[:, :2], atol=1e-6)
+    assert "100 of 100 scans located" in repr(found) and found.to_dict()["lost"] == 0
+    assert found.run.meta["pose_source"] == "locate"
+
+
+def test_run_in_a_new_place_is_located_from_where_its_odometry_began(folder: Path) -> None:
+    found = sg.locate(folder / "raw.mcap")
+    moved = TRUTH - TRUTH[0]
+    cos, sin = np.cos(-TRUTH[0, 2]), np.sin(-TRUTH[0, 2])
+    x, y = cos * moved[:, 0] - sin * moved[:, 1], sin * moved[:, 0] + cos * moved[:, 1]
+    assert np.hypot(found.poses[:, 0] - x, found.poses[:, 1] - y).max() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["raw.mcap", "-o", "out.bag"], "a run is written as *.mcap"),
+        (["raw.mcap", "--picture", "p.pdf"], "a picture is written as *.png"),
+        (["raw.mcap", "-o", "raw.mcap"], "is the input itself"),
+        (["raw.mcap", "--arena", "nowhere.geojson"], "does not exist"),
+        (["one.mcap"], "the run has 1 scan, expected a drive of many"),
+        (["blind.mcap"], "no ray of the run ever returned"),
+        (["raw.mcap", "--arena", "square"], "fit nowhere in square"),
+    ],
+)
+def test_mistake_is_one_line_and_exit_code_2(
+    folder: Path,
+    arguments: list[str],
+    says: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = room_run(TRUTH[:12])
+    logs.write(replace(run, stamps=run.stamps[:1], ranges=run.ranges[:1]), folder / "one.mcap")
+    logs.write(replace(run, ranges=np.full_like(run.ranges, np.inf)), folder / "blind.mcap")
+    monkeypatch.chdir(folder)
+    assert command(["locate", *arguments]) == 2
+    assert says in capsys.readouterr().err.splitlines()[-1]

@@ -1,0 +1,108 @@
+"""Locating a run in a known place: planted poses come back, with the right doubt."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from localization_samples import ROOM, loop_poses, room_run
+
+from logs.run import Run
+from logs.transforms import compose
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization.in_map import locate_in_map
+
+WALLS = np.array(ROOM).reshape(-1, 2, 2)
+TRUTH = loop_poses(120)
+
+
+def errors(poses: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    off = poses - truth
+    off[:, 2] = np.angle(np.exp(1j * off[:, 2]))
+    return np.abs(off)
+
+
+def test_run_is_found_without_a_guess_and_followed_within_a_centimetre() -> None:
+    run = room_run(TRUTH, way_scale=0.97, heading_bias=0.05)
+    found = locate_in_map(run, WALLS)
+    off = errors(found.poses, TRUTH)
+    assert set(found.status) == {"ok"}
+    assert np.hypot(off[:, 0], off[:, 1]).max() < 0.015 and off[:, 2].max() < np.radians(0.5)
+    assert found.wheels is not None
+    assert found.wheels.way_scale == pytest.approx(1 / 0.97, abs=0.01)
+    sd = np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))
+    assert (off < 3 * sd).mean() > 0.95
+
+
+def after(run: Run, other: Run) -> Run:
+    """Join two runs of one robot: the odometry goes on as if nothing had happened."""
+    stamps = np.concatenate([run.stamps, run.stamps[-1] + 0.2 + other.stamps])
+    odometry = np.concatenate([run.odometry, compose(run.odometry[-1], other.odometry)])
+    return replace(
+        run,
+        stamps=stamps,
+        ranges=np.concatenate([run.ranges, other.ranges]),
+        odom_stamps=stamps,
+        odometry=odometry,
+        odom_twists=np.zeros((len(stamps), 2)),
+    )
+
+
+def test_robot_carried_elsewhere_is_lost_at_once_or_found_again_and_never_wrong() -> None:
+    elsewhere = np.column_stack([np.linspace(5.2, 7.2, 40), np.full(40, 1.1), np.full(40, 0.1)])
+    truth = np.concatenate([TRUTH[:60], elsewhere])
+    found = locate_in_map(after(room_run(TRUTH[:60]), room_run(elsewhere, seed=1)), WALLS)
+    ok = np.array(found.status) == "ok"
+    off = errors(found.poses, truth)
+    assert np.hypot(off[ok, 0], off[ok, 1]).max() < 0.03
+    again = found.t[ok & (np.arange(100) >= 60)]
+    assert len(again) and again[0] - found.t[60] < 5.0
+
+
+def test_place_that_looks_the_same_twice_is_ambiguous_and_names_the_rival() -> None:
+    square = np.array([[0, 0, 4, 0], [4, 0, 4, 4], [4, 4, 0, 4], [0, 4, 0, 0]], dtype=float)
+    still = np.tile([1.0, 1.5, 0.3], (6, 1))
+    found = locate_in_map(room_run(still, walls=[tuple(w) for w in square]), square.reshape(-1, 2, 2))
+    assert set(found.status) == {"ambiguous"}
+    rivals = next(iter(found.rivals.values()))
+    assert len(rivals) == 4
+    assert np.hypot(*(rivals[:, :2] - still[0, :2]).T).min() < 0.02
+
+
+def test_people_and_a_moved_table_do_not_pull() -> None:
+    run = room_run(TRUTH)
+    rng = np.random.default_rng(3)
+    ranges = run.ranges.copy()
+    for k in range(run.n_scans):  # legs, and something wide that stands elsewhere in each scan
+        near = np.roll(np.arange(120), int(rng.integers(120)))[:30]
+        ranges[k, near] = np.minimum(ranges[k, near], rng.uniform(0.6, 1.2))
+    found = locate_in_map(replace(run, ranges=ranges), WALLS)
+    off = errors(found.poses, TRUTH)
+    assert set(found.status) == {"ok"}
+    off_place = np.hypot(off[:, 0], off[:, 1])
+    assert (
+        np.quantile(off_place, 0.9) < 0.015 and off_place.max() < 0.06
+    )  # where legs stand just before a wall
+
+
+def test_map_of_another_place_is_said_to_fit_nowhere() -> None:
+    hall = np.array([[0, 0, 30, 0], [30, 0, 30, 20], [30, 20, 0, 20], [0, 20, 0, 0]], dtype=float)
+    with pytest.raises(SensorgraphError, match="fit nowhere in hall"):
+        locate_in_map(room_run(TRUTH[:20]), hall.reshape(-1, 2, 2), name="hall")
+
+
+def test_mirrored_laser_is_named() -> None:
+    run = room_run(TRUTH[:20])
+    with pytest.raises(SensorgraphError, match="only as seen in a mirror"):
+        locate_in_map(replace(run, ranges=np.roll(run.ranges[:, ::-1], 1, axis=1)), WALLS)
+
+
+def test_run_without_odometry_is_located_by_its_scans() -> None:
+    run = replace(
+        room_run(TRUTH), odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2))
+    )
+    found = locate_in_map(run, WALLS)
+    off = errors(found.poses, TRUTH)
+    assert np.hypot(off[:, 0], off[:, 1]).max() < 0.02
+    assert found.wheels is None and "no odometry" in found.notes[0]
