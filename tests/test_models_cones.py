@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
 
 import sensorgraph as sg
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cones.readings import ConeReadings, Stretch
+from sensorgraph.show.review.contents import collect
+from sensorgraph.show.review.review import review
 from sensorgraph.types import Floats
 
 SIGMA = 0.01
@@ -176,3 +180,22 @@ def test_a_polynomial_says_that_it_is_of_the_nearest_surface(room: Arena) -> Non
     run = run_of(room, ring(), 300, 7)
     graph = sg.build(run, model="polynomial", degree=2, harmonics=2, n_terms=12)
     assert "the nearest surface in a cone of 28.65 deg" in graph.equation(0)
+
+
+def test_a_review_draws_arcs_that_touch_a_wall(graph: sg.Sensorgraph, room: Arena, tmp_path: Path) -> None:
+    run = run_of(room, ring(), 40, 8)
+    exact = dataclasses.replace(run, ranges=truth(room, run.sensor, run.poses))
+    seen = collect(exact, graph=graph, arena=room)
+    arcs = np.concatenate(seen.arcs(seen.measured))  # (n, points, 2)
+    a, d = room.walls[:, 0], np.diff(room.walls, axis=1)[:, 0]
+    share = np.clip(((arcs[..., None, :] - a) * d).sum(-1) / (d**2).sum(-1), 0, 1)
+    apart = np.hypot(*np.moveaxis(arcs[..., None, :] - a - share[..., None] * d, -1, 0)).min(axis=(1, 2))
+    assert (apart < 0.1).all()  # the points of an arc are up to 19 cm apart
+    np.testing.assert_allclose(seen.robots, run.poses, atol=1e-9)
+    written = review(exact, path=tmp_path / "ring.rrd", graph=graph, arena=room)
+    columns = {
+        str(c) for c in rr.chunk.RrdReader(str(tmp_path / "ring.rrd")).store().schema().component_columns()
+    }
+    assert len(written.shown) == 40
+    assert any("/plan/right" in c and "LineStrips2D" in c for c in columns)
+    assert not any("/plan/right" in c and "Points2D" in c for c in columns)

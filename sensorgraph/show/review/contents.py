@@ -27,6 +27,10 @@ MAX_SCANS = 5000
 """Scans that a review file holds: enough to look at, small enough to open at once."""
 
 
+ARC_POINTS = 9
+"""Points of the arc of a cone."""
+
+
 class RayVerdict(IntEnum):
     """What came of a measured ray."""
 
@@ -73,6 +77,24 @@ class Review:
         phi = lasers[..., 2] + self.run.sensor.bearings
         ends = lasers[..., :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
         return [scan[hit] for scan, hit in zip(ends, np.isfinite(ranges), strict=True)]
+
+    def arcs(self, ranges: Floats, part: slice = slice(None)) -> list[Floats]:
+        """Return the arcs (n, ARC_POINTS, 2) [m, map] on which the nearest surfaces of cones lie, of each shown scan in `part`.
+
+        `ranges` (n_shown, n_rays) [m]; of a thin ray the arc is a point.
+        """
+        lasers, ranges, sensor = self.lasers[part], ranges[part], self.run.sensor
+        turns = np.linspace(-0.5, 0.5, ARC_POINTS) * (sensor.cones[:, None] if len(sensor.cones) else 0.0)
+        phi = (lasers[..., 2] + sensor.bearings)[..., None] + turns  # (n_shown, n_rays, ARC_POINTS)
+        ends = lasers[..., None, :2] + ranges[..., None, None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+        return [scan[hit] for scan, hit in zip(ends, np.isfinite(ranges), strict=True)]
+
+    @property
+    def robots(self) -> Floats:
+        """(n_shown, 3) [m, m, rad] in map: the laser, or base_link where several sensors are read as one."""
+        if not self.run.sensor.is_composite:
+            return self.lasers[:, 0]
+        return self.pairing.poses[self.shown]
 
     @property
     def verdicts(self) -> NDArray[np.uint8]:

@@ -11,6 +11,7 @@ import rerun.blueprint as rrb
 
 from logs.transforms import wrap
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.show.rerun_file import BACKGROUND, DIM, ORANGE, WALL, WHITE, folded, recorded
 from sensorgraph.show.review.contents import RayVerdict, Review
 from sensorgraph.show.review.maps import VERDICT_COLOURS, log_maps, log_voxels, map_labels
@@ -82,17 +83,21 @@ def _send_scans(recording: rr.RecordingStream, review: Review, part: slice, ray:
     """Send a block of scans, poses and the series of one ray."""
     stamps = review.run.stamps[review.shown[part]]
     time = [rr.TimeColumn("time", duration=stamps), rr.TimeColumn("scan", sequence=review.shown[part])]
-    lasers = review.lasers[part, 0]
+    lasers, are_cones = review.robots[part], measures_cones(review.run.sensor)
     size = max(0.35, 0.03 * (_extent(review)[2] - _extent(review)[0]))
     arrows = size * np.stack([np.cos(lasers[:, 2]), np.sin(lasers[:, 2])], axis=1)
     recording.send_columns("plan/robot", time, rr.Arrows2D.columns(origins=lasers[:, :2], vectors=arrows))
     for name, ranges, colour in _layers(review):
-        points = review.points(ranges, part)
         if part.start == 0:
             radius = -1.5 if name == "predicted" else -2.2
-            recording.log(f"plan/{name}", rr.Points2D.from_fields(colors=colour, radii=radius), static=True)
-        columns = rr.Points2D.columns(positions=np.concatenate(points)).partition([len(p) for p in points])
-        recording.send_columns(f"plan/{name}", time, columns)
+            style = rr.LineStrips2D if are_cones else rr.Points2D
+            recording.log(f"plan/{name}", style.from_fields(colors=colour, radii=radius), static=True)
+        shapes = review.arcs(ranges, part) if are_cones else review.points(ranges, part)
+        every = np.concatenate(shapes)
+        columns = (
+            rr.LineStrips2D.columns(strips=list(every)) if are_cones else rr.Points2D.columns(positions=every)
+        )
+        recording.send_columns(f"plan/{name}", time, columns.partition([len(s) for s in shapes]))
     for name, values in (("measured", review.measured), ("predicted", review.predicted)):
         if values is not None:
             series = np.where(np.isfinite(values[part, ray]), values[part, ray], np.nan)
@@ -120,9 +125,7 @@ def _layout(review: Review, ray: int) -> rrb.Blueprint:
     x0, y0, x1, y1 = _extent(review)
     bounds = rrb.VisualBounds2D(x_range=[x0, x1], y_range=[-y1, -y0])
     scan = rrb.Spatial2DView(
-        name="measured: teal right, pink wrong, violet not answered; orange predicted"
-        if review.predicted is not None
-        else "measured",
+        name=_scan_name(review),
         origin="/",
         contents=[
             f"/plan/{name}"
@@ -186,6 +189,14 @@ def _layout(review: Review, ray: int) -> rrb.Blueprint:
         *folded(),
         auto_views=False,
     )
+
+
+def _scan_name(review: Review) -> str:
+    """Say what the colours of the scan mean."""
+    what = "nearest surface somewhere on each arc" if measures_cones(review.run.sensor) else "measured"
+    if review.predicted is None:
+        return what
+    return f"{what}: teal right, pink wrong, violet not answered; orange predicted"
 
 
 def _extent(review: Review) -> tuple[float, float, float, float]:
