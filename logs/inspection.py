@@ -284,7 +284,8 @@ def _missing(run: Run, recording: Recording | None) -> list[str]:
         out.append("scans: the file has none")
     if len(run.pose_stamps) == 0:
         out.append(
-            "a reference pose (/pose, or /tf map -> base_link): without it no map of perceptions can be built"
+            "a reference pose (/pose, or /tf map -> base_link): without it no map of perceptions can be built; "
+            "`sensorgraph locate` finds poses from scans and wheels"
         )
     if len(run.odom_stamps) == 0:
         out.append("odometry (/odom)")
@@ -313,8 +314,12 @@ def warnings_of(run: Run) -> list[str]:
     source = run.meta.get("pose_source", "")
     if source == "slam":
         out.append("the poses were estimated from these scans: they absorb errors of mount and clock")
+    if source == "locate":
+        out.append("the poses were located by these scans: they absorb errors of mount and clock")
     if source.startswith("odometry"):
-        out.append("the poses are odometry: they drift, a map built from them is bent")
+        out.append(
+            "the poses are odometry: they drift, a map built from them is bent; `sensorgraph locate` finds better ones"
+        )
     out += _stamp_warnings(run) + _pose_warnings(run) + sweep_warnings(run)
     finite = np.isfinite(run.ranges)
     if finite.any():

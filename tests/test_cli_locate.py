@@ -15,6 +15,7 @@ import logs
 import sensorgraph as sg
 from logs.run import pair
 from sensorgraph.cli import run as command
+from sensorgraph.localization.kept import located, needs_locating
 
 TRUTH = loop_poses(100, laps=1.1)
 PLACE = {
@@ -117,3 +118,65 @@ def test_mistake_is_one_line_and_exit_code_2(
     monkeypatch.chdir(folder)
     assert command(["locate", *arguments]) == 2
     assert says in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_commands_locate_a_run_without_reference_once_and_keep_it(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    assert command(["build", "raw.mcap", "--no-calibrate", "-o", "g.sensorgraph"]) == 0
+    said = capsys.readouterr().out
+    assert "raw.mcap: it has no reference: located in a map of its own" in said
+    assert "100 of 100 scans located" in said and "kept as raw.mcap.located.mcap" in said
+    assert "100 of 100 scans paired" in said
+    kept = (folder / "raw.mcap.located.mcap").read_bytes()
+    assert command(["evaluate", "g.sensorgraph", "raw.mcap", "--json", "e.json"]) == 0
+    said = capsys.readouterr().out
+    assert "raw.mcap: poses as located when g.sensorgraph was built from it" in said
+    assert json.loads((folder / "e.json").read_text())["all"]["median_m"] < 0.03
+    assert command(["review", "raw.mcap", "--graph", "g.sensorgraph", "-o", "r.rrd"]) == 0
+    assert (folder / "raw.mcap.located.mcap").read_bytes() == kept
+
+
+def test_another_run_is_located_in_the_graph_that_judges_it(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    if not (folder / "g.sensorgraph").exists():
+        pytest.skip("the graph of the test above is missing")
+    logs.write(room_run(TRUTH[20:60], seed=4), folder / "second.mcap")
+    capsys.readouterr()
+    assert command(["evaluate", "g.sensorgraph", "second.mcap", "--json", "e2.json"]) == 0
+    assert "second.mcap: it has no reference: located in g.sensorgraph" in capsys.readouterr().out
+    assert json.loads((folder / "e2.json").read_text())["all"]["median_m"] < 0.05
+
+
+def test_kept_poses_are_not_taken_when_the_run_has_changed(folder: Path) -> None:
+    path = folder / "changing.mcap"
+    logs.write(room_run(TRUTH[:30]), path)
+    place = sg.load_arena(folder / "room.geojson")
+    first = located(path, logs.read(path), place, name="room")
+    assert first.lines and not located(path, logs.read(path), place, name="room").lines
+    logs.write(room_run(TRUTH[:30], seed=9), path)
+    assert located(path, logs.read(path), place, name="room").lines
+    assert located(path, logs.read(path), place, name="room", options={"no_return": "inf"}).lines
+
+
+def test_runs_are_located_unasked_only_without_reference() -> None:
+    raw = replace(room_run(TRUTH[:30]), meta={"pose_source": "odometry /odom"})
+    known = replace(raw, pose_stamps=raw.stamps, poses=TRUTH[:30], meta={"pose_source": "/pose"})
+    assert needs_locating(raw, 30, None) and not needs_locating(raw, 30, "log")
+    assert needs_locating(known, 30, "locate") and not needs_locating(known, 30, None)
+    assert not needs_locating(raw, 5, None)  # no drive
+    cones = replace(raw, sensor=replace(raw.sensor, cones=np.full(raw.sensor.n_rays, 0.5)))
+    assert not needs_locating(cones, 30, None)
+
+
+def test_two_raw_runs_are_not_put_into_one_graph_from_two_maps(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    assert command(["build", "raw.mcap", "changing.mcap", "-o", "two.sensorgraph"]) == 2
+    assert "build the runs one by one" in capsys.readouterr().err.splitlines()[-1]
+    assert command(["build", "raw.mcap", "--poses", "gps", "-o", "two.sensorgraph"]) == 2
+    assert "--poses is 'gps', expected log" in capsys.readouterr().err

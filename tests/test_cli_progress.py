@@ -63,7 +63,8 @@ def test_build_says_before_it_fits_what_the_log_makes_hard(
         raise logs.LogError("fitting begins here")
 
     monkeypatch.setattr("sensorgraph.building.build.build", stop)
-    assert command(["build", str(tmp_path / "run.mcap"), "-o", str(tmp_path / "g.sensorgraph")]) == 2
+    arguments = ["build", str(tmp_path / "run.mcap"), "--poses", "log", "-o", str(tmp_path / "g.sensorgraph")]
+    assert command(arguments) == 2
     said = capsys.readouterr()
     assert re.search(r"run.mcap: the laser sweeps for 0.2 s; each ray is taken at its own pose", said.out)
     assert "warning: run.mcap: the poses are odometry: they drift, a map built from them is bent" in said.err

@@ -24,14 +24,17 @@ from sensorgraph.cli.options import (
     BuildUpdate,
     Force,
     NoReturn,
+    PosesFrom,
     Topics,
 )
 from sensorgraph.cli.progress import progress
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from logs.stream import LogStream
+    from planners.arena import Arena
     from sensorgraph.graph import Sensorgraph
 
 
@@ -51,6 +54,7 @@ def build(
     topic: Topics = None,
     no_return: NoReturn = None,
     force: Force = False,
+    poses: PosesFrom = None,
 ) -> None:
     """Identify what every ray perceives at each (x, y, phi).
 
@@ -60,20 +64,22 @@ def build(
 
       sensorgraph build intel.log.gz --split block -o intel.sensorgraph
 
+      sensorgraph build raw.clf.bz2 --poses locate -o raw.sensorgraph
+
       sensorgraph build second.mcap --update lab.sensorgraph -o lab2.sensorgraph
 
       sensorgraph build run.mcap --model polynomial --degree 4 -o plain.sensorgraph
     """
     from logs import parse_topics
-    from logs.stream import open_log
     from sensorgraph.building.build import build as build_graph
     from sensorgraph.building.dask_cluster import cluster
-    from sensorgraph.cli.inputs import check_output, check_runs, mounts_of, say_ray_order, with_robot
+    from sensorgraph.cli.inputs import check_output, check_poses, check_runs, mounts_of, say_ray_order
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
     from sensorgraph.models import MODELS
 
+    check_poses(poses)
     check_output(output, *runs)
     check_runs(runs)
     if update is not None and (model != "faces" or arena is not None):
@@ -88,11 +94,9 @@ def build(
     space = None if arena is None else load_arena(arena)
     names = parse_topics(topic or [])
     known = None if update is None else Sensorgraph.load(update)
-    loaded, mounts = [], mounts_of(robot)
-    for path in runs:
-        with progress("reading", "bytes") as tick:
-            log = open_log(path, topics=names, no_return=no_return, mounts=mounts, progress=tick)
-        loaded.append(replace(log, head=with_robot(log.head, str(path), robot)))
+    place = (known, str(update)) if known is not None else (space, arena or "")
+    reading: dict[str, Any] = {"topics": names, "no_return": no_return, "mounts": mounts_of(robot)}
+    loaded = [_open(path, robot, poses, place, reading, is_alone=len(runs) == 1) for path in runs]
     first = (str(runs[0]), loaded[0].head.sensor) if known is None else (str(update), known.sensor)
     for path, log in zip(runs, loaded, strict=True):
         say_ray_order(str(path), log.head.sensor.bearings, first[0], first[1].bearings)
@@ -113,6 +117,34 @@ def build(
     graph.save(output)
     _report(graph, split, said)
     typer.echo(f"wrote {output}: {graph.sensor.n_rays} rays, poses of {graph.pose_frame}")
+
+
+def _open(
+    path: Path,
+    robot: Path | None,
+    poses: str | None,
+    place: tuple[Arena | Sensorgraph | None, str],
+    reading: Mapping[str, Any],
+    *,
+    is_alone: bool,
+) -> LogStream:
+    """Open a log, located where it has no reference: in a place (with its name), or in a map of its own."""
+    from logs.stream import WholeRun, open_log
+    from sensorgraph.cli.inputs import with_poses, with_robot
+    from sensorgraph.errors import SensorgraphError
+
+    with progress("reading", "bytes") as tick:
+        log = open_log(path, **reading, progress=tick)
+    log = replace(log, head=with_robot(log.head, str(path), robot))
+    run = with_poses(log.head, path, poses, place[0], name=place[1], n_scans=log.n_scans, options=reading)
+    if run is log.head:
+        return log
+    if not is_alone and place[0] is None:
+        raise SensorgraphError(
+            f"{path} has no reference, and would be located in a map of its own; build the runs one by one: the first "
+            "alone, the next with --update GRAPH"
+        )
+    return WholeRun(head=run)
 
 
 def _say_what_is_ahead(logs: list[tuple[Path, LogStream]]) -> set[str]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -18,6 +18,7 @@ from sensorgraph.cli.options import (
     DiagnoseSeed,
     Force,
     NoReturn,
+    PosesFrom,
     Topics,
 )
 
@@ -41,6 +42,7 @@ def diagnose(
     topic: Topics = None,
     no_return: NoReturn = None,
     force: Force = False,
+    poses: PosesFrom = None,
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, and show the gap shrink.
 
@@ -54,24 +56,32 @@ def diagnose(
 
       sensorgraph diagnose today.log.gz --commissioning good.log.gz --arena lab.geojson --robot robot.yaml
     """
-    from sensorgraph.cli.inputs import check_folder, say_ray_order
+    from logs import parse_topics
+    from sensorgraph.cli.inputs import check_folder, check_poses, mounts_of, say_ray_order, with_poses
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.diagnose import diagnose as diagnose_run
     from sensorgraph.diagnosis.report.files import save_diagnosis
 
     _check_runs(runs)
     check_folder(out)
-    loaded = [_read(path, topic, no_return, robot) for path in runs]
+    check_poses(poses)
+    reading: dict[str, Any] = {
+        "topics": parse_topics(topic or []), "no_return": no_return, "mounts": mounts_of(robot)
+    }  # fmt: skip
+    loaded = [_read(path, reading) for path in runs]
     walls, machine = _place(loaded[0], runs[0], arena, robot)
+    place = arena or "the arena kept in the run"
+    loaded = [
+        with_poses(run, path, poses, walls, name=place, options=reading)
+        for run, path in zip(loaded, runs, strict=True)
+    ]
     for path, run in zip(runs, loaded, strict=True):
         say_ray_order(str(path), run.sensor.bearings, machine.name, machine.sensor.bearings)
     known = _known(effects, walls)
     baseline = (
         None
         if not commissioning
-        else _commission(
-            [_read(path, topic, no_return, robot) for path in commissioning], walls, machine, seed
-        )
+        else _commission([_read(path, reading) for path in commissioning], walls, machine, seed)
     )
     with progress("diagnosing", "parts") as tick:
         finding = diagnose_run(
@@ -116,14 +126,12 @@ def _check_runs(runs: Sequence[Path]) -> None:
         )
 
 
-def _read(path: Path, topic: list[str] | None, no_return: str | None, robot: Path | None) -> Run:
-    from logs import parse_topics, read
-    from sensorgraph.cli.inputs import mounts_of
+def _read(path: Path, reading: Mapping[str, Any]) -> Run:
+    from logs import read
     from sensorgraph.cli.progress import progress
 
     with progress("reading", "messages") as tick:
-        topics, mounts = parse_topics(topic or []), mounts_of(robot)
-        return read(path, topics=topics, no_return=no_return, mounts=mounts, progress=tick)
+        return read(path, **reading, progress=tick)
 
 
 def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple[Arena, Robot]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -17,6 +17,7 @@ from sensorgraph.cli.options import (
     Force,
     GraphFile,
     NoReturn,
+    PosesFrom,
     RunRobot,
     Topics,
 )
@@ -58,6 +59,7 @@ def evaluate(
     no_return: NoReturn = None,
     force: Force = False,
     robot: RunRobot = None,
+    poses: PosesFrom = None,
 ) -> None:
     """Compare what a sensorgraph predicts with what a run measured.
 
@@ -72,12 +74,21 @@ def evaluate(
     from typing import cast
 
     from logs import parse_topics, read
-    from sensorgraph.cli.inputs import check_output, mounts_of, say_ray_order, with_robot, write_json
+    from sensorgraph.cli.inputs import (
+        check_output,
+        check_poses,
+        mounts_of,
+        say_ray_order,
+        with_poses_of_graph,
+        with_robot,
+        write_json,
+    )
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.evaluation.evaluate import evaluate as evaluate_graph
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.models.base import POINTS
 
+    check_poses(poses)
     if json is not None:
         check_output(json, graph, run, *([effects] if effects is not None else []))
     if point is not None and point not in POINTS:
@@ -85,9 +96,13 @@ def evaluate(
     value = cast("Point | None", point)
     model = Sensorgraph.load(graph)
     with progress("reading", "messages") as tick:
-        names = parse_topics(topic or [])
-        log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
-    log = with_robot(log, str(run), robot)
+        reading: dict[str, Any] = {
+            "topics": parse_topics(topic or []),
+            "no_return": no_return,
+            "mounts": mounts_of(robot),
+        }
+        log = read(run, **reading, progress=tick)
+    log = with_poses_of_graph(with_robot(log, str(run), robot), run, poses, model, str(graph), reading)
     say_ray_order(str(run), log.sensor.bearings, str(graph), model.sensor.bearings)
     with progress("evaluating", "scans") as tick:
         result = evaluate_graph(model, log, split=split, point=value, cap=cap, force=force, progress=tick)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,8 @@ from sensorgraph.files import atomic_file
 
 if TYPE_CHECKING:
     from logs.run import Run
+    from planners.arena import Arena
+    from sensorgraph.graph import Sensorgraph
     from sensorgraph.types import Floats
 
 
@@ -83,6 +86,70 @@ def with_robot(run: Run, name: str, path: Path | None) -> Run:
     if warning is not None:
         typer.echo(f"warning: {name}: {warning}: that of the robot was taken", err=True)
     return with_sweep_of(run, robot)
+
+
+def check_poses(poses: str | None) -> None:
+    """Refuse a word that --poses does not know."""
+    if poses not in (None, "log", "locate"):
+        raise SensorgraphError(
+            f"--poses is {poses!r}, expected log (as they are) or locate (from scans and wheels)"
+        )
+
+
+def with_poses(
+    run: Run,
+    path: Path,
+    poses: str | None,
+    place: Arena | Sensorgraph | None = None,
+    *,
+    name: str = "",
+    n_scans: int | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Run:
+    """Return the run as located, where `--poses` asks for it or it has no reference; else the run itself.
+
+    Parameters
+    ----------
+    place, name : where it is to be located; None: in a place of its own
+    n_scans : of the whole run, where `run` is only its start
+    options : with which it was read
+    """
+    import logs
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.localization.kept import kept_beside, located, needs_locating
+
+    if not needs_locating(run, run.n_scans if n_scans is None else n_scans, poses):
+        return run
+    settings = options or {}
+    if n_scans is not None and n_scans != run.n_scans:
+        run = replace(logs.read(path, **settings), sensor=run.sensor)
+    why = "as asked" if poses == "locate" else "it has no reference"
+    where = f"in {name}" if place is not None else "in a map of its own"
+    typer.echo(
+        f"{path.name}: {why}: located {where} from scans and wheels (--poses log takes the log's poses)"
+    )
+    found = located(path, run, place, name=name, options=settings, progress=progress)
+    for line in found.lines:
+        typer.echo(f"  {line}")
+    if found.path is not None:
+        typer.echo(f"  {'kept as' if found.lines else 'taken from'} {kept_beside(path)}")
+    return found.run
+
+
+def with_poses_of_graph(
+    run: Run, path: Path, poses: str | None, graph: Sensorgraph, graph_name: str, options: Mapping[str, Any]
+) -> Run:
+    """Return the run as located in a graph, or as it was located when the graph was built from it."""
+    from sensorgraph.localization.kept import kept_own, needs_locating
+
+    if not needs_locating(run, run.n_scans, poses):
+        return run
+    if any(entry.get("name") == path.name for entry in graph.origin.get("inputs", ())):
+        own = kept_own(path, options)
+        if own is not None:
+            typer.echo(f"{path.name}: poses as located when {graph_name} was built from it")
+            return own
+    return with_poses(run, path, poses, graph, name=graph_name, options=options)
 
 
 def say_ray_order(name: str, bearings: Floats, other_name: str, other: Floats) -> None:

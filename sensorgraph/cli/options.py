@@ -31,6 +31,15 @@ NoReturn = Annotated[
     typer.Option(help="How the log writes a missing return: range_max, zero or inf; default: noticed."),
 ]
 
+PosesFrom = Annotated[
+    str | None,
+    typer.Option(
+        "--poses",
+        metavar="log|locate",
+        help="Take the log's poses, or locate it from scans and wheels; default: locate a run without reference.",
+    ),
+]
+
 # demo
 DemoOut = Annotated[
     Path | None, typer.Option("-o", "--out", help="Folder to write; default: runs/demo-DATE-TIME.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -24,8 +24,12 @@ from sensorgraph.cli.options import (
     PlanSeed,
     PlanStart,
     PlanViews,
+    PosesFrom,
     RobotFile,
 )
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 INTERRUPTED = 130
 
@@ -46,6 +50,7 @@ def plan(
     no_go: PlanNoGo = None,
     duration: PlanDuration = None,
     resume: PlanResume = None,
+    poses: PosesFrom = None,
     priority: PlanPriority = None,
     seed: PlanSeed = 0,
 ) -> None:
@@ -88,7 +93,7 @@ def plan(
             end=None if end is None else parse_pose(end, "--end"),
             views=views,
             no_go=[zone for given in no_go or [] for zone in zones(given)],
-            resume=resume,
+            resume=resume if resume is None or views is not None else _located(resume, arena, poses),
             priority=None if priority is None else Sensorgraph.load(priority),
             budget=_seconds("--budget", budget),
             battery=_seconds("--battery", battery),
@@ -104,6 +109,18 @@ def plan(
     typer.echo("\n".join([*made.arena.notes, _summary(report), *_runs(report), f"wrote {out}"]))
     if report.get("interrupted"):
         raise typer.Exit(INTERRUPTED)
+
+
+def _located(resume: Path, arena: str, poses: str | None) -> Path:
+    """Return the run to resume from, or the one that is kept beside it as located in the arena."""
+    import logs
+    from sensorgraph.cli.inputs import check_poses, with_poses
+    from sensorgraph.loading import load_arena
+    from sensorgraph.localization.kept import KEY, kept_beside
+
+    check_poses(poses)
+    run = with_poses(logs.read(resume), resume, poses, load_arena(arena), name=arena)
+    return kept_beside(resume) if KEY in run.meta and kept_beside(resume).is_file() else resume
 
 
 def _summary(report: dict[str, Any]) -> str:

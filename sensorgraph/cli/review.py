@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import typer
 
 from sensorgraph.cli.options import (
     Bearing,
     Force,
     NoReturn,
+    PosesFrom,
     ReviewArena,
     ReviewGraph,
     ReviewOut,
@@ -33,6 +36,7 @@ def review(
     no_return: NoReturn = None,
     force: Force = False,
     robot: RunRobot = None,
+    poses: PosesFrom = None,
 ) -> None:
     """Show a run, and a sensorgraph against it: coverage, error by place, heading and ray.
 
@@ -43,26 +47,42 @@ def review(
       sensorgraph review intel.log.gz --graph intel.sensorgraph -o intel.rrd && rerun intel.rrd
     """
     from logs import parse_topics, read
-    from sensorgraph.cli.inputs import check_output, mounts_of, with_robot
+    from sensorgraph.cli.inputs import (
+        check_output,
+        check_poses,
+        mounts_of,
+        with_poses,
+        with_poses_of_graph,
+        with_robot,
+    )
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
+    from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import arena_in, load_arena
     from sensorgraph.show.rays import chosen_ray
     from sensorgraph.show.rerun_file import open_viewer
     from sensorgraph.show.review.review import review as write_review
 
+    check_poses(poses)
     check_output(out, run, *(path for path in (graph,) if path is not None))
     if out.suffix != ".rrd":
         raise SensorgraphError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
     with progress("reading", "messages") as tick:
-        names = parse_topics(topic or [])
-        log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
+        reading: dict[str, Any] = {
+            "topics": parse_topics(topic or []), "no_return": no_return, "mounts": mounts_of(robot)
+        }  # fmt: skip
+        log = read(run, **reading, progress=tick)
     log = with_robot(log, run.name, robot)
     walls = load_arena(arena) if arena is not None else arena_in(log)
+    model = None if graph is None else Sensorgraph.load(graph)
+    if model is not None:
+        log = with_poses_of_graph(log, run, poses, model, str(graph), reading)
+    else:
+        log = with_poses(log, run, poses, walls, name=arena or "the arena kept in the run", options=reading)
     written = write_review(
         log,
         path=out,
-        graph=graph,
+        graph=model,
         plan=plan,
         arena=walls,
         ray=chosen_ray(log.sensor, ray, bearing),

@@ -74,7 +74,7 @@ def _draw_track(axes: object, found: Localization) -> None:
     for word, colour in colours.items():
         if (states == word).any():
             x, y = np.where((states == word)[:, None], found.poses[:, :2], np.nan).T
-            axes.plot(x, y, color=colour, lw=LINE, zorder=2, label=f"track: {word}")  # type: ignore[attr-defined]
+            axes.plot(x, y, color=colour, lw=1.2 * FINE, zorder=2, label=f"track: {word}")  # type: ignore[attr-defined]
 
 
 def _returns(run: Run, found: Localization, shown: np.ndarray) -> Floats:
