@@ -18,10 +18,12 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification.behaviour import behaviour, lyapunov, table
 from sensorgraph.planning.plan_folder import save
-from sensorgraph.recording.identified_world import IdentifiedWorld
+from sensorgraph.recording.identified_world import ArenaWorld, IdentifiedWorld
+from sensorgraph.world.drive import ExecutedDrive
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot, default_robot
+from sensorgraph.world.simulate import simulate
 
 
 @pytest.fixture(scope="module")
@@ -188,3 +190,33 @@ def test_mistakes_are_one_line(
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert said in line
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("world", ["graph", "arena"])
+def test_each_ray_of_a_sweep_is_drawn_where_the_robot_was(
+    graph: Sensorgraph, robot: Robot, room: Arena, world: str
+) -> None:
+    """On a robot that turns by a radian during the sweep, the last rays see what a turned robot sees."""
+    quiet = replace(robot, sensor=replace(robot.sensor, sigma=0.0, resolution=0.0))
+    drawn_in = IdentifiedWorld(graph, quiet, seed=1) if world == "graph" else ArenaWorld(room, quiet, 1)
+    n_rays = robot.sensor.n_rays
+    turned = np.column_stack([np.full(n_rays, 1.3), np.full(n_rays, 1.4), np.linspace(0.2, 1.2, n_rays)])
+    readings = drawn_in.scans(0, np.tile(turned, (50, 1, 1)))
+    want = np.diag(cast(room, turned, robot.sensor).ranges)  # ray i at pose i
+    assert (np.abs(np.median(readings, axis=0) - want) < 0.02).mean() > 0.9  # not at edges in depth
+    once = drawn_in.scans(0, np.tile(turned[0], (50, 1)))
+    assert (np.abs(np.median(once, axis=0) - want) < 0.02).mean() < 0.5
+    sweeping = replace(quiet, sensor=replace(quiet.sensor, sweep_time=0.1))
+    asked = []
+
+    def perceive(first: int, poses: np.ndarray) -> np.ndarray:
+        asked.append(poses.shape)
+        return np.ones(poses.shape[:2])
+
+    t = np.linspace(0, 2, 101)
+    drive = ExecutedDrive(
+        stamps=t, poses=np.column_stack([1 + 0.1 * t, np.ones_like(t), np.zeros_like(t)]), twists=np.zeros((101, 2)),
+        cmd_stamps=t[:1], commands=np.zeros((1, 2)), contacts=0,
+    )  # fmt: skip
+    simulate(drive, room, sweeping, rng=np.random.default_rng(0), perceive=perceive)
+    assert asked[0][1:] == (n_rays, 3)

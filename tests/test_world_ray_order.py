@@ -18,8 +18,10 @@ from planners.arena import Arena
 from planners.maps import geojson
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
+from sensorgraph.diagnosis.scan.effect_laws import clustered
+from sensorgraph.diagnosis.scan.likelihood import find_edges
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
-from sensorgraph.effects import sector_bias, self_occlusion, tilt
+from sensorgraph.effects import mixed_pixels, sector_bias, self_occlusion, tilt
 from sensorgraph.effects.min_range import spread
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import evaluate
@@ -201,3 +203,43 @@ def test_a_dip_ahead_is_looked_for_ahead_wherever_the_first_ray_points(first: fl
         sensor=RangeSensor(bearings=bearings, height=0.2), seen=np.isfinite(reading), reading=reading
     )
     assert tilt.unobservable(exposure, {"beta": 0.05}, 10.0) == ""
+
+
+def test_edges_in_depth_are_the_same_wherever_the_first_ray_points() -> None:
+    """Also between the last ray and the first: as many pairs astride the seam as anywhere else."""
+    found = []
+    for run, machine in ((behind(0), robot(0.0)), (from_zero(behind(0)), robot(0.0))):
+        data, _ = prepare_scans(run, room(), machine)
+        edges = find_edges(data, data.scene().shoot(), data.arena.walls)
+        assert edges is not None
+        scan, ray = edges.index
+        direction = np.round(np.degrees(data.sensor.bearings[ray]), 3) % 360
+        order = np.lexsort((edges.other, direction, scan))
+        found.append((scan[order], direction[order], edges.other[order], edges.chance[order]))
+    assert len(found[0][0]) > 50
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6)
+    assert {0.0, 180.0} <= set(found[0][1])  # rays at the seams of both numberings
+
+
+@pytest.mark.parametrize("first", [-np.pi, 0.0], ids=["seam behind", "seam ahead"])
+def test_what_neighbours_tell_does_not_depend_on_the_first_ray(first: float) -> None:
+    """Pairs of like strays, and readings between both sides of a step in depth, straight ahead and straight behind."""
+    bearings = first + 2 * np.pi * np.arange(N_RAYS) / N_RAYS
+    far = np.sin(bearings + 1e-6) > 0  # steps between the rays at 0 and before, and at 180 degrees and before
+    mu = np.broadcast_to(np.where(far, 3.0, 1.0), (50, N_RAYS)).copy()
+    z, at_step = mu.copy(), np.isin(np.round(np.degrees(bearings)) % 360, (0, 180))
+    z[:, at_step] = 2.0
+    every = np.ones(z.shape, dtype=np.bool_)
+    view: Any = SimpleNamespace(
+        sensor=RangeSensor(bearings=bearings, range_max=8.0),
+        z=z,
+        mu=mu,
+        aimed=every,
+        returned=every,
+        sigma=0.01,
+    )
+    assert mixed_pixels._between(view) == 100
+    beside = np.isin(np.round(np.degrees(bearings) * N_RAYS / 360) % N_RAYS, (0, N_RAYS - 1, HALF, HALF - 1))
+    view.z = np.broadcast_to(np.where(beside, 0.5, np.nan), z.shape)
+    assert clustered(view, np.broadcast_to(beside, z.shape)) == 1.0

@@ -12,6 +12,7 @@ from sensorgraph.effects.interfaces import Exposure, Residuals
 from sensorgraph.effects.proposals import PROPOSAL
 from sensorgraph.effects.set_up import depth_edge_error
 from sensorgraph.types import Bools, Floats
+from sensorgraph.world.ray_order import neighbouring_rays
 from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.scene import MAX_DISTANCE, Scene, nearest_from_each
 
@@ -81,7 +82,8 @@ def _between(residuals: Residuals) -> int:
     r_max, z = residuals.sensor.range_max, residuals.z
     mu = np.where(residuals.aimed, np.minimum(residuals.mu, r_max), r_max)
     low, high = mu.copy(), mu.copy()
-    for a, b in ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None))):
+    right, left = neighbouring_rays(residuals.sensor)
+    for a, b in ((left, right), (right, left)):
         low[:, a] = np.minimum(low[:, a], mu[:, b])
         high[:, a] = np.maximum(high[:, a], mu[:, b])
     margin = SIGMAS * residuals.sigma
@@ -95,8 +97,9 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     gamma = typical["gamma"]
     bearings = exposure.sensor.bearings
     gap = float(np.median(np.abs(np.diff(bearings)))) if len(bearings) > 1 else np.inf
-    step = np.abs(np.diff(exposure.range, axis=1)) > EDGE
-    edges = step & exposure.seen[:, 1:] & exposure.seen[:, :-1]
+    right, left = neighbouring_rays(exposure.sensor)
+    step = np.abs(exposure.range[:, left] - exposure.range[:, right]) > EDGE
+    edges = step & exposure.seen[:, left] & exposure.seen[:, right]
     n = float(edges.sum()) * min(1.0, 2 * gamma / gap)
     if UNEXPECTED * n >= need:
         return ""

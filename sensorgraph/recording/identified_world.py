@@ -26,7 +26,7 @@ from sensorgraph.recording.controllers import controller_named
 from sensorgraph.types import Floats, ProgressBars, no_progress
 from sensorgraph.world.drive import follow, react
 from sensorgraph.world.ray_order import bearings_text, ray_order
-from sensorgraph.world.raycast import cast
+from sensorgraph.world.raycast import cast, cast_rays, laser_poses
 from sensorgraph.world.robot import Robot
 from sensorgraph.world.scene import apply_range_limits
 from sensorgraph.world.simulate import occupancy_map, simulate
@@ -44,7 +44,10 @@ class PerceivedWorld(Protocol):
     sensor: RangeSensor
 
     def scans(self, first: int, poses: Floats) -> Floats:
-        """Draw scans `first`, `first` + 1, ... at base_link poses (n, 3); returns readings (n, n_rays) [m]."""
+        """Draw scans `first`, `first` + 1, ... at base_link poses; returns readings (n, n_rays) [m].
+
+        `poses` are (n, 3), or (n, n_rays, 3) where the sensor sweeps.
+        """
         ...
 
     def scan(self, number: int, pose: Floats) -> Floats:
@@ -77,9 +80,17 @@ class ArenaWorld:
         self._noise = ScanNoise(seed, robot.sensor.n_rays)
 
     def scans(self, first: int, poses: Floats) -> Floats:
-        """Draw scans `first`, `first` + 1, ... at base_link poses (n, 3); returns readings (n, n_rays) [m]."""
+        """Draw scans `first`, `first` + 1, ... at base_link poses; returns readings (n, n_rays) [m].
+
+        `poses` are (n, 3), or (n, n_rays, 3) where the sensor sweeps.
+        """
         normal = np.array([self._noise.of(first + i)[1] for i in range(len(poses))])
-        ranges = cast(self.arena, poses, self.sensor).ranges
+        if poses.ndim == 3:
+            lasers = laser_poses(poses, self.sensor.mount)
+            headings = lasers[..., 2] + self.sensor.bearings
+            ranges = cast_rays(self.arena, lasers[..., :2], headings, self.sensor).ranges
+        else:
+            ranges = cast(self.arena, poses, self.sensor).ranges
         noisy = ranges + self.sensor.sigma * normal
         return apply_range_limits(np.where(np.isfinite(ranges), noisy, ranges), self.sensor)
 
@@ -109,9 +120,12 @@ class IdentifiedWorld:
         self._noise = ScanNoise(seed, robot.sensor.n_rays)
 
     def scans(self, first: int, poses: Floats) -> Floats:
-        """Draw scans `first`, `first` + 1, ... at base_link poses (n, 3); returns readings (n, n_rays) [m]."""
+        """Draw scans `first`, `first` + 1, ... at base_link poses; returns readings (n, n_rays) [m].
+
+        `poses` are (n, 3), or (n, n_rays, 3) where the sensor sweeps.
+        """
         there = poses_for(self.graph, "base_link", self.sensor.mount, poses)
-        answered = self.graph.predict(there).answered
+        answered = self.graph.predict(there, rays=self.rays).answered
         self.n_rays += answered.size
         self.unanswered += int((~answered).sum())
         return self._drawn(first, there)
@@ -125,12 +139,19 @@ class IdentifiedWorld:
         noise = [self._noise.of(first + i) for i in range(len(poses))]
         uniform, normal = (np.array(part) for part in zip(*noise, strict=True))
         model = self.graph.model
-        if isinstance(model, Faces):
-            readings = model.draw(poses, uniform, normal)
-        else:
-            said = self.graph.predict(poses)
-            readings = np.where(uniform < said.p_no_return, np.inf, said.mode + said.sigma * normal)
-        return apply_range_limits(readings[:, self.rays], self.sensor)
+        if not isinstance(model, Faces):
+            said = self.graph.predict(poses, rays=self.rays)
+            lost = uniform[:, self.rays] < said.p_no_return
+            readings = np.where(lost, np.inf, said.mode + said.sigma * normal[:, self.rays])
+        elif poses.ndim == 2:
+            readings = model.draw(poses, uniform, normal)[:, self.rays]
+        else:  # each ray from its own pose
+            readings = np.empty(poses.shape[:2])
+            for i, ray in enumerate(self.rays):
+                own = np.array([ray])
+                there = np.ascontiguousarray(poses[:, i])
+                readings[:, i] = model.draw(there, uniform[:, own], normal[:, own], own)[:, 0]
+        return apply_range_limits(readings, self.sensor)
 
 
 def record_in_world(

@@ -47,6 +47,21 @@ def is_full_turn(bearings: Floats) -> bool:
     return n > 2 and bool((bearings[-1] - bearings[0]) * (n + 0.5) / (n - 1) > 2 * np.pi)
 
 
+def neighbouring_rays(sensor: RangeSensor) -> tuple[Ints, Ints]:
+    """Return the right and the left ray (n_pairs,) of each pair of neighbours; of a full turn the last and the first are one.
+
+    Rays of two sensors that are read as one are no neighbours.
+    """
+    right = np.arange(sensor.n_rays - 1, dtype=np.intp)
+    left = right + 1
+    if sensor.is_composite:
+        same = (sensor.origins[left] == sensor.origins[right]).all(axis=1)
+        return right[same], left[same]
+    if is_full_turn(sensor.bearings):
+        right, left = np.append(right, sensor.n_rays - 1), np.append(left, 0)
+    return right, left
+
+
 def with_rays_like(
     sensor: RangeSensor, wanted: Floats, *, tolerance: float = SAME_BEARING
 ) -> RangeSensor | None:

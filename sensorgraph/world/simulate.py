@@ -48,7 +48,8 @@ def simulate(
     ----------
     effects : of the scan channel, what the sensor and the room have beyond robot.yaml and the map
     seed : of people who walk about; noise comes from `rng`
-    perceive : (number of the first scan, poses (n, 3)) -> readings (n, n_rays) [m], in place of the arena
+    perceive : (number of the first scan, poses (n, 3), or (n, n_rays, 3) of the rays of a sweep) -> readings (n, n_rays)
+        [m], in place of the arena
     drivetrain : what the odometry is measured with; as in robot.yaml if not given
     """
     sensor = robot.sensor
@@ -57,7 +58,8 @@ def simulate(
     for start in range(0, len(stamps), SCANS_PER_STEP):
         part = stamps[start : start + SCANS_PER_STEP]
         if perceive is not None:
-            parts.append(perceive(start, driven.at(part)))
+            when = part if sensor.sweep_time == 0 else part[:, None] + sensor.ray_delays
+            parts.append(perceive(start, driven.at(when)))
         else:
             scene = Scene(
                 arena=arena, sensor=sensor, stamps=part, motion=driven.at, span=float(stamps[-1]), seed=seed

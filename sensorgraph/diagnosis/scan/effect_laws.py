@@ -15,6 +15,7 @@ from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effect import Telltale
 from sensorgraph.effects.proposals import best_run
 from sensorgraph.types import Bools
+from sensorgraph.world.ray_order import neighbouring_rays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,9 +147,10 @@ def clustered(view: FitResiduals, some: Bools) -> float:
     if not some.any():
         return 0.0
     z = np.where(some, view.z, np.nan)
+    right, left = neighbouring_rays(view.sensor)
     with np.errstate(invalid="ignore"):
-        near = np.abs(np.diff(z, axis=1)) < SCAN.goodness_of_fit.neighbour_distance
+        near = np.abs(z[:, left] - z[:, right]) < SCAN.goodness_of_fit.neighbour_distance
     has = np.zeros(some.shape, dtype=np.bool_)
-    has[:, 1:] |= near
-    has[:, :-1] |= near
+    has[:, left] |= near
+    has[:, right] |= near
     return float(has[some].mean())

@@ -28,6 +28,7 @@ from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Floats, Ints
+from sensorgraph.world.ray_order import neighbouring_rays
 from sensorgraph.world.scene import Beams, apply_range_limits
 
 SQRT_TAU = np.sqrt(2 * np.pi)
@@ -250,22 +251,19 @@ def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
     """Find the rays next to a step in depth, and what they would read beyond it."""
     t = data.tolerances
     ranges, wall = beams.ranges, beams.wall
-    differ = wall[:, 1:] != wall[:, :-1]
-    if data.sensor.is_composite:  # rays of two sensors are no neighbours
-        differ &= (data.sensor.origins[1:] == data.sensor.origins[:-1]).all(axis=1)
-    scan, left = np.nonzero(differ)
+    rights, lefts = neighbouring_rays(data.sensor)
+    scan, pair = np.nonzero(wall[:, lefts] != wall[:, rights])
     if len(scan) == 0:
         return None
-    bearings = data.sensor.bearings
-    gap = np.diff(bearings)[left]
-    near_left = ranges[scan, left] <= ranges[scan, left + 1]
-    near = np.where(near_left, left, left + 1)
+    right, left, bearings = rights[pair], lefts[pair], data.sensor.bearings
+    gap = (bearings[left] - bearings[right]) % (2 * np.pi)
+    near = np.where(ranges[scan, right] <= ranges[scan, left], right, left)
     rows: list[tuple[Ints, Ints, Floats, Floats]] = []
-    # where the nearer surface ends, as an angle from the left ray
-    edge = _end_angle(beams, walls, scan, left, near, gap)
+    # where the nearer surface ends, as an angle from the right ray
+    edge = _end_angle(beams, walls, scan, right, near, gap)
     r_near = np.maximum(ranges[scan, near], MIN_END_RANGE)
     blur = np.sqrt(t.pose_yaw**2 + t.mount_yaw**2 + (t.pose_xy**2 + t.map**2 + t.mount_xy**2) / r_near**2)
-    for ray, other, away in ((left, left + 1, edge), (left + 1, left, gap - edge)):
+    for ray, other, away in ((right, left, edge), (left, right, gap - edge)):
         chance = np.minimum(ndtr(-away / blur), 0.5)
         beyond = _extended(beams, walls, scan, ray, other)
         own = ranges[scan, ray]
@@ -284,16 +282,16 @@ def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
     )
 
 
-def _end_angle(beams: Beams, walls: Floats, scan: Ints, left: Ints, near: Ints, gap: Floats) -> Floats:
-    """Return the angle [rad] from the left ray to the end of the nearer wall; half the gap where it has none there."""
+def _end_angle(beams: Beams, walls: Floats, scan: Ints, right: Ints, near: Ints, gap: Floats) -> Floats:
+    """Return the angle [rad] from the right ray to the end of the nearer wall; half the gap where it has none there."""
     index = beams.wall[scan, near]
     middle = gap / 2
     if len(walls) == 0:
         return np.asarray(middle)
     known = index >= 0
-    ux, uy = beams.ux[scan, left], beams.uy[scan, left]
-    ox = np.broadcast_to(beams.ox, beams.ux.shape)[scan, left]
-    oy = np.broadcast_to(beams.oy, beams.ux.shape)[scan, left]
+    ux, uy = beams.ux[scan, right], beams.uy[scan, right]
+    ox = np.broadcast_to(beams.ox, beams.ux.shape)[scan, right]
+    oy = np.broadcast_to(beams.oy, beams.ux.shape)[scan, right]
     best = np.asarray(middle).copy()
     for end in (0, 1):
         corner = walls[np.where(known, index, 0), end]

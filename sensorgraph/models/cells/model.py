@@ -128,14 +128,16 @@ class CellModel:
         )
         return to_prediction(out, point, answered)
 
-    def draw(self, poses: Floats, uniform: Floats, normal: Floats) -> Floats:
-        """Draw one reading of every ray at poses (n_poses, 3) from the mixture.
+    def draw(
+        self, poses: Floats, uniform: Floats, normal: Floats, rays: Ints | slice = slice(None)
+    ) -> Floats:
+        """Draw one reading of rays (n_rays,) at poses (n_poses, 3) from the mixture.
 
         `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes.
         """
         out = np.full(uniform.shape, np.inf)
         for i, pose in enumerate(laser_poses(poses, self.mount)):
-            r, w, sigma, left = list_candidates(self.table, pose[None], self.sensor.bearings)
+            r, w, sigma, left = list_candidates(self.table, pose[None], self.sensor.bearings[rays])
             stopped = np.cumsum(
                 w[0], axis=1
             )  # (n_rays, n_most); beyond reach a share `nothing` returns nothing

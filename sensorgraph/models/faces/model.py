@@ -247,19 +247,21 @@ class Faces(FacesData):
         )  # fmt: skip
         return table, supported
 
-    def draw(self, poses: Floats, uniform: Floats, normal: Floats) -> Floats:
-        """Draw one reading of every ray at poses (n_poses, 3), with range noise and without the poses' noise.
+    def draw(
+        self, poses: Floats, uniform: Floats, normal: Floats, rays: Ints | slice = slice(None)
+    ) -> Floats:
+        """Draw one reading of rays (n_rays,) at poses (n_poses, 3), with range noise and without the poses' noise.
 
         `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes.
         """
         if self.cells is not None:
-            return self.cells.draw(poses, uniform, normal)
+            return self.cells.draw(poses, uniform, normal, rays)
         out = np.empty(uniform.shape)
         x, y, cos, sin = _lasers(poses, self.mount)
-        bearings, terms = self.sensor.bearings, self.calibration.terms
+        bearings, terms = self.sensor.bearings[rays], self.calibration.terms
         draw_rays(
             x, y, cos, sin, np.cos(bearings), np.sin(bearings), self.sensor.range_max, self.faces,
-            self.buckets, self.noise.sigma, terms.constant, terms.slope, terms.incidence, uniform, normal, out,
+            self.buckets, self.noise.sigma, terms.constant[rays], terms.slope[rays], terms.incidence, uniform, normal, out,
         )  # fmt: skip
         return out
 
