@@ -59,6 +59,13 @@ def test_bearings_of_a_full_turn_do_not_meet_themselves() -> None:
         ("sensor: {n_rays: 1.5}", "expected a whole number"),
         ("sensor: {n_rays: true}", "expected a whole number"),
         ("sensor: {fov: 180}", "degrees are not meant"),
+        ("sensors: [{n_rays: 5, fov: 180}]", "sensors[0].fov is 180.0 rad, expected at most 2 pi"),
+        (
+            "sensor: {fov: 360 grad}",
+            "expected a number of radians, or an angle with its unit such as `180 deg`",
+        ),
+        ("sensor: {range_max: .inf}", "`sensor.range_max` is inf, expected a number such as 8.0"),
+        ("sensor: {range_max: 8 deg}", "`sensor.range_max` is '8 deg', expected a number such as 8.0"),
         ("sensor: {mount: [1, 2]}", "expected 3 numbers"),
         ("sensor: {sigma: -0.1}", "expected 0 or more"),
         ("sensor: {range_min: 9.0}", "expected 0 <= min < max"),
@@ -82,3 +89,14 @@ def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
         load_robot(tmp_path / "robot.yaml")
     with pytest.raises(SensorgraphError, match="is a directory"):
         load_robot(tmp_path)
+
+
+def test_angles_may_be_written_in_degrees() -> None:
+    said = parse_robot("sensor: {fov: 360 deg, n_rays: 4, mount: [0.1, 0, 90deg]}\npose: {sigma_yaw: 0.1 °}")
+    np.testing.assert_allclose(np.degrees(said.sensor.bearings), [-180, -90, 0, 90])
+    assert said.sensor.mount[2] == pytest.approx(np.pi / 2)
+    assert said.pose.sigma_yaw == pytest.approx(np.radians(0.1))
+    ring = parse_robot("sensors: [{ring: 4, first: 45 deg, cone: 15 deg}]").sensor
+    np.testing.assert_allclose(np.degrees(ring.bearings), [-135, -45, 45, 135])
+    np.testing.assert_allclose(np.degrees(ring.cones), 15)
+    assert parse_robot("sensor: {fov: 3.0 rad}").sensor.bearings[-1] == pytest.approx(1.5)

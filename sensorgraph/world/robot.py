@@ -138,6 +138,11 @@ POSITIVE = {
 }
 
 
+ANGLES = {"fov", "cone", "first", "sigma_yaw", "mount_yaw", "pose_yaw"}
+"""Keys whose values [rad] may be written in degrees: `270 deg`; so may the yaw of a `mount`."""
+ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}
+
+
 def default_robot() -> Robot:
     """Return the robot that an empty file describes."""
     return parse_robot("")
@@ -257,6 +262,10 @@ def parse_sensors(name: str, entries: Any) -> list[SensorPlace]:
                 for k, mount in enumerate(mounts)
             ]
         else:
+            try:
+                _check_fov(f"sensors[{i}].fov", values["fov"])
+            except ValueError as exc:
+                raise SensorgraphError(f"{name}: {exc}") from exc
             rays = bearings(values["n_rays"], values["fov"]) if values["n_rays"] > 1 else np.zeros(1)
             mount = np.array(values["mount"], dtype=np.float64)
             out.append(SensorPlace(mount=mount, bearings=rays, cone=values["cone"], name=values["name"]))
@@ -277,12 +286,18 @@ def _sensor(values: Mapping[str, Any], sensors: list[SensorPlace] | None = None)
             **shared,
         )
     n_rays, fov = values["n_rays"], values["fov"]
-    if fov > 2 * np.pi + 1e-6:
-        raise ValueError(f"sensor.fov is {fov} rad, expected at most 2 pi; degrees are not meant")
+    _check_fov("sensor.fov", fov)
     rest = {key: value for key, value in values.items() if key not in ("n_rays", "fov", "mount")}
     return RangeSensor(
         bearings=bearings(n_rays, fov), mount=np.array(values["mount"], dtype=np.float64), **rest
     )
+
+
+def _check_fov(key: str, fov: float) -> None:
+    if fov > 2 * np.pi + 1e-6:
+        raise ValueError(
+            f"{key} is {fov} rad, expected at most 2 pi; degrees are not meant, unless written `{fov:g} deg`"
+        )
 
 
 def _refuse_unknown(name: str, where: str, data: Mapping[Any, Any], known: list[str]) -> None:
@@ -307,18 +322,21 @@ def _value(name: str, key: str, value: Any, default: Any) -> Any:
             raise SensorgraphError(f"{name}: `{key}` is {value!r}, expected a word such as {default!r}")
         return value
     if isinstance(default, list):
-        value = [_number(v) for v in value] if isinstance(value, list) else value
+        if isinstance(value, list):
+            is_mount = key.split(".")[-1] == "mount"
+            value = [_number(v, is_angle=is_mount and i == 2) for i, v in enumerate(value)]
         ok = isinstance(value, list) and len(value) == len(default) and all(_is_number(v) for v in value)
         if not ok:
             raise SensorgraphError(
                 f"{name}: `{key}` is {value!r}, expected {len(default)} numbers such as {default}"
             )
         return [float(v) for v in value]
-    whole = isinstance(default, int)
-    value = _number(value)
+    whole, is_angle = isinstance(default, int), key.split(".")[-1] in ANGLES
+    value = _number(value, is_angle=is_angle)
     if not _is_number(value) or (whole and value != int(value)):
+        unit = " of radians, or an angle with its unit such as `180 deg`," if is_angle else ""
         raise SensorgraphError(
-            f"{name}: `{key}` is {value!r}, expected a {'whole ' if whole else ''}number such as {default}"
+            f"{name}: `{key}` is {value!r}, expected a {'whole ' if whole else ''}number{unit} such as {default}"
         )
     least = "above 0" if key.split(".")[-1] in POSITIVE else "0 or more"
     if value < 0 or (value == 0 and least == "above 0"):
@@ -329,10 +347,14 @@ def _value(name: str, key: str, value: Any, default: Any) -> Any:
     return int(value) if whole else float(value)
 
 
-def _number(value: Any) -> Any:
-    """Turn `1e-3`, which YAML takes for a word, into a number; leave all else as it is."""
+def _number(value: Any, *, is_angle: bool = False) -> Any:
+    """Turn `1e-3`, which YAML takes for a word, into a number, and an angle with its unit into radians; leave all else."""
+    if not isinstance(value, str):
+        return value
+    text = value.strip()
+    unit = next((unit for unit in ANGLE_UNITS if text.endswith(unit)), "") if is_angle else ""
     try:
-        return float(value) if isinstance(value, str) else value
+        return float(text.removesuffix(unit)) * ANGLE_UNITS.get(unit, 1.0)
     except ValueError:
         return value
 
