@@ -22,6 +22,7 @@ from logs.mcap.records import Contents, Loss
 from logs.mcap.walk import RecordWalk
 from logs.no_return import check_no_return
 from logs.ros import interpret, own_record
+from logs.ros.cdr import Messages
 from logs.ros.laser_scan import ShapeCensus, shape_of
 from logs.ros.recording import (
     ENCODINGS,
@@ -166,7 +167,7 @@ class McapStream:
             topic.n_messages += counts.get(key, 0)
             if key in look and topic.type in KEPT_TYPES and topic.encoding in ENCODINGS:
                 topic.log_times += look[key].log_times
-                topic.payloads += look[key].payloads
+                topic.payloads.take(look[key].payloads)
         census = {contents.channels[key].topic: found for key, found in shapes.items()}
         head = interpret.to_run(recording, path.name, topics, no_return, mounts, census)
         if no_return is None and not own_record.is_own(recording, topics):
@@ -255,7 +256,8 @@ class _Window:
         while self.scans and self.scans[0][0] == taken[-1][0]:  # those that share a stamp are paired together
             taken.append(self.scans.popleft())
         topic = recording.topics[self.scan_topic]
-        topic.log_times, topic.payloads = [at for at, _ in taken], [payload for _, payload in taken]
+        topic.log_times = [at for at, _ in taken]
+        topic.payloads = Messages(payload for _, payload in taken)
         for name, at, payload in (*self.fixed, *self.others):
             recording.topics[name].log_times.append(at)
             recording.topics[name].payloads.append(payload)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -256,3 +258,27 @@ def test_reader_tells_progress_to_the_end(tmp_path: Path) -> None:
     said.clear()
     logs.read(tmp_path / "run.mcap", progress=lambda done, total: said.append((done, total)))
     assert said[-1][0] == said[-1][1] == (tmp_path / "run.mcap").stat().st_size
+
+
+def test_reading_keeps_nothing_but_the_run(tmp_path: Path) -> None:
+    n = 1500
+    t, still = np.arange(n) / 10, np.zeros((n, 3))
+    sensor = logs.RangeSensor(bearings=np.linspace(-1, 1, 31))
+    run = logs.Run(
+        sensor=sensor, stamps=t, ranges=np.ones((n, 31)), pose_stamps=t, poses=still,
+        odom_stamps=t, odometry=still, odom_twists=still[:, :2],
+    )  # fmt: skip
+    path = tmp_path / "run.mcap"
+    logs.write(run, path)
+    logs.read(path)  # imports and caches
+    gc.collect()
+    gc.disable()
+    tracemalloc.start()
+    try:
+        got = logs.read(path)
+        held, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+        gc.enable()
+    own = sum(value.nbytes for value in vars(got).values() if isinstance(value, np.ndarray))
+    assert held < own + 300_000  # no circle of objects holds the messages until they are collected

@@ -99,3 +99,21 @@ def test_any_bytes_are_read_or_refused_in_one_sentence(data: bytes, msgtype: str
 def test_big_endian_is_refused_by_name() -> None:
     with pytest.raises(LogError, match="little-endian"):
         list(cdr.unpack([b"\x00\x00\x00\x00" + bytes(80)], "geometry_msgs/msg/PoseStamped", "/pose"))
+
+
+@given(parts=st.lists(st.lists(st.binary(max_size=9), max_size=9), min_size=1, max_size=3), loose=st.binary())
+def test_packed_messages_keep_their_order_and_come_out_by_size(
+    parts: list[list[bytes]], loose: bytes
+) -> None:
+    packed = cdr.Messages(parts[0])
+    for part in parts[1:]:
+        more = cdr.Messages(part)
+        packed.take(more)
+        assert len(more) == 0
+    packed.append(loose)
+    expected = [*(message for part in parts for message in part), loose]
+    assert list(packed) == expected and len(packed) == len(expected)
+    by_size = {
+        int(i): row.tobytes() for index, rows in packed.by_size() for i, row in zip(index, rows, strict=True)
+    }
+    assert [by_size[i] for i in range(len(expected))] == expected

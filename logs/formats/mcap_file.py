@@ -341,14 +341,14 @@ def collect(
 ) -> tuple[Recording, Contents]:
     """Walk a file and sort its messages by topic; only types that we understand are kept in memory."""
     logged: dict[int, list[int]] = {}
-    payloads: dict[int, list[bytes]] = {}
+    payloads: dict[int, cdr.Messages] = {}
     counts: dict[int, int] = {}
     ignored: set[int] = set()
 
     def take(channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
         if channel not in logged:
-            logged[channel], payloads[channel], counts[channel] = [], [], 0
-            if channel in walk.contents.channels and type_of(walk.contents, channel) not in KEPT_TYPES:
+            logged[channel], payloads[channel], counts[channel] = [], cdr.Messages(), 0
+            if channel in contents.channels and type_of(contents, channel) not in KEPT_TYPES:
                 ignored.add(channel)
         counts[channel] += 1
         logged[channel].append(log_time)
@@ -357,10 +357,10 @@ def collect(
 
     data = open_bytes(path)
     walk = RecordWalk(data, take, on_damage)
+    contents = walk.contents  # `take` knows them and not the walk: a circle would keep the file in memory
     for done, pos in enumerate(walk.steps()):
         if progress is not None and done % 64 == 0:
             progress(pos, len(data))
-    contents = walk.contents
     unknown = sum(count for key, count in counts.items() if key not in contents.channels)
     if unknown:
         on_damage(Loss(len(data), len(data), f"{unknown} messages belong to no channel of the file"))
@@ -376,7 +376,7 @@ def collect(
         topic.n_messages += counts.get(key, 0)
         topic.log_times += logged.get(key, [])
         if kind in KEPT_TYPES and channel.encoding in ENCODINGS:
-            topic.payloads += payloads.get(key, [])
+            topic.payloads.take(payloads.get(key, cdr.Messages()))
     if progress is not None:
         progress(len(data), len(data))
     return recording, contents

@@ -14,6 +14,7 @@ from typing import Any
 from logs.errors import LogError
 from logs.formats import mcap_file
 from logs.inflation import BZIP2_MAGIC, LZ4_MAGIC, most_plain, unpack
+from logs.ros.cdr import Messages
 from logs.ros.definitions import typestore
 from logs.ros.interpret import to_run
 from logs.ros.recording import ENCODINGS, KEPT_TYPES, Recording, Topic, full_type
@@ -134,14 +135,16 @@ def _unpacked(files: list[Path], folder: Path) -> list[Path]:
 def _unpack_messages(recording: Recording, path: Path, most: int) -> None:
     """Unpack messages that are compressed one by one, in place; `most` [bytes] may come out of all of them."""
     for topic in recording.topics.values():
+        plain = Messages()
         for i, payload in enumerate(topic.payloads):
             try:
-                topic.payloads[i] = unpack(payload, most)
+                plain.append(data := unpack(payload, most))
             except ValueError as exc:
                 raise LogError(
                     f"{path}: message {i} of {topic.name} cannot be unpacked ({exc}); copy the bag again"
                 ) from exc
-            most -= len(topic.payloads[i])
+            most -= len(data)
+        topic.payloads = plain
 
 
 def _metadata(path: Path) -> dict[str, Any]:
@@ -165,7 +168,7 @@ def _merge(recording: Recording, more: Recording) -> None:
         known = recording.topics.setdefault(name, Topic(name, topic.type, topic.encoding))
         known.n_messages += topic.n_messages
         known.log_times += topic.log_times
-        known.payloads += topic.payloads
+        known.payloads.take(topic.payloads)
 
 
 def _sqlite(files: list[Path], progress: Progress | None) -> Recording:

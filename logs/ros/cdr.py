@@ -6,7 +6,8 @@ Messages of one topic repeat one layout: it is walked once, then every field is 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -136,19 +137,65 @@ class MessageColumns:
         return len({name.split(".")[0] for name in self.places if "." in name})
 
 
+class Messages:
+    """The messages of a topic; those of one size lie in one buffer, which takes half of what a list of them does."""
+
+    def __init__(self, messages: Iterable[bytes] = ()) -> None:
+        self._buffers: dict[int, bytearray] = {}
+        self._index: dict[int, array[int]] = {}
+        self._n = 0
+        for message in messages:
+            self.append(message)
+
+    def __len__(self) -> int:
+        return self._n
+
+    def append(self, message: bytes) -> None:
+        """Add a message after all others."""
+        size = len(message)
+        if size not in self._buffers:
+            self._buffers[size], self._index[size] = bytearray(), array("q")
+        self._buffers[size] += message
+        self._index[size].append(self._n)
+        self._n += 1
+
+    def take(self, more: Messages) -> None:
+        """Move the messages of another part of the topic here, after all others, in their order."""
+        for size, buffer in more._buffers.items():
+            if size not in self._buffers:
+                self._buffers[size], self._index[size] = bytearray(), array("q")
+            self._buffers[size] += buffer
+            self._index[size].extend(self._n + i for i in more._index[size])
+            buffer.clear()
+        self._n += more._n
+        more._buffers, more._index, more._n = {}, {}, 0
+
+    def by_size(self) -> Iterator[tuple[NDArray[np.intp], Bytes]]:
+        """Yield which messages (m,) are of one size, and their bytes (m, size), the smallest first."""
+        for size in sorted(self._buffers):
+            index = np.array(self._index[size], dtype=np.intp)
+            yield index, np.frombuffer(self._buffers[size], dtype=np.uint8).reshape(len(index), size)
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Yield the messages in their order."""
+        size_of = np.empty(self._n, dtype=np.int64)
+        for size, index in self._index.items():
+            size_of[np.array(index, dtype=np.intp)] = size
+        at = dict.fromkeys(self._buffers, 0)
+        for size in size_of.tolist():
+            yield bytes(self._buffers[size][at[size] : at[size] + size])
+            at[size] += size
+
+
 def unpack(
-    messages: Sequence[bytes], msgtype: str, topic: str, encoding: str = "cdr"
+    messages: Messages | Sequence[bytes], msgtype: str, topic: str, encoding: str = "cdr"
 ) -> Iterator[MessageColumns]:
     """Yield columns of `messages`, one block for each layout met; the encoding is `cdr` or `ros1`."""
     spec = MESSAGE_FIELDS[msgtype]
-    sizes = np.array([len(message) for message in messages], dtype=np.int64)
-    for size in np.unique(sizes):
-        index = np.flatnonzero(sizes == size)
-        if size < 4:
-            raise LogError(_bad(topic, msgtype, int(index[0]), f"it has {size} bytes"))
-        rows = np.frombuffer(b"".join([messages[i] for i in index.tolist()]), dtype=np.uint8).reshape(
-            len(index), size
-        )
+    packed = messages if isinstance(messages, Messages) else Messages(messages)
+    for index, rows in packed.by_size():
+        if rows.shape[1] < 4:
+            raise LogError(_bad(topic, msgtype, int(index[0]), f"it has {rows.shape[1]} bytes"))
         while len(index):
             try:
                 layout = _walk(spec, rows[0].tobytes(), is_ros1=encoding == "ros1")

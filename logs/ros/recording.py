@@ -64,7 +64,7 @@ class Topic:
     n_messages: int = 0
     log_times: list[int] = field(default_factory=list)
     """[ns] of each message, in the order of the file."""
-    payloads: list[bytes] = field(default_factory=list)
+    payloads: cdr.Messages = field(default_factory=cdr.Messages)
     """The messages, where their type is one of `KEPT_TYPES`."""
 
 
