@@ -12,6 +12,7 @@ from diagnosis_samples import ROBOT, make_run, without_odometry
 
 from logs.run import Run
 from planners.arena import wrap
+from sensorgraph.diagnosis.motion import whitening
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
@@ -247,3 +248,25 @@ def test_twists_stand_in_for_poses_that_do_not_move() -> None:
     run = make_run(8, radius=0.03)
     result = diagnose_odometry(replace(run, odometry=np.zeros_like(run.odometry)), ROBOT)
     assert result.notes["odometry_from"] == "twists" and [a.name for a in result.effects] == ["wheel_radius"]
+
+
+def test_long_columns_are_whitened_in_blocks_as_the_filter_says() -> None:
+    rng = np.random.default_rng(0)
+    n = 2 * whitening.ROWS_AT_A_TIME + 100
+    first, second = (
+        WhiteningFilter(taps=np.array([1.0, *rng.normal(scale=0.3, size=3)]), sigma=sigma)
+        for sigma in (0.5, 2.0)
+    )
+    columns, y, valid = rng.normal(size=(2 * n, 5)), rng.normal(size=2 * n), rng.random(n) < 0.9
+    whitener = whitening.Whitener(filters=(first, second), valid=valid, weights=rng.random(2 * n))
+    Z = np.concatenate(
+        [
+            np.stack([np.convolve(column, noise.taps)[:n] / noise.sigma for column in part.T], axis=1)
+            for noise, part in ((first, columns[:n]), (second, columns[n:]))
+        ]
+    )
+    Z *= (whitener.weights * np.tile(valid, 2))[:, None]
+    np.testing.assert_allclose(whitener(columns), Z, atol=1e-12)
+    G, b = whitener.normal_equations([columns[:, :2], columns[:, 2:]], y)
+    np.testing.assert_allclose(G, Z.T @ Z, atol=1e-9)
+    np.testing.assert_allclose(b, Z.T @ whitener(y), atol=1e-9)

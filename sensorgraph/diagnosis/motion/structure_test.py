@@ -80,14 +80,14 @@ class StructureTest:
     def best(self, own: Floats, candidates: Sequence[StructureFamily]) -> tuple[StructureFamily, float]:
         """Return the family that explains most beside the model's own columns (2 n, k), and its evidence [nats]."""
         here = self._evidence(own)
-        screened = [self._evidence_at_this_noise(own, family) for family in candidates]
+        screened = self._screened(own, candidates)
         k = int(np.argmax(screened))
         return candidates[k], max(self._evidence(own, candidates[k]) - here, screened[k])
 
     def ranking(self, own: Floats, candidates: Sequence[StructureFamily]) -> list[StructureFamily]:
         """Return the likeliest family of each kind, the likeliest first; those that explain nothing are left out."""
         self._evidence(own)
-        screened = {family: self._evidence_at_this_noise(own, family) for family in candidates}
+        screened = dict(zip(candidates, self._screened(own, candidates), strict=True))
         found: dict[str, StructureFamily] = {}
         for family in sorted(candidates, key=lambda family: -screened[family]):
             if screened[family] > 0:
@@ -146,34 +146,50 @@ class StructureTest:
         filters = self.fit_noise(0, translation, self.valid), self.fit_noise(1, rotation, self.valid)
         self.whitener = Whitener.robust(filters, self.valid, residual, EVIDENCE.huber_limit)
 
-    def _normal_equations(self, own: Floats, family: StructureFamily | None) -> tuple[Floats, Floats, Floats]:
-        """Return columns (2 n, k + m) in units of their norm or prior, and their whitened normal equations."""
-        parts = [own / np.maximum(np.linalg.norm(own, axis=0), 1e-12), self.nuisances]
+    def _parts(self, own: Floats, family: StructureFamily | None) -> list[tuple[Floats, Floats]]:
+        """Return columns (2 n, .) and their scales (.), which bring them to units of their norm or prior."""
+        parts = [
+            (own, 1 / np.maximum(np.linalg.norm(own, axis=0), 1e-12)),
+            (self.nuisances, np.ones(self.nuisances.shape[1])),
+        ]
         if family is not None:
-            parts.append(family.columns * family.sigma)
-        columns = np.concatenate(parts, axis=1)
-        Z = self.whitener(columns)
-        return columns, Z.T @ Z, Z.T @ self.whitener(self.y)
+            parts.append((family.columns, np.full(family.columns.shape[1], family.sigma)))
+        return parts
 
     def _fit_columns(self, own: Floats, family: StructureFamily | None) -> tuple[Floats, float]:
         """Return what columns leave (2 n,) and the price of the family's freedom: prior and Occam factor [nats]."""
-        columns, G, b = self._normal_equations(own, family)
-        k = own.shape[1]
+        parts, k = self._parts(own, family), own.shape[1]
+        scale = np.concatenate([scale for _, scale in parts])
+        G, b = self.whitener.normal_equations([columns for columns, _ in parts], self.y)
+        G, b = G * np.outer(scale, scale), b * scale
         prior = np.concatenate([_ridge(G, k), np.ones(len(G) - k)])
         theta = np.linalg.solve(G + np.diag(prior), b)
         price = 0.5 * float(theta[k:] @ theta[k:])
         information = _information_beside(G, k)
         price += 0.5 * float(np.linalg.slogdet(np.eye(len(G) - k) + information)[1])
         price += 0.0 if family is None else family.choice_price
-        return self.y - columns @ theta, price
+        by_part = np.split(scale * theta, np.cumsum([columns.shape[1] for columns, _ in parts])[:-1])
+        fitted = sum(columns @ some for (columns, _), some in zip(parts, by_part, strict=True))
+        return self.y - fitted, price
 
-    def _evidence_at_this_noise(self, own: Floats, family: StructureFamily) -> float:
-        """Return the evidence of a family if the noise stays as it is [nats]."""
-        _, G, b = self._normal_equations(own, family)
-        k, m = own.shape[1], self.nuisances.shape[1]
-        c = b[k:] - G[k:, :k] @ np.linalg.solve(G[:k, :k] + np.diag(_ridge(G, k)), b[:k])
-        H = np.eye(len(G) - k) + _information_beside(G, k)
-        return _gain(H, c) - _gain(H[:m, :m], c[:m]) - family.choice_price
+    def _screened(self, own: Floats, families: Sequence[StructureFamily]) -> list[float]:
+        """Return the evidence of each family beside columns (2 n, k) if the noise stays as it is [nats]."""
+        k, white_y = own.shape[1], self.whitener(self.y)
+        Z, first = np.empty((len(self.y), k + self.nuisances.shape[1])), 0
+        for columns, scale in self._parts(own, None):  # the same for all families, and most of the work
+            Z[:, first : first + len(scale)] = self.whitener(columns) * scale
+            first += len(scale)
+        G_alone, b_alone, out = Z.T @ Z, Z.T @ white_y, []
+        m = len(b_alone) - k
+        for family in families:
+            F = self.whitener(family.columns * family.sigma)
+            cross = Z.T @ F
+            G = np.block([[G_alone, cross], [cross.T, F.T @ F]])
+            b = np.concatenate([b_alone, F.T @ white_y])
+            c = b[k:] - G[k:, :k] @ np.linalg.solve(G[:k, :k] + np.diag(_ridge(G, k)), b[:k])
+            H = np.eye(len(G) - k) + _information_beside(G, k)
+            out.append(_gain(H, c) - _gain(H[:m, :m], c[:m]) - family.choice_price)
+        return out
 
 
 def _gain(H: Floats, c: Floats) -> float:

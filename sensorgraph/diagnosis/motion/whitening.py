@@ -8,6 +8,7 @@ tolerances change the weights and not the names.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,8 @@ from scipy.linalg import solve_toeplitz
 
 from sensorgraph.types import Bools, Floats
 
+ROWS_AT_A_TIME = 4096
+"""Rows that are filtered together: what is in use stays in the cache, and a long run needs no further memory."""
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a Gaussian over its median absolute deviation."""
 
@@ -30,15 +33,33 @@ class WhiteningFilter:
 
     def __call__(self, columns: Floats) -> Floats:
         """Return columns (n, ...) filtered along time and divided by sigma."""
-        out = np.zeros_like(columns, dtype=np.float64)
-        for lag, tap in enumerate(self.taps.tolist()):
-            out[lag:] += tap * columns[: len(columns) - lag]
+        out = np.empty(columns.shape)
+        self.write(columns, out)
+        return out
+
+    def write(self, columns: Floats, out: Floats) -> None:
+        """Write columns (n, ...), filtered along time and divided by sigma, to `out`."""
+        for rows in blocks(len(columns)):
+            out[rows] = self.block(columns, rows)
+
+    def block(self, columns: Floats, rows: slice) -> Floats:
+        """Return some rows of the filtered columns (n, ...)."""
+        out = np.zeros((rows.stop - rows.start, *columns.shape[1:]))
+        for lag, tap in enumerate(self.taps[: rows.stop].tolist()):
+            begin = max(rows.start, lag)
+            out[begin - rows.start :] += tap * columns[begin - lag : rows.stop - lag]
         return out / self.sigma
 
     @classmethod
     def white(cls, order: int, sigma: float) -> WhiteningFilter:
         """Return the filter of noise that is white already."""
         return cls(taps=np.eye(1, order + 1)[0], sigma=sigma)
+
+
+def blocks(n: int) -> Iterator[slice]:
+    """Cut n rows into blocks."""
+    for first in range(0, n, ROWS_AT_A_TIME):
+        yield slice(first, min(first + ROWS_AT_A_TIME, n))
 
 
 def fit_autoregression(series: Floats, valid: Bools, order: int) -> WhiteningFilter:
@@ -108,12 +129,32 @@ class Whitener:
 
     def __call__(self, columns: Floats) -> Floats:
         """Return rows (2 n,) or columns (2 n, k) whitened along time and weighted; 0 where not valid."""
-        out = np.concatenate(
-            [f(part) for f, part in zip(self.filters, both_kinds(columns, len(self.valid)), strict=True)]
-        )
+        out, n = np.empty(columns.shape), len(self.valid)
+        for f, part, white in zip(self.filters, both_kinds(columns, n), both_kinds(out, n), strict=True):
+            f.write(part, white)
         keep = np.where(self.valid_rows, self.weights, 0.0)
         out *= keep if out.ndim == 1 else keep[:, None]
         return out
+
+    def normal_equations(self, parts: Sequence[Floats], y: Floats) -> tuple[Floats, Floats]:
+        """Return Z'Z (k, k) and Z'y (k,) of whitened rows, without keeping them.
+
+        Parameters
+        ----------
+        parts : (2 n, .) columns that stand side by side, k in all
+        y : (2 n,)
+        """
+        k, n = sum(part.shape[1] for part in parts), len(self.valid)
+        G, b = np.zeros((k, k)), np.zeros(k)
+        keep = np.where(self.valid_rows, self.weights, 0.0)
+        for noise, first in zip(self.filters, (0, n), strict=True):
+            kind = slice(first, first + n)
+            for rows in blocks(n):
+                columns = [noise.block(part[kind], rows) for part in (*parts, y[:, None])]
+                Z = np.concatenate(columns, axis=1) * keep[kind][rows, None]
+                G += Z[:, :-1].T @ Z[:, :-1]
+                b += Z[:, :-1].T @ Z[:, -1]
+        return G, b
 
     @property
     def valid_rows(self) -> Bools:

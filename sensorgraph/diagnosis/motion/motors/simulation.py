@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_banded
 
+from planners.kernel import kernel
 from sensorgraph.diagnosis.motion.motors.rows import CommandSignal, DriveRows
 from sensorgraph.diagnosis.motion.settings import DRIVE
 from sensorgraph.types import Floats
@@ -86,26 +86,36 @@ class MotorSimulation:
         held = held + share[:, None] * (before - held)
         held[:, 0] = np.clip(held[:, 0], -motors.v_max, motors.v_max)
         keep = float(np.exp(-STEP / motors.tau)) if motors.tau > AT_ONCE else 0.0
-        bands = np.array([[1.0], [-keep]]) * np.ones(len(held))
-        speed = solve_banded((1, 0), bands, (1 - keep) * held)  # speed[k] - keep speed[k - 1]
+        speed = _lagged((1 - keep) * held, keep)
         if self.is_limited:
             for i, most in enumerate(self.slew):
                 if np.abs(np.diff(speed[:, i])).max(initial=0.0) > SLEW_MARGIN * most * STEP:
-                    speed[:, i] = _with_limited_change(held[:, i], keep, most * STEP)
+                    speed[:, i] = _with_limited_change(held[:, i].copy(), keep, most * STEP)
         if motors.second > AT_ONCE:
             again = float(np.exp(-STEP / motors.second))
-            bands = np.array([[1.0], [-again]]) * np.ones(len(held))
-            speed = solve_banded((1, 0), bands, (1 - again) * speed)
+            speed = _lagged((1 - again) * speed, again)
         # speed[k] is reached at the end of step k
         sums = np.cumsum(np.concatenate([np.zeros((1, 2)), speed[:-1] + speed[1:]]), axis=0)
         return np.asarray(sums * STEP / 2)
 
 
+@kernel
+def _lagged(inputs: Floats, keep: float) -> Floats:
+    """Return x (n, 2) with x[k] = keep x[k - 1] + inputs[k], from 0 on."""
+    out = inputs.copy()
+    for k in range(1, len(out)):
+        for i in range(2):
+            out[k, i] += keep * out[k - 1, i]
+    return out
+
+
+@kernel
 def _with_limited_change(held: Floats, keep: float, most: float) -> Floats:
     """Return speeds (n,) of a first-order motor whose change per step is limited."""
-    out, v, share = [], 0.0, 1 - keep
-    for u in held.tolist():
-        change = (u - v) * share
-        v += most if change > most else -most if change < -most else change
-        out.append(v)
-    return np.array(out)
+    out = np.empty_like(held)
+    v = 0.0
+    for k in range(len(held)):
+        change = (held[k] - v) * (1 - keep)
+        v += min(max(change, -most), most)
+        out[k] = v
+    return out
