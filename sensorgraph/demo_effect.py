@@ -81,8 +81,7 @@ def hide_and_find(
         runs.append(
             record(path, arena, robot, trajectory, effects=[planted], seed=seed + k, progress=progress)
         )
-    with progress("diagnosing", "parts") as tick:
-        finding = diagnose(runs[0], arena, robot, second=runs[1], seed=seed, progress=tick)
+    finding = diagnose(runs[0], arena, robot, second=runs[1], seed=seed, progress=progress)
     settings = {"seed": seed, "runs": ["first.mcap", "second.mcap"], "tolerances": vars(robot.tolerances)}
     with progress("reporting", "files") as tick:
         save_report(finding, folder, name="first.mcap", settings=settings, progress=tick)

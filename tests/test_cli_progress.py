@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -50,6 +51,27 @@ def test_time_left_follows_from_what_was_done_since_the_stage_began(
         now = 116.0
         tick(0, 100)
     assert capsys.readouterr().err == "fitting: 0 of 100 %\n"  # named, though nothing of it is done
+
+
+def test_a_stage_that_counts_nothing_is_named_while_it_lasts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shown, "PLAIN_EVERY", 0.05)
+    with shown.progress("thinking"):
+        time.sleep(0.3)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) >= 2 and set(lines) == {"thinking: 0 s so far"}
+    time.sleep(0.2)
+    assert not capsys.readouterr().err  # it is over
+
+
+def test_reading_shows_a_share_whatever_a_format_counts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shown._PlainLines, "last", -100.0)
+    with shown.reading_bar() as tick:
+        tick(30_000_000, 75_897_781)
+    assert capsys.readouterr().err == "reading: 39 of 100 %\n"
 
 
 def test_build_says_before_it_fits_what_the_log_makes_hard(

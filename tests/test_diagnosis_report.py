@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +21,7 @@ from planners.arena import Arena
 from sensorgraph.cli import run as cli
 from sensorgraph.demo_effect import HiddenEffect
 from sensorgraph.demo_effect import to_dict as hidden_dict
+from sensorgraph.diagnosis.diagnose import STAGES as DIAGNOSIS_STAGES
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.naming import without_close_calls
@@ -28,6 +31,7 @@ from sensorgraph.diagnosis.report.files import save_report
 from sensorgraph.diagnosis.report.summary import summarise
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, FitQuality, Gap, Rival, Unknown
 from sensorgraph.effects import EFFECTS, effects_file
+from sensorgraph.types import Progress
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import parse_robot
 
@@ -56,9 +60,36 @@ def drive(room: Arena, *, bias: float = 0.0) -> Run:
     return Run(sensor=machine.sensor, stamps=t, ranges=ranges, pose_stamps=t, poses=poses)
 
 
+STAGES: dict[str, list[tuple[int, int]]] = {}
+"""Label of each bar that `found` opened -> its ticks."""
+
+
+@contextmanager
+def bar(label: str, unit: str) -> Iterator[Progress]:
+    """Record a bar."""
+    ticks = STAGES.setdefault(label, [])
+    yield lambda done, total: ticks.append((done, total))
+
+
 @pytest.fixture(scope="module")
 def found(room: Arena) -> Finding:
-    return diagnose(drive(room, bias=0.03), room, parse_robot(ROBOT))
+    return diagnose(drive(room, bias=0.03), room, parse_robot(ROBOT), progress=bar)
+
+
+def test_every_stage_of_a_diagnosis_is_named(found: Finding) -> None:
+    named = list(STAGES)
+    assert named[:5] == [
+        "laying scans on the arena", "comparing wheels with poses", "comparing commands with wheels",
+        "fitting the simulator", "trying effects, round 1",
+    ]  # fmt: skip
+    assert named[-5:] == [
+        "weighing effects", "looking for what is left", "measuring the gap", "asking what the run could show",
+        "planning the next run",
+    ]  # fmt: skip
+    for label in ("trying effects, round 1", "weighing effects"):  # what is counted is counted to the end
+        done, total = STAGES[label][-1]
+        assert done == total - 1
+    assert found.seconds.keys() == set(DIAGNOSIS_STAGES)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +20,9 @@ from sensorgraph.show.review import maps
 from sensorgraph.show.review.cells import N_HEADINGS, RayCounts
 from sensorgraph.show.review.contents import RayVerdict, Review, collect
 from sensorgraph.show.review.report import report
+from sensorgraph.show.review.review import review
 from sensorgraph.show.review.views import write
+from sensorgraph.types import Progress
 from sensorgraph.world.raycast import cast
 
 
@@ -183,6 +187,21 @@ def test_the_recording_holds_scans_maps_cells_and_report(
     assert rows == 400
     assert len(rr.chunk.RrdReader(str(path)).blueprints()) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["review.rrd"]
+
+
+def test_every_stage_of_a_review_is_named(run: Run, graph: Sensorgraph, tmp_path: Path) -> None:
+    stages: dict[str, list[tuple[int, int]]] = {}
+
+    @contextmanager
+    def bar(label: str, unit: str) -> Iterator[Progress]:
+        ticks = stages.setdefault(label, [])
+        yield lambda done, total: ticks.append((done, total))
+
+    review(run, path=tmp_path / "review.rrd", graph=graph, progress=bar)
+    assert list(stages) == [
+        "evaluating", "evaluating what was held out", "predicting", "counting by place and heading", "writing",
+    ]  # fmt: skip
+    assert stages["writing"][0] == (0, run.n_scans)
 
 
 def test_colours_span_the_scale_and_no_data_is_grey() -> None:

@@ -83,18 +83,17 @@ def diagnose(
         if not commissioning
         else _commission([_read(path, reading) for path in commissioning], walls, machine, seed)
     )
-    with progress("diagnosing", "parts") as tick:
-        finding = diagnose_run(
-            loaded[0],
-            walls,
-            machine,
-            second=loaded[1] if len(loaded) > 1 else None,
-            known=known,
-            baseline=baseline,
-            seed=seed,
-            force=force,
-            progress=tick,
-        )
+    finding = diagnose_run(
+        loaded[0],
+        walls,
+        machine,
+        second=loaded[1] if len(loaded) > 1 else None,
+        known=known,
+        baseline=baseline,
+        seed=seed,
+        force=force,
+        progress=progress,
+    )
     settings = {
         "seed": seed,
         "runs": [path.name for path in runs],
@@ -128,9 +127,9 @@ def _check_runs(runs: Sequence[Path]) -> None:
 
 def _read(path: Path, reading: Mapping[str, Any]) -> Run:
     from logs import read
-    from sensorgraph.cli.progress import progress
+    from sensorgraph.cli.progress import reading_bar
 
-    with progress("reading", "messages") as tick:
+    with reading_bar() as tick:
         return read(path, **reading, progress=tick)
 
 

@@ -21,7 +21,7 @@ from sensorgraph.cli.options import (
     RunRobot,
     Topics,
 )
-from sensorgraph.cli.progress import progress
+from sensorgraph.cli.progress import progress, reading_bar
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -95,7 +95,7 @@ def evaluate(
         raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
     value = cast("Point | None", point)
     model = Sensorgraph.load(graph)
-    with progress("reading", "messages") as tick:
+    with reading_bar() as tick:
         reading: dict[str, Any] = {
             "topics": parse_topics(topic or []),
             "no_return": no_return,

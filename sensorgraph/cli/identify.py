@@ -103,7 +103,7 @@ def _noise_lags(text: str) -> int | Literal["auto"]:
 
 def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> SignalData:
     from logs import parse_topics, read
-    from sensorgraph.cli.progress import progress
+    from sensorgraph.cli.progress import reading_bar
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.identification.signals import is_table, signals_of_run, signals_of_table
 
@@ -113,7 +113,7 @@ def _read(file: Path, names: list[str], every: int, topic: list[str] | None) -> 
         if topic:
             raise SensorgraphError(f"{file} is a CSV; --topic names topics of a run, leave it out")
         return signals_of_table(file, names, every=every)
-    with progress("reading", "messages") as tick:
+    with reading_bar() as tick:
         run = read(file, topics=parse_topics(topic or []), progress=tick)
     return signals_of_run(run, names, every=every)
 

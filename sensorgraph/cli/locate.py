@@ -51,7 +51,7 @@ def locate(
     """
     from logs import parse_topics, read, write
     from sensorgraph.cli.inputs import check_output, mounts_of, with_robot, write_json
-    from sensorgraph.cli.progress import progress
+    from sensorgraph.cli.progress import progress, reading_bar
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.files import atomic_file
     from sensorgraph.localization.locate import locate as locate_run
@@ -68,7 +68,7 @@ def locate(
             f"{picture}: a picture is written as *.png; name it {picture.with_suffix('.png').name}"
         )
     place = None if arena is None else _place(arena)
-    with progress("reading", "messages") as tick:
+    with reading_bar() as tick:
         names = parse_topics(topic or [])
         log = read(run, topics=names, no_return=no_return, mounts=mounts_of(robot), progress=tick)
     log = with_robot(log, str(run), robot)

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Event, Thread
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -20,11 +21,8 @@ def progress(label: str, unit: str = "") -> Iterator[Progress]:
 
     The clock of the rate starts with the first tick: what is prepared before it says nothing of the time left.
     """
-    if sys.stderr.isatty():
-        with _bar(label, unit) as tick:
-            yield tick
-    else:
-        yield _plain(label, unit)
+    with (_bar if sys.stderr.isatty() else _plain)(label, unit) as tick:
+        yield tick
 
 
 @contextmanager
@@ -48,9 +46,16 @@ def _bar(label: str, unit: str) -> Iterator[Progress]:
             nonlocal start
             start = (time.monotonic(), done) if start is None else start
             rate = (done - start[1]) / max(time.monotonic() - start[0], 1e-9)
-            bar.update(task, completed=done, total=total, rate=f"{rate:,.0f} {unit}/s".replace(" /", "/"))
+            bar.update(
+                task, completed=done, total=total, rate=f"{rate_text(rate)} {unit}/s".replace(" /", "/")
+            )
 
         yield tick
+
+
+def rate_text(rate: float) -> str:
+    """Return a rate as text; slow ones keep two digits."""
+    return f"{rate:,.0f}" if rate >= 10 else f"{rate:.2g}"
 
 
 def start_silence() -> None:
@@ -64,27 +69,60 @@ class _PlainLines:
     last = time.monotonic()
 
     @classmethod
+    def are_due(cls) -> bool:
+        return time.monotonic() - cls.last >= PLAIN_EVERY
+
+    @classmethod
     def write(cls, text: str) -> None:
         cls.last = time.monotonic()
         sys.stderr.write(f"{text}\n")
         sys.stderr.flush()
 
 
-def _plain(label: str, unit: str) -> Progress:
-    start: tuple[float, int] | None = None
+class _PlainStage:
+    """A stage that says every few seconds how far it is, also while one call takes all of its time."""
 
-    def tick(done: int, total: int) -> None:
-        nonlocal start
+    def __init__(self, label: str, unit: str) -> None:
+        self.label, self.unit, self.opened = label, unit, time.monotonic()
+        self.first: tuple[float, int] | None = None
+        self.done, self.total = 0, 0
+
+    def tick(self, done: int, total: int) -> None:
+        self.first = (time.monotonic(), done) if self.first is None else self.first
+        self.done, self.total = done, total
+        if _PlainLines.are_due():
+            _PlainLines.write(self.line())
+
+    def line(self) -> str:
         now = time.monotonic()
-        start = (now, done) if start is None else start
-        if now - _PlainLines.last < PLAIN_EVERY:
-            return
-        since, first = start
-        counted = f"{done:,} of {total:,} {unit}".rstrip()
-        if done <= first:
-            _PlainLines.write(f"{label}: {counted}")
-            return
-        rate = (done - first) / max(now - since, 1e-9)
-        _PlainLines.write(f"{label}: {counted}, {rate:,.0f}/s, {(total - done) / rate:.0f} s left")
+        if self.first is None or self.total <= 1:  # what is not counted has no time left to tell
+            return f"{self.label}: {now - self.opened:.0f} s so far"
+        since, first = self.first
+        counted = f"{self.label}: {self.done:,} of {self.total:,} {self.unit}".rstrip()
+        if self.done <= first:
+            return counted
+        rate = (self.done - first) / max(now - since, 1e-9)
+        return f"{counted}, {rate_text(rate)}/s, {(self.total - self.done) / rate:.0f} s left"
 
-    return tick
+    def watch(self, ended: Event) -> None:
+        """Speak up after every silence until the stage has ended."""
+        while not ended.wait(PLAIN_EVERY / 5):
+            if _PlainLines.are_due():
+                _PlainLines.write(self.line())
+
+
+@contextmanager
+def _plain(label: str, unit: str) -> Iterator[Progress]:
+    stage, ended = _PlainStage(label, unit), Event()
+    Thread(target=stage.watch, args=(ended,), daemon=True).start()
+    try:
+        yield stage.tick
+    finally:
+        ended.set()
+
+
+@contextmanager
+def reading_bar() -> Iterator[Progress]:
+    """Yield a tick for `logs.read`, whose formats count bytes, lines or messages: shown is the share."""
+    with progress("reading", "%") as tick:
+        yield lambda done, total: tick(100 * done // max(total, 1), 100)

@@ -55,7 +55,7 @@ def review(
         with_poses_of_graph,
         with_robot,
     )
-    from sensorgraph.cli.progress import progress
+    from sensorgraph.cli.progress import progress, reading_bar
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import arena_in, load_arena
@@ -67,7 +67,7 @@ def review(
     check_output(out, run, *(path for path in (graph,) if path is not None))
     if out.suffix != ".rrd":
         raise SensorgraphError(f"{out}: a review is written as *.rrd; name it {out.with_suffix('.rrd').name}")
-    with progress("reading", "messages") as tick:
+    with reading_bar() as tick:
         reading: dict[str, Any] = {
             "topics": parse_topics(topic or []), "no_return": no_return, "mounts": mounts_of(robot)
         }  # fmt: skip
@@ -88,6 +88,7 @@ def review(
         ray=chosen_ray(log.sensor, ray, bearing),
         name=run.name,
         force=force,
+        progress=progress,
     )
     typer.echo(f"{written.pairing}; {len(written.shown):,} scans shown")
     typer.echo(f"wrote {out}; open it with: rerun {out}")

@@ -88,7 +88,7 @@ def _draw(model: Sensorgraph, figure: Path, graph: Path, run: Path | None, topic
     """Write the picture of a graph, with residuals if there is a run."""
     from logs import parse_topics, read
     from sensorgraph.cli.inputs import check_output
-    from sensorgraph.cli.progress import progress
+    from sensorgraph.cli.progress import reading_bar
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.show.figures.sensorgraph import graph_picture
 
@@ -99,7 +99,7 @@ def _draw(model: Sensorgraph, figure: Path, graph: Path, run: Path | None, topic
         )
     log = None
     if run is not None:
-        with progress("reading", "messages") as tick:
+        with reading_bar() as tick:
             log = read(run, topics=parse_topics(topics), progress=tick)
     graph_picture(model, figure, run=log)
     typer.echo(f"wrote {figure}")

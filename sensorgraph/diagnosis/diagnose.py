@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -35,13 +36,21 @@ from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.intake import check_jumps
-from sensorgraph.types import Progress
+from sensorgraph.types import Progress, ProgressBars, no_progress
 from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
 
-STAGES = ("intake", "explain", "criticise", "prove", "odometry and drive", "observable", "next run")
-"""As report.json names their CPU times."""
+STAGES = {
+    "intake": "laying scans on the arena",
+    "odometry and drive": "",
+    "explain": "",
+    "criticise": "looking for what is left",
+    "prove": "measuring the gap",
+    "observable": "asking what the run could show",
+    "next run": "planning the next run",
+}
+"""Name, as timing.json has it -> what its bar says; empty: it opens bars of its own."""
 LEAST_SIGMA = 2e-4
 """[m, rad, m/s, rad/s] no reference and no wheel is better."""
 
@@ -59,7 +68,7 @@ def diagnose(
     seed: int = 0,
     plan_next: bool = True,
     force: bool = True,
-    progress: Progress | None = None,
+    progress: ProgressBars = no_progress,
 ) -> Finding:
     """Compare a run with the simulator of its arena and robot, and name what is missing.
 
@@ -75,7 +84,7 @@ def diagnose(
     seed : of the replicates and of the next run
     plan_next : plan the run that would tell more
     force : take a run whose poses jump, too; False: refuse it, as the commands do
-    progress : is called with how many of the STAGES are done, and how many there are
+    progress : opens a bar for each of the STAGES, and for what is counted within
 
     Raises
     ------
@@ -88,40 +97,42 @@ def diagnose(
     clock = _StageClock(progress)
     if baseline is not None:
         robot, known, noise_bounds = baseline.robot, (*baseline.known, *known), baseline.noise_bounds
-    data, intake = _prepare(run, arena, robot, known, baseline)
-    alignment = align(data, rng)
-    intake["arena"], intake["share_at_walls"] = alignment.sentence(), alignment.share
-    problem = misalignment(alignment, run, data)
+    with clock.stage("intake"):
+        data, intake = _prepare(run, arena, robot, known, baseline)
+        alignment = align(data, rng)
+        intake["arena"], intake["share_at_walls"] = alignment.sentence(), alignment.share
+        problem = misalignment(alignment, run, data)
     if problem is not None:
         return misaligned(data, intake, problem, clock.seconds)
-    second_data = None if second is None else _prepare_second(second, data, robot, baseline, alignment, rng)
-    held = held_out(data)
-    train, unseen = data.subset(~held), data.subset(held)
-    clock.finish("intake")
-
+    with clock.stage("intake"):
+        second_data = (
+            None if second is None else _prepare_second(second, data, robot, baseline, alignment, rng)
+        )
+        held = held_out(data)
+        train, unseen = data.subset(~held), data.subset(held)
+    with clock.stage(
+        "odometry and drive"
+    ):  # first, as both this and the scans need much memory in a long run
+        odometry, drive = diagnose_motion(run, robot, known, seed, progress)
     noise_bounds = noise_bounds or NoiseBounds()
-    explained = explain(train, noise_bounds, threshold=threshold, most=_max_effects(alignment))
-    null, final = explained.null, explained.final
-    clock.finish("explain")
-
-    fit = check(train, final, final.j - null.j, explained.gains, rng=rng)
-    fit = fit if baseline is None else baseline.discount(fit, train)
-    listed = deviations(FitResiduals(train, null))[: SCAN.goodness_of_fit.max_listed]
-    names = name_scan_effects(train, explained, fit, listed)
-    clock.finish("criticise")
-
-    gap, second_gap = measure_gaps(unseen, second_data, explained, names, rng)
-    clock.finish("prove")
-
-    odometry, drive = diagnose_motion(run, robot, known, seed)
-    clock.finish("odometry and drive")
-
-    scan = replace(names.result, gap=gap, not_observable=not_observable(train, final))
-    intake["cannot_tell_apart"] = [asdict(pair) for pair in alike(train, final)]
-    clock.finish("observable")
-
-    plan = plan_next_run(scan, names, arena, robot, seed) if plan_next else None
-    clock.finish("next run")
+    with clock.stage("explain"):
+        most = _max_effects(alignment)
+        explained = explain(train, noise_bounds, threshold=threshold, most=most, progress=progress)
+        null, final = explained.null, explained.final
+    with clock.stage("criticise") as tick:
+        fit = check(train, final, final.j - null.j, explained.gains, rng=rng, tick=tick)
+        fit = fit if baseline is None else baseline.discount(fit, train)
+        listed = deviations(FitResiduals(train, null))[: SCAN.goodness_of_fit.max_listed]
+        names = name_scan_effects(train, explained, fit, listed)
+    with clock.stage("prove"):
+        gap, second_gap = measure_gaps(unseen, second_data, explained, names, rng)
+    with clock.stage("observable"):
+        scan = replace(names.result, gap=gap, not_observable=not_observable(train, final))
+        intake["cannot_tell_apart"] = [asdict(pair) for pair in alike(train, final)]
+    plan = None
+    if plan_next:
+        with clock.stage("next run"):
+            plan = plan_next_run(scan, names, arena, robot, seed)
     return Finding(
         channels={"scan": scan, "odometry": odometry, "drive": drive},
         intake={**intake, "rays": int(data.ranges.size), "held_out_scans": int(held.sum())},
@@ -135,19 +146,22 @@ def diagnose(
 
 
 class _StageClock:
-    """CPU time per stage."""
+    """CPU time per stage, and a bar for each."""
 
-    def __init__(self, progress: Progress | None) -> None:
+    def __init__(self, progress: ProgressBars) -> None:
         self.seconds: dict[str, float] = {}
-        self._progress, self._begin = progress, time.process_time()
+        self._progress = progress
 
-    def finish(self, stage: str) -> None:
-        """Book the time since the last stage, and report progress."""
-        now = time.process_time()
-        self.seconds[stage] = now - self._begin
-        self._begin = now
-        if self._progress is not None:
-            self._progress(len(self.seconds), len(STAGES))
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Progress]:
+        """Say what is done now, and book its time when it has ended."""
+        begin, label = time.process_time(), STAGES[name]
+        with (self._progress if label else no_progress)(
+            label, "replicates" if name == "criticise" else ""
+        ) as tick:
+            tick(0, 1)
+            yield tick
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.process_time() - begin
 
 
 def _max_effects(alignment: Alignment) -> int:
@@ -204,15 +218,19 @@ def measure_gaps(
 
 
 def diagnose_motion(
-    run: Run, robot: Robot, known: Sequence[Amendment], seed: int
+    run: Run,
+    robot: Robot,
+    known: Sequence[Amendment],
+    seed: int,
+    progress: ProgressBars = no_progress,
 ) -> tuple[ChannelResult, ChannelResult]:
     """Return what the odometry channel and the drive channel show."""
     model = motion_model(robot, known)
-    odometry = name_motion_effects(diagnose_odometry(run, model, seed=seed), known)
-    use_clock = odometry.unknown is None
-    drive = name_motion_effects(
-        diagnose_drive(run, model, use_clock=use_clock, wheels=odometry.motion), known
-    )
+    with progress("comparing wheels with poses", ""):
+        odometry = name_motion_effects(diagnose_odometry(run, model, seed=seed), known)
+    with progress("comparing commands with wheels", ""):
+        found = diagnose_drive(run, model, use_clock=odometry.unknown is None, wheels=odometry.motion)
+        drive = name_motion_effects(found, known)
     return odometry, drive
 
 

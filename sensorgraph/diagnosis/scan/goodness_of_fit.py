@@ -22,6 +22,7 @@ from sensorgraph.diagnosis.scan.partitions import Partition, partitions
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.types import Progress
 from sensorgraph.world.robot import Tolerances
 
 
@@ -54,6 +55,7 @@ def check(
     *,
     rng: np.random.Generator,
     n_replicates: int = SCAN.goodness_of_fit.n_replicates,
+    tick: Progress | None = None,
 ) -> GoodnessOfFit:
     """Test whether a model explains the run.
 
@@ -66,7 +68,7 @@ def check(
     data, fitted = _widened(data, fitted)
     view = FitResiduals(data, fitted)
     doubts = [*broken_laws(view, gains), *_stretched(view, nominal), *absences(view), *_dispersed(view)]
-    doubts += _against_replicates(view, nominal, rng, n_replicates)
+    doubts += _against_replicates(view, nominal, rng, n_replicates, tick)
     share = SCAN.goodness_of_fit.min_share_of_gain
     share = max((a.effect.diagnostics.misfit_share or share for a in fitted.model), default=share)
     doubts = sorted((d for d in doubts if d.misfit > share * gained), key=lambda d: -d.misfit)
@@ -135,7 +137,7 @@ def _dispersed(view: FitResiduals) -> list[Doubt]:
 
 
 def _against_replicates(
-    view: FitResiduals, nominal: Tolerances, rng: np.random.Generator, count: int
+    view: FitResiduals, nominal: Tolerances, rng: np.random.Generator, count: int, tick: Progress | None
 ) -> list[Doubt]:
     """Compare the largest deviation of each kind with replicates, which are drawn only where one is suspect."""
     settings, t = SCAN.goodness_of_fit, view.data.tolerances
@@ -146,7 +148,7 @@ def _against_replicates(
         return []
     wider = max(t.map / max(nominal.map, 1e-9), t.pose_xy / max(nominal.pose_xy, 1e-9))
     slack = float(np.clip(wider, 1.0, 2.0))
-    drawn = _largest_z_of_replicates(view, parts, rng, count)
+    drawn = _largest_z_of_replicates(view, parts, rng, count, tick)
     out = []
     for family, z in suspects.items():
         d = np.array(drawn[family])
@@ -169,11 +171,17 @@ def _against_replicates(
 
 
 def _largest_z_of_replicates(
-    view: FitResiduals, parts: Sequence[Partition], rng: np.random.Generator, count: int
+    view: FitResiduals,
+    parts: Sequence[Partition],
+    rng: np.random.Generator,
+    count: int,
+    tick: Progress | None,
 ) -> dict[str, list[float]]:
     """Return, per kind of deviation, the largest |z| of each replicate."""
     out: dict[str, list[float]] = {family: [] for family in SCAN.goodness_of_fit.min_z}
-    for _ in range(count):
+    for done in range(count):
+        if tick is not None:
+            tick(done, count)
         again = FitResiduals(*replicate(view.data, view.fitted, rng))
         found = deviations(again, parts, min_z=SCAN.goodness_of_fit.replicate_z)
         for family, z in largest_z(found).items():

@@ -25,7 +25,7 @@ from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
-from sensorgraph.types import Bools
+from sensorgraph.types import Bools, Progress, ProgressBars, no_progress
 from sensorgraph.world.sensor_parts import sensor_of_rays
 
 logger = logging.getLogger(__name__)
@@ -73,14 +73,18 @@ def explain(
     *,
     threshold: float = SCAN.selection.threshold,
     most: int = SCAN.selection.max_effects,
+    progress: ProgressBars = no_progress,
 ) -> Explained:
-    """Search for the effects that the evidence asks for, at most so many."""
-    null = fit(data, (), start_state(data, noise_bounds), noise_bounds, outer=1, inner=7)
-    current, steps, n_small = null, [], 0
+    """Search for the effects that the evidence asks for, at most so many; each round has a bar."""
+    with progress("fitting the simulator", ""):
+        null = fit(data, (), start_state(data, noise_bounds), noise_bounds, outer=1, inner=7)
+    current, n_small = null, 0
+    steps: list[Step] = []
     rivals: dict[str, tuple[Amendment, float]] = {}
     struck: set[tuple[str, str]] = set()
     while len(current.model) < most:
-        tried, also = _try(data, current, noise_bounds, struck, current.j - null.j)
+        with progress(f"trying effects, round {len(steps) + 1}", "candidates") as tick:
+            tried, also = _try(data, current, noise_bounds, struck, current.j - null.j, tick)
         tried = [t for t in tried if t[1] > SCAN.selection.hopeless_gain]
         if not tried:
             break
@@ -114,12 +118,15 @@ def explain(
         n_small += small
         if n_small == 2:  # what is left is smaller still
             break
-    gains = {}
-    for index in range(len(current.model)):
-        rest = fit(data, _without(current.model, index), current.state, noise_bounds, outer=2, inner=4)
-        gains[index] = current.j - rest.j - price(current.model[index], data)
+    gains, n = {}, len(current.model)
+    with progress("weighing effects", "effects") as tick:
+        for index in range(n):
+            tick(index, n + 1)
+            rest = fit(data, _without(current.model, index), current.state, noise_bounds, outer=2, inner=4)
+            gains[index] = current.j - rest.j - price(current.model[index], data)
+        tick(n, n + 1)
+        errors = standard_errors(current, noise_bounds)
     kept = {i: rivals[_key(a)] for i, a in enumerate(current.model) if _key(a) in rivals}
-    errors = standard_errors(current, noise_bounds)
     model = tuple(replace(a, stderr=e) for a, e in zip(current.model, errors, strict=True))
     final = replace(current, model=model)
     return Explained(null=null, final=final, gains=gains, steps=tuple(steps), rivals=kept)
@@ -149,7 +156,12 @@ def _without(model: Sequence[Amendment], index: int) -> tuple[Amendment, ...]:
 
 
 def _try(
-    data: ScanData, current: Fitted, noise_bounds: NoiseBounds, struck: set[tuple[str, str]], gained: float
+    data: ScanData,
+    current: Fitted,
+    noise_bounds: NoiseBounds,
+    struck: set[tuple[str, str]],
+    gained: float,
+    tick: Progress,
 ) -> tuple[list[tuple[Fitted, float]], list[tuple[Amendment, float]]]:
     """Fit the most promising candidates; return (fit, gain [nats]), and (effect, gain) of those far behind.
 
@@ -176,7 +188,8 @@ def _try(
     base = fit(few, current.model, thin_state(current.state, every), noise_bounds, outer=1, inner=2)
     fresh = start_state(few, noise_bounds) if strained else base.state
     quick: list[tuple[float, Fitted]] = []
-    for candidate in short:
+    for done, candidate in enumerate(short):
+        tick(done, len(short))
         got = fit(
             few,
             (*current.model, candidate.amendment),

@@ -20,7 +20,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_jumps
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.show.review.cells import ReviewCells, count_cells
-from sensorgraph.types import Floats
+from sensorgraph.types import Floats, ProgressBars, no_progress
 from sensorgraph.world.raycast import laser_poses
 
 MAX_SCANS = 5000
@@ -123,6 +123,7 @@ def collect(
     cell: float | None = None,
     max_scans: int = MAX_SCANS,
     force: bool = True,
+    progress: ProgressBars = no_progress,
 ) -> Review:
     """Collect what there is to see of a run, and of a sensorgraph against it.
 
@@ -148,18 +149,32 @@ def collect(
     part, poses = replace(run, stamps=run.stamps[shown], ranges=run.ranges[shown]), pairing.poses[shown]
     if (np.diff(run.stamps) == 0).any():  # scans that share a stamp are paired in their order: keep the pairs
         part = replace(part, pose_stamps=part.stamps, poses=poses, pose_covariances=np.zeros((0, 3, 3)))
-    evaluation = evaluate(graph, part, force=True) if graph is not None else None
-    held_out = predicted = None
+    evaluation = held_out = predicted = None
+    if graph is not None:
+        with progress("evaluating", "scans") as tick:
+            evaluation = evaluate(graph, part, force=True, progress=tick)
     if graph is not None and evaluation is not None:
         split = graph.origin.get("split")
         if split is not None and training_scans(graph, run) is not None:
-            held_out = evaluate(graph, run, split=split, force=True)
+            with progress("evaluating what was held out", "scans") as tick:
+                held_out = evaluate(graph, run, split=split, force=True, progress=tick)
         predicted = np.full(part.ranges.shape, np.nan)
-        prediction = evaluation.prediction
+        with progress("predicting", ""):
+            prediction = evaluation.prediction
         predicted[evaluation.scan_indices] = np.where(prediction.answered, prediction.ranges, np.nan)
     lasers = ray_poses(run, pairing, shown)
     lasers = lasers if run.pose_frame == "laser" else laser_poses(lasers, run.sensor.mount)
     rays = np.stack([lasers[..., 2] + run.sensor.bearings, part.ranges], axis=-1)
+    with progress("counting by place and heading", ""):
+        cells = count_cells(
+            pairing.poses[index],
+            poses,
+            evaluation,
+            rays=(lasers, rays),
+            arena=arena,
+            graph=graph,
+            cell=cell,
+        )
     return Review(
         run=run,
         name=name or run.meta.get("source", "run").rsplit("/", 1)[-1],
@@ -170,15 +185,7 @@ def collect(
         predicted=predicted,
         evaluation=evaluation,
         held_out=held_out,
-        cells=count_cells(
-            pairing.poses[index],
-            poses,
-            evaluation,
-            rays=(lasers, rays),
-            arena=arena,
-            graph=graph,
-            cell=cell,
-        ),
+        cells=cells,
         arena=arena,
         planned=planned,
         plan=plan,

@@ -14,6 +14,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.planning.plan import CoveragePlan
 from sensorgraph.show.review.contents import Review, collect
 from sensorgraph.show.review.views import write
+from sensorgraph.types import ProgressBars, no_progress
 
 PLAN_STEP = 10
 """Every so many poses of a plan are drawn."""
@@ -29,6 +30,7 @@ def review(
     ray: int | None = None,
     name: str | None = None,
     force: bool = True,
+    progress: ProgressBars = no_progress,
 ) -> Review:
     """Write what there is to see of a run, and of a sensorgraph against it, as a file for rerun's viewer.
 
@@ -45,6 +47,7 @@ def review(
     ray : index of the ray whose series is shown; None: the one that looks straight ahead
     name : what to call the run; None: the file it says it came from
     force : take a run whose poses jump, too; False: refuse it, as the commands do
+    progress : opens a bar for each stage
 
     Returns
     -------
@@ -78,6 +81,8 @@ def review(
         planned=planned,
         plan=facts,
         force=force,
+        progress=progress,
     )
-    write(contents, path, ray=ray)
+    with progress("writing", "scans") as tick:
+        write(contents, path, ray=ray, progress=tick)
     return contents

@@ -16,7 +16,7 @@ from sensorgraph.show.rerun_file import BACKGROUND, DIM, ORANGE, WALL, WHITE, fo
 from sensorgraph.show.review.contents import RayVerdict, Review
 from sensorgraph.show.review.maps import VERDICT_COLOURS, log_maps, log_voxels, map_labels
 from sensorgraph.show.review.report import report
-from sensorgraph.types import Floats
+from sensorgraph.types import Floats, Progress
 
 SCANS_PER_CHUNK = 500
 CLOUD_REACH, MAX_CLOUD_POINTS = 20.0, 60_000
@@ -25,7 +25,7 @@ ROBOT, PLANNED, CLOUD = (90, 220, 140), (60, 75, 110), (95, 95, 110)
 """Colours. A negative radius below is in points of the screen, not in metres."""
 
 
-def write(review: Review, path: Path, *, ray: int | None = None) -> None:
+def write(review: Review, path: Path, *, ray: int | None = None, progress: Progress | None = None) -> None:
     """Write a review as `path` (.rrd) with the 2 x 3 layout as its default blueprint.
 
     Parameters
@@ -42,6 +42,8 @@ def write(review: Review, path: Path, *, ray: int | None = None) -> None:
     with recorded(path, "review", _layout(review, ray)) as recording:
         _log_static(recording, review)
         for start in range(0, len(review.shown), SCANS_PER_CHUNK):
+            if progress is not None:
+                progress(start, len(review.shown))
             _send_scans(recording, review, slice(start, start + SCANS_PER_CHUNK), ray)
 
 
