@@ -163,3 +163,12 @@ def test_odometry_that_never_moves_is_none() -> None:
     run = room_run(loop_poses(4))
     assert odometry_of(run) is not None
     assert odometry_of(replace(run, odometry=np.zeros((4, 3)))) is None
+
+
+def test_two_sides_of_a_thin_wall_are_two_surfaces() -> None:
+    """A wall of 6 cm, seen from the left only; a scan from the right must not be drawn to it."""
+    thin = [(-4.0, 0.0, 4.0, 0.0), (-4.0, 0.06, 4.0, 0.06)]
+    below = np.column_stack([np.linspace(-2, 2, 20), np.full(20, -1.5), np.full(20, np.pi / 2)])
+    surfaces = map_of(room_run(below, walls=thin, n_rays=360), below)
+    scan = scan_points(room_run(np.array([[0.0, 1.5, -np.pi / 2]]), walls=thin, n_rays=360))
+    assert match(scan.points, scan.normals, surfaces, np.array([0.0, 1.5, -np.pi / 2])).overlap < 0.1

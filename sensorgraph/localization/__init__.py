@@ -12,7 +12,7 @@
 | `front_end` | one scan after the other against the last key frames |
 | `submaps`, `loop_closures` | places that the robot came back to: search, tests, what was refused |
 | `pose_graph` | poses that agree best with steps and closures; the only one that knows GTSAM |
-| `patches`, `refinement` | poses and surfaces together |
+| `patches`, `refinement`, `wheel_edges` | poses and surfaces together, tied by the wheels |
 | `covariances` | how well the poses are known, by a bootstrap of the residuals |
 | `mapping` | `map_run`: all of these, for a run in a new place |
 | `locate` | the way in: a known place or a new one; the located run, CSV, summary |

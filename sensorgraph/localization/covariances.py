@@ -60,7 +60,8 @@ def bootstrap_scores(system: ReducedSystem, rng: np.random.Generator, n_samples:
     )
     grown = 1.0 / np.sqrt(1.0 - np.minimum(leverage, MAX_LEVERAGE))
     out = np.zeros((3 * n, n_samples))
-    roots = np.linalg.cholesky(system.edges.information + 1e-12 * np.eye(3)) if len(system.edges) else None
+    wheels = system.edges
+    roots = np.linalg.cholesky(wheels.edges.information + 1e-12 * np.eye(3))
     for k in range(n_samples):
         sign = grown * rng.choice([-1.0, 1.0], size=len(frames))
         pose = np.column_stack([np.bincount(frames, sign * column, n) for column in system.scores.T]).ravel()
@@ -68,9 +69,9 @@ def bootstrap_scores(system: ReducedSystem, rng: np.random.Generator, n_samples:
             [np.bincount(patches, sign * column, m) for column in system.line_scores.T]
         ).ravel()
         out[:, k] = pose - system.coupling @ (system.inverse * line)
-        if roots is not None:
-            noise = np.einsum("eij,ej->ei", roots, rng.normal(size=(len(system.edges), 3)))
-            out[:, k] += system.edge_rows.T @ noise.ravel()
+        noise = np.einsum("eij,ej->ei", roots, rng.normal(size=(len(wheels.edges), 3)))
+        parameters = system.wheel_inverse @ np.einsum("eji,ej->i", wheels.by_parameters, noise)
+        out[:, k] += system.edge_rows.T @ noise.ravel() - system.wheel_coupling @ parameters
     return out
 
 

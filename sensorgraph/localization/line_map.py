@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planners.kernel import inner_kernel, kernel
-from sensorgraph.localization.settings import LINES, MATCH
+from sensorgraph.localization.settings import LINES, MATCH, UNSURE
 from sensorgraph.types import Floats, Ints
 
 
@@ -66,7 +66,7 @@ def thinned(points: Floats, normals: Floats, side: float = LINES.voxel) -> tuple
     """Return the means (m, 2) of points and normals that share a square cell and an eighth of all directions."""
     n = len(points)
     keys = np.full(1 << max(4, int(2 * n).bit_length()), -1, dtype=np.intp)
-    sums = np.zeros((n, 5))
+    sums = np.zeros((n, 6))
     m = _add_up(
         np.ascontiguousarray(points),
         np.ascontiguousarray(normals),
@@ -75,9 +75,10 @@ def thinned(points: Floats, normals: Floats, side: float = LINES.voxel) -> tuple
         np.zeros(len(keys), np.intp),
         sums,
     )
-    means = sums[:m, :4] / sums[:m, 4:]
+    means = sums[:m, :4] / sums[:m, 4:5]
     lengths = np.hypot(means[:, 2], means[:, 3])
-    means[:, 2:] /= np.where(lengths > 0, lengths, 1.0)[:, None]
+    wanted = np.where(sums[:m, 5] > 0, 1.0, np.minimum(lengths, UNSURE))
+    means[:, 2:] *= (wanted / np.where(lengths > 0, lengths, 1.0))[:, None]
     return means[:, :2], means[:, 2:]
 
 
@@ -86,10 +87,10 @@ def _add_up(points: Floats, normals: Floats, side: float, keys: Ints, rows: Ints
     m = 0
     for k in range(len(points)):
         x, y, nx, ny = points[k, 0], points[k, 1], normals[k, 0], normals[k, 1]
-        sector = 8
-        if nx * nx + ny * ny > 0.25:
-            sector = 4 * int(nx > 0) + 2 * int(ny > 0) + int(abs(nx) > abs(ny))
-        key = bucket_key(9 * int(np.floor(x / side)) + sector, int(np.floor(y / side)))
+        sector = 4 * int(nx > 0) + 2 * int(ny > 0) + int(abs(nx) > abs(ny))
+        if nx * nx + ny * ny <= 0.25:
+            sector = 8 + sector // 2
+        key = bucket_key(12 * int(np.floor(x / side)) + sector, int(np.floor(y / side)))
         slot = find_slot(keys, key)
         if keys[slot] == -1:
             keys[slot] = key
@@ -101,6 +102,7 @@ def _add_up(points: Floats, normals: Floats, side: float, keys: Ints, rows: Ints
         sums[row, 2] += nx
         sums[row, 3] += ny
         sums[row, 4] += 1.0
+        sums[row, 5] = 1.0 if sector < 8 else 0.0
     return m
 
 
@@ -141,6 +143,23 @@ def _fill(points: Floats, side: float, keys: Ints, first: Ints, counts: Ints, or
         counts[slot] += 1
 
 
+FACING = 0.25
+"""Cosine between the direction to the laser and a normal, above which the laser looks at that side, not along it."""
+
+
+@inner_kernel
+def is_same_side(ax: float, ay: float, bx: float, by: float, same_side: float) -> bool:
+    """Tell whether two points may lie on one side of one surface, by their normals.
+
+    Vectors of unit length are normals; shorter ones only say from where a point was seen; (0, 0) says nothing.
+    """
+    dot = ax * bx + ay * by
+    a, b = ax * ax + ay * ay, bx * bx + by * by
+    if a > 0.25 and b > 0.25:
+        return dot >= same_side
+    return a == 0.0 or b == 0.0 or dot > FACING * np.sqrt(a * b)
+
+
 @inner_kernel
 def fit_line(
     x: float,
@@ -165,7 +184,6 @@ def fit_line(
     w, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     bx, by = int(np.floor(x / side)), int(np.floor(y / side))
     inverse = 1.0 / (radius * radius)
-    known = nx * nx + ny * ny > 0.25
     for ix in range(bx - 1, bx + 2):
         for iy in range(by - 1, by + 2):
             slot = find_slot(keys, bucket_key(ix, iy))
@@ -174,10 +192,8 @@ def fit_line(
                 near = 1.0 - (dx * dx + dy * dy) * inverse
                 if near <= 0.0:
                     continue
-                if known:
-                    px, py = normals[k, 0], normals[k, 1]
-                    if px * nx + py * ny < same_side and px * px + py * py > 0.25:
-                        continue
+                if not is_same_side(nx, ny, normals[k, 0], normals[k, 1], same_side):
+                    continue
                 u = near * near
                 w += u
                 sx += u * dx

@@ -12,12 +12,11 @@ from sensorgraph.localization.line_map import LineMap, line_map, thinned
 from sensorgraph.localization.loop_closures import ClosedTrack, close_loops, spread
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-from sensorgraph.localization.pose_graph import PoseEdges
 from sensorgraph.localization.refinement import FramePoints, Refined, refine
-from sensorgraph.localization.result import Localization, Status, WheelParameters
+from sensorgraph.localization.result import Localization, Status
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.settings import FINAL, MATCH, LineMatchSettings
-from sensorgraph.localization.wheels import WheelEstimate, identify_wheels
+from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, Progress, ProgressBars, no_progress
 
 
@@ -47,9 +46,9 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     with progress("closing loops", "submaps") as bar:
         closed = close_loops(scans, tracked, bar)
     frames = FramePoints.of(scans, tracked.key_frames)
-    edges, wheels = wheel_edges(odometry, tracked, closed.poses)
+    steps = WheelSteps.of(odometry, tracked)
     with progress("refining", "steps") as bar:
-        refined = refine(frames, closed.poses, edges, (closed.steps, closed.closures), bar)
+        refined = refine(frames, closed.poses, steps, (closed.steps, closed.closures), bar)
     with progress("placing scans", "scans") as bar:
         poses, covariances, matched = _place_all(scans, tracked, refined, np.random.default_rng(seed), bar)
     origin = np.zeros(3) if odometry is None else odometry[0]
@@ -67,46 +66,9 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         status=status,
         kept=closed.kept,
         refused=closed.refused,
-        wheels=wheels,
+        wheels=steps.parameters(refined.poses),
         notes=_notes(run, tracked, joined, odometry is None),
     )
-
-
-def wheel_edges(
-    odometry: Floats | None, tracked: ScanTrack, poses: Floats
-) -> tuple[PoseEdges, WheelParameters | None]:
-    """Return what the odometry says between neighbouring key frames (n_key, 3), corrected, and its parameters.
-
-    Across a break of the track, or a jump of the odometry, it says nothing; without odometry, nothing but that the robot
-    did not jump.
-    """
-    keys = tracked.key_frames
-    n = len(keys)
-    between = np.arange(n - 1)
-    measured = compose(invert(poses[:-1]), poses[1:])
-    if odometry is None:
-        sd = np.broadcast_to([1.0, 1.0, 1.0], (n - 1, 3))
-        relative, wheels = measured, None
-    else:
-        steps = compose(invert(odometry[keys[:-1]]), odometry[keys[1:]])
-        is_whole = tracked.piece[1:] == tracked.piece[:-1]
-        for jump in tracked.jumps:
-            is_whole[np.clip(np.searchsorted(keys, jump) - 1, 0, max(n - 2, 0))] = False
-        between = between[is_whole]
-        steps = steps[is_whole]
-        wheels = identify_wheels(steps, measured[is_whole])
-        estimate = WheelEstimate()
-        estimate.way_scale, estimate.turn_scale = wheels.way_scale, wheels.turn_scale
-        estimate.heading_bias = wheels.heading_bias
-        relative = estimate.corrected(steps)
-        sd = np.array([estimate.deviations(float(np.hypot(x, y)), float(turn)) for x, y, turn in relative])
-    information = np.zeros((len(between), 3, 3))
-    for axis in range(3):
-        information[:, axis, axis] = sd.reshape(-1, 3)[:, axis] ** -2.0
-    edges = PoseEdges(
-        first=between, second=between + 1, relative=relative.reshape(-1, 3), information=information
-    )
-    return edges, wheels
 
 
 def _place_all(

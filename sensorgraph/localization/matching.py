@@ -151,6 +151,23 @@ def _match(
             w, cx, cy, nx, ny, across, along = fit_line(
                 x + rx, y + ry, mx, my, radius, same_side, side, keys, first, counts, map_points, map_normals
             )
+            if w < min_points and radius < side:  # far away, where the rays lie apart
+                w, cx, cy, nx, ny, across, along = fit_line(
+                    x + rx,
+                    y + ry,
+                    mx,
+                    my,
+                    side,
+                    same_side,
+                    side,
+                    keys,
+                    first,
+                    counts,
+                    map_points,
+                    map_normals,
+                )
+                if across > variance:  # other surfaces, too
+                    continue
             if w < min_points:
                 continue
             near += 1.0

@@ -7,7 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from planners.kernel import kernel
-from sensorgraph.localization.line_map import LineMap, bucket_key, find_slot, fit_line, line_map, thinned
+from sensorgraph.localization.line_map import (
+    LineMap,
+    bucket_key,
+    find_slot,
+    fit_line,
+    is_same_side,
+    line_map,
+    thinned,
+)
 from sensorgraph.localization.settings import MATCH
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -35,7 +43,8 @@ def cut_patches(points: Floats, normals: Floats, side: float, roundness: float) 
     roundness : ratio of the variances across and along, above which there is no patch
     """
     fine = line_map(*thinned(points, normals), side=max(side, 0.1))
-    middles, towards = thinned(points, normals, side)
+    sure = (normals**2).sum(axis=1) > 0.25
+    middles, towards = thinned(points[sure], normals[sure], side)
     lines = np.zeros((len(middles), 4))
     _fit(middles, towards, side, roundness, fine, lines)
     good = lines[:, 2] ** 2 + lines[:, 3] ** 2 > 0
@@ -127,8 +136,9 @@ def _suppress(
                         if not kept[j]:
                             continue
                         dx, dy = points[j, 0] - points[k, 0], points[j, 1] - points[k, 1]
-                        dot = normals[j, 0] * normals[k, 0] + normals[j, 1] * normals[k, 1]
-                        if dx * dx + dy * dy < apart * apart and dot >= 0.5:
+                        if dx * dx + dy * dy < apart * apart and is_same_side(
+                            normals[k, 0], normals[k, 1], normals[j, 0], normals[j, 1], 0.5
+                        ):
                             is_free = False
             kept[k] = is_free
 
@@ -171,7 +181,6 @@ def _assign(
 ) -> None:
     for k in range(len(points)):
         x, y, nx, ny = points[k, 0], points[k, 1], normals[k, 0], normals[k, 1]
-        known = nx * nx + ny * ny > 0.25
         bx, by = int(np.floor(x / side)), int(np.floor(y / side))
         least = side * side
         for ix in range(bx - 1, bx + 2):
@@ -181,8 +190,7 @@ def _assign(
                     dx, dy = x - middles[j, 0], y - middles[j, 1]
                     if abs(lines[j, 0] * dx + lines[j, 1] * dy) > gate or dx * dx + dy * dy >= least:
                         continue
-                    tx, ty = towards[j, 0], towards[j, 1]
-                    if known and tx * nx + ty * ny < same_side and tx * tx + ty * ty > 0.25:
+                    if not is_same_side(nx, ny, towards[j, 0], towards[j, 1], same_side):
                         continue
                     least = dx * dx + dy * dy
                     nearest[k] = j

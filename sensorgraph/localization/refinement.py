@@ -19,6 +19,7 @@ from sensorgraph.localization.patches import assign, cut_patches
 from sensorgraph.localization.pose_graph import PoseEdges
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
+from sensorgraph.localization.wheel_edges import WheelEdges, WheelSteps
 from sensorgraph.types import Floats, Ints, Progress
 
 
@@ -78,7 +79,11 @@ class ReducedSystem:
     """(n_clusters, 3) sum of weighted residuals times J of the pose."""
     line_scores: Floats
     """(n_clusters, 2) the same of the line."""
-    edges: PoseEdges
+    wheel_coupling: Floats
+    """(3 n_frames, 3) between poses and the parameters of the wheels."""
+    wheel_inverse: Floats
+    """(3, 3) inverse of the parameters' own."""
+    edges: WheelEdges
     edge_rows: sparse.csr_array
     """(3 n_edges, 3 n_frames) derivatives of the edges' residuals."""
     edge_residuals: Floats
@@ -90,7 +95,8 @@ class ReducedSystem:
         """Return the reduced normal matrix times x (3 n_frames, m)."""
         own = np.einsum("fij,fjm->fim", self.blocks, x.reshape(self.n_frames, 3, -1)).reshape(x.shape)
         lines = self.inverse[:, None] * (self.coupling.T @ x)
-        out: Floats = own - self.coupling @ lines + self.wheels @ x
+        parameters = self.wheel_inverse @ (self.wheel_coupling.T @ x)
+        out: Floats = own - self.coupling @ lines + self.wheels @ x - self.wheel_coupling @ parameters
         return out
 
 
@@ -127,7 +133,7 @@ def _block_matrix(row: Ints, column: Ints, blocks: Floats, shape: tuple[int, int
 def linearise(
     frames: FramePoints,
     poses: Floats,
-    wheels: PoseEdges,
+    wheels: WheelEdges,
     side: float,
     gate: float,
     sigma: float,
@@ -167,8 +173,15 @@ def linearise(
     scores = np.column_stack([_sums(cluster, weight * residual * jacobian[:, i], c) for i in range(3)])
     line_scores = np.column_stack([_sums(cluster, weight * residual * lines[:, j], c) for j in range(2)])
     coupling = _block_matrix(cluster_frame, cluster_patch, mixed, (n, m))
-    rows, edge_residuals, wheel_matrix = edge_system(poses, wheels)
-    weighted = np.einsum("eij,ej->ei", wheels.information, edge_residuals).ravel()
+    rows, edge_residuals, wheel_matrix = edge_system(poses, wheels.edges)
+    weighted = np.einsum("eij,ej->ei", wheels.edges.information, edge_residuals)
+    by = wheels.by_parameters
+    weighted_by = np.einsum("eij,ejk->eik", wheels.edges.information, by)
+    wheel_coupling = rows.T @ weighted_by.reshape(-1, 3)
+    wheel_inverse = np.linalg.inv(np.einsum("eji,ejk->ik", by, weighted_by) + wheels.prior)
+    wheel_gradient = rows.T @ weighted.ravel() - wheel_coupling @ (
+        wheel_inverse @ np.einsum("eji,ej->i", by, weighted)
+    )
     gradient = _by_frame(scores, cluster_frame, n) - coupling @ (
         inverse * _by_frame(line_scores, cluster_patch, m)
     )
@@ -178,7 +191,9 @@ def linearise(
         coupling=coupling,
         inverse=inverse,
         wheels=wheel_matrix,
-        gradient=gradient + rows.T @ weighted,
+        wheel_coupling=wheel_coupling,
+        wheel_inverse=np.asarray(wheel_inverse, dtype=np.float64),
+        gradient=gradient + wheel_gradient,
         cluster_frame=cluster_frame,
         cluster_patch=cluster_patch,
         scores=scores,
@@ -235,7 +250,7 @@ def _fit_patches(
         )
         count = np.bincount(patch, minlength=m)
         scale = (settings.shrinkage * noise**2 + total * across) / (settings.shrinkage + total)
-        soft = 1.0 / (1.0 + residual**2 / (4.0 * np.maximum(scale, noise**2)[patch]))
+        soft = 1.0 / (1.0 + residual**2 / (4.0 * np.maximum(scale, sigma**2)[patch]))
     # a patch with one frame says nothing of poses; a round one, nothing of where it is
     pairs = np.unique(frame * m + patch)
     n_frames = np.bincount(pairs % m, minlength=m)
@@ -288,7 +303,7 @@ class Refined:
 def refine(
     frames: FramePoints,
     poses: Floats,
-    wheels: PoseEdges,
+    wheels: WheelSteps,
     graph: tuple[PoseEdges, PoseEdges],
     progress: Progress,
     settings: RefinementSettings = REFINEMENT,
@@ -297,18 +312,17 @@ def refine(
 
     Parameters
     ----------
-    wheels : what the odometry alone says between neighbouring key frames
+    wheels : what the odometry alone says between neighbouring key frames; its parameters are found anew each time
     graph : steps of the track and closures, as in the pose graph: they only speed up the solver
     """
     poses = poses.copy()
     last = settings.iterations - 1
-    scale = np.ones(3)
     for iteration in range(settings.iterations + 1):
         share = min(iteration / max(last - 2, 1), 1.0)
         side = settings.first_side * (settings.last_side / settings.first_side) ** share
         gate = settings.first_gate * (settings.last_gate / settings.first_gate) ** share
         sigma = settings.first_sigma * (settings.last_sigma / settings.first_sigma) ** share
-        system = linearise(frames, poses, _scaled(wheels, scale), side, gate, sigma, settings)
+        system = linearise(frames, poses, wheels.at(poses), side, gate, sigma, settings)
         preconditioner = _preconditioner(system, poses, graph)
         if iteration == settings.iterations:
             break
@@ -317,28 +331,8 @@ def refine(
         )
         poses = poses + step.reshape(-1, 3)
         poses[:, 2] = wrap(poses[:, 2])
-        scale = _wheel_scale(poses, wheels)
         progress(iteration + 1, settings.iterations + 1)
     return Refined(poses=poses, system=system, preconditioner=preconditioner, frames=frames)
-
-
-def _wheel_scale(poses: Floats, wheels: PoseEdges) -> Floats:
-    """Return by how much the steps of the wheels really scatter, in their stated standard deviations (3,), robustly."""
-    if len(wheels) < 10:
-        return np.ones(3)
-    _, residuals, _ = edge_system(poses, wheels)
-    sd = np.sqrt(1.0 / np.maximum(np.einsum("eii->ei", wheels.information), 1e-12))
-    scale: Floats = np.clip(1.4826 * np.median(np.abs(residuals / sd), axis=0), 0.05, 3.0)
-    return scale
-
-
-def _scaled(wheels: PoseEdges, scale: Floats) -> PoseEdges:
-    return PoseEdges(
-        first=wheels.first,
-        second=wheels.second,
-        relative=wheels.relative,
-        information=wheels.information / np.outer(scale, scale),
-    )
 
 
 def _preconditioner(

@@ -10,7 +10,7 @@ from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert
 from planners.kernel import kernel
-from sensorgraph.localization.settings import SCANS, PointSettings
+from sensorgraph.localization.settings import SCANS, UNSURE, PointSettings
 from sensorgraph.types import Bools, Floats, Ints
 
 MANY = 1000
@@ -26,7 +26,8 @@ class ScanPoints:
     points: Floats
     """(n_points, 2) [m] in base_link at the stamp of their scan."""
     normals: Floats
-    """(n_points, 2) unit normal of the surface towards the laser, in base_link; 0, 0 where neighbours do not tell."""
+    """(n_points, 2) unit normal of the surface towards the laser, in base_link; where neighbours do not tell, the
+    direction to the laser, `UNSURE` long."""
     ranges: Floats
     """(n_points,) [m] length of the ray."""
     starts: Floats
@@ -149,6 +150,9 @@ def _normals(points: Floats, starts: Floats, used: Bools, reach: float, gap: flo
                     sx, sy = sx + dx, sy + dy
                     sxx, sxy, syy = sxx + dx * dx, sxy + dx * dy, syy + dy * dy
                     last, j = j, j + way
+            back = np.hypot(points[i, k, 0] - starts[i, k, 0], points[i, k, 1] - starts[i, k, 1]) + 1e-12
+            normals[i, k, 0] = UNSURE * (starts[i, k, 0] - points[i, k, 0]) / back
+            normals[i, k, 1] = UNSURE * (starts[i, k, 1] - points[i, k, 1]) / back
             if n < 3:
                 continue
             sxx, sxy, syy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n

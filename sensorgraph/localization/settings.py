@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+UNSURE = 0.3
+"""Length of the vector that stands for a normal where only the side is known from which a point was seen."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PointSettings:
@@ -49,7 +52,7 @@ class LineMatchSettings:
     """[m, rad] a smaller step is the last one."""
     roundness: float = 0.15
     """Ratio of the variances across and along a line, above which it is a spot, which also holds along."""
-    min_points: float = 2.5
+    min_points: float = 2.0
     """Weight of neighbours below which there is no line."""
     same_side: float = 0.3
     """Cosine between the normals of two points below which these lie on different surfaces."""
@@ -99,6 +102,14 @@ class WheelSettings:
     """[m/s] a step that is faster is a jump of the odometry."""
     max_turn_rate: float = 10.0
     """[rad/s] the same of turns."""
+    least_scatter: float = 0.05
+    """Share of the standard deviations above that the wheels may show in the end: they are good."""
+    most_scatter: float = 3.0
+    """The same of bad ones."""
+    slip: float = 3.0
+    """Standard deviations at which the weight of a step is halved."""
+    unknown_sd: float = 1.0
+    """[m, rad] standard deviation of a step without odometry."""
     outlier: float = 4.0
     """Standard deviations beyond which a step says nothing about the wheels: slip."""
 
@@ -249,10 +260,10 @@ class RefinementSettings:
     """[m] from a patch's line to the points that belong to it, at first."""
     last_gate: float = 0.10
     """[m] the same in the last iterations."""
-    first_sigma: float = 0.06
-    """[m] standard deviation of a point around its patch, at first."""
-    last_sigma: float = 0.03
-    """[m] the same in the last iterations: above it, Cauchy's weights fall."""
+    first_sigma: float = 0.10
+    """[m] half the distance from a patch at which Cauchy's weight is 1/2, at first: visits that lie apart must pull."""
+    last_sigma: float = 0.02
+    """[m] the same in the last iterations, unless the patch is rougher."""
     min_sigma: float = 0.002
     """[m] a patch is never believed to be smoother."""
     shrinkage: float = 10.0

@@ -1,0 +1,254 @@
+"""How good the poses are that a run's own scans and wheels give.
+
+    python benchmarks/locate.py relations            # aces against relations verified by hand
+    python benchmarks/locate.py sharpness            # three raw logs; published corrected poses beside ours
+    python benchmarks/locate.py offices --seeds 20   # simulated offices with truth: error and coverage
+    python benchmarks/locate.py planted              # false closures planted among the true ones of aces
+
+Real logs are looked for in ../shared/data (--data).
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from offices import office
+from scipy.spatial import cKDTree
+
+import logs
+from logs.run import Run
+from logs.transforms import compose, invert, wrap
+from planners.maps import geojson
+from sensorgraph.localization.mapping import map_run
+from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.localization.result import Localization
+from sensorgraph.localization.scans import scan_points
+from sensorgraph.recording.controllers import WallFollowing
+from sensorgraph.recording.identified_world import ArenaWorld
+from sensorgraph.world.drive import react
+from sensorgraph.world.drivetrain import Drivetrain
+from sensorgraph.world.robot import default_robot
+from sensorgraph.world.simulate import simulate
+from sensorgraph.world.wall_distance import WallDistance
+
+Floats = NDArray[np.float64]
+RAW = ("aces", "intel", "fr079")
+PUBLISHED = {"aces": "ple-aces", "intel": "ple-intel", "fr079": "ple-freiburg-079"}
+RADIUS, MIN_NEIGHBOURS, LEFT_OUT = 0.2, 5, 3  # [m], points, scans before and after
+SCALE, BIAS = 1.03, float(np.radians(3.0))  # of the simulated wheels: way and turn, [rad/m]
+
+
+def relation_errors(run: Run, poses: Floats, relations: Floats) -> tuple[Floats, Floats]:
+    """Return translation [m] and rotation [rad] errors of relations (n, 8) t1 t2 x y z roll pitch yaw.
+
+    Kümmerle et al. 2009, eq. 4: the error of the motion between two times, by its own size.
+    """
+    stamps = run.stamps + run.epoch_ns * 1e-9
+    first, second = (np.abs(stamps[:, None] - relations[:, k]).argmin(axis=0) for k in (0, 1))
+    found = compose(invert(poses[first]), poses[second])
+    error = compose(invert(relations[:, [2, 3, 7]]), found)
+    return np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
+
+
+def relations_row(name: str, errors: tuple[Floats, Floats]) -> str:
+    place, turn = errors[0], np.degrees(errors[1])
+    return (
+        f"{name:24s} {100 * place.mean():7.2f} ± {100 * place.std():6.2f} cm   {turn.mean():6.3f} ± {turn.std():.3f}°"
+        f"   above 0.5 m: {100 * (place > 0.5).mean():.2f} %"
+    )
+
+
+def sharpness(points: Floats, scans: NDArray[np.intp], *, n: int = 20000, seed: int = 0) -> Floats:
+    """Return distances [m] of returns from the line fitted to returns of other scans within `RADIUS`.
+
+    Parameters
+    ----------
+    points : (n_points, 2) [m] in map
+    scans : (n_points,) number of the scan of each; up to `LEFT_OUT` before and after do not count as others
+    """
+    rng = np.random.default_rng(seed)
+    tree = cKDTree(points)
+    chosen = rng.choice(len(points), min(n, len(points)), replace=False)
+    out = []
+    for k, near in zip(chosen, tree.query_ball_point(points[chosen], RADIUS), strict=True):
+        others = np.array(near)[np.abs(scans[near] - scans[k]) > LEFT_OUT]
+        if len(others) < MIN_NEIGHBOURS:
+            continue
+        off = points[others] - points[others].mean(axis=0)
+        values, vectors = np.linalg.eigh(off.T @ off)
+        if values[0] < 0.15 * values[1]:
+            out.append(abs(float(vectors[:, 0] @ (points[k] - points[others].mean(axis=0)))))
+    return np.array(out)
+
+
+def in_map(run: Run, chosen: NDArray[np.intp], poses: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """Return points (n, 2) of some scans seen from their poses, and the number of their scan."""
+    scans = scan_points(run, odometry_of(run))
+    points, numbers = [], []
+    for number, (k, (x, y, phi)) in enumerate(zip(chosen, poses, strict=True)):
+        own = scans.points[scans.of(int(k))]
+        c, s = np.cos(phi), np.sin(phi)
+        points.append(own @ np.array([[c, s], [-s, c]]) + (x, y))
+        numbers.append(np.full(len(own), number))
+    return np.concatenate(points), np.concatenate(numbers)
+
+
+def published_poses(data: Path, name: str, run: Run) -> tuple[NDArray[np.intp], Floats]:
+    """Return scans of a raw log that the published log holds, too, and base_link there."""
+    path = next((data / PUBLISHED[name]).glob("*.log*"))
+    theirs = logs.read(path)
+    ours = np.nan_to_num(np.where(np.isfinite(run.ranges), run.ranges, 0.0))
+    other = np.nan_to_num(np.where(np.isfinite(theirs.ranges), theirs.ranges, 0.0))
+    if ours.shape[1] != other.shape[1]:
+        return np.zeros(0, dtype=np.intp), np.zeros((0, 3))
+    distance, nearest = cKDTree(ours).query(other)
+    same = distance < 0.02 * np.sqrt(other.shape[1])
+    pose_at = {stamp: k for k, stamp in enumerate(theirs.pose_stamps)}
+    rows = [(int(nearest[k]), pose_at[t]) for k, t in enumerate(theirs.stamps) if same[k] and t in pose_at]
+    scans, poses = (np.array([row[i] for row in rows], dtype=np.intp) for i in (0, 1))
+    order = np.argsort(scans, kind="stable")
+    base = theirs.poses[poses[order]]
+    if theirs.pose_frame == "laser":
+        base = compose(base, np.broadcast_to(invert(run.sensor.mount), base.shape))
+    return scans[order], base
+
+
+def aligned(found: Floats, truth: Floats) -> tuple[Floats, Floats]:
+    """Return errors (n, 3) after the best rigid motion (Umeyama 1991, without scale), and its turn (3, 3)."""
+    a, b = found[:, :2] - found[:, :2].mean(axis=0), truth[:, :2] - truth[:, :2].mean(axis=0)
+    angle = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.column_stack([a @ turn[:2, :2].T - b, wrap(found[:, 2] + angle - truth[:, 2])]), turn
+
+
+def office_run(seed: int, seconds: float) -> tuple[Run, Floats]:
+    """Follow the walls of a random office, which leads around it again and again; return true poses of the scans, too."""
+    arena, robot = geojson.loads(office(seed)), default_robot()
+    wheels = Drivetrain.of(robot)
+    wheels.measured = np.array([[SCALE, 0.0], [BIAS, SCALE]])
+    rng = np.random.default_rng([seed, 16])
+    world, clearance = ArenaWorld(arena, robot, seed), WallDistance(arena)
+    x0, y0, x1, y1 = arena.bounds
+    places = rng.uniform((x0, y0), (x1, y1), size=(2000, 2))
+    free = next(p for p in places if arena.contains(p) and clearance(float(p[0]), float(p[1])) > 0.6)
+    start = np.array([*free, rng.uniform(-np.pi, np.pi)])
+    drive = react(WallFollowing(robot, seed), world.scan, start, seconds, robot, clearance=clearance)
+    run = simulate(drive, arena, robot, rng=rng, seed=seed, drivetrain=wheels)
+    return run, drive.at(run.stamps)
+
+
+@contextmanager
+def cpu() -> Iterator[list[float]]:
+    """Measure the seconds of one core that a block takes."""
+    took = [time.process_time()]
+    yield took
+    took[0] = time.process_time() - took[0]
+
+
+def raw(data: Path, name: str) -> Run:
+    return logs.read(data / "raw-carmen" / f"{name}.clf.bz2")
+
+
+def compare_relations(data: Path) -> None:
+    run = raw(data, "aces")
+    with gzip.open(data / "raw-carmen" / "aces.relations.gz", "rt") as file:
+        relations = np.loadtxt(file)
+    motion = odometry_of(run)
+    assert motion is not None
+    print(relations_row("wheels", relation_errors(run, odometry_at_scans(run, motion), relations)))
+    print(relations_row("located", relation_errors(run, map_run(run).poses, relations)))
+
+
+def compare_sharpness(data: Path) -> None:
+    for name in RAW:
+        run = raw(data, name)
+        map_run(first_scans(run, 50))  # compiles
+        with cpu() as took:
+            found = map_run(run)
+        print(f"{name}: {run.duration / took[0]:.0f} x real time on one core; {found.wheels}")
+        chosen, theirs = published_poses(data, name, run)
+        if not len(chosen):
+            print("  the published log holds other rays")
+            continue
+        for label, poses in (("published", theirs), ("located", found.poses[chosen])):
+            d = 100 * sharpness(*in_map(run, chosen, poses))
+            print(
+                f"  {label:10s} {len(chosen)} scans: median {np.median(d):.2f} cm, within 5 cm {np.mean(d < 5):.3f}, "
+                f"within 2 cm {np.mean(d < 2):.3f}"
+            )
+        error, _ = aligned(found.poses[chosen], theirs)
+        print(
+            f"  ATE to the published poses {100 * np.sqrt((error[:, :2] ** 2).sum(axis=1).mean()):.1f} cm rms"
+        )
+
+
+def first_scans(run: Run, n: int) -> Run:
+    return replace(run, stamps=run.stamps[:n], ranges=run.ranges[:n])
+
+
+def compare_offices(seeds: int, first: int, seconds: float) -> None:
+    places, inside, sizes, whole = [], [], [], []
+    for seed in range(first, first + seeds):
+        run, truth = office_run(seed, seconds)
+        with cpu() as took:
+            found = map_run(run)
+        errors, turn = aligned(found.poses, truth)
+        place, covered, z = judged(errors, turn, found)
+        places.append(place)
+        inside.append(covered)
+        sizes.append(z)
+        whole.append((np.abs(errors[:, :2]).max(), run.duration / took[0]))
+        lost = sum(status != "ok" for status in found.status)
+        print(
+            f"office {seed}: {run.n_scans} scans, {run.duration:.0f} s, ATE {100 * place:.2f} cm, largest "
+            f"{100 * np.hypot(*errors[:, :2].T).max():.2f} cm, within 2 s.e. {covered.round(3)}, rms z {z.round(2)}, "
+            f"{len(found.kept)} closures, {len(found.refused)} refused, {lost} lost; {found.wheels}, "
+            f"{run.duration / took[0]:.0f} x real time",
+            flush=True,
+        )
+    rms = 100 * np.array(places)
+    print(
+        f"ATE rms: median {np.median(rms):.2f} cm, 95 % {np.quantile(rms, 0.95):.2f} cm, worst {rms.max():.2f} cm"
+    )
+    print(f"within 2 s.e. (x, y, phi): {np.mean(inside, axis=0).round(3)}, all {np.mean(inside):.3f}")
+
+
+def judged(errors: Floats, turn: Floats, found: Localization) -> tuple[float, Floats, Floats]:
+    """Return ATE rms [m], and for x, y, phi the share within 2 standard errors and the rms of z."""
+    sd = np.sqrt(np.einsum("fii->fi", turn @ found.covariances @ turn.T))
+    z = errors / sd
+    rms = float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()))
+    return rms, (np.abs(z) < 2).mean(axis=0), np.sqrt((z**2).mean(axis=0))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("what", choices=("relations", "sharpness", "offices"))
+    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
+    parser.add_argument("--seeds", type=int, default=20, help="offices to drive through")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first office")
+    parser.add_argument(
+        "--seconds", type=float, default=240.0, help="of each simulated drive: about two laps"
+    )
+    options = parser.parse_args()
+    if options.what == "relations":
+        compare_relations(options.data)
+    elif options.what == "sharpness":
+        compare_sharpness(options.data)
+    else:
+        compare_offices(options.seeds, options.first, options.seconds)
+
+
+if __name__ == "__main__":
+    main()
