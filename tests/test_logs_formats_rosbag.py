@@ -243,14 +243,15 @@ def test_clockwise_laser_is_reversed_and_every_ray_keeps_its_time(tmp_path: Path
     np.testing.assert_allclose(times - EPOCH / 1e9, [0.02, 0.01, 0.0], atol=1e-6)
 
 
-def test_full_turn_from_zero_is_rolled_to_start_behind(tmp_path: Path) -> None:
+@pytest.mark.parametrize("time_increment", [0.0, 0.01], ids=["at once", "sweeping"])
+def test_rays_of_a_full_turn_from_zero_keep_their_index(tmp_path: Path, time_increment: float) -> None:
     ranges = 1.0 + np.arange(8)
-    run = read(tmp_path, [scan(0, ranges, angle_min=0.0, increment=np.pi / 4)])
-    assert (np.diff(run.sensor.bearings) > 0).all() and np.abs(run.sensor.bearings).max() <= np.pi + 1e-6
-    where = {
-        round(float(np.degrees(b)) % 360): r for b, r in zip(run.sensor.bearings, run.ranges[0], strict=True)
-    }
-    assert where == {45 * i: 1.0 + i for i in range(8)}
+    turn = scan(0, ranges, angle_min=0.0, increment=np.pi / 4, time_increment=time_increment)
+    run = read(
+        tmp_path, [turn, scan(1, ranges, angle_min=0.0, increment=np.pi / 4, time_increment=time_increment)]
+    )
+    np.testing.assert_array_equal(run.ranges[0], ranges)
+    np.testing.assert_allclose(run.sensor.bearings, np.pi / 4 * np.arange(8), atol=1e-6)
 
 
 def test_last_ray_that_repeats_the_first_is_dropped(tmp_path: Path) -> None:

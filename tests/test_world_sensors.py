@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import sensorgraph as sg
-from planners.arena import Arena
+from planners.arena import Arena, wrap
 from planners.trajectory import Trajectory
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.world.orientation import CAUSES, orientation
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import parse_robot
 from sensorgraph.world.scene import Scene
@@ -163,3 +165,26 @@ def test_a_recorded_ring_is_read_built_predicted_and_scored(tmp_path: Path, empt
     np.testing.assert_array_equal(kept.sensor.origins, again.sensor.origins)
     np.testing.assert_array_equal(kept.sensor.cones, again.sensor.cones)
     assert sg.evaluate(kept, again).all["median_m"] < 0.3
+
+
+@pytest.mark.parametrize("as_map", [True, False], ids=["against the arena", "against itself"])
+@pytest.mark.parametrize("cause", [*CAUSES])
+def test_two_lasers_that_are_mirrored_or_turned_together_are_told(
+    empty_room: Arena, cause: str, as_map: bool
+) -> None:
+    robot = parse_robot(
+        FRONT_AND_REAR.replace("0.35, 0.1", "0.35, 0.25").replace("-0.35, -0.1", "-0.35, 0.2")
+    )
+    run = sg.record(winding(), empty_room, robot)
+    sign, turn = CAUSES[cause]
+
+    told = sign * (run.sensor.bearings - turn)
+    x, y = run.sensor.origins.T
+    c, s = np.cos(-turn), np.sin(-turn)
+    order = np.argsort(wrap(told), kind="stable")
+    origins = np.stack([c * x - s * y, sign * (s * x + c * y)], axis=1)
+
+    sensor = replace(run.sensor, bearings=wrap(told)[order], origins=origins[order])
+    logged = replace(run, sensor=sensor, ranges=run.ranges[:, order])
+    found = orientation(logged, empty_room if as_map else None)
+    assert found is not None and found.best == cause

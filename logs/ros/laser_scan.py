@@ -15,7 +15,7 @@ from logs.resampling import resample, resampled_text
 from logs.ros import cdr
 from logs.ros.recording import Topic, settle
 from logs.sweep import LIMITS
-from logs.transforms import Stamps, wrap
+from logs.transforms import Stamps
 from logs.types import Floats
 
 _U4, _LIMITS = struct.Struct("<I"), struct.Struct("<7fI")
@@ -231,7 +231,10 @@ def check_sweep(scans: LaserScans) -> None:
 
 
 def order_rays(scans: LaserScans, *, upside_down: bool) -> None:
-    """Make bearings increase, counter-clockwise seen from above, within a turn, in place."""
+    """Make bearings increase, counter-clockwise seen from above, over less than a turn, in place.
+
+    A laser that begins ahead, 0 to 2 pi, keeps its numbering: so do its rays their index.
+    """
     if scans.bearings[-1] < scans.bearings[0]:
         _reverse(scans)
         scans.notes.append("the laser sweeps clockwise: rays were reversed")
@@ -243,10 +246,6 @@ def order_rays(scans: LaserScans, *, upside_down: bool) -> None:
     if n_turn < len(scans.bearings):
         scans.notes.append(f"{len(scans.bearings) - n_turn} rays repeat others after a full turn, dropped")
         scans.bearings, scans.ranges = scans.bearings[:n_turn], scans.ranges[:, :n_turn]
-    inside = wrap(scans.bearings)
-    if np.abs(inside - scans.bearings).max() > 1e-3 and scans.time_increment == 0:
-        first = int(np.argmin(inside))
-        scans.bearings, scans.ranges = np.roll(inside, -first), np.roll(scans.ranges, -first, axis=1)
 
 
 def _reverse(scans: LaserScans) -> None:

@@ -10,7 +10,7 @@ from logs.motion import ray_poses
 from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
 from sensorgraph.types import Floats
-from sensorgraph.world.raycast import cast, cast_rays, laser_poses
+from sensorgraph.world.raycast import cast, cast_rays, laser_poses, ray_starts
 
 MIN_SCANS, MAX_SCANS = 10, 300
 CAUSES = {
@@ -63,9 +63,10 @@ def orientation(run: Run, arena: Arena | None) -> Orientation | None:
 
     Without an arena the right orientation is the one whose end points fall on each other: they fill the fewest
     cells. That needs a robot that looked at the same walls under several headings. Returns None for fewer than 10 scans with
-    poses, and for rays that start at several places or measure within cones.
+    poses, and for cones, of which nobody knows where in them something was seen. Several sensors that are read as one are
+    mirrored and turned together, with the places where they sit.
     """
-    if run.sensor.is_composite or run.sensor.cones.any():
+    if run.sensor.cones.any():
         return None
     pairing = pair(run)
     index = np.flatnonzero(pairing.paired & np.isfinite(run.ranges).any(axis=1))
@@ -73,15 +74,24 @@ def orientation(run: Run, arena: Arena | None) -> Orientation | None:
         return None
     some = index[np.linspace(0, len(index) - 1, min(MAX_SCANS, len(index))).astype(np.intp)]
     ranges = run.ranges[some]
-    poses = ray_poses(run, pairing, some)  # (n, n_rays or 1, 3)
-    lasers = poses if run.pose_frame == "laser" else laser_poses(poses, run.sensor.mount)
+    several = run.sensor.is_composite
+    poses = pairing.poses[some][:, None] if several else ray_poses(run, pairing, some)  # (n, n_rays or 1, 3)
+    mounted = poses if run.pose_frame == "laser" else laser_poses(poses, run.sensor.mount)
     fits = {}
     for name, (sign, turn) in CAUSES.items():
+        lasers = ray_starts(mounted, _turned(run.sensor, sign, turn)) if several else mounted
         if arena is not None:
             fits[name] = _against_map(ranges, lasers, run.sensor, arena, sign, turn)
         else:
             fits[name] = _against_itself(ranges, lasers, run.sensor.bearings, sign, turn)
     return Orientation(fits=fits, against="itself" if arena is None else "the arena", n_scans=len(some))
+
+
+def _turned(sensor: RangeSensor, sign: int, turn: float) -> RangeSensor:
+    """Return several sensors mirrored, and then turned about the origin of their frame; bearings stay as they are."""
+    x, y = sensor.origins[:, 0], sign * sensor.origins[:, 1]
+    c, s = np.cos(turn), np.sin(turn)
+    return replace(sensor, origins=np.stack([c * x - s * y, s * x + c * y], axis=1))
 
 
 def _against_map(
