@@ -178,6 +178,23 @@ def test_march_lists_the_crossings_that_all_faces_against_all_rays_give() -> Non
     assert crossings > 500
 
 
+def test_faces_that_lie_a_country_apart_are_refused_in_one_line() -> None:
+    faces = FaceSet(
+        normals=np.array([[1.0, 0.0], [0.0, 1.0]]),
+        offsets=np.array([1e6, 1e6]),
+        first=np.array([0, 2, 4]),
+        edges=np.array([0.0, 1.0, 0.0, 1.0]),
+        levels=np.array([1.0, 0.0, 1.0, 0.0]),
+        blur=np.zeros(4),
+        neighbour=np.full(4, -1),
+    )
+    with pytest.raises(
+        SensorgraphError, match="faces lie 1,000,001 x 1,000,000 m apart, expected at most 11 km²"
+    ) as caught:
+        bucket_grid(faces)
+    assert "\n" not in str(caught.value)
+
+
 def test_pooled_moments_add_up() -> None:
     rng = np.random.default_rng(7)
     points, ways = rng.uniform(-3, 3, (5000, 2)), rng.normal(size=(5000, 2))

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planners.kernel import inlined_kernel, inner_kernel, kernel
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Floats, Ints
 
@@ -64,7 +65,12 @@ class BucketGrid(NamedTuple):
 
 
 def bucket_grid(faces: FaceSet) -> BucketGrid:
-    """Note for every bucket the faces that it must offer."""
+    """Note for every bucket the faces that it must offer.
+
+    Raises
+    ------
+    SensorgraphError : the faces lie so far apart that the grid would be larger than any place
+    """
     if faces.n_faces == 0:
         return BucketGrid(np.zeros(2), (1, 1), np.zeros(2, dtype=np.intp), np.zeros(0, dtype=np.intp))
     owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
@@ -78,6 +84,12 @@ def bucket_grid(faces: FaceSet) -> BucketGrid:
     origin = points.min(axis=0) - 2 * END_MARGIN - 0.01
     size = np.floor((points.max(axis=0) + 2 * END_MARGIN - origin) / BUCKET_SIZE).astype(int) + 1
     shape = (int(size[0]), int(size[1]))
+    if shape[0] * shape[1] > MARCH.max_buckets:
+        width, depth = np.ptp(points, axis=0)
+        raise SensorgraphError(
+            f"faces lie {width:,.0f} x {depth:,.0f} m apart, expected at most {MARCH.max_buckets * BUCKET_SIZE**2 / 1e6:,.0f} "
+            "km² in all: leave out poses or ranges that are far off (sensorgraph inspect), and build the graph again"
+        )
     counts = np.zeros(shape[0] * shape[1] + 1, dtype=np.intp)
     _rasterise(*faces[:5], origin, shape[0], shape[1], counts, np.zeros(0, dtype=np.intp))
     start = np.cumsum(counts) - counts

@@ -95,6 +95,8 @@ class FaceMarchSettings:
 
     bucket_size: float = 0.8
     """[m] uncritical: 0.3 to 1.2 are alike."""
+    max_buckets: int = 1 << 24
+    """Buckets of the grid, which takes 8 bytes for each: 11 km² of buckets."""
     end_margin: float = 0.02
     """[m] beyond its ends a face is still offered, so that a blurred end can be seen."""
     min_visibility: float = 0.003
