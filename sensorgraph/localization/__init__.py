@@ -16,6 +16,8 @@
 | `covariances` | how well the poses are known, by a bootstrap of the residuals |
 | `mapping` | `map_run`: all of these, for a run in a new place |
 | `locate` | the way in: a known place or a new one; the located run, CSV, summary |
+| `kept` | locates a file once and keeps the run beside it |
+| `odometry_check` | whether odometry is in metres and radians, and the laser counts its rays counter-clockwise |
 | `in_map`, `map_tracking` | a run in a known place: search, follow, lose and find again, smooth |
 | `known_map`, `global_search` | walls as lines, fields and rays; all places where a view fits |
 | `smoothing` | all poses at once by a banded Cholesky factor, with covariances |

@@ -17,6 +17,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_rays
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.mapping import map_run
+from sensorgraph.localization.odometry_check import with_checked_odometry
 from sensorgraph.localization.result import Closure, Localization
 from sensorgraph.types import Floats, ProgressBars, no_progress
 from sensorgraph.world.identified_arena import walls_of
@@ -57,10 +58,13 @@ def locate(
         raise SensorgraphError(
             "no ray of the run ever returned; check the topic of the scans (sensorgraph inspect)"
         )
+    run, notes = with_checked_odometry(run)
     if place is None:
-        return map_run(run, progress=progress)
-    walls = walls_of(place) if isinstance(place, Sensorgraph) else place.walls
-    return locate_in_map(run, walls, name=name, progress=progress)
+        found = map_run(run, progress=progress)
+    else:
+        walls = walls_of(place) if isinstance(place, Sensorgraph) else place.walls
+        found = locate_in_map(run, walls, name=name, progress=progress)
+    return replace(found, notes=(*notes, *found.notes)) if notes else found
 
 
 def has_reference(run: Run) -> bool:

@@ -1,0 +1,146 @@
+"""Whether scans and odometry speak of the same drive: units, and the side on which the laser counts its rays.
+
+The stretches with most turning and with most way are followed by the scans alone, and compared with the odometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from logs.motion import Motion
+from logs.run import Run
+from logs.transforms import compose, invert
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization.front_end import track
+from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.localization.scans import scan_points
+from sensorgraph.types import Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class OdometryCheckSettings:
+    """How sure a fault must be."""
+
+    n_scans: int = 120
+    """Of the stretch that is followed by the scans alone."""
+    least_turn: float = 0.7
+    """[rad] by the scans, below which turns are not compared."""
+    least_way: float = 1.0
+    """[m] by the scans, below which ways are not compared."""
+    every: int = 4
+    """Scans from one end of a step to the next: the noise of a match is no way."""
+    least_matched: float = 0.9
+    """Share of the scans that must be matched."""
+    tolerance: float = 0.35
+    """Of a factor, in its logarithm, to the one that is named."""
+    opposite: float = -0.6
+    """Correlation of the turns, below which one of the two is mirrored."""
+
+
+CHECK = OdometryCheckSettings()
+MOST_RADIANS = 7.0
+"""[rad] a heading beyond this is in degrees, or was never wrapped."""
+WAY_UNITS = {1e-3: "millimetres", 1e-2: "centimetres", 0.0254: "inches", 0.3048: "feet"}
+TURN_UNITS = {float(np.pi / 180): "degrees"}
+
+
+def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> tuple[Run, tuple[str, ...]]:
+    """Return the run with its odometry in metres and radians, and what was changed.
+
+    Raises
+    ------
+    SensorgraphError : scans and odometry turn against each other: the laser is mirrored
+    """
+    motion = _as_logged(run)
+    if motion is None or run.n_scans < 3:
+        return run, ()
+    s, odometry = settings, odometry_at_scans(run, motion)
+    notes: list[str] = []
+    way_factor = turn_factor = 1.0
+    turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), s)
+    if turns is not None and np.abs(turns[0][:, 2]).sum() > s.least_turn:
+        seen, driven = turns[0][:, 2], turns[1][:, 2]
+        if _correlation(seen, driven) < s.opposite:
+            raise SensorgraphError(
+                "scans and odometry turn against each other: the laser counts its rays clockwise, as in a mirror; give a "
+                "robot.yaml or a transform that says so"
+            )
+        turn_factor = _factor(np.abs(seen).sum(), np.abs(driven).sum(), "turns", TURN_UNITS, notes, s)
+    ways = _compared(run, odometry, np.hypot(*np.diff(odometry[:, :2], axis=0).T), s)
+    if ways is not None:
+        seen, driven = (np.hypot(steps[:, 0], steps[:, 1]) for steps in ways)
+        if seen.sum() > s.least_way:
+            way_factor = _factor(seen.sum(), driven.sum(), "ways", WAY_UNITS, notes, s)
+    return (_scaled(run, motion, way_factor, turn_factor), tuple(notes)) if notes else (run, ())
+
+
+def _compared(
+    run: Run, odometry: Floats, moved: Floats, settings: OdometryCheckSettings
+) -> tuple[Floats, Floats] | None:
+    """Return steps (n, 3) by the scans alone and by the odometry, where `moved` (n_scans - 1,) is greatest; None: not sure."""
+    s = settings
+    total = np.concatenate([[0.0], np.cumsum(moved)])
+    first = int(np.argmax(total[s.n_scans :] - total[: -s.n_scans])) if len(total) > s.n_scans else 0
+    stretch = slice(first, first + s.n_scans)
+    part = replace(run, stamps=run.stamps[stretch], ranges=run.ranges[stretch])
+    found = track(scan_points(part), part.stamps, None, lambda done, total: None)
+    if found.matched.mean() < s.least_matched or (np.diff(found.piece) != 0).any():
+        return None
+    unwrapped = np.column_stack([found.poses[:, :2], np.unwrap(found.poses[:, 2])])
+    return _steps(unwrapped[:: s.every]), _steps(odometry[stretch][:: s.every])
+
+
+def _as_logged(run: Run) -> Motion | None:
+    """Return the odometry with its heading made continuous, as an angle in radians or in degrees."""
+    motion = odometry_of(run)
+    if motion is None:
+        return None
+    logged = run.odometry if len(run.odometry) == len(motion.poses) else run.poses
+    if len(logged) != len(motion.poses):
+        return motion
+    period = 360.0 if np.abs(logged[:, 2]).max() > MOST_RADIANS else 2 * np.pi
+    phi = np.unwrap(logged[:, 2], period=period)
+    return Motion(stamps=motion.stamps, poses=np.column_stack([motion.poses[:, :2], phi]))
+
+
+def _steps(poses: Floats) -> Floats:
+    """Return way ahead and left (n - 1, 2), by the headings as they are, and turn (n - 1,), in one array."""
+    return np.column_stack([compose(invert(poses[:-1]), poses[1:])[:, :2], np.diff(poses[:, 2])])
+
+
+def _correlation(a: Floats, b: Floats) -> float:
+    return float((a * b).sum() / max(np.sqrt((a**2).sum() * (b**2).sum()), 1e-12))
+
+
+def _factor(
+    seen: float,
+    driven: float,
+    what: str,
+    units: dict[float, str],
+    notes: list[str],
+    settings: OdometryCheckSettings,
+) -> float:
+    """Return what ways or turns must be multiplied by, and note it; 1 where they are in none of the units."""
+    measured = seen / max(driven, 1e-9)
+    for factor, name in units.items():
+        if abs(np.log(measured / factor)) < settings.tolerance:
+            notes.append(f"the odometry's {what} are {1 / measured:.4g} times too large: taken as {name}")
+            return factor
+    return 1.0
+
+
+def _scaled(run: Run, motion: Motion, way: float, turn: float) -> Run:
+    """Return the run with its odometry in other units, as the only odometry."""
+    poses = motion.poses * [way, way, turn]
+    return replace(
+        run,
+        odom_stamps=motion.stamps,
+        odometry=poses,
+        odom_twists=np.zeros((len(poses), 2)),
+        pose_stamps=np.zeros(0),
+        poses=np.zeros((0, 3)),
+        pose_covariances=np.zeros((0, 3, 3)),
+        meta={**run.meta, "pose_source": "none"},
+    )

@@ -1,0 +1,46 @@
+"""Odometry in other units is noticed and named; a mirrored laser is refused; a sound run is left as it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from localization_samples import loop_poses, room_run
+
+from logs.run import Run
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization.odometry_check import with_checked_odometry
+
+TRUTH = loop_poses(90, laps=1.0)
+RUN = room_run(TRUTH, way_scale=0.97, heading_bias=0.02)
+
+
+def drive(run: Run) -> np.ndarray:
+    return np.hypot(*np.diff(run.odometry[:, :2], axis=0).T)
+
+
+def test_sound_odometry_is_left_alone() -> None:
+    run, notes = with_checked_odometry(RUN)
+    assert run is RUN and notes == ()
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "millimetres"), (100.0, "centimetres")])
+def test_ways_in_other_units_are_named_and_mended(factor: float, unit: str) -> None:
+    run, notes = with_checked_odometry(replace(RUN, odometry=RUN.odometry * [factor, factor, 1.0]))
+    assert len(notes) == 1 and unit in notes[0] and "times too large" in notes[0]
+    np.testing.assert_allclose(drive(run), drive(RUN), rtol=1e-6)
+
+
+def test_turns_in_degrees_are_named_and_mended() -> None:
+    run, notes = with_checked_odometry(replace(RUN, odometry=RUN.odometry * [1.0, 1.0, 180 / np.pi]))
+    assert "taken as degrees" in notes[0]
+    assert np.ptp(run.odometry[:, 2]) == pytest.approx(np.ptp(RUN.odometry[:, 2]), rel=1e-6)
+
+
+def test_mirrored_laser_is_refused_in_one_line() -> None:
+    mirrored = replace(RUN, ranges=np.roll(RUN.ranges[:, ::-1], 1, axis=1))
+    with pytest.raises(
+        SensorgraphError, match="turn against each other: the laser counts its rays clockwise"
+    ):
+        with_checked_odometry(mirrored)
