@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from sensorgraph.cli.options import DemoArena, DemoOut, DemoSeed, RobotFile
+from sensorgraph.cli.options import DemoArena, DemoOut, DemoReal, DemoSeed, RobotFile
 
 if TYPE_CHECKING:
     from sensorgraph.demo import DemoDrive
@@ -19,6 +19,7 @@ def demo(
     arena: DemoArena = "square",
     robot: RobotFile = None,
     seed: DemoSeed = 0,
+    real: DemoReal = False,
 ) -> None:
     """Plan, record, build, evaluate, review on the shipped arena; hide an effect and find it. Offline, no display.
 
@@ -27,6 +28,8 @@ def demo(
       sensorgraph demo
 
       sensorgraph demo -o runs/mine --seed 7
+
+      sensorgraph demo --real
     """
     import time
 
@@ -39,6 +42,9 @@ def demo(
     from sensorgraph.version import __version__
     from sensorgraph.world.robot import load_robot
 
+    if real:
+        _demo_real(out or Path("runs") / time.strftime("demo-%Y%m%d-%H%M%S"), is_latest=out is None)
+        return
     began = time.monotonic()
     folder = out or Path("runs") / time.strftime("demo-%Y%m%d-%H%M%S")
     walls, machine = load_arena(arena), load_robot(robot)
@@ -64,6 +70,46 @@ def demo(
     typer.echo(f"the diagnosis:   {folder / 'diagnosis' / 'report.html'}")
     typer.echo(f"one equation:    sensorgraph show {folder / 'coverage.sensorgraph'} --ray 67")
     typer.echo(f"what is logged:  sensorgraph inspect {folder / 'coverage.mcap'}")
+
+
+def _demo_real(folder: Path, *, is_latest: bool) -> None:
+    """Run the loop on the shipped raw log."""
+    import time
+
+    from sensorgraph.cli.inputs import check_folder, write_json
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.demo_real import LOG, demo_real
+    from sensorgraph.localization.locate import summary_lines
+
+    began = time.monotonic()
+    check_folder(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    done = demo_real(folder, progress=progress)
+    write_json(folder / "demo.json", done.to_dict())
+    if is_latest:
+        _link_latest(folder)
+    held, wheels = done.held_out.all, done.found.wheels
+    lines = [f"{LOG}: a real log without reference poses (CC-BY 3.0, see {folder / 'fr079.ATTRIBUTION.md'})"]
+    lines += [f"locate:    {line}" for line in summary_lines(done.found)]
+    if wheels is not None:
+        before, after = done.drift
+        lines.append(
+            f"wheels:    off by {100 * before:.0f} cm after 10 m as logged, {100 * after:.0f} cm with these parameters (median)"
+        )
+    lines += [
+        f"evaluate:  {_scaled(held['median_m'], 'cm')} median error, {_scaled(held['within_0.1m'], '%')} within 10 cm, on "
+        "stretches held out of the fit",
+        f"{time.monotonic() - began:.0f} s; all of it is in {folder}",
+        f"look at it:      rerun {folder / 'review.rrd'}   and   {folder / 'map.png'}",
+        f"the poses:       {folder / 'poses.csv'}, with their standard deviations",
+        f"one equation:    sensorgraph show {folder / 'fr079.sensorgraph'} --ray 180",
+    ]
+    typer.echo("\n".join(lines))
+
+
+def _scaled(value: float | None, unit: str) -> str:
+    """Return a length [m] in cm or a share in %."""
+    return "–" if value is None else f"{100 * value:.1f} {unit}"
 
 
 def hidden_effect_lines(hidden: HiddenEffect) -> list[str]:

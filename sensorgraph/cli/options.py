@@ -45,6 +45,9 @@ DemoOut = Annotated[
     Path | None, typer.Option("-o", "--out", help="Folder to write; default: runs/demo-DATE-TIME.")
 ]
 DemoArena = Annotated[str, typer.Option(help="GeoJSON, map_server yaml, or a shipped one.")]
+DemoReal = Annotated[
+    bool, typer.Option("--real", help="Take a real raw log instead: locate, build, evaluate, review.")
+]
 DemoSeed = Annotated[int, typer.Option(min=0, help="Of planning and all noise.")]
 
 # plan

@@ -1,0 +1,319 @@
+"""Localise in a known map: the second half of a raw log in a graph of its first half.
+
+Truth is the whole log, located together (`sensorgraph locate`): both halves are in its frame. Parts:
+
+- `start`: a global start without a guess, from one scan and from five, at places that the first half covers
+- `track`: the second half, found and followed; a plain particle filter beside it, with AMCL's likelihood-field and motion
+  models and the defaults of Nav2's parameters, which is told where to start
+- `kidnap`: 30 times, 15 s of log go on at another covered place
+
+    python benchmarks/localize_in_map.py ../shared/data/raw-carmen/intel.clf.bz2 --work /tmp/in_map
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import logs
+import sensorgraph as sg
+from logs.run import Run
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.global_search import find_places, local_view
+from sensorgraph.localization.in_map import locate_in_map
+from sensorgraph.localization.known_map import known_map
+from sensorgraph.localization.likelihood_field import points_on
+from sensorgraph.localization.map_settings import MAP_TRACKING
+from sensorgraph.localization.matching import match
+from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.localization.scans import scan_points
+from sensorgraph.world.identified_arena import walls_of
+
+Floats = NDArray[np.float64]
+RIGHT_PLACE, RIGHT_TURN = 0.5, 0.26
+"""[m, rad] a place nearer to the truth is the right one."""
+COVERED = 0.7
+"""Share of the returns on surfaces of the map at the true pose, from which on a place is covered."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Halves:
+    """A graph of the first half, and the second half with its truth."""
+
+    walls: Floats
+    second: Run
+    """Raw: its poses are the odometry."""
+    truth: Floats
+    """(n_scans, 3) base_link in map."""
+    covered: NDArray[np.bool_]
+    """(n_scans,) the scan fits the graph at its true pose."""
+
+
+def halves(log: Path, work: Path) -> Halves:
+    """Locate the log, build the first half; both are kept in `work`."""
+    work.mkdir(parents=True, exist_ok=True)
+    whole, graph = work / f"{log.name}.mcap", work / f"{log.name}.first.sensorgraph"
+    if not whole.exists():
+        sg.locate(log, path=whole)
+    located = logs.read(whole)
+    middle = located.n_scans // 2
+    if not graph.exists():
+        sg.build(part(located, 0, middle)).save(graph)
+    walls = walls_of(sg.Sensorgraph.load(graph))
+    second = part(logs.read(log), middle, located.n_scans)
+    truth = logs.pair(part(located, middle, located.n_scans)).poses
+    place, scans = known_map(walls), scan_points(second)
+    covered = np.zeros(len(truth), dtype=np.bool_)
+    for k in range(len(truth)):
+        own = scans.of(k)
+        if np.isfinite(truth[k, 0]) and own.stop - own.start >= MAP_TRACKING.least_points:
+            found = match(scans.points[own], scans.normals[own], place.surfaces, truth[k])
+            covered[k] = found.agreement >= COVERED
+    return Halves(walls=walls, second=second, truth=truth, covered=covered)
+
+
+def part(run: Run, first: int, last: int) -> Run:
+    """Return scans first to last - 1 with what was logged meanwhile."""
+    t0, t1 = run.stamps[first], run.stamps[last - 1]
+    pose = slice(*np.searchsorted(run.pose_stamps, [t0, np.nextafter(t1, np.inf)]))
+    if len(run.pose_stamps) == run.n_scans:
+        pose = slice(first, last)
+    odom = slice(*np.searchsorted(run.odom_stamps, [t0 - 0.5, t1 + 0.5]))
+    return replace(
+        run,
+        stamps=run.stamps[first:last],
+        ranges=run.ranges[first:last],
+        pose_stamps=run.pose_stamps[pose],
+        poses=run.poses[pose],
+        pose_covariances=run.pose_covariances[pose] if len(run.pose_covariances) else run.pose_covariances,
+        odom_stamps=run.odom_stamps[odom],
+        odometry=run.odometry[odom],
+        odom_twists=run.odom_twists[odom],
+    )
+
+
+def errors(poses: Floats, truth: Floats) -> tuple[Floats, Floats]:
+    """Return distances [m] and turns [rad]."""
+    return np.hypot(*(poses - truth)[:, :2].T), np.abs(wrap(poses[:, 2] - truth[:, 2]))
+
+
+def start(data: Halves, n_scans: int, n_places: int, rng: np.random.Generator) -> None:
+    """Print how often a start without a guess is right, ambiguous, wrong or not found."""
+    place, scans = known_map(data.walls), scan_points(data.second)
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(data.truth[:, :2], axis=0).T))])
+    there = np.flatnonzero(data.covered & (driven > 2.0))
+    tally = dict.fromkeys(("right", "ambiguous", "no place", "wrong"), 0)
+    off, began = [], time.monotonic()
+    for k in rng.choice(there, min(n_places, len(there)), replace=False):
+        back = np.searchsorted(driven, driven[k] - 0.4 * np.arange(n_scans - 1, 0, -1))
+        chosen = np.unique(np.append(back, k)).astype(np.intp)
+        found = find_places(local_view(scans, chosen, data.truth[chosen]), place)
+        if found.fit < MAP_TRACKING.found_fit:
+            tally["no place"] += 1
+        elif len(found.rivals):
+            tally["ambiguous"] += 1
+        else:
+            distance, turn = errors(found.poses[:1], data.truth[k][None])
+            is_right = distance[0] < RIGHT_PLACE and turn[0] < RIGHT_TURN
+            tally["right" if is_right else "wrong"] += 1
+            off += [distance[0]] if is_right else []
+    n = sum(tally.values())
+    shares = ", ".join(f"{word} {100 * count / n:.1f} %" for word, count in tally.items())
+    took = 1000 * (time.monotonic() - began) / n
+    print(
+        f"start, {n_scans} scans, {n} places: {shares}; median error {100 * np.median(off):.1f} cm; {took:.0f} ms each"
+    )
+
+
+def tracking(data: Halves) -> None:
+    """Print the errors of the located second half."""
+    began = time.monotonic()
+    found = locate_in_map(data.second, data.walls)
+    took = time.monotonic() - began
+    states = np.array(found.status)
+    for label, which in (("ok", states == "ok"), ("ok, covered", (states == "ok") & data.covered)):
+        print(f"track, {label}: {said(found.poses[which], data.truth[which])}")
+    for word in ("lost", "ambiguous"):
+        print(
+            f"track, {word}: {100 * (states == word).mean():.1f} % of the scans, {100 * (states[data.covered] == word).mean():.1f} % of the covered ones"
+        )
+    sigma = np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))
+    off = found.poses - data.truth
+    off[:, 2] = wrap(off[:, 2])
+    inside = (np.abs(off) < 2 * sigma)[(states == "ok") & np.isfinite(data.truth[:, 0])].mean()
+    print(f"track: {100 * inside:.1f} % within 2 s.e.; {data.second.duration / took:.1f} x real time")
+
+
+def said(poses: Floats, truth: Floats) -> str:
+    """Say errors in one line."""
+    known = np.isfinite(truth[:, 0])
+    distance, turn = errors(poses[known], truth[known])
+    return (
+        f"{known.sum():,} scans, {100 * np.median(distance):.2f} cm and {np.degrees(np.median(turn)):.3f} deg median, "
+        f"95 % {100 * np.quantile(distance, 0.95):.1f} cm, above 0.5 m {100 * (distance > 0.5).mean():.2f} %"
+    )
+
+
+def particle_filter(data: Halves, rng: np.random.Generator) -> None:
+    """Print the errors of a plain particle filter that is told where to start.
+
+    AMCL's models (Thrun, Burgard and Fox 2005, tables 5.6 and 6.3) with Nav2's defaults: alpha 0.2, 60 beams, z_hit and
+    z_rand 0.5, sigma_hit 0.2 m, 2,000 particles, updates every 0.25 m or 0.2 rad.
+    """
+    motion = odometry_of(data.second)
+    assert motion is not None
+    odometry = odometry_at_scans(data.second, motion)
+    points = points_on(data.walls, 0.025)
+    low, cell = points.min(axis=0) - 3.0, 0.05
+    distance = _distances(points, low, cell, 2.0)
+    first = int(np.flatnonzero(np.isfinite(data.truth[:, 0]))[0])
+    particles = data.truth[first] + rng.normal(size=(2000, 3)) * [0.25, 0.25, 0.07]
+    mean, last, estimates = data.truth[first], first, np.full_like(data.truth, np.nan)
+    scans = scan_points(data.second)
+    for k in range(first, len(data.truth)):
+        step = compose(invert(odometry[last]), odometry[k])
+        if np.hypot(step[0], step[1]) > 0.25 or abs(wrap(step[2])) > 0.2:
+            particles = _moved(particles, step, rng)
+            own = np.arange(scans.first[k], scans.first[k + 1])
+            if len(own):
+                seen = scans.points[own[np.linspace(0, len(own) - 1, min(60, len(own))).astype(int)]]
+                weights = _weights(particles, seen, distance, low, cell)
+                mean = _mean(particles, weights)
+                at = np.searchsorted(np.cumsum(weights), (np.arange(2000) + rng.uniform()) / 2000)
+                particles = particles[np.clip(at, 0, 1999)]
+            last = k
+            estimates[k] = mean
+    done = np.isfinite(estimates[:, 0])
+    print(f"particle filter: {said(estimates[done], data.truth[done])}")
+    both = done & data.covered
+    print(f"particle filter, covered: {said(estimates[both], data.truth[both])}")
+
+
+def _distances(points: Floats, low: Floats, cell: float, most: float) -> Floats:
+    from scipy.ndimage import distance_transform_edt
+
+    nx, ny = np.ceil((points.max(axis=0) + 3.0 - low) / cell).astype(int)
+    free = np.ones((ny, nx), dtype=bool)
+    at = ((points - low) / cell).astype(int)
+    free[at[:, 1], at[:, 0]] = False
+    return np.minimum(cell * distance_transform_edt(free), most)
+
+
+def _moved(particles: Floats, step: Floats, rng: np.random.Generator) -> Floats:
+    way, turn = float(np.hypot(step[0], step[1])), float(wrap(step[2]))
+    before = float(np.arctan2(step[1], step[0])) if way > 0.01 else 0.0
+    after = float(wrap(turn - before))
+    a = min(abs(before), abs(wrap(before - np.pi)))  # backwards is as good as forwards
+    b = min(abs(after), abs(wrap(after - np.pi)))
+    n = len(particles)
+    first = before - rng.normal(size=n) * np.sqrt(0.2 * a**2 + 0.2 * way**2)
+    length = way - rng.normal(size=n) * np.sqrt(0.2 * way**2 + 0.2 * (a**2 + b**2))
+    second = after - rng.normal(size=n) * np.sqrt(0.2 * b**2 + 0.2 * way**2)
+    x = particles[:, 0] + length * np.cos(particles[:, 2] + first)
+    y = particles[:, 1] + length * np.sin(particles[:, 2] + first)
+    return np.column_stack([x, y, particles[:, 2] + first + second])
+
+
+def _weights(particles: Floats, seen: Floats, distance: Floats, low: Floats, cell: float) -> Floats:
+    cos, sin = np.cos(particles[:, 2:]), np.sin(particles[:, 2:])
+    x = particles[:, :1] + cos * seen[:, 0] - sin * seen[:, 1]
+    y = particles[:, 1:2] + sin * seen[:, 0] + cos * seen[:, 1]
+    i, j = ((x - low[0]) / cell).astype(int), ((y - low[1]) / cell).astype(int)
+    inside = (i >= 0) & (j >= 0) & (i < distance.shape[1]) & (j < distance.shape[0])
+    d = np.where(inside, distance[np.where(inside, j, 0), np.where(inside, i, 0)], 2.0)
+    p = 0.5 * np.exp(-(d**2) / (2 * 0.2**2)) + 0.5 / 100.0
+    weights = 1.0 + (p**3).sum(axis=1)  # as AMCL has it
+    return np.asarray(weights / weights.sum())
+
+
+def _mean(particles: Floats, weights: Floats) -> Floats:
+    place = weights @ particles[:, :2]
+    return np.array(
+        [*place, np.arctan2(weights @ np.sin(particles[:, 2]), weights @ np.cos(particles[:, 2]))]
+    )
+
+
+def kidnapped(data: Halves, n: int, rng: np.random.Generator) -> None:
+    """Print how soon a robot that was carried elsewhere is found again, and how long wrong poses are believed."""
+    span = 15.0
+    stamps = data.second.stamps
+    there = np.flatnonzero(data.covered & (stamps < stamps[-1] - span - 1))
+    again, wrong, lost_after = [], [], []
+    for _ in range(n):
+        a, b = (int(k) for k in rng.choice(there, 2, replace=False))
+        one, two = (part(data.second, k, int(np.searchsorted(stamps, stamps[k] + span))) for k in (a, b))
+        truth = np.concatenate([data.truth[a : a + one.n_scans], data.truth[b : b + two.n_scans]])
+        try:
+            found = locate_in_map(_joined(one, two), data.walls)
+        except sg.errors.SensorgraphError:
+            again.append(np.inf)
+            continue
+        ok = np.array(found.status) == "ok"
+        after = np.arange(len(ok)) >= one.n_scans
+        distance, _ = errors(found.poses, truth)
+        is_right = ok & after & (distance < RIGHT_PLACE)
+        began = found.t[one.n_scans]
+        again.append(found.t[is_right][0] - began if is_right.any() else np.inf)
+        wrong.append((ok & (distance > RIGHT_PLACE)).mean())
+        lost_after.append(not (ok & after & (distance > RIGHT_PLACE) & (found.t - began > 2.0)).any())
+    again = np.array(again)
+    print(
+        f"kidnapped, {n} times: found again within 5 s {100 * (again <= 5).mean():.0f} %, at all "
+        f"{100 * np.isfinite(again).mean():.0f} %; no wrong pose said ok later than 2 s {100 * np.mean(lost_after):.0f} %; "
+        f"wrong poses said ok {100 * np.mean(wrong):.2f} % of the scans"
+    )
+
+
+def _joined(one: Run, two: Run) -> Run:
+    """Return two runs as one: time and odometry go on."""
+    ahead = one.stamps[-1] + 0.2 - two.stamps[0]
+    drive = []
+    for run in (one, two):
+        motion = odometry_of(run)
+        assert motion is not None
+        drive.append(odometry_at_scans(run, motion))
+    follow = compose(drive[0][-1], compose(invert(drive[1][0]), drive[1]))
+    stamps = np.concatenate([one.stamps, two.stamps + ahead])
+    poses = np.concatenate([drive[0], follow])
+    return replace(
+        one, stamps=stamps, ranges=np.concatenate([one.ranges, two.ranges]), pose_stamps=stamps, poses=poses,
+        odom_stamps=stamps, odometry=poses, odom_twists=np.zeros((len(stamps), 2)),
+    )  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("log", type=Path)
+    parser.add_argument(
+        "--work", type=Path, default=Path("runs/in_map"), help="folder of located run and graph"
+    )
+    parser.add_argument("--parts", default="start,track,filter,kidnap")
+    parser.add_argument("--places", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    data = halves(given.log, given.work)
+    print(
+        f"{given.log.name}: {len(data.truth):,} scans of the second half, {100 * data.covered.mean():.0f} % covered"
+    )
+    rng = np.random.default_rng(given.seed)
+    parts = given.parts.split(",")
+    if "start" in parts:
+        start(data, 1, given.places, rng)
+        start(data, 5, given.places, rng)
+    if "track" in parts:
+        tracking(data)
+    if "filter" in parts:
+        particle_filter(data, rng)
+    if "kidnap" in parts:
+        kidnapped(data, 30, rng)
+
+
+if __name__ == "__main__":
+    main()
