@@ -127,7 +127,7 @@ def locate(
     Parameters
     ----------
     run : of a laser; its own reference poses, if it has any, are left aside
-    arena : the place, where it is known: an arena, a sensorgraph of faces, the file of one, or a shipped arena; None:
+    arena : the place, where it is known: an arena, a sensorgraph of faces or cells, the file of one, or a shipped arena; None:
         it is mapped, and the first pose is that of the odometry
     path : also write the run with its poses there, as MCAP
 

@@ -10,7 +10,9 @@ from localization_samples import ROOM, loop_poses, room_run
 
 from logs.run import Run
 from logs.transforms import compose
+from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 
 WALLS = np.array(ROOM).reshape(-1, 2, 2)
@@ -106,3 +108,17 @@ def test_run_without_odometry_is_located_by_its_scans() -> None:
     off = errors(found.poses, TRUTH)
     assert np.hypot(off[:, 0], off[:, 1]).max() < 0.02
     assert found.wheels is None and "no odometry" in found.notes[0]
+
+
+def test_run_is_located_in_a_graph_of_cells() -> None:
+    run = replace(room_run(TRUTH), pose_stamps=np.arange(120) / 5, poses=TRUTH)
+    graph = build([run], model="cells")
+    walls = walls_of_graph(graph)
+    ends = WALLS[:, 1] - WALLS[:, 0]
+    share = ((walls.mean(axis=1)[:, None] - WALLS[:, 0]) * ends).sum(axis=2) / (ends**2).sum(axis=1)
+    nearest = WALLS[:, 0] + np.clip(share, 0, 1)[..., None] * ends
+    off = np.hypot(*(walls.mean(axis=1)[:, None] - nearest).transpose(2, 0, 1)).min(axis=1)
+    assert len(walls) > 300 and np.quantile(off, 0.95) < 0.02  # the noise of returns
+    found = locate_in_map(room_run(TRUTH[20:60], seed=7), walls)
+    distance = np.hypot(*errors(found.poses, TRUTH[20:60])[:, :2].T)
+    assert set(found.status) == {"ok"} and distance.max() < 0.02

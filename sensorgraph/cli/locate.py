@@ -103,8 +103,8 @@ def _place(arena: str) -> Arena | Sensorgraph:
 
 def _walls(place: Arena | Sensorgraph | None) -> Floats | None:
     from sensorgraph.graph import Sensorgraph
-    from sensorgraph.world.identified_arena import walls_of
+    from sensorgraph.localization.graph_walls import walls_of_graph
 
     if place is None:
         return None
-    return walls_of(place) if isinstance(place, Sensorgraph) else place.walls
+    return walls_of_graph(place) if isinstance(place, Sensorgraph) else place.walls

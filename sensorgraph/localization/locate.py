@@ -15,12 +15,12 @@ from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_rays
+from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry_check import with_checked_odometry
 from sensorgraph.localization.result import Closure, Localization
 from sensorgraph.types import Floats, ProgressBars, no_progress
-from sensorgraph.world.identified_arena import walls_of
 
 POSE_SOURCE = "locate"
 """`pose_source` of a located run."""
@@ -62,7 +62,7 @@ def locate(
     if place is None:
         found = map_run(run, progress=progress)
     else:
-        walls = walls_of(place) if isinstance(place, Sensorgraph) else place.walls
+        walls = walls_of_graph(place) if isinstance(place, Sensorgraph) else place.walls
         found = locate_in_map(run, walls, name=name, progress=progress)
     return replace(found, notes=(*notes, *found.notes)) if notes else found
 
