@@ -63,7 +63,7 @@ def halves(log: Path, work: Path) -> Halves:
     located = logs.read(whole)
     middle = located.n_scans // 2
     if not graph.exists():
-        sg.build(part(located, 0, middle)).save(graph)
+        sg.build(part(located, 0, middle), calibrate=False).save(graph)
     walls = walls_of(sg.Sensorgraph.load(graph))
     second = part(logs.read(log), middle, located.n_scans)
     truth = logs.pair(part(located, middle, located.n_scans)).poses
