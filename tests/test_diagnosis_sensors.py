@@ -71,6 +71,8 @@ def test_nothing_is_found_where_nothing_was_planted(robot: Robot, hall: Arena) -
         (RING, EFFECTS["mount_xy"](dx=0.03, dy=0.02).at("sensor 5")),
         (RING, EFFECTS["mount_yaw"](delta=0.1).at("sensor 5")),
         (RING, EFFECTS["range_scale"](s=0.03).at("sensor 2")),
+        (RING, EFFECTS["range_noise"](k=0.03).at("sensor 4")),
+        (RING, EFFECTS["incidence_dropout"](alpha_max=0.9).at("sensor 4")),
         (RING, EFFECTS["range_bias"](b=0.03)),
         (RING, EFFECTS["range_noise"](k=0.01)),
         (FRONT_AND_REAR, EFFECTS["mount_yaw"](delta=0.02).at("sensor 1")),

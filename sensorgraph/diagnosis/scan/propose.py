@@ -6,6 +6,8 @@ An effect looks at the residuals where it would show (`Diagnostics.propose`), or
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import log_likelihood, start_state, thin, thin_state
@@ -15,12 +17,17 @@ from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import EFFECTS, Effect
 from sensorgraph.effects.proposals import PROPOSAL
+from sensorgraph.world.sensor_parts import part_names, sensor_of_rays
+
+STAGES_OF_ONE_SENSOR = ("detection", "noise")
+"""Stages of the effects on single readings that one of several sensors may have for itself."""
 
 
 def proposed_candidates(residuals: FitResiduals) -> list[Candidate]:
     """Return what the effects propose, best first."""
     effects = [e for e in EFFECTS.values() if residuals.data.clutter_nats.get(e.name) != np.inf]
     found = [c for effect in effects for c in _proposed(effect, residuals)]
+    found += _of_one_sensor(effects, residuals)
     found += _swept(effects, residuals)
     return sorted((c for c in found if c.gain > PROPOSAL.min_gain), key=lambda c: -c.gain)
 
@@ -35,6 +42,18 @@ def _proposed(effect: Effect, residuals: FitResiduals) -> list[Candidate]:
                 amendment = amendment.at(proposal.place, proposal.xy)
             out.append(Candidate(amendment=amendment, gain=proposal.gain))
     return out
+
+
+def _of_one_sensor(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
+    """Return what effects on single readings propose for each of several sensors by itself."""
+    own = [e for e in effects if e.stage in STAGES_OF_ONE_SENSOR and e.place is None]
+    own = [e for e in own if not (e.diagnostics.is_lattice or e.diagnostics.explains)]
+    owner = sensor_of_rays(residuals.sensor)
+    found = []
+    for number, name in enumerate(part_names(residuals.sensor)):
+        view = residuals.of_rays(owner == number)
+        found += [replace(c, amendment=c.amendment.at(name)) for e in own for c in _proposed(e, view)]
+    return found
 
 
 def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -52,6 +53,15 @@ class FitResiduals:
                 self.z < np.where(self.aimed, self.mu, self.range_max) - 4 * self.sigma
             )
             self.long = self.strange & (self.z > self.mu + 4 * self.sigma)
+
+    def of_rays(self, rays: Bools) -> FitResiduals:
+        """Return the view of some rays (n_rays,): of the others nothing is known."""
+        view = copy(self)
+        view.__dict__.pop("certain_loss", None)
+        for name in ("returned", "lost", "near", "aimed", "valid", "strange", "short", "long"):
+            setattr(view, name, getattr(self, name) & rays)
+        view.weight = np.where(rays, self.weight, 0.0)
+        return view
 
     @cached_property
     def certain_loss(self) -> Floats:
