@@ -52,6 +52,8 @@ class _State:
     surfaces: LineMap | None = None
     last_matched: int = 0
     """Scan."""
+    usual: float = 0.5
+    """Share of a scan's points that fit the key frames, on average lately."""
     failures: list[int] = field(default_factory=list)
     """Scans since then that fit nowhere."""
     velocity: Floats = field(default_factory=lambda: np.zeros(3))
@@ -126,6 +128,8 @@ class Tracker:
             return
         found = self._match(k, predicted, deviations)
         self.matched[k] = found is not None
+        if found is not None:
+            state.usual += self.settings.usual_rate * (found.agreement - state.usual)
         self.poses[k] = predicted if found is None else found.pose
         if found is None:
             self._bridge(k)
@@ -160,6 +164,7 @@ class Tracker:
 
     def _match(self, k: int, predicted: Floats, deviations: Floats | None) -> Match | None:
         """Return the best match, None where none is good enough."""
+        s = self.settings
         assert self.state.surfaces is not None
         points, normals = self.scans.points[self.scans.of(k)], self.scans.normals[self.scans.of(k)]
         if deviations is None:
@@ -173,7 +178,7 @@ class Tracker:
                 prior_information=information_at(predicted, deviations),
                 settings=self.matching,
             )
-        if self._is_good(first):
+        if self._is_good(first, s.usual_after_failure if self.state.failures else 0.0):
             return first
         return self._other_starts(points, normals, predicted, first)
 
@@ -190,12 +195,15 @@ class Tracker:
                     found = match(points, normals, self.state.surfaces, start, settings=self.matching)
                     if found.agreement > best.agreement:
                         best = found
-            if self._is_good(best):
+            if self._is_good(best, s.usual_elsewhere):
                 return best
-        return best if self._is_good(best) else None
+        return best if self._is_good(best, s.usual_elsewhere) else None
 
-    def _is_good(self, found: Match) -> bool:
-        return found.inliers >= self.settings.enough and found.overlap >= self.settings.least_overlap
+    def _is_good(self, found: Match, share: float) -> bool:
+        """Tell whether enough points fit, and at least a share of what usually does."""
+        s = self.settings
+        is_usual = found.agreement >= share * self.state.usual
+        return found.inliers >= s.enough and found.overlap >= s.least_overlap and is_usual
 
     def _edge(self, found: Match, predicted: Floats, deviations: Floats | None) -> Floats:
         """Return the information (3, 3) of the new key frame's pose in the last one."""

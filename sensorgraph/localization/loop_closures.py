@@ -97,12 +97,13 @@ class LoopCloser:
         for b, submap in enumerate(self.submaps):
             way = float(self.way[submap.middle]) - last_way
             is_broken = int(self.track.piece[submap.middle]) != last_piece
-            window = s.window + s.window_per_metre * way + (s.broken_window if is_broken else 0.0)
+            window = s.window + s.window_per_metre * way
             turn = s.turn_window + s.turn_window_per_metre * way
-            turn = np.pi if is_broken else min(turn, s.max_turn_window)
-            hits = 0
-            for a in self._candidates(b, s.reach + window):
-                hits += self._try(a, b, min(window, s.max_window), turn)
+            if is_broken:
+                hits = self._search_everywhere(b)
+            else:
+                window, turn = min(window, s.max_window), min(turn, s.max_turn_window)
+                hits = sum(self._try(a, b, window, turn) for a in self._candidates(b, s.reach + window))
             if hits:
                 last_way, last_piece = float(self.way[submap.middle]), int(self.track.piece[submap.middle])
                 new += hits
@@ -110,6 +111,16 @@ class LoopCloser:
                 self.graph.solve(PoseEdges.of(self.found))
                 new = 0
             progress(b, 2 * n)
+
+    def _search_everywhere(self, b: int) -> int:
+        """Look for a submap after a break of the track in all older pieces; return how many closures were kept."""
+        s, piece = self.settings, self.track.piece
+        older = [a for a in range(b) if piece[self.submaps[a].middle] != piece[self.submaps[b].middle]]
+        step = max(len(older) // s.broken_candidates, 1)
+        return sum(
+            self._try(a, b, s.broken_window, np.pi, guess=np.zeros(3), score=s.broken_score)
+            for a in older[::step]
+        )
 
     def _candidates(self, b: int, reach: float) -> Iterator[int]:
         """Yield older submaps near a submap, the nearest of each visit, the nearest first."""
@@ -129,12 +140,22 @@ class LoopCloser:
             if len(taken) == s.candidates:
                 return
 
-    def _try(self, a: int, b: int, window: float, turn: float) -> bool:
-        """Look for submap b in submap a; True if a closure was kept."""
+    def _try(
+        self,
+        a: int,
+        b: int,
+        window: float,
+        turn: float,
+        *,
+        guess: Floats | None = None,
+        score: float | None = None,
+    ) -> bool:
+        """Look for submap b in submap a, around a guess (None: where the graph has it); True if a closure was kept."""
         s, older, newer = self.settings, self.submaps[a], self.submaps[b]
         self._tried.add((a, b))
         poses = self.graph.poses
-        guess = compose(invert(poses[older.middle]), poses[newer.middle])
+        if guess is None:
+            guess = compose(invert(poses[older.middle]), poses[newer.middle])
         if len(newer.search_points) < 10 or len(older.points[0]) < 10:
             return False
         box = SearchWindow(
@@ -143,7 +164,7 @@ class LoopCloser:
         modes = older.pyramid.search(
             newer.search_points,
             box,
-            min_score=s.score,
+            min_score=s.score if score is None else score,
             max_modes=2,
             rival_ratio=s.rivalry,
             apart=(s.rival_apart, np.radians(10.0)),

@@ -131,12 +131,14 @@ def _moved_to(poses: Floats, covariances: Floats, origin: Floats) -> tuple[Float
 
 
 def _joined(tracked: ScanTrack, closed: ClosedTrack) -> Bools:
-    """Tell which pieces of track hang together with the longest, by closures that were kept."""
+    """Tell which pieces of track hang together with the longest, by closures that were kept: one alone can be false."""
     n_pieces = int(tracked.piece[-1]) + 1
     label = np.arange(n_pieces)
-    for a, b in zip(closed.closures.first, closed.closures.second, strict=True):
-        one, other = label[tracked.piece[a]], label[tracked.piece[b]]
-        label[label == other] = one
+    between = np.zeros((n_pieces, n_pieces), dtype=np.intp)
+    np.add.at(between, (tracked.piece[closed.closures.first], tracked.piece[closed.closures.second]), 1)
+    between += between.T
+    for a, b in zip(*np.nonzero(between >= FINAL.joining), strict=True):
+        label[label == label[b]] = label[a]
     weight = np.bincount(label[tracked.piece], minlength=n_pieces)
     return np.asarray(label == int(weight.argmax()))
 
@@ -145,6 +147,9 @@ def _notes(run: Run, tracked: ScanTrack, joined: Bools, without_odometry: bool) 
     notes = []
     if without_odometry:
         notes.append("no odometry, or one that never moves: by scan matching alone")
+    n_same = int((np.diff(run.stamps) == 0).sum())
+    if n_same:
+        notes.append(f"{n_same} scans have the stamp of the one before: taken in the order of the log")
     if tracked.jumps:
         first = run.stamps[tracked.jumps[0]]
         notes.append(f"the odometry jumps {len(tracked.jumps)} times, first at {first:.1f} s: not used there")

@@ -137,6 +137,12 @@ class FrontEndSettings:
     """Share of the points near a surface that must lie on it; below, other starts are tried."""
     least_overlap: float = 0.3
     """Share of the points that must have a surface near them."""
+    usual_elsewhere: float = 0.85
+    """Share of the usual agreement that a match from another start needs: in a room much fits somewhere."""
+    usual_after_failure: float = 0.5
+    """The same of a match near the prediction, after scans that fitted nowhere."""
+    usual_rate: float = 0.05
+    """Weight of a new match in the usual agreement."""
     start_turns: tuple[float, ...] = (0.0, -0.1, 0.1, -0.21, 0.21)
     """[rad] of the other starts."""
     start_ways: tuple[float, ...] = (0.0, -0.25, 0.25)
@@ -207,8 +213,12 @@ class ClosureSettings:
     """[rad/m] more of it per way since the last closure."""
     max_turn_window: float = 0.8
     """[rad] at most."""
-    broken_window: float = 3.0
-    """[m] more of the window after the track broke, until the next closure."""
+    broken_window: float = 6.0
+    """[m] half width of the search around each older submap after the track broke, until the next closure."""
+    broken_candidates: int = 40
+    """Older submaps that are tried then."""
+    broken_score: float = 0.75
+    """Of the likelihood field, below which nothing fits then: there is no guess that speaks for it."""
     candidates: int = 3
     """Older visits of a place that are tried for each submap."""
     score: float = 0.55
@@ -295,6 +305,8 @@ class FinalSettings:
     """Share of the points near surfaces that must lie on them."""
     overlap: float = 0.3
     """Share of the points that must have surfaces near."""
+    joining: int = 2
+    """Loop closures that agree, before a piece of track after a break is believed to lie where they say."""
 
 
 FINAL = FinalSettings()
