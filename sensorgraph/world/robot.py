@@ -138,8 +138,8 @@ POSITIVE = {
 }
 
 
-ANGLES = {"fov", "cone", "first", "sigma_yaw", "mount_yaw", "pose_yaw"}
-"""Keys whose values [rad] may be written in degrees: `270 deg`; so may the yaw of a `mount`."""
+ANGLES = ("fov", "cone", "first", "_yaw")
+"""Ends of the keys whose values [rad] may be written in degrees: `270 deg`; so may the yaw of a `mount`."""
 ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}
 
 
@@ -331,7 +331,7 @@ def _value(name: str, key: str, value: Any, default: Any) -> Any:
                 f"{name}: `{key}` is {value!r}, expected {len(default)} numbers such as {default}"
             )
         return [float(v) for v in value]
-    whole, is_angle = isinstance(default, int), key.split(".")[-1] in ANGLES
+    whole, is_angle = isinstance(default, int), key.endswith(ANGLES)
     value = _number(value, is_angle=is_angle)
     if not _is_number(value) or (whole and value != int(value)):
         unit = " of radians, or an angle with its unit such as `180 deg`," if is_angle else ""
