@@ -174,6 +174,8 @@ def test_a_graph_of_cones_is_kept_and_is_not_updated(
         sg.build(run, update=graph)
     with pytest.raises(SensorgraphError, match="cells take thin rays: set `model` faces"):
         sg.build(run, model="cells")
+    with pytest.raises(SensorgraphError, match="a calibration takes thin rays: leave `calibrate` out"):
+        sg.build(run, calibrate=True)
 
 
 def test_a_polynomial_says_that_it_is_of_the_nearest_surface(room: Arena) -> None:

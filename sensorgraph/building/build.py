@@ -60,12 +60,16 @@ def build(
     names = [_name(run, i) for i, run in enumerate(runs)] if names is None else names
     sources = [WholeRun(head=run) if isinstance(run, Run) else run for run in runs]
     _check_alike([source.head for source in sources], names)
-    if model == "cells" or options.get("cells"):
-        for source, name in zip(sources, names, strict=True):
-            check_rays(
-                source.head.sensor, name, takes="cells take",
-                remedy="set `model` faces or polynomial, or choose one sensor with `topics` scan=NAME", one_place=False,
-            )  # fmt: skip
+    for is_asked, what, remedy in (
+        (model == "cells" or options.get("cells"), "cells take", "set `model` faces or polynomial"),
+        (options.get("calibrate"), "a calibration takes", "leave `calibrate` out"),
+    ):
+        if is_asked:
+            for source, name in zip(sources, names, strict=True):
+                check_rays(
+                    source.head.sensor, name, takes=what, one_place=False,
+                    remedy=f"{remedy}, or choose one laser with `topics` scan=NAME",
+                )  # fmt: skip
     bounds = None if arena is None else arena.bounds
     feed = TrainingData(sources, names, split=split, bounds=bounds, force=force)
     if update is not None:
