@@ -75,8 +75,8 @@ def diagnose(
         with_poses(run, path, poses, walls, name=place, options=reading)
         for run, path in zip(loaded, runs, strict=True)
     ]
-    for path, run in zip(runs, loaded, strict=True):
-        say_ray_order(str(path), run.sensor.bearings, machine.name, machine.sensor.bearings)
+    for path, bearings in zip(runs, [run.sensor.bearings for run in loaded], strict=True):
+        say_ray_order(str(path), bearings, machine.name, machine.sensor.bearings)
     known = _known(effects, walls)
     baseline = (
         None
@@ -84,10 +84,10 @@ def diagnose(
         else _commission([_read(path, reading) for path in commissioning], walls, machine, seed)
     )
     finding = diagnose_run(
-        loaded[0],
+        loaded.pop(0),  # so that nobody keeps the scans of a long log when they are not needed any more
         walls,
         machine,
-        second=loaded[1] if len(loaded) > 1 else None,
+        second=loaded.pop() if loaded else None,
         known=known,
         baseline=baseline,
         seed=seed,

@@ -91,8 +91,9 @@ def diagnose(
     SensorgraphError
         A run is too short, has no returns or no poses, poses that jump, or is of another sensor or place.
     """
-    for given in (run,) if second is None else (run, second):
-        check_jumps(given, pair(given), force=force)
+    check_jumps(run, pair(run), force=force)
+    if second is not None:
+        check_jumps(second, pair(second), force=force)
     rng = np.random.default_rng(seed)
     clock = _StageClock(progress)
     if baseline is not None:
@@ -110,6 +111,7 @@ def diagnose(
         )
         held = held_out(data)
         train, unseen = data.subset(~held), data.subset(held)
+        run, second = _without_scans(run), None  # from here on a long log's scans would only take memory
     with clock.stage(
         "odometry and drive"
     ):  # first, as both this and the scans need much memory in a long run
@@ -162,6 +164,11 @@ class _StageClock:
             tick(0, 1)
             yield tick
         self.seconds[name] = self.seconds.get(name, 0.0) + time.process_time() - begin
+
+
+def _without_scans(run: Run) -> Run:
+    """Return the motion of a run alone."""
+    return replace(run, stamps=run.stamps[:0], ranges=run.ranges[:0])
 
 
 def _max_effects(alignment: Alignment) -> int:

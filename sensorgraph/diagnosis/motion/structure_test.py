@@ -174,18 +174,17 @@ class StructureTest:
 
     def _screened(self, own: Floats, families: Sequence[StructureFamily]) -> list[float]:
         """Return the evidence of each family beside columns (2 n, k) if the noise stays as it is [nats]."""
-        k, white_y = own.shape[1], self.whitener(self.y)
-        Z, first = np.empty((len(self.y), k + self.nuisances.shape[1])), 0
-        for columns, scale in self._parts(own, None):  # the same for all families, and most of the work
-            Z[:, first : first + len(scale)] = self.whitener(columns) * scale
-            first += len(scale)
-        G_alone, b_alone, out = Z.T @ Z, Z.T @ white_y, []
-        m = len(b_alone) - k
+        parts = self._parts(own, None)
+        parts += [(family.columns, np.full(family.columns.shape[1], family.sigma)) for family in families]
+        scale = np.concatenate([scale for _, scale in parts])
+        G_all, b_all = self.whitener.normal_equations([columns for columns, _ in parts], self.y)
+        G_all, b_all = G_all * np.outer(scale, scale), b_all * scale
+        k, m, out = own.shape[1], self.nuisances.shape[1], []
+        first = k + m
         for family in families:
-            F = self.whitener(family.columns * family.sigma)
-            cross = Z.T @ F
-            G = np.block([[G_alone, cross], [cross.T, F.T @ F]])
-            b = np.concatenate([b_alone, F.T @ white_y])
+            mine = np.r_[: k + m, first : first + family.columns.shape[1]]
+            first += family.columns.shape[1]
+            G, b = G_all[np.ix_(mine, mine)], b_all[mine]
             c = b[k:] - G[k:, :k] @ np.linalg.solve(G[:k, :k] + np.diag(_ridge(G, k)), b[:k])
             H = np.eye(len(G) - k) + _information_beside(G, k)
             out.append(_gain(H, c) - _gain(H[:m, :m], c[:m]) - family.choice_price)
