@@ -27,8 +27,11 @@ import logs
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from planners.maps import geojson
+from sensorgraph.localization.front_end import track
+from sensorgraph.localization.loop_closures import LoopCloser, spread
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.localization.pose_graph import PoseEdges, PoseGraph
 from sensorgraph.localization.result import Localization
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.recording.controllers import WallFollowing
@@ -160,8 +163,7 @@ def raw(data: Path, name: str) -> Run:
 
 def compare_relations(data: Path) -> None:
     run = raw(data, "aces")
-    with gzip.open(data / "raw-carmen" / "aces.relations.gz", "rt") as file:
-        relations = np.loadtxt(file)
+    relations = read_relations(data)
     motion = odometry_of(run)
     assert motion is not None
     print(relations_row("wheels", relation_errors(run, odometry_at_scans(run, motion), relations)))
@@ -189,6 +191,48 @@ def compare_sharpness(data: Path) -> None:
         print(
             f"  ATE to the published poses {100 * np.sqrt((error[:, :2] ** 2).sum(axis=1).mean()):.1f} cm rms"
         )
+
+
+def compare_planted(data: Path) -> None:
+    """Plant closures between places far apart, each as sure of itself as a true one."""
+    run, relations = raw(data, "aces"), read_relations(data)
+    motion = odometry_of(run)
+    assert motion is not None
+    scans = scan_points(run, motion)
+    tracked = track(scans, run.stamps, odometry_at_scans(run, motion), no_ticks)
+    closer = LoopCloser(scans, tracked)
+    closer.run(no_ticks)
+    middles = np.array([submap.middle for submap in closer.submaps])
+    start = tracked.poses[tracked.key_frames]
+    for n in (0, 7, 21, 42):
+        rng = np.random.default_rng(n)
+        false = []
+        while len(false) < n:
+            a, b = np.sort(rng.choice(middles, 2, replace=False))
+            if b - a > closer.settings.apart:
+                shift = rng.uniform((-1.0, -1.0, -0.2), (1.0, 1.0, 0.2))
+                truth = compose(invert(closer.graph.poses[a]), closer.graph.poses[b])
+                information = closer.found[int(rng.integers(len(closer.found)))][3]
+                false.append((int(a), int(b), truth + shift + np.sign(shift) * [0.5, 0.5, 0.0], information))
+        graph = PoseGraph(start, closer.steps)
+        rows = closer.found + false
+        graph.solve(PoseEdges.of(rows))
+        poses, kept = graph.solve_robustly(PoseEdges.of(rows))
+        errors = relation_errors(run, spread(tracked, poses), relations)
+        n_true = len(closer.found)
+        print(
+            relations_row(f"{n} false", errors)
+            + f"   kept {int(kept[:n_true].sum())} of {n_true} found, {int(kept[n_true:].sum())} of {n} planted"
+        )
+
+
+def no_ticks(done: int, total: int) -> None:
+    """Show nothing."""
+
+
+def read_relations(data: Path) -> Floats:
+    with gzip.open(data / "raw-carmen" / "aces.relations.gz", "rt") as file:
+        return np.loadtxt(file)
 
 
 def first_scans(run: Run, n: int) -> Run:
@@ -234,7 +278,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=("relations", "sharpness", "offices"))
+    parser.add_argument("what", choices=("relations", "sharpness", "offices", "planted"))
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--seeds", type=int, default=20, help="offices to drive through")
     parser.add_argument("--first", type=int, default=0, help="seed of the first office")
@@ -244,6 +288,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.what == "relations":
         compare_relations(options.data)
+    elif options.what == "planted":
+        compare_planted(options.data)
     elif options.what == "sharpness":
         compare_sharpness(options.data)
     else:
