@@ -7,7 +7,7 @@ import numpy as np
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.covariances import key_frame_covariances
-from sensorgraph.localization.front_end import ScanTrack, information_at, points_in, track
+from sensorgraph.localization.front_end import ScanTrack, information_at, track
 from sensorgraph.localization.line_map import LineMap, line_map, thinned
 from sensorgraph.localization.loop_closures import ClosedTrack, close_loops, spread
 from sensorgraph.localization.matching import match
@@ -79,7 +79,8 @@ def _place_all(
     key_covariances, shared = key_frame_covariances(refined, rng)
     poses = spread(tracked, refined.poses)
     matching = MATCH.for_spacing(scans.spacing)
-    surfaces = line_map(*thinned(*points_in(scans, keys, refined.poses)), side=matching.first_radius)
+    normals = refined.frames.placed(refined.poses)[1]
+    surfaces = line_map(*thinned(refined.system.surface, normals), side=matching.first_radius)
     index = np.arange(n)
     left = np.clip(np.searchsorted(keys, index, side="right") - 1, 0, len(keys) - 1)
     right = np.minimum(left + 1, len(keys) - 1)

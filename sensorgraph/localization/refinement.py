@@ -90,6 +90,8 @@ class ReducedSystem:
     """(n_edges, 3)"""
     noise: float
     """[m] of a point around its patch."""
+    surface: Floats
+    """(n_points, 2) [m] all points in map, moved onto the line of their patch where they have one."""
 
     def times(self, x: Floats) -> Floats:
         """Return the reduced normal matrix times x (3 n_frames, m)."""
@@ -142,6 +144,7 @@ def linearise(
     """Cut the surfaces into patches, and linearise all residuals at the poses (n_frames, 3)."""
     n = len(poses)
     points, normals = frames.placed(poses)
+    surface = points.copy()
     patch_map = cut_patches(points, normals, side, settings.roundness)
     patch = assign(points, normals, patch_map, gate)
     used = np.flatnonzero(patch >= 0)
@@ -151,6 +154,7 @@ def linearise(
         points, patch, frame, patch_map.normals, sigma, settings
     )
     kept = weight > 0
+    surface[used[kept]] -= residual[kept, None] * normal[kept]
     patch, frame, points = patch[kept], frame[kept], points[kept]
     weight, residual, along, normal = weight[kept], residual[kept], along[kept], normal[kept]
     lever = points - poses[frame, :2]
@@ -202,6 +206,7 @@ def linearise(
         edge_rows=rows,
         edge_residuals=edge_residuals,
         noise=noise,
+        surface=surface,
     )
 
 
