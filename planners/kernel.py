@@ -12,6 +12,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -92,7 +93,10 @@ def compile_for(*calls: tuple[Callable[..., object], tuple[object, ...]]) -> Non
             [sys.executable, "-c", HELPER], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
         assert helper.stdin is not None
-        with helper.stdin as pipe:
+        with (
+            suppress(BrokenPipeError),
+            helper.stdin as pipe,
+        ):  # if it died at its start, this process does its part
             pipe.write(pickle.dumps((sys.path, new[1::2])))
     theirs = {name for _, name, _ in new[1::2]} if helper else set()
     for function, kinds in types:

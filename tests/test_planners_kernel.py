@@ -50,6 +50,23 @@ def test_where_nothing_can_be_kept_it_works_and_says_so_once(tmp_path: Path) -> 
     assert line.startswith("compiled code cannot be kept") and "NUMBA_CACHE_DIR" in line
 
 
+STILLBORN = """
+import subprocess
+class Stillborn(subprocess.Popen):
+    def __init__(self, command, **options):
+        super().__init__([command[0], "-c", "raise SystemExit(1)"], **options)
+        self.wait()
+subprocess.Popen = Stillborn
+import os
+os.cpu_count = lambda: 2
+"""
+"""A helper that dies before it is told what to compile."""
+
+
+def test_without_its_helper_a_process_compiles_alone(tmp_path: Path) -> None:
+    assert run(tmp_path, STILLBORN + SCRIPT).stdout.strip() == "[[1, 1, 1], [0, 0, 0], [1, 1, 1]]"
+
+
 INNER = """
 import numpy as np
 from planners.kernel import inner_kernel, outer_kernel
