@@ -90,6 +90,8 @@ class MapTrackingSettings:
     """[s] without such a match, or `patience_way`, after which the robot is lost."""
     patience_way: float = 2.0
     """[m]"""
+    back_patience: float = 1.0
+    """[s] the same on the way back from where it was found."""
     found_fit: float = 0.6
     """`GlobalPlaces.fit` from which on a place without rivals is believed."""
     near_fit: float = 0.5
@@ -134,10 +136,10 @@ class MapTrackingSettings:
     """Times a match with a map knows less than its residuals say: surfaces are shared by neighbouring scans."""
     place_floor: tuple[float, float, float] = (0.0007, 0.0007, 0.0002)
     """[m, m, rad] least standard deviations of a pose in a map."""
-    map_share: float = 0.6
+    map_share: float = 0.8
     """Standard deviation of a pose in a map, as a share of how much more the returns scatter around its walls than the
     laser's noise explains: so far the walls are off."""
-    map_share_turn: float = 0.15
+    map_share_turn: float = 0.2
     """[rad/m] the same of its heading."""
     step_floor: tuple[float, float, float] = (0.003, 0.003, 0.0008)
     """[m, m, rad] standard deviations of the laser's odometry from scan to scan, however short."""

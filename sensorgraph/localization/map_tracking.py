@@ -92,11 +92,7 @@ class MapTracker:
                 self._search(k)
             if k % 50 == 0:
                 progress(k, n)
-        for k in range(n - 2, -1, -1):
-            if np.isnan(self.poses[k, 0]) and not np.isnan(self.poses[k + 1, 0]) and not self.breaks[k + 1]:
-                fit = self._follow(k, k + 1)
-                if fit is None or fit < self.settings.sure_fit:
-                    self.poses[k], self.information[k] = np.nan, 0.0
+        self._follow_back()
         progress(n, n)
         return MapTrack(
             poses=self.poses,
@@ -105,6 +101,22 @@ class MapTracker:
             rivals=self.rivals,
             best_fit=self.best_fit,
         )
+
+    def _follow_back(self) -> None:
+        """Follow the robot backwards from where it was found, over single scans that do not fit."""
+        s, last_good = self.settings, len(self.poses) - 1
+        for k in range(len(self.poses) - 2, -1, -1):
+            if not np.isnan(self.poses[k, 0]) or np.isnan(self.poses[k + 1, 0]) or self.breaks[k + 1]:
+                self.poses[k + 1 : last_good] = np.nan  # the scans at the end of the way back that do not fit
+                last_good = k
+                continue
+            fit = self._follow(k, k + 1)
+            if fit is not None and fit >= s.sure_fit:
+                last_good = k
+                continue
+            self.information[k] = 0.0
+            if self.stamps[last_good] - self.stamps[k] > s.back_patience:
+                self.poses[k:last_good] = np.nan
 
     def _go_on(self, k: int) -> None:
         """Follow the robot to scan k, or lose it."""
