@@ -7,7 +7,7 @@ Truth is the whole log, located together (`sensorgraph locate`): both halves are
   models and the defaults of Nav2's parameters, which is told where to start
 - `kidnap`: 30 times, 15 s of log go on at another covered place
 
-    python benchmarks/localize_in_map.py ../shared/data/raw-carmen/intel.clf.bz2 --work /tmp/in_map
+    python -m benchmarks.localize_in_map ../shared/data/raw-carmen/intel.clf.bz2 --work /tmp/in_map
 """
 
 from __future__ import annotations
