@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any, Generic, TypeVar
@@ -40,7 +42,9 @@ class OtherProcess(Generic[Result]):
             self._process = context.Process(
                 target=_run, args=(theirs, self._work, self._arguments), daemon=True
             )
-            self._process.start()
+            resource_tracker.ensure_running()  # or it starts with the process, and lets Ctrl-C through
+            with _interrupt_blocked():  # for the new process, too, until it can end in silence
+                self._process.start()
             theirs.close()
             self._reader = threading.Thread(target=self._read, args=(ours,), daemon=True)
             self._reader.start()
@@ -93,6 +97,22 @@ class OtherProcess(Generic[Result]):
             self._stage = message
 
 
+def _block_interrupt(is_blocked: bool) -> None:
+    """Let Ctrl-C wait, or come through, where signals can be blocked."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_BLOCK if is_blocked else signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+@contextmanager
+def _interrupt_blocked() -> Iterator[None]:
+    """Let Ctrl-C wait until the end of the block; what is started within inherits that."""
+    _block_interrupt(True)
+    try:
+        yield
+    finally:
+        _block_interrupt(False)
+
+
 def _run(pipe: Connection, work: Callable[..., object], arguments: tuple[object, ...]) -> None:
     """Run the work in this process and send its progress and what came of it."""
 
@@ -109,6 +129,7 @@ def _run(pipe: Connection, work: Callable[..., object], arguments: tuple[object,
         yield tick
 
     try:
+        _block_interrupt(False)
         answer = True, work(*arguments, progress=progress)
     except KeyboardInterrupt:
         return

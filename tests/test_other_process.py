@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -59,3 +62,52 @@ def test_errors_come_over() -> None:
 def test_a_process_that_dies_is_an_error() -> None:
     with OtherProcess(die) as other, pytest.raises(RuntimeError, match="die ended without an answer"):
         other.result(noted)
+
+
+SLOW = """
+import multiprocessing, time
+from pathlib import Path
+
+if multiprocessing.current_process().name != "MainProcess":
+    Path("started").touch()
+    time.sleep(9)
+
+def work(*, progress):
+    pass
+"""
+"""A module that its process imports when Ctrl-C comes."""
+INTERRUPTED = """
+import os, signal, time
+from pathlib import Path
+from slow import work
+from sensorgraph.other_process import OtherProcess
+
+if __name__ == "__main__":
+    try:
+        with OtherProcess(work):
+            while not Path("started").exists():
+                time.sleep(0.01)
+            try:
+                os.killpg(0, signal.SIGINT)
+                time.sleep(9)
+            finally:
+                time.sleep(0.3)  # as a busy process takes
+    except KeyboardInterrupt:
+        print("interrupted")
+"""
+
+
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is no other process")
+def test_ctrl_c_while_the_process_starts_ends_both_in_silence(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    (tmp_path / "interrupted.py").write_text(INTERRUPTED)
+    done = subprocess.run(
+        [sys.executable, "interrupted.py"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path.cwd())},
+        capture_output=True,
+        text=True,
+        timeout=30,
+        start_new_session=True,
+    )
+    assert (done.stdout, done.stderr) == ("interrupted\n", "")
