@@ -1,9 +1,9 @@
 """How good the poses are that a run's own scans and wheels give.
 
-    python benchmarks/locate.py relations            # aces against relations verified by hand
-    python benchmarks/locate.py sharpness            # three raw logs; published corrected poses beside ours
-    python benchmarks/locate.py offices --seeds 20   # simulated offices with truth: error and coverage
-    python benchmarks/locate.py planted              # false closures planted among the true ones of aces
+    python -m benchmarks.locate relations            # aces against relations verified by hand
+    python -m benchmarks.locate sharpness            # three raw logs; published corrected poses beside ours
+    python -m benchmarks.locate offices --seeds 20   # simulated offices with truth: error and coverage
+    python -m benchmarks.locate planted              # false closures planted among the true ones of aces
 
 Real logs are looked for in ../shared/data (--data).
 """
@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from offices import office
 from scipy.spatial import cKDTree
 
 import logs
+from benchmarks.offices import office
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from planners.maps import geojson
