@@ -178,7 +178,7 @@ def test_march_lists_the_crossings_that_all_faces_against_all_rays_give() -> Non
     assert crossings > 500
 
 
-def test_faces_that_lie_a_country_apart_are_refused_in_one_line() -> None:
+def test_faces_too_far_apart_for_the_grid_are_refused_in_one_line() -> None:
     faces = FaceSet(
         normals=np.array([[1.0, 0.0], [0.0, 1.0]]),
         offsets=np.array([1e6, 1e6]),

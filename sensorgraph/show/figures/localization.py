@@ -19,6 +19,7 @@ from sensorgraph.show.figures.style import (
     SOLID,
     TEAL,
     TEXT,
+    TITLE_ROOM,
     map_height,
     new_figure,
     reduce_frame,
@@ -43,7 +44,8 @@ def localization_picture(run: Run, found: Localization, path: Path, *, walls: Fl
     inside = points if len(points) else found.poses[:, :2]
     low, high = np.percentile(inside, 0.5, axis=0) - 1.0, np.percentile(inside, 99.5, axis=0) + 1.0
     bounds = (low[0], low[1], high[0], high[1])
-    figure = new_figure(9.0, map_height(8.4, bounds, 3.0, 12.0) + 0.6)
+    figure = new_figure(9.0, map_height(8.4, bounds, 3.0, 12.0) + TITLE_ROOM)
+    figure.get_layout_engine().set(h_pad=0.12)  # [in] the title is not cut
     axes = figure.subplots()
     if walls is not None:
         for wall in walls:
