@@ -36,6 +36,9 @@ def test_doubt_is_one_where_nothing_is_answered_and_lower_elsewhere(left: Sensor
     assert score[0, 0].max() == 0.0
     assert score[12:, 2:-2].min() == 1.0
     assert score[2:6, 3:9].max() <= 0.5
+    few = uncertainty(left, grid, max_rays=12)  # of 61: those between see much the same
+    assert np.abs(few - score).max() < 0.1
+    assert not np.array_equal(few, score)
 
 
 def test_the_planner_goes_first_where_the_graph_knows_least(left: Sensorgraph, room: Arena) -> None:

@@ -14,12 +14,17 @@ UNKNOWN = 1.0
 """Of a ray that the graph does not answer; an answered ray counts its chance of being off, which is less."""
 
 
-def uncertainty(graph: Sensorgraph, grid: Coverage) -> Floats:
-    """Return the mean doubt (nx, ny, n_phi) over all rays at the middle of each reachable bin, 0 to 1; 0 elsewhere.
+def uncertainty(graph: Sensorgraph, grid: Coverage, *, max_rays: int | None = None) -> Floats:
+    """Return the mean doubt (nx, ny, n_phi) over rays at the middle of each reachable bin, 0 to 1; 0 elsewhere.
 
     An unanswered ray counts 1, an answered one half its said chance of being more than 5 cm off: where nobody
     has looked comes before where the equations are poor.
+
+    Parameters
+    ----------
+    max_rays : ask every n-th ray only, so that these are not many more; None: all
     """
+    rays = np.arange(0, graph.sensor.n_rays, max(1, graph.sensor.n_rays // (max_rays or graph.sensor.n_rays)))
     bins = np.argwhere(grid.reachable)
     middle = grid.origin + grid.cell * (bins[:, :2] + 0.5)
     poses = np.column_stack([middle, bins[:, 2] * (2 * np.pi / grid.headings)])
@@ -27,7 +32,7 @@ def uncertainty(graph: Sensorgraph, grid: Coverage) -> Floats:
     out = np.zeros(grid.counts.shape)
     score = np.empty(len(bins))
     for start in range(0, len(bins), POSES_PER_BLOCK):
-        said = graph.predict(poses[start : start + POSES_PER_BLOCK])
+        said = graph.predict(poses[start : start + POSES_PER_BLOCK], rays=rays)
         score[start : start + POSES_PER_BLOCK] = np.where(said.answered, 0.5 * said.p_off, UNKNOWN).mean(
             axis=1
         )

@@ -26,6 +26,8 @@ N_HEADINGS = 16
 """Heading bins of a full turn."""
 DOUBT_HEADINGS = 4
 """Headings in which the graph is asked what it would not answer from a place."""
+DOUBT_RAYS = 60
+"""Rays that it is asked for in each; those between see much the same."""
 MIN_RAYS_THROUGH = 20
 """Rays through a cell that make it free where there is no map."""
 MAX_REACH = 10.0
@@ -256,7 +258,7 @@ def _doubt_map(graph: Sensorgraph, grid: Coverage) -> DoubtMap:
     nx, ny = np.array(free.shape) // 2
     whole: Bools = np.asarray(free[: 2 * nx, : 2 * ny].reshape(nx, 2, ny, 2).all(axis=(1, 3)))
     coarse = Coverage.empty(origin=grid.origin, cell=2 * grid.cell, cells=whole, headings=DOUBT_HEADINGS)
-    value = uncertainty(graph, coarse).mean(axis=2)
+    value = uncertainty(graph, coarse, max_rays=DOUBT_RAYS).mean(axis=2)
     return DoubtMap(origin=grid.origin, cell=coarse.cell, doubt=np.where(whole, value, np.nan))
 
 
