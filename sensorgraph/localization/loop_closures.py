@@ -8,7 +8,7 @@ says nothing, and is left out (Olson 2009; Hess et al. 2016; traps of the study)
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -223,15 +223,7 @@ class LoopCloser:
         return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
 
     def _refuse(self, closure: Closure, reason: str) -> None:
-        self.refused.append(
-            Closure(
-                first=closure.first,
-                second=closure.second,
-                relative=closure.relative,
-                inliers=closure.inliers,
-                reason=reason,
-            )
-        )
+        self.refused.append(replace(closure, reason=reason))
 
 
 def close_loops(

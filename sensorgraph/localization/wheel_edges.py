@@ -14,7 +14,7 @@ from sensorgraph.localization.front_end import ScanTrack
 from sensorgraph.localization.pose_graph import PoseEdges
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.settings import WHEELS, WheelSettings
-from sensorgraph.localization.wheels import WheelEstimate, corrected_steps, identify_wheels
+from sensorgraph.localization.wheels import WheelEstimate, corrected_steps, identify_wheels, signed_way
 from sensorgraph.types import Floats, Ints
 
 
@@ -77,7 +77,7 @@ class WheelSteps:
         s = self.settings
         relative = corrected_steps(self.steps, found.way_scale, found.turn_scale, found.heading_bias)
         estimate = WheelEstimate(s)
-        way = np.hypot(self.steps[:, 0], self.steps[:, 1]) * np.where(self.steps[:, 0] >= 0, 1.0, -1.0)
+        way = signed_way(self.steps)
         sd = np.array([estimate.deviations(abs(w), t) for w, t in zip(way, relative[:, 2], strict=True)])
         off = measured - relative
         off[:, 2] = wrap(off[:, 2])

@@ -44,7 +44,7 @@ class WheelEstimate:
 
     def learn(self, step: Floats, measured: Floats) -> None:
         """Take in a step (3,) of the odometry and the same step as the laser measured it."""
-        way = float(np.hypot(step[0], step[1])) * (1.0 if step[0] >= 0 else -1.0)
+        way = float(signed_way(step))
         sd = self.deviations(abs(way), float(step[2]))
         off = measured - self.corrected(step)
         if (np.abs([off[0], off[1], wrap(off[2])]) > self.settings.outlier * sd).any():
@@ -60,9 +60,14 @@ class WheelEstimate:
         self.turn_scale, self.heading_bias = np.linalg.solve(self._turn_information, self._turn_moment)
 
 
+def signed_way(steps: Floats) -> Floats:
+    """Return how far steps (..., 3) [m, m, rad] in base_link lead [m]; backwards is less than 0."""
+    return np.asarray(np.hypot(steps[..., 0], steps[..., 1]) * np.where(steps[..., 0] >= 0, 1.0, -1.0))
+
+
 def corrected_steps(steps: Floats, way_scale: float, turn_scale: float, heading_bias: float) -> Floats:
     """Return steps (..., 3) [m, m, rad] of the odometry with its scales and its heading bias undone."""
-    way = np.hypot(steps[..., 0], steps[..., 1]) * np.where(steps[..., 0] >= 0, 1.0, -1.0)
+    way = signed_way(steps)
     missed = (turn_scale - 1.0) * steps[..., 2] + heading_bias * way
     cos, sin = np.cos(missed / 2), np.sin(missed / 2)  # half the turn it missed, on the way
     x = way_scale * (cos * steps[..., 0] - sin * steps[..., 1])
@@ -76,7 +81,7 @@ def identify_wheels(steps: Floats, measured: Floats, settings: WheelSettings = W
     What is believed beforehand counts, so that turns and ways that always come together are told apart by it. Steps
     that deviate by more than `settings.outlier` robust standard deviations are left out: slip.
     """
-    way = np.hypot(steps[:, 0], steps[:, 1]) * np.where(steps[:, 0] >= 0, 1.0, -1.0)
+    way = signed_way(steps)
     s = settings
     ahead, (way_sd,) = _regress(
         steps[:, :1], measured[:, 0], np.array([1.0]), np.array([s.way_scale_sd]), s.outlier
