@@ -284,7 +284,7 @@ def test_a_fit_recovers_what_was_planted(
 
 def test_replicates_are_as_the_model_says(quiet: ScanData, null: Fitted) -> None:
     rng = np.random.default_rng(1)
-    ratios = [dispersion(FitResiduals(*replicate(quiet, null, rng))) for _ in range(6)]
+    ratios = [dispersion(FitResiduals(*replicate(quiet, null, rng))).ratio for _ in range(6)]
     assert 0.8 < np.mean(ratios) < 1.2
 
 
@@ -294,7 +294,23 @@ def test_scans_that_differ_show_in_the_dispersion(quiet: ScanData) -> None:
     noisy = quiet.ranges + rng.normal(size=quiet.ranges.shape) * np.where(bursts, 0.02, 0.0)[:, None]
     changed = replace(quiet, ranges=noisy, memo={})
     got = fit(changed, (), start_state(changed, NoiseBounds()), NoiseBounds(), outer=1, inner=5)
-    assert dispersion(FitResiduals(changed, got)) > 2
+    assert dispersion(FitResiduals(changed, got)).ratio > 2
+
+
+@pytest.mark.parametrize("size", [0.0036, 0.012])
+def test_what_is_sure_but_small_is_no_doubt_and_a_doubt_says_its_size(quiet: ScanData, size: float) -> None:
+    step = size * np.sign(np.sin(6 * quiet.sensor.bearings))  # no effect of the library has such steps
+    fine = replace(quiet.sensor, sigma=0.003)
+    noise = np.random.default_rng(4).normal(size=quiet.ranges.shape) * fine.sigma
+    ideal = fit(quiet, (), start_state(quiet, NoiseBounds()), NoiseBounds(), outer=1, inner=1).cast
+    data = replace(quiet, sensor=fine, ranges=ideal.expected.reading + noise + step, memo={})
+    got = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=6)
+    doubt = check(data, got, 0.0, {}, rng=np.random.default_rng(5))
+    if size < 0.005:
+        assert not doubt.is_doubted and doubt.immaterial
+    else:
+        assert doubt.size is not None and 0.5 * size < doubt.size.offset < 1.5 * size
+        assert any("bearing" in cause for cause in doubt.causes)
 
 
 def test_one_block_in_eight_is_held_out(quiet: ScanData) -> None:

@@ -82,6 +82,7 @@ def name_scan_effects(
             for i, rival, short in rivals
         ),
         deviations=tuple(deviations),
+        notes={"immaterial": list(fit.immaterial)} if fit.immaterial else {},
     )
     return ScanNames(
         result=without_close_calls(result),
@@ -185,11 +186,15 @@ def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
 def _unknown(fit: GoodnessOfFit) -> Unknown | None:
     if not fit.is_doubted:
         return None
+    size = "" if fit.size is None else f"; {fit.size.sentence()}"
     return Unknown(
-        statement=f"something no effect of the library explains: {fit.statement}",
+        statement=f"something no effect of the library explains: {fit.statement}{size}",
         deviation=fit.deviation,
         statistic=fit.statistic,
         threshold=fit.threshold,
+        size={} if fit.size is None else fit.size.to_dict(),
+        consequence="" if fit.size is None else fit.size.sentence(),
+        families=fit.causes,
     )
 
 

@@ -66,6 +66,8 @@ class Unknown:
     threshold: float = 0.0
     size: Mapping[str, float] = field(default_factory=dict)
     """By how much a simulation without it is off, each number named with its unit."""
+    consequence: str = ""
+    """The same in words."""
     families: tuple[str, ...] = ()
     """What it may be, in the words of a robot engineer, the likeliest first."""
 

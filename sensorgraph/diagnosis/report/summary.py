@@ -90,6 +90,7 @@ def summarise(finding: Finding) -> Summary:
             else "No effect of the library explains it: "
         )
         details.insert(0, f"{lead}{text}.")
+        details[1:1] = _of_use(unknown, text)
         if (
             finding.intake.get("share_at_walls", 1.0) < SCAN.alignment.good_share
         ):  # said first: names mean little there
@@ -124,6 +125,17 @@ def _worse_than_stated(finding: Finding) -> str:
         for name, scale in scales
         if scale is not None and scale >= least
     )
+
+
+def _of_use(unknown: Unknown, said: str) -> list[str]:
+    """Say what the unknown costs, unless that is said, and what it may be."""
+    out = []
+    if unknown.consequence and unknown.consequence not in said:
+        out.append(sentence_case(unknown.consequence))
+    causes = [cause for cause in unknown.families if cause not in said]
+    if causes:
+        out.append(f"It may be {'; or '.join(causes)}.")
+    return out
 
 
 def _misplaced(unknown: Unknown) -> Summary:

@@ -181,15 +181,28 @@ def largest_z(found: Sequence[Deviation]) -> dict[str, float]:
     return out
 
 
-def dispersion(view: FitResiduals) -> float:
-    """Return how much more the scans differ from each other than their rays explain: variance ratio, 1 expected."""
+@dataclass(frozen=True, kw_only=True)
+class Dispersion:
+    """How much scans differ from each other."""
+
+    ratio: float = 1.0
+    """Variance between the scans' mean squares over what their rays explain; 1 expected."""
+    excess: float = 0.0
+    """Standard deviation of the scans' mean squares beyond that, over the square of the noise."""
+
+
+def dispersion(view: FitResiduals) -> Dispersion:
+    """Return how much more the scans differ from each other than their rays explain."""
     score = scores(view)
     value, counted = score.values["spread"], score.counted["spread"]
     n = counted.sum(axis=1)
     some = n > SCAN.goodness_of_fit.min_rays_of_scan
     if some.sum() < SCAN.goodness_of_fit.min_scans:
-        return 1.0
+        return Dispersion()
     mean = value.sum(axis=1)[some] / n[some]
     within = float(value[counted].var())
     within_expected = within * float((1 / n[some]).mean())
-    return float(np.var(mean) / max(within_expected, 1e-12))
+    between = float(np.var(mean))
+    return Dispersion(
+        ratio=between / max(within_expected, 1e-12), excess=max(between - within_expected, 0.0) ** 0.5
+    )

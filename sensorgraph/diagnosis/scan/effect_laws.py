@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.result import Deviation
+from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import log_p_at
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -16,6 +17,12 @@ from sensorgraph.effects.effect import Telltale
 from sensorgraph.effects.proposals import best_run
 from sensorgraph.types import Bools
 from sensorgraph.world.ray_order import neighbouring_rays
+
+STRAY_CAUSES = (
+    "a second laser, or the robot's own light reflected",
+    "dust, fog, rain or a dirty window",
+    "parts of the robot, cables, or things on it within view",
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,6 +39,10 @@ class Doubt:
     """Where it shows."""
     failed: frozenset[int] = frozenset()
     """Indices of the effects whose own law fails."""
+    size: ScanError | None = None
+    """By how much a simulation without it is off; None where that has no number, and is taken to matter."""
+    causes: tuple[str, ...] = ()
+    """What it may be, the likeliest first."""
 
 
 def broken_laws(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
@@ -50,17 +61,25 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
         short = odd & (view.z < np.where(view.aimed, view.mu, view.range_max))
     model = view.fitted.model
     for index, a in enumerate(model):
-        words = ""
+        words, odd_share = "", 0.0
         if a.effect.diagnostics.explains == "short readings" and short.sum() > settings.min_absorbed_rays:
-            words = _not_people(view, short)
+            words, odd_share = _not_people(view, short), float(short.mean())
         elif a.effect.diagnostics.explains == "strays" and odd.sum() > settings.min_absorbed_rays:
-            words = _not_random(view, odd)
+            words, odd_share = _not_random(view, odd), float(odd.mean())
         if words:
             worth = (
                 settings.failed_law_share * gains[index]
             )  # a fringe of a strong effect's own rays is no doubt
             out.append(
-                Doubt(statement=words, misfit=worth, statistic=0.0, threshold=0.0, failed=frozenset([index]))
+                Doubt(
+                    statement=words,
+                    misfit=worth,
+                    statistic=0.0,
+                    threshold=0.0,
+                    failed=frozenset([index]),
+                    size=ScanError(wrong=odd_share),
+                    causes=STRAY_CAUSES,
+                )
             )
     for telltale in _telltales():
         members = [i for i, a in enumerate(model) if a.effect.diagnostics.telltale == telltale]
@@ -107,6 +126,8 @@ def absences(view: FitResiduals) -> list[Doubt]:
                     statistic=float(gain[0]),
                     threshold=settings.min_absence_gain,
                     failed=frozenset([index]),
+                    size=ScanError(wrong=float((some > 1.0).mean() * some.size / view.log_p.size)),
+                    causes=("a door, a vehicle or a person that came or left during the run",),
                 )
             )
     return out

@@ -12,6 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.result import Deviation
+from sensorgraph.diagnosis.scan.consequence import (
+    SCATTER_CAUSES,
+    ScanError,
+    excess_noise,
+    likely_causes,
+    scan_error,
+)
 from sensorgraph.diagnosis.scan.deviations import deviations, dispersion, largest_z
 from sensorgraph.diagnosis.scan.effect_laws import Doubt, absences, broken_laws
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
@@ -24,6 +31,17 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.types import Progress
 from sensorgraph.world.robot import Tolerances
+
+OF_SCANS = ("time", "omega", "speed", "acceleration", "robot place")
+"""Partitions that sort whole scans."""
+POSE_CAUSES = (
+    "a reference that is worse than stated: a poor calibration, a slow filter, lost markers",
+    "stamps of scans or poses that are late or jitter",
+)
+MAP_CAUSES = (
+    "a map that was measured more coarsely than stated",
+    "things that have moved since the map was made",
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,6 +58,12 @@ class GoodnessOfFit:
     """[nats] that the unexplained part is worth, roughly."""
     failed: frozenset[int] = frozenset()
     """Effects of the model whose own law fails: they are clutter without a name."""
+    size: ScanError | None = None
+    """By how much a simulation without the unexplained part is off; None where that has no number."""
+    causes: tuple[str, ...] = ()
+    """What it may be, the likeliest first."""
+    immaterial: tuple[str, ...] = ()
+    """What is left and significant, but too small for a user to mind."""
 
     @property
     def is_doubted(self) -> bool:
@@ -64,16 +88,26 @@ def check(
     gained : [nats] by which the model beats the one without effects; a doubt must be worth a share of it
     gains : [nats] that each effect of the model brings
     """
-    nominal = data.tolerances
+    nominal, sigma = data.tolerances, data.sensor.sigma
     data, fitted = _widened(data, fitted)
     view = FitResiduals(data, fitted)
-    doubts = [*broken_laws(view, gains), *_stretched(view, nominal), *absences(view), *_dispersed(view)]
-    doubts += _against_replicates(view, nominal, rng, n_replicates, tick)
+    parts = partitions(view)
+    found = deviations(view, parts)
+    doubts = [
+        *broken_laws(view, gains),
+        *_stretched(view, nominal),
+        *absences(view),
+        *_dispersed(view, found),
+    ]
+    doubts += _against_replicates(view, parts, found, nominal, rng, n_replicates, tick)
     share = SCAN.goodness_of_fit.min_share_of_gain
     share = max((a.effect.diagnostics.misfit_share or share for a in fitted.model), default=share)
     doubts = sorted((d for d in doubts if d.misfit > share * gained), key=lambda d: -d.misfit)
+    trifles = [d for d in doubts if d.size is not None and not d.size.is_material(sigma)]
+    doubts = [d for d in doubts if d not in trifles]
+    immaterial = tuple(f"{d.statement}; {d.size.sentence()}" for d in trifles if d.size is not None)
     if not doubts:
-        return GoodnessOfFit()
+        return GoodnessOfFit(immaterial=immaterial)
     return GoodnessOfFit(
         statement=doubts[0].statement,
         deviation=next((d.deviation for d in doubts if d.deviation is not None), None),
@@ -81,6 +115,9 @@ def check(
         threshold=doubts[0].threshold,
         misfit=doubts[0].misfit,
         failed=frozenset(i for d in doubts for i in d.failed),
+        size=doubts[0].size,
+        causes=doubts[0].causes or likely_causes(found),
+        immaterial=immaterial,
     )
 
 
@@ -115,34 +152,48 @@ def _stretched(view: FitResiduals, nominal: Tolerances) -> list[Doubt]:
             misfit=(scale - 1) * view.data.n_scans,
             statistic=scale,
             threshold=limit,
+            size=ScanError(offset=scale * tolerance, affected=1.0),
+            causes=causes,
         )
-        for name, scale in (("reference pose", poses), ("map", walls))
+        for name, scale, tolerance, causes in (
+            ("reference pose", poses, nominal.pose_xy, POSE_CAUSES),
+            ("map", walls, nominal.map, MAP_CAUSES),
+        )
         if scale >= limit
     ]
 
 
-def _dispersed(view: FitResiduals) -> list[Doubt]:
+def _dispersed(view: FitResiduals, found: Sequence[Deviation]) -> list[Doubt]:
     """Doubt a model under which scans differ more from each other than within."""
-    ratio, limit = dispersion(view), SCAN.goodness_of_fit.max_dispersion
-    if ratio <= limit:
+    scatter, limit = dispersion(view), SCAN.goodness_of_fit.max_dispersion
+    if scatter.ratio <= limit:
         return []
+    where = next((d for d in found if d.family == "spread" and d.partition in OF_SCANS), None)
+    place = "" if where is None else f", most at {where.partition} {where.label}"
     return [
         Doubt(
-            statement=f"scans differ from each other {ratio:.1f} times more than their rays do within a scan",
-            misfit=(ratio - 1) / 2 * view.data.n_scans,
-            statistic=ratio,
+            statement=f"scans differ from each other {scatter.ratio:.1f} times more than their rays do within a scan"
+            + place,
+            misfit=(scatter.ratio - 1) / 2 * view.data.n_scans,
+            statistic=scatter.ratio,
             threshold=limit,
+            size=ScanError(noise=excess_noise(scatter.excess, view.data.sensor.sigma), affected=1.0),
+            causes=SCATTER_CAUSES,
         )
     ]
 
 
 def _against_replicates(
-    view: FitResiduals, nominal: Tolerances, rng: np.random.Generator, count: int, tick: Progress | None
+    view: FitResiduals,
+    parts: Sequence[Partition],
+    found: Sequence[Deviation],
+    nominal: Tolerances,
+    rng: np.random.Generator,
+    count: int,
+    tick: Progress | None,
 ) -> list[Doubt]:
     """Compare the largest deviation of each kind with replicates, which are drawn only where one is suspect."""
     settings, t = SCAN.goodness_of_fit, view.data.tolerances
-    parts = partitions(view)
-    found = deviations(view, parts)
     suspects = {family: z for family, z in largest_z(found).items() if z > settings.min_z[family]}
     if not suspects:
         return []
@@ -165,6 +216,8 @@ def _against_replicates(
                     statistic=z,
                     threshold=threshold,
                     deviation=worst,
+                    size=scan_error(alike, view.data.sensor.sigma, view.data.ranges.size),
+                    causes=likely_causes([d for d in found if d.family == family]),
                 )
             )
     return out

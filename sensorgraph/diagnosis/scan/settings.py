@@ -328,6 +328,12 @@ class GoodnessOfFitSettings:
         default_factory=lambda: {"bias": 1.0, "spread": 1.6, "outliers": 0.04, "misses": 0.04}
     )
     """By kind: least scatter of one ray's score."""
+    min_range_error: float = 0.003
+    """[m] by which readings, or their noise, must be off for a user to mind; and `min_size["bias"]` of sigma."""
+    min_affected_share: float = 0.002
+    """Of all readings, that must be off by so much."""
+    min_wrong_share: float = 0.002
+    """Of all readings, that must be strays or missing for a user to mind."""
     n_replicates: int = 12
     """Replicates drawn from the model."""
     replicate_factor: float = 1.25

@@ -169,6 +169,7 @@ def _unknown(model: DriveModel, structure: AcceptedStructure) -> Unknown:
         ),
         statistic=evidence,
         size=size.to_dict(),
+        consequence=size.sentence(),
         families=(family.statement, *structure.rivals),
         threshold=structure.threshold,
     )

@@ -221,6 +221,7 @@ def _unknown(model: WheelModel) -> Unknown | None:
         ),
         statistic=evidence,
         size=size.to_dict(),
+        consequence=size.sentence(),
         families=(family.statement, *model.structure.rivals),
         threshold=model.structure.threshold,
     )
