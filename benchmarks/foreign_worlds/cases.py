@@ -1,0 +1,200 @@
+"""A case: a room, a drive, perhaps something hidden, and what a careful user would write into robot.yaml."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.foreign_worlds.files import Log
+from benchmarks.foreign_worlds.hidden import FOREIGN, LIBRARY, Hidden, Secrets, draw_hidden, truth
+from benchmarks.foreign_worlds.mujoco_drive import Base, Driven, bench_test, drive
+from benchmarks.foreign_worlds.mujoco_laser import Laser, changed_room
+from benchmarks.foreign_worlds.mujoco_scans import scans
+from benchmarks.foreign_worlds.rooms import OUTER, Floats, Pilot, Room, draw_room
+
+DURATION = 80.0
+"""[s]"""
+ROOT_SEED = 20261122
+SUITES = ("none", "singles", "foreign")
+KINDS = {"dev": 0, "report": 1}
+SIGMA_XY, SIGMA_YAW = 0.002, 0.0015
+"""[m, rad] of the camera."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spec:
+    """Which case: everything else follows from it."""
+
+    suite: str
+    kinds: str
+    index: int
+    name: str = ""
+    """What is hidden, instead of the suite's turn."""
+
+    @property
+    def _turns(self) -> tuple[str, ...]:
+        if self.name or self.suite == "none":
+            return (self.name,)
+        return (LIBRARY if self.suite == "singles" else FOREIGN)[self.kinds]
+
+    @property
+    def hidden(self) -> str:
+        """Name of what is hidden."""
+        return self._turns[self.index % len(self._turns)]
+
+    @property
+    def dirty(self) -> bool:
+        """Every other case is dirty, and each kind in turn clean and dirty."""
+        turns = self._turns
+        return (self.index + (self.index // len(turns) if len(turns) % 2 == 0 else 0)) % 2 == 1
+
+
+def make(spec: Spec) -> tuple[Log, str, str, dict[str, Any]]:
+    """Return (log, arena GeoJSON, robot YAML, truth)."""
+    seed = [ROOT_SEED, KINDS[spec.kinds], SUITES.index(spec.suite), spec.index, int(spec.dirty)]
+    rng = np.random.default_rng(seed)
+    room, base = draw_room(rng), _draw_base(rng)
+    laser = Laser(
+        n_rays=int(rng.choice([121, 181, 241])),
+        fov=float(rng.choice([np.pi, 4.0, 4.7])),
+        rate=float(rng.choice([5.0, 6.0])),
+        mount=(round(float(rng.uniform(0.0, 0.15)), 3), 0.0, 0.0),
+    )
+    one = draw_hidden(spec.hidden, room, rng) if spec.hidden else None
+    secrets = Secrets(*([one] if one is not None else []))
+    radius, track, tau, delay = bench_test(base)
+    built = changed_room(room, secrets.all)
+    if spec.dirty:
+        built = built.jittered(0.004, rng)
+        off = rng.uniform(-1, 1, 3) * [0.0015, 0.0015, math.radians(0.03)]
+        laser = replace(laser, off=(float(off[0]), float(off[1]), float(off[2])))
+    driven = drive(base, Pilot(_passable(room, built), rng), secrets, DURATION, rng)
+    stamps = 0.5 + np.arange(round((DURATION - 1.0) * laser.rate)) / laser.rate
+    ranges = scans(driven, built, laser, secrets, stamps, dirty=spec.dirty, rng=rng)
+    pose_stamps = np.arange(0.0, DURATION - 0.05, 1 / 30)
+    odom_stamps, odometry, twists = _odometry(driven, base, radius, track, secrets)
+    log = Log(
+        bearings=laser.bearings,
+        range_limits=(laser.range_min, laser.range_max),
+        scan_stamps=stamps,
+        ranges=ranges,
+        pose_stamps=pose_stamps,
+        poses=_camera(driven, room, pose_stamps, secrets, dirty=spec.dirty, rng=rng),
+        odom_stamps=odom_stamps,
+        odometry=odometry,
+        twists=twists,
+        cmd_stamps=driven.cmd_stamps,
+        commands=driven.commands,
+    )
+    return (
+        log,
+        room.geojson(),
+        _robot_yaml(laser, base, radius, track, tau, delay),
+        _truth(spec, one, base, log),
+    )
+
+
+def _passable(room: Room, built: Room) -> Room:
+    """Return the room that the pilot keeps clear of: things as mapped and as they are."""
+    new = built.rings.get("new")
+    return room if new is None else room.with_ring("new", new)
+
+
+def _draw_base(rng: np.random.Generator) -> Base:
+    return Base(
+        control_period=float(rng.choice([0.02, 0.04])),
+        transport=float(rng.uniform(0.002, 0.006)),
+        tick=float(rng.choice([0.0002, 0.001, 0.002, 0.005])),
+        odom_rate=float(rng.choice([20.0, 50.0])),
+        integration=str(rng.choice(["rectangle", "midpoint", "exact"])),
+    )
+
+
+def _odometry(
+    driven: Driven, base: Base, radius: float, track: float, secrets: Secrets
+) -> tuple[Floats, Floats, Floats]:
+    """Count ticks, and integrate them as one of three common drivers does; the twist is that of the last period."""
+    stamps = np.arange(1 / base.odom_rate, DURATION - 0.1, 1 / base.odom_rate)
+    angle = driven.wheels_at(stamps - secrets.value("pose_clock_offset", "tau"))
+    angle = angle + np.array([1.0, 0.0]) * secrets.value("eccentric_wheel", "e") * np.sin(angle)
+    missed = secrets.get("missed_ticks")
+    if missed is not None:
+        speed = np.abs(np.gradient(angle, 1 / base.odom_rate, axis=0))
+        lost = np.where(speed > missed["above"] * speed.max(), missed["share"], 0.0)
+        angle = np.cumsum(np.diff(angle, axis=0, prepend=angle[:1]) * (1 - lost * [1.0, 1.0]), axis=0)
+    rim = base.tick * np.floor(angle * radius / base.tick)
+    steps = np.diff(rim, axis=0, prepend=rim[:1])
+    way, turn = steps.mean(axis=1), (steps[:, 1] - steps[:, 0]) / track
+    phi = np.cumsum(turn)
+    before = phi - turn
+    middle = {"rectangle": before, "midpoint": before + turn / 2, "exact": before + turn / 2}[
+        base.integration
+    ]
+    chord = way * np.sinc(turn / (2 * np.pi)) if base.integration == "exact" else way
+    xy = np.cumsum(chord[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=1), axis=0)
+    odometry = np.column_stack([xy, np.arctan2(np.sin(phi), np.cos(phi))])
+    return stamps, odometry, np.column_stack([way, turn]) * base.odom_rate
+
+
+def _camera(
+    driven: Driven, room: Room, stamps: Floats, secrets: Secrets, *, dirty: bool, rng: np.random.Generator
+) -> Floats:
+    """Return what the overhead camera logs; filters make its noise last for some ten frames."""
+    poses = driven.pose_at(stamps)
+    lens = secrets.value("lens_distortion", "edge")
+    if lens:
+        ring = room.rings[OUTER]
+        middle = (ring.min(axis=0) + ring.max(axis=0)) / 2
+        off = poses[:, :2] - middle
+        reach = 0.7 * float(np.hypot(*(ring.max(axis=0) - middle)))
+        poses[:, :2] += lens * off / reach * np.square(off / reach).sum(axis=1, keepdims=True)
+    knocked = secrets.get("camera_knocked")
+    if knocked is not None:
+        moved = stamps > knocked["when"] * DURATION
+        poses[moved] += [knocked["shift"], -0.5 * knocked["shift"], knocked["yaw"]]
+    noise = rng.normal(size=poses.shape)
+    if dirty:
+        rho = float(rng.uniform(0.75, 0.92))
+        for k in range(1, len(noise)):
+            noise[k] = rho * noise[k - 1] + math.sqrt(1 - rho**2) * noise[k]
+    poses = poses + noise * [SIGMA_XY, SIGMA_XY, SIGMA_YAW]
+    poses[:, 2] = np.arctan2(np.sin(poses[:, 2]), np.cos(poses[:, 2]))
+    return poses
+
+
+def _robot_yaml(laser: Laser, base: Base, radius: float, track: float, tau: float, delay: float) -> str:
+    """Return the robot as its bench test and data sheets describe it."""
+    # one wheel's travel between two readings of an encoder is off by the difference of two uniform errors
+    rim = base.tick / math.sqrt(6) * base.odom_rate
+    return f"""name: foreign
+drive: diff
+footprint_radius: 0.25
+limits: {{v: 0.4, omega: 1.0, a: 0.5, alpha: 2.0}}
+sensor: {{mount: [{laser.mount[0]}, 0.0, 0.0], n_rays: {laser.n_rays}, fov: {laser.fov}, range_min: {laser.range_min},
+  range_max: {laser.range_max}, sigma: {laser.sigma}, resolution: {laser.resolution}, rate: {laser.rate}, height: 0.3}}
+pose: {{rate: 30.0, sigma_xy: {SIGMA_XY}, sigma_yaw: {SIGMA_YAW}}}
+wheels: {{radius: {radius:.5f}, base: {track:.5f}, sigma_v: {rim / math.sqrt(2):.5f},
+  sigma_omega: {rim * math.sqrt(2) / track:.5f}, rate: {base.odom_rate}}}
+actuators: {{tau: {tau:.4f}, delay: {delay:.4f}}}
+tolerances: {{control_period: {base.control_period}, transport_jitter: {base.transport:.4f}}}
+"""
+
+
+def _truth(spec: Spec, one: Hidden | None, base: Base, log: Log) -> dict[str, Any]:
+    is_known = one is not None and one.is_known
+    return {
+        "suite": spec.suite,
+        "stream": spec.kinds,
+        "index": spec.index,
+        "seed": ROOT_SEED,
+        "background": "dirty" if spec.dirty else "clean",
+        "effects": [truth(one)] if one is not None and is_known else [],
+        "foreign": one.name if one is not None and not is_known else None,
+        "foreign_effect": truth(one) if one is not None and not is_known else None,
+        "channel": one.channel if one is not None else None,
+        "n_rays": int(log.ranges.size),
+        "base": vars(base),
+    }

@@ -1,0 +1,203 @@
+"""A laser in a room of MuJoCo: walls are boxes and prisms, rays are `mj_multiRay`, faults come after the cast."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.foreign_worlds.hidden import PARTS, Hidden, Secrets
+from benchmarks.foreign_worlds.mujoco_drive import LASER_HEIGHT
+from benchmarks.foreign_worlds.rooms import OUTER, Floats, Room
+
+THICKNESS, HEIGHT = 0.1, 1.2
+SOLID, PART = 0, 1
+"""Geom groups: walls, and the part of one that an effect covers."""
+PERSON = 0.22
+"""[m] radius."""
+Casts = tuple[Floats, Floats, NDArray[np.int32]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Laser:
+    """A laser as robot.yaml describes it, and its true place."""
+
+    mount: tuple[float, float, float] = (0.10, 0.0, 0.0)
+    off: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """By how much the mount is not as stated."""
+    n_rays: int = 181
+    fov: float = 4.0
+    range_min: float = 0.05
+    range_max: float = 8.0
+    sigma: float = 0.01
+    resolution: float = 0.001
+    rate: float = 5.0
+
+    @property
+    def bearings(self) -> Floats:
+        """(n_rays,) [rad]"""
+        return np.linspace(-self.fov / 2, self.fov / 2, self.n_rays)
+
+
+class World:
+    """Walls of a room as geoms, with a body for each person."""
+
+    def __init__(self, room: Room, secrets: Secrets, people: int = 0) -> None:
+        self.part = next((one for one in secrets.all if one.name in PARTS), None)
+        spec = mujoco.MjSpec()
+        for name, (a, b) in room.edges().items():
+            if name.startswith(OUTER):
+                self._wall(spec, name, a, b)
+        for name in room.obstacles():
+            ring = room.rings[name]
+            spec.add_mesh(
+                name=name,
+                uservert=np.concatenate(
+                    [np.column_stack([ring, np.full(len(ring), z)]) for z in (0.0, HEIGHT)]
+                ).ravel(),
+            )
+            spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, group=SOLID)
+        for k in range(people):
+            body = spec.worldbody.add_body(name=f"person_{k}", mocap=True)
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[PERSON, HEIGHT / 2, 0], group=SOLID)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, self.data)
+        self.part_geoms = np.flatnonzero(self.model.geom_group == PART)
+
+    def _wall(self, spec: mujoco.MjSpec, name: str, a: Floats, b: Floats) -> None:
+        if self.part is None or self.part.place != name:
+            self._box(spec, a, b, SOLID)
+            return
+        along = (b - a) / np.hypot(*(b - a))
+        first, last = a + self.part["a"] * along, a + self.part["b"] * along
+        self._box(spec, a, first, SOLID)
+        self._box(spec, first, last, PART)
+        self._box(spec, last, b, SOLID)
+        if "depth" in self.part.parameters:
+            outward = np.array([along[1], -along[0]]) * self.part["depth"]
+            self._box(spec, first + outward - 4 * along, last + outward + 4 * along, SOLID)
+
+    @staticmethod
+    def _box(spec: mujoco.MjSpec, a: Floats, b: Floats, group: int) -> None:
+        along, middle = b - a, (a + b) / 2
+        length = float(np.hypot(*along))
+        outward = np.array([along[1], -along[0]]) / length
+        x, y = middle + outward * THICKNESS / 2
+        yaw = float(np.arctan2(along[1], along[0]))
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[float(x), float(y), HEIGHT / 2],
+            quat=[np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)],
+            size=[length / 2, THICKNESS / 2, HEIGHT / 2],
+            group=group,
+        )
+
+    def place_people(self, spots: Floats) -> None:
+        """Put the people (n, 2) [m] where they are now."""
+        self.data.mocap_pos[:] = np.column_stack([spots, np.full(len(spots), HEIGHT / 2)])
+        mujoco.mj_kinematics(self.model, self.data)
+
+    def cast(self, origin: Floats, angles: Floats, *, with_part: bool = True) -> Casts:
+        """Cast rays from a point (2,) at angles (n,) [rad, map]; return ranges, incidences and geoms."""
+        n = len(angles)
+        aim = np.stack([np.cos(angles), np.sin(angles), np.zeros(n)], axis=1)
+        groups = np.array([1, int(with_part), 0, 0, 0, 0], dtype=np.uint8)
+        geoms, ranges, normals = np.full(n, -1, dtype=np.int32), np.zeros(n), np.zeros(3 * n)
+        mujoco.mj_multiRay(
+            self.model, self.data, np.array([*origin, LASER_HEIGHT]), aim.ravel(), groups, True, -1,
+            geoms, ranges, normals, n, 100.0,
+        )  # fmt: skip
+        cosine = np.abs((aim * normals.reshape(n, 3)).sum(axis=1))
+        return np.where(ranges < 0, np.inf, ranges), np.arccos(np.clip(cosine, 0, 1)), geoms
+
+    def on_part(self, geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Tell which rays met the part of a wall that an effect covers."""
+        return np.isin(geoms, self.part_geoms)
+
+
+def walkers(room: Room, count: int, stamps: Floats, rng: np.random.Generator) -> Floats:
+    """Let people walk between random points at 0.7 m/s, (n_stamps, count, 2) [m]."""
+    free = room.free(PERSON + 0.05)
+    x0, y0, x1, y1 = free.bounds
+    tracks = []
+    for _ in range(count):
+        points: list[Floats] = []
+        while len(points) < 40:
+            point = rng.uniform((x0, y0), (x1, y1))
+            if free.intersects(_point(point)):
+                points.append(point)
+        corners = np.array(points)
+        when = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T)) / 0.7])
+        tracks.append(np.stack([np.interp(stamps, when, c) for c in corners.T], axis=1))
+    return np.stack(tracks, axis=1)
+
+
+def _point(xy: Floats):  # type: ignore[no-untyped-def]
+    import shapely
+
+    return shapely.Point(xy)
+
+
+def raw_ranges(
+    world: World, origin: Floats, angles: Floats, secrets: Secrets, share: float, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Return ranges and incidences of one scan before the laser's own errors; `share` of the run has passed."""
+    ranges, incidence, geoms = world.cast(origin, angles)
+    part, on = world.part, world.on_part(geoms)
+    if part is None or not on.any():
+        return ranges, incidence
+    if part.name == "glass":
+        through = on & (incidence > part["alpha_ret"])
+        ranges = np.where(through, world.cast(origin, angles, with_part=False)[0], ranges)
+    elif part.name == "door_opens" and share > part["when"]:
+        ranges = np.where(on, world.cast(origin, angles, with_part=False)[0], ranges)
+    elif part.name == "black_surface":
+        chance = np.minimum(1.0, np.cos(incidence) * (part["r0"] / np.maximum(ranges, 1e-3)) ** 2)
+        ranges = np.where(on & (rng.random(len(ranges)) > chance), np.inf, ranges)
+    elif part.name == "mirror":
+        ranges = np.where(on, _reflected(world, origin, angles, ranges, on), ranges)
+    return ranges, incidence
+
+
+def _reflected(world: World, origin: Floats, angles: Floats, ranges: Floats, on: NDArray[np.bool_]) -> Floats:
+    assert world.part is not None
+    k = int(world.part_geoms[0])
+    yaw = 2 * np.arctan2(world.model.geom_quat[k, 3], world.model.geom_quat[k, 0])
+    out = ranges.copy()
+    for i in np.flatnonzero(on):
+        hit = origin + (ranges[i] - 1e-4) * np.array([np.cos(angles[i]), np.sin(angles[i])])
+        out[i] = ranges[i] + world.cast(hit, np.array([2 * yaw - angles[i]]))[0][0]
+    return out
+
+
+def changed_room(room: Room, hidden: Sequence[Hidden]) -> Room:
+    """Return the room with the changes that effects make to it."""
+    for one in hidden:
+        if one.name == "missing_obstacle":
+            room = room.with_ring(one.place, None)
+        elif one.name == "moved_obstacle":
+            room = room.with_ring(one.place, room.rings[one.place] + [one["dx"], one["dy"]])
+        elif one.name == "unmapped_obstacle":
+            angle = 2 * np.pi * np.arange(24) / 24
+            ring = one["r"] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            room = room.with_ring("new", ring + [one["x"], one["y"]])
+        elif one.name == "moved_wall":
+            room = room.with_ring(OUTER, _shifted(room.rings[OUTER], int(one.place.split("_")[1]), one["d"]))
+        elif one.name == "map_scale":
+            middle = room.rings[OUTER].mean(axis=0)
+            for name, ring in list(room.rings.items()):
+                room = room.with_ring(name, middle + (ring - middle) * (1 + one["s"]))
+    return room
+
+
+def _shifted(ring: Floats, i: int, d: float) -> Floats:
+    """Move edge i of a rectilinear ring outward by d [m]."""
+    j = (i + 1) % len(ring)
+    along = (ring[j] - ring[i]) / np.hypot(*(ring[j] - ring[i]))
+    out = ring.copy()
+    out[[i, j]] += d * np.array([along[1], -along[0]])
+    return out
