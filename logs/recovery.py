@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from mmap import mmap
 from pathlib import Path
-from uuid import uuid4
 
 from logs.errors import LogError
+from logs.files import atomic_file
 from logs.formats.mcap_file import CHUNK_SIZE, open_bytes
 from logs.mcap.records import MAGIC, Channel, Contents, Loss
 from logs.mcap.walk import RecordWalk
@@ -102,21 +102,16 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
         )
     if not (known.n_messages or known.attachments or known.metadata):
         raise LogError(f"{path} has no whole message, attachment or metadata left; there is nothing to save")
-    part = out.with_name(
-        f"{out.name}.{uuid4().hex[:8]}.part"
-    )  # NAME.part may be the very file that is to be saved
-    try:
-        with part.open("wb") as stream:
-            copy = _RecoveredFile(stream, known)
-            walk = RecordWalk(data, copy.take, lambda loss: _add(losses, loss))
-            for step, pos in enumerate(walk.steps()):
-                if progress is not None and step % 64 == 0:
-                    progress(pos, len(data))
-            copy.finish()
-        part.replace(out)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+    with (
+        atomic_file(out) as part,
+        part.open("wb") as stream,
+    ):  # NAME.part may be the very file that is to be saved
+        copy = _RecoveredFile(stream, known)
+        walk = RecordWalk(data, copy.take, lambda loss: _add(losses, loss))
+        for step, pos in enumerate(walk.steps()):
+            if progress is not None and step % 64 == 0:
+                progress(pos, len(data))
+        copy.finish()
     if progress is not None:
         progress(len(data), len(data))
     topics = {key: channel.topic for key, channel in known.channels.items()}

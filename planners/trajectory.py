@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planners.arena import wrap
 from planners.errors import PlanError
+from planners.files import atomic_file
 from planners.types import Floats
 
 COLUMNS = ("t", "x", "y", "phi", "v", "omega", "primitive")
@@ -68,20 +68,14 @@ class Trajectory:
 
     def write_csv(self, path: Path) -> None:
         """Write columns t,x,y,phi,v,omega,primitive."""
-        part = path.with_name(f"{path.name}.{uuid4().hex[:8]}.part")
         quoted = {label: _quoted(label) for label in np.unique(self.primitives).tolist()}
-        try:
-            with part.open("w", newline="", encoding="utf-8") as file:
-                file.write(",".join(COLUMNS) + "\n")
-                for first in range(0, len(self.stamps), ROWS_AT_A_TIME):
-                    some = slice(first, first + ROWS_AT_A_TIME)
-                    rows = np.column_stack([self.stamps[some], self.poses[some], self.twists[some]]).tolist()
-                    labels = [quoted[label] for label in self.primitives[some].tolist()]
-                    file.write("".join(ROW % (*row, label) for row, label in zip(rows, labels, strict=True)))
-            part.replace(path)
-        except BaseException:
-            part.unlink(missing_ok=True)
-            raise
+        with atomic_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+            file.write(",".join(COLUMNS) + "\n")
+            for first in range(0, len(self.stamps), ROWS_AT_A_TIME):
+                some = slice(first, first + ROWS_AT_A_TIME)
+                rows = np.column_stack([self.stamps[some], self.poses[some], self.twists[some]]).tolist()
+                labels = [quoted[label] for label in self.primitives[some].tolist()]
+                file.write("".join(ROW % (*row, label) for row, label in zip(rows, labels, strict=True)))
 
 
 def _quoted(label: str) -> str:

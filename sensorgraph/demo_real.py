@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 import logs
+from logs.files import atomic_file
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.building.build import build
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
-from sensorgraph.files import atomic_file
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.localization.locate import LocatedRun, locate, located_run, poses_csv
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of

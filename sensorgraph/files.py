@@ -1,11 +1,7 @@
-"""Atomic writes: a file, or all files of a folder, are complete or not there.
-
-Each writer has a temporary name of its own, so that two commands that write one output do not mix: the later one wins.
-"""
+"""Atomic writes of folders: all files of a folder are complete or not there; `logs.files` does the same for one file."""
 
 from __future__ import annotations
 
-import errno
 import json
 import shutil
 from collections.abc import Iterator, Mapping
@@ -13,21 +9,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
-from uuid import uuid4
 
-
-@contextmanager
-def atomic_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary name to write to; on leaving it becomes `path`, after an exception it is removed."""
-    if not path.name:
-        raise IsADirectoryError(errno.EISDIR, "Is a directory", str(path))
-    part = path.with_name(f"{path.name}.{uuid4().hex[:8]}.part")
-    try:
-        yield part
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+from logs.files import atomic_file
 
 
 @contextmanager

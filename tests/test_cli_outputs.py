@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from logs.files import atomic_file
 from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
-from sensorgraph.files import atomic_file
 
 
 @pytest.fixture(scope="module")

@@ -123,6 +123,26 @@ def test_tests_lie_flat_and_none_shadows_a_package() -> None:
     assert not [p for p in PACKAGES if (ROOT / f"{p}.py").exists()]
 
 
+SAME_IN_EACH_LEAF = {
+    "files.py": ("logs", "planners", "robotmodic_ident"),
+    "yaml_text.py": ("logs", "planners"),
+}
+"""Small modules that more than one leaf needs; the leaves know nothing of each other, so each has a copy."""
+
+
+@pytest.mark.parametrize("name", SAME_IN_EACH_LEAF)
+def test_what_every_leaf_needs_says_the_same_in_each(name: str) -> None:
+    assert len({(ROOT / leaf / name).read_text() for leaf in SAME_IN_EACH_LEAF[name]}) == 1
+
+
+def test_a_temporary_file_is_made_in_one_place_of_each_leaf() -> None:
+    """`logs.formats.mcap_file` has its own, since a recording that a crash ends must keep its name."""
+    makers = {name_of(path) for path in modules() if "uuid4" in path.read_text()}
+    assert makers == {f"{leaf}/files.py" for leaf in SAME_IN_EACH_LEAF["files.py"]} | {
+        "logs/formats/mcap_file.py"
+    }
+
+
 MOST_LINES = {"module": 400, "function": 80, "class": 250}
 REASON = re.compile(r"\bone (loop|piece|class|table)\b|most of this function", re.IGNORECASE)
 """What is longer says so in its docstring, and why one piece is clearer."""

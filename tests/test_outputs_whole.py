@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 
 import logs
+from logs.files import atomic_file
 from logs.formats.mcap_file import RosFile
 from logs.run import RangeSensor, Run
 from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.files import atomic_file, atomic_folder
+from sensorgraph.files import atomic_folder
 from sensorgraph.show.rerun_file import open_viewer
 
 

@@ -16,11 +16,11 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 
 from logs.errors import LogError
+from logs.files import atomic_file
 from logs.formats.text import read_lines
 from logs.no_return import apply_no_return, find_code
 from logs.ros.own_record import SENSOR_SCALARS, parse_bearings, parse_numbers, sensor_facts
@@ -132,13 +132,8 @@ def write(run: Run, path: Path) -> None:
         columns.append(_linear(run.stamps, run.cmd_stamps, run.commands))
     names += [f"r{i}" for i in range(run.sensor.n_rays)]
     table = np.column_stack([*columns, run.ranges])
-    part = path.with_name(f"{path.name}.{uuid4().hex[:8]}.part")
-    try:
+    with atomic_file(path) as part:
         _write_rows(part, {**stated, "rows": str(run.n_scans)}, names, table)
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
 
 
 def _write_rows(path: Path, facts: Mapping[str, str], names: list[str], table: Floats) -> None:

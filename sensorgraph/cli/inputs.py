@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from logs.files import atomic_file
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.files import atomic_file
 
 if TYPE_CHECKING:
     from logs.run import Run

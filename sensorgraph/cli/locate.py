@@ -50,10 +50,10 @@ def locate(
       sensorgraph locate monday.clf.bz2 --arena lab.sensorgraph --json monday.json --picture monday.png
     """
     from logs import parse_topics, read, write
+    from logs.files import atomic_file
     from sensorgraph.cli.inputs import check_output, mounts_of, with_robot, write_json
     from sensorgraph.cli.progress import progress, reading_bar
     from sensorgraph.errors import SensorgraphError
-    from sensorgraph.files import atomic_file
     from sensorgraph.localization.locate import locate as locate_run
     from sensorgraph.localization.locate import located_run, poses_csv, summary, summary_lines
     from sensorgraph.show.figures.localization import localization_picture

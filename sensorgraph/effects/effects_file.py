@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import yaml
 
+from logs.files import atomic_file
 from planners.arena import Arena
 from planners.yaml_text import parse_yaml
 from sensorgraph.effects import EFFECTS, Amendment, Effect, Location
 from sensorgraph.effects.places import named_walls
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.files import atomic_file
 
 logger = logging.getLogger(__name__)
 

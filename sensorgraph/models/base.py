@@ -10,8 +10,8 @@ from typing import Any, ClassVar, Literal, Protocol, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.files import atomic_file
 from logs.run import PoseFrame, RangeSensor
-from sensorgraph.files import atomic_file
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
 Point = Literal["mode", "median", "mean"]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from logs.files import atomic_file
 from logs.plan_file import write_plan
 from logs.run import OccupancyMap
 from planners import Plan
@@ -21,7 +22,7 @@ from planners.curve import Curve
 from planners.export import commands_csv, stops_yaml
 from planners.holes import holes_csv
 from planners.maps import geojson
-from sensorgraph.files import atomic_file, write_timing
+from sensorgraph.files import write_timing
 from sensorgraph.show.figures.headings import headings_picture
 from sensorgraph.show.figures.plan import plan_picture, reach_picture
 from sensorgraph.types import Floats

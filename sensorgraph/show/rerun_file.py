@@ -16,8 +16,8 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
+from logs.files import atomic_file
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.files import atomic_file
 
 WHITE, ORANGE = (235, 235, 240), (255, 150, 40)
 """Measured; predicted or simulated."""

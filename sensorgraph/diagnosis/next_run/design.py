@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from logs.files import atomic_file
 from planners.arena import Arena
 from planners.check import check
 from planners.curve import Curve
@@ -32,7 +33,6 @@ from sensorgraph.diagnosis.next_run.drives import build_drives, random_drive
 from sensorgraph.diagnosis.next_run.forecast import EvidenceForecast, MotionSamples, OpenQuestion
 from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.diagnosis.next_run.time_allocation import allocate_time
-from sensorgraph.files import atomic_file
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.robot import Robot

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from logs.files import atomic_file
 from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import compare
@@ -17,7 +18,7 @@ from sensorgraph.diagnosis.report.markdown import markdown
 from sensorgraph.diagnosis.report.places import marks, wall_sections
 from sensorgraph.diagnosis.report.rerun_view import write as write_review
 from sensorgraph.effects import effects_file
-from sensorgraph.files import atomic_file, atomic_folder, write_timing
+from sensorgraph.files import atomic_folder, write_timing
 from sensorgraph.types import Progress
 from sensorgraph.version import __version__
 from sensorgraph.world.robot import Robot

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from logs.files import atomic_file
 from planners.arena import Arena
-from sensorgraph.files import atomic_file
 from sensorgraph.types import Floats
 
 INK, SOFT = "#23262f", "#8b90a0"
