@@ -65,6 +65,11 @@ class RangeSensor:
             raise ValueError(
                 f"range limits are {self.range_min} to {self.range_max}, expected 0 <= min < max"
             )
+        if not 0 < self.rate < np.inf:
+            raise ValueError(f"the rate is {self.rate} Hz, expected a number above 0")
+        others = {name: getattr(self, name) for name in ("sigma", "resolution", "sweep_time", "height")}
+        if not np.isfinite(list(others.values())).all():
+            raise ValueError(f"the sensor has {others}, expected finite numbers")
 
     @property
     def n_rays(self) -> int:
@@ -100,6 +105,13 @@ class RangeSensor:
         """Tell whether all neighbouring bearings are equally far apart (to 1e-6 rad)."""
         steps = np.diff(self.bearings)
         return len(steps) == 0 or bool(np.ptp(steps) < 1e-6)
+
+
+def rate_of(stamps: Floats, otherwise: float = 10.0) -> float:
+    """Return the rate [Hz] of scans: one over the median of the steps of their stamps (n,) [s] that are above 0."""
+    steps = np.diff(stamps)
+    steps = steps[(steps > 1e-9) & np.isfinite(steps)]
+    return float(1.0 / np.median(steps)) if len(steps) else otherwise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

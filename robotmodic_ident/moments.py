@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -230,30 +231,45 @@ class Moments:
 
     @classmethod
     def load(cls, path: Path) -> Moments:
-        """Read what `save` wrote."""
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        IdentError
+            if the file holds no moments, or its arrays do not fit its terms
+        OSError
+            if it cannot be read
+        """
         try:
-            with np.load(path, allow_pickle=False) as data:
-                header = json.loads(bytes(data["header"]))
-                if header["format"] != MOMENTS_FORMAT:
-                    raise IdentError(f"{path}: format {header['format']!r}, expected {MOMENTS_FORMAT!r}")
-                scale = None if header["scale"] is None else Scale.from_dict(header["scale"])
-                out = cls(Terms.parse(*header["terms"]), len(data["power"]), scale=scale)
-                out.gram, out.cross = data["gram"], data["cross"]
-                out.power, out.count = data["power"], data["count"]
-                out.missing = dict(zip(data["missing_outputs"].tolist(), data["missing"], strict=True))
-        except (
-            AttributeError,
-            KeyError,
-            TypeError,
-            EOFError,
-            ValueError,
-            RecursionError,
-            MemoryError,
-        ) as exc:
-            if isinstance(exc, IdentError):
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+                return _restored({name: data[name] for name in data.files})
+        except Exception as exc:  # zipfile, zlib and numpy meet a damaged file with errors of many kinds
+            if isinstance(exc, OSError) and exc.filename is not None:  # it cannot be opened
                 raise
             raise IdentError(f"{path}: not a file of moments ({exc}); write one with Moments.save") from exc
-        return out
+
+
+def _restored(data: Mapping[str, NDArray[Any]]) -> Moments:
+    """Return the moments whose arrays these are."""
+    header = json.loads(bytes(data["header"]))
+    if header["format"] != MOMENTS_FORMAT:
+        raise IdentError(f"format {header['format']!r}, expected {MOMENTS_FORMAT!r}")
+    scale = None if header["scale"] is None else Scale.from_dict(header["scale"])
+    out = Moments(Terms.parse(*header["terms"]), len(data["power"]), scale=scale)
+    n, m = out.n_outputs, len(out.terms)
+    shapes = {"gram": (m, m), "cross": (m, n), "power": (n,), "count": (n,)}
+    for name, shape in shapes.items():
+        if data[name].shape != shape or not np.can_cast(data[name].dtype, np.float64, "same_kind"):
+            raise ValueError(
+                f"{name} is {data[name].shape} of {data[name].dtype}, expected {shape} of numbers"
+            )
+    out.gram, out.cross, out.power = (data[name].astype(np.float64) for name in ("gram", "cross", "power"))
+    out.count = data["count"].astype(np.int64)
+    own, missing = data["missing_outputs"].tolist(), data["missing"].astype(np.float64)
+    if own != sorted(set(own) & set(range(n))) or (own and missing.shape != (len(own), m, m)):
+        raise ValueError(f"missing_outputs is {own} and missing {missing.shape}, expected each output once")
+    out.missing = dict(zip(own, missing, strict=True))
+    return out
 
 
 def _as_rows(y: ArrayLike, n_outputs: int) -> Floats:

@@ -15,12 +15,12 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.files import atomic_file
 from logs.html_table import html_table
 from logs.inflation import most_plain
 from logs.motion import to_ray_starts
 from logs.run import PoseFrame, RangeSensor
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.files import atomic_file
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import POINTS, Model, Point, Prediction
 from sensorgraph.models.stored_numbers import check_numbers
@@ -197,8 +197,6 @@ class Sensorgraph:
                 cones=arrays.pop("sensor.cones", np.zeros(0)),
                 **{name: float(top["sensor"][name]) for name in _SENSOR_FIELDS},
             )
-            if any(math.isnan(getattr(sensor, name)) for name in _SENSOR_FIELDS):
-                raise ValueError(f"the sensor is {top['sensor']}, expected numbers")
             model = MODELS[top["model"]].restore(sensor, top["state"], arrays)
             return cls(model=model, sensor=sensor, pose_frame=top["pose_frame"], origin=top["origin"])
         except (

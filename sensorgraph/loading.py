@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -92,6 +94,22 @@ def read_poses(path: Path) -> Floats:
         line = 2 + int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
         raise SensorgraphError(f"{path}: line {line}: a number is not finite; leave such poses out")
     return poses
+
+
+def read_plan_report(path: Path) -> dict[str, Any]:
+    """Read plan.json.
+
+    Raises
+    ------
+    SensorgraphError : it is not JSON, or no object whose coverage is a number
+    """
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as exc:
+        raise SensorgraphError(f"{path}: not JSON ({exc}); plan again, or take the file away") from exc
+    if not isinstance(report, dict) or not isinstance(report.get("coverage", 0.0), int | float):
+        raise SensorgraphError(f"{path}: holds no report of a plan; plan again, or take the file away")
+    return report
 
 
 def arena_in(run: Run) -> Arena | None:

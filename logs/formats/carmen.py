@@ -18,7 +18,7 @@ from logs.formats.carmen_clock import CarmenClock, read_clock
 from logs.formats.text import read_lines
 from logs.no_return import decode
 from logs.resampling import resample, resampled_text
-from logs.run import PoseFrame, RangeSensor, Run
+from logs.run import PoseFrame, RangeSensor, Run, rate_of
 from logs.transforms import compose, invert, twists_of, wrap
 from logs.types import Floats, Mounts, Progress
 
@@ -121,7 +121,7 @@ def read(
             range_max=limits,
             mount=mount,
             resolution=_resolution(ranges),
-            rate=_rate(stamps[order]),
+            rate=rate_of(stamps[order]),
         ),
         stamps=stamps[order],
         ranges=ranges[order],
@@ -334,9 +334,3 @@ def _resolution(ranges: Floats) -> float:
         if len(values) and np.abs(values / step - np.rint(values / step)).max() < 1e-6 / step:
             return step
     return 0.0
-
-
-def _rate(stamps: Floats) -> float:
-    steps = np.diff(stamps)
-    steps = steps[steps > 0]
-    return float(1.0 / np.median(steps)) if len(steps) else 10.0

@@ -10,7 +10,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.formats.text import read_lines
 from logs.no_return import mask
-from logs.run import RangeSensor, Run
+from logs.run import RangeSensor, Run, rate_of
 from logs.transforms import compose, invert, twists_of, wrap
 from logs.types import Mounts, Progress
 
@@ -80,7 +80,7 @@ def read(
             range_max=NO_RETURN_RANGE if code is not None else float(np.nanmax(ranges[np.isfinite(ranges)])),
             mount=np.asarray(np.median(compose(invert(robot), laser), axis=0)),
             resolution=0.01,
-            rate=float(1.0 / np.median(np.diff(stamps))) if len(stamps) > 1 else 10.0,
+            rate=rate_of(stamps),
         ),
         stamps=stamps,
         ranges=ranges,

@@ -291,7 +291,7 @@ def _assemble(
     epoch = min(int(stamps[0]) for stamps in tracks if len(stamps))
     steps = np.diff(scans.stamps)
     period = float(np.median(steps)) / 1e9 if len(steps) else 0.0
-    period = period if period > 0 else scans.scan_time if scans.scan_time > 0 else 0.1
+    period = period if period > 0 else scans.scan_time if 0 < scans.scan_time < np.inf else 0.1
     none = np.zeros(0, dtype=np.int64)
     poses = pose.values if pose is not None else np.zeros((0, 3))
     driven = odom.values if odom is not None else np.zeros((0, 5))

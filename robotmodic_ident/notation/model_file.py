@@ -57,6 +57,9 @@ def from_plain(data: Mapping[str, Any]) -> dict[str, Any]:
         raise IdentError(
             f"format {data['format']!r}, expected {MODEL_FORMAT!r}; a model is written with Narmax.save"
         )
+    for name, default in (("output", None), ("stop", None), ("estimator", "ls")):
+        if not isinstance(data.get(name, default), str):
+            raise TypeError(f"{name} is {data.get(name)!r}, expected a text")
     terms, theta = _read_rows(data["terms"])
     denominator, denominator_theta = _read_rows(data.get("denominator", []))
     noise_terms, noise_theta = _read_rows(data.get("noise_terms", []))
@@ -71,14 +74,14 @@ def from_plain(data: Mapping[str, Any]) -> dict[str, Any]:
         "sigma": math.nan if data["sigma"] is None else float(data["sigma"]),
         "n_samples": int(data["n_samples"]),
         "scale": Scale.from_dict(data["scale"]),
-        "spans": dict(data.get("spans", {})),
+        "spans": {str(name): float(span) for name, span in data.get("spans", {}).items()},
         "stop": data["stop"],
         "denominator": denominator,
         "denominator_theta": denominator_theta,
         "noise_terms": noise_terms,
         "noise_theta": noise_theta,
         "estimator": data.get("estimator", "ls"),
-        "notes": tuple(data.get("notes", ())),
+        "notes": tuple(map(str, data.get("notes", ()))),
     }
 
 

@@ -145,8 +145,10 @@ def _suppress(
 
 def assign(points: Floats, normals: Floats, patches: Patches, gate: float) -> Ints:
     """Return the patch (n,) of each point (n, 2), the nearest whose line is within `gate` [m]; -1: none."""
-    buckets = line_map(patches.middles, patches.towards, side=patches.side)
     nearest = np.full(len(points), -1, dtype=np.intp)
+    if len(patches.middles) == 0:
+        return nearest
+    buckets = line_map(patches.middles, patches.towards, side=patches.side)
     _assign(
         np.ascontiguousarray(points),
         np.ascontiguousarray(normals),

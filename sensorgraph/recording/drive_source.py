@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from planners.arena import Arena
 from planners.maps import load
 from planners.trajectory import Trajectory, read_csv
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.loading import arena_in, robot_in
+from sensorgraph.loading import arena_in, read_plan_report, robot_in
 from sensorgraph.recording.record import Commands
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot, load_robot
@@ -83,18 +84,13 @@ class DriveSource:
         path = self.path / "plan.json" if self.path.is_dir() else self.path.with_name("plan.json")
         if not isinstance(self.way, Trajectory) or not path.is_file():
             return {}
-        try:
-            report = json.loads(path.read_text(encoding="utf-8"))
-        except (ValueError, RecursionError) as exc:
-            raise SensorgraphError(f"{path}: not JSON ({exc}); plan again, or take the file away") from exc
-        return kept_plan(report)
+        return kept_plan(read_plan_report(path))
 
 
-def kept_plan(report: Any) -> dict[str, bytes]:
+def kept_plan(report: Mapping[str, Any]) -> dict[str, bytes]:
     """Return plan.json as an attachment, without the time that planning took: the same seed gives the same bytes."""
-    if isinstance(report, dict):
-        report = {key: value for key, value in report.items() if key != "planning_s"}
-    return {"plan.json": (json.dumps(report, indent=1) + "\n").encode()}
+    kept = {key: value for key, value in report.items() if key != "planning_s"}
+    return {"plan.json": (json.dumps(kept, indent=1) + "\n").encode()}
 
 
 def start_of(way: Trajectory | Commands) -> Floats:

@@ -32,9 +32,9 @@ class WallDistance:
     def __call__(self, x: float, y: float) -> float:
         """Return the distance [m] of (x, y) [m, map]."""
         u, v = (x - self.x0) / self.cell, (y - self.y0) / self.cell
-        i, j = int(u), int(v)
-        if u < 0 or v < 0 or i >= self.nx - 1 or j >= self.ny - 1:
+        if not (0 <= u < self.nx - 1 and 0 <= v < self.ny - 1):  # nor is any that is not finite
             return 0.0
+        i, j = int(u), int(v)
         a, b = u - i, v - j
         low, high = self.table[i], self.table[i + 1]
         return (1 - a) * ((1 - b) * low[j] + b * low[j + 1]) + a * ((1 - b) * high[j] + b * high[j + 1])

@@ -57,7 +57,7 @@ def graph_picture(graph: Sensorgraph, path: Path, *, run: Run | None = None) -> 
 
     Raises
     ------
-    SensorgraphError : the model has no geometry to draw, or knows no surface
+    SensorgraphError : the model has no geometry to draw, or knows no surface; or no ray of the run is predicted
     """
     model = graph.model
     if not isinstance(model, (Faces, CellModel)):
@@ -66,6 +66,10 @@ def graph_picture(graph: Sensorgraph, path: Path, *, run: Run | None = None) -> 
             "or look at it with `sensorgraph review`"
         )
     residuals = None if run is None else predicted_ends(graph, run)
+    if residuals is not None and len(residuals[0]) == 0:
+        raise SensorgraphError(
+            "the graph answers no ray of the run as it was measured; there is nothing to draw: give a run of its place"
+        )
     (x0, y0), (x1, y1) = _limits(model)
     width = 12.0
     tall = map_height(0.46 * width, (x0, y0, x1, y1), 2.5, 10.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import logs
@@ -11,6 +10,7 @@ from planners.arena import Arena
 from planners.trajectory import read_csv
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.loading import read_plan_report
 from sensorgraph.planning.plan import CoveragePlan
 from sensorgraph.show.review.contents import Review, collect
 from sensorgraph.show.review.views import write
@@ -72,7 +72,7 @@ def review(
         planned, facts = plan.trajectory.poses[::PLAN_STEP, :2], plan.to_dict()
     elif plan is not None:
         planned = read_csv(Path(plan) / "trajectory.csv").poses[::PLAN_STEP, :2]
-        facts = json.loads((Path(plan) / "plan.json").read_text())
+        facts = read_plan_report(Path(plan) / "plan.json")
     contents = collect(
         run,
         graph=graph,

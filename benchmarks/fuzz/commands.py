@@ -1,0 +1,162 @@
+"""Every command with odd options and damaged files."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import shutil
+import zlib
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.fuzz import samples
+from benchmarks.fuzz.damage import TOKENS, mutate, remcap, rezip, swap_token
+from benchmarks.fuzz.judge import judge
+from sensorgraph.cli import run as cli
+
+COMMAND_SECONDS = 120.0
+"""[s] of CPU time; a command may have to compile its kernels first."""
+COSTLY = {"locate": 5, "show": 5, "identify": 5, "plan": 15, "diagnose": 15}
+"""Name -> a command that takes seconds where others take a tenth gets so many times fewer inputs."""
+DAMAGED_SHARE = 0.5
+"""Of the inputs: one of the files that the command reads is damaged; the options are then seldom odd."""
+VALUES = (
+    "", "0", "-1", "1", "1e308", "nan", "inf", "x", "1,1,0", "1,1", "nan,0,0", "a=b", "scan=/scan", "=", "every10", "block",
+    "auto", "mode", "99999999999999999999", "1e-9", "--", "-", "é", "faces", "polynomial", "{run}", "{graph}", "{arena}",
+    "{robot}", "{out}", "{out}/none", "{bad}", "/dev/null", "square", "{effects}", "{model}", "{no_go}", "{map}",
+)  # fmt: skip
+COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "inspect": ("inspect {run} --arena {arena} --robot {robot}", ("--topic", "--arena", "--json", "--no-return", "--robot")),
+    "recover": ("recover {run} -o {out}/o.mcap", ("--out",)),
+    "locate": ("locate {run} --robot {robot} -o {out}/o.mcap", ("--arena", "--csv", "--json", "--topic", "--no-return")),
+    "build": (
+        "build {run} -o {out}/o.sensorgraph --arena {arena} --robot {robot} --no-calibrate",
+        ("--arena", "--robot", "--model", "--split", "--degree", "--harmonics", "--terms", "--update", "--topic"),
+    ),
+    "evaluate": (
+        "evaluate {graph} {run} --effects {effects}",
+        ("--split", "--cap", "--point", "--effects", "--json", "--topic"),
+    ),
+    "predict": ("predict {graph} --poses {poses} -o {out}/o.npz", ("--poses", "--point", "-o")),
+    "show": ("show {graph} --run {run} -o {out}/o.png", ("--ray", "--bearing", "--out", "--run")),
+    "record": (
+        "record {plan} --effects {effects} -o {out}/o.mcap",
+        ("--arena", "--robot", "--effects", "--seed", "--start", "--graph", "--controller"),
+    ),
+    "drive": (
+        "record {plan} --arena {arena} --controller {model} -o {out}/o.mcap",
+        ("--arena", "--robot", "--controller", "--seed", "--start", "--graph"),
+    ),
+    "review": (
+        "review {run} --graph {graph} --plan {plan} -o {out}/o.rrd",
+        ("--graph", "--plan", "--arena", "--ray", "-o", "--topic"),
+    ),
+    "plan": (
+        "plan {arena} --robot {robot} --no-go {no_go} --planner random_bounce --duration 2 -o {out}/o",
+        ("--robot", "--planner", "--cell", "--headings", "--start", "--seed", "--no-go", "--resume", "--duration"),
+    ),
+    "diagnose": (
+        "diagnose {run} --arena {arena} --robot {robot} -o {out}/o",
+        ("--robot", "--effects", "--seed", "--topic", "--commissioning"),
+    ),
+    "identify": (
+        "identify {signals} --output y --inputs u --lags 1 -o {out}/o.json",
+        ("--output", "--inputs", "--lags", "--output-lags", "--degree", "--noise-lags", "--split", "--every", "--terms"),
+    ),
+}  # fmt: skip
+"""Name -> words that work, and options to add. `drive` is `record` with controllers."""
+
+
+def sample_files() -> dict[str, tuple[str, bytes]]:
+    """Return name -> path below the folder and content of what the commands read."""
+    return {
+        "arena": ("arena.geojson", samples.GEOJSON),
+        "no_go": ("no_go.geojson", samples.NO_GO),
+        "map": ("map.yaml", samples.MAP),
+        "image": ("map.pgm", samples.PGM),
+        "robot": ("robot.yaml", samples.ROBOT),
+        "effects": ("effects.yaml", samples.EFFECTS_FILE),
+        "poses": ("poses.csv", samples.POSES),
+        "signals": ("signals.csv", samples.SIGNALS),
+        "bad": ("bad.mcap", b"\x89"),
+        "model": ("model.json", samples.models()[-1]),
+        "run": ("run.mcap", samples.of_runs(".mcap")[0]),
+        "graph": ("graph.sensorgraph", samples.graphs()[0]),
+        "plan_way": ("plan/trajectory.csv", samples.TRAJECTORY),
+        "plan_facts": ("plan/plan.json", samples.PLAN),
+        "plan_arena": ("plan/arena.geojson", samples.GEOJSON),
+        "plan_robot": ("plan/robot.yaml", samples.ROBOT),
+    }
+
+
+def _damaged(name: str, data: bytes, rng: np.random.Generator) -> bytes:
+    inner = {".mcap": remcap, ".sensorgraph": rezip}.get(Path(name).suffix)
+    if inner is not None and len(data) > len(b"MCAP"):
+        return inner(data, rng)
+    return swap_token(data, rng) if rng.random() < 0.7 else mutate(data, rng)
+
+
+def _words(name: str, rng: np.random.Generator, *, odd: bool) -> list[str]:
+    base, options = COMMANDS[name]
+    words = base.split()
+    for option in rng.choice(options, int(rng.integers(1, 3)) if odd else 0):
+        words += [str(option), VALUES[int(rng.integers(len(VALUES)))]]
+    if odd and rng.random() < 0.2:
+        words[int(rng.integers(1, len(words)))] = VALUES[int(rng.integers(len(VALUES)))]
+    if odd and rng.random() < 0.1:
+        token = TOKENS[int(rng.integers(len(TOKENS)))].decode(errors="replace").replace("\x00", "")
+        words[-1] = token.replace("{", "{{").replace("}", "}}")
+    return words
+
+
+def fuzz_command(name: str, n: int, seed: int, folder: Path) -> Counter[str]:
+    """Give n odd options and damaged files to a command; return what was found, counted."""
+    rng = np.random.default_rng([seed, 1, zlib.crc32(name.encode())])
+    files = sample_files()
+    folder = folder / "commands"
+    places = {key: folder / path for key, (path, _) in files.items()}
+    places |= {"out": folder / "out", "plan": folder / "plan"}
+    found: Counter[str] = Counter()
+    for _ in range(n):
+        shutil.rmtree(folder, ignore_errors=True)
+        for path, data in files.values():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(data)
+        places["out"].mkdir()
+        damage = rng.random() < DAMAGED_SHARE
+        words = [word.format(**places) for word in _words(name, rng, odd=not damage or rng.random() < 0.1)]
+        victim = ""
+        if damage:
+            said = " ".join(words) + " " + str(places["image"]) * (str(places["map"]) in words)
+            used = [key for key, place in places.items() if place.is_file() and _is_named(place, said)]
+            victim = used[int(rng.integers(len(used)))] if used else ""
+        kept = b""
+        if victim:
+            kept = _damaged(*files[victim], rng)
+            places[victim].write_bytes(kept)
+        wrong = judge(lambda words=words: _run(words, places["out"]), COMMAND_SECONDS)  # type: ignore[misc]
+        if wrong:
+            line = f"{wrong}: {' '.join(words)}" + (f" ({victim} damaged)" if victim else "")
+            found[line.replace(str(folder), "")] += 1
+            if victim:
+                copy = folder.parent / "found" / f"{name}-{found.total()}-{places[victim].name}"
+                copy.parent.mkdir(exist_ok=True)
+                copy.write_bytes(kept)
+    shutil.rmtree(folder, ignore_errors=True)
+    return found
+
+
+def _is_named(place: Path, said: str) -> bool:
+    """Tell whether a command is given a file, or the plan's folder that holds it."""
+    return str(place) in said or (place.parent.name == "plan" and f"{place.parent} " in said)
+
+
+def _run(words: list[str], folder: Path) -> None:
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said), contextlib.chdir(folder):
+        code = cli(words)
+    errors = [line for line in said.getvalue().splitlines() if line.startswith("error")]
+    if code not in (0, 2) or (code == 2 and len(errors) != 1):
+        raise RuntimeError(f"exit {code}: {errors}")

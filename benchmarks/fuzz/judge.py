@@ -1,0 +1,75 @@
+"""How something ends: with a result or one line of ours, within limits of time and memory; or what is wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import resource
+import signal
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+
+from logs.errors import LogError
+from planners.errors import PlanError
+from robotmodic_ident.errors import IdentError
+from sensorgraph.errors import SensorgraphError
+
+OURS = (LogError, PlanError, IdentError, SensorgraphError)
+SECONDS = 10.0
+"""[s] of CPU time; a small file takes less."""
+MEMORY = 3 * 1024**3
+"""[bytes] of address space that a small file may take beyond what is taken at the start."""
+
+
+class Hung(BaseException):
+    """It took longer than SECONDS."""
+
+
+@contextlib.contextmanager
+def limits(seconds: float) -> Iterator[None]:
+    """Stop what takes longer than `seconds`, and refuse more than MEMORY."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise Hung
+
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    before = signal.signal(signal.SIGPROF, stop)
+    resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, hard))
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+        signal.signal(signal.SIGPROF, before)
+
+
+def judge(action: Callable[[], object], seconds: float = SECONDS) -> str:
+    """Run something; return what is wrong with how it ends, or nothing."""
+    try:
+        with limits(seconds), warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+            warnings.simplefilter("error", RuntimeWarning)
+            action()
+    except OURS as exc:
+        text = str(exc)
+        if not text.strip() or len(text.splitlines()) > 1:
+            return f"{type(exc).__name__} of {len(text.splitlines())} lines: {text[:60]!r}"
+        return "" if len(text) < 1500 else f"a line of {len(text)} characters: {text[:60]!r}"
+    except Hung:
+        return f"takes longer than {seconds:g} s"
+    except BaseException as exc:
+        frame = next(
+            (
+                f
+                for f in reversed(traceback.extract_tb(exc.__traceback__))
+                if "/site-packages/" not in f.filename
+            ),
+            None,
+        )
+        where = "" if frame is None else f" at {Path(frame.filename).name}:{frame.lineno}"
+        return f"{type(exc).__name__}{where}: {' '.join(str(exc).split())[:80]}"
+    return ""
