@@ -18,6 +18,8 @@ import logs
 from logs.run import Run
 from planners.maps import geojson
 from sensorgraph.cli import run as cli
+from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.figures import draw as figures
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effects_file import write as write_effects
@@ -80,6 +82,7 @@ def test_it_finds_what_is_hidden_and_writes_a_model_that_knows_it(
     assert (out / "next_run" / "trajectory.csv").is_file()
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_the_same_seed_writes_the_same_report_with_and_without_attachments(
     folder: Path, tmp_path: Path
 ) -> None:
@@ -97,6 +100,7 @@ def test_the_same_seed_writes_the_same_report_with_and_without_attachments(
     assert (tmp_path / "a" / "effects.yaml").read_bytes() == (tmp_path / "b" / "effects.yaml").read_bytes()
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_run_without_odometry_and_commands_is_diagnosed_by_its_scans(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -116,6 +120,7 @@ def test_a_run_without_odometry_and_commands_is_diagnosed_by_its_scans(
         assert f"{channel}: not looked at, {report['channels'][channel]['skipped']}" in lines
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_poses_that_stop_early_are_counted(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -133,6 +138,7 @@ def test_poses_that_stop_early_are_counted(
     assert "after the last pose" in out
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_an_arena_of_another_place_is_said_first(folder: Path, tmp_path: Path) -> None:
     run = driven_run(0)
     logs.write(replace(run, poses=run.poses + [4.0, 1.0, 0.0]), tmp_path / "off.mcap")
@@ -143,6 +149,7 @@ def test_an_arena_of_another_place_is_said_first(folder: Path, tmp_path: Path) -
     assert "moved by (-" in report["unknown"]["statement"]
 
 
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("scale", [0.7, 1.3])
 def test_an_arena_of_another_scale_is_said_first(
     scale: float, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -163,6 +170,7 @@ def test_an_arena_of_another_scale_is_said_first(
     assert json.loads((tmp_path / "out" / "report.json").read_text())["effects"] == []
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_an_arena_that_lacks_obstacles_is_said_first(tmp_path: Path, folder: Path) -> None:
     arena = json.loads(geojson.dumps(load_arena("square")))
     arena["features"] = [f for f in arena["features"] if f["properties"]["kind"] == "arena"]
@@ -189,6 +197,7 @@ def test_a_folder_used_again_keeps_nothing_of_the_last_report(folder: Path, tmp_
     assert "of the last run" not in html
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_mirrored_scan_is_said_first(folder: Path, tmp_path: Path) -> None:
     run = driven_run(0)
     logs.write(replace(run, ranges=run.ranges[:, ::-1].copy()), tmp_path / "mirrored.mcap")
@@ -241,9 +250,15 @@ def test_effects_that_are_known_may_name_no_other_place(
     assert load_robot(None).name == "radix"
 
 
+@pytest.fixture(scope="module")
+def finding(folder: Path) -> Finding:
+    return diagnose(logs.read(folder / "run.mcap"), load_arena("square"), parse_robot(ROBOT))
+
+
 @pytest.mark.parametrize("where", ["residuals_picture", "next_run_picture"])
 def test_ctrl_c_leaves_the_last_report_as_it_was(
     where: str,
+    finding: Finding,
     folder: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -253,6 +268,7 @@ def test_ctrl_c_leaves_the_last_report_as_it_was(
         signal.raise_signal(signal.SIGINT)
 
     (tmp_path / "report.json").write_text("of the last run")
+    monkeypatch.setattr("sensorgraph.diagnosis.diagnose.diagnose", lambda *_, **__: finding)
     monkeypatch.setattr(figures, where, interrupted)
     assert cli(["diagnose", str(folder / "run.mcap"), "-o", str(tmp_path)]) == 130
     assert capsys.readouterr().err.splitlines()[-1] == "interrupted"

@@ -195,6 +195,7 @@ def test_amended_scans_lie_nearer_than_nominal_ones(found: Finding) -> None:
     assert after < 0.015  # noise of 1 cm
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_nothing_found_is_said(silent: Finding, tmp_path: Path) -> None:
     save_report(silent, tmp_path)
     assert summarise(silent).outcome == "nothing"
@@ -206,6 +207,7 @@ def test_nothing_found_is_said(silent: Finding, tmp_path: Path) -> None:
     assert not any("/plan/amended" in column for column in columns)
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_reference_worse_than_stated_is_said_where_nothing_is_found(
     silent: Finding, room: Arena, tmp_path: Path
 ) -> None:
@@ -241,6 +243,7 @@ def test_the_same_finding_gives_the_same_bytes(silent: Finding, tmp_path: Path) 
             assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_something_unknown_is_said_with_its_place(unknown: Finding, tmp_path: Path) -> None:
     what = summarise(unknown)
     assert (what.outcome, what.headline) == ("unknown", "Something unknown at wall w/edge_1.")
@@ -377,6 +380,7 @@ def test_a_failure_leaves_no_part_behind(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_the_command_writes_a_report_and_says_what_it_found(
     room: Arena, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -411,6 +415,7 @@ def feature(name: str, kind: str, ring: list[list[float]]) -> dict[str, object]:
     }
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_diagnosis_prints_its_headline_and_saves_its_report(
     found: Finding, room: Arena, tmp_path: Path
 ) -> None:
