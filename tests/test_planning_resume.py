@@ -50,8 +50,8 @@ def test_a_run_of_another_arena_is_refused_by_its_walls(tmp_path: Path) -> None:
 def test_an_arena_that_has_grown_or_lost_an_obstacle_is_the_same(tmp_path: Path) -> None:
     room = outlined(shapely.box(0, 0, 4, 1).difference(shapely.box(1.6, 0.8, 2.2, 1.0)))
     larger = outlined(shapely.box(0, 0, 4, 1).union(shapely.box(4, 0, 8, 1)))
-    assert shared_walls(room, room) == 1.0
-    assert 0.7 < shared_walls(room, larger) < 1.0
+    assert shared_walls(room.walls, room) == 1.0
+    assert 0.7 < shared_walls(room.walls, larger) < 1.0
     assert len(driven_poses(read(recorded(tmp_path / "run.mcap", DRIVE, room)), larger)) == len(DRIVE)
 
 

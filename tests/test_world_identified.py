@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 
 import logs
 from logs.run import RangeSensor, Run
@@ -17,10 +18,11 @@ from sensorgraph.cli import run as command
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification.behaviour import behaviour, lyapunov, table
+from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.planning.plan_folder import save
 from sensorgraph.recording.identified_world import ArenaWorld, IdentifiedWorld
 from sensorgraph.world.drive import ExecutedDrive
-from sensorgraph.world.identified_arena import arena_of
+from sensorgraph.world.identified_arena import MIN_HALF_WIDTH, _free_space, arena_of
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot, default_robot
 from sensorgraph.world.simulate import simulate
@@ -143,6 +145,26 @@ def folder(graph: Sensorgraph, room: Arena, robot: Robot, tmp_path_factory: pyte
 def test_walls_of_the_graph_are_those_of_the_room(graph: Sensorgraph, room: Arena) -> None:
     found = arena_of(graph)
     np.testing.assert_allclose(found.bounds, room.bounds, atol=0.15)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_free_space_is_the_crossed_cells_made_wider_without_what_no_disc_fits_in(seed: int) -> None:
+    """Cells that touch at corners only, holes and slivers included; told by distances, cell by cell."""
+    rng = np.random.default_rng(seed)
+    cell, half = 0.1, 0.05
+    crossed = rng.random((30, 40)) < 0.6
+    crossed[3:9, 5:12] = True  # a disc fits in here, and perhaps elsewhere
+    space = ObservedSpace(origin=np.array([-1.23, 4.567]), cell=cell, counts=crossed.astype(np.uint8))
+    wall = np.array([[[-0.9, 5.0], [-0.2, 5.0]]])
+    found = _free_space(space, wall, np.array([[0.0, 1.0]]))
+    boxes = [
+        shapely.box(*(space.origin + cell * np.array(at)), *(space.origin + cell * (np.array(at) + 1)))
+        for at in np.argwhere(crossed)
+    ]
+    wide = shapely.union_all(boxes).buffer(half, join_style="mitre")
+    wide = wide.difference(shapely.box(-0.9, 4.95, -0.2, 5.0))
+    parts = [p for p in shapely.get_parts(wide) if p.buffer(-MIN_HALF_WIDTH).area > 0]
+    assert shapely.union_all(parts).symmetric_difference(found).area < 1e-9  # m²
 
 
 def race(folder: Path, out: Path, *controllers: str, seed: int = 0) -> int:

@@ -12,7 +12,7 @@ from planners.maps import geojson
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.types import Floats
-from sensorgraph.world.identified_arena import arena_of
+from sensorgraph.world.identified_arena import walls_of
 
 WALL_STEP, SAME_WALL_DISTANCE = 0.05, 0.10
 """[m] between points of a wall, and how near a wall of the other arena must be to be the same."""
@@ -35,7 +35,7 @@ def driven_poses(run: Run, arena: Arena, *, name: str = "the run") -> Floats:
     if not pairing.paired.any():
         raise PlanError(f"{name}: {pairing}; nothing to resume from")
     own = _own_arena(run)
-    if own is not None and (share := shared_walls(own, arena)) < MIN_SHARED:
+    if own is not None and (share := shared_walls(own.walls, arena)) < MIN_SHARED:
         raise PlanError(
             f"{name} was driven in another arena, of {_extent(own)}: {100 * share:.0f} % of its walls stand in this "
             f"one, of {_extent(arena)}; give the arena of that run, or a run of this one"
@@ -53,7 +53,7 @@ def driven_poses(run: Run, arena: Arena, *, name: str = "the run") -> Floats:
 def other_place_warnings(graph: Sensorgraph, arena: Arena) -> list[str]:
     """Return a warning if the walls that a sensorgraph has identified do not stand in an arena, else nothing."""
     try:
-        own = arena_of(graph)
+        own = walls_of(graph)
     except SensorgraphError:
         return []
     if (share := shared_walls(own, arena)) >= MIN_SHARED:
@@ -73,13 +73,13 @@ def _own_arena(run: Run) -> Arena | None:
         return None
 
 
-def shared_walls(own: Arena, other: Arena) -> float:
-    """Return the share of the length of one arena's walls that stands in the other, too."""
-    if not own.n_walls:
+def shared_walls(walls: Floats, other: Arena) -> float:
+    """Return the share of the length of walls (n, 2, 2) [m] that stands in an arena, too."""
+    if not len(walls):
         return 1.0
-    starts, ends = own.walls[:, 0], own.walls[:, 1]
+    starts, ends = walls[:, 0], walls[:, 1]
     counts = np.maximum(np.hypot(*(ends - starts).T) / WALL_STEP, 1).astype(np.int64)
-    owner = np.repeat(np.arange(own.n_walls), counts)
+    owner = np.repeat(np.arange(len(walls)), counts)
     number = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
     share = ((number + 0.5) / counts[owner])[:, None]
     points = starts[owner] + share * (ends - starts)[owner]  # (n, 2) even steps along the walls

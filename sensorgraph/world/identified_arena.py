@@ -120,17 +120,31 @@ def _group_points(points: Floats, distance: float) -> tuple[int, Ints]:
 def _free_space(crossed: ObservedSpace, walls: Floats, normals: Floats) -> Polygon | MultiPolygon:
     """Return the crossed cells, a little wider, without what lies behind walls."""
     i, j = np.nonzero(crossed.counts)
-    x, y = crossed.origin[0] + i * crossed.cell, crossed.origin[1] + j * crossed.cell
-    cells = shapely.union_all(shapely.box(x, y, x + crossed.cell, y + crossed.cell))
+    x, y = (
+        low + crossed.cell * np.arange(n + 1)
+        for low, n in zip(crossed.origin, crossed.counts.shape, strict=True)
+    )
+    cells = shapely.coverage_union_all(
+        shapely.box(x[i], y[j], x[i + 1], y[j + 1])
+    )  # they share corners and edges
     behind = np.concatenate(
         [walls, walls[:, ::-1] - WALL_THICKNESS * normals[:, None]], axis=1
     )  # (n_walls, 4, 2)
     free = cells.buffer(crossed.cell / 2, join_style="mitre").difference(
         shapely.union_all(shapely.polygons(behind))
     )
-    parts = [
-        p for p in shapely.get_parts(free) if isinstance(p, Polygon) and p.buffer(-MIN_HALF_WIDTH).area > 0
-    ]
+    parts = [p for p in shapely.get_parts(free) if isinstance(p, Polygon) and _is_wide(p)]
     if not parts:
         raise SensorgraphError("the graph knows no free space; build it from a longer log, or give a map")
     return MultiPolygon(parts) if len(parts) > 1 else parts[0]
+
+
+def _is_wide(part: Polygon) -> bool:
+    """Tell whether a disc of MIN_HALF_WIDTH fits in.
+
+    The boundary at depth t within is no longer than the boundary itself but for 2 pi t a hole (Sz.-Nagy 1959; Makai 1959),
+    so a part with more area than such strips have together is wide; for others the strips are cut off, which takes
+    seconds for a large floor.
+    """
+    longest = part.length + np.pi * len(part.interiors) * MIN_HALF_WIDTH
+    return bool(part.area > MIN_HALF_WIDTH * longest or part.buffer(-MIN_HALF_WIDTH).area > 0)
