@@ -239,6 +239,15 @@ def test_gzip_is_told_by_content_and_broken_lines_are_counted(tmp_path: Path) ->
     assert "1 broken lines left out, the first is line 9" in run.meta["notes"]
 
 
+@pytest.mark.parametrize("stamp", [-1e308, 1e300, float("nan")])
+def test_a_line_with_a_stamp_that_no_clock_shows_is_broken(stamp: float, tmp_path: Path) -> None:
+    lines = walk()
+    lines.insert(5, flaser(np.full(181, 3.0), stamp))
+    run = logs.read(write(tmp_path / "a.log", lines))
+    assert run.n_scans == 6
+    assert "1 broken lines left out, the first is line 8" in run.meta["notes"]
+
+
 def test_other_laser_is_read_when_named(tmp_path: Path) -> None:
     lines = [*walk(), flaser(np.full(181, 3.0), 9.0, word="RLASER")]
     path = write(tmp_path / "a.log", lines)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import LogError
-from logs.formats.carmen_clock import CarmenClock, read_clock
+from logs.formats.carmen_clock import CLOCK, CarmenClock, read_clock
 from logs.formats.text import read_lines
 from logs.no_return import decode
 from logs.resampling import resample, resampled_text
@@ -194,8 +194,8 @@ def _scan(word: str, values: list[str], number: int) -> _ScanLine:
     if len(values) < end + 3:
         raise ValueError("no stamp")
     times = float(values[end]), float(values[end + 2])
-    if not np.isfinite(times).all():
-        raise ValueError("a stamp that is no number")
+    if not np.abs(times).max() <= CLOCK.latest:
+        raise ValueError("a stamp that no clock shows")
     return _ScanLine(number, ranges, geometry, poses[:3], poses[3:], times)
 
 

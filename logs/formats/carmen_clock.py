@@ -16,6 +16,8 @@ class ClockSettings:
 
     first_absolute: float = 1e8
     """[s] larger times count from 1970."""
+    latest: float = 9e9
+    """[s] no clock shows a larger number, of either sign: its nanoseconds would not fit into 64 bits."""
     assumed_period: float = 0.1
     """[s] between scans of a log whose clock stands still."""
     distinct: float = 0.01
