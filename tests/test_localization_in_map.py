@@ -12,8 +12,12 @@ from logs.run import Run
 from logs.transforms import compose
 from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization.global_search import GlobalPlaces, find_places, local_view
 from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
+from sensorgraph.localization.known_map import known_map
+from sensorgraph.localization.scans import scan_points
+from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
 
 WALLS = np.array(ROOM).reshape(-1, 2, 2)
 TRUTH = loop_poses(120)
@@ -122,3 +126,41 @@ def test_run_is_located_in_a_graph_of_cells() -> None:
     found = locate_in_map(room_run(TRUTH[20:60], seed=7), walls)
     distance = np.hypot(*errors(found.poses, TRUTH[20:60])[:, :2].T)
     assert set(found.status) == {"ok"} and distance.max() < 0.02
+
+
+def test_rays_into_space_that_nobody_mapped_do_not_count_against_a_place() -> None:
+    pose = np.array([1.5, 1.0, 0.4])
+    mapped = WALLS[WALLS[:, :, 0].min(axis=1) < 3.0]  # the rest of the room was never seen
+    mapped = np.stack([np.minimum(mapped[..., 0], 3.0), mapped[..., 1]], axis=-1)
+    seen = SeenSpace(cells=np.ones((32, 64), dtype=np.uint8), origin=np.array([-0.1, -0.1]), resolution=0.1)
+    scans = scan_points(room_run(pose[None]))
+    view = local_view(scans, np.array([0]), pose[None])
+    one_eyed, blind = known_map(mapped, seen), known_map(mapped)
+    ahead = pose[0] + np.cos(pose[2]) * view.points[:, 0] - np.sin(pose[2]) * view.points[:, 1]
+    judged = one_eyed.judge(pose[None], view.points, view.starts)
+    assert judged.unseen[0] == pytest.approx((ahead > 3.3).mean(), abs=0.05)
+    found = find_places(view, one_eyed)
+    assert len(found.rivals) == 0 and np.hypot(*(found.poses[0] - pose)[:2]) < 0.02
+    assert found.fit > 0.9 and find_places(view, blind).fit < 0.8
+
+
+def test_place_whose_rays_are_likelier_but_fit_worse_does_not_rule_out_another() -> None:
+    both = GlobalPlaces(
+        poses=np.array([[0.0, 0, 0], [9.0, 0, 0]]),
+        probabilities=np.array([0.999, 0.001]),
+        agreements=np.array([0.9, 0.65]),
+        hidden=np.array([0.1, 0.02]),
+        unseen=np.array([0.0, 0.3]),
+    )
+    assert both.fits == pytest.approx([0.7, 0.61 / 0.7])
+    assert len(both.rivals) == 1 and both.fit == both.fits[1]
+
+
+def test_grid_of_seen_cells_is_where_the_log_of_a_graph_has_looked() -> None:
+    run = replace(room_run(TRUTH), pose_stamps=np.arange(120) / 5, poses=TRUTH)
+    seen = seen_by_graph(build([run], model="cells"))
+    assert seen is not None
+    middle = ((TRUTH[:, :2] - seen.origin) / seen.resolution).astype(int)
+    assert seen.cells[tuple(middle.T)].all()
+    outside = ((np.array([-0.5, -0.5]) - seen.origin) / seen.resolution).astype(int)
+    assert (outside < 0).any() or not seen.cells[tuple(outside)]

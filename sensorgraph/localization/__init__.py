@@ -20,6 +20,7 @@
 | `odometry_check` | whether odometry is in metres and radians, and the laser counts its rays counter-clockwise |
 | `in_map`, `map_tracking` | a run in a known place: search, follow, lose and find again, smooth |
 | `graph_walls` | the surfaces of a graph of faces or cells as walls |
+| `seen_space` | where the rays of a graph's own log went |
 | `known_map`, `global_search` | walls as lines, fields and rays; all places where a view fits |
 | `smoothing` | all poses at once by a banded Cholesky factor, with covariances |
 | `map_settings` | every tuned number of these, with unit and meaning |

@@ -25,6 +25,13 @@ class LocalView:
     """(n, 2) unit normals, or 0, 0."""
     starts: Floats
     """(n, 2) [m] where the rays begin."""
+    last: LocalView | None = None
+    """The last scan alone, with more of its points; None: there is no other."""
+
+    @property
+    def last_scan(self) -> LocalView:
+        """The view of the last scan alone: what all see together reaches farther into what a map lacks."""
+        return self if self.last is None else self.last
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,20 +46,42 @@ class GlobalPlaces:
     """(n,) share of the points that lie on surfaces of the map."""
     hidden: Floats
     """(n,) share of the points that walls of the map should have hidden."""
+    unseen: Floats
+    """(n,) share of the points of which the map says nothing."""
+
+    @property
+    def fits(self) -> Floats:
+        """(n,) `fit_of` each place."""
+        shares = zip(self.agreements, self.hidden, self.unseen, strict=True)
+        return np.array([fit_of(*of_place) for of_place in shares])
 
     @property
     def fit(self) -> float:
-        """Share of the returns on surfaces at the first place, less `hidden_weight` times those through walls."""
-        return (
-            float(self.agreements[0] - GLOBAL_SEARCH.hidden_weight * self.hidden[0])
-            if len(self.poses)
-            else 0.0
-        )
+        """The best of `fits`; 0 without any place."""
+        return float(self.fits.max()) if len(self.poses) else 0.0
 
     @property
     def rivals(self) -> Floats:
-        """(n, 3) other places that cannot be ruled out; none if the first is the place."""
-        return self.poses[1:][self.probabilities[1:] > GLOBAL_SEARCH.rival_probability]
+        """(n, 3) other places that cannot be ruled out; none if the first is the place.
+
+        A place that fits as well as the first is a rival though its rays are less likely: rays that all go through one
+        opened door are one surprise, not many.
+        """
+        fits = self.fits
+        can_be = (self.probabilities > GLOBAL_SEARCH.rival_probability) | (fits >= fits[:1])
+        return self.poses[1:][can_be[1:]]
+
+
+def fit_of(
+    agreement: float, hidden: float, unseen: float, settings: GlobalSearchSettings = GLOBAL_SEARCH
+) -> float:
+    """Return the share of the returns on surfaces, less `hidden_weight` times those through walls.
+
+    Shares are of the returns of which the map says something; of `least_seen` of all where those are fewer.
+    """
+    return float(
+        (agreement - settings.hidden_weight * hidden) / max(1.0 - float(unseen), settings.least_seen)
+    )
 
 
 def local_view(
@@ -65,17 +94,23 @@ def local_view(
     chosen : (n,) scans
     poses : (n, 3) of these in one frame, right from one to the next
     """
+    last = None if len(chosen) == 1 else local_view(scans, chosen[-1:], poses[-1:], settings)
     most = max(settings.points // len(chosen), settings.least_points)
     parts: tuple[list[Floats], list[Floats], list[Floats]] = ([], [], [])
     for scan, (x, y, phi) in zip(chosen, compose(invert(poses[-1]), poses), strict=True):
         own = np.arange(scans.first[scan], scans.first[scan + 1])
-        own = own[np.unique(np.linspace(0, len(own) - 1, min(most, len(own))).astype(np.intp))]
+        own = own[_evenly(len(own), most)]
         turn = np.array([[np.cos(phi), np.sin(phi)], [-np.sin(phi), np.cos(phi)]])
         parts[0].append(scans.points[own] @ turn + (x, y))
         parts[1].append(scans.normals[own] @ turn)
         parts[2].append(scans.starts[own] @ turn + (x, y))
     points, normals, starts = (np.concatenate(part) for part in parts)
-    return LocalView(points=points, normals=normals, starts=starts)
+    return LocalView(points=points, normals=normals, starts=starts, last=last)
+
+
+def _evenly(n: int, most: int) -> Ints:
+    """Return at most `most` of the numbers 0 to n - 1, evenly spread."""
+    return np.unique(np.linspace(0, n - 1, min(most, n)).astype(np.intp))
 
 
 def find_places(
@@ -85,34 +120,62 @@ def find_places(
     window: SearchWindow | None = None,
     settings: GlobalSearchSettings = GLOBAL_SEARCH,
 ) -> GlobalPlaces:
-    """Return where in a window (None: all of the map) a view may have been taken; nothing where it fits nowhere."""
+    """Return where in a window (None: all of the map) a view may have been taken; nothing where it fits nowhere.
+
+    The last scan is sought first. All scans together judge the places found, and where they fit none of these, the last
+    scan alone, as the map may lack what the others saw. If that does not help, all are sought together.
+    """
     s = settings
-    empty = np.zeros(0)
-    none = GlobalPlaces(poses=np.zeros((0, 3)), probabilities=empty, agreements=empty, hidden=empty)
-    if len(view.points) < s.least_points:
-        return none
-    modes = place.pyramid.search(
-        view.points,
+    last = view.last_scan
+    modes = _modes(last.points, place, window, s)
+    found = _judged(modes, view, place, s)
+    if found.fit >= s.enough_fit or len(last.points) == len(view.points):
+        return found
+    alone = _judged(modes, last, place, s)
+    if alone.fit >= s.enough_fit and _judged(alone.poses[:1], view, place, s).fit >= s.least_joint_fit:
+        return alone
+    other = _judged(_modes(view.points, place, window, s), view, place, s)
+    return other if other.fit > found.fit else found
+
+
+def _modes(
+    points: Floats, place: KnownMap, window: SearchWindow | None, settings: GlobalSearchSettings
+) -> Floats:
+    """Return poses (n, 3) from which points (m, 2) fit the field."""
+    s = settings
+    if len(points) < s.least_points:
+        return np.zeros((0, 3))
+    return place.pyramid.search(
+        points,
         place.window if window is None else window,
         heading_step=s.heading_step,
         min_score=s.min_score,
         max_modes=s.max_modes,
         rival_ratio=s.rival_ratio,
         apart=(s.apart, s.apart_turn),
-    )
-    if len(modes.poses) == 0:
-        return none
-    found = [match(view.points, view.normals, place.surfaces, pose) for pose in modes.poses]
+    ).poses
+
+
+def _judged(modes: Floats, view: LocalView, place: KnownMap, settings: GlobalSearchSettings) -> GlobalPlaces:
+    """Return places near modes (n, 3), by all rays of a view."""
+    s = settings
+    if len(modes) == 0:
+        empty = np.zeros(0)
+        return GlobalPlaces(poses=modes, probabilities=empty, agreements=empty, hidden=empty, unseen=empty)
+    likely = place.judge(modes, view.points, view.starts).likelihoods
+    starts = modes[np.argsort(-likely, kind="stable")[: s.max_matches]]
+    found = [match(view.points, view.normals, place.surfaces, pose) for pose in starts]
     poses = np.array([one.pose for one in found])
-    likelihoods, hidden = place.judge(poses, view.points, view.starts)
-    scores = likelihoods / s.correlation
+    judged = place.judge(poses, view.points, view.starts)
+    scores = judged.likelihoods / s.correlation
     order = _distinct(poses, scores, s)
     weights = np.exp(scores[order] - scores[order[0]])
     return GlobalPlaces(
         poses=poses[order],
         probabilities=weights / weights.sum(),
         agreements=np.array([found[k].agreement for k in order]),
-        hidden=hidden[order],
+        hidden=judged.hidden[order],
+        unseen=judged.unseen[order],
     )
 
 

@@ -15,6 +15,7 @@ from sensorgraph.localization.map_tracking import MapTrack, MapTracker, rematch
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.result import Localization, Status, WheelParameters
 from sensorgraph.localization.scans import ScanPoints, scan_points
+from sensorgraph.localization.seen_space import SeenSpace
 from sensorgraph.localization.smoothing import smooth
 from sensorgraph.localization.wheels import identify_wheels
 from sensorgraph.types import Bools, Floats, ProgressBars, no_progress
@@ -24,6 +25,7 @@ def locate_in_map(
     run: Run,
     walls: Floats,
     *,
+    seen: SeenSpace | None = None,
     name: str = "the map",
     progress: ProgressBars = no_progress,
     settings: MapTrackingSettings = MAP_TRACKING,
@@ -33,6 +35,7 @@ def locate_in_map(
     Parameters
     ----------
     walls : (n, 2, 2) [m, map] both ends of each wall
+    seen : where the map says what is there; None: everywhere
     name : of the map, for messages
 
     Raises
@@ -44,7 +47,7 @@ def locate_in_map(
     motion = odometry_of(run)
     scans = scan_points(run, motion)
     odometry = None if motion is None else odometry_at_scans(run, motion)
-    place = known_map(walls)
+    place = known_map(walls, seen)
     with progress("following the scans", "scans") as tick:
         steps = track(scans, run.stamps, odometry, tick)
     with progress(f"locating in {name}", "scans") as tick:

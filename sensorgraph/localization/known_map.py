@@ -13,10 +13,27 @@ from sensorgraph.localization.branch_and_bound import MaxPyramid, SearchWindow
 from sensorgraph.localization.likelihood_field import LikelihoodField, field_of_points, points_on
 from sensorgraph.localization.line_map import LineMap, line_map
 from sensorgraph.localization.map_settings import KNOWN_MAP, KnownMapSettings
+from sensorgraph.localization.seen_space import SeenSpace, is_ray_seen
 from sensorgraph.types import Floats
 
 WALL = 225.0
 """Value of the fine field from which on a cell is a wall."""
+
+
+EVERYWHERE = SeenSpace(cells=np.zeros((0, 0), dtype=np.uint8), origin=np.zeros(2), resolution=1.0)
+"""Stands for a map that says of every place what is there."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RayVerdicts:
+    """What a map says of the rays of a view at some poses."""
+
+    likelihoods: Floats
+    """(n_poses,) logarithm of the likelihood of all rays."""
+    hidden: Floats
+    """(n_poses,) share of the returns that walls of the map should have hidden."""
+    unseen: Floats
+    """(n_poses,) share of the rays on which the map does not say what is there."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,14 +47,17 @@ class KnownMap:
     """Fine, for the likelihood of rays."""
     window: SearchWindow
     """All places where the robot may be."""
+    seen: SeenSpace = EVERYWHERE
+    """Where the map says what is there."""
 
     def judge(
         self, poses: Floats, points: Floats, starts: Floats, settings: KnownMapSettings = KNOWN_MAP
-    ) -> tuple[Floats, Floats]:
-        """Return log-likelihood and share of hidden returns, (n_poses,) each, by the beam model of Thrun, Burgard and Fox (2005), ch. 6.3.
+    ) -> RayVerdicts:
+        """Judge a view at some poses by the beam model of Thrun, Burgard and Fox (2005), ch. 6.3.
 
         A return on a surface is a hit; in free space it is of something that the map lacks; one that a wall should have
-        hidden is very unlikely.
+        hidden is very unlikely. A ray that leaves what the map's own rays have seen, and meets no wall, says nothing:
+        any length is as likely.
 
         Parameters
         ----------
@@ -45,25 +65,37 @@ class KnownMap:
         points : (n, 2) [m] returns in base_link
         starts : (n, 2) [m] where their rays begin in base_link
         """
-        out = np.zeros((len(poses), 2))
+        out = np.zeros((len(poses), 3))
         s = settings
         peak = s.hit / (s.ray_sigma * np.sqrt(2 * np.pi))
-        numbers = np.array([peak, s.unmapped / s.ray_length, s.through_wall / s.ray_length, s.before_wall])
+        shares = np.array([s.unmapped, s.through_wall, 1.0]) / s.ray_length
+        numbers = np.array([peak, *shares, s.before_wall])
         _judge(
             self.field.values,
             self.field.origin,
             self.field.resolution,
+            self.seen.cells,
+            np.asarray(self.seen.origin, dtype=np.float64),
+            self.seen.resolution,
             np.ascontiguousarray(poses, dtype=np.float64),
             np.ascontiguousarray(points),
             np.ascontiguousarray(starts),
             numbers,
             out,
         )
-        return out[:, 0], out[:, 1] / max(len(points), 1)
+        n = max(len(points), 1)
+        return RayVerdicts(likelihoods=out[:, 0], hidden=out[:, 1] / n, unseen=out[:, 2] / n)
 
 
-def known_map(walls: Floats, settings: KnownMapSettings = KNOWN_MAP) -> KnownMap:
-    """Prepare the walls (n, 2, 2) [m, map] of a place, both ends of each.
+def known_map(
+    walls: Floats, seen: SeenSpace | None = None, settings: KnownMapSettings = KNOWN_MAP
+) -> KnownMap:
+    """Prepare a place.
+
+    Parameters
+    ----------
+    walls : (n, 2, 2) [m, map] both ends of each wall
+    seen : where the map says what is there; None: everywhere
 
     Raises
     ------
@@ -80,7 +112,13 @@ def known_map(walls: Floats, settings: KnownMapSettings = KNOWN_MAP) -> KnownMap
     coarse = field_of_points(points, resolution=settings.search_resolution, sigma=settings.search_sigma)
     (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
     window = SearchWindow(x=(x0 + x1) / 2, y=(y0 + y1) / 2, half_x=(x1 - x0) / 2, half_y=(y1 - y0) / 2)
-    return KnownMap(surfaces=line_map(points), pyramid=MaxPyramid(field=coarse), field=fine, window=window)
+    return KnownMap(
+        surfaces=line_map(points),
+        pyramid=MaxPyramid(field=coarse),
+        field=fine,
+        window=window,
+        seen=EVERYWHERE if seen is None else seen,
+    )
 
 
 @kernel
@@ -88,6 +126,9 @@ def _judge(
     values: NDArray[np.uint8],
     origin: Floats,
     resolution: float,
+    seen: NDArray[np.uint8],
+    seen_origin: Floats,
+    seen_resolution: float,
     poses: Floats,
     points: Floats,
     starts: Floats,
@@ -96,24 +137,43 @@ def _judge(
 ) -> None:
     for i in range(len(poses)):
         cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-        total, hidden = 0.0, 0.0
+        total, hidden, unseen = 0.0, 0.0, 0.0
         for k in range(len(points)):
-            x0 = poses[i, 0] + cos * starts[k, 0] - sin * starts[k, 1] - origin[0]
-            y0 = poses[i, 1] + sin * starts[k, 0] + cos * starts[k, 1] - origin[1]
-            x1 = poses[i, 0] + cos * points[k, 0] - sin * points[k, 1] - origin[0]
-            y1 = poses[i, 1] + sin * points[k, 0] + cos * points[k, 1] - origin[1]
-            hit = numbers[0] * _value(values, x1 / resolution, y1 / resolution) / 255.0
+            x0 = poses[i, 0] + cos * starts[k, 0] - sin * starts[k, 1]
+            y0 = poses[i, 1] + sin * starts[k, 0] + cos * starts[k, 1]
+            x1 = poses[i, 0] + cos * points[k, 0] - sin * points[k, 1]
+            y1 = poses[i, 1] + sin * points[k, 0] + cos * points[k, 1]
+            value = _value(values, (x1 - origin[0]) / resolution, (y1 - origin[1]) / resolution)
+            hit = numbers[0] * value / 255.0
             is_hidden = _meets_wall(
                 values,
-                x0 / resolution,
-                y0 / resolution,
-                x1 / resolution,
-                y1 / resolution,
-                numbers[3] / resolution,
+                (x0 - origin[0]) / resolution,
+                (y0 - origin[1]) / resolution,
+                (x1 - origin[0]) / resolution,
+                (y1 - origin[1]) / resolution,
+                numbers[4] / resolution,
             )
-            total += np.log(numbers[2] + 0.1 * hit if is_hidden else numbers[1] + hit)
-            hidden += 1.0 if is_hidden else 0.0
-        out[i, 0], out[i, 1] = total, hidden
+            if is_hidden:
+                hidden += 1.0
+                total += np.log(numbers[2] + 0.1 * hit)
+                continue
+            says_nothing = (
+                value == 0.0
+                and seen.shape[0] > 0
+                and not is_ray_seen(
+                    seen,
+                    (x0 - seen_origin[0]) / seen_resolution,
+                    (y0 - seen_origin[1]) / seen_resolution,
+                    (x1 - seen_origin[0]) / seen_resolution,
+                    (y1 - seen_origin[1]) / seen_resolution,
+                )
+            )
+            if says_nothing:
+                unseen += 1.0
+                total += np.log(numbers[3])
+            else:
+                total += np.log(numbers[1] + hit)
+        out[i, 0], out[i, 1], out[i, 2] = total, hidden, unseen
 
 
 @inner_kernel

@@ -20,6 +20,7 @@ from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry_check import with_checked_odometry
 from sensorgraph.localization.result import Closure, Localization
+from sensorgraph.localization.seen_space import seen_by_graph
 from sensorgraph.types import Floats, ProgressBars, no_progress
 
 POSE_SOURCE = "locate"
@@ -63,7 +64,8 @@ def locate(
         found = map_run(run, progress=progress)
     else:
         walls = walls_of_graph(place) if isinstance(place, Sensorgraph) else place.walls
-        found = locate_in_map(run, walls, name=name, progress=progress)
+        seen = seen_by_graph(place) if isinstance(place, Sensorgraph) else None
+        found = locate_in_map(run, walls, seen=seen, name=name, progress=progress)
     return replace(found, notes=(*notes, *found.notes)) if notes else found
 
 

@@ -48,8 +48,15 @@ class GlobalSearchSettings:
     """Mean of the field at the points, below which a place is none."""
     rival_ratio: float = 0.6
     """Of the best score of the field, down to which places are judged by the beam model."""
-    max_modes: int = 40
+    max_modes: int = 120
     """Places that are judged, at most."""
+    max_matches: int = 40
+    """The best of them, that are matched and judged again."""
+    enough_fit: float = 0.6
+    """`GlobalPlaces.fit` of the first place, from which on no other scans are sought."""
+    least_joint_fit: float = 0.25
+    """The same by all scans of a place that the last scan alone found: the map may lack what the others saw, but they do
+    not speak against it."""
     apart: float = 0.5
     """[m] places nearer than this, and than `apart_turn`, are one."""
     apart_turn: float = 0.26
@@ -59,6 +66,8 @@ class GlobalSearchSettings:
     hidden_weight: float = 2.0
     """Points that walls of the map should have hidden, in points that lie on surfaces: one speaks against a place as
     two speak for it."""
+    least_seen: float = 0.5
+    """Share of the points of which the map must say something; what is missing counts against a place."""
     rival_probability: float = 0.02
     """A less probable place is ruled out."""
 
@@ -96,6 +105,13 @@ class MapTrackingSettings:
     """`GlobalPlaces.fit` from which on a place without rivals is believed."""
     near_fit: float = 0.5
     """The same of a place where the robot must be by its odometry since it was lost."""
+    expected_fit: float = 0.3
+    """The same of a place within `expected_way` and `expected_turn` of where the odometry has it, if no place of the map
+    fits better: that the best one lies just there is hardly chance."""
+    expected_way: float = 0.1
+    """[m]"""
+    expected_turn: float = 0.05
+    """[rad]"""
     far_fit: float = 0.75
     """The same of a place where it cannot be by its odometry."""
     drift_floor: float = 0.5

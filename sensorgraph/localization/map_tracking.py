@@ -13,9 +13,9 @@ import numpy as np
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.front_end import ScanTrack, information_at
-from sensorgraph.localization.global_search import GlobalPlaces, find_places, local_view
+from sensorgraph.localization.global_search import GlobalPlaces, find_places, fit_of, local_view
 from sensorgraph.localization.known_map import KnownMap
-from sensorgraph.localization.map_settings import GLOBAL_SEARCH, MAP_TRACKING, MapTrackingSettings
+from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.types import Bools, Floats, Progress
@@ -47,6 +47,10 @@ class _State:
     """The last scan with a good averaged fit; -1: none since the way is known."""
     found_at: int = -1
     """Scan at which it was found last."""
+    sure_before: int = -1
+    """`last_sure` then; -1: the way from there is not known."""
+    proof_fit: float = 0.0
+    """Averaged fit that it must have until the place is proven."""
     fit: float = 0.0
     """Averaged over the last second."""
     usual_fit: float = 0.0
@@ -132,12 +136,12 @@ class MapTracker:
             if fit >= max(s.sure_fit, s.sure_share * state.usual_fit):
                 state.last_sure = k
         is_proven = self.driven[k] - self.driven[state.found_at] > s.proof_way
-        least = max(s.least_fit if is_proven else s.near_fit, s.sudden_share * state.usual_fit)
+        least = max(s.least_fit if is_proven else state.proof_fit, s.sudden_share * state.usual_fit)
         if state.fit >= least and not self._is_blind(k):
             return
         last = state.last_sure if is_proven else state.found_at - 1
         self.poses[last + 1 : k + 1], self.information[last + 1 : k + 1] = np.nan, 0.0
-        self.state = _State(last_sure=last if is_proven else -1)
+        self.state = _State(last_sure=last if is_proven else state.sure_before)
 
     def _follow(self, k: int, beside: int) -> float | None:
         """Place scan k by the one beside it and a match; return its fit, None where it is not matched."""
@@ -159,8 +163,8 @@ class MapTracker:
         if not (is_near and found.inliers >= s.inliers and found.agreement >= s.agreement):
             return None
         self.poses[k], self.information[k] = found.pose, found.information
-        hidden = self.place.judge(found.pose[None], self.scans.points[own], self.scans.starts[own])[1]
-        return float(found.agreement - GLOBAL_SEARCH.hidden_weight * hidden[0])
+        judged = self.place.judge(found.pose[None], self.scans.points[own], self.scans.starts[own])
+        return fit_of(found.agreement, judged.hidden[0], judged.unseen[0])
 
     def _is_blind(self, k: int) -> bool:
         """Tell whether the last scan that fits is too long ago."""
@@ -179,16 +183,22 @@ class MapTracker:
         state.view.append(k)
         state.n_searches += 1
         window = self._window(k)
-        if window is not None and self._take(k, find_places(view, self.place, window=window), s.near_fit):
-            return
         if window is None:
             self._take(k, find_places(view, self.place), s.found_fit)
+            return
+        found = find_places(view, self.place, window=window)
+        if self._take(k, found, s.near_fit):
+            return
+        if s.expected_fit <= found.fit and _is_beside(found.poses[0], window, s):
+            if find_places(view, self.place).fit <= found.fit and self._take(k, found, s.expected_fit):
+                state.proof_fit = s.least_fit
         elif state.n_searches % s.every_nth_everywhere == 0:
             last = state.last_sure
             if self._take(k, find_places(view, self.place), s.far_fit) and not _is_within(
                 self.poses[k], window
             ):
                 self.breaks[last + 1] = True  # it was carried there
+                state.last_sure = state.sure_before = -1
 
     def _is_due(self, k: int) -> bool:
         s, state = self.settings, self.state
@@ -223,8 +233,16 @@ class MapTracker:
         self.poses[k] = found.poses[0]
         state = self.state
         state.last_good = state.found_at = k
-        state.fit = state.usual_fit = found.fit
+        state.sure_before, state.proof_fit = state.last_sure, self.settings.near_fit
+        state.fit = state.usual_fit = float(found.fits[0])
         return True
+
+
+def _is_beside(pose: Floats, window: SearchWindow, settings: MapTrackingSettings) -> bool:
+    """Tell whether a pose is where the odometry has it, the middle of the window, and not just somewhere within."""
+    turn = abs(wrap(pose[2] - window.phi))
+    way = np.hypot(pose[0] - window.x, pose[1] - window.y)
+    return bool(way < settings.expected_way and turn < settings.expected_turn)
 
 
 def _is_within(pose: Floats, window: SearchWindow) -> bool:
