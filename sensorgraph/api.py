@@ -15,6 +15,7 @@ from planners.arena import Arena
 from planners.trajectory import Trajectory
 from sensorgraph.building import build as building
 from sensorgraph.diagnosis import diagnose as diagnosing
+from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
 from sensorgraph.diagnosis.commissioning import commission_all
 from sensorgraph.diagnosis.report.diagnosis import Diagnosis
 from sensorgraph.effects import Amendment, effects_file
@@ -228,6 +229,7 @@ def diagnose(
     robot: RobotLike | None = None,
     effects: Sequence[Amendment] | Path | str = (),
     commissioning: Sequence[RunLike] = (),
+    simulation: RunLike | None = None,
     seed: int = 0,
     force: bool = False,
 ) -> Diagnosis:
@@ -239,6 +241,7 @@ def diagnose(
     arena, robot : None: those that the run keeps
     effects : what is part of the model already; or an effects.yaml
     commissioning : runs known to be good; what differs from them is found
+    simulation : a run of your own simulator in the same arena; what differs between the two is found
     seed : of the replicates; the same seed gives the same report
     force : diagnose a run whose poses jump, too
 
@@ -254,16 +257,21 @@ def diagnose(
     known = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else effects
     effects_file.check_places(known, walls)
     good = [_run(one) for one in commissioning]
-    finding = diagnosing.diagnose(
-        log,
-        walls,
-        machine,
-        second=None if second is None else _run(second),
-        known=known,
-        baseline=commission_all(good, walls, machine, seed=seed) if good else None,
-        seed=seed,
-        force=force,
-    )
+    if good and simulation is not None:
+        raise SensorgraphError(
+            "simulation and commissioning are both given; a run is compared with one or the other"
+        )
+    options: dict[str, Any] = {
+        "second": None if second is None else _run(second),
+        "known": known,
+        "baseline": commission_all(good, walls, machine, seed=seed) if good else None,
+        "seed": seed,
+        "force": force,
+    }
+    if simulation is None:
+        finding = diagnosing.diagnose(log, walls, machine, **options)
+    else:
+        finding = diagnose_against_simulation(log, walls, machine, simulation=_run(simulation), **options)
     return Diagnosis.of(finding, walls, machine)
 
 

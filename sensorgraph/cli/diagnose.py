@@ -16,6 +16,7 @@ from sensorgraph.cli.options import (
     DiagnoseRobot,
     DiagnoseRuns,
     DiagnoseSeed,
+    DiagnoseSimulation,
     Force,
     NoReturn,
     PosesFrom,
@@ -38,6 +39,7 @@ def diagnose(
     out: DiagnoseOut = Path("diagnosis"),
     effects: DiagnoseEffects = None,
     commissioning: DiagnoseCommissioning = None,
+    simulation: DiagnoseSimulation = None,
     seed: DiagnoseSeed = 0,
     topic: Topics = None,
     no_return: NoReturn = None,
@@ -54,20 +56,23 @@ def diagnose(
 
       sensorgraph diagnose run.mcap --effects diagnosis/effects.yaml -o what_is_left
 
+      sensorgraph diagnose run.mcap --simulation gazebo.mcap --arena lab.geojson --robot robot.yaml
+
       sensorgraph diagnose today.log.gz --commissioning good.log.gz --arena lab.geojson --robot robot.yaml
     """
     from logs import parse_topics
     from sensorgraph.cli.inputs import check_folder, check_poses, mounts_of, say_ray_order, with_poses
     from sensorgraph.cli.progress import progress
+    from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
     from sensorgraph.diagnosis.diagnose import diagnose as diagnose_run
     from sensorgraph.diagnosis.report.files import save_diagnosis
 
     _check_runs(runs)
+    _check_simulation(simulation, runs, commissioning)
     check_folder(out)
     check_poses(poses)
-    reading: dict[str, Any] = {
-        "topics": parse_topics(topic or []), "no_return": no_return, "mounts": mounts_of(robot)
-    }  # fmt: skip
+    names = parse_topics(topic or [])
+    reading: dict[str, Any] = {"topics": names, "no_return": no_return, "mounts": mounts_of(robot)}
     loaded = [_read(path, reading) for path in runs]
     walls, machine = _place(loaded[0], runs[0], arena, robot)
     place = arena or "the arena kept in the run"
@@ -78,21 +83,20 @@ def diagnose(
     for path, bearings in zip(runs, [run.sensor.bearings for run in loaded], strict=True):
         say_ray_order(str(path), bearings, machine.name, machine.sensor.bearings)
     known = _known(effects, walls)
-    baseline = (
-        None
-        if not commissioning
-        else _commission([_read(path, reading) for path in commissioning], walls, machine, seed)
-    )
-    finding = diagnose_run(
+    baseline = _commission([_read(path, reading) for path in commissioning or ()], walls, machine, seed)
+    options: dict[str, Any] = {"known": known, "seed": seed, "force": force, "progress": progress}
+    if simulation is not None:
+        simulated = with_poses(
+            _read(simulation, reading), simulation, poses, walls, name=place, options=reading
+        )
+        options |= {"simulation": simulated, "name": str(simulation)}
+    finding = (diagnose_run if simulation is None else diagnose_against_simulation)(
         loaded.pop(0),  # so that nobody keeps the scans of a long log when they are not needed any more
-        walls,
-        machine,
+        arena=walls,
+        robot=machine,
         second=loaded.pop() if loaded else None,
-        known=known,
         baseline=baseline,
-        seed=seed,
-        force=force,
-        progress=progress,
+        **options,
     )
     settings = {
         "seed": seed,
@@ -101,9 +105,8 @@ def diagnose(
         "robot": machine.name,
         "tolerances": vars(machine.tolerances),
         "known_effects": [a.name for a in known],
-        "commissioning": baseline.to_dict(", ".join(path.name for path in commissioning))
-        if baseline and commissioning
-        else None,
+        "simulation": simulation and simulation.name,
+        "commissioning": baseline and baseline.to_dict(", ".join(path.name for path in commissioning or ())),
     }
     with progress("reporting", "files") as tick:
         save_diagnosis(finding, out, walls, machine, name=runs[0].name, settings=settings, progress=tick)
@@ -123,6 +126,22 @@ def _check_runs(runs: Sequence[Path]) -> None:
         raise SensorgraphError(
             f"{runs[1]} is given twice; the second run is for the proof and must be another"
         )
+
+
+def _check_simulation(
+    simulation: Path | None, runs: Sequence[Path], commissioning: Sequence[Path] | None
+) -> None:
+    """Refuse a simulation beside a commissioning run, and the run given as its own simulation."""
+    from sensorgraph.errors import SensorgraphError
+
+    if simulation is None:
+        return
+    if commissioning:
+        raise SensorgraphError(
+            "--simulation and --commissioning are both given; a run is compared with one or the other"
+        )
+    if simulation.exists() and any(p.exists() and p.samefile(simulation) for p in runs):
+        raise SensorgraphError(f"{simulation} is given as its own simulation; give a log of your simulator")
 
 
 def _read(path: Path, reading: Mapping[str, Any]) -> Run:
@@ -156,11 +175,13 @@ def _known(path: Path | None, walls: Arena) -> Sequence[Amendment]:
     return known
 
 
-def _commission(good: list[Run], walls: Arena, machine: Robot, seed: int) -> SiteBaseline:
-    """Learn from runs that are known to be good."""
+def _commission(good: list[Run], walls: Arena, machine: Robot, seed: int) -> SiteBaseline | None:
+    """Learn from runs that are known to be good, if there are any."""
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.commissioning import commission_all
 
+    if not good:
+        return None
     with progress("commissioning"):
         return commission_all(good, walls, machine, seed=seed)
 

@@ -265,6 +265,14 @@ DiagnoseCommissioning = Annotated[
         "Repeat it for several: they show how far good runs spread.",
     ),
 ]
+DiagnoseSimulation = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="RUN",
+        help="A log of your own simulator (Gazebo, Isaac, MuJoCo, ir-sim, ...) in the same arena; what differs between "
+        "the two is found, whatever both share is not.",
+    ),
+]
 DiagnoseSeed = Annotated[int, typer.Option(min=0, help="Of the replicates: same seed, same report.")]
 
 # identify

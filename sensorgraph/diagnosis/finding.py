@@ -11,6 +11,7 @@ from sensorgraph.diagnosis.result import ChannelResult, Gap, Unknown
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.simulation import SimulationComparison
 from sensorgraph.effects import Amendment
 
 
@@ -31,6 +32,8 @@ class Finding:
     """On a further run that no fit has seen, where one was given."""
     next_run: NextRun | None = None
     """A drive that would tell more; None where none was asked for, or none can be made."""
+    simulation: SimulationComparison | None = None
+    """How the run differs from one of the user's own simulator, where one was given."""
     seconds: Mapping[str, float] = field(default_factory=dict)
     """[s] of CPU time per stage."""
 

@@ -11,6 +11,7 @@ from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import bare_gap
 from sensorgraph.diagnosis.report.summary import main_channel
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Gap, Unknown
+from sensorgraph.diagnosis.simulation import SimulationComparison
 from sensorgraph.effects import Amendment
 
 
@@ -31,6 +32,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
         "gap": next((gap_dict(one.gap, name) for name, one in results.items() if one.gap is not None), None),
         "gap_bare_simulator": None if bare is None else gap_dict(bare),
         "gap_second_run": None if finding.second_gap is None else gap_dict(finding.second_gap),
+        "simulation": None if finding.simulation is None else simulation_dict(finding.simulation),
         "pose_tolerance_factor": finding.pose_tolerance_factor,
         "map_tolerance_factor": finding.map_tolerance_factor,
         "within_tolerance": [effect_dict(a) for result in results.values() for a in result.within_tolerance],
@@ -58,6 +60,21 @@ def effect_dict(a: Amendment) -> dict[str, Any]:
         "probability": a.probability,
         "evidence_nats": a.evidence,
         "channel": a.effect.channel,
+    }
+
+
+def simulation_dict(compared: SimulationComparison) -> dict[str, Any]:
+    """Return how the run differs from a simulation, as plain data."""
+    noises = {"robot": compared.robot_noise, "simulation": compared.simulated_noise}
+    return {
+        "run": compared.name,
+        "shared": [effect_dict(a) for a in compared.shared],
+        "changed": [{"robot": effect_dict(a), "simulation": effect_dict(b)} for a, b in compared.changed],
+        "only_in_simulation": [effect_dict(a) for a in compared.only_in_simulation],
+        "not_observable": [{"name": name, "why": why} for name, why in compared.not_observable.items()],
+        "unknown": None if compared.unknown is None else unknown_dict(compared.unknown),
+        "shares_unknown": compared.shares_unknown,
+        "laser": {key: None if noise is None else asdict(noise) for key, noise in noises.items()},
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from sensorgraph.diagnosis.finding import Finding
@@ -17,6 +17,7 @@ from sensorgraph.diagnosis.report.quantities import (
 from sensorgraph.diagnosis.report.tolerated import tolerated
 from sensorgraph.diagnosis.result import Deviation, Gap, Rival, Unknown
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.simulation import NOISE_RATIO, SimulationComparison
 from sensorgraph.effects import Amendment
 
 MIN_LEAD = 6.0
@@ -100,7 +101,52 @@ def summarise(finding: Finding) -> Summary:
     if outcome is not Outcome.NOTHING and (worse := _worse_than_stated(finding)):
         details.append(f"The fit assumes that {worse} than robot.yaml says.")
     details += tolerance_sentences(finding)
-    return Summary(outcome=outcome, headline=headline, details=tuple(details))
+    summary = Summary(outcome=outcome, headline=headline, details=tuple(details))
+    return summary if finding.simulation is None else _against(finding.simulation, summary)
+
+
+def _against(compared: SimulationComparison, summary: Summary) -> Summary:
+    """Turn a summary into one of the difference between robot and simulation."""
+    details = list(summary.details)
+    changed = {a.name for a, _ in compared.changed}
+    headline = summary.headline
+    if summary.outcome is Outcome.FOUND:
+        headline = headline.replace("Found", "The robot shows what the simulation lacks", 1)
+    elif summary.outcome is Outcome.NOTHING:
+        headline = "Robot and simulation do not differ materially."
+        details = details[1:]
+    if compared.only_in_simulation:
+        only = "; ".join(brief(a) for a in compared.only_in_simulation)
+        if summary.outcome is Outcome.NOTHING:
+            headline = f"The simulation shows what the robot lacks: {only}."
+        else:
+            details.insert(0, f"Only the simulation shows {only}.")
+        for name, why in compared.not_observable.items():
+            details.insert(1, f"The robot's run could not have shown {title_of(name)}: {why}.")
+    if changed:
+        pairs = [f"{brief(a)} (simulation: {brief(b).partition(', ')[2]})" for a, b in compared.changed]
+        details.insert(0, f"Both show, but not alike: {'; '.join(pairs)}.")
+    if compared.shared:
+        details.append(f"Both show {'; '.join(brief(a) for a in compared.shared)}: no difference.")
+    if compared.unknown is not None:
+        text = compared.unknown.statement.removeprefix("something no effect of the library explains: ")
+        both = "Robot and simulation both show" if compared.shares_unknown else "The simulation itself shows"
+        details.append(f"{both} something unknown: {text}.")
+    details += _noise_sentences(compared)
+    return replace(summary, headline=headline, details=tuple(details))
+
+
+def _noise_sentences(compared: SimulationComparison) -> list[str]:
+    """Say how the lasers differ."""
+    ours, theirs = compared.robot_noise, compared.simulated_noise
+    if ours is None or theirs is None:
+        return []
+    ratio = max(ours.scatter, 1e-9) / max(theirs.scatter, 1e-9)
+    if 1 / NOISE_RATIO < ratio < NOISE_RATIO:
+        return []
+    return [
+        f"The laser scatters by {100 * ours.scatter:.2f} cm, the simulated one by {100 * theirs.scatter:.2f} cm."
+    ]
 
 
 def _agreement(finding: Finding) -> str:

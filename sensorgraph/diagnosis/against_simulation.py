@@ -1,0 +1,114 @@
+"""Diagnose a run against a log of the user's own simulator: what differs between the two."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from logs.run import Run
+from planners.arena import Arena
+from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.simulation import (
+    SimulationComparison,
+    counterpart,
+    is_same_size,
+    is_same_unknown,
+    laser_noise,
+)
+from sensorgraph.effects import Amendment
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.types import ProgressBars, no_progress
+from sensorgraph.world.robot import Robot
+
+
+def diagnose_against_simulation(
+    run: Run,
+    arena: Arena,
+    robot: Robot,
+    *,
+    simulation: Run,
+    name: str = "the simulation",
+    known: Sequence[Amendment] = (),
+    force: bool = True,
+    progress: ProgressBars = no_progress,
+    **options: Any,
+) -> Finding:
+    """Name what a run of the robot shows and a run of the user's simulator does not.
+
+    Parameters
+    ----------
+    simulation : driven in the user's simulator, in the same arena, along any way
+    name : of the simulation's log, for messages
+    known : effects that are part of the model already
+    options : of `diagnose`
+
+    Raises
+    ------
+    SensorgraphError
+        Either run is too short, has no returns or no poses, poses that jump, or is of another sensor or place.
+    """
+    try:
+        theirs = diagnose(
+            simulation,
+            arena,
+            robot,
+            known=known,
+            seed=options.get("seed", 0),
+            plan_next=False,
+            force=force,
+            progress=progress,
+        )
+    except SensorgraphError as exc:
+        raise SensorgraphError(f"{name}: {exc}") from exc
+    if theirs.explained is None:
+        raise SensorgraphError(
+            f"{name}: {theirs.intake['arena']}; give a simulation that was driven in the same arena"
+        )
+    is_probe = bool(theirs.effects)  # what both share is known only after a first look
+    first = {**options, "plan_next": False} if is_probe else options
+    ours = diagnose(run, arena, robot, known=known, force=force, progress=progress, **first)
+    if ours.explained is None:
+        return ours
+    compared = compared_with(ours, theirs, name)
+    if is_probe:
+        known = (*known, *compared.shared)
+        ours = diagnose(run, arena, robot, known=known, force=force, progress=progress, **options)
+    return _with_comparison(ours, compared)
+
+
+def compared_with(ours: Finding, theirs: Finding, name: str) -> SimulationComparison:
+    """Sort the effects of a run and of a simulation by which of the two shows them."""
+    assert ours.explained is not None and theirs.explained is not None
+    shared, changed = [], []
+    for a in ours.effects:
+        b = counterpart(a, theirs.effects)
+        if b is not None and is_same_size(a, b):
+            shared.append(b)
+        elif b is not None:
+            changed.append((a, b))
+    small = [a for channel in ours.channels.values() for a in (*channel.within_tolerance, *channel.undecided)]
+    only = [b for b in theirs.effects if counterpart(b, (*ours.effects, *small)) is None]
+    unseen = {key: why for channel in ours.channels.values() for key, why in channel.not_observable.items()}
+    unknown = theirs.unknown
+    return SimulationComparison(
+        name=name,
+        shared=tuple(shared),
+        changed=tuple(changed),
+        only_in_simulation=tuple(only),
+        not_observable={b.name: unseen[b.name] for b in only if b.name in unseen},
+        unknown=unknown,
+        shares_unknown=any(is_same_unknown(one.unknown, unknown) for one in ours.channels.values()),
+        robot_noise=laser_noise(ours.explained.final),
+        simulated_noise=laser_noise(theirs.explained.final),
+    )
+
+
+def _with_comparison(finding: Finding, compared: SimulationComparison) -> Finding:
+    """Return the finding with its comparison; a doubt that both share is no difference."""
+    channels = {
+        name: replace(one, unknown=None) if is_same_unknown(one.unknown, compared.unknown) else one
+        for name, one in finding.channels.items()
+    }
+    return replace(finding, channels=channels, simulation=compared)
