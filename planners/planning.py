@@ -13,6 +13,7 @@ import numpy as np
 from planners import holes
 from planners.arena import Arena
 from planners.battery import Session, battery_sessions, chain_sessions, check_battery
+from planners.bound import lower_bound
 from planners.cars.reachability import best_start, returnable_set
 from planners.clearance import Barriers
 from planners.coverage import Coverage
@@ -27,7 +28,7 @@ from planners.reach import Reach, ReturnableSet, reach
 from planners.report import plan_report, reference_time, session_report
 from planners.sections import check_pose, end_poses, fit_to_budget
 from planners.settings import REACH, STARTS
-from planners.task import JoinCounts, PlannedDrive, Task
+from planners.task import ORDERS, JoinCounts, PlannedDrive, Survey, Task
 from planners.trajectory import Trajectory
 from planners.types import Bools, Floats, Progress
 from planners.vehicle import Vehicle
@@ -92,6 +93,8 @@ def plan(
     battery: float | None = None,
     dock: Floats | None = None,
     sweep_time: float = 0.0,
+    order: str = "fast",
+    survey: Survey | None = None,
     progress: Progress | None = None,
 ) -> Plan:
     """Plan a drive through every reachable (x, y, phi) bin.
@@ -104,6 +107,7 @@ def plan(
     cell : [m] side of a position cell; `headings`: count of heading bins
     start : (3,) [m, m, rad]; None: where the planner likes, in the largest part of the arena
     rate : [Hz] at which poses are logged; a bin counts when a logged pose falls in it
+    margin : [m] that the robot's rim keeps from walls; what it costs in reach is in the report
     priority : (nx, ny, n_phi) higher comes earlier; or a function that makes it from the empty grid
     visited : (n, 3) [m, m, rad] poses of earlier runs, whose bins need no visit
     targets : (n, 3) [m, m, rad] poses that the planner `views` visits; or a function that chooses them within reach
@@ -113,6 +117,8 @@ def plan(
     battery : [s] of a run; the drive is cut into runs from `dock` (3,), where it starts, and back to it
     dock : (3,) [m, m, rad] where runs on a battery start and end; None: at the start
     sweep_time : [s] that one scan takes, for the warning about its smear
+    order : one of ORDERS, of the planner coverage: the shortest drive, or one of which every prefix is worth most
+    survey : what the sensor would see, for the order anytime; None: coarse coverage comes first
     progress : is called with (bins done, bins in all) while the search goes on
 
     Raises
@@ -122,7 +128,9 @@ def plan(
     KeyboardInterrupt : Ctrl-C came before anything was found; later, the plan so far is returned
     """
     began = time.perf_counter()
-    _check_planner(planner, has_duration=duration is not None, has_targets=targets is not None)
+    _check_planner(
+        planner, order, vehicle, has_duration=duration is not None, has_targets=targets is not None
+    )
     _check_numbers(cell=cell, rate=rate, headings=headings, seed=seed, margin=margin, duration=duration)
     start, end, dock = _pose("start", start), _pose("end", end), _pose("dock", dock)
     _check_ends(start=start, end=end, budget=budget, battery=battery, dock=dock)
@@ -156,6 +164,9 @@ def plan(
         progress=progress,
         targets=targets(free) if callable(targets) else targets,
         returnable=returnable,
+        order=order,
+        survey=survey,
+        budget=budget,
     )
     if battery is not None and start is not None:
         check_battery(task, battery, start)
@@ -170,8 +181,18 @@ def plan(
     return made
 
 
-def _check_planner(planner: str, *, has_duration: bool, has_targets: bool) -> None:
+def _check_planner(
+    planner: str, order: str, vehicle: Vehicle, *, has_duration: bool, has_targets: bool
+) -> None:
     """Refuse an unknown planner, and arguments that are not for this one."""
+    if order not in ORDERS:
+        raise PlanError(f"order {order!r} is unknown; expected one of {', '.join(ORDERS)}")
+    if order != "fast" and planner != "coverage":
+        raise PlanError(f"order {order} is of the planner coverage; the planner is {planner}")
+    if order != "fast" and vehicle.drive != "diff":
+        raise PlanError(
+            f"order {order} turns on the spot, which drive {vehicle.drive!r} cannot; use order fast"
+        )
     if planner not in PLANNERS:
         raise PlanError(f"planner {planner!r} is unknown; expected one of {', '.join(PLANNERS)}")
     if has_duration and planner in ("coverage", "stop_and_spin", "views"):
@@ -221,6 +242,7 @@ def _finish(
 ) -> Plan:
     """Fit a drive into the budget or the battery, and measure it."""
     grid, rate = task.coverage, task.rate
+    covered_before = grid.covered
     lost = np.zeros_like(grid.reachable) if drive.lost is None else drive.lost
     before, runs, ended = grid.fraction, list[Session](), dict[str, Any]()
     if battery is None:
@@ -236,11 +258,15 @@ def _finish(
     report = plan_report(task, drive, trajectory, planner, sweep_time) | {
         **({"interrupted": True} if drive.interrupted else {}),
         **({} if budget is None else {"budget_s": budget}),
+        **({} if task.order == "fast" else {"order": task.order}),
         **({} if end is None else {"end": end.tolist()}),
         **ended,
         **({} if task.targets is None else {"views": task.targets.round(6).tolist()}),
         "unreached": holes.count_unmet(grid, task.reach, lost),
         "coverage_before": before,
+        "margin_m": round(task.reach.clearance - task.vehicle.footprint_radius, 6),
+        "share_of_bare_footprint": _share_of_bare_footprint(task),
+        "lower_bound_s": lower_bound(grid.covered & ~covered_before, task.vehicle, grid.cell),
     }
     return Plan(
         trajectory=trajectory,
@@ -253,6 +279,13 @@ def _finish(
         report=report,
         sessions=tuple(runs),
     )
+
+
+def _share_of_bare_footprint(task: Task) -> float:
+    """Return the share of the bins in reach of the robot's radius alone, without a margin, that were met."""
+    bare = task.reach.with_clearance(task.vehicle.footprint_radius).cells()
+    met = (task.coverage.counts > 0) & bare[:, :, None]
+    return float(met.sum() / max(int(bare.sum()) * task.coverage.headings, 1))
 
 
 def _pose(name: str, pose: Floats | None) -> Floats | None:

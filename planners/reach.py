@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +72,14 @@ class Reach:
         near = ndimage.binary_dilation(self.mask, np.ones((3, 3), dtype=np.bool_))
         part = np.clip(0.5 + (self.distance - self.clearance) / self.step, 0.0, 1.0) * near
         return np.asarray(self.blocks(part).mean(axis=-1), dtype=np.float64)
+
+    def with_clearance(self, clearance: float) -> Reach:
+        """Return what can be reached from here with another clearance, smaller than this one."""
+        fits = self.distance >= clearance
+        parts, _ = ndimage.label(fits)
+        return replace(
+            self, clearance=clearance, mask=np.isin(parts, np.unique(parts[self.mask])), fits=int(fits.sum())
+        )
 
     def cells(self) -> Bools:
         """Return (nx, ny) which position cells count as reachable."""

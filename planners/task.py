@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from planners.arena import Arena
 from planners.clearance import Barriers
@@ -11,6 +12,22 @@ from planners.curve import Curve
 from planners.reach import Reach, ReturnableSet
 from planners.types import Bools, Floats, Progress
 from planners.vehicle import Vehicle
+
+ORDERS = ("fast", "anytime")
+"""Of a coverage plan: the shortest drive as a whole, room by room; or coarse to fine, so that each prefix is worth most."""
+
+
+class Survey(Protocol):
+    """What the sensor has seen so far, as an anytime plan asks for it."""
+
+    def gain(self, poses: Floats) -> Floats:
+        """Return (n,) what a scan at each pose (n, 3) [m, m, rad] alone would add."""
+
+    def mark(self, poses: Floats) -> None:
+        """Count what scans at poses (n, 3) [m, m, rad] show as seen."""
+
+    def copy(self) -> Survey:
+        """Return one that can be marked without marking this one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,6 +54,12 @@ class Task:
     """(n, 3) [m, m, rad] poses that the planner `views` visits."""
     returnable: ReturnableSet | None = None
     """Bins that a car without a reverse gear can reach from the start and return from; None: not known, or not needed."""
+    order: str = "fast"
+    """One of `ORDERS`: what the coverage planner drives first."""
+    survey: Survey | None = None
+    """What an anytime plan looks at first; None: it begins with coarse coverage."""
+    budget: float | None = None
+    """[s] after which nothing more need be planned; None: all."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,8 @@ from sensorgraph.cli import run as cli
 COARSE = ("--cell", "0.5", "--headings", "8")
 KEYS = {
     "grid", "start", "coverage", "core_coverage", "reachable_cells", "covered_cells", "drive_time_s", "t_ref_s",
-    "ratio", "path_m", "planning_s", "seed", "min_clearance_m", "limit_violations", "joins",
+    "ratio", "path_m", "planning_s", "seed", "min_clearance_m", "limit_violations", "joins", "margin_m",
+    "share_of_bare_footprint", "lower_bound_s",
 }  # fmt: skip
 
 
@@ -115,6 +116,25 @@ def test_a_battery_makes_a_folder_for_each_run_that_can_be_recorded(tmp_path: Pa
     assert cli(["plan", "square", *COARSE, "--budget", "2", "-o", str(out)]) == 0
     assert not [path for path in out.iterdir() if path.is_dir()]  # the older plan's runs are gone
     assert json.loads((out / "plan.json").read_text())["drive_time_s"] <= 120.02
+
+
+def test_a_budget_is_driven_in_the_order_anytime_unless_fast_is_asked(tmp_path: Path) -> None:
+    for options, order in ([], "anytime"), (["--order", "fast"], "fast"):
+        out = tmp_path / order
+        assert cli(["plan", "square", *COARSE, "--budget", "1", *options, "-o", str(out)]) == 0
+        report = json.loads((out / "plan.json").read_text())
+        assert report.get("order", "fast") == order
+        assert report["drive_time_s"] <= 60.0 + 1e-6
+
+
+def test_a_margin_costs_reach_and_the_plan_says_how_much(tmp_path: Path, folder: Path) -> None:
+    options = ["--margin", "0.12", "--budget", "1", "-o", str(tmp_path)]
+    assert cli(["plan", "square", *COARSE, *options]) == 0
+    wide, usual = (json.loads((path / "plan.json").read_text()) for path in (tmp_path, folder))
+    assert (wide["margin_m"], usual["margin_m"]) == (0.12, 0.02)
+    assert wide["min_clearance_m"] > 0.3
+    assert wide["share_of_bare_footprint"] < usual["share_of_bare_footprint"] <= 1.0
+    assert 0.0 < usual["lower_bound_s"] < usual["drive_time_s"] < 1.2 * usual["lower_bound_s"]
 
 
 def test_baselines_take_a_duration(tmp_path: Path) -> None:

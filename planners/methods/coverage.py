@@ -7,6 +7,7 @@ older planner of robots that turn in place.
 
 from __future__ import annotations
 
+from planners.methods.anytime import plan_anytime
 from planners.methods.coverage_cars import plan_cars
 from planners.methods.coverage_spins import plan_spins
 from planners.task import PlannedDrive, Task
@@ -20,4 +21,6 @@ def plan_coverage(task: Task) -> PlannedDrive:
     PlanError : every bin is covered already, or no room can be reached
     KeyboardInterrupt : Ctrl-C came before anything was found
     """
+    if task.order == "anytime":
+        return plan_anytime(task)
     return plan_spins(task) if task.vehicle.drive == "diff" else plan_cars(task)

@@ -90,7 +90,33 @@ class BaselineSettings:
     """[m] beyond the clearance at which walls are followed."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class OverviewSettings:
+    """The first minutes of an anytime plan; set by `python -m benchmarks.error_by_minutes --arena office` (seed 1)."""
+
+    share: float = 0.03
+    """Of the reference time that the overview takes."""
+    first_round: float = 100.0
+    """[s] of the first round; each later one takes as long as all before it."""
+    candidates: int = 2500
+    """Views to choose from."""
+    turn: float = 3.0
+    """[rad] by which a robot turns at a view and on its way there, on average."""
+    look_period: float = 0.2
+    """[s] between scans of a drive that count as seen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnytimeSettings:
+    """How an anytime plan goes from coarse to fine; set by `python -m benchmarks.coverage_planners --order anytime`."""
+
+    blocks: tuple[float, ...] = (2.0,)
+    """[m] sides of blocks: at each level, one cell of every block is completed, before all cells are at the last."""
+
+
 COVERAGE = CoverageSettings()
+OVERVIEW = OverviewSettings()
+ANYTIME = AnytimeSettings()
 CAR_REPAIR = CarRepairSettings()
 SPIN_REPAIR = SpinRepairSettings()
 STOP_AND_SPIN = StopAndSpinSettings()

@@ -59,6 +59,18 @@ PlanPlanner = Annotated[
         help="coverage, stop_and_spin, views (with --views), or the baselines random_bounce and wall_following."
     ),
 ]
+PlanOrder = Annotated[
+    str | None,
+    typer.Option(
+        metavar="fast|anytime",
+        help="fast: the shortest complete drive, room by room. anytime: the whole floor first, then finer, so that "
+        "whatever is driven of it shows most; then complete, too. Default: anytime with --budget or --graph (drive: diff), else fast.",
+    ),
+]
+PlanGraph = Annotated[
+    Path | None,
+    typer.Option(help="A sensorgraph: look first where it would not answer or be wrong (order anytime)."),
+]
 PlanViews = Annotated[
     int | None,
     typer.Option(
@@ -80,6 +92,10 @@ PlanBattery = Annotated[
 PlanDock = Annotated[str | None, typer.Option(help="X,Y,PHI of the dock; default: where the plan starts.")]
 PlanBudget = Annotated[
     float | None, typer.Option(metavar="MIN", help="Drive so long at most; said is what that covers.")
+]
+PlanMargin = Annotated[
+    float,
+    typer.Option(min=0.0, help="What the robot's rim keeps from walls, in m; a wider one reaches less."),
 ]
 PlanNoGo = Annotated[
     list[str] | None,

@@ -15,8 +15,11 @@ from sensorgraph.cli.options import (
     PlanDock,
     PlanDuration,
     PlanEnd,
+    PlanGraph,
     PlanHeadings,
+    PlanMargin,
     PlanNoGo,
+    PlanOrder,
     PlanOut,
     PlanPlanner,
     PlanPriority,
@@ -39,6 +42,7 @@ def plan(
     out: PlanOut,
     robot: RobotFile = None,
     planner: PlanPlanner = "coverage",
+    order: PlanOrder = None,
     views: PlanViews = None,
     cell: PlanCell = 0.25,
     headings: PlanHeadings = 16,
@@ -48,10 +52,12 @@ def plan(
     dock: PlanDock = None,
     budget: PlanBudget = None,
     no_go: PlanNoGo = None,
+    margin: PlanMargin = 0.02,
     duration: PlanDuration = None,
     resume: PlanResume = None,
     poses: PosesFrom = None,
     priority: PlanPriority = None,
+    graph: PlanGraph = None,
     seed: PlanSeed = 0,
 ) -> None:
     """Plan a drive that fills (x, y, φ): every reachable place, in every heading.
@@ -62,11 +68,11 @@ def plan(
 
       sensorgraph plan lab.geojson --robot robot.yaml --cell 0.2 --start 1.0,0.5,0 -o runs/lab
 
-      sensorgraph plan square --priority lab.sensorgraph -o runs/next
-
       sensorgraph plan office --views 100 -o runs/views
 
       sensorgraph plan office --battery 60 --dock 1.0,1.0,0 -o runs/office
+
+      sensorgraph plan office --budget 10 --resume run.mcap --graph lab.sensorgraph -o runs/next
 
       sensorgraph plan office --budget 30 --end 1.0,1.0,0 --no-go 4,1,5,1,5,2 -o runs/half_an_hour
 
@@ -78,9 +84,7 @@ def plan(
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.planning.plan import plan as make_plan
 
-    for name in ("planners.report", "planners.ompl_planner"):
-        if not (log := logging.getLogger(name)).hasHandlers():
-            log.addHandler(logging.NullHandler())  # their warnings are said below
+    _quieten("planners.report", "planners.ompl_planner")  # their warnings are said below
     check_folder(out)
     with progress("planning", "bins" if planner == "coverage" and views is None else "stops") as tick:
         made = make_plan(
@@ -95,10 +99,13 @@ def plan(
             no_go=[zone for given in no_go or [] for zone in zones(given)],
             resume=resume if resume is None or views is not None else _located(resume, arena, poses),
             priority=None if priority is None else Sensorgraph.load(priority),
+            graph=None if graph is None else Sensorgraph.load(graph),
             budget=_seconds("--budget", budget),
             battery=_seconds("--battery", battery),
             dock=None if dock is None else parse_pose(dock, "--dock"),
             duration=duration,
+            order=order,
+            margin=margin,
             seed=seed,
             progress=tick,
         )
@@ -109,6 +116,12 @@ def plan(
     typer.echo("\n".join([*made.arena.notes, _summary(report), *_runs(report), f"wrote {out}"]))
     if report.get("interrupted"):
         raise typer.Exit(INTERRUPTED)
+
+
+def _quieten(*names: str) -> None:
+    for name in names:
+        if not (log := logging.getLogger(name)).hasHandlers():
+            log.addHandler(logging.NullHandler())
 
 
 def _located(resume: Path, arena: str, poses: str | None) -> Path:
@@ -134,10 +147,19 @@ def _summary(report: dict[str, Any]) -> str:
     return (
         f"{views}{report['covered_cells']:,} of {report['reachable_cells']:,} (x, y, phi) bins "
         f"({100 * report['coverage']:.2f} %{before}) in {hours} h {minutes:02d} min and {report['path_m']:.0f} m, "
-        f"{report['ratio']:.2f} of the reference time; {joins['direct']:,} straight joins, "
-        f"{joins['planned']} by OMPL{by_wavefront}{failed}; clearance {report['min_clearance_m']:.3f} m; "
+        f"{report['ratio']:.2f} of the reference time{_above(report)}; {joins['direct']:,} straight joins, "
+        f"{joins['planned']} by OMPL{by_wavefront}{failed}; clearance {report['min_clearance_m']:.3f} m, "
+        f"{100 * report['share_of_bare_footprint']:.1f} % of what the robot reaches without a margin; "
         f"planned in {report['planning_s']:.1f} s"
     )
+
+
+def _above(report: dict[str, Any]) -> str:
+    """Say how far a plan is above the lower bound of its time, if it is one that covers."""
+    bound = report["lower_bound_s"]
+    if bound <= 0 or "budget_s" in report or report["planner"] not in ("coverage", "stop_and_spin"):
+        return ""
+    return f", at most {max(100 * (report['drive_time_s'] / bound - 1), 0):.0f} % above the optimum of whole moves"
 
 
 def _runs(report: dict[str, Any]) -> list[str]:

@@ -15,6 +15,7 @@ from logs.run import Run
 from planners.arena import Arena
 from planners.errors import PlanError
 from planners.maps.no_go import Zone, without
+from planners.planning import WALL_MARGIN
 from planners.trajectory import Trajectory
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.files import atomic_folder
@@ -23,6 +24,7 @@ from sensorgraph.loading import load_arena
 from sensorgraph.planning import plan_folder
 from sensorgraph.planning.priority import uncertainty
 from sensorgraph.planning.resume import driven_poses, other_place_warnings
+from sensorgraph.planning.survey import LaserSurvey, survey_of
 from sensorgraph.planning.views import views_within
 from sensorgraph.types import Floats, Progress
 from sensorgraph.world.robot import Robot, load_robot
@@ -99,10 +101,15 @@ def plan(
     battery: float | None = None,
     dock: Floats | None = None,
     duration: float | None = None,
+    order: str | None = None,
+    graph: Sensorgraph | None = None,
+    margin: float = WALL_MARGIN,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> CoveragePlan:
     """Plan a drive that fills (x, y, phi): every reachable place, in every heading.
+
+    Most of this function is its arguments and their description.
 
     Parameters
     ----------
@@ -119,6 +126,10 @@ def plan(
     budget : [s] within which the drive ends
     battery : [s] of one run; the drive is parted into runs from `dock` (3,) [m, m, rad] and back to it
     duration : [s] of the baselines; None: the reference time of the coverage planner
+    margin : [m] that the robot's rim keeps from walls
+    order : `fast`, the shortest drive; or `anytime`, of which every prefix is worth most. None: anytime for a robot that
+        turns in place if a `budget` or a `graph` is given and no `priority`, else fast
+    graph : for the order anytime: look first where this sensorgraph would not answer or be wrong
     seed : the same seed gives the same plan, byte for byte
 
     Raises
@@ -134,6 +145,11 @@ def plan(
         targets = partial(
             views_within, n=views, arena=world, sensor=machine.sensor, graph=priority, seed=seed
         )
+    visited = None if resume is None else _driven(resume, world)
+    other = priority is not None or planner != "coverage" or machine.drive != "diff"
+    if order is None:
+        order = "fast" if other or (budget is None and graph is None) else "anytime"
+    survey = _survey(order, world, machine, graph, visited)
     drive = planners.plan(
         without(world, no_go),
         machine,
@@ -149,18 +165,36 @@ def plan(
         sweep_time=machine.sensor.sweep_time,
         rate=machine.sensor.rate,
         duration=duration,
-        visited=None if resume is None else _driven(resume, world),
+        visited=visited,
         priority=None if priority is None or targets is not None else partial(uncertainty, priority),
         targets=targets,
+        order=order,
+        margin=margin,
+        survey=survey,
         progress=progress,
     )
     if not isinstance(arena, Arena):
         drive.report["arena"] = Path(arena).name
-    if priority is not None:
-        drive.report["warnings"] += other_place_warnings(priority, world)
+    for known in (priority, graph):
+        if known is not None:
+            drive.report["warnings"] += other_place_warnings(known, world)
     if no_go:
         drive.report["no_go"] = [[list(corner) for corner in zone.exterior.coords[:-1]] for zone in no_go]
     return CoveragePlan(drive=drive, arena=world, robot=machine)
+
+
+def _survey(
+    order: str, world: Arena, machine: Robot, graph: Sensorgraph | None, visited: Floats | None
+) -> LaserSurvey | None:
+    """Return what the order anytime asks where to look: what a graph does not know, else what no pose has seen."""
+    if order != "anytime":
+        if graph is not None:
+            raise PlanError("a graph says where to look first in the order anytime; or give it as priority")
+        return None
+    survey = survey_of(world, machine.sensor, graph)
+    if graph is None and visited is not None:
+        survey.mark(visited)
+    return survey
 
 
 def _check_views(views: int | None, planner: str, resume: Run | Path | str | None) -> None:

@@ -116,7 +116,9 @@ def choose_views(
 
     def gain(i: int, mark: bool) -> float:
         return float(
-            _gain(lasers[i, :2] - low, cos[i], sin[i], ranges[i], hit[i], weight[i], space, surface, mark)
+            gain_of_scan(
+                lasers[i, :2] - low, cos[i], sin[i], ranges[i], hit[i], weight[i], space, surface, mark
+            )
         )
 
     heap = [(-gain(i, False), i) for i in range(len(candidates))]
@@ -136,7 +138,7 @@ def choose_views(
 
 
 @kernel
-def _gain(
+def gain_of_scan(
     at: Floats,
     cos: Floats,
     sin: Floats,
