@@ -19,6 +19,8 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+from planners.uninterrupted import uninterrupted
+
 logger = logging.getLogger(__name__)
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -99,11 +101,17 @@ def compile_for(*calls: tuple[Callable[..., object], tuple[object, ...]]) -> Non
         ):  # if it died at its start, this process does its part
             pipe.write(pickle.dumps((sys.path, new[1::2])))
     theirs = {name for _, name, _ in new[1::2]} if helper else set()
-    for function, kinds in types:
-        if function.py_func.__name__ not in theirs:
-            function.compile(kinds)
-    if helper is not None:
-        helper.wait()
+    try:
+        for function, kinds in types:
+            if function.py_func.__name__ not in theirs:
+                function.compile(kinds)
+        if helper is not None:
+            helper.wait()
+    except BaseException:
+        if helper is not None:
+            helper.kill()
+            helper.wait()
+        raise
     for function, kinds in types:
         function.compile(kinds)
 
@@ -156,7 +164,13 @@ def _stored(compiler: Callable[..., Any], function: Function) -> Function:
     else:  # another numba: rather compile anew than run what is stale
         compiled = compiler()(function)
     _widen_integers(compiled)
+    compiled.compile = partial(_compile, compiled.compile)
     return cast(Function, compiled)
+
+
+def _compile(compile_: Callable[[Any], Any], kinds: Any) -> Any:
+    """Compile, those that are called included, to the end even if Ctrl-C comes: LLVM would crash."""
+    return uninterrupted(partial(compile_, kinds))
 
 
 @cache

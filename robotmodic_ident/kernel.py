@@ -14,6 +14,8 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+from robotmodic_ident.uninterrupted import uninterrupted
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -51,7 +53,13 @@ def _stored(compiler: Callable[..., Any], function: Function) -> Function:
         )  # numba reads the rest of a cache file only if this agrees
     else:  # another numba: rather compile anew than run what is stale
         compiled = compiler()(function)
+    compiled.compile = partial(_compile, compiled.compile)
     return cast(Function, compiled)
+
+
+def _compile(compile_: Callable[[Any], Any], kinds: Any) -> Any:
+    """Compile, those that are called included, to the end even if Ctrl-C comes: LLVM would crash."""
+    return uninterrupted(partial(compile_, kinds))
 
 
 @cache

@@ -126,6 +126,7 @@ def test_tests_lie_flat_and_none_shadows_a_package() -> None:
 SAME_IN_EACH_LEAF = {
     "files.py": ("logs", "planners", "robotmodic_ident"),
     "yaml_text.py": ("logs", "planners"),
+    "uninterrupted.py": ("planners", "robotmodic_ident"),
 }
 """Small modules that more than one leaf needs; the leaves know nothing of each other, so each has a copy."""
 

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SCRIPT = """
 import json
 import numpy as np
@@ -98,3 +100,38 @@ def test_an_inner_kernel_serves_kernels_and_refuses_python(tmp_path: Path) -> No
     ).stdout.splitlines()
     assert total == "12.0"
     assert refusal.startswith("twice is an inner kernel")
+
+
+INTERRUPTED = """
+import signal
+import numba.core.event as event
+from {package}.kernel import inner_kernel, kernel
+
+class CtrlC(event.Listener):
+    def on_start(self, what):
+        signal.raise_signal(signal.SIGINT)
+    on_end = on_start
+
+@inner_kernel
+def half(x):
+    return x / 2
+
+@kernel
+def quarter(x):
+    return half(half(x))
+
+event.register("numba:llvm_lock", CtrlC())  # begins and ends again and again while LLVM is at work
+event.register("numba:compile", CtrlC())
+try:
+    quarter(1.0)
+except KeyboardInterrupt:
+    print("interrupted", len(quarter.signatures), len(half.signatures))
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+print(quarter(8.0))
+"""
+
+
+@pytest.mark.parametrize("package", ["planners", "robotmodic_ident"])
+def test_ctrl_c_while_a_kernel_compiles_is_raised_once_it_is_compiled(package: str, tmp_path: Path) -> None:
+    """Also if it comes again, and within the kernels that it calls."""
+    assert run(tmp_path, INTERRUPTED.format(package=package)).stdout == "interrupted 1 1\n2.0\n"
