@@ -6,17 +6,21 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 from planners_samples import door_arena
 
 from planners.clearance import Barriers
+from planners.coverage import Coverage
 from planners.reach import Reach, reach
 from planners.search.area import search_area
 from planners.search.beam import beam_search, drive
 from planners.search.kernel_goals import cell_distances
+from planners.search.log_phases import missed
 from planners.search.motion_primitives import spin_primitives
 from planners.search.nearest_goal import nearest_goal_search
+from planners.search.room_drive import spin_curve
 from planners.search.search import CoverageSearch, SearchStatus
-from planners.search.settings import SearchSettings
+from planners.search.settings import PRIMITIVES, SearchSettings
 from planners.types import Bools
 from planners.vehicle import Limits
 
@@ -30,7 +34,9 @@ def free_floor() -> Reach:
     return reach(FLOOR, Barriers(FLOOR), clearance=0.22, cell=0.25)
 
 
-def searching(*cells: tuple[int, int], blocked: tuple[int, int] | None = None) -> CoverageSearch:
+def searching(
+    *cells: tuple[int, int], blocked: tuple[int, int] | None = None, rate: float = 10.0
+) -> CoverageSearch:
     """Search the floor for all headings of some cells; `blocked` is kept shut by a wall that only its links ignore."""
     free = free_floor()
     need: Bools = np.zeros((*free.shape, 16), dtype=np.bool_)
@@ -43,9 +49,31 @@ def searching(*cells: tuple[int, int], blocked: tuple[int, int] | None = None) -
         distance[i * p : (i + 1) * p, k * p : (k + 1) * p] = 0.0
         place = replace(place, distance=distance)
     settings = SearchSettings(beam_width=20, goal_width=200, goal_max_states=60_000)
-    search = CoverageSearch(place, spin_primitives(Limits(), 16, 10.0), need, 10.0, settings=settings)
+    search = CoverageSearch(place, spin_primitives(Limits(), 16, rate), need, rate, settings=settings)
     search.start_at(START)
     return search
+
+
+@pytest.mark.parametrize("rate", [40.0, 10.0, 5.0, 4.0, 3.0, 2.0, 1.0])
+def test_a_log_of_any_rate_sees_the_bins_of_a_search(rate: float) -> None:
+    """At 5 Hz and below, no primitive could stay in the middle half of a bin as long as was asked: nothing was covered."""
+    search = searching(OPEN, (OPEN[0] + 1, OPEN[1]), rate=rate)
+    assert search.run(lambda _: True) == SearchStatus.DONE
+    assert search.come_to_rest()
+    curve = spin_curve(search.result(), search.primitives, Limits().alpha)
+    free, need = free_floor(), np.zeros((*free_floor().shape, 16), dtype=np.bool_)
+    need[OPEN] = True
+    grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=need.any(axis=2), headings=16)
+    assert missed(curve, need, grid, rate).sum() <= 1  # of 16, for the second try of a search
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0, 40.0])
+@pytest.mark.parametrize("headings", [8, 12, 16])
+def test_sensors_that_are_fast_enough_have_the_usual_primitives(rate: float, headings: int) -> None:
+    primitives = spin_primitives(Limits(), headings, rate)
+    assert primitives.core_margin == 0.5
+    assert primitives.unit <= PRIMITIVES.max_duration
+    assert primitives.core.mean() == 0.5
 
 
 def test_what_lies_behind_a_cell_out_of_reach_is_still_driven_to() -> None:

@@ -66,6 +66,7 @@ class PrimitiveArrays(NamedTuple):
     """[m] from the middle sample of a primitive to any other, and a node's diagonal."""
     max_cost: int
     """Units of time of the slowest."""
+    core_margin: float
 
 
 class Scratch(NamedTuple):
@@ -175,8 +176,9 @@ def try_primitive(
                     bin_here = -1
         if bin_here != run_id:
             if run_id >= 0:
-                first = 0.0 if run_start == 0 else run_start + 0.5
-                last = float(n_samples) if s == n_samples and bin_here == -1 else s - 0.5
+                margin = primitives.core_margin if run_inner else 0.5
+                first = 0.0 if run_start == 0 else run_start + margin
+                last = float(n_samples) if s == n_samples and bin_here == -1 else s - margin
                 wanted = world.inner_dwell if run_inner else world.dwell
                 if (last - first) * period >= wanted and n_covered < MAX_BINS_PER_PRIMITIVE:
                     covered[n_covered] = run_id

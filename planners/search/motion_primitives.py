@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.curve import displace
-from planners.search.settings import KERNELS, PRIMITIVES
+from planners.search.settings import KERNELS, PRIMITIVES, SPIN_ROOM
 from planners.settings import LOG
 from planners.types import Bools, Floats, Ints
 from planners.vehicle import Limits
@@ -34,7 +34,7 @@ class MotionPrimitives:
     bins: NDArray[np.int16]
     """(n_headings, n_modes, n_branches, SAMPLES) heading bin of each sample."""
     core: Bools
-    """As `bins`: the sample lies in the middle half of its bin."""
+    """As `bins`: the sample lies in the middle half of its bin; all do where a log is too slow to see that half."""
     turned_steps: Ints
     """(n_modes, n_branches) heading steps turned."""
     next_mode: Ints
@@ -57,6 +57,9 @@ class MotionPrimitives:
     """A state is safe if so many primitives can follow it; negative: if the robot can stop within so many."""
     omega: float
     """[rad/s] of the spin, signed; 0 for cars."""
+    core_margin: float = 0.5
+    """Samples that a stay in the middle half of a bin is counted short at each end: its border may be crossed anywhere
+    between two samples. 0 for a sensor so slow that this would matter: the border of the half lies between them."""
 
     @property
     def n_headings(self) -> int:
@@ -74,7 +77,7 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
     """
     width = 2 * np.pi / headings
     omega = min(limits.omega, width * rate / LOG.dwell_periods)
-    parts = max(math.ceil(width / omega / PRIMITIVES.max_duration - 1e-9), 1)
+    parts, core_margin, has_core = _cut_bin(width / omega, rate)
     step, tau = width / parts, width / parts / omega
     cell_bands = int(np.clip(round(limits.v / (limits.a * tau)), 1, PRIMITIVES.max_levels))
     rise = min(limits.a * tau, limits.v / cell_bands)  # [m/s] from one level to the next
@@ -100,7 +103,7 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
     which = sense * (np.arange(n_headings) // parts) % headings
     bins = np.broadcast_to(which[:, None, None, None], (*shape[:3], SAMPLES)).astype(np.int16)
     within = (np.arange(n_headings)[:, None] % parts * step + stamps[:-1] * omega) / width - 0.5  # of the bin
-    core = np.broadcast_to((abs(within) <= 0.25)[:, None, None, :], bins.shape)
+    core = np.broadcast_to(((abs(within) <= 0.25) | (not has_core))[:, None, None, :], bins.shape)
     return MotionPrimitives(
         first_heading=-sense * width / 2,
         heading_step=sense * step,
@@ -118,7 +121,39 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
         heading_bin=which.astype(np.int16),
         safe_depth=-(cell_bands + 2),
         omega=sense * omega,
+        core_margin=core_margin,
     )
+
+
+def _cut_bin(duration: float, rate: float) -> tuple[int, float, bool]:
+    """Cut the turn through a heading bin into primitives that a log can see.
+
+    A bin counts as covered if a single primitive stays in its middle half for long enough. Where the usual cut is too short
+    for a slow sensor, stays are counted exactly; then the cut is coarser; and then headings count beyond that half.
+
+    Parameters
+    ----------
+    duration : [s] of the turn through a bin
+    rate : [Hz] of the log
+
+    Returns
+    -------
+    count of primitives, `core_margin` of MotionPrimitives, and whether headings count in the middle half only
+    """
+    usual = max(math.ceil(duration / PRIMITIVES.max_duration - 1e-9), 1)
+    for parts in range(usual, 0, -1):
+        for margin in (0.5, 0.0):
+            if _core_stay(parts, margin) * duration * rate >= SPIN_ROOM.inner_dwell:
+                return parts, margin, True
+    return max(min(math.floor(duration * rate), usual), 1), 0.5, False
+
+
+def _core_stay(parts: int, margin: float) -> float:
+    """Return the share of the turn through a bin that the best of its primitives is seen in its middle half."""
+    start = np.arange(parts) / parts
+    low, high = np.maximum(start, 0.25), np.minimum(start + 1 / parts, 0.75)
+    n_inside = (low > start + 1e-9).astype(int) + (high < start + 1 / parts - 1e-9)
+    return float((high - low - n_inside * margin / (parts * SAMPLES)).max())
 
 
 def _steps_of_level(level: Ints) -> Ints:

@@ -173,11 +173,8 @@ class CoverageSearch:
 
     def compile(self) -> None:
         """Compile what `run` calls, or read it from disk, so that its progress starts with the search."""
-        settings, primitives, world = (
-            beam_settings(self.settings, self.primitives),
-            self.primitive_arrays(),
-            self.world,
-        )
+        settings, primitives = beam_settings(self.settings, self.primitives), self.primitive_arrays()
+        world = self.world
         workspace = workspace_for(settings, primitives, world.missing.shape)
         buffers = heuristic_buffers(self.settings, self.primitives, self.area)
         compile_for(
@@ -326,4 +323,5 @@ class CoverageSearch:
             p.heading_bin,
             farthest,
             int(p.cost.max()),
+            p.core_margin,
         )
