@@ -1,6 +1,11 @@
 """What driving buys: error of the graph against minutes driven, for ways of driving with one robot in one place.
 
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.error_by_minutes [--arena office] [--seed 1] [--out docs/pages/pictures/error_by_minutes.png]
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.error_by_minutes --arena office 1001 1002 1003 1004 1005 --ways anytime views "wall following"
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.error_by_minutes --arena floor.geojson@5.4,16.8 --ways anytime views
+
+An arena is a shipped one, the seed of a random office of `benchmarks/offices.py`, or a file with the place where the robot
+starts. Of several, means over all arenas and seeds with their 95 % intervals are printed last.
 
 Each way is planned, driven by the embedded robot (lag, slip, noise of robot.yaml) and scanned; graphs are built from
 its first minutes. A graph is asked for 1,000 fresh poses spread evenly over the floor and all headings. `views` are
@@ -19,17 +24,22 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.offices import office
 from logs.run import Run, pair
 from planners import plan
 from planners.arena import Arena
+from planners.clearance import Barriers
+from planners.maps import geojson
+from planners.reach import reach
 from planners.trajectory import Trajectory
 from planners.types import Floats
 from sensorgraph.building.build import build
-from sensorgraph.demo import check_run
+from sensorgraph.demo import N_CHECK_POSES, check_run
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import load_arena
 from sensorgraph.planning.priority import uncertainty
+from sensorgraph.planning.survey import survey_of
 from sensorgraph.planning.views import views_within
 from sensorgraph.show.figures.style import INK, SOLID, new_figure, reduce_frame, save_figure
 from sensorgraph.world.drive import follow
@@ -70,13 +80,23 @@ class Place:
     robot: Robot
     seed: int
     thin: int
+    start: Floats | None = None
+    """(3,) [m, m, rad] where all drives start; None: where each likes."""
 
     def planned(self, planner: str, cell: float, minutes: float) -> Run:
         """Plan by a planner and drive the first minutes."""
         duration = None if planner == "coverage" else 60.0 * minutes
         made = plan(
             self.arena, self.robot, planner=planner, cell=cell, seed=self.seed, rate=self.robot.sensor.rate,
-            duration=duration,
+            duration=duration, start=self.start,
+        )  # fmt: skip
+        return self.scanned(made.trajectory, minutes)
+
+    def anytime(self, minutes: float) -> Run:
+        """Drive the first minutes of an anytime plan."""
+        made = plan(
+            self.arena, self.robot, seed=self.seed, rate=self.robot.sensor.rate, start=self.start, order="anytime",
+            survey=survey_of(self.arena, self.robot.sensor), budget=60.0 * minutes,
         )  # fmt: skip
         return self.scanned(made.trajectory, minutes)
 
@@ -97,7 +117,7 @@ class Place:
             )
             return plan(
                 self.arena, self.robot, planner="views", seed=self.seed, rate=self.robot.sensor.rate,
-                start=start, targets=choose,
+                start=self.start if start is None else start, targets=choose,
             ).trajectory  # fmt: skip
 
         n = max(round(60 * minutes / SECONDS_A_VIEW), 1)
@@ -134,8 +154,13 @@ def ways(place: Place) -> dict[str, Drive]:
 
         return both
 
+    @cache
+    def in_any_time() -> Run:
+        return place.anytime(most)
+
     coarse = one_drive("coverage", 1.0)
     return {
+        "anytime": lambda minutes: [place.cut(in_any_time(), minutes)],
         "views": lambda minutes: [place.cut(place.tour(minutes), minutes)],
         "coverage, 1 m cells": coarse,
         "5 min so, then coverage by doubt": then(place.by_doubt),
@@ -195,7 +220,7 @@ def picture(rows: list[DriveScore], path: Path) -> None:
     colours = dict(
         zip(
             dict.fromkeys(r.way for r in rows),
-            ("#d1345b", "#2a788e", "#7fb8c4", "#e08aa0", "#6a5acd", "#c9892b", "#8b90a0"),
+            ("#1b1b1b", "#d1345b", "#2a788e", "#7fb8c4", "#e08aa0", "#6a5acd", "#c9892b", "#8b90a0"),
             strict=False,
         )
     )
@@ -219,31 +244,75 @@ def picture(rows: list[DriveScore], path: Path) -> None:
     save_figure(figure, path)
 
 
+def place_of(name: str, robot: Robot, seed: int, thin: int) -> Place:
+    """Return a place by the name of its arena: shipped, the seed of a random office, or FILE@X,Y."""
+    path, _, at = name.partition("@")
+    arena = geojson.loads(office(int(name))) if name.isdigit() else load_arena(path)
+    start = np.array([*(float(value) for value in at.split(",")), 0.0]) if at else None
+    return Place(arena=arena, robot=robot, seed=seed, thin=thin, start=start)
+
+
+def check_of(place: Place) -> Run:
+    """Return scans at fresh poses, evenly over what the robot can reach."""
+    rng = np.random.default_rng([place.seed, 99])
+    if place.start is None:
+        return check_run(place.arena, place.robot, rng)
+    free = reach(
+        place.arena, Barriers(place.arena), clearance=place.robot.footprint_radius + 0.02, cell=0.25, start=place.start
+    )  # fmt: skip
+    nodes = np.nonzero(free.mask)
+    pick = rng.integers(len(nodes[0]), size=N_CHECK_POSES)
+    poses = np.column_stack(
+        [free.nodes((nodes[0][pick], nodes[1][pick])), rng.uniform(-np.pi, np.pi, len(pick))]
+    )
+    return check_run(place.arena, place.robot, rng, poses=poses)
+
+
+def summary(rows: list[DriveScore]) -> None:
+    """Print the mean share wrong of each way with its 95 % interval."""
+    print("\n| driven by | " + " | ".join(f"{minutes} min" for minutes in ALL_MINUTES) + " |")
+    print("|---|" + "---:|" * len(ALL_MINUTES))
+    for way in dict.fromkeys(r.way for r in rows):
+        own = np.array([100 * r.wrong for r in rows if r.way == way]).reshape(-1, len(ALL_MINUTES))
+        half = 1.96 * own.std(axis=0, ddof=1) / np.sqrt(len(own))
+        cells = (f"{mean:.2f} ± {around:.2f} %" for mean, around in zip(own.mean(axis=0), half, strict=True))
+        print(f"| {way} | " + " | ".join(cells) + " |")
+
+
 def main() -> None:
     """Drive, build, ask; print a table and draw it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--arena", default="office")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--arena", nargs="+", default=["office"])
+    parser.add_argument("--ways", nargs="*", help="some of the ways; default: all")
+    parser.add_argument("--seed", type=int, nargs="+", default=[1])
     parser.add_argument("--thin", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("docs/pages/pictures/error_by_minutes.png"))
     options = parser.parse_args()
-    arena, robot = load_arena(options.arena), default_robot()
-    check = check_run(arena, robot, np.random.default_rng([options.seed, 99]))
     rows: list[DriveScore] = []
-    print("| driven by | minutes | scans | wrong by > 5 cm | answered | of these wrong | median error |")
-    print("|---|---:|---:|---:|---:|---:|---:|")
-    place = Place(arena=arena, robot=robot, seed=options.seed, thin=options.thin)
-    for way, drive in ways(place).items():
-        for minutes in ALL_MINUTES:
-            runs = drive(minutes)
-            rows.append(row(way, runs, evaluate(build(runs), check)))
-            r = rows[-1]
-            print(
-                f"| {way} | {r.minutes:.1f} | {r.scans:,} | {100 * r.wrong:.2f} % | {100 * r.answered:.1f} % | "
-                f"{100 * r.wrong_of_answered:.2f} % | {100 * r.median:.2f} cm |",
-                flush=True,
-            )
-    picture(rows, options.out)
+    print(
+        "| arena | driven by | minutes | scans | wrong by > 5 cm | answered | of these wrong | median error |"
+    )
+    print("|---|---|---:|---:|---:|---:|---:|---:|")
+    for name in options.arena:
+        for seed in options.seed:
+            place = place_of(name, default_robot(), seed, options.thin)
+            check, short = check_of(place), Path(name.partition("@")[0]).name
+            for way, drive in ways(place).items():
+                if options.ways and way not in options.ways:
+                    continue
+                for minutes in ALL_MINUTES:
+                    runs = drive(minutes)
+                    r = row(way, runs, evaluate(build(runs), check))
+                    rows.append(r)
+                    print(
+                        f"| {short} {seed} | {way} | {r.minutes:.1f} | {r.scans:,} | {100 * r.wrong:.2f} % | "
+                        f"{100 * r.answered:.1f} % | {100 * r.wrong_of_answered:.2f} % | {100 * r.median:.2f} cm |",
+                        flush=True,
+                    )
+    if len(options.arena) * len(options.seed) > 1:
+        summary(rows)
+    else:
+        picture(rows, options.out)
 
 
 if __name__ == "__main__":

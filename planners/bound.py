@@ -20,8 +20,8 @@ by a straight move, and as many straight moves leave as enter, so each entry tak
 Robots that drift while they turn, as those of the search, do not drive whole moves. The bound is a yardstick for them, too, but
 no proof: physics may allow a drive that is shorter.
 
-A car cannot turn on the spot: each of its moves is an arc or a straight line into a next bin and takes at least
-min(cell, turning radius x width of a heading bin) over v, and n bins need n - 1 moves.
+Cars do not drive whole moves at all. For them there is what holds for any drive: each bin needs a logged pose of its
+own, so n bins take n - 1 periods of the log.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ OFFSETS = 8
 """[cells] Steps of the grid up to this are looked at; further ones count as long as this."""
 
 
-def lower_bound(need: Bools, vehicle: Vehicle, cell: float) -> float:
-    """Return a time [s] that no drive of whole moves through the bins `need` (nx, ny, n_phi) falls below.
+def lower_bound(need: Bools, vehicle: Vehicle, cell: float, rate: float) -> float:
+    """Return a time [s] that no drive of whole moves (of a car: no drive) through the bins `need` (nx, ny, n_phi) falls below.
 
     Parameters
     ----------
     cell : [m] side of a cell
+    rate : [Hz] of the log
     """
     limits, headings = vehicle.limits, need.shape[2]
     if vehicle.drive != "diff":
-        step = min(cell, limits.turning_radius * 2 * np.pi / headings)
-        return float(max(int(need.sum()) - 1, 0) * step / limits.v)
+        return max(int(need.sum()) - 1, 0) / rate
     wanted = need[need.any(axis=2)]
     if not len(wanted):
         return 0.0

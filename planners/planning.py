@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from planners.methods.views import plan_views
 from planners.reach import Reach, ReturnableSet, reach
 from planners.report import plan_report, reference_time, session_report
 from planners.sections import check_pose, end_poses, fit_to_budget
-from planners.settings import REACH, STARTS
+from planners.settings import JOIN_PLANNERS, REACH, STARTS
 from planners.task import ORDERS, JoinCounts, PlannedDrive, Survey, Task
 from planners.trajectory import Trajectory
 from planners.types import Bools, Floats, Progress
@@ -95,6 +96,7 @@ def plan(
     sweep_time: float = 0.0,
     order: str = "fast",
     survey: Survey | None = None,
+    join_planner: str = JOIN_PLANNERS[0],
     progress: Progress | None = None,
 ) -> Plan:
     """Plan a drive through every reachable (x, y, phi) bin.
@@ -119,6 +121,7 @@ def plan(
     sweep_time : [s] that one scan takes, for the warning about its smear
     order : one of ORDERS, of the planner coverage: the shortest drive, or one of which every prefix is worth most
     survey : what the sensor would see, for the order anytime; None: coarse coverage comes first
+    join_planner : the planner of OMPL that finds ways round obstacles: one of JOIN_PLANNERS, or a user's own, module:Class
     progress : is called with (bins done, bins in all) while the search goes on
 
     Raises
@@ -137,6 +140,7 @@ def plan(
     start = start if dock is None else dock
     name = "start" if dock is None else "dock"
     free, barriers = _reachable_floor(arena, vehicle, cell, margin, start, name)
+    free = replace(free, join_planner=_join_planner(join_planner))
     grid = _empty_grid(free, headings)
     returnable: ReturnableSet | None = None
     if vehicle.drive == "dubins":
@@ -201,6 +205,23 @@ def _check_planner(
         raise PlanError(f"targets are for the planner views, and views needs them; the planner is {planner}")
 
 
+def _join_planner(name: str) -> str:
+    """Refuse a planner that OMPL does not have, or a user's own that cannot be imported."""
+    module, _, kind = name.rpartition(":")
+    if not module and name not in JOIN_PLANNERS:
+        raise PlanError(
+            f"join planner {name!r} is unknown; expected module:Class or one of {', '.join(JOIN_PLANNERS)}"
+        )
+    try:
+        if module:
+            getattr(import_module(module), kind)
+    except (ImportError, AttributeError) as exc:
+        raise PlanError(
+            f"join planner {name!r} cannot be imported ({exc}); put its folder on PYTHONPATH"
+        ) from exc
+    return name
+
+
 def _empty_grid(free: Reach, headings: int) -> Coverage:
     """Return the bins within reach, without poses."""
     grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
@@ -259,6 +280,7 @@ def _finish(
         **({"interrupted": True} if drive.interrupted else {}),
         **({} if budget is None else {"budget_s": budget}),
         **({} if task.order == "fast" else {"order": task.order}),
+        **({} if task.reach.join_planner == JOIN_PLANNERS[0] else {"join_planner": task.reach.join_planner}),
         **({} if end is None else {"end": end.tolist()}),
         **ended,
         **({} if task.targets is None else {"views": task.targets.round(6).tolist()}),
@@ -266,7 +288,7 @@ def _finish(
         "coverage_before": before,
         "margin_m": round(task.reach.clearance - task.vehicle.footprint_radius, 6),
         "share_of_bare_footprint": _share_of_bare_footprint(task),
-        "lower_bound_s": lower_bound(grid.covered & ~covered_before, task.vehicle, grid.cell),
+        "lower_bound_s": lower_bound(grid.covered & ~covered_before, task.vehicle, grid.cell, rate),
     }
     return Plan(
         trajectory=trajectory,

@@ -12,7 +12,7 @@ from scipy import ndimage
 from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
-from planners.settings import REACH
+from planners.settings import JOIN_PLANNERS, REACH
 from planners.types import Bools, Floats
 
 
@@ -34,6 +34,8 @@ class Reach:
     """(mx, my) the node is reachable."""
     fits: int
     """Count of nodes where the robot fits, reachable or not."""
+    join_planner: str = JOIN_PLANNERS[0]
+    """The planner of OMPL that finds ways on this floor: one of JOIN_PLANNERS, or module:Class."""
 
     @property
     def step(self) -> float:

@@ -114,6 +114,11 @@ class SectionSettings:
     """[s] that each such place is earlier than the one before."""
 
 
+JOIN_PLANNERS = (
+    "RRTConnect", "BFMT", "BITstar", "BKPIECE1", "FMT", "InformedRRTstar", "KPIECE1", "LBKPIECE1", "RRT", "RRTstar", "SORRTstar",
+)  # fmt: skip
+"""Planners of ompl.geometric 2.0.1 in Python; the first is used unless another is asked for. Not PRM and PRMstar, whose threads
+never end when they call Python, nor AORRTC, which crashes."""
 REACH = ReachSettings()
 ROOMS = RoomSettings()
 TOURS = TourSettings()

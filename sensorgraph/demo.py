@@ -118,10 +118,13 @@ def _plan(
         )
 
 
-def check_run(arena: Arena, robot: Robot, rng: np.random.Generator, n: int = N_CHECK_POSES) -> Run:
-    """Scan from poses spread evenly over the free space and all headings: what a sensorgraph should know."""
+def check_run(
+    arena: Arena, robot: Robot, rng: np.random.Generator, n: int = N_CHECK_POSES, poses: Floats | None = None
+) -> Run:
+    """Scan from `poses` (n, 3), or from n spread evenly over the free space and all headings: what a graph should know."""
     x0, y0, x1, y1 = arena.bounds
-    clearance, poses = WallDistance(arena), np.zeros((0, 3))
+    clearance = WallDistance(arena)
+    n, poses = (n, np.zeros((0, 3))) if poses is None else (len(poses), poses)
     while len(poses) < n:
         some = rng.uniform([x0, y0, -np.pi], [x1, y1, np.pi], (n, 3))
         free = [clearance(x, y) > robot.footprint_radius + MARGIN for x, y in some[:, :2]]

@@ -66,7 +66,7 @@ def test_bound_is_never_above_the_optimum(
         need = rng.random(shape) < share
         need.ravel()[0] = True
         best = optimum(need, limits)
-        assert lower_bound(need, Vehicle(limits=limits), CELL) <= best + 1e-9
+        assert lower_bound(need, Vehicle(limits=limits), CELL, 10.0) <= best + 1e-9
 
 
 def test_bound_of_many_full_cells_is_a_full_turn_and_a_step_each() -> None:
@@ -74,7 +74,7 @@ def test_bound_of_many_full_cells_is_a_full_turn_and_a_step_each() -> None:
     limits = Limits()
     need = np.ones((20, 20, 16), dtype=np.bool_)
     each = 2 * np.pi / limits.omega + CELL / limits.v
-    assert 398 * each <= lower_bound(need, Vehicle(limits=limits), CELL) <= 400 * each
+    assert 398 * each <= lower_bound(need, Vehicle(limits=limits), CELL, 10.0) <= 400 * each
 
 
 def test_steps_of_the_grid_are_those_of_its_directions() -> None:
@@ -83,4 +83,9 @@ def test_steps_of_the_grid_are_those_of_its_directions() -> None:
 
 
 def test_bound_of_nothing_is_nothing() -> None:
-    assert lower_bound(np.zeros((3, 3, 16), dtype=np.bool_), Vehicle(), CELL) == 0.0
+    assert lower_bound(np.zeros((3, 3, 16), dtype=np.bool_), Vehicle(), CELL, 10.0) == 0.0
+
+
+def test_a_car_needs_a_period_of_the_log_for_each_bin() -> None:
+    car = Vehicle(drive="dubins", limits=Limits(turning_radius=0.4))
+    assert lower_bound(np.ones((2, 3, 4), dtype=np.bool_), car, CELL, 10.0) == 2.3

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.joins.ompl_process import DistanceField, IterationLimit, serve
+from planners.joins.ompl_process import DistanceField, IterationLimit, planner_named, serve
 from planners.joins.settings import CAR_PATHS, JOINS
 from planners.types import Floats
 from planners.vehicle import SHORTEST_ARC
@@ -56,7 +56,7 @@ class _CarSolver:
         self.setup.setStateValidityChecker(
             lambda state: bool(field.value(state.getX(), state.getY()) >= field.clearance)
         )
-        self.planner = geometric.RRTConnect(self.information)
+        self.planner = planner_named(str(question["planner"]), geometric, self.information)
         self.setup.setPlanner(self.planner)
         self.ready = False
 
@@ -77,7 +77,8 @@ class _CarSolver:
         if clear:
             return min(clear, key=lambda way: _n_chatter(way[0]))
         for stage in CAR_PATHS.stages:
-            self.planner.setRange(stage.max_step)
+            if hasattr(self.planner, "setRange"):
+                self.planner.setRange(stage.max_step)
             places = np.concatenate([start[None], goals])[:, :2]
             self._bound(
                 np.maximum(places.min(axis=0) - stage.window, self.low),

@@ -1,4 +1,4 @@
-"""OMPL's side of `paths`: paths in the plane, by RRTConnect and OMPL's path simplifier.
+"""OMPL's side of `paths`: paths in the plane, by RRTConnect, or the planner asked for, and OMPL's path simplifier.
 
 Run as `python -m planners.joins.ompl_paths`, this file is the process that answers.
 """
@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from planners.joins.ompl_process import DistanceField, IterationLimit, serve
+from planners.joins.ompl_process import DistanceField, IterationLimit, planner_named, serve
 from planners.joins.settings import JOINS, PLANE_PATHS
 from planners.types import Floats
 
 
 def _paths(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Answer queries (n, 2) [m], each with its goals."""
-    solver = _PlaneSolver(base, geometric, question["distance"], question["origin"], float(question["step"]))
+    solver = _PlaneSolver(base, geometric, question)
     clearance = float(question["clearance"])
     goals = np.split(question["goals"], np.cumsum(question["counts"])[:-1])
     paths = [
@@ -30,7 +30,8 @@ def _paths(base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> dic
 class _PlaneSolver:
     """One OMPL problem, reused for every query: nothing leaks, and its random streams go on."""
 
-    def __init__(self, base: Any, geometric: Any, distance: Floats, origin: Floats, step: float) -> None:
+    def __init__(self, base: Any, geometric: Any, question: Mapping[str, np.ndarray]) -> None:
+        distance, origin, step = question["distance"], question["origin"], float(question["step"])
         self.base, self.geometric = base, geometric
         self.field = DistanceField(distance, origin, step)
         self.low, self.high = origin, origin + np.array(distance.shape) * step
@@ -41,7 +42,7 @@ class _PlaneSolver:
         information = self.setup.getSpaceInformation()
         information.setStateValidityCheckingResolution(JOINS.check_step / space.getMaximumExtent())
         self.setup.setStateValidityChecker(self.field.is_valid)  # holds lists and floats, nothing of OMPL
-        planner = geometric.RRTConnect(information)
+        planner = planner_named(str(question["planner"]), geometric, information)
         self.setup.setPlanner(planner)
         self.planner, self.iterations = planner, 0
 
@@ -52,7 +53,8 @@ class _PlaneSolver:
         self.field.clearance = min(clearance + JOINS.clearance_slack, max(lowest, clearance)) - 1e-9
         places = np.concatenate([start[None], goals])
         for stage in PLANE_PATHS.stages:
-            self.planner.setRange(stage.max_step)
+            if hasattr(self.planner, "setRange"):
+                self.planner.setRange(stage.max_step)
             self.iterations = stage.iterations
             low, high = places.min(axis=0) - stage.window, places.max(axis=0) + stage.window
             self.space.setBounds(self._bounds(np.maximum(low, self.low), np.minimum(high, self.high)))

@@ -18,6 +18,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -170,6 +171,12 @@ def _forked(work: Callable[[bytes], bytes], question: bytes) -> tuple[int, bytes
     with os.fdopen(read, "rb") as pipe:
         answer = pipe.read()
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), answer
+
+
+def planner_named(name: str, geometric: Any, information: Any) -> Any:
+    """Make a planner for a SpaceInformation: of ompl.geometric by its name, or a user's own by module:Class."""
+    module, _, kind = name.rpartition(":")
+    return getattr(import_module(module) if module else geometric, kind)(information)
 
 
 class IterationLimit:

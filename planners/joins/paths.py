@@ -143,10 +143,11 @@ def _query(starts: Floats, goals: list[Floats], reach: Reach, seed: int) -> list
 
 
 def floor_arrays(reach: Reach) -> dict[str, Any]:
-    """Return the arrays by which a process knows the floor."""
+    """Return the arrays by which a process knows the floor, and the planner that it uses there."""
     return {
         "distance": reach.distance,
         "origin": reach.origin,
         "step": reach.step,
         "clearance": reach.clearance,
+        "planner": reach.join_planner,
     }

@@ -97,6 +97,13 @@ PlanMargin = Annotated[
     float,
     typer.Option(min=0.0, help="What the robot's rim keeps from walls, in m; a wider one reaches less."),
 ]
+PlanJoinPlanner = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="OMPL's planner of ways round obstacles: RRTConnect, BITstar, ..., or yours, module:Class.",
+    ),
+]
 PlanNoGo = Annotated[
     list[str] | None,
     typer.Option(

@@ -17,6 +17,7 @@ from sensorgraph.cli.options import (
     PlanEnd,
     PlanGraph,
     PlanHeadings,
+    PlanJoinPlanner,
     PlanMargin,
     PlanNoGo,
     PlanOrder,
@@ -53,6 +54,7 @@ def plan(
     budget: PlanBudget = None,
     no_go: PlanNoGo = None,
     margin: PlanMargin = 0.02,
+    join_planner: PlanJoinPlanner = "RRTConnect",
     duration: PlanDuration = None,
     resume: PlanResume = None,
     poses: PosesFrom = None,
@@ -106,16 +108,21 @@ def plan(
             duration=duration,
             order=order,
             margin=margin,
+            join_planner=join_planner,
             seed=seed,
             progress=tick,
         )
     report = made.drive.report
     made.save(out)
-    for line in report["warnings"]:
-        typer.echo(f"warning: {line}", err=True)
-    typer.echo("\n".join([*made.arena.notes, _summary(report), *_runs(report), f"wrote {out}"]))
+    _tell(report["warnings"], [*made.arena.notes, _summary(report), *_runs(report), f"wrote {out}"])
     if report.get("interrupted"):
         raise typer.Exit(INTERRUPTED)
+
+
+def _tell(warnings: list[str], lines: list[str]) -> None:
+    for line in warnings:
+        typer.echo(f"warning: {line}", err=True)
+    typer.echo("\n".join(lines))
 
 
 def _quieten(*names: str) -> None:
@@ -156,10 +163,15 @@ def _summary(report: dict[str, Any]) -> str:
 
 def _above(report: dict[str, Any]) -> str:
     """Say how far a plan is above the lower bound of its time, if it is one that covers."""
-    bound = report["lower_bound_s"]
-    if bound <= 0 or "budget_s" in report or report["planner"] not in ("coverage", "stop_and_spin"):
+    bound, drive = report["lower_bound_s"], report["robot"]["drive"]
+    if (
+        bound <= 0
+        or drive != "diff"
+        or "budget_s" in report
+        or report["planner"] not in ("coverage", "stop_and_spin")
+    ):
         return ""
-    return f", at most {max(100 * (report['drive_time_s'] / bound - 1), 0):.0f} % above the optimum of whole moves"
+    return f", at most {100 * (report['drive_time_s'] / bound - 1):.0f} % above the optimum of whole moves"
 
 
 def _runs(report: dict[str, Any]) -> list[str]:

@@ -16,6 +16,7 @@ from planners.arena import Arena
 from planners.errors import PlanError
 from planners.maps.no_go import Zone, without
 from planners.planning import WALL_MARGIN
+from planners.settings import JOIN_PLANNERS
 from planners.trajectory import Trajectory
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.files import atomic_folder
@@ -104,6 +105,7 @@ def plan(
     order: str | None = None,
     graph: Sensorgraph | None = None,
     margin: float = WALL_MARGIN,
+    join_planner: str = JOIN_PLANNERS[0],
     seed: int = 0,
     progress: Progress | None = None,
 ) -> CoveragePlan:
@@ -127,6 +129,7 @@ def plan(
     battery : [s] of one run; the drive is parted into runs from `dock` (3,) [m, m, rad] and back to it
     duration : [s] of the baselines; None: the reference time of the coverage planner
     margin : [m] that the robot's rim keeps from walls
+    join_planner : the planner of OMPL that finds ways round obstacles, by name, or one of your own as `module:Class`
     order : `fast`, the shortest drive; or `anytime`, of which every prefix is worth most. None: anytime for a robot that
         turns in place if a `budget` or a `graph` is given and no `priority`, else fast
     graph : for the order anytime: look first where this sensorgraph would not answer or be wrong
@@ -170,6 +173,7 @@ def plan(
         targets=targets,
         order=order,
         margin=margin,
+        join_planner=join_planner,
         survey=survey,
         progress=progress,
     )
