@@ -1,10 +1,11 @@
-"""OMPL's own Benchmark tool over our coverage planner and planners of OMPL, on one problem.
+"""OMPL's own Benchmark tool over the planners of our registry and planners of OMPL, on one problem.
 
     python -m benchmarks.ompl_benchmark                                    # square arena, diff drive
     python -m benchmarks.ompl_benchmark --drive reeds_shepp --runs 3 -o square.log
 
-The others drive from start to goal; ours does so through every bin. The log is OMPL's, to be read by its
-ompl_benchmark_statistics. Nothing is simplified, since that would cut the drive through the bins short.
+The others drive from start to goal; our coverage planners do so through every bin. A planner of your own is named by
+`--own module:Class`. The log is OMPL's, to be read by its ompl_benchmark_statistics. Nothing is simplified, since that
+would cut the drive through the bins short.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from typing import Any
 import numpy as np
 from ompl import geometric, tools, util  # type: ignore[import-untyped]
 
-from planners.ompl_planner import CoveragePlanner, problem
+from planners.joins.ompl_process import planner_named
+from planners.ompl_planner import problem, registry_planners
 from planners.vehicle import Limits, Vehicle
 from sensorgraph.loading import load_arena
 
@@ -40,6 +42,8 @@ def main() -> None:
     parser.add_argument("--headings", type=int, default=16)
     parser.add_argument("--runs", type=int, default=2)
     parser.add_argument("--time", type=float, default=120.0, help="[s] for each run")
+    parser.add_argument("--duration", type=float, default=60.0, help="[s] that the baselines drive")
+    parser.add_argument("--own", nargs="*", default=[], help="module:Class of planners of your own")
     parser.add_argument("-o", "--out", type=Path, default=Path("ompl_benchmark.log"))
     options = parser.parse_args()
     util.setLogLevel(util.LOG_ERROR)
@@ -53,8 +57,12 @@ def main() -> None:
     benchmark = tools.Benchmark(setup, f"{options.arena} {options.drive}")
     benchmark.addPlanner(geometric.RRTConnect(information))
     benchmark.addPlanner(geometric.KPIECE1(information))
-    ours = CoveragePlanner(information, arena, vehicle, cell=options.cell, headings=options.headings)
-    benchmark.addPlanner(ours)
+    for name in options.own:
+        benchmark.addPlanner(planner_named(name, geometric, information))
+    for ours in registry_planners(
+        information, arena, vehicle, duration=options.duration, cell=options.cell, headings=options.headings
+    ):
+        benchmark.addPlanner(ours)
     benchmark.benchmark(request(options.runs, options.time))
     for name, run in runs(benchmark):
         print(f"{name:24} " + "  ".join(f"{head} {run[key]}" for key, head in OMPL_COLUMNS.items()))

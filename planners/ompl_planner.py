@@ -1,11 +1,14 @@
-"""The coverage planner as a planner of OMPL: `CoveragePlanner` takes the place of any other, in its Benchmark too.
+"""Our planners as planners of OMPL: each of the registry takes the place of any other, in its Benchmark too.
 
-What it solves is a problem with a start and a goal, as any: on its way from one to the other it drives through every
-bin (x, y, phi) that can be reached. Nothing else imports this file, and it needs ompl.
+What they solve is a problem with a start and a goal, as any: on its way from one to the other, `CoveragePlanner` drives
+through every bin (x, y, phi) that can be reached. Nothing else imports this file, and it needs ompl.
 
     setup = problem(arena, vehicle, start, goal)
     setup.setPlanner(CoveragePlanner(setup.getSpaceInformation(), arena, vehicle))
     setup.solve(60.0)
+
+`registry_planners` makes all of them. A problem's objective is the driving time (`DrivingTime`), so that OMPL's Benchmark
+compares them, and planners of the user's own, by it.
 
 Of OMPL 2.0.1: a planner in Python must not override `getPlannerData`, whose argument cannot be passed to Python (the
 process ends), so `graph` gives what it would; it must take start and goal from its `PlannerInputStates`, since a state
@@ -25,7 +28,7 @@ from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.joins.ompl_process import INSTALL_HINT, DistanceField
 from planners.joins.settings import JOINS
-from planners.planning import Plan, plan
+from planners.planning import PLANNERS, Plan, plan
 from planners.reach import reach
 from planners.sections import check_pose
 from planners.types import Floats
@@ -38,7 +41,7 @@ except ImportError as exc:
 
 logger = logging.getLogger(__name__)
 
-NAME = "Coverage"
+BASELINE_NAMES = ("random_bounce", "wall_following")
 RASTER_CELL = 0.25
 """[m] of the raster of free space."""
 PATH_RATE = 10.0
@@ -46,7 +49,7 @@ PATH_RATE = 10.0
 
 
 class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types that mypy can follow
-    """Drives from start to goal through every reachable (x, y, phi) bin."""
+    """Drives from start to goal through every reachable (x, y, phi) bin, or as another planner of the registry does."""
 
     def __init__(
         self,
@@ -54,12 +57,24 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
         arena: Arena,
         vehicle: Vehicle,
         *,
+        planner: str = "coverage",
         cell: float = 0.25,
         headings: int = 16,
         seed: int = 0,
+        **options: Any,
     ) -> None:
-        super().__init__(information, NAME)
-        self.arena, self.vehicle = arena, vehicle
+        """Make a planner of the registry.
+
+        Parameters
+        ----------
+        planner : one of `planners.PLANNERS`
+        cell : [m] side of a position cell; `headings`: count of heading bins
+        options : further arguments of `planners.plan`
+        """
+        name = planner.replace("_", " ").title().replace(" ", "")
+        super().__init__(information, name)
+        self.name, self.arena, self.vehicle = name, arena, vehicle
+        self.planner, self.options = planner, options
         self.cell, self.headings, self.seed = cell, headings, seed
         self.plan: Plan | None = None
         """The last plan, with its coverage and report."""
@@ -86,12 +101,14 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
             self.plan = plan(
                 self.arena,
                 self.vehicle,
+                planner=self.planner,
                 start=start,
                 end=goal,
                 cell=self.cell,
                 headings=self.headings,
                 seed=self.seed,
                 progress=_stop_when(condition),
+                **self.options,
             )
         except KeyboardInterrupt:
             return status(status.TIMEOUT)
@@ -101,7 +118,7 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
         stopped = bool(self.plan.report.get("interrupted", False))
         missed = 1.0 - float(self.plan.report["coverage"])
         path = self._path(self.plan)
-        self.getProblemDefinition().addSolutionPath(path, stopped, missed if stopped else 0.0, NAME)
+        self.getProblemDefinition().addSolutionPath(path, stopped, missed if stopped else 0.0, self.name)
         return status(status.APPROXIMATE_SOLUTION if stopped else status.EXACT_SOLUTION)
 
     def graph(self) -> Any:
@@ -126,6 +143,45 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
         for pose in made.curve.sample(np.linspace(0.0, made.curve.duration, n))[0]:
             path.append(_state(information.getStateSpace(), pose))
         return path
+
+
+class DrivingTime(base.OptimizationObjective):  # type: ignore[misc]
+    """The time [s] of a drive at the robot's limits, accelerations left out: it drives and turns at once."""
+
+    def __init__(self, information: Any, vehicle: Vehicle) -> None:
+        super().__init__(information)
+        self.limits = vehicle.limits
+        self.space = information.getStateSpace() if vehicle.drive != "diff" else None
+
+    def stateCost(self, state: Any) -> Any:  # noqa: N802
+        """Return no cost: only motions take time."""
+        return base.Cost(0.0)
+
+    def motionCost(self, one: Any, other: Any) -> Any:  # noqa: N802
+        """Return the time [s] from one state to another."""
+        a, b = pose_of(one), pose_of(other)
+        if self.space is not None:
+            return base.Cost(float(self.space.distance(one, other)) / self.limits.v)
+        turn = abs(float(wrap(np.float64(b[2] - a[2]))))
+        return base.Cost(max(float(np.hypot(*(b - a)[:2])) / self.limits.v, turn / self.limits.omega))
+
+
+def registry_planners(
+    information: Any, arena: Arena, vehicle: Vehicle, *, duration: float | None = None, **options: Any
+) -> list[CoveragePlanner]:
+    """Return all planners of the registry that suit the vehicle as planners of OMPL; `views` needs targets and is left out.
+
+    Parameters
+    ----------
+    duration : [s] of the baselines; None: the reference time of the coverage planner
+    options : `cell`, `headings`, `seed` and other arguments of `planners.plan`
+    """
+    names = [name for name in PLANNERS if name != "views" and (vehicle.drive == "diff" or name == "coverage")]
+    made = []
+    for name in names:
+        own = options | ({"duration": duration} if name in BASELINE_NAMES else {})
+        made.append(CoveragePlanner(information, arena, vehicle, planner=name, **own))
+    return made
 
 
 def problem(arena: Arena, vehicle: Vehicle, start: Floats, goal: Floats) -> Any:
@@ -155,6 +211,7 @@ def problem(arena: Arena, vehicle: Vehicle, start: Floats, goal: Floats) -> Any:
     )  # holds nothing of OMPL
     information = setup.getSpaceInformation()
     information.setStateValidityCheckingResolution(JOINS.check_step / space.getMaximumExtent())
+    setup.setOptimizationObjective(DrivingTime(information, vehicle))
     setup.setStartAndGoalStates(_state(space, start), _state(space, goal))
     return setup
 

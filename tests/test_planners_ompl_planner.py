@@ -56,12 +56,20 @@ print(json.dumps(answers))
 BENCHMARK = """
 from ompl import tools
 from benchmarks.ompl_benchmark import request, runs
+from planners.ompl_planner import DrivingTime, registry_planners
 setup, planner = setup_of("diff")
 benchmark = tools.Benchmark(setup, "door")
-benchmark.addPlanner(geometric.RRTConnect(setup.getSpaceInformation()))
-benchmark.addPlanner(planner)
-benchmark.benchmark(request(2, 600.0))
-print(json.dumps(runs(benchmark)))
+information = setup.getSpaceInformation()
+benchmark.addPlanner(geometric.RRTConnect(information))
+for one in registry_planners(information, planner.arena, planner.vehicle, duration=20.0, cell=0.5, headings=4):
+    benchmark.addPlanner(one)
+benchmark.benchmark(request(1, 600.0))
+objective = setup.getProblemDefinition().getOptimizationObjective()
+a, b = (information.getStateSpace().allocState() for _ in range(2))
+for state, pose in ((a, (0.5, 0.5, 0.0)), (b, (0.5, 1.3, 0.2))):
+    state.setXY(*pose[:2])
+    state.setYaw(pose[2])
+print(json.dumps({"runs": runs(benchmark), "cost": objective.motionCost(a, b).value()}))
 """
 STOPPED = """
 setup, planner = setup_of("diff", shipped("square"))
@@ -108,17 +116,15 @@ def test_ompl_has_its_problem_solved_from_start_to_goal_through_every_bin() -> N
             assert found["length"] == pytest.approx(found["path_m"], rel=0.02)
 
 
-def test_ompls_benchmark_runs_the_planner_beside_rrtconnect() -> None:
-    runs = said(BENCHMARK)
-    names = [name for name, _ in runs]
-    assert names == ["geometric_RRTConnect"] * 2 + ["geometric_Coverage"] * 2
-    assert all(run["solved BOOLEAN"] == run["correct solution BOOLEAN"] == "1" for _, run in runs)
-    near, far = (
-        [float(run["solution length REAL"]) for name, run in runs if name.endswith(kind)]
-        for kind in ("RRTConnect", "Coverage")
-    )
-    assert min(far) > 5 * max(near)
-    assert far[0] == far[1]  # same seed, whatever ran before
+def test_ompls_benchmark_runs_all_our_planners_beside_rrtconnect() -> None:
+    found = said(BENCHMARK)
+    runs = found["runs"]
+    names = [name.removeprefix("geometric_") for name, _ in runs]
+    assert names == ["RRTConnect", "Coverage", "RandomBounce", "WallFollowing", "StopAndSpin"]
+    assert all(run["solved BOOLEAN"] == run["correct solution strict BOOLEAN"] == "1" for _, run in runs)
+    length = {name: float(run["solution length REAL"]) for name, (_, run) in zip(names, runs, strict=True)}
+    assert min(length["Coverage"], length["StopAndSpin"]) > 5 * length["RRTConnect"]
+    assert found["cost"] == pytest.approx(0.8 / 0.4)  # 0.8 m at 0.4 m/s, the turn meanwhile
 
 
 @pytest.mark.slow
