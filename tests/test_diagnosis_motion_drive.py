@@ -11,7 +11,10 @@ from diagnosis_samples import ROBOT, make_run, profile, without_commands, withou
 from scipy.signal import lfilter
 
 from logs.run import Run
+from planners.types import Floats
+from sensorgraph.diagnosis.diagnose import diagnose_motion
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
+from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 
 PLANTED: list[tuple[str, dict[str, Any], str, float]] = [
     ("actuator_lag", {"lag": 0.06}, "tau", 0.06),
@@ -52,6 +55,37 @@ def test_motors_that_ignore_small_commands_are_unknown(column: int, least: float
         told[still, column] = 0.6 * least * shift[still]
         result = diagnose_drive(replace(run, commands=told), ROBOT)
         assert result.unknown is not None and "small" in result.unknown.statement and result.effects == ()
+
+
+def with_speeds(run: Run, v: Floats) -> Run:
+    """Return the run with other speeds (n,) in its odometry."""
+    twists = np.column_stack([v, run.odom_twists[:, 1]])
+    phi = run.odometry[:, 2]
+    way = np.cumsum(
+        (v * np.gradient(run.odom_stamps))[:, None] * np.column_stack([np.cos(phi), np.sin(phi)]), axis=0
+    )
+    return replace(run, odom_twists=twists, odometry=np.column_stack([way, phi]))
+
+
+def test_a_floor_that_slopes_is_unknown_by_its_own_look() -> None:
+    run = make_run(7)
+    faster = run.odom_twists[:, 0] + 0.03 * np.cos(run.odometry[:, 2] - 1.0)
+    result = diagnose_drive(with_speeds(run, faster), ROBOT)
+    assert result.unknown is not None and "slopes" in result.unknown.statement and result.effects == ()
+    assert result.unknown.size["speed_m_s"] == pytest.approx(0.03 / np.sqrt(2), rel=0.4)
+
+
+def test_wheels_that_misread_at_speed_are_no_saturation() -> None:
+    run = make_run(8)
+    v = run.odom_twists[:, 0]
+    misread = with_speeds(run, np.where(np.abs(v) > 0.3, 0.85 * v, v))
+    wheels = diagnose_odometry(misread, ROBOT)
+    assert wheels.unknown is not None and wheels.motion is not None
+    assert diagnose_drive(
+        misread, ROBOT, use_clock=False
+    ).effects  # it looks like one, with nothing known of wheels
+    _, drive = diagnose_motion(misread, ROBOT, (), 0)
+    assert drive.effects == () and "speed_saturation" in drive.not_observable
 
 
 def real_base(

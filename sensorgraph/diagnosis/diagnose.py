@@ -17,7 +17,12 @@ from planners.errors import PlanError
 from sensorgraph.diagnosis.finding import Finding, misaligned
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
-from sensorgraph.diagnosis.naming import ScanNames, name_motion_effects, name_scan_effects
+from sensorgraph.diagnosis.naming import (
+    ScanNames,
+    name_motion_effects,
+    name_scan_effects,
+    without_limits_of_doubted_wheels,
+)
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import open_questions
 from sensorgraph.diagnosis.result import ChannelResult, Gap
@@ -237,7 +242,7 @@ def diagnose_motion(
         odometry = name_motion_effects(diagnose_odometry(run, model, seed=seed), known)
     with progress("comparing commands with wheels", ""):
         found = diagnose_drive(run, model, use_clock=odometry.unknown is None, wheels=odometry.motion)
-        drive = name_motion_effects(found, known)
+        drive = name_motion_effects(without_limits_of_doubted_wheels(found, odometry), known)
     return odometry, drive
 
 

@@ -22,6 +22,7 @@ from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.effect import size_ratio
+from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 
 WRONG_BY_HALF = 0.5
 """Scale error of a wheel beyond which odometry and reference do not belong together."""
@@ -212,6 +213,18 @@ def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> Ch
     expected = {a.name: a.parameters for a in known if a.effect not in (ACTUATOR_LAG, DEAD_TIME)}
     named = tuple(a for a in result.effects if a not in mimics and not _is_expected(a, expected))
     return without_close_calls(replace(result, effects=named))
+
+
+def without_limits_of_doubted_wheels(drive: ChannelResult, odometry: ChannelResult) -> ChannelResult:
+    """Leave out a limit of the speed where the wheels that show it are doubted: they may misread at speed."""
+    unknown = odometry.unknown
+    if unknown is None or "reference_m" in unknown.size:
+        return drive
+    kept = tuple(a for a in drive.effects if a.effect is not SPEED_SATURATION)
+    if len(kept) == len(drive.effects):
+        return drive
+    why = "the odometry is doubted itself: wheels that misread at speed look like a limit"
+    return replace(drive, effects=kept, not_observable={**drive.not_observable, SPEED_SATURATION.name: why})
 
 
 def _is_expected(amendment: Amendment, known: Mapping[str, Mapping[str, float]]) -> bool:

@@ -36,8 +36,8 @@ def diagnose_drive(
         rows = drive_rows(increments, commands, robot, clock)
     except ChannelSkippedError as exc:
         return ChannelResult(channel="drive", skipped=str(exc))
-    model = DriveModel(commands, rows, robot)
+    model = DriveModel(commands, rows, robot, wheels)
     selected = select(model)
     deviations = deviations_before_naming(model)
-    selected, evidence = confirmed(model, with_structure(model, selected, wheels))
+    selected, evidence = confirmed(model, with_structure(model, selected))
     return drive_result(model, selected, evidence, deviations)

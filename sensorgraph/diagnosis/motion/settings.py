@@ -261,6 +261,10 @@ class DriveStructureSettings:
     """A priori, of each coefficient that is a gain."""
     delay_sigma: float = 0.05
     """[s] a priori, of each delay."""
+    max_families: int = 3
+    """That the size of a doubt counts: the strongest, and others that explain as much beside it as a name takes."""
+    slope_sigma: float = 0.05
+    """[m/s] a priori, by which a slope makes the robot faster or slower."""
     deadband_sigma: float = 1.0
     """A priori: the share of a deadband that is there."""
     accepted_sigma: float = 0.5

@@ -24,6 +24,7 @@ from sensorgraph.diagnosis.motion.whitening import (
     clipped,
     fit_autoregression,
 )
+from sensorgraph.diagnosis.result import MotionDifference
 from sensorgraph.effects import EFFECTS, Effect
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
@@ -113,7 +114,7 @@ class DriveFit:
     simulated: Floats
     """(2 n,)"""
     columns: Floats
-    """(2 n, layout.n + structure)"""
+    """(2 n, n_own + structure)"""
 
     @property
     def log_posterior(self) -> float:
@@ -124,7 +125,15 @@ class DriveFit:
 class DriveModel:
     """One run's regression of odometry on commands."""
 
-    def __init__(self, commands: CommandSignal, rows: DriveRows, robot: Robot) -> None:
+    def __init__(
+        self, commands: CommandSignal, rows: DriveRows, robot: Robot, wheels: MotionDifference | None = None
+    ) -> None:
+        """Set up the regression.
+
+        Parameters
+        ----------
+        wheels : what the odometry channel has explained by slip or structure: the wheels may have misread as much
+        """
         self.rows, self.robot = rows, robot
         self.top_speed = commands.top_speed
         limits = robot.limits
@@ -138,6 +147,12 @@ class DriveModel:
         self.structure: StructureFamily | None = None
         self.layout = MotorColumns.of_library()
         self.library_terms = self.layout.terms
+        self.misread = np.zeros((2 * rows.n, 0)) if wheels is None else _misread(rows, wheels)
+
+    @property
+    def n_own(self) -> int:
+        """Count of columns before those of structure."""
+        return self.layout.n + int(self.misread.shape[1])
 
     @property
     def terms(self) -> list[MotorTerm]:
@@ -146,7 +161,7 @@ class DriveModel:
         return [term for term in self.library_terms if term.effect is not SPEED_SATURATION or can_saturate]
 
     def linearised(self, motors: MotorParameters) -> tuple[Floats, Floats]:
-        """Return the simulated rows (2 n,) and the columns (2 n, layout.n + structure)."""
+        """Return the simulated rows (2 n,) and the columns (2 n, n_own + structure)."""
         rates = self.simulation.rates
         base = rates(motors)
         least, share = FIT.tau_quotient
@@ -174,6 +189,7 @@ class DriveModel:
             for _, regressor in self.layout.regressors
         ]
         A = np.stack([*(columns[column] for column in Column), *own], axis=1)
+        A = np.concatenate([A, self.misread], axis=1)
         if self.structure is not None:
             A = np.concatenate([A, self.structure.columns], axis=1)
         return base, A
@@ -194,7 +210,9 @@ class DriveModel:
             ]
         )
         n_more = 0 if self.structure is None else self.structure.columns.shape[1]
-        sigma = np.concatenate([sigma, np.full(n_more, DRIVE.structure.accepted_sigma)])
+        sigma = np.concatenate(
+            [sigma, np.ones(self.misread.shape[1]), np.full(n_more, DRIVE.structure.accepted_sigma)]
+        )
         mean = np.zeros(len(sigma))
         mean[Column.LAG] = self.nominal.tau - motors.tau
         mean[Column.DELAY] = self.nominal.delay - motors.delay
@@ -249,6 +267,13 @@ class DriveModel:
     def residual(self, fit: DriveFit) -> Floats:
         """Return what a fit leaves (2 n,)."""
         return self.rows.masked(self.rows.y - fit.simulated - fit.columns @ fit.solution.theta)
+
+
+def _misread(rows: DriveRows, wheels: MotionDifference) -> Floats:
+    """Return the columns (2 n, 2) of wheels that misread by what the odometry channel explains, at coefficient 1."""
+    middle, nothing = (rows.start + rows.end) / 2, np.zeros(rows.n)
+    v, omega = (np.interp(middle, wheels.stamps, rate) for rate in wheels.rates.T)
+    return rows.masked(np.stack([np.concatenate([v, nothing]), np.concatenate([nothing, omega])], axis=1))
 
 
 def fitted_noise(kind: int, residual: Floats, valid: Bools) -> WhiteningFilter:

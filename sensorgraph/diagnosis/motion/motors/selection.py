@@ -12,10 +12,10 @@ from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveMod
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
 from sensorgraph.diagnosis.motion.motors.structure import drive_families
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureTest
+from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.whitening import both_kinds
-from sensorgraph.diagnosis.result import MotionDifference
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
+from sensorgraph.types import Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,20 +83,13 @@ def evidence_of_each(model: DriveModel, terms: Sequence[MotorTerm], fit: DriveFi
     return out
 
 
-def with_structure(
-    model: DriveModel, selected: MotorSelection, wheels: MotionDifference | None = None
-) -> MotorSelection:
-    """Let structure that no effect makes stand beside the effects, or in their stead.
-
-    Parameters
-    ----------
-    wheels : what the odometry channel has explained already
-    """
+def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelection:
+    """Let structure that no effect makes stand beside the effects, or in their stead."""
     terms, here = list(selected.terms), selected.fit
     has_limit = any(term.effect is SPEED_SATURATION for term in terms)
-    own = here.columns[:, [k for k in range(model.layout.n) if has_limit or k != Column.V_MAX]]
+    own = here.columns[:, [k for k in range(model.n_own) if has_limit or k != Column.V_MAX]]
     left = model.rows.masked(model.rows.y - here.simulated)
-    test = StructureTest(model.rows.valid, left, fitted_noise, drive_nuisances(model, here, wheels))
+    test = StructureTest(model.rows.valid, left, fitted_noise, drive_nuisances(model, here))
     families = drive_families(model, here)
     family, gain = test.best(own, families)
     strongest = max(evidence_of_each(model, terms, here).values(), default=0.0)
@@ -105,7 +98,8 @@ def with_structure(
         return selected
     dt = model.rows.end - model.rows.start
     distance, turn = both_kinds(here.simulated, model.rows.n)
-    missing = test.explained(own, [family, *families]) * np.concatenate([dt, dt])
+    found = _all_significant(test, own, family, families, needed)
+    missing = test.explained(own, found) * np.concatenate([dt, dt])
     size = simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base)
     if not size.is_material(model.robot.limits.v):
         return selected
@@ -126,6 +120,29 @@ def with_structure(
             rivals=[text for text in rivals if text != family.statement][:2],
         ),
     )
+
+
+def _all_significant(
+    test: StructureTest,
+    own: Floats,
+    first: StructureFamily,
+    families: Sequence[StructureFamily],
+    needed: float,
+) -> list[StructureFamily]:
+    """Return the first family, and those that explain as much beside it as a name takes: a doubt is as large as these.
+
+    Parameters
+    ----------
+    needed : [nats]
+    """
+    found = [first]
+    while len(found) < DRIVE.structure.max_families:
+        beside = np.concatenate([own, *(family.columns for family in found)], axis=1)
+        family, gain = test.best(beside, families)
+        if gain < needed:
+            break
+        found.append(family)
+    return found
 
 
 def confirmed(model: DriveModel, selected: MotorSelection) -> tuple[MotorSelection, dict[MotorTerm, float]]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel
 from sensorgraph.diagnosis.motion.settings import DRIVE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
@@ -45,6 +46,7 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             sigma=DRIVE.structure.delay_sigma,
             statement="by a delay that changes in time",
         ),
+        _slopes(model),
         *_jumps(model, fit, share),
         *_deadbands(model, fit),
     ]
@@ -71,6 +73,25 @@ def _gains(
         sigma=DRIVE.structure.gain_sigma,
         statement=statement,
         choice_price=choice_price,
+    )
+
+
+def _slopes(model: DriveModel) -> StructureFamily:
+    """Return speeds that depend on where the robot heads, as on a floor that is not level."""
+    rows = model.rows
+    _, omega = both_kinds(rows.y, rows.n)
+    heading, nothing = np.cumsum(omega * (rows.end - rows.start)), np.zeros(rows.n)
+    moves = np.abs(both_kinds(model.simulation.rates(model.nominal), rows.n)[0]) > MIN_MOTION
+    ways = (np.cos(heading), np.sin(heading))
+    columns = [
+        np.concatenate([way * some, nothing]) for way in ways for some in (1.0, moves)
+    ]  # it rolls, or brakes
+    return StructureFamily(
+        kind="heading",
+        columns=rows.masked(np.stack(columns, axis=1)),
+        labels=[],
+        sigma=DRIVE.structure.slope_sigma,
+        statement="by the direction in which the robot heads, as on a floor that slopes",
     )
 
 

@@ -52,6 +52,8 @@ def odometry_result(
     covariance = model.regression.clustered_covariance(fit, model.clusters)
     found = [_amendment(model, term, terms, fit, covariance, rng) for term in terms]
     found.sort(key=lambda a: -(a.evidence or 0.0))
+    if model.structure is not None:  # what structure takes or leaves is nobody's to name
+        found = [a for a in found if _is_determined(a)]
     named = [a for a in found if _is_material(a)]
     return ChannelResult(
         channel="odometry",
@@ -132,6 +134,12 @@ def _everywhere(model: WheelModel, effect: Effect, theta: float, error: float, g
         value = float(model.rows.clock + theta)
         stderr = float(np.hypot(error, model.robot.tolerances.stamp / ODOMETRY.stamp_averaging))
     return replace(effect(**{key: value}), stderr={key: stderr})
+
+
+def _is_determined(a: Amendment) -> bool:
+    """Tell whether an effect of the whole run has a size beside structure: its error is less than its materiality."""
+    is_local = a.effect.place is not None
+    return is_local or all(a.stderr.get(key, 0.0) < limit for key, limit in a.effect.sizes.items())
 
 
 def _is_material(a: Amendment) -> bool:
