@@ -29,6 +29,8 @@ def test_kinds_of_the_report_are_not_those_of_development() -> None:
     for kinds in (hidden.LIBRARY, hidden.FOREIGN):
         assert not set(kinds["dev"]) & set(kinds["report"])
         assert set(kinds["dev"]) | set(kinds["report"]) <= set(hidden.SPANS)
+    for kinds in (hidden.IRSIM_LIBRARY, hidden.IRSIM_FOREIGN):
+        assert not set(kinds["dev"]) & set(kinds["report"])
     assert len(hidden.FOREIGN["dev"]) >= 8 and len(hidden.FOREIGN["report"]) >= 8
 
 

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.foreign_worlds.changes import changed_room
 from benchmarks.foreign_worlds.files import Log
-from benchmarks.foreign_worlds.hidden import FOREIGN, LIBRARY, Hidden, Secrets, draw_hidden, truth
+from benchmarks.foreign_worlds.hidden import KINDS_OF, Hidden, Secrets, draw_hidden, truth
 from benchmarks.foreign_worlds.mujoco_drive import Base, Driven, bench_test, drive
-from benchmarks.foreign_worlds.mujoco_laser import Laser, changed_room
+from benchmarks.foreign_worlds.mujoco_laser import Laser
 from benchmarks.foreign_worlds.mujoco_scans import scans
 from benchmarks.foreign_worlds.rooms import OUTER, Floats, Pilot, Room, draw_room
 
@@ -31,6 +32,7 @@ class Spec:
     suite: str
     kinds: str
     index: int
+    world: str = "mujoco"
     name: str = ""
     """What is hidden, instead of the suite's turn."""
 
@@ -38,7 +40,7 @@ class Spec:
     def _turns(self) -> tuple[str, ...]:
         if self.name or self.suite == "none":
             return (self.name,)
-        return (LIBRARY if self.suite == "singles" else FOREIGN)[self.kinds]
+        return KINDS_OF[self.world, self.suite][self.kinds]
 
     @property
     def hidden(self) -> str:

@@ -9,16 +9,20 @@ Every other case is dirty: corners 4 mm off, mount 1.5 mm and 0.03 degrees off, 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 from pathlib import Path
 
-from benchmarks.foreign_worlds.cases import KINDS, SUITES, Spec, make
+from benchmarks.foreign_worlds.cases import KINDS, SUITES, Spec
 from benchmarks.foreign_worlds.files import write_log
+
+WORLDS = {"mujoco": "benchmarks.foreign_worlds.cases", "irsim": "benchmarks.foreign_worlds.irsim_world"}
 
 
 def save(spec: Spec, folder: Path, number: int) -> str:
     """Make a case, write it under its number; return one line about it."""
-    log, arena, robot, truth = make(spec)
+    world = importlib.import_module(WORLDS[spec.world])  # each needs a simulator of its own
+    log, arena, robot, truth = world.make(spec)
     case = folder / "cases" / f"{number:04d}"
     case.mkdir(parents=True, exist_ok=True)
     write_log(log, case / "run.mcap")
@@ -34,7 +38,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--world", choices=("mujoco",), default="mujoco")
+    parser.add_argument("--world", choices=list(WORLDS), default="mujoco")
     parser.add_argument("--suite", choices=SUITES, required=True)
     parser.add_argument("--kinds", choices=list(KINDS), default="dev")
     parser.add_argument("--n", type=int, required=True, help="count of cases")
@@ -45,7 +49,9 @@ def main() -> None:
     taken = [int(path.stem) for path in options.output.glob("truth/*.json")]
     number = max(taken, default=-1) + 1
     for index in range(options.first, options.first + options.n):
-        spec = Spec(suite=options.suite, kinds=options.kinds, index=index, name=options.hide)
+        spec = Spec(
+            suite=options.suite, kinds=options.kinds, index=index, world=options.world, name=options.hide
+        )
         print(save(spec, options.output, number), flush=True)
         number += 1
 

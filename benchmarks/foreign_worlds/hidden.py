@@ -32,6 +32,18 @@ FOREIGN = {
     ),
 }  # fmt: skip
 """Effects that no library knows; the right answer to each is "something unknown, here"."""
+IRSIM_LIBRARY = {
+    "dev": ("unmapped_obstacle", "mount_yaw", "people", "wheel_radius"),
+    "report": ("moved_obstacle", "missing_obstacle", "mount_xy", "moved_wall", "wheel_base", "max_range"),
+}
+"""Library effects that are natural in ir-sim."""
+IRSIM_FOREIGN = {"dev": ("lens_distortion",), "report": ("beam_jitter",)}
+"""`beam_jitter` is the lidar's own `angle_std`."""
+KINDS_OF = {
+    ("mujoco", "singles"): LIBRARY, ("mujoco", "foreign"): FOREIGN,
+    ("irsim", "singles"): IRSIM_LIBRARY, ("irsim", "foreign"): IRSIM_FOREIGN,
+}  # fmt: skip
+"""World and suite -> kinds of development and of the report."""
 ODOMETRY = {
     "wheel_radius",
     "wheel_base",
@@ -122,7 +134,7 @@ class Hidden:
     @property
     def is_known(self) -> bool:
         """Tell whether it is in the library."""
-        return self.name in LIBRARY["dev"] + LIBRARY["report"]
+        return any(self.name in names for names in LIBRARY.values())
 
     @property
     def channel(self) -> str:
