@@ -23,7 +23,7 @@ OWNERS = {
         "sensorgraph/show/review/",
         "sensorgraph/diagnosis/report/rerun_view.py",
     },
-    "shapely": {"planners/", "sensorgraph/world/"},
+    "shapely": {"planners/", "sensorgraph/world/", "sensorgraph/export/"},
     "matplotlib": {
         "sensorgraph/show/figures/",
         "sensorgraph/diagnosis/report/figures/",
@@ -35,6 +35,10 @@ OWNERS = {
     "distributed": {"sensorgraph/building/dask_cluster.py"},
     "numba": {"robotmodic_ident/kernel.py", "planners/kernel.py"},
     "gtsam": {"sensorgraph/localization/pose_graph.py"},
+    "mujoco": {"sensorgraph/data/export/drive_mujoco.py"},
+    "irsim": {"sensorgraph/data/export/drive_irsim.py"},
+    "launch": {"sensorgraph/data/export/bridge.launch.py"},
+    "launch_ros": {"sensorgraph/data/export/bridge.launch.py"},
     "numpy": set(PACKAGES),
     "scipy": set(PACKAGES),
 }

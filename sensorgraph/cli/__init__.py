@@ -18,6 +18,7 @@ from sensorgraph.cli.build import build
 from sensorgraph.cli.demo import demo
 from sensorgraph.cli.diagnose import diagnose
 from sensorgraph.cli.evaluate import evaluate
+from sensorgraph.cli.export import export
 from sensorgraph.cli.identify import identify
 from sensorgraph.cli.inspect import inspect
 from sensorgraph.cli.locate import locate
@@ -45,6 +46,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "diagnose": diagnose,
     "identify": identify,
     "record": record,
+    "export": export,
 }
 
 INTERRUPTED = 130

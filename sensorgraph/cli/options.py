@@ -357,3 +357,27 @@ RecordEffects = Annotated[
     typer.Option(metavar="FILE", help="effects.yaml: what robot, sensor and room have beyond the map."),
 ]
 RecordSeed = Annotated[int, typer.Option(min=0, help="Of all noise: same seed, same bytes.")]
+
+# export
+ExportSource = Annotated[
+    str,
+    typer.Argument(
+        metavar="GRAPH|ARENA",
+        help="A *.sensorgraph of faces, a GeoJSON, a map_server yaml, or a shipped arena: square, office.",
+    ),
+]
+ExportTarget = Annotated[str, typer.Option("--to", metavar="TARGET", help="mujoco, irsim, gazebo or nav2.")]
+ExportOut = Annotated[Path, typer.Option("-o", "--out", help="Folder to write.")]
+ExportEffects = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="effects.yaml: built in, as far as the target can.")
+]
+ExportRun = Annotated[
+    Path | None, typer.Option(help="A run that AMCL's parameters are estimated from (nav2).")
+]
+ExportNoGo = Annotated[
+    list[str] | None,
+    typer.Option(help="Zones for the keepout mask (nav2): GeoJSON of kind no_go, or corners x,y,x,y,x,y."),
+]
+WallHeight = Annotated[
+    float | None, typer.Option(help="[m] Height of the walls; default: half a metre above the laser.")
+]

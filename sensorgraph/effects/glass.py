@@ -22,7 +22,8 @@ from sensorgraph.effects.proposals import (
 from sensorgraph.effects.set_up import third_of_map_error, wall_direction_error
 from sensorgraph.effects.shared import LOSS_LEFTOVERS, LOST_BY_DIRECTION
 from sensorgraph.types import Bools, Floats
-from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene, nearest_from_each
+from sensorgraph.world.ray_intersection import nearest_from_each
+from sensorgraph.world.scene import RIGHT_ANGLE, Beams, Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:

@@ -11,7 +11,8 @@ from sensorgraph.effects.exposures import UNEXPECTED, listed
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import named_walls, obstacles, walls_of
 from sensorgraph.effects.proposals import PROPOSAL, unchanged_obstacles
-from sensorgraph.world.scene import Scene, nearest_from_each
+from sensorgraph.world.ray_intersection import nearest_from_each
+from sensorgraph.world.scene import Scene
 
 
 def transform(scene: Scene, a: Amendment) -> None:

@@ -12,9 +12,10 @@ from sensorgraph.effects.interfaces import Exposure, Residuals
 from sensorgraph.effects.proposals import PROPOSAL
 from sensorgraph.effects.set_up import depth_edge_error
 from sensorgraph.types import Bools, Floats
+from sensorgraph.world.ray_intersection import nearest_from_each
 from sensorgraph.world.ray_order import neighbouring_rays
 from sensorgraph.world.raycast import cast_laser
-from sensorgraph.world.scene import MAX_DISTANCE, Scene, nearest_from_each
+from sensorgraph.world.scene import MAX_DISTANCE, Scene
 
 N_SPREAD = 33
 """Rays that fill one beam at an edge."""

@@ -9,7 +9,8 @@ from sensorgraph.effects.effect import Amendment, Parameter
 from sensorgraph.effects.set_up import end_of_part_error
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.scene import Beams, Scene, nearest_from_each
+from sensorgraph.world.ray_intersection import nearest_from_each
+from sensorgraph.world.scene import Beams, Scene
 
 OFF = 1e-6  # [m] a reflected ray starts this far from the mirror
 

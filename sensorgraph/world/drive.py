@@ -10,7 +10,7 @@ robot.yaml.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,29 +61,43 @@ def follow(
 ) -> ExecutedDrive:
     """Drive along a trajectory, steering by the noisy reference pose; `drivetrain`: as in robot.yaml if not given."""
     duration = trajectory.duration + STANDSTILL
-    period = 1.0 / robot.wheels.rate
-    n = _n_commands(duration, robot)
-    lead = robot.actuators.tau + robot.actuators.delay + period / 2  # a held command acts half a period late
-    stamps = trajectory.stamps[0] + period * np.arange(n)
-    want_pose, _ = trajectory.at(stamps)
-    _, feed = trajectory.at(stamps + lead)
-    feed[stamps + lead > trajectory.stamps[-1]] = 0.0
-    noise = rng.normal(size=(n, 3)) * [robot.pose.sigma_xy, robot.pose.sigma_xy, robot.pose.sigma_yaw]
+    want_pose, feed = tracking_targets(trajectory, robot, duration)
+    noise = rng.normal(size=want_pose.shape) * [
+        robot.pose.sigma_xy,
+        robot.pose.sigma_xy,
+        robot.pose.sigma_yaw,
+    ]
     want, forward, shake = want_pose.tolist(), feed.tolist(), noise.tolist()
 
     def command(k: float, x: float, y: float, phi: float) -> tuple[float, float]:
-        (xr, yr, phi_r), (v_r, omega_r), (dx, dy, dphi) = want[int(k)], forward[int(k)], shake[int(k)]
-        x, y, phi = x + dx, y + dy, phi + dphi
-        c, s = math.cos(phi), math.sin(phi)
-        ahead = c * (xr - x) + s * (yr - y)
-        aside = -s * (xr - x) + c * (yr - y)
-        turn = math.remainder(phi_r - phi, 2 * math.pi)
-        v = v_r * math.cos(turn) + GAIN_X * ahead
-        return v, omega_r + GAIN_Y * v_r * aside + GAIN_PHI * math.sin(turn)
+        dx, dy, dphi = shake[int(k)]
+        return tracking_law(want[int(k)], forward[int(k)], (x + dx, y + dy, phi + dphi))
 
     start = trajectory.poses[0]
     drivetrain = drivetrain or Drivetrain.of(robot)
     return _drive(start, duration, command, robot, drivetrain, clearance=clearance, progress=progress)
+
+
+def tracking_targets(trajectory: Trajectory, robot: Robot, duration: float) -> tuple[Floats, Floats]:
+    """Return the poses (n, 3) that the robot wants at each of its commands, and the twists (n, 2) fed forward."""
+    period = 1.0 / robot.wheels.rate
+    lead = robot.actuators.tau + robot.actuators.delay + period / 2  # a held command acts half a period late
+    stamps = trajectory.stamps[0] + period * np.arange(_n_commands(duration, robot))
+    want, _ = trajectory.at(stamps)
+    _, feed = trajectory.at(stamps + lead)
+    feed[stamps + lead > trajectory.stamps[-1]] = 0.0
+    return want, feed
+
+
+def tracking_law(want: Sequence[float], feed: Sequence[float], pose: Sequence[float]) -> tuple[float, float]:
+    """Return the command (v, omega) that leads from a pose (3,) to the wanted one (Kanayama et al. 1990, eq. 6)."""
+    (xr, yr, phi_r), (v_r, omega_r), (x, y, phi) = want, feed, pose
+    c, s = math.cos(phi), math.sin(phi)
+    ahead = c * (xr - x) + s * (yr - y)
+    aside = -s * (xr - x) + c * (yr - y)
+    turn = math.remainder(phi_r - phi, 2 * math.pi)
+    v = v_r * math.cos(turn) + GAIN_X * ahead
+    return v, omega_r + GAIN_Y * v_r * aside + GAIN_PHI * math.sin(turn)
 
 
 def replay(

@@ -50,3 +50,12 @@ def nearest_walls_plain(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: F
     wall = r.argmin(axis=1)
     found = r[np.arange(len(r)), wall]
     return found, np.where(np.isfinite(found), wall, -1)
+
+
+def nearest_from_each(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
+    """Cast rays that each have their own origin; return range [m] and wall (-1 none), shaped like `ux`."""
+    x, y = (
+        np.broadcast_to(o, ux.shape).flatten() for o in (ox, oy)
+    )  # may be written to: one compiled version
+    ranges, wall = nearest_walls(walls, x, y, ux.ravel(), uy.ravel())
+    return ranges.reshape(ux.shape), wall.reshape(ux.shape)

@@ -20,7 +20,7 @@ from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.ray_intersection import nearest_walls
+from sensorgraph.world.ray_intersection import nearest_from_each
 from sensorgraph.world.raycast import cast_laser, directions, laser_poses, ray_starts
 from sensorgraph.world.sensor_parts import check_parts, part_names, part_of, sensor_of_rays
 
@@ -48,6 +48,10 @@ class Transform(Protocol):
     def __call__(self, scene: Scene, /) -> None:
         """Change the scene in place."""
         ...
+
+
+Caster = Callable[[Floats, Floats, Floats, Floats], Floats]
+"""Origins and unit directions (n_scans, n_rays) of rays, x and y [m, map] -> their ranges [m]; inf where nothing is."""
 
 
 @dataclass(eq=False)
@@ -132,6 +136,8 @@ class Scene:
     """Casts are kept here and taken from here, where given."""
     seed: int | None = None
     """Given: things that move at random (people) are drawn; None: they are only a chance of a short reading."""
+    caster: Caster | None = None
+    """Given: how far rays go is asked of it, another simulator; the walls only say what they meet there."""
     walls: Floats = field(init=False)
     """(n_walls, 2, 2) [m]"""
     discs: Floats = field(default_factory=lambda: np.zeros((0, 3)))
@@ -205,7 +211,14 @@ class Scene:
             ox, oy, phi = lasers[..., 0], lasers[..., 1], lasers[..., 2] + bearings
             ux, uy = np.cos(phi), np.sin(phi)
             ranges, wall = nearest_from_each(self.walls, ox, oy, ux, uy)
+        ranges = self._recast(ranges, ox, oy, ux, uy)
         return self._met(_beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma))
+
+    def _recast(self, ranges: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> Floats:
+        """Return the ranges of the caster, where there is one."""
+        if self.caster is None:
+            return ranges
+        return self.caster(*(np.broadcast_to(part, ux.shape) for part in (ox, oy, ux, uy)))
 
     def _met(self, beams: Beams) -> Beams:
         """Stop rays that walls have stopped at discs and movers, too, and let the surfaces act."""
@@ -227,6 +240,7 @@ class Scene:
         ox, oy = (np.tile(lasers[..., axis], (1, n)) for axis in (0, 1))  # (n_scans, n * n_rays)
         ux, uy = np.cos(phi), np.sin(phi)
         ranges, wall = nearest_from_each(self.walls, ox, oy, ux, uy)
+        ranges = self._recast(ranges, ox, oy, ux, uy)
         filled = self._met(_beams(self.walls, ox, oy, ux, uy, ranges, wall, self.sensor.sigma))
         nearest = filled.ranges.reshape(n_scans, n, -1).argmin(axis=1)
         at = nearest * len(cones) + np.arange(len(cones))
@@ -284,6 +298,7 @@ class Scene:
             span=self.span,
             begin=self.begin,
             seed=self.seed,
+            caster=self.caster,
         )
 
 
@@ -306,15 +321,6 @@ def _with_rays(beams: Beams, part: Beams, rays: Ints) -> Beams:
 
 _IF_NONE = {"straight": True, "within": False}
 """What a field of `Beams` says everywhere where it is None."""
-
-
-def nearest_from_each(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
-    """Cast rays that each have their own origin; return range [m] and wall (-1 none), shaped like `ux`."""
-    x, y = (
-        np.broadcast_to(o, ux.shape).flatten() for o in (ox, oy)
-    )  # may be written to: one compiled version
-    ranges, wall = nearest_walls(walls, x, y, ux.ravel(), uy.ravel())
-    return ranges.reshape(ux.shape), wall.reshape(ux.shape)
 
 
 def draw_readings(scene: Scene, rng: np.random.Generator, *, loss: float = 0.0) -> Floats:

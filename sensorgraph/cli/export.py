@@ -1,0 +1,85 @@
+"""`sensorgraph export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from sensorgraph.cli.options import (
+    ExportEffects,
+    ExportNoGo,
+    ExportOut,
+    ExportRun,
+    ExportSource,
+    ExportTarget,
+    RobotFile,
+    WallHeight,
+)
+
+if TYPE_CHECKING:
+    from logs.run import Run
+    from planners.arena import Arena
+
+
+def export(
+    source: ExportSource,
+    target: ExportTarget,
+    out: ExportOut,
+    robot: RobotFile = None,
+    effects: ExportEffects = None,
+    run: ExportRun = None,
+    no_go: ExportNoGo = None,
+    wall_height: WallHeight = None,
+) -> None:
+    """Write an arena or a sensorgraph, the robot and its laser as a world for another simulator, or for Nav2.
+
+    Examples:
+
+      sensorgraph export square --to mujoco -o twin && python twin/drive.py runs/plan -o twin.mcap
+
+      sensorgraph export lab.sensorgraph --robot robot.yaml --effects found/effects.yaml --to irsim -o twin
+
+      sensorgraph export office --to gazebo -o office_gazebo
+
+      sensorgraph export lab.sensorgraph --to nav2 --run run.mcap --no-go 1,1,2,1,2,2 -o nav2
+    """
+    from planners.maps.no_go import zones
+    from sensorgraph.cli.inputs import check_folder
+    from sensorgraph.effects.effects_file import read as read_effects
+    from sensorgraph.errors import SensorgraphError
+    from sensorgraph.export.export import check_target
+    from sensorgraph.export.export import export as write_world
+    from sensorgraph.export.nav2 import check_zones
+    from sensorgraph.export.world import ExportedWorld
+    from sensorgraph.loading import load_arena
+    from sensorgraph.world.robot import load_robot
+
+    check_target(target)
+    check_folder(out)
+    if target != "nav2" and (run is not None or no_go):
+        raise SensorgraphError(f"--run and --no-go are for --to nav2; {target} takes neither")
+    if wall_height is not None and not 0 < wall_height < 100:
+        raise SensorgraphError(f"--wall-height is {wall_height:g}, expected a height in m above 0")
+    arena, machine = load_arena(source), load_robot(robot)
+    amendments = () if effects is None else read_effects(effects, arena)
+    forbidden = [zone for given in no_go or [] for zone in zones(given)]
+    check_zones(forbidden, arena.bounds)
+    driven = None if run is None else _located(run, arena, source)
+    world = ExportedWorld.of(arena, machine, amendments, name=Path(source).stem, wall_height=wall_height)
+    left_out = write_world(world, target, out, no_go=forbidden, run=driven)
+    typer.echo(
+        f"{len(world.boxes)} walls, {len(world.discs)} round obstacles, robot {machine.name}, {len(amendments)} effects"
+    )
+    for line in left_out:
+        typer.echo(f"left out: {line}")
+    typer.echo(f"wrote {out}; begin with {out / 'README.md'}")
+
+
+def _located(path: Path, arena: Arena, place: str) -> Run:
+    """Read a run; where it has no reference, locate it in the arena."""
+    import logs
+    from sensorgraph.cli.inputs import with_poses
+
+    return with_poses(logs.read(path), path, None, arena, name=place, options={})

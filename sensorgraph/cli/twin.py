@@ -1,0 +1,39 @@
+"""The command line of the drive.py that an exported world holds."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sensorgraph.export.twin import Simulator
+
+
+def run_script(folder: Path, make: Callable[[], Simulator]) -> None:
+    """Drive a plan in an exported world and write the run; a mistake is one line and exit code 2."""
+    from logs.errors import LogError
+    from planners.errors import PlanError
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.errors import SensorgraphError
+    from sensorgraph.export.twin import record_twin
+
+    parser = argparse.ArgumentParser(description="Drive a plan in this world and record it.")
+    parser.add_argument("plan", type=Path, help="a plan's folder, or its trajectory.csv")
+    parser.add_argument("-o", "--out", type=Path, default=Path("run.mcap"), help="the run to write, *.mcap")
+    parser.add_argument("--seed", type=int, default=0, help="of all noise")
+    options = parser.parse_args()
+    try:
+        run = record_twin(folder, make(), options.plan, options.out, seed=options.seed, progress=progress)
+    except (SensorgraphError, LogError, PlanError, OSError) as exc:
+        sys.stderr.write(f"error: {exc}\n")
+        raise SystemExit(2) from exc
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted\n")
+        raise SystemExit(130) from None
+    sys.stdout.write(
+        f"{run.n_scans:,} scans of {run.sensor.n_rays} rays in {run.stamps[-1]:,.0f} s, "
+        f"at most {100 * float(run.meta['off_plan_m']):.1f} cm off the plan\nwrote {options.out}\n"
+    )

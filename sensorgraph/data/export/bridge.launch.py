@@ -1,0 +1,40 @@
+"""Start the world in Gazebo and bridge its topics to ROS 2: ros2 launch ./bridge.launch.py
+
+Then `ros2 bag record -s mcap /scan /odom /tf /cmd_vel` is a run that `sensorgraph` reads.
+"""
+
+from pathlib import Path
+
+from launch import LaunchDescription
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+WORLD = Path(__file__).resolve().parent / "world.sdf"
+BRIDGED = [
+    "/clock@rosgraph_msgs/msg/Clock[gz.msgs.Clock",
+    "/scan@sensor_msgs/msg/LaserScan[gz.msgs.LaserScan",
+    "/odom@nav_msgs/msg/Odometry[gz.msgs.Odometry",
+    "/tf@tf2_msgs/msg/TFMessage[gz.msgs.Pose_V",
+    "/cmd_vel@geometry_msgs/msg/Twist]gz.msgs.Twist",
+]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the simulator and the bridge."""
+    start = PathJoinSubstitution([FindPackageShare("ros_gz_sim"), "launch", "gz_sim.launch.py"])
+    return LaunchDescription(
+        [
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(start), launch_arguments={"gz_args": f"-r {WORLD}"}.items()
+            ),
+            Node(
+                package="ros_gz_bridge",
+                executable="parameter_bridge",
+                arguments=BRIDGED,
+                parameters=[{"use_sim_time": True}],
+            ),
+        ]
+    )

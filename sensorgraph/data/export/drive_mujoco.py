@@ -1,0 +1,92 @@
+"""Drive a plan in this MuJoCo world and record it: python drive.py PLAN -o run.mcap
+
+pip install mujoco sensorgraph
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from sensorgraph.cli.twin import run_script
+from sensorgraph.world.robot import load_robot
+
+HERE = Path(__file__).parent
+WALLS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
+"""The group of geoms that the laser sees."""
+SETTLE = 0.5
+"""[s] in which a robot that was put down comes to rest on its wheels."""
+
+
+class MujocoWorld:
+    """The scene, driven by twists."""
+
+    name = f"MuJoCo {mujoco.__version__}"
+
+    def __init__(self, folder: Path = HERE) -> None:
+        self.robot = load_robot(folder / "robot.yaml")
+        self.model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+        self.model.opt.disableflags |= (
+            mujoco.mjtDisableBit.mjDSBL_SENSOR
+        )  # rays are cast when they are asked for
+        self.data = mujoco.MjData(self.model)
+        self.wheeled = self.model.nu == 2
+        self.speed = np.zeros(2)  # of a car's motors
+
+    def place(self, pose: np.ndarray) -> None:
+        """Put the robot at a pose, at rest."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.turns, self.heading = 0.0, float(pose[2])
+        if not self.wheeled:
+            self.speed = np.zeros(2)
+            self.data.qpos[:3] = pose - [*self.model.body("base_link").pos[:2], 0.0]
+            return
+        self.data.qpos[:7] = [pose[0], pose[1], 0.0, np.cos(pose[2] / 2), 0.0, 0.0, np.sin(pose[2] / 2)]
+        mujoco.mj_step(self.model, self.data, round(SETTLE / self.model.opt.timestep))
+
+    def step(self, v: float, omega: float, duration: float) -> tuple[np.ndarray, np.ndarray]:
+        """Move for a while; return the pose, phi not wrapped, and the twist that the wheels turn with."""
+        n = round(duration / self.model.opt.timestep)
+        if not self.wheeled:
+            return self._slide(np.array([v, omega]), duration)
+        radius, base = self.robot.wheels.radius, self.robot.wheels.base
+        self.data.ctrl[:] = [(v - omega * base / 2) / radius, (v + omega * base / 2) / radius]
+        mujoco.mj_step(self.model, self.data, n)
+        left, right = (self.data.joint(f"{side}_wheel").qvel[0] * radius for side in ("left", "right"))
+        w, x, y, z = self.data.qpos[3:7]
+        phi = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        self.heading += np.remainder(phi - self.heading + np.pi, 2 * np.pi) - np.pi
+        pose = np.array([self.data.qpos[0], self.data.qpos[1], self.heading])
+        return pose, np.array([(left + right) / 2, (right - left) / base])
+
+    def _slide(self, told: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
+        """Move a car: its motors lag, and its body goes where its wheels point."""
+        tau, most = self.robot.actuators.tau, np.array([self.robot.limits.a, self.robot.limits.alpha])
+        for _ in range(round(duration / self.model.opt.timestep)):
+            step = self.model.opt.timestep
+            share = 1 - np.exp(-step / tau) if tau > 0 else 1.0
+            self.speed = self.speed + np.clip((told - self.speed) * share, -most * step, most * step)
+            phi = self.data.qpos[2] + self.speed[1] * step / 2
+            self.data.qvel[:3] = [self.speed[0] * np.cos(phi), self.speed[0] * np.sin(phi), self.speed[1]]
+            mujoco.mj_step(self.model, self.data)
+        start = self.model.body("base_link").pos[:2]
+        return np.array([*(self.data.qpos[:2] + start), self.data.qpos[2]]), self.speed.copy()
+
+    def cast(self, ox: np.ndarray, oy: np.ndarray, ux: np.ndarray, uy: np.ndarray) -> np.ndarray:
+        """Return the ranges of rays at the laser's height; inf where nothing is."""
+        height, hit = self.robot.sensor.height, np.zeros(1, dtype=np.int32)
+        origin, way = np.array([0.0, 0.0, height]), np.zeros(3)
+        out = np.full(ox.size, np.inf)
+        mujoco.mj_kinematics(self.model, self.data)
+        for i, (x, y, dx, dy) in enumerate(zip(ox.flat, oy.flat, ux.flat, uy.flat, strict=True)):
+            origin[:2], way[:2] = (x, y), (dx, dy)
+            r = mujoco.mj_ray(self.model, self.data, origin, way, WALLS, 1, -1, hit)
+            if r >= 0:
+                out[i] = r
+        return out.reshape(ox.shape)
+
+
+if __name__ == "__main__":
+    run_script(HERE, MujocoWorld)

@@ -1,0 +1,236 @@
+"""AMCL's parameters from a run: the beam mixture by EM, the likelihood field, and the odometry's noise.
+
+Models of Thrun, Burgard and Fox, Probabilistic Robotics (2005): the beam model and the EM that learns it (tables 6.1
+and 6.2), the likelihood field (table 6.3) and the odometry motion model (table 5.6), as Nav2's AMCL has them. Every
+number has an interval, from a bootstrap over stretches of the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+from scipy.optimize import nnls
+
+from logs.run import OccupancyMap, Run, pair
+from planners.arena import Arena, wrap
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.types import Floats
+from sensorgraph.world.raycast import cast_laser, laser_poses
+
+DEFAULTS: Mapping[str, float] = {
+    "alpha1": 0.2, "alpha2": 0.2, "alpha3": 0.2, "alpha4": 0.2, "alpha5": 0.2, "lambda_short": 0.1,
+    "laser_max_range": 100.0, "sigma_hit": 0.2, "z_hit": 0.5, "z_max": 0.05, "z_rand": 0.5, "z_short": 0.05,
+}  # fmt: skip
+"""Of Nav2's AMCL (docs.nav2.org, AMCL configuration)."""
+MAX_SCANS = 2000
+"""Scans that the mixture is learnt from, evenly over the run."""
+N_BLOCKS, N_DRAWS = 20, 200
+"""Stretches of the run, and how often as many of them are drawn."""
+EM_PASSES = 60
+MIN_D, MIN_A = 0.25, 0.2
+"""[m], [rad] between two updates of AMCL (update_min_d, update_min_a)."""
+MIN_STEPS = 40
+"""Steps of the odometry that its noise can be told from."""
+MAX_GAP = 0.2
+"""[s] to the next pose of the reference."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BootstrapEstimate:
+    """A number and the interval of 95 % that the bootstrap gives."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.3g} ({self.low:.3g} to {self.high:.3g})"
+
+
+def estimate_amcl(run: Run, arena: Arena, grid: OccupancyMap) -> dict[str, BootstrapEstimate]:
+    """Return the parameters that a run with poses tells, by their names in Nav2.
+
+    Parameters
+    ----------
+    run : its poses are in the frame of the arena
+    grid : the map that AMCL will be given; sigma_hit is the distance of returns to its occupied cells
+
+    Raises
+    ------
+    SensorgraphError : the run has no poses, or none at its scans
+    """
+    pairing = pair(run)
+    index = np.flatnonzero(pairing.paired)
+    if len(index) == 0:
+        raise SensorgraphError("the run has no pose at any scan; locate it first: sensorgraph locate RUN")
+    index = index[np.unique(np.linspace(0, len(index) - 1, min(MAX_SCANS, len(index))).astype(np.intp))]
+    poses, readings = pairing.poses[index], run.ranges[index]
+    out = _beam_mixture(run, arena, poses, readings, grid)
+    out.update(_motion_noise(run))
+    top = run.sensor.range_max
+    out["laser_max_range"] = BootstrapEstimate(value=top, low=top, high=top)
+    return out
+
+
+def _beam_mixture(
+    run: Run, arena: Arena, poses: Floats, readings: Floats, grid: OccupancyMap
+) -> dict[str, BootstrapEstimate]:
+    """Learn z_hit, z_short, z_max, z_rand, lambda_short and sigma_hit (Probabilistic Robotics, table 6.2)."""
+    sensor = run.sensor
+    lasers = laser_poses(poses, sensor.mount)
+    expected, _ = cast_laser(arena.walls, lasers, sensor.bearings, sensor.range_max)
+    expected = np.minimum(expected, sensor.range_max)
+    is_max = ~(readings < sensor.range_max)  # beyond the range, or not at all
+    z = np.where(is_max, sensor.range_max, np.maximum(readings, 0.0))
+    away = _distance_to_cells(lasers, sensor.bearings, np.where(is_max, np.nan, z), grid)
+    block = np.arange(len(poses)) * N_BLOCKS // len(poses)
+    names = ("z_hit", "z_short", "z_max", "z_rand", "lambda_short", "sigma_hit")
+    start = (0.7, 0.1, 0.1, 0.1, 1.0, max(3 * sensor.sigma, grid.resolution))
+    every = _learn(z, expected, is_max, away, sensor.range_max, start)
+    parts = [
+        _learn(z[block == k], expected[block == k], is_max[block == k], away[block == k], sensor.range_max, every, 8)
+        for k in range(min(N_BLOCKS, len(poses)))
+    ]  # fmt: skip
+    return _with_intervals(names, every, np.array(parts))
+
+
+def _learn(
+    z: Floats,
+    expected: Floats,
+    is_max: np.ndarray,
+    away: Floats,
+    range_max: float,
+    start: tuple[float, ...],
+    passes: int = EM_PASSES,
+) -> tuple[float, ...]:
+    """Alternate shares of each reading and parameters of the mixture."""
+    w_hit, w_short, w_max, w_rand, rate, _ = start
+    is_hit = ~is_max
+    miss = np.where(is_hit, z - expected, 0.0)
+    spread = max(float(np.median(np.abs(miss[is_hit]))) * 1.48, 1e-3) if is_hit.any() else 0.1
+    shares = np.zeros((4, *z.shape))
+    for _ in range(passes):
+        within = 1 - np.exp(-rate * np.maximum(expected, 1e-3))
+        shares[0] = w_hit * is_hit * np.exp(-0.5 * (miss / spread) ** 2) / (spread * np.sqrt(2 * np.pi))
+        shares[1] = w_short * is_hit * (z < expected) * rate * np.exp(-rate * z) / within
+        shares[2] = w_max * is_max
+        shares[3] = w_rand * is_hit / range_max
+        shares /= np.maximum(shares.sum(axis=0), 1e-12)
+        w_hit, w_short, w_max, w_rand = (float(part.mean()) for part in shares)
+        rate = float(np.clip(shares[1].sum() / max((shares[1] * z).sum(), 1e-9), 0.01, 20.0))
+        spread = max(float(np.sqrt((shares[0] * miss**2).sum() / max(shares[0].sum(), 1e-9))), 1e-3)
+    known = np.isfinite(away)
+    weight = shares[0][known]
+    sigma = float(np.sqrt((weight * away[known] ** 2).sum() / max(weight.sum(), 1e-9)))
+    return w_hit, w_short, w_max, w_rand, rate, sigma
+
+
+def _distance_to_cells(lasers: Floats, bearings: Floats, z: Floats, grid: OccupancyMap) -> Floats:
+    """Return how far [m] each return ends from the middle of an occupied cell; nan where it is off the map."""
+    far = distance_transform_edt(grid.data != 100) * grid.resolution
+    phi = lasers[:, 2:] + bearings
+    x, y = lasers[:, :1] + z * np.cos(phi), lasers[:, 1:2] + z * np.sin(phi)
+    known = np.isfinite(x)
+    column = np.where(known, (x - grid.origin[0]) / grid.resolution, -1.0).astype(np.intp)
+    row = np.where(known, (y - grid.origin[1]) / grid.resolution, -1.0).astype(np.intp)
+    inside = known & (column >= 0) & (row >= 0) & (column < far.shape[1]) & (row < far.shape[0])
+    return np.where(inside, far[np.where(inside, row, 0), np.where(inside, column, 0)], np.nan)
+
+
+def _motion_noise(run: Run) -> dict[str, BootstrapEstimate]:
+    """Return alpha1 to alpha4 from steps of the odometry against those of the poses (table 5.6); {} if there are few.
+
+    The variances of first turn, way and second turn are linear in the alphas; they are fitted to the squared
+    errors by weighted least squares without negative values. alpha5 is of omnidirectional robots alone.
+    """
+    steps = _steps(run)
+    if len(steps) < MIN_STEPS:
+        return {}
+    names = ("alpha1", "alpha2", "alpha3", "alpha4")
+    every = _fit_alphas(steps)
+    block = np.arange(len(steps)) * N_BLOCKS // len(steps)
+    rng = np.random.default_rng(0)
+    draws = []
+    for _ in range(N_DRAWS):
+        chosen = rng.integers(0, N_BLOCKS, N_BLOCKS)
+        draws.append(_fit_alphas(np.concatenate([steps[block == k] for k in chosen])))
+    low, high = np.percentile(draws, [2.5, 97.5], axis=0)
+    return {
+        name: BootstrapEstimate(value=float(every[i]), low=float(low[i]), high=float(high[i]))
+        for i, name in enumerate(names)
+    }
+
+
+def _steps(run: Run) -> Floats:
+    """Return (n, 6): first turn, way, second turn of the odometry, and of the poses, between two updates."""
+    if len(run.odom_stamps) < 2 or len(run.pose_stamps) < 2:
+        return np.zeros((0, 6))
+    stamps, odometry = run.odom_stamps, run.odometry
+    after = np.searchsorted(run.pose_stamps, stamps).clip(1, len(run.pose_stamps) - 1)
+    known = (stamps >= run.pose_stamps[0]) & (stamps <= run.pose_stamps[-1])
+    known &= run.pose_stamps[after] - run.pose_stamps[after - 1] <= MAX_GAP
+    phi = np.unwrap(run.poses[:, 2])
+    truth = np.column_stack(
+        [np.interp(stamps, run.pose_stamps, part) for part in (run.poses[:, 0], run.poses[:, 1], phi)]
+    )
+    index = np.flatnonzero(known)
+    out, last = [], None
+    for i in index:
+        if last is None:
+            last = i
+            continue
+        way = np.hypot(*(odometry[i, :2] - odometry[last, :2]))
+        if way < MIN_D and abs(wrap(odometry[i, 2] - odometry[last, 2])) < MIN_A:
+            continue
+        out.append([*_turn_way_turn(odometry[last], odometry[i]), *_turn_way_turn(truth[last], truth[i])])
+        last = i
+    return np.array(out, dtype=np.float64).reshape(-1, 6)
+
+
+def _turn_way_turn(a: Floats, b: Floats) -> tuple[float, float, float]:
+    """Split a step into turn, way, turn, as AMCL does: a way below 1 cm has no direction."""
+    way = float(np.hypot(*(b[:2] - a[:2])))
+    first = 0.0 if way < 0.01 else float(wrap(np.arctan2(b[1] - a[1], b[0] - a[0]) - a[2]))
+    backwards = abs(first) > np.pi / 2  # it drove in reverse: the turn is taken from the rear
+    first = float(wrap(first + np.pi)) if backwards else first
+    return first, -way if backwards else way, float(wrap(b[2] - a[2] - first))
+
+
+def _fit_alphas(steps: Floats) -> Floats:
+    first, way, second = (
+        steps[:, 3],
+        steps[:, 4],
+        steps[:, 5],
+    )  # of the poses: those of the odometry hold its noise
+    none = np.zeros(len(steps))
+    rows = np.concatenate(
+        [
+            np.stack([first**2, way**2, none, none], axis=1),
+            np.stack([none, none, way**2, first**2 + second**2], axis=1),
+            np.stack([second**2, way**2, none, none], axis=1),
+        ]
+    )
+    off = np.concatenate([wrap(steps[:, 0] - first), steps[:, 1] - way, wrap(steps[:, 2] - second)])
+    squares, alphas = off**2, np.full(4, 0.1)
+    for _ in range(8):  # a square has twice the variance of its mean, squared
+        weight = 1 / np.maximum(rows @ alphas, 1e-8)
+        alphas = nnls(rows * weight[:, None], squares * weight)[0]
+    return np.asarray(alphas)
+
+
+def _with_intervals(
+    names: tuple[str, ...], every: tuple[float, ...], parts: Floats
+) -> dict[str, BootstrapEstimate]:
+    """Return the values of the whole run with intervals from a bootstrap over its stretches."""
+    rng = np.random.default_rng(0)
+    means = parts[rng.integers(0, len(parts), (N_DRAWS, len(parts)))].mean(axis=1)
+    half = (np.percentile(means, 97.5, axis=0) - np.percentile(means, 2.5, axis=0)) / 2
+    return {
+        name: BootstrapEstimate(
+            value=float(every[i]), low=max(float(every[i] - half[i]), 0.0), high=float(every[i] + half[i])
+        )
+        for i, name in enumerate(names)
+    }

@@ -1,0 +1,124 @@
+"""Write the folder of an exported world: the target's own files, arena, robot and effects, a script, a README."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+
+import shapely
+
+from logs.run import Run
+from planners.maps import geojson
+from sensorgraph.effects import effects_file
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.export import gazebo, irsim, mujoco, nav2
+from sensorgraph.export.world import ExportedWorld
+from sensorgraph.files import atomic_folder
+from sensorgraph.version import __version__
+
+TARGETS = ("mujoco", "irsim", "gazebo", "nav2")
+SCRIPTED = {"mujoco": "drive_mujoco.py", "irsim": "drive_irsim.py"}
+"""Target -> the script that drives a plan there and records it."""
+BUILT_IN = ("geometry", "mount")
+"""Stages of effects that every target has in its world; nav2 keeps the map as it was given."""
+FIRST_STEPS = {
+    "mujoco": "python -m mujoco.viewer --mjcf=scene.xml   # look at it\npython drive.py PLAN -o run.mcap          # drive a plan and record it",
+    "irsim": "python -c \"import irsim; env = irsim.make('world.yaml'); env.show()\"   # look at it\n"
+    "python drive.py PLAN -o run.mcap                                          # drive a plan and record it",
+    "gazebo": "gz sim -r world.sdf               # alone\nros2 launch ./bridge.launch.py    # with ROS 2",
+    "nav2": "ros2 run nav2_map_server map_server --ros-args -p yaml_filename:=$PWD/map.yaml\n"
+    "ros2 run nav2_amcl amcl --ros-args --params-file amcl.yaml",
+}
+
+
+def check_target(target: str) -> None:
+    """Refuse an unknown target.
+
+    Raises
+    ------
+    SensorgraphError : it lists the known ones
+    """
+    if target not in TARGETS:
+        near = difflib.get_close_matches(target, TARGETS, n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise SensorgraphError(f"unknown target {target!r}; known are {', '.join(TARGETS)}{hint}")
+
+
+def export(
+    world: ExportedWorld,
+    target: str,
+    folder: Path,
+    *,
+    no_go: Sequence[shapely.Polygon] = (),
+    run: Run | None = None,
+) -> list[str]:
+    """Write a world for a target; return what the target cannot do, a line each.
+
+    Parameters
+    ----------
+    target : one of TARGETS
+    folder : made if it is not there; all files are complete or not there
+    no_go, run : see `nav2.write`
+
+    Raises
+    ------
+    SensorgraphError : an unknown target
+    """
+    check_target(target)
+    with atomic_folder(folder) as part:
+        (part / "arena.geojson").write_text(geojson.dumps(world.arena), encoding="utf-8")
+        (part / "robot.yaml").write_text(world.robot.text or f"name: {world.robot.name}\n", encoding="utf-8")
+        if world.effects:
+            effects_file.write(world.effects, part / "effects.yaml")
+        if target == "nav2":
+            left_out = nav2.write(world, part, no_go=no_go, run=run)
+        else:
+            write = {"mujoco": mujoco.write, "irsim": irsim.write, "gazebo": gazebo.write}[target]
+            left_out = write(world, part)
+        left_out = [*left_out, *_effects_left_out(world, target)]
+        if target in SCRIPTED:
+            script = (files("sensorgraph.data") / "export" / SCRIPTED[target]).read_text(encoding="utf-8")
+            (part / "drive.py").write_text(script, encoding="utf-8")
+        (part / "README.md").write_text(_readme(world, target, left_out), encoding="utf-8")
+        settings = {"version": __version__, "target": target, "arena": world.name, "robot": world.robot.name}
+        (part / "export.json").write_text(
+            json.dumps(
+                {**settings, "effects": [a.name for a in world.effects], "left_out": left_out}, indent=1
+            )
+            + "\n",
+            encoding="utf-8",
+        )
+    return left_out
+
+
+def _effects_left_out(world: ExportedWorld, target: str) -> list[str]:
+    """Say which effects the world's own files lack."""
+    native = {"gazebo": {"range_bias", "speed_saturation"}, "mujoco": {"actuator_lag", "speed_saturation"}}
+    left = []
+    for a in world.effects:
+        in_world = target != "nav2" and a.stage in BUILT_IN and a.name != "people"
+        if in_world or a.name in native.get(target, ()):
+            continue
+        by_script = " in the world's own file; drive.py adds it" if target in SCRIPTED else ""
+        left.append(f"{a.effect.title} ({a.name}){by_script}")
+    return left
+
+
+def _readme(world: ExportedWorld, target: str, left_out: Sequence[str]) -> str:
+    """Say what the folder holds, how to begin, and what the target cannot do."""
+    robot, sensor = world.robot, world.robot.sensor
+    effects = "".join(f"- {a.effect.title}: {a.effect.physics}\n" for a in world.effects) or "- none\n"
+    missing = "".join(f"- {line}\n" for line in left_out) or "- nothing\n"
+    return (
+        f"# {world.name} for {target}\n\n"
+        f"Written by `sensorgraph export` {__version__}: {len(world.boxes)} walls"
+        f"{f', {len(world.discs)} round obstacles' if len(world.discs) else ''}, the robot {robot.name} "
+        f"(radius {robot.footprint_radius:g} m), its laser of {sensor.n_rays} rays up to {sensor.range_max:g} m.\n\n"
+        f"```bash\n{FIRST_STEPS[target]}\n```\n\n"
+        f"`arena.geojson`, `robot.yaml`{', `effects.yaml`' if world.effects else ''} are what it was made from. Compare "
+        "a run recorded here with the robot's own:\n\n```bash\nsensorgraph diagnose real.mcap --simulation run.mcap -o compared\n```\n\n"
+        f"## Effects\n\n{effects}\n## What it leaves out\n\n{missing}"
+    )

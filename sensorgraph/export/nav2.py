@@ -1,0 +1,104 @@
+"""Nav2: map.yaml for map_server, keepout.yaml for the costmap's filter, amcl.yaml with what a run says of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from logs.run import OccupancyMap, Run
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.export.amcl import DEFAULTS, BootstrapEstimate, estimate_amcl
+from sensorgraph.export.world import ExportedWorld
+from sensorgraph.types import Floats
+from sensorgraph.world.simulate import occupancy_map
+
+RESOLUTION = 0.05
+"""[m] side of a cell."""
+FREE, OCCUPIED, UNKNOWN = 254, 0, 205
+"""Grey values that map_server reads so in trinary mode."""
+
+
+def write(
+    world: ExportedWorld, folder: Path, *, no_go: Sequence[shapely.Polygon] = (), run: Run | None = None
+) -> list[str]:
+    """Write the map, the mask and AMCL's parameters; return what they leave out, a line each.
+
+    Parameters
+    ----------
+    no_go : where the robot may not enter
+    run : with poses in the arena's frame; without it AMCL keeps Nav2's defaults
+    """
+    grid = occupancy_map(world.arena, resolution=RESOLUTION)
+    grey = np.select([grid.data == 0, grid.data == 100], [FREE, OCCUPIED], UNKNOWN)
+    _write_map(folder, "map", grey, grid)
+    if no_go:
+        _write_map(folder, "keepout", np.where(_cells_in(no_go, grid), OCCUPIED, FREE), grid)
+    estimates = {} if run is None else estimate_amcl(run, world.arena, grid)
+    (folder / "amcl.yaml").write_text(amcl_yaml(estimates, world), encoding="utf-8")
+    left_out = ["the sweep, the noise and the lag: a map has none"]
+    if run is None:
+        left_out.append("AMCL's parameters: give a run with poses (--run) to have them estimated")
+    return left_out
+
+
+def _write_map(folder: Path, name: str, grey: np.ndarray, grid: OccupancyMap) -> None:
+    """Write NAME.pgm, the first row at the top, and NAME.yaml."""
+    pixels = grey[::-1].astype(np.uint8)
+    header = f"P5\n{pixels.shape[1]} {pixels.shape[0]}\n255\n".encode()
+    (folder / f"{name}.pgm").write_bytes(header + pixels.tobytes())
+    x, y, phi = (float(value) for value in grid.origin)
+    (folder / f"{name}.yaml").write_text(
+        f"image: {name}.pgm\nmode: trinary\nresolution: {grid.resolution:g}\norigin: [{x:.6g}, {y:.6g}, {phi:g}]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n",
+        encoding="utf-8",
+    )
+
+
+def _cells_in(zones: Sequence[shapely.Polygon], grid: OccupancyMap) -> np.ndarray:
+    """Tell which cells (ny, nx) a zone touches."""
+    ny, nx = grid.data.shape
+    x, y = np.meshgrid(
+        grid.origin[0] + (np.arange(nx) + 0.5) * grid.resolution,
+        grid.origin[1] + (np.arange(ny) + 0.5) * grid.resolution,
+    )
+    wide = shapely.union_all(list(zones)).buffer(grid.resolution / 2)
+    return np.asarray(shapely.contains_xy(wide, x, y))
+
+
+def amcl_yaml(estimates: Mapping[str, BootstrapEstimate], world: ExportedWorld) -> str:
+    """Return AMCL's parameters: Nav2's defaults, but where the interval of an estimate excludes them.
+
+    `lambda_short`, `z_short` and `z_max` count only in the beam model; `laser_max_range` is the sensor's own.
+    """
+    lines = []
+    for name, default in DEFAULTS.items():
+        found = estimates.get(name)
+        if found is None:
+            lines.append(f"{name}: {default:g}  # Nav2's default")
+        elif found.low <= default <= found.high:
+            lines.append(f"{name}: {default:g}  # Nav2's default; the run says {found}")
+        else:
+            lines.append(f"{name}: {found.value:.3g}  # the run says {found}; Nav2's default is {default:g}")
+    x, y, phi = world.start
+    kind = "nav2_amcl::DifferentialMotionModel"
+    body = "\n".join(f"    {line}" for line in lines)
+    return (
+        "# AMCL: a part of Nav2's parameter file. Intervals are of 95 %, from a bootstrap over stretches of the run.\n"
+        f"amcl:\n  ros__parameters:\n    robot_model_type: {kind}\n    laser_model_type: likelihood_field\n"
+        f"    laser_min_range: {world.robot.sensor.range_min:g}\n{body}\n"
+        f"    set_initial_pose: true\n    initial_pose: {{x: {x:.3f}, y: {y:.3f}, z: 0.0, yaw: {phi:.3f}}}\n"
+    )
+
+
+def check_zones(zones: Sequence[shapely.Polygon], bounds: Floats | tuple[float, ...]) -> None:
+    """Refuse zones that lie outside the arena altogether.
+
+    Raises
+    ------
+    SensorgraphError : no zone meets the arena
+    """
+    if zones and not any(zone.intersects(shapely.box(*bounds)) for zone in zones):
+        raise SensorgraphError("no no-go zone lies in the arena; are its coordinates those of the map [m]?")

@@ -1,0 +1,328 @@
+"""Exported worlds: what another simulator sees there is what our own sees, and a drive there is a run like any other."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast as cast_to
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import shapely
+import yaml
+
+import logs
+from logs.run import Run, pair
+from planners.arena import Arena
+from planners.maps import load, no_go
+from planners.trajectory import Trajectory
+from sensorgraph.cli import run as cli
+from sensorgraph.effects import EFFECTS
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.export.amcl import estimate_amcl
+from sensorgraph.export.export import TARGETS, export
+from sensorgraph.export.twin import Simulator, drive_twin
+from sensorgraph.export.world import ExportedWorld
+from sensorgraph.loading import load_arena
+from sensorgraph.types import Floats
+from sensorgraph.world.raycast import cast
+from sensorgraph.world.robot import Robot, parse_robot
+from sensorgraph.world.simulate import occupancy_map
+
+ROBOT = parse_robot("sensor: {n_rays: 61, rate: 5.0}\n")
+SIMULATORS = ["mujoco", "irsim"]
+
+
+@pytest.fixture(scope="module")
+def world() -> ExportedWorld:
+    return ExportedWorld.of(load_arena("square"), ROBOT, name="square")
+
+
+def poses_in(arena: Arena, n: int) -> Floats:
+    """Return poses (n, 3) at random in free space, a little off the walls."""
+    rng = np.random.default_rng(3)
+    x0, y0, x1, y1 = arena.bounds
+    some = rng.uniform([x0, y0, -np.pi], [x1, y1, np.pi], (20 * n, 3))
+    return some[shapely.contains_xy(arena.free.buffer(-0.05), some[:, 0], some[:, 1])][:n]
+
+
+def residuals(run: Run, poses: Floats, arena: Arena) -> Floats:
+    """Return measured less expected [m] of all rays that returned."""
+    expected = cast(arena, poses, run.sensor).ranges
+    both = np.isfinite(run.ranges) & np.isfinite(expected)
+    return run.ranges[both] - expected[both]
+
+
+def simulator(folder: Path, target: str) -> Simulator:
+    """Open the world of an exported folder by its own drive.py; the simulator may be missing."""
+    pytest.importorskip(target)
+    spec = importlib.util.spec_from_file_location(f"drive_{target}", folder / "drive.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    name = {"mujoco": "MujocoWorld", "irsim": "IrsimWorld"}[target]
+    return cast_to(Simulator, getattr(module, name)(folder))
+
+
+def spin(arena: Arena, robot: Robot) -> Trajectory:
+    """Return 14 s of a curve and turns near the roomiest place."""
+    x, y, _ = ExportedWorld.of(arena, robot).start
+    t = np.arange(0.0, 14.0, 0.05)
+    omega = 0.8 * np.sin(0.45 * t) * np.minimum(t, 1.0)
+    v = 0.12 * np.cos(0.7 * t) * np.minimum(t, 1.0)
+    phi = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * 0.05)])
+    xy = np.cumsum(np.stack([v * np.cos(phi), v * np.sin(phi)], axis=1) * 0.05, axis=0) + [x, y]
+    return Trajectory(
+        stamps=t,
+        poses=np.column_stack([xy, phi]),
+        twists=np.column_stack([v, omega]),
+        primitives=np.full(len(t), "move"),
+    )
+
+
+def test_boxes_stand_where_the_walls_are_and_leave_free_space_free(world: ExportedWorld) -> None:
+    solid = shapely.union_all([box.outline for box in world.boxes])
+    assert solid.intersection(world.arena.free).area < 2e-4  # [m²] the ends of boxes, a tenth of a millimetre
+    for (a, b), box in zip(world.walls, world.boxes, strict=True):
+        assert box.outline.buffer(1e-6).contains(shapely.LineString([a, b]))
+    poses = poses_in(world.arena, 40)
+    ours = cast(world.arena, poses, ROBOT.sensor).ranges
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    mount = ROBOT.sensor.mount
+    at = poses[:, :2] + np.stack([c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]], axis=1)
+    for i in range(0, 40, 8):
+        for k in range(0, 61, 12):
+            angle = poses[i, 2] + mount[2] + ROBOT.sensor.bearings[k]
+            ray = shapely.LineString([at[i], at[i] + 50 * np.array([np.cos(angle), np.sin(angle)])])
+            assert shapely.Point(at[i]).distance(ray.intersection(solid)) == pytest.approx(
+                ours[i, k], abs=1e-3
+            )
+
+
+@pytest.mark.parametrize("target", SIMULATORS)
+def test_rays_of_the_other_simulator_go_as_far_as_ours(
+    target: str, world: ExportedWorld, tmp_path: Path
+) -> None:
+    assert export(world, target, tmp_path) == []
+    there = simulator(tmp_path, target)
+    poses = poses_in(world.arena, 30)
+    ours = cast(world.arena, poses, ROBOT.sensor).ranges
+    phi = poses[:, 2:] + ROBOT.sensor.mount[2] + ROBOT.sensor.bearings
+    c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+    mx, my = ROBOT.sensor.mount[:2]
+    ox = np.broadcast_to(poses[:, :1] + c * mx - s * my, phi.shape)
+    oy = np.broadcast_to(poses[:, 1:2] + s * mx + c * my, phi.shape)
+    ranges = there.cast(ox, oy, np.cos(phi), np.sin(phi))
+    assert np.isfinite(ranges).all()  # a closed room
+    off = np.abs(ranges - ours)[np.isfinite(ours)]  # ours are cut at the sensor's least range
+    assert np.quantile(off, 0.995) < 1e-3  # a ray may pass a corner on either side
+
+
+@pytest.mark.parametrize("target", SIMULATORS)
+def test_a_drive_there_follows_the_plan_and_its_wheels_tell_of_it(
+    target: str, world: ExportedWorld, tmp_path: Path
+) -> None:
+    export(world, target, tmp_path)
+    plan = spin(world.arena, ROBOT)
+    run = drive_twin(simulator(tmp_path, target), plan, world.arena, ROBOT)
+    wanted, _ = plan.at(run.pose_stamps)
+    assert np.hypot(*(run.poses[:, :2] - wanted[:, :2]).T).max() < 0.05
+    driven = np.abs(np.diff(np.unwrap(run.odometry[:, 2]))).sum()
+    assert driven == pytest.approx(np.abs(np.diff(plan.poses[:, 2])).sum(), rel=0.1)
+    residual = residuals(run, pair(run).poses, world.arena)
+    assert np.median(np.abs(residual)) == pytest.approx(0.67 * ROBOT.sensor.sigma, rel=0.2)
+    assert run.meta["simulator"].startswith({"mujoco": "MuJoCo", "irsim": "ir-sim"}[target])
+
+
+def test_effects_are_in_the_world_or_in_its_laser(world: ExportedWorld, tmp_path: Path) -> None:
+    planted = [
+        EFFECTS["range_bias"](b=0.05),
+        EFFECTS["mount_yaw"](delta=0.1),
+        EFFECTS["unmapped_obstacle"](x=1.0, y=3.2, r=0.2),
+        EFFECTS["wheel_base"](s=0.1),
+    ]
+    changed = ExportedWorld.of(world.arena, ROBOT, planted)
+    left = export(changed, "mujoco", tmp_path)
+    assert [re.findall(r"\((\w+)\)", line)[0] for line in left] == ["range_bias", "wheel_base"]
+    model = ElementTree.parse(tmp_path / "scene.xml")
+    (disc,) = [
+        geom for geom in model.iter("geom") if geom.get("type") == "cylinder" and geom.get("name") != "body"
+    ]
+    assert (disc.get("pos") or "").split()[:2] == ["1", "3.2"]
+    plan = spin(world.arena, ROBOT)
+    runs = [
+        drive_twin(simulator(tmp_path, "mujoco"), plan, world.arena, ROBOT, effects, seed=1)
+        for effects in ((), planted)
+    ]
+    turn = [np.abs(np.diff(np.unwrap(run.odometry[:, 2]))).sum() for run in runs]
+    assert turn[1] / turn[0] == pytest.approx(1 / 1.1, rel=0.02)
+    there = pair(runs[1]).poses + [0.0, 0.0, 0.1]
+    assert np.median(residuals(runs[1], there, world.arena)) == pytest.approx(0.05, abs=0.01)
+
+
+def test_a_wall_seen_from_both_sides_is_a_thin_sheet() -> None:
+    free = shapely.box(0, 0, 4, 2)
+    walls = np.array([[[0, 0], [4, 0]], [[2, 0.5], [2, 1.5]]], dtype=float)
+    arena = Arena(free=free, walls=walls, names=("a/edge_0", "b/edge_0"), surfaces=("wall", "wall"))
+    outer, inner = ExportedWorld.of(arena, ROBOT).boxes
+    assert outer.y + outer.thickness / 2 == pytest.approx(0.0, abs=1e-9)
+    assert (inner.x, inner.thickness) == (2.0, 0.002)
+
+
+def test_sdf_holds_walls_robot_and_laser(world: ExportedWorld, tmp_path: Path) -> None:
+    export(world, "gazebo", tmp_path)
+    root = ElementTree.parse(tmp_path / "world.sdf").getroot()
+    assert root.get("version") == "1.9"
+    assert len(root.findall(".//model[@name='walls']/link/collision")) == world.arena.n_walls
+    assert root.findtext(".//sensor/lidar/scan/horizontal/samples") == "61"
+    assert float(root.findtext(".//sensor/lidar/noise/stddev") or 0) == ROBOT.sensor.sigma
+    assert float(root.findtext(".//plugin/wheel_separation") or 0) == ROBOT.wheels.base
+    names = [element.get("name") for element in root.iter() if element.get("name")]
+    assert all("/" not in (name or "") for name in names)
+    compile((tmp_path / "bridge.launch.py").read_text(), "bridge.launch.py", "exec")
+
+
+def test_nav2_map_is_read_back_as_the_arena(world: ExportedWorld, tmp_path: Path) -> None:
+    zone = no_go.zones("2.9,0.2,3.4,0.2,3.4,0.7,2.9,0.7")
+    export(world, "nav2", tmp_path, no_go=zone)
+    again = load(tmp_path / "map.yaml")
+    ring = again.free.symmetric_difference(world.arena.free)
+    assert ring.area < 0.06 * world.arena.free.length  # a cell along every wall
+    mask = load(tmp_path / "keepout.yaml")
+    assert not mask.contains(np.array([3.1, 0.4]))
+    assert mask.contains(np.array([1.2, 1.2]))
+    parameters = yaml.safe_load((tmp_path / "amcl.yaml").read_text())["amcl"]["ros__parameters"]
+    assert parameters["alpha1"] == 0.2 and parameters["z_hit"] == 0.5  # without a run, Nav2's defaults
+
+
+def noisy_run(alphas: tuple[float, float, float, float], mixture: tuple[float, float, float]) -> Run:
+    """Return a run with planted odometry noise (table 5.6) and a planted share of short, lost and random readings."""
+    rng = np.random.default_rng(8)
+    n, arena = 1500, load_arena("square")
+    t = 0.5 * np.arange(n)
+    phi, at, odo = 0.0, np.array([1.2, 1.2]), np.zeros(3)
+    poses, odometry = [], []
+    for _ in range(n):
+        first, way, second = rng.uniform(-0.8, 0.8), rng.uniform(0.3, 0.4), rng.uniform(-0.8, 0.8)
+        heading = np.arctan2(1.2 - at[1], 1.2 - at[0]) if np.hypot(*(at - 1.2)) > 0.3 else phi + first
+        first = float((heading - phi + np.pi) % (2 * np.pi) - np.pi)
+        first = float(np.clip(first, -1.0, 1.0))
+        poses.append([*at, phi])
+        odometry.append(odo.copy())
+        at = at + way * np.array([np.cos(phi + first), np.sin(phi + first)])
+        phi += first + second
+        a1, a2, a3, a4 = alphas
+        r1 = first + rng.normal() * np.sqrt(a1 * first**2 + a2 * way**2)
+        d = way + rng.normal() * np.sqrt(a3 * way**2 + a4 * (first**2 + second**2))
+        r2 = second + rng.normal() * np.sqrt(a1 * second**2 + a2 * way**2)
+        odo = odo + [d * np.cos(odo[2] + r1), d * np.sin(odo[2] + r1), r1 + r2]
+    truth = np.array(poses)
+    ranges = cast(arena, truth, ROBOT.sensor).ranges
+    ranges = ranges + 0.01 * rng.normal(size=ranges.shape)
+    kind = rng.random(ranges.shape)
+    short, lost, stray = mixture
+    ranges = np.where(kind < short, rng.random(ranges.shape) * ranges, ranges)
+    ranges = np.where((kind >= short) & (kind < short + lost), np.inf, ranges)
+    uniform = rng.random(ranges.shape) * ROBOT.sensor.range_max
+    ranges = np.where((kind >= short + lost) & (kind < short + lost + stray), uniform, ranges)
+    return Run(
+        sensor=ROBOT.sensor, stamps=t, ranges=ranges, pose_stamps=t, poses=truth, odom_stamps=t,
+        odometry=np.array(odometry), odom_twists=np.zeros((n, 2)),
+    )  # fmt: skip
+
+
+def test_amcl_finds_the_planted_noise_of_odometry_and_laser(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sensorgraph.export.amcl.MAX_GAP", 1.0)
+    alphas, mixture = (0.01, 0.004, 0.02, 0.002), (0.0, 0.06, 0.04)
+    arena = load_arena("square")
+    found = estimate_amcl(noisy_run(alphas, mixture), arena, occupancy_map(arena))
+    for name, planted in zip(("alpha1", "alpha2", "alpha3", "alpha4"), alphas, strict=True):
+        wide = found[name].high - found[name].low
+        assert found[name].low - wide / 2 <= planted <= found[name].high + wide / 2, name
+        assert wide < 1.2 * planted + 1e-3
+    assert found["z_max"].value == pytest.approx(0.06, abs=0.006)
+    assert found["z_rand"].value + found["z_short"].value == pytest.approx(0.04, abs=0.008)
+    assert found["z_hit"].value == pytest.approx(0.90, abs=0.01)
+    assert 0.01 < found["sigma_hit"].value < 0.06  # half a cell and the laser's noise
+    assert found["laser_max_range"].value == ROBOT.sensor.range_max
+
+
+def test_the_command_writes_a_folder_whose_script_records_a_run(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    assert cli(["export", "square", "--to", "mujoco", "-o", str(tmp_path / "twin")]) == 0
+    spin(load_arena("square"), ROBOT).write_csv(tmp_path / "trajectory.csv")
+    command = [sys.executable, str(tmp_path / "twin" / "drive.py")]
+    made = subprocess.run(
+        [*command, str(tmp_path / "trajectory.csv"), "-o", str(tmp_path / "run.mcap")],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr
+    assert re.search(r"\d+ scans of 181 rays in 14 s, at most \d\.\d cm off the plan", made.stdout)
+    run = logs.read(tmp_path / "run.mcap")
+    assert {"arena.geojson", "robot.yaml"} <= set(run.attachments)
+    bad = subprocess.run([*command, "nowhere"], capture_output=True, text=True, check=False)
+    assert (bad.returncode, bad.stderr.count("\n")) == (2, 1)
+    assert "nowhere does not exist" in bad.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["square", "--to", "mujco"], "did you mean mujoco?"),
+        (["square", "--to", "isaac"], ", ".join(TARGETS)),
+        (["nowhere", "--to", "irsim"], "nowhere does not exist"),
+        (["square", "--to", "irsim", "--no-go", "1,1,2,1,2,2"], "for --to nav2"),
+        (["square", "--to", "nav2", "--no-go", "91,91,92,91,92,92"], "no no-go zone lies in the arena"),
+        (["square", "--to", "gazebo", "--wall-height", "-1"], "expected a height"),
+    ],
+)
+def test_a_mistake_is_one_line_and_leaves_nothing(
+    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli(["export", *arguments, "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 1
+    assert words in said[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_robot_too_large_for_the_arena_is_refused() -> None:
+    with pytest.raises(SensorgraphError, match="stands nowhere in the arena"):
+        ExportedWorld.of(load_arena("square"), parse_robot("footprint_radius: 3.0\n"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", SIMULATORS)
+def test_the_diagnosis_finds_nothing_but_what_was_exported(
+    target: str, world: ExportedWorld, tmp_path: Path, make_plan: Callable[[Path], Path]
+) -> None:
+    """A plan of the square, driven there: nothing material; with effects exported, those and no other."""
+    from sensorgraph.diagnosis.diagnose import diagnose
+    from sensorgraph.recording.drive_source import open_drive
+
+    way = open_drive(make_plan(tmp_path / "plan")).way
+    assert isinstance(way, Trajectory)
+    planted = [EFFECTS["range_bias"](b=0.03), EFFECTS["wheel_base"](s=0.03)]
+    for effects in ([], planted):
+        folder = tmp_path / f"{len(effects)}"
+        export(ExportedWorld.of(world.arena, ROBOT, effects), target, folder)
+        run = drive_twin(simulator(folder, target), way, world.arena, ROBOT, effects)
+        finding = diagnose(run, world.arena, ROBOT, plan_next=False)
+        assert {a.name for a in finding.effects} == {a.name for a in effects}
+        assert finding.unknown is None
+
+
+@pytest.fixture
+def make_plan() -> Callable[[Path], Path]:
+    """Plan six views of the square."""
+
+    def made(folder: Path) -> Path:
+        assert cli(["plan", "square", "--views", "6", "-o", str(folder)]) == 0
+        return folder
+
+    return made
