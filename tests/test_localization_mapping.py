@@ -109,6 +109,18 @@ def test_wheels_are_told_apart_by_steps_that_differ() -> None:
         assert sd < 0.01
 
 
+def test_slip_of_the_wheels_does_not_make_their_scales_small() -> None:
+    rng = np.random.default_rng(2)
+    moved = np.column_stack([rng.normal(0.2, 0.05, 600), np.zeros(600), rng.normal(0, 0.05, 600)])
+    steps = moved / [0.98, 1.0, 1.0]
+    steps[:, 2] = (moved[:, 2] - 0.04 * steps[:, 0]) / 1.02
+    steps += rng.normal(size=(600, 3)) * [0.01, 0.0, 0.02]  # the wheels' own noise, of a third of the turns
+    found = identify_wheels(steps, moved)
+    assert found.way_scale == pytest.approx(0.98, abs=0.01)
+    assert found.turn_scale == pytest.approx(1.02, abs=4 * found.turn_scale_sd) and found.turn_scale_sd < 0.03
+    assert found.heading_bias == pytest.approx(0.04, abs=4 * found.heading_bias_sd)
+
+
 def test_false_closures_are_told_from_true_ones() -> None:
     n = 40
     angle = np.linspace(0, 4 * np.pi, n, endpoint=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from logs.run import Run
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, invert
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.front_end import ScanTrack, track
 from sensorgraph.localization.global_search import LocalView, find_places, local_view
@@ -13,11 +13,11 @@ from sensorgraph.localization.known_map import KnownMap, known_map
 from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
 from sensorgraph.localization.map_tracking import MapTrack, MapTracker, rematch
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-from sensorgraph.localization.result import Localization, Status, WheelParameters
+from sensorgraph.localization.result import Localization, Status
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.seen_space import SeenSpace
 from sensorgraph.localization.smoothing import smooth
-from sensorgraph.localization.wheels import identify_wheels
+from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, ProgressBars, no_progress
 
 
@@ -68,20 +68,10 @@ def locate_in_map(
         poses=poses,
         covariances=covariances,
         status=status,
-        wheels=None if odometry is None else _wheels(poses, odometry, steps),
+        wheels=WheelSteps.of(odometry, steps).parameters(poses[steps.key_frames]),
         rivals=found.rivals,
         notes=(*notes, *_lost_notes(run.stamps, status)),
     )
-
-
-def _wheels(poses: Floats, odometry: Floats, steps: ScanTrack) -> WheelParameters:
-    """Identify the wheels on the ways from key frame to key frame."""
-    keys = steps.key_frames
-    is_whole = np.diff(steps.piece) == 0
-    driven = compose(invert(odometry[keys[:-1]]), odometry[keys[1:]])[is_whole]
-    measured = compose(invert(poses[keys[:-1]]), poses[keys[1:]])[is_whole]
-    driven[:, 2], measured[:, 2] = wrap(driven[:, 2]), wrap(measured[:, 2])
-    return identify_wheels(driven, measured)
 
 
 def _smoothed(

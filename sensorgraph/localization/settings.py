@@ -112,6 +112,8 @@ class WheelSettings:
     """[m, rad] standard deviation of a step without odometry."""
     outlier: float = 4.0
     """Standard deviations beyond which a step says nothing about the wheels: slip."""
+    stretches: int = 12
+    """Parts of a log whose slip is independent: standard errors are by how far these differ."""
 
 
 WHEELS = WheelSettings()

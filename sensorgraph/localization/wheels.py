@@ -76,45 +76,59 @@ def corrected_steps(steps: Floats, way_scale: float, turn_scale: float, heading_
 
 
 def identify_wheels(steps: Floats, measured: Floats, settings: WheelSettings = WHEELS) -> WheelParameters:
-    """Fit the parameters to steps (n, 3) of the odometry and the same steps as measured, with standard errors.
+    """Fit the parameters to steps (n, 3) of the odometry and the same steps as measured, in a row, with standard errors.
 
-    What is believed beforehand counts, so that turns and ways that always come together are told apart by it. Steps
-    that deviate by more than `settings.outlier` robust standard deviations are left out: slip.
+    The noise is the wheels', not the laser's: so the odometry's steps are regressed on the measured ones, and the result
+    turned round. The other way round, slip would make every scale too small (errors in variables, Fuller 1987). What is
+    believed beforehand counts, so that turns and ways that always come together are told apart by it. Steps that deviate
+    by more than `settings.outlier` robust standard deviations are left out: slip. Standard errors are those of
+    `settings.stretches` parts of the log (cluster-robust: Liang and Zeger 1986), as slip depends on the floor.
     """
-    way = signed_way(steps)
     s = settings
-    ahead, (way_sd,) = _regress(
-        steps[:, :1], measured[:, 0], np.array([1.0]), np.array([s.way_scale_sd]), s.outlier
+    way, turn = signed_way(measured), wrap(measured[:, 2])
+    estimate = WheelEstimate(s)
+    sd = np.array([estimate.deviations(abs(w), t) for w, t in zip(way, turn, strict=True)]).reshape(-1, 3)
+    (share,), ((share_variance,),) = _regress(
+        measured[:, :1] / sd[:, :1], steps[:, 0] / sd[:, 0], np.array([1.0]), np.array([s.way_scale_sd]), s
     )
-    turns, (turn_sd, bias_sd) = _regress(
-        np.column_stack([steps[:, 2], way]),
-        wrap(measured[:, 2]),
+    scale = 1.0 / float(share)
+    (a, c), covariance = _regress(
+        np.column_stack([turn, way]) / sd[:, 2:],
+        wrap(steps[:, 2]) / sd[:, 2],
         np.array([1.0, 0.0]),
         np.array([s.turn_scale_sd, s.heading_bias_sd]),
-        s.outlier,
-    )
+        s,
+    )  # of turn' = a turn + c way = (turn - b way') / k
+    by_bias = np.array([c * scale / a**2, -scale / a])
     return WheelParameters(
-        way_scale=float(ahead[0]),
-        turn_scale=float(turns[0]),
-        heading_bias=float(turns[1]),
-        way_scale_sd=float(way_sd),
-        turn_scale_sd=float(turn_sd),
-        heading_bias_sd=float(bias_sd),
+        way_scale=scale,
+        turn_scale=float(1.0 / a),
+        heading_bias=float(-c * scale / a),
+        way_scale_sd=float(np.sqrt(share_variance) * scale**2),
+        turn_scale_sd=float(np.sqrt(covariance[0, 0]) / a**2),
+        heading_bias_sd=float(np.sqrt(by_bias @ covariance @ by_bias)),
     )
 
 
 def _regress(
-    rows: Floats, values: Floats, before: Floats, before_sd: Floats, outlier: float
+    rows: Floats, values: Floats, before: Floats, before_sd: Floats, settings: WheelSettings
 ) -> tuple[Floats, Floats]:
-    """Return robust coefficients and their standard errors, starting from what is believed before (k,)."""
+    """Return robust coefficients and their covariance (k, k), starting from what is believed before (k,)."""
     kept = np.isfinite(values) & np.isfinite(rows).all(axis=1)
-    theta, covariance = before, np.diag(before_sd**2)
+    prior = np.diag(before_sd**-2.0)
+    theta, scale = before, 1.0
+    information = prior
     for _ in range(4):
         off = np.abs(values - rows @ theta)
         scale = 1.4826 * float(np.median(off[kept])) + 1e-12 if kept.any() else 1.0
-        kept = off < outlier * scale
-        information = rows[kept].T @ rows[kept] / scale**2 + np.diag(before_sd**-2.0)
-        moment = rows[kept].T @ values[kept] / scale**2 + before * before_sd**-2.0
-        covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        theta = covariance @ moment
-    return theta, np.sqrt(np.diag(covariance))
+        kept = off < settings.outlier * scale
+        information = rows[kept].T @ rows[kept] / scale**2 + prior
+        theta = np.linalg.solve(information, rows[kept].T @ values[kept] / scale**2 + prior @ before)
+    inverse = np.linalg.inv(information)
+    stretch = np.arange(len(values)) * settings.stretches // max(len(values), 1)
+    scores = rows * ((values - rows @ theta) * kept / scale**2)[:, None]
+    sums = np.column_stack([np.bincount(stretch, column, settings.stretches) for column in scores.T])
+    n = len(np.unique(stretch[kept]))
+    meat = sums.T @ sums * (n / (n - 1)) if n > 1 else information - prior
+    covariance: Floats = inverse @ (meat + prior) @ inverse
+    return theta, covariance
