@@ -9,9 +9,17 @@ import pytest
 from localization_samples import loop_poses, room_run
 
 from logs.run import Run
+from logs.transforms import compose, invert
+from sensorgraph.localization.front_end import track
+from sensorgraph.localization.loop_closures import LoopCloser
 from sensorgraph.localization.mapping import map_run
+from sensorgraph.localization.matching import Match
+from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.pose_graph import PoseEdges, PoseGraph
 from sensorgraph.localization.result import Localization
+from sensorgraph.localization.scans import scan_points
+from sensorgraph.localization.settings import CLOSURES
+from sensorgraph.localization.submaps import cut_submaps
 from sensorgraph.localization.wheels import corrected_steps, identify_wheels
 
 
@@ -28,6 +36,10 @@ def aligned(found: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def rms(found: Localization, truth: np.ndarray) -> float:
     errors, _ = aligned(found.poses, truth)
     return float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()))
+
+
+def no_ticks(done: int, total: int) -> None:
+    """Show nothing."""
 
 
 TRUTH = loop_poses(160, laps=2)
@@ -145,6 +157,41 @@ def test_false_closures_are_told_from_true_ones() -> None:
     assert kept.tolist() == [True] * len(true) + [False] * len(false)
     errors, _ = aligned(poses, truth)
     assert np.abs(errors[:, :2]).max() < 0.05
+
+
+def test_closure_that_puts_walls_where_rays_went_through_is_told() -> None:
+    poses = loop_poses(80, laps=2)
+    run = room_run(poses)
+    scans = scan_points(run)
+    tracked = track(scans, run.stamps, odometry_at_scans(run, odometry_of(run)), no_ticks)
+    older, newer = cut_submaps(scans, tracked)[0], cut_submaps(scans, tracked)[-1]
+    true = compose(
+        invert(poses[older.frames[older.key_frames == older.middle][0]]),
+        poses[newer.frames[newer.key_frames == newer.middle][0]],
+    )
+
+    def through(off: tuple[float, float]) -> float:
+        moved = true + [*off, 0.0]
+        there = newer.sees_through(older, invert(moved), CLOSURES.margin)
+        return max(there, older.sees_through(newer, moved, CLOSURES.margin))
+
+    assert through((0.0, 0.0)) < 0.03
+    assert (
+        min(through(off) for off in ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))) > CLOSURES.see_through
+    )
+
+
+def test_match_that_does_not_tell_the_heading_is_no_closure() -> None:
+    run = room_run(loop_poses(80, laps=2))
+    scans = scan_points(run)
+    tracked = track(scans, run.stamps, odometry_at_scans(run, odometry_of(run)), no_ticks)
+    closer = LoopCloser(scans, tracked)
+    one, pose = closer.submaps[0], np.zeros(3)
+    for turn_sd, word in ((0.001, ""), (1.0, "heading")):
+        information = np.diag([1e6, 1e6, turn_sd**-2.0])
+        found = Match(pose=pose, information=information, overlap=1.0, inliers=1.0, noise=0.01)
+        assert word in closer.objection(one, one, found, pose, 1.0, 0.0)
+        assert bool(word) == bool(closer.objection(one, one, found, pose, 1.0, 0.0))
 
 
 def test_nothing_is_said_of_a_good_log(located: Localization) -> None:

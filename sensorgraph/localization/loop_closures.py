@@ -178,7 +178,7 @@ class LoopCloser:
             relative=found.pose,
             inliers=found.inliers,
         )
-        reason = self._objection(older, newer, found, guess, window, modes.rivalry)
+        reason = self.objection(older, newer, found, guess, window, modes.rivalry)
         if reason:
             self._refuse(closure, reason)
             return False
@@ -186,7 +186,7 @@ class LoopCloser:
         self.found.append((older.middle, newer.middle, found.pose, self._information(found)))
         return True
 
-    def _objection(
+    def objection(
         self, older: Submap, newer: Submap, found: Match, guess: Floats, window: float, rivalry: float
     ) -> str:
         """Return why a match is no closure, or nothing."""
@@ -199,6 +199,8 @@ class LoopCloser:
             return f"only {found.inliers:.0%} of the points lie on surfaces"
         if np.abs(found.pose[:2] - guess[:2]).max() > window + s.window:
             return "the match left the window"
+        if float(np.linalg.inv(self._information(found))[2, 2]) > s.weak_turn**2:
+            return "the surfaces in view do not tell the heading"
         through = max(
             newer.sees_through(older, invert(found.pose), s.margin),
             older.sees_through(newer, found.pose, s.margin),
