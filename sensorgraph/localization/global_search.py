@@ -48,12 +48,14 @@ class GlobalPlaces:
     """(n,) share of the points that walls of the map should have hidden."""
     unseen: Floats
     """(n,) share of the points of which the map says nothing."""
+    least_seen: float = GLOBAL_SEARCH.least_seen
+    """Of `fits`."""
 
     @property
     def fits(self) -> Floats:
         """(n,) `fit_of` each place."""
         shares = zip(self.agreements, self.hidden, self.unseen, strict=True)
-        return np.array([fit_of(*of_place) for of_place in shares])
+        return np.array([fit_of(*of_place, self.least_seen) for of_place in shares])
 
     @property
     def fit(self) -> float:
@@ -73,15 +75,14 @@ class GlobalPlaces:
 
 
 def fit_of(
-    agreement: float, hidden: float, unseen: float, settings: GlobalSearchSettings = GLOBAL_SEARCH
+    agreement: float, hidden: float, unseen: float, least_seen: float = GLOBAL_SEARCH.least_seen
 ) -> float:
     """Return the share of the returns on surfaces, less `hidden_weight` times those through walls.
 
     Shares are of the returns of which the map says something; of `least_seen` of all where those are fewer.
     """
-    return float(
-        (agreement - settings.hidden_weight * hidden) / max(1.0 - float(unseen), settings.least_seen)
-    )
+    on_surfaces = agreement - GLOBAL_SEARCH.hidden_weight * hidden
+    return float(on_surfaces / max(1.0 - float(unseen), least_seen))
 
 
 def local_view(
@@ -126,15 +127,15 @@ def find_places(
     scan alone, as the map may lack what the others saw. If that does not help, all are sought together.
     """
     s = settings
-    last = view.last_scan
+    last, seen = view.last_scan, s.least_seen_anywhere if window is None else s.least_seen
     modes = _modes(last.points, place, window, s)
-    found = _judged(modes, view, place, s)
+    found = _judged(modes, view, place, seen, s)
     if found.fit >= s.enough_fit or len(last.points) == len(view.points):
         return found
-    alone = _judged(modes, last, place, s)
-    if alone.fit >= s.enough_fit and _judged(alone.poses[:1], view, place, s).fit >= s.least_joint_fit:
+    alone = _judged(modes, last, place, seen, s)
+    if alone.fit >= s.enough_fit and _judged(alone.poses[:1], view, place, seen, s).fit >= s.least_joint_fit:
         return alone
-    other = _judged(_modes(view.points, place, window, s), view, place, s)
+    other = _judged(_modes(view.points, place, window, s), view, place, seen, s)
     return other if other.fit > found.fit else found
 
 
@@ -156,7 +157,9 @@ def _modes(
     ).poses
 
 
-def _judged(modes: Floats, view: LocalView, place: KnownMap, settings: GlobalSearchSettings) -> GlobalPlaces:
+def _judged(
+    modes: Floats, view: LocalView, place: KnownMap, least_seen: float, settings: GlobalSearchSettings
+) -> GlobalPlaces:
     """Return places near modes (n, 3), by all rays of a view."""
     s = settings
     if len(modes) == 0:
@@ -176,6 +179,7 @@ def _judged(modes: Floats, view: LocalView, place: KnownMap, settings: GlobalSea
         agreements=np.array([found[k].agreement for k in order]),
         hidden=judged.hidden[order],
         unseen=judged.unseen[order],
+        least_seen=least_seen,
     )
 
 

@@ -98,11 +98,17 @@ def _smoothed(
 
 
 def _map_error(noise: Floats, sigma: float, settings: MapTrackingSettings) -> Floats:
-    """Return the covariance (3, 3) that a map's own errors add: walls that are off scatter the returns."""
+    """Return the covariances (n, 3, 3) that a map's own errors add: walls that are off scatter the returns.
+
+    Neighbouring scans meet the same walls, so that smoothing does not make this smaller. Where the returns of a scan
+    scatter more than usual, the map is worse there; where they do not, it is as wrong as it usually is: walls that are
+    displaced as a whole scatter nothing.
+    """
     usual = float(np.nanmedian(noise)) if np.isfinite(noise).any() else sigma
-    excess = np.sqrt(max(usual**2 - sigma**2, 0.0))
+    excess = np.sqrt(np.maximum(np.fmax(noise, usual) ** 2 - sigma**2, 0.0))[:, None]
     share = np.array([settings.map_share, settings.map_share, settings.map_share_turn])
-    return np.diag(np.asarray(settings.place_floor) ** 2 + (share * excess) ** 2)
+    variances = np.asarray(settings.place_floor) ** 2 + (share * excess) ** 2
+    return np.asarray(variances[:, None, :] * np.eye(3))
 
 
 def _filled(found: MapTrack, steps: ScanTrack) -> Floats:

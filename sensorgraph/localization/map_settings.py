@@ -68,6 +68,8 @@ class GlobalSearchSettings:
     two speak for it."""
     least_seen: float = 0.5
     """Share of the points of which the map must say something; what is missing counts against a place."""
+    least_seen_anywhere: float = 0.8
+    """The same where nobody knows where the robot is: some place at the edge of a map fits by chance."""
     rival_probability: float = 0.02
     """A less probable place is ruled out."""
 
@@ -154,7 +156,7 @@ class MapTrackingSettings:
     """[m, m, rad] least standard deviations of a pose in a map."""
     map_share: float = 0.8
     """Standard deviation of a pose in a map, as a share of how much more the returns scatter around its walls than the
-    laser's noise explains: so far the walls are off."""
+    laser's noise explains, there or usually, whichever is more: so far the walls are off."""
     map_share_turn: float = 0.2
     """[rad/m] the same of its heading."""
     step_floor: tuple[float, float, float] = (0.003, 0.003, 0.0008)
