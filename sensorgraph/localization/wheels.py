@@ -123,12 +123,12 @@ def _regress(
         scale = 1.4826 * float(np.median(off[kept])) + 1e-12 if kept.any() else 1.0
         kept = off < settings.outlier * scale
         information = rows[kept].T @ rows[kept] / scale**2 + prior
-        theta = np.linalg.solve(information, rows[kept].T @ values[kept] / scale**2 + prior @ before)
+        moment = rows[kept].T @ values[kept] / scale**2 + prior @ before
+        theta = np.asarray(np.linalg.solve(information, moment), dtype=np.float64)
     inverse = np.linalg.inv(information)
     stretch = np.arange(len(values)) * settings.stretches // max(len(values), 1)
     scores = rows * ((values - rows @ theta) * kept / scale**2)[:, None]
     sums = np.column_stack([np.bincount(stretch, column, settings.stretches) for column in scores.T])
     n = len(np.unique(stretch[kept]))
     meat = sums.T @ sums * (n / (n - 1)) if n > 1 else information - prior
-    covariance: Floats = inverse @ (meat + prior) @ inverse
-    return theta, covariance
+    return theta, np.asarray(inverse @ (meat + prior) @ inverse, dtype=np.float64)
