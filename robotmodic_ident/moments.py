@@ -265,6 +265,8 @@ def _restored(data: Mapping[str, NDArray[Any]]) -> Moments:
             )
     out.gram, out.cross, out.power = (data[name].astype(np.float64) for name in ("gram", "cross", "power"))
     out.count = data["count"].astype(np.int64)
+    if out.count.min() < 0:
+        raise ValueError(f"count is {out.count.tolist()}, expected 0 rows or more")
     own, missing = data["missing_outputs"].tolist(), data["missing"].astype(np.float64)
     if own != sorted(set(own) & set(range(n))) or (own and missing.shape != (len(own), m, m)):
         raise ValueError(f"missing_outputs is {own} and missing {missing.shape}, expected each output once")

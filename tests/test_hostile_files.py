@@ -357,6 +357,7 @@ def test_a_table_whose_rate_cannot_be_is_refused(rate: str, tmp_path: Path) -> N
     [
         lambda arrays: arrays | {"gram": arrays["gram"][:1]},
         lambda arrays: arrays | {"power": np.array([b"x"])},
+        lambda arrays: arrays | {"count": np.array([-1])},
         lambda arrays: arrays | {"missing_outputs": np.array([7]), "missing": np.zeros((1, 6, 6))},
         lambda arrays: {name: array for name, array in arrays.items() if name != "cross"},
     ],
@@ -411,6 +412,17 @@ def test_a_plan_report_that_is_none_is_refused_by_review_and_record(text: str, t
         review(tmp_path / "run.mcap", plan=tmp_path / "plan", path=tmp_path / "a.rrd")
     with pytest.raises(SensorgraphError, match=r"plan.json: (not JSON|holds no report)"):
         open_drive(tmp_path / "plan").attachments()
+
+
+@pytest.mark.parametrize(("theta", "said"), [(float("inf"), "theta is"), (1e308, "too large")])
+def test_a_model_with_numbers_beyond_all_is_refused(theta: float, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "model.json"
+    data = json.loads(samples.models()[0])
+    data["scale"] = {"y": [0.0, 1e-9], "u": [0.0, 1e-9]}
+    data["terms"][0]["theta"] = data["terms"][1]["theta"] = theta
+    path.write_text(json.dumps(data))
+    with pytest.raises(IdentError, match=said):
+        Narmax.load(path).equation()
 
 
 def test_a_deeply_nested_json_is_refused_in_one_line(tmp_path: Path) -> None:

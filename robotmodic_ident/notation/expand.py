@@ -9,6 +9,7 @@ from math import comb
 
 import numpy as np
 
+from robotmodic_ident.errors import IdentError
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.terms import Factor, Term, Terms, canonical_key
 from robotmodic_ident.types import Floats
@@ -35,13 +36,22 @@ def expand(terms: Terms, theta: Sequence[float] | Floats, scale: Scale) -> tuple
         for product, share in _expand_term(term, scale).items():
             key = names.setdefault(frozenset(product), product)
             total[key] = total.get(key, Fraction(0)) + Fraction(float(coefficient)) * share
-            entries.append((key, j, float(share)))
+            entries.append((key, j, _to_float(share)))
     ordered = list(total) if not any(scale.centres) else sorted(total, key=canonical_key)
     place = {term: i for i, term in enumerate(ordered)}
     linear = np.zeros((len(ordered), len(terms)))
     for key, j, value in entries:
         linear[place[key], j] += value
-    return Terms(tuple(ordered)), np.array([float(total[t]) for t in ordered]), linear
+    return Terms(tuple(ordered)), np.array([_to_float(total[t]) for t in ordered]), linear
+
+
+def _to_float(value: Fraction) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        raise IdentError(
+            "a coefficient is too large for a number in the user's units; give the data in units in which they are near 1"
+        ) from None
 
 
 def _expand_term(term: Term, scale: Scale) -> Polynomial:

@@ -97,4 +97,6 @@ def _plain(value: float) -> float | None:
 
 def _read_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[Terms, Floats]:
     theta = np.array([row["theta"] for row in rows], dtype=np.float64)
+    if not np.isfinite(theta).all():
+        raise ValueError(f"theta is {theta.tolist()}, expected finite numbers")
     return Terms.parse(*(row["name"] for row in rows)), theta
