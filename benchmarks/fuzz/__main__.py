@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import benchmarks.fuzz
-from benchmarks.fuzz.commands import COMMANDS, COSTLY, fuzz_command
+from benchmarks.fuzz.commands import COMMANDS, COST, COSTLY, fuzz_command
 from benchmarks.fuzz.readers import READERS, fuzz_reader
 
 COMMAND = "$ "
@@ -32,12 +32,19 @@ def targets() -> dict[str, Callable[[int, int, Path], Counter[str]]]:
     return readers | {COMMAND + name: partial(fuzz_command, name) for name in COMMANDS}
 
 
+def cost(name: str) -> float:
+    """Return how many times fewer inputs a reader or a command gets."""
+    return COSTLY.get(name.removeprefix(COMMAND), COST) if name.startswith(COMMAND) else 1.0
+
+
 def main() -> int:
     """Fuzz, print a table, and return 1 if anything was found."""
     parser = argparse.ArgumentParser(
         description=benchmarks.fuzz.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--inputs", type=int, default=100_000, help="of all together")
+    parser.add_argument(
+        "--inputs", type=int, default=100_000, help="of all together; slow commands get fewer"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="names as in the table, separated by commas")
     parser.add_argument("--keep", type=Path, help="folder for one input of each finding")
@@ -45,7 +52,7 @@ def main() -> int:
     chosen = {
         name: fuzz for name, fuzz in targets().items() if not given.only or name in given.only.split(",")
     }
-    shares = {name: 1.0 / COSTLY.get(name.removeprefix(COMMAND), 1) for name in chosen}
+    shares = {name: 1.0 / cost(name) for name in chosen}
     counts = {
         name: max(round(given.inputs * share / sum(shares.values())), 1) for name, share in shares.items()
     }

@@ -18,8 +18,10 @@ from sensorgraph.cli import run as cli
 
 COMMAND_SECONDS = 120.0
 """[s] of CPU time; a command may have to compile its kernels first."""
-COSTLY = {"locate": 5, "show": 5, "identify": 5, "plan": 15, "diagnose": 15}
-"""Name -> a command that takes seconds where others take a tenth gets so many times fewer inputs."""
+COST = 3.0
+"""A command takes so many times the time of a reader, or more, and gets so many times fewer inputs."""
+COSTLY = {"locate": 10.0, "show": 6.0, "identify": 10.0, "plan": 20.0, "diagnose": 20.0}
+"""Those that take more."""
 DAMAGED_SHARE = 0.5
 """Of the inputs: one of the files that the command reads is damaged; the options are then seldom odd."""
 VALUES = (
