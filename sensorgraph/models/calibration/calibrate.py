@@ -167,7 +167,10 @@ class _JointCalibration:
         self.scan_of_pose = np.zeros(len(poses), dtype=np.intp)
         self.scan_of_pose[readings.pose] = readings.scan
         self.shifts = np.zeros((self.n_scans, 3))
+        self._mounted: tuple[Floats, Floats] | None = None
+        """A mount, and the lasers (n_poses, 3) by it alone."""
         self._lasers: tuple[Floats, Floats, Floats] | None = None
+        """A mount, shifts, and the lasers (n_poses, 3) by both; with a sweep these are millions."""
         self.terms = RayTerms.none(len(readings.bearings))
         self.mean_bias = 0.0
         self.is_amiss = False
@@ -182,9 +185,13 @@ class _JointCalibration:
     @property
     def lasers(self) -> Floats:
         """(n_poses, 3) by mount and refined poses."""
-        kept = self._lasers
+        mounted, kept = self._mounted, self._lasers
+        if mounted is None or mounted[0] is not self.mount:
+            self._mounted = mounted = self.mount, compose_poses(self.poses, self.mount)
+        if not self.shifts.any():
+            return mounted[1]
         if kept is None or kept[0] is not self.mount or kept[1] is not self.shifts:
-            found = compose_poses(compose_poses(self.poses, self.mount), self.shifts[self.scan_of_pose])
+            found = compose_poses(mounted[1], self.shifts[self.scan_of_pose])
             self._lasers = kept = self.mount, self.shifts, found
         return kept[2]
 

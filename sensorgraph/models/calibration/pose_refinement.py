@@ -82,10 +82,12 @@ def _solve_damped(own: Floats, right: Floats) -> tuple[Floats, Floats, float]:
 def compose_poses(lasers: Floats, shifts: Floats) -> Floats:
     """Move lasers (n, 3) by shifts (n, 3) or (3,) in their own frames."""
     cos, sin = np.cos(lasers[:, 2]), np.sin(lasers[:, 2])
-    dx, dy, turn = np.broadcast_to(shifts, lasers.shape).T
-    return np.stack(
-        [lasers[:, 0] + cos * dx - sin * dy, lasers[:, 1] + sin * dx + cos * dy, lasers[:, 2] + turn], axis=1
-    )
+    dx, dy, turn = shifts.T
+    moved = np.empty_like(lasers)
+    moved[:, 0] = lasers[:, 0] + cos * dx - sin * dy
+    moved[:, 1] = lasers[:, 1] + sin * dx + cos * dy
+    moved[:, 2] = lasers[:, 2] + turn
+    return moved
 
 
 @kernel
