@@ -41,7 +41,7 @@ def resample(ranges: Floats, bearings: Floats, wanted: Floats) -> Floats:
         bearings, ranges = bearings[::-1], ranges[:, ::-1]
     step = float(bearings[-1] - bearings[0]) / (len(bearings) - 1)
     if bearings[-1] - bearings[0] + 1.5 * step > 2 * np.pi:  # a full turn: the last ray lies beside the first
-        n = int(np.searchsorted(bearings, bearings[0] + 2 * np.pi - step / 2))
+        n = max(int(np.searchsorted(bearings, bearings[0] + 2 * np.pi - step / 2)), 1)
         bearings, ranges = bearings[:n], ranges[:, :n]
         bearings = np.concatenate([[bearings[-1] - 2 * np.pi], bearings, [bearings[0] + 2 * np.pi]])
         ranges = np.concatenate([ranges[:, -1:], ranges, ranges[:, :1]], axis=1)

@@ -43,6 +43,12 @@ def test_a_bearing_that_is_there_keeps_its_reading_to_the_bit() -> None:
     np.testing.assert_array_equal(resample(ranges[:, ::-1], bearings[::-1], bearings), ranges)
 
 
+def test_rays_more_than_a_turn_apart_are_the_first_alone() -> None:
+    """What a damaged angle_increment says."""
+    found = resample(np.array([[1.0, 2.0, 3.0]]), np.array([0.0, 1e9, 2e9]), np.array([0.0, 1.0]))
+    assert found[0, 0] == 1.0
+
+
 def test_beyond_the_scan_is_nan_and_beside_a_missing_return_the_nearest_counts() -> None:
     bearings = np.array([0.0, 0.1, 0.2, 0.3])
     wanted = np.array([-0.2, -0.04, 0.04, 0.08, 0.14, 0.16, 0.34, 0.36])

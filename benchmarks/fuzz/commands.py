@@ -18,9 +18,9 @@ from sensorgraph.cli import run as cli
 
 COMMAND_SECONDS = 120.0
 """[s] of CPU time; a command may have to compile its kernels first."""
-COST = 3.0
+COST = 10.0
 """A command takes so many times the time of a reader, or more, and gets so many times fewer inputs."""
-COSTLY = {"locate": 10.0, "show": 6.0, "identify": 10.0, "plan": 20.0, "diagnose": 20.0}
+COSTLY = {"locate": 20.0, "show": 20.0, "identify": 20.0, "plan": 40.0, "diagnose": 40.0}
 """Those that take more."""
 DAMAGED_SHARE = 0.5
 """Of the inputs: one of the files that the command reads is damaged; the options are then seldom odd."""
