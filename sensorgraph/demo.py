@@ -72,8 +72,19 @@ def demo(
         plan = _plan(arena, robot, "coverage", None, seed, progress)
         duration = plan.trajectory.duration
         with OtherProcess(_random_drive, folder, arena, robot, seed, duration, check) as driving:
-            planned = _drive(folder, arena, robot, "coverage", plan, check, seed=seed, progress=progress)
-            run = logs.read(folder / "coverage.mcap")
+            run = record(
+                folder / "coverage.mcap", arena, robot, plan.trajectory, seed=seed, progress=progress
+            )
+            planned = _modelled(folder, "coverage", plan, run, arena, check, progress)
+            save(plan, folder / "plan", arena, robot)
+            review(
+                run,
+                path=folder / "review.rrd",
+                graph=planned.graph,
+                plan=folder / "plan",
+                arena=arena,
+                name="coverage.mcap",
+            )
             plain = build([run], arena=arena, model=BASELINE, names=["coverage.mcap"], progress=progress)
             plain.save(folder / f"coverage.{BASELINE}.sensorgraph")
             random = driving.result(progress)
@@ -99,7 +110,28 @@ def _random_drive(
 ) -> DemoDrive:
     """Drive at random for as long as the plan takes."""
     plan = _plan(arena, robot, "random_bounce", duration, seed, progress)
-    return _drive(folder, arena, robot, "random_bounce", plan, check, seed=seed, progress=progress)
+    path = folder / "random_bounce.mcap"
+    run = record(path, arena, robot, plan.trajectory, seed=seed, progress=progress)
+    return _modelled(folder, "random_bounce", plan, run, arena, check, progress)
+
+
+def _modelled(
+    folder: Path, planner: str, planned: Plan, run: Run, arena: Arena, check: Run, progress: ProgressBars
+) -> DemoDrive:
+    """Build a sensorgraph from the run of a plan, and evaluate it."""
+    graph = build([run], arena=arena, names=[f"{planner}.mcap"], progress=progress)
+    graph.save(folder / f"{planner}.sensorgraph")
+    poses = logs.pair(run).poses
+    coverage = counted(planned.coverage, poses)
+    return DemoDrive(
+        planner=planner,
+        model=graph.model.name,
+        drive_time=planned.trajectory.duration,
+        coverage=coverage,
+        growth=coverage.growth(run.stamps, poses),
+        graph=graph,
+        checked=evaluate(graph, check),
+    )
 
 
 def _plan(
@@ -153,41 +185,3 @@ def to_dict(drives: list[DemoDrive]) -> dict[str, Any]:
         }
         for drive in drives
     }
-
-
-def _drive(
-    folder: Path,
-    arena: Arena,
-    robot: Robot,
-    planner: str,
-    planned: Plan,
-    check: Run,
-    *,
-    seed: int,
-    progress: ProgressBars,
-) -> DemoDrive:
-    """Record, build and evaluate one way of driving; of the coverage plan, save the plan and the review, too."""
-    run = record(folder / f"{planner}.mcap", arena, robot, planned.trajectory, seed=seed, progress=progress)
-    graph = build([run], arena=arena, names=[f"{planner}.mcap"], progress=progress)
-    graph.save(folder / f"{planner}.sensorgraph")
-    poses = logs.pair(run).poses
-    coverage = counted(planned.coverage, poses)
-    if planner == "coverage":
-        save(planned, folder / "plan", arena, robot)
-        review(
-            run,
-            path=folder / "review.rrd",
-            graph=graph,
-            plan=folder / "plan",
-            arena=arena,
-            name=f"{planner}.mcap",
-        )
-    return DemoDrive(
-        planner=planner,
-        model=graph.model.name,
-        drive_time=planned.trajectory.duration,
-        coverage=coverage,
-        growth=coverage.growth(run.stamps, poses),
-        graph=graph,
-        checked=evaluate(graph, check),
-    )

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from sensorgraph.cli.options import DemoArena, DemoOut, DemoReal, DemoSeed, RobotFile
 
 if TYPE_CHECKING:
-    from sensorgraph.demo import DemoDrive
     from sensorgraph.demo_effect import HiddenEffect
 
 
@@ -59,11 +59,11 @@ def demo(
     }
     write_json(folder / "config.json", config)
     drives, hidden = run_demo(folder, walls, machine, seed=seed, progress=progress)
-    results = {**to_dict(drives), "hidden_effect": hidden_dict(hidden)}
-    write_json(folder / "demo.json", results)
+    results = to_dict(drives)
+    write_json(folder / "demo.json", {**results, "hidden_effect": hidden_dict(hidden)})
     if out is None:
         _link_latest(folder)
-    typer.echo("\n".join(comparison_table(drives)))
+    typer.echo("\n".join(comparison_table(results)))
     typer.echo("\n" + "\n".join(hidden_effect_lines(hidden)))
     typer.echo(f"\n{time.monotonic() - began:.0f} s; all of it is in {folder}")
     typer.echo(f"look at it:      rerun {folder / 'review.rrd'}   and   {folder / 'coverage.png'}")
@@ -133,19 +133,21 @@ def hidden_effect_lines(hidden: HiddenEffect) -> list[str]:
     return lines
 
 
-def comparison_table(drives: list[DemoDrive]) -> list[str]:
-    """Return the demo's table, markdown."""
-    names = {"coverage": "planned", "random_bounce": "random, as long"}
-    heads = [
-        names[drive.planner] + (", 2004 form" if drive.model == "polynomial" else "") for drive in drives
-    ]
+HEADS = {
+    "coverage": "planned",
+    "random_bounce": "random, as long",
+    "coverage_polynomial": "planned, 2004 form",
+}
+"""Drive of demo.json -> head of its column."""
+
+
+def comparison_table(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return the demo's table, markdown, from the numbers in demo.json."""
+    heads, drives = [HEADS[name] for name in results], list(results.values())
     rows = [
-        ("driven", [f"{drive.drive_time / 60:.0f} min" for drive in drives]),
-        ("reachable (x, y, φ) bins visited", [f"{100 * drive.coverage.fraction:.1f} %" for drive in drives]),
-        (
-            "rays answered, anywhere in the arena",
-            [f"{100 * drive.checked.answered:.1f} %" for drive in drives],
-        ),
+        ("driven", [f"{drive['drive_time_s'] / 60:.0f} min" for drive in drives]),
+        ("reachable (x, y, φ) bins visited", [f"{100 * drive['coverage']:.1f} %" for drive in drives]),
+        ("rays answered, anywhere in the arena", [f"{100 * drive['answered']:.1f} %" for drive in drives]),
     ]
     for label, name, scale, unit in (
         ("median error of all rays", "median_m", 100, "cm"),
@@ -153,7 +155,7 @@ def comparison_table(drives: list[DemoDrive]) -> list[str]:
         ("RMSE", "rmse_m", 100, "cm"),
         ("Pearson r", "pearson_r", 1, ""),
     ):
-        values = [drive.checked.all[name] for drive in drives]
+        values = [drive["all"][name] for drive in drives]
         rows.append((label, ["–" if v is None else f"{scale * v:.3g} {unit}".strip() for v in values]))
     width = max(len(label) for label, _ in rows)
     columns = [max(len(head), *(len(cells[k]) for _, cells in rows)) for k, head in enumerate(heads)]
