@@ -24,11 +24,13 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import POINTS, Model, Point, Prediction
 from sensorgraph.models.stored_numbers import check_numbers
-from sensorgraph.types import Floats
+from sensorgraph.types import Floats, Progress
 
 FORMAT = "sensorgraph"
 VERSION = 1
 """Of the file; a reader refuses a newer one."""
+POSES_AT_A_TIME = 2048
+"""Poses that are predicted together; more would take memory, and leave the progress silent."""
 MAX_POSE_DISTANCE = 1e8
 """[m] from the origin of map: a pose farther off is a mistake."""
 _ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # the zip's oldest date: the same graph gives the same bytes
@@ -49,7 +51,12 @@ class Sensorgraph:
     """Where it came from: `version`, `inputs`, `options`, `split`, counts; plain data."""
 
     def predict(
-        self, poses: Floats, *, rays: Sequence[int] | NDArray[np.integer] | None = None, point: Point = "mode"
+        self,
+        poses: Floats,
+        *,
+        rays: Sequence[int] | NDArray[np.integer] | None = None,
+        point: Point = "mode",
+        progress: Progress | None = None,
     ) -> Prediction:
         """Predict what is seen.
 
@@ -59,6 +66,7 @@ class Sensorgraph:
             while a laser sweeps on a moving robot (`logs.motion.ray_poses`)
         rays : indices of the rays wanted; None: all
         point : which value of the mixture `ranges` is
+        progress : takes the count of poses done and of all
 
         Returns
         -------
@@ -77,6 +85,15 @@ class Sensorgraph:
             raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
         if poses.ndim == 2 and self.sensor.is_composite and self.model.name != "polynomial":
             poses = to_ray_starts(poses[:, None], self.sensor, self.pose_frame)[:, index]
+        parts = []
+        for first in range(0, max(len(poses), 1), POSES_AT_A_TIME):
+            if progress is not None:
+                progress(first, len(poses))
+            parts.append(self._predict_some(poses[first : first + POSES_AT_A_TIME], index, point))
+        return parts[0] if len(parts) == 1 else Prediction.concatenate(parts)
+
+    def _predict_some(self, poses: Floats, index: NDArray[np.intp], point: Point) -> Prediction:
+        """Predict the rays `index` at poses that fit into memory together, (n, 3) or (n, n_rays, 3)."""
         if poses.ndim == 2:
             return self.model.predict(poses, index, point)
         of_rays = [

@@ -74,7 +74,10 @@ def ranges_in(arena: Arena, origins: Floats, angle: Floats) -> Floats:
 
 @pytest.fixture(scope="module")
 def good() -> SiteBaseline:
-    return commission(site_run(1), ARENA, ROBOT)
+    shown: list[int] = []
+    baseline = commission(site_run(1), ARENA, ROBOT, progress=lambda done, total: shown.append(done))
+    assert shown == sorted(shown) and shown[-1] == 100 and len(shown) > 10  # counted, as every stage is
+    return baseline
 
 
 def against(good: SiteBaseline | None, run: Run) -> Finding:

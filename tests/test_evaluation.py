@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs.run import RangeSensor, Run
+from sensorgraph import graph as graph_module
 from sensorgraph.building.build import build
 from sensorgraph.building.split import SPLITS, held_out
 from sensorgraph.errors import SensorgraphError
@@ -50,6 +51,19 @@ def make_run(seed: int = 0, n: int = 300) -> Run:
 @pytest.fixture(scope="module")
 def run() -> Run:
     return make_run()
+
+
+def test_a_prediction_in_parts_is_that_of_all_and_counts_the_poses(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = build([run], model="polynomial", degree=1, harmonics=1)
+    whole = model.predict(run.poses)
+    monkeypatch.setattr(graph_module, "POSES_AT_A_TIME", 128)
+    shown: list[tuple[int, int]] = []
+    parts = model.predict(run.poses, progress=lambda done, total: shown.append((done, total)))
+    assert shown == [(0, 300), (128, 300), (256, 300)]
+    for name in ("ranges", "mean", "sigma", "p_no_return", "answered"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
 
 @given(st.integers(10, 5000), st.sampled_from(SPLITS))

@@ -82,8 +82,17 @@ def test_people_and_outliers_are_said_as_a_chance_of_being_off(folder: Path) -> 
 def test_without_effects_of_the_scan_channel_both_are_the_same(folder: Path) -> None:
     run = logs.read(folder / "run.mcap")
     result = evaluate(build([run], model="polynomial", degree=1, harmonics=1), run)
-    both = compare(result, run, ROOM, ROBOT.sensor, [LIBRARY["wheel_base"](s=0.1)])
+    shown: list[tuple[int, int]] = []
+    both = compare(
+        result,
+        run,
+        ROOM,
+        ROBOT.sensor,
+        [LIBRARY["wheel_base"](s=0.1)],
+        progress=lambda done, total: shown.append((done, total)),
+    )
     assert both["nominal"] == both["amended"]
+    assert shown == sorted(shown) and shown[-1] == (100, 100) and (50, 100) in shown
 
 
 def test_a_run_that_keeps_no_arena_is_refused(

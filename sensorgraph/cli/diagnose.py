@@ -182,8 +182,8 @@ def _commission(good: list[Run], walls: Arena, machine: Robot, seed: int) -> Sit
 
     if not good:
         return None
-    with progress("commissioning"):
-        return commission_all(good, walls, machine, seed=seed)
+    with progress("commissioning", "%") as tick:
+        return commission_all(good, walls, machine, seed=seed, progress=tick)
 
 
 def _lines(finding: Finding, out: Path) -> list[str]:

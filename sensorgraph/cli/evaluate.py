@@ -127,8 +127,8 @@ def _simulator(result: Evaluation, run: Run, effects: Path, point: Point | None)
         raise SensorgraphError(
             "--effects needs a run that keeps arena and robot, as `record` writes; this one does not"
         )
-    with progress("simulating", "scans"):
-        return compare(result, run, arena, robot.sensor, read(effects, arena), point=point)
+    with progress("simulating", "%") as tick:
+        return compare(result, run, arena, robot.sensor, read(effects, arena), point=point, progress=tick)
 
 
 def table(result: Evaluation, simulator: dict[str, Metrics] | None = None) -> list[str]:

@@ -24,6 +24,7 @@ def predict(
     from typing import cast
 
     from sensorgraph.cli.inputs import check_output
+    from sensorgraph.cli.progress import progress
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import read_poses
     from sensorgraph.models.base import Point
@@ -31,7 +32,8 @@ def predict(
     check_output(output, graph, poses)
     model = Sensorgraph.load(graph)
     where = read_poses(poses)
-    result = model.predict(where, point=cast(Point, point))
+    with progress("predicting", "poses") as tick:
+        result = model.predict(where, point=cast(Point, point), progress=tick)
     result.save(output)
     typer.echo(
         f"wrote {output}: {len(where)} poses of {model.pose_frame} x {model.sensor.n_rays} rays, "

@@ -27,12 +27,16 @@ from sensorgraph.diagnosis.scan.site_tolerances import pose_tolerances, shift_to
 from sensorgraph.diagnosis.scan.site_variation import single_effects
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import EFFECTS, Amendment, quantisation
+from sensorgraph.types import Progress
+from sensorgraph.work_counter import WorkCounter
 from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
 
 
-def commission_all(runs: Sequence[Run], arena: Arena, robot: Robot, *, seed: int = 0) -> SiteBaseline:
+def commission_all(
+    runs: Sequence[Run], arena: Arena, robot: Robot, *, seed: int = 0, progress: Progress | None = None
+) -> SiteBaseline:
     """Learn the baseline of a site from one run that is known to be good, or from several.
 
     Parameters
@@ -44,13 +48,24 @@ def commission_all(runs: Sequence[Run], arena: Arena, robot: Robot, *, seed: int
     SensorgraphError
         A run is too short, has no returns or no poses, or another sensor than the robot.
     """
+    work = WorkCounter(progress, len(runs))
     if len(runs) == 1:
-        return commission(runs[0], arena, robot, seed=seed)
-    return merged([commission(run, arena, robot, seed=seed, learn_effects=False) for run in runs])
+        return commission(runs[0], arena, robot, seed=seed, progress=work.part(1))
+    several = []
+    for run in runs:
+        several.append(commission(run, arena, robot, seed=seed, learn_effects=False, progress=work.part(1)))
+        work.add(1)
+    return merged(several)
 
 
 def commission(
-    run: Run, arena: Arena, robot: Robot, *, seed: int = 0, learn_effects: bool = True
+    run: Run,
+    arena: Arena,
+    robot: Robot,
+    *,
+    seed: int = 0,
+    learn_effects: bool = True,
+    progress: Progress | None = None,
 ) -> SiteBaseline:
     """Learn the baseline of a site from a run that is known to be good.
 
@@ -68,7 +83,10 @@ def commission(
     rng, noise = np.random.default_rng(seed), SCAN.site.wide_noise
     data, _ = prepare_scans(run, arena, robot)
     data = replace(data, laser_frame=False)
+    cuts = SCAN.site.windows[:2] if learn_effects else SCAN.site.windows[:1]
+    work = WorkCounter(progress, 3 + sum(cuts) + sum(SCAN.site.windows))
     null = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
+    work.add(1)
     sensor = robot.sensor
     for found in quantisation.propose(FitResiduals(data, null)):
         sensor = replace(sensor, resolution=found.values["q"])
@@ -80,16 +98,25 @@ def commission(
         memo={},
     )
     known = site_effects(data) if learn_effects else ()
+    work.add(1)
     data = replace(data, known=(*data.known, *known), memo={})
-    cuts = SCAN.site.windows[:2] if learn_effects else SCAN.site.windows[:1]
     tolerances = shift_tolerances(data, cuts)
+    work.add(1)
     hidden = hidden_by_scraps(arena)
     data = replace(data, tolerances=tolerances, clutter_nats=dict.fromkeys(hidden, float("inf")), memo={})
     parts = [window for n in cuts for window in data.windows(n)]
-    bounds = noise_bounds([fit(w, (), start_state(w, noise), noise, outer=1, inner=12) for w in parts])
-    levels = [
-        tuple(window_estimate(window, bounds, rng) for window in data.windows(n)) for n in SCAN.site.windows
-    ]
+    fits = []
+    for window in parts:
+        fits.append(fit(window, (), start_state(window, noise), noise, outer=1, inner=12))
+        work.add(1)
+    bounds = noise_bounds(fits)
+    levels: list[tuple[WindowEstimate, ...]] = []
+    for n in SCAN.site.windows:
+        estimates = []
+        for window in data.windows(n):
+            estimates.append(window_estimate(window, bounds, rng))
+            work.add(1)
+        levels.append(tuple(estimates))
     logger.debug("known %s; windows %s", known, levels)
     return SiteBaseline(
         robot=replace(robot, sensor=sensor, tolerances=tolerances),

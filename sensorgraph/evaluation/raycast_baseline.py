@@ -16,7 +16,8 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.evaluation.metrics import POINT_OF, Metrics, MetricSums
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
-from sensorgraph.types import Ints
+from sensorgraph.types import Ints, Progress
+from sensorgraph.work_counter import WorkCounter
 from sensorgraph.world.ray_order import with_rays_like
 from sensorgraph.world.scene import Scene, Transform, fade
 from sensorgraph.world.simulate import SCANS_PER_STEP
@@ -30,6 +31,7 @@ def compare(
     effects: Sequence[Amendment],
     *,
     point: Point | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Metrics]:
     """Score the ray caster on the very rays that a graph was scored on: `nominal` as mapped, and `amended`.
 
@@ -46,9 +48,11 @@ def compare(
     scored, measured = np.isfinite(result.residual), run.ranges[result.scan_indices]
     out: dict[str, Metrics] = {}
     scan = [a for a in effects if a.effect.channel == "scan"]
+    work = WorkCounter(progress, 2)
     for name, some in (("nominal", ()), ("amended", scan)):
         sums = MetricSums(bearings=run.sensor.bearings, point=point, sigma=result.settings["sigma_m"])
-        prediction = predict(run, arena, described, result.scan_indices, some)
+        prediction = predict(run, arena, described, result.scan_indices, some, progress=work.part(1))
+        work.add(1)
         sums.add(measured, prediction, scored, ~np.isnan(measured))
         value = prediction.point(point or POINT_OF["median_m"])
         out[name] = sums.metrics(np.abs(value[scored] - measured[scored]))
@@ -56,7 +60,13 @@ def compare(
 
 
 def predict(
-    run: Run, arena: Arena, sensor: RangeSensor, scans: Ints, effects: Sequence[Transform]
+    run: Run,
+    arena: Arena,
+    sensor: RangeSensor,
+    scans: Ints,
+    effects: Sequence[Transform],
+    *,
+    progress: Progress | None = None,
 ) -> Prediction:
     """Predict some scans (n,) of a run from its reference poses; people are a chance of short readings."""
     motion = motion_of(run) if sensor.sweep_time else _motion_of_scans(run)
@@ -64,6 +74,8 @@ def predict(
         sensor = replace(sensor, mount=np.zeros(3))
     parts = []
     for start in range(0, len(scans), SCANS_PER_STEP):
+        if progress is not None:
+            progress(start, len(scans))
         scene = Scene(
             arena=arena,
             sensor=sensor,

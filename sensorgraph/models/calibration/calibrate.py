@@ -35,15 +35,21 @@ from sensorgraph.models.calibration.normal_equations import (
     standard_errors,
     step_faces,
 )
-from sensorgraph.models.calibration.pose_refinement import RefinedPoses, compose_poses, refine_poses
+from sensorgraph.models.calibration.pose_refinement import (
+    LaserPoses,
+    RefinedPoses,
+    compose_poses,
+    refine_poses,
+)
 from sensorgraph.models.calibration.ray_terms import RayTerms
 from sensorgraph.models.calibration.settings import CALIBRATION
-from sensorgraph.models.faces.fit import FittedFaces, WorkCounter, draft_faces, fit_cost, fit_faces
+from sensorgraph.models.faces.fit import FittedFaces, draft_faces, fit_cost, fit_faces
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.reduction import RaySample
 from sensorgraph.models.faces.visibility import Rays, ReturnNoise
 from sensorgraph.types import Floats, Progress, ProgressBars, no_progress
+from sensorgraph.work_counter import WorkCounter
 
 logger = logging.getLogger(__name__)
 
@@ -161,16 +167,11 @@ class _JointCalibration:
     """What is known so far: mount, poses, terms, faces and noise."""
 
     def __init__(self, readings: Readings, poses: Floats, mount: Floats, *, can_mount: bool) -> None:
-        self.readings, self.poses, self.can_mount = readings, poses, can_mount
+        self.readings, self.can_mount = readings, can_mount
         self.stated, self.mount = mount, mount.copy()
         self.n_scans = int(readings.scan.max(initial=-1)) + 1
-        self.scan_of_pose = np.zeros(len(poses), dtype=np.intp)
-        self.scan_of_pose[readings.pose] = readings.scan
         self.shifts = np.zeros((self.n_scans, 3))
-        self._mounted: tuple[Floats, Floats] | None = None
-        """A mount, and the lasers (n_poses, 3) by it alone."""
-        self._lasers: tuple[Floats, Floats, Floats] | None = None
-        """A mount, shifts, and the lasers (n_poses, 3) by both; with a sweep these are millions."""
+        self._lasers = LaserPoses(poses, readings.pose, readings.scan)
         self.terms = RayTerms.none(len(readings.bearings))
         self.mean_bias = 0.0
         self.is_amiss = False
@@ -185,15 +186,7 @@ class _JointCalibration:
     @property
     def lasers(self) -> Floats:
         """(n_poses, 3) by mount and refined poses."""
-        mounted, kept = self._mounted, self._lasers
-        if mounted is None or mounted[0] is not self.mount:
-            self._mounted = mounted = self.mount, compose_poses(self.poses, self.mount)
-        if not self.shifts.any():
-            return mounted[1]
-        if kept is None or kept[0] is not self.mount or kept[1] is not self.shifts:
-            found = compose_poses(mounted[1], self.shifts[self.scan_of_pose])
-            self._lasers = kept = self.mount, self.shifts, found
-        return kept[2]
+        return self._lasers.at(self.mount, self.shifts)
 
     def rays(self, readings: Readings, ranges: Floats) -> Rays:
         origins, directions = directions_of(readings, self.lasers)

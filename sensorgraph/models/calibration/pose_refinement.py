@@ -14,7 +14,7 @@ from planners.kernel import kernel
 from sensorgraph.models.calibration.matching import Matches, Readings
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.ray_march import FaceSet
-from sensorgraph.types import Floats
+from sensorgraph.types import Floats, Ints
 
 POSES = CALIBRATION.poses
 
@@ -88,6 +88,27 @@ def compose_poses(lasers: Floats, shifts: Floats) -> Floats:
     moved[:, 1] = lasers[:, 1] + sin * dx + cos * dy
     moved[:, 2] = lasers[:, 2] + turn
     return moved
+
+
+class LaserPoses:
+    """Lasers by a mount and by refined poses, composed once for each of them: with a sweep these are millions."""
+
+    def __init__(self, poses: Floats, pose: Ints, scan: Ints) -> None:
+        """Take poses (n, 3), and the pose (m,) and the scan (m,) of each reading."""
+        self.poses, self.scan = poses, np.zeros(len(poses), dtype=np.intp)
+        self.scan[pose] = scan
+        self._mounted: tuple[Floats, Floats] | None = None
+        self._moved: tuple[Floats, Floats, Floats] | None = None
+
+    def at(self, mount: Floats, shifts: Floats) -> Floats:
+        """Return the lasers (n, 3) for a mount (3,) and shifts (n_scans, 3); arrays are told apart by identity."""
+        if self._mounted is None or self._mounted[0] is not mount:
+            self._mounted, self._moved = (mount, compose_poses(self.poses, mount)), None
+        if not shifts.any():
+            return self._mounted[1]
+        if self._moved is None or self._moved[0] is not mount or self._moved[1] is not shifts:
+            self._moved = mount, shifts, compose_poses(self._mounted[1], shifts[self.scan])
+        return self._moved[2]
 
 
 @kernel

@@ -17,6 +17,7 @@ from sensorgraph.models.faces.splits import split_bent_faces
 from sensorgraph.models.faces.sufficient_statistics import SufficientStatistics
 from sensorgraph.models.faces.visibility import Expectation, Rays, ReturnNoise, binned_faces, e_step, m_step
 from sensorgraph.types import Floats, Progress
+from sensorgraph.work_counter import WorkCounter
 
 logger = logging.getLogger(__name__)
 
@@ -152,24 +153,3 @@ def fit_cost(n_rays: int) -> int:
     """Return how many rays `fit_faces` looks at in all its passes, about: a measure of its time."""
     draft, final = min(n_rays, FIT.draft_rays), min(n_rays, FIT.final_rays)
     return (SELECT_PASSES + (SPLIT_PASSES + FIT.round_passes) * FIT.rounds + 1) * draft + FINAL_PASSES * final
-
-
-class WorkCounter:
-    """Tell a progress bar in percent how much of the work is done; parts of it take different times."""
-
-    def __init__(self, progress: Progress | None, total: int) -> None:
-        self.progress, self.total, self.done = progress, max(total, 1), 0
-        self.add(0)
-
-    def add(self, amount: int) -> None:
-        """Report that so much more of the total is done."""
-        self.done += amount
-        self._show(self.done)
-
-    def part(self, amount: int) -> Progress:
-        """Return the progress of a part of the total; `add` its amount when it is done."""
-        return lambda done, total: self._show(self.done + amount * done // max(total, 1))
-
-    def _show(self, done: int) -> None:
-        if self.progress is not None:
-            self.progress(min(100 * done // self.total, 100), 100)
