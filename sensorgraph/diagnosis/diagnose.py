@@ -25,6 +25,7 @@ from sensorgraph.diagnosis.naming import (
 )
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import open_questions
+from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.result import ChannelResult, Gap
 from sensorgraph.diagnosis.scan.deviations import deviations
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
@@ -42,6 +43,7 @@ from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.intake import check_jumps
 from sensorgraph.types import Progress, ProgressBars, no_progress
+from sensorgraph.world.pixel_walls import is_raster
 from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
@@ -104,7 +106,12 @@ def diagnose(
     if baseline is not None:
         robot, known, noise_bounds = baseline.robot, (*baseline.known, *known), baseline.noise_bounds
     with clock.stage("intake"):
+        pixels = RasterMap.of(arena) if is_raster(arena) else None
+        if pixels is not None:
+            arena, robot = pixels.arena, pixels.widened(robot)
         data, intake = _prepare(run, arena, robot, known, baseline)
+        if pixels is not None:
+            data, intake["map_of_pixels"] = pixels.judged(data)
         alignment = align(data, rng)
         intake["arena"], intake["share_at_walls"] = alignment.sentence(), alignment.share
         problem = misalignment(alignment, run, data)

@@ -26,6 +26,10 @@ UNCHANGED = 0.97
 """Of the RMS gap: when more than this is left, the gap is said to hardly change."""
 
 
+MAX_CHANGES = 5
+"""Changes of the building that are listed."""
+
+
 class Outcome(StrEnum):
     """What kind of result a diagnosis has."""
 
@@ -100,6 +104,7 @@ def summarise(finding: Finding) -> Summary:
             headline = sentence_case(fit)
     if outcome is not Outcome.NOTHING and (worse := _worse_than_stated(finding)):
         details.append(f"The fit assumes that {worse} than robot.yaml says.")
+    details += map_sentences(finding)
     details += tolerance_sentences(finding)
     summary = Summary(outcome=outcome, headline=headline, details=tuple(details))
     return summary if finding.simulation is None else _against(finding.simulation, summary)
@@ -206,6 +211,27 @@ def undecided_rivals(finding: Finding) -> list[tuple[Amendment, Rival]]:
                 close = (a.evidence or 0.0) - rival.evidence_nats < MIN_LEAD
                 if rival.instead_of == a.name and rival.name not in names and close:
                     out.append((a, rival))
+    return out
+
+
+def map_sentences(finding: Finding) -> list[str]:
+    """Say where the building is not as its map of pixels, and what of the run was not judged."""
+    notes = finding.intake.get("map_of_pixels")
+    if not notes:
+        return []
+    out = []
+    if notes["changes"]:
+        listed = "; ".join(one["statement"] for one in notes["changes"][:MAX_CHANGES])
+        more = len(notes["changes"]) - MAX_CHANGES
+        rest = f"; and {more} smaller ones" if more > 0 else ""
+        share = 100 * notes["changes_share"]
+        out.append(
+            f"The building is not as its map ({share:.0f} % of the readings, not judged): {listed}{rest}."
+        )
+    if notes["into_unknown_share"] > 0.005:
+        out.append(
+            f"{100 * notes['into_unknown_share']:.0f} % of the rays enter space that the map does not know: not judged."
+        )
     return out
 
 
