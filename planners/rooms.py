@@ -44,8 +44,9 @@ def rooms(reach: Reach, wanted: Bools) -> list[Bools]:
     labels[~wanted] = -1
     labels = _merged(labels, reach)
     found: list[Bools] = []
+    graph = cell_graph(reach)
     for label in np.unique(labels[labels >= 0]).tolist():
-        found += _halved(np.asarray(labels == label))
+        found += _halved(np.asarray(labels == label), graph)
     return found
 
 
@@ -101,18 +102,37 @@ def _merged(labels: Ints, reach: Reach) -> Ints:
             return labels
 
 
-def _halved(room: Bools) -> list[Bools]:
-    """Cut a room that is too large across its longer side, again and again."""
+def _halved(room: Bools, graph: sparse.csr_matrix) -> list[Bools]:
+    """Cut a room that is too large into connected halves, again and again: what is near to one end of it, and the rest.
+
+    Parts of the rest that are too small go with the near half.
+    """
     if room.sum() <= ROOMS.max_cells:
         return [room]
-    at = np.argwhere(room)
-    axis = int(np.ptp(at, axis=0).argmax())
-    cut = int(np.median(at[:, axis])) + 1
-    low = room.copy()
-    low[(slice(None),) * axis + (slice(cut, None),)] = False
-    if not low.any() or low.sum() == room.sum():
+    parts = _connected_parts(room, graph)
+    if len(parts) > 1:
+        return [half for part in parts for half in _halved(part, graph)]
+    cells = np.flatnonzero(room.ravel())
+    within = graph[cells][:, cells]
+    end = csgraph.dijkstra(within, directed=False, indices=np.zeros(1, dtype=np.int64))[0].argmax()
+    far = csgraph.dijkstra(within, directed=False, indices=np.array([end]))[0]
+    near = np.zeros_like(room)
+    near.ravel()[cells[far <= np.median(far)]] = True
+    rest = _connected_parts(np.asarray(room & ~near), graph)
+    large = [part for part in rest if part.sum() >= ROOMS.min_cells]
+    if not large:
         return [room]
-    return _halved(low) + _halved(room & ~low)
+    near = np.asarray(room & ~np.any(large, axis=0))
+    return [half for part in (near, *large) for half in _halved(part, graph)]
+
+
+def _connected_parts(room: Bools, graph: sparse.csr_matrix) -> list[Bools]:
+    """Return the parts of a room between which no open border leads, each a mask (nx, ny)."""
+    cells = np.flatnonzero(room.ravel())
+    n, label = csgraph.connected_components(graph[cells][:, cells], directed=False)
+    parts = np.zeros((n, room.size), dtype=np.bool_)
+    parts[label, cells] = True
+    return [part.reshape(room.shape) for part in parts]
 
 
 def shortest_sequence(cost: Floats, first: Floats | None) -> Ints:
