@@ -16,6 +16,7 @@ import numpy as np
 
 from logs.run import Run
 from planners.arena import Arena
+from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.model_selection import is_rough, price, searched, shortlist
@@ -29,6 +30,7 @@ from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import EFFECTS, Amendment, quantisation
 from sensorgraph.types import Progress
 from sensorgraph.work_counter import WorkCounter
+from sensorgraph.world.pixel_walls import is_raster
 from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
@@ -81,7 +83,12 @@ def commission(
         The run is too short, has no returns or no poses, or another sensor than the robot.
     """
     rng, noise = np.random.default_rng(seed), SCAN.site.wide_noise
+    pixels = RasterMap.of(arena) if is_raster(arena) else None
+    if pixels is not None:
+        arena, robot = pixels.arena, pixels.widened(robot)
     data, _ = prepare_scans(run, arena, robot)
+    if pixels is not None:
+        data, _ = pixels.judged(data)
     data = replace(data, laser_frame=False)
     cuts = SCAN.site.windows[:2] if learn_effects else SCAN.site.windows[:1]
     work = WorkCounter(progress, 3 + sum(cuts) + sum(SCAN.site.windows))

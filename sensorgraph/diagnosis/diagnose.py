@@ -109,9 +109,7 @@ def diagnose(
         pixels = RasterMap.of(arena) if is_raster(arena) else None
         if pixels is not None:
             arena, robot = pixels.arena, pixels.widened(robot)
-        data, intake = _prepare(run, arena, robot, known, baseline)
-        if pixels is not None:
-            data, intake["map_of_pixels"] = pixels.judged(data)
+        data, intake = _prepare(run, arena, robot, known, baseline, pixels)
         alignment = align(data, rng)
         intake["arena"], intake["share_at_walls"] = alignment.sentence(), alignment.share
         problem = misalignment(alignment, run, data)
@@ -119,7 +117,7 @@ def diagnose(
         return misaligned(data, intake, problem, clock.seconds)
     with clock.stage("intake"):
         second_data = (
-            None if second is None else _prepare_second(second, data, robot, baseline, alignment, rng)
+            None if second is None else _prepare_second(second, data, robot, baseline, alignment, rng, pixels)
         )
         held = held_out(data)
         train, unseen = data.subset(~held), data.subset(held)
@@ -191,10 +189,17 @@ def _max_effects(alignment: Alignment) -> int:
 
 
 def _prepare(
-    run: Run, arena: Arena, robot: Robot, known: Sequence[Amendment], baseline: SiteBaseline | None
+    run: Run,
+    arena: Arena,
+    robot: Robot,
+    known: Sequence[Amendment],
+    baseline: SiteBaseline | None,
+    pixels: RasterMap | None,
 ) -> tuple[ScanData, dict[str, Any]]:
     """Return the scans of a run, to be judged against the baseline if there is one, and notes for the report."""
     data, notes = prepare_scans(run, arena, robot, known)
+    if pixels is not None:
+        data, notes["map_of_pixels"] = pixels.judged(data)
     return data if baseline is None else baseline.apply_to(data), dict(notes)
 
 
@@ -205,6 +210,7 @@ def _prepare_second(
     baseline: SiteBaseline | None,
     alignment: Alignment,
     rng: np.random.Generator,
+    pixels: RasterMap | None,
 ) -> ScanData:
     """Return the scans of a further run; refuse one of another place.
 
@@ -213,7 +219,7 @@ def _prepare_second(
     first : scans of the first run
     alignment : of the first run with the arena
     """
-    data, _ = _prepare(run, first.arena, robot, first.known, baseline)
+    data, _ = _prepare(run, first.arena, robot, first.known, baseline, pixels)
     share = align(data, rng).share
     if share < min(SCAN.alignment.poor_share, SCAN.alignment.second_run_share * alignment.share):
         raise SensorgraphError(

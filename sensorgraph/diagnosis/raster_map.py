@@ -11,6 +11,7 @@ from scipy import ndimage
 from planners.arena import Arena
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.pixel_walls import pixel_of, straightened, unknown_borders
 from sensorgraph.world.raycast import cast_laser, laser_poses
@@ -95,6 +96,14 @@ class RasterMap:
 
         Two thirds of what is left must be the building as mapped, or nothing is said to have changed.
         """
+        if data.sensor.is_composite or measures_cones(
+            data.sensor
+        ):  # rays from several places, and no thin ones
+            return data, {
+                "pixel_m": self.pixel,
+                "walls": self.arena.n_walls,
+                "map_tolerance_m": self.tolerance,
+            }
         border, unknown = looks_into_unknown(data, self.borders)
         things, rays = changes(data, border)
         if rays.mean() > MAX_CHANGED:

@@ -217,7 +217,7 @@ def undecided_rivals(finding: Finding) -> list[tuple[Amendment, Rival]]:
 def map_sentences(finding: Finding) -> list[str]:
     """Say where the building is not as its map of pixels, and what of the run was not judged."""
     notes = finding.intake.get("map_of_pixels")
-    if not notes:
+    if not notes or "changes" not in notes:
         return []
     out = []
     if notes["changes"]:
