@@ -194,6 +194,16 @@ def test_match_that_does_not_tell_the_heading_is_no_closure() -> None:
         assert bool(word) == bool(closer.objection(one, one, found, pose, 1.0, 0.0))
 
 
+def test_stamps_that_repeat_are_said_and_the_order_of_the_log_holds() -> None:
+    poses = loop_poses(40, laps=0.5)
+    run = room_run(poses)
+    stamps = run.stamps.copy()
+    stamps[10:12] = stamps[9]
+    found = map_run(replace(run, stamps=stamps))
+    assert any(note.startswith("2 scans have the stamp of the one before") for note in found.notes)
+    assert rms(found, poses) < 0.01
+
+
 def test_nothing_is_said_of_a_good_log(located: Localization) -> None:
     assert located.notes == ()
 

@@ -276,7 +276,7 @@ def rematch(
     progress: Progress,
     settings: MapTrackingSettings = MAP_TRACKING,
 ) -> tuple[Floats, Floats, Floats]:
-    """Match scans once more.
+    """Match scans once more; with the usual radii for a laser of few rays, too, as the walls of a map are dense.
 
     Parameters
     ----------
