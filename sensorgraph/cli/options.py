@@ -262,6 +262,9 @@ ReviewRay = Annotated[
     typer.Option(metavar="INDEX", help="The ray whose series is shown; default: straight ahead."),
 ]
 ReviewShow = Annotated[bool, typer.Option("--show", help="Open it in rerun's viewer when done.")]
+ReviewServe = Annotated[
+    bool, typer.Option("--serve", help="Serve it to a browser on this machine when done, until Ctrl-C.")
+]
 
 # diagnose
 DiagnoseRuns = Annotated[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -17,6 +18,7 @@ from sensorgraph.cli.options import (
     ReviewPlan,
     ReviewRay,
     ReviewRun,
+    ReviewServe,
     ReviewShow,
     RunRobot,
     TopicsByExample,
@@ -33,6 +35,7 @@ def review(
     bearing: Bearing = None,
     topic: TopicsByExample = None,
     show: ReviewShow = False,
+    serve: ReviewServe = False,
     no_return: NoReturn = None,
     force: Force = False,
     robot: RunRobot = None,
@@ -43,6 +46,8 @@ def review(
     Examples:
 
       sensorgraph review run.mcap --graph office.sensorgraph -o review.rrd --show
+
+      sensorgraph review run.mcap --graph office.sensorgraph -o review.rrd --serve
 
       sensorgraph review intel.log.gz --graph intel.sensorgraph -o intel.rrd && rerun intel.rrd
     """
@@ -94,3 +99,18 @@ def review(
     typer.echo(f"wrote {out}; open it with: rerun {out}")
     if show:
         open_viewer(out)
+    if serve:
+        _serve(out)
+
+
+def _serve(review: Path) -> None:
+    """Serve a review to a browser until Ctrl-C."""
+    from contextlib import suppress
+    from threading import Event
+
+    from sensorgraph.show.rerun_file import served
+
+    with served(review) as address:
+        typer.echo(f"serving {address}\nCtrl-C ends it")
+        with suppress(KeyboardInterrupt):
+            Event().wait()
