@@ -3,154 +3,32 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbag_samples import (
+    EPOCH,
+    HUMBLE,
+    Message,
+    odometry,
+    pose,
+    read,
+    scan,
+    to_ros1,
+    transform,
+    trip,
+    write_bag1,
+    write_bag2,
+)
+from rosbags.typesys import Stores, get_typestore
 
 import logs
-import sensorgraph as sg
 from logs import stream
-from logs.ros import cdr
 from logs.ros.recording import (
-    ODOMETRY_TYPE,
     POSE_COVARIANCE_TYPE,
-    POSE_TYPE,
-    RANGE_TYPE,
-    SCAN_TYPE,
-    TF_TYPE,
-    TWIST_TYPE,
 )
-from sensorgraph.cli import run as cli
-
-EPOCH = 1_600_000_000_000_000_000
-Message = tuple[str, str, int, bytes]
-HUMBLE = get_typestore(Stores.ROS2_HUMBLE)
-
-
-def ns(stamp: float) -> int:
-    return EPOCH + round(stamp * 1e9)
-
-
-def message(
-    topic: str, msgtype: str, stamp: float, strings: Mapping[str, str], *, log: float | None = None, parts: int = 0,
-    **columns: Any,
-) -> Message:  # fmt: skip
-    at = ns(stamp)
-    heads = [f"{i}." for i in range(parts)] or ([""] if msgtype != TWIST_TYPE else [])
-    stamps = {
-        f"{h}{k}": np.array([v]) for h in heads for k, v in (("sec", at // 10**9), ("nanosec", at % 10**9))
-    }
-    data = {k.replace("__", "."): np.asarray(v, dtype=np.float64) for k, v in columns.items()}
-    row = cdr.pack(msgtype, 1, strings=strings, columns={**stamps, **data}, parts=parts)
-    return topic, msgtype, ns(stamp if log is None else log), row[0].tobytes()
-
-
-def scan(
-    stamp: float, ranges: Any, *, topic: str = "/scan", frame: str = "laser", log: float | None = None,
-    angle_min: float = -0.5, increment: float = 0.25, time_increment: float = 0.0,
-    range_min: float = 0.1, range_max: float = 10.0,
-) -> Message:  # fmt: skip
-    ranges = np.asarray(ranges, dtype=np.float64)
-    last = angle_min + increment * (len(ranges) - 1)
-    limits = [angle_min, last, increment, time_increment, 0.1, range_min, range_max]
-    return message(topic, SCAN_TYPE, stamp, {"frame_id": frame}, log=log, limits=limits, ranges=ranges)
-
-
-def quaternion(yaw: float, roll: float = 0.0) -> list[float]:
-    cy, sy, cr, sr = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(roll / 2), np.sin(roll / 2)
-    return [cy * sr, sy * sr, sy * cr, cy * cr]
-
-
-def transform(
-    stamp: float, parent: str, child: str, x: float, y: float, yaw: float, *,
-    z: float = 0.0, roll: float = 0.0, static: bool = False,
-) -> Message:  # fmt: skip
-    strings = {"0.frame_id": parent, "0.child_frame_id": child}
-    values = [x, y, z, *quaternion(yaw, roll)]
-    return message(
-        "/tf_static" if static else "/tf", TF_TYPE, stamp, strings, parts=1, **{"0__transform": values}
-    )
-
-
-def pose(
-    stamp: float, x: float, y: float, yaw: float, *, topic: str = "/pose", kind: str = POSE_TYPE
-) -> Message:
-    return message(topic, kind, stamp, {"frame_id": "map"}, pose=[x, y, 0, *quaternion(yaw)])
-
-
-def odometry(
-    stamp: float, x: float, y: float, yaw: float, v: float = 0.0, *, topic: str = "/odom"
-) -> Message:
-    strings = {"frame_id": "odom", "child_frame_id": "base_link"}
-    return message(
-        topic, ODOMETRY_TYPE, stamp, strings, pose=[x, y, 0, *quaternion(yaw)], twist=[v, 0, 0, 0, 0, 0.5]
-    )
-
-
-def command(stamp: float, v: float, omega: float) -> Message:
-    return message("/cmd_vel", TWIST_TYPE, stamp, {}, twist=[v, 0, 0, 0, 0, omega])
-
-
-def write_bag2(
-    path: Path, messages: list[Message], storage: str = "MCAP", *, mode: str | None = None
-) -> Path:
-    bag = Writer2(path, version=8, storage_plugin=StoragePlugin[storage])
-    if mode is not None:
-        bag.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
-    with bag as writer:
-        connections: dict[str, Any] = {}
-        for topic, msgtype, at, data in messages:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, msgtype, typestore=HUMBLE)
-            writer.write(connections[topic], at, data)
-    return path
-
-
-def to_ros1(store: Any, value: Any) -> Any:
-    """Rebuild a ROS 2 message from ROS 1's classes; headers get their count."""
-    if isinstance(value, list):
-        return [to_ros1(store, item) for item in value]
-    if not hasattr(value, "__msgtype__"):
-        return value
-    fields = {f.name: to_ros1(store, getattr(value, f.name)) for f in dataclasses.fields(value)}
-    if value.__msgtype__ == "std_msgs/msg/Header":
-        fields["seq"] = 7
-    return store.types[value.__msgtype__](**fields)
-
-
-def write_bag1(path: Path, messages: list[Message]) -> Path:
-    store = get_typestore(Stores.ROS1_NOETIC)
-    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF_TYPE))
-    with Writer1(path) as writer:
-        connections: dict[str, Any] = {}
-        for topic, msgtype, at, data in messages:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, msgtype, typestore=store)
-            old = to_ros1(store, HUMBLE.deserialize_cdr(data, msgtype))
-            writer.write(connections[topic], at, bytes(store.serialize_ros1(old, msgtype)))
-    return path
-
-
-def trip() -> list[Message]:
-    """Ten scans of five rays while driving along x at 1 m/s, everything present."""
-    out = [transform(0.0, "base_link", "laser", 0.2, 0.1, 0.3, z=0.4, static=True)]
-    for i in range(10):
-        t = i / 10
-        out += [
-            scan(t, [1, 2, 3, 4, 5 + t]),
-            pose(t, t, 0, 0),
-            odometry(t, t, 0.1, 0, 1.0),
-            command(t, 1.0, 0.1),
-        ]
-    return out
 
 
 @pytest.mark.parametrize(
@@ -179,10 +57,6 @@ def test_bag_of_any_kind_gives_the_same_run(tmp_path: Path, kind: str) -> None:
     np.testing.assert_allclose(run.commands, np.tile([1.0, 0.1], (10, 1)))
     assert run.meta["pose_source"] == "/pose"
     assert run.epoch_ns == EPOCH
-
-
-def read(tmp_path: Path, messages: list[Message], **topics: str) -> logs.Run:
-    return logs.read(write_bag2(tmp_path / "bag", messages), topics=topics or None)
 
 
 def test_missing_returns_follow_rep_117(tmp_path: Path) -> None:
@@ -394,117 +268,6 @@ def test_split_and_compressed_folders_give_the_whole_run(
     if mode == "FILE":
         with pytest.raises(logs.LogError, match="give the rosbag2 folder"):
             logs.read(folder / names[0])
-
-
-def sonar(
-    stamp: float, distance: float, *, topic: str, frame: str, cone: float = 0.5, reach: float = 4.0
-) -> Message:
-    limits = [cone, 0.02, reach, distance]
-    return message(topic, RANGE_TYPE, stamp, {"frame_id": frame}, radiation_type=[0], limits=limits)
-
-
-RING = [(0.2 * np.cos(a), 0.2 * np.sin(a), a) for a in np.radians([0, 90, 180, -90])]
-
-
-def ring(n: int = 8, *, one_topic: bool = False) -> list[Message]:
-    """Four sonars around the robot, each with a rate and a mount of its own."""
-    out = [transform(0, "base_link", f"sonar_{k}", *at, static=True) for k, at in enumerate(RING)]
-    for k in range(4):
-        topic = "/sonar" if one_topic else f"/sonar/{k}"
-        out += [
-            sonar(
-                0.05 * (k + 1) * i,
-                1 + k + i / 10,
-                topic=topic,
-                frame=f"sonar_{k}",
-                cone=0.1 * (k + 1),
-                reach=8,
-            )
-            for i in range(n)
-        ]
-    return sorted([*out, *(pose(0.1 * i, 0.1 * i, 0, 0) for i in range(5))], key=lambda m: m[2])
-
-
-@pytest.mark.parametrize("one_topic", [False, True])
-def test_sonars_of_several_topics_or_frames_are_one_sensor_with_a_mount_for_each_ray(
-    one_topic: bool, tmp_path: Path
-) -> None:
-    run = read(tmp_path, ring(one_topic=one_topic))
-    order = [3, 0, 1, 2]  # by bearing: -90, 0, 90, 180 degrees
-    np.testing.assert_allclose(run.sensor.bearings, np.radians([-90, 0, 90, 180]), atol=1e-6)
-    np.testing.assert_allclose(run.sensor.origins, np.array(RING)[order, :2], atol=1e-6)
-    np.testing.assert_allclose(run.sensor.cones, 0.1 * (np.array(order) + 1), atol=1e-6)
-    np.testing.assert_array_equal(run.sensor.mount, 0)
-    assert (run.sensor.rate, run.sensor.range_max) == (pytest.approx(20), 8.0)
-    for column, k in enumerate(order):
-        mine = np.isfinite(run.ranges[:, column])
-        np.testing.assert_allclose(run.stamps[mine], 0.05 * (k + 1) * np.arange(8), atol=1e-9)
-        np.testing.assert_allclose(run.ranges[mine, column], 1 + k + np.arange(8) / 10, atol=1e-6)
-    assert np.isnan(run.ranges[~np.isfinite(run.ranges)]).all(), "a sensor that did not measure says nothing"
-    assert run.pose_frame == "base_link" and len(run.poses) == 5
-    for name in ("run.mcap", "run.csv"):
-        logs.write(run, tmp_path / name)
-        again = logs.read(tmp_path / name)
-        for field in ("bearings", "origins", "cones", "mount"):
-            np.testing.assert_array_equal(getattr(again.sensor, field), getattr(run.sensor, field))
-        np.testing.assert_array_equal(again.ranges, run.ranges)
-
-
-def test_sonars_without_transforms_sit_where_robot_yaml_says(tmp_path: Path) -> None:
-    path = write_bag2(tmp_path / "bag", [m for m in ring() if m[0] != "/tf_static"])
-    with pytest.raises(
-        logs.LogError, match=r"nothing says where /sonar/0 in sonar_0, .* sit .* record /tf_static"
-    ):
-        logs.read(path)
-    entries = [
-        f"  - {{name: {name}, mount: [{x}, {y}, {yaw}]}}"
-        for name, (x, y, yaw) in zip(["/sonar/0", "sonar_1", "/sonar/2", "sonar_3"], RING, strict=True)
-    ]  # by topic or by frame
-    (tmp_path / "robot.yaml").write_text("\n".join(["sensors:", *entries]))
-    run = sg.read(path, robot=tmp_path / "robot.yaml")
-    np.testing.assert_allclose(run.sensor.origins, np.array(RING)[[3, 0, 1, 2], :2], atol=1e-12)
-    assert cli(["inspect", str(path), "--robot", str(tmp_path / "robot.yaml")]) == 0
-    assert cli(["inspect", str(path)]) == 0, "what cannot be a run is still described"
-
-
-def test_some_sonars_are_chosen_by_name_or_pattern(tmp_path: Path) -> None:
-    path = write_bag2(tmp_path / "bag", ring())
-    one = logs.read(path, topics={"scan": "/sonar/2"})
-    np.testing.assert_allclose(one.sensor.mount, [-0.2, 0, np.pi], atol=1e-6)
-    assert one.ranges.shape == (8, 1) and one.sensor.cones.tolist() == [pytest.approx(0.3)]
-    assert logs.read(path, topics={"scan": "/sonar/[01]"}).sensor.n_rays == 2
-    assert logs.read(path, topics={"scan": "sonar/1,sonar/3"}).sensor.n_rays == 2
-    with pytest.raises(logs.LogError, match=r"scan=/sonar/9 is no topic"):
-        logs.read(path, topics={"scan": "/sonar/9"})
-
-
-def test_front_and_rear_laser_are_chosen_or_read_as_one(tmp_path: Path) -> None:
-    bag = [
-        transform(0, "base_link", "front", 0.3, 0, 0, static=True),
-        transform(0, "base_link", "rear", -0.3, 0, np.pi, static=True),
-    ]
-    for i in range(5):
-        bag.append(scan(0.1 * i, [1, 2, 3, 4, 5], topic="/front", frame="front"))
-        bag.append(scan(0.1 * i + 0.03, [6, 7, 8, 9, 9.5], topic="/rear", frame="rear"))
-        bag.append(pose(0.1 * i, 0.1 * i, 0, 0))
-    path = write_bag2(tmp_path / "bag", bag)
-    with pytest.raises(logs.LogError, match=r"2 scan topics; choose with .*scan=/front,/rear"):
-        logs.read(path)
-    front = logs.read(path, topics={"scan": "/front"})
-    assert front.ranges.shape == (5, 5)
-    both = logs.read(path, topics={"scan": "/front,/rear"})
-    assert both.ranges.shape == (10, 10), "each scan at its own time"
-    np.testing.assert_allclose(both.stamps[:3], [0, 0.03, 0.1], atol=1e-9)
-    ahead = np.abs(both.sensor.bearings) < 1
-    np.testing.assert_allclose(both.sensor.origins[:, 0], np.where(ahead, 0.3, -0.3), atol=1e-6)
-    np.testing.assert_allclose(both.sensor.bearings[ahead], front.sensor.bearings, atol=1e-6)
-    np.testing.assert_array_equal(both.ranges[::2][:, ahead], front.ranges)
-    assert np.isnan(both.ranges[::2][:, ~ahead]).all() and np.isnan(both.ranges[1::2][:, ahead]).all()
-    back = np.flatnonzero(~ahead)
-    at = both.sensor.bearings[back] % (2 * np.pi) - np.pi  # in the rear laser's frame
-    np.testing.assert_allclose(
-        both.ranges[1][back], np.interp(at, [-0.5, -0.25, 0, 0.25, 0.5], [6, 7, 8, 9, 9.5]), atol=1e-5
-    )
 
 
 @pytest.mark.parametrize(
