@@ -76,7 +76,7 @@ def ranges_in(arena: Arena, origins: Floats, angle: Floats) -> Floats:
 def good() -> SiteBaseline:
     shown: list[int] = []
     baseline = commission(site_run(1), ARENA, ROBOT, progress=lambda done, total: shown.append(done))
-    assert shown == sorted(shown) and shown[-1] == 100 and len(shown) > 10  # counted, as every stage is
+    assert shown == sorted(shown) and shown[-1] == 100 and len(shown) > 8  # counted, as every stage is
     return baseline
 
 

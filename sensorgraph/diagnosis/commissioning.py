@@ -91,7 +91,10 @@ def commission(
         data, _ = pixels.judged(data)
     data = replace(data, laser_frame=False)
     cuts = SCAN.site.windows[:2] if learn_effects else SCAN.site.windows[:1]
-    work = WorkCounter(progress, 3 + sum(cuts) + sum(SCAN.site.windows))
+    n_windows = sum(
+        len(data.windows(n)) for n in (*cuts, *SCAN.site.windows)
+    )  # a short run has no short ones
+    work = WorkCounter(progress, 3 + n_windows)
     null = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
     work.add(1)
     sensor = robot.sensor
