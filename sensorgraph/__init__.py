@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         build,
         diagnose,
         evaluate,
+        export,
         identify,
         locate,
         plan,
@@ -51,6 +52,7 @@ __all__ = [
     "diagnose",
     "errors",
     "evaluate",
+    "export",
     "identify",
     "load_arena",
     "load_robot",
@@ -70,7 +72,19 @@ _HOMES = {
     "load_arena": "sensorgraph.loading",
     "load_robot": "sensorgraph.world.robot",
 } | dict.fromkeys(
-    ("build", "diagnose", "evaluate", "identify", "locate", "plan", "predict", "read", "record", "review"),
+    (
+        "build",
+        "diagnose",
+        "evaluate",
+        "export",
+        "identify",
+        "locate",
+        "plan",
+        "predict",
+        "read",
+        "record",
+        "review",
+    ),
     "sensorgraph.api",
 )
 

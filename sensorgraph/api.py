@@ -22,6 +22,8 @@ from sensorgraph.effects import Amendment, effects_file
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.evaluation.evaluate import evaluate as evaluate_run
+from sensorgraph.exporting.export import export as write_world
+from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification import identify as identifying
 from sensorgraph.identification.signals import SignalData, is_table, signals_of_run, signals_of_table
@@ -35,6 +37,7 @@ from sensorgraph.recording.record import Commands
 from sensorgraph.recording.record import record as record_drive
 from sensorgraph.show.review.contents import Review
 from sensorgraph.show.review.review import review as write_review
+from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.robot import Robot, load_robot
 
 __all__ = [
@@ -330,6 +333,41 @@ def review(
     log = _run(run)
     walls = arena_in(log) if arena is None else _arena(arena)
     return write_review(log, path=path, graph=graph, plan=plan, arena=walls, ray=ray, force=force)
+
+
+@as_sensorgraph_error
+def export(
+    source: Arena | Sensorgraph | Path | str,
+    target: str,
+    folder: Path | str,
+    *,
+    robot: RobotLike | None = None,
+    effects: Sequence[Amendment] | Path | str = (),
+    run: RunLike | None = None,
+    name: str = "arena",
+) -> list[str]:
+    """Write an arena or a sensorgraph as a world for another simulator, or for Nav2; return what the target cannot do.
+
+    Parameters
+    ----------
+    source : an arena, a sensorgraph of faces, or the file or name of one
+    target : `mujoco`, `irsim`, `gazebo` or `nav2`
+    folder : to write; all of it or nothing
+    robot : None: the shipped one
+    effects : what the world, the laser and the wheels have beyond map and robot.yaml; or an effects.yaml
+    run : one with poses, from which AMCL's parameters are estimated (`nav2`)
+    name : of the world
+
+    Raises
+    ------
+    SensorgraphError : an unknown target, a world without walls, or a robot that fits nowhere in it
+    """
+    walls = arena_of(source) if isinstance(source, Sensorgraph) else _arena(source)
+    machine = load_robot() if robot is None else _robot(robot)
+    known = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else tuple(effects)
+    effects_file.check_places(known, walls)
+    world = ExportedWorld.of(walls, machine, known, name=name)
+    return write_world(world, target, Path(folder), run=None if run is None else _run(run))
 
 
 def _run(run: RunLike) -> Run:

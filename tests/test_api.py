@@ -20,6 +20,7 @@ FUNCTIONS = (
     "build",
     "diagnose",
     "evaluate",
+    "export",
     "identify",
     "load_arena",
     "load_robot",
@@ -129,3 +130,12 @@ def test_results_are_tables_in_a_notebook(drive: CoveragePlan, run: Run) -> None
 def test_a_trajectory_without_an_arena_is_refused(drive: CoveragePlan) -> None:
     with pytest.raises(sg.errors.SensorgraphError, match="give the arena to drive in"):
         sg.record(drive.trajectory)
+
+
+def test_a_graph_and_an_arena_are_exported(tmp_path: Path) -> None:
+    left = sg.export("square", "irsim", tmp_path / "world", robot=sg.load_robot())
+    assert left == []
+    assert (tmp_path / "world" / "world.yaml").is_file()
+    with pytest.raises(sg.errors.SensorgraphError, match="known are mujoco"):
+        sg.export(sg.load_arena("square"), "unreal", tmp_path / "none")
+    assert not (tmp_path / "none").exists()

@@ -24,10 +24,10 @@ from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
 from sensorgraph.effects import EFFECTS
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.export.amcl import estimate_amcl
-from sensorgraph.export.export import TARGETS, export
-from sensorgraph.export.twin import Simulator, drive_twin
-from sensorgraph.export.world import ExportedWorld
+from sensorgraph.exporting.amcl import estimate_amcl
+from sensorgraph.exporting.export import TARGETS, export
+from sensorgraph.exporting.twin import Simulator, drive_twin
+from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.loading import load_arena
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast
@@ -237,7 +237,7 @@ def noisy_run(alphas: tuple[float, float, float, float], mixture: tuple[float, f
 
 
 def test_amcl_finds_the_planted_noise_of_odometry_and_laser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sensorgraph.export.amcl.MAX_GAP", 1.0)
+    monkeypatch.setattr("sensorgraph.exporting.amcl.MAX_GAP", 1.0)
     alphas, mixture = (0.01, 0.004, 0.02, 0.002), (0.0, 0.06, 0.04)
     arena = load_arena("square")
     found = estimate_amcl(noisy_run(alphas, mixture), arena, occupancy_map(arena))

@@ -23,7 +23,7 @@ OWNERS = {
         "sensorgraph/show/review/",
         "sensorgraph/diagnosis/report/rerun_view.py",
     },
-    "shapely": {"planners/", "sensorgraph/world/", "sensorgraph/export/"},
+    "shapely": {"planners/", "sensorgraph/world/", "sensorgraph/exporting/"},
     "matplotlib": {
         "sensorgraph/show/figures/",
         "sensorgraph/diagnosis/report/figures/",

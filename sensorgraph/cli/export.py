@@ -49,10 +49,10 @@ def export(
     from sensorgraph.cli.inputs import check_folder
     from sensorgraph.effects.effects_file import read as read_effects
     from sensorgraph.errors import SensorgraphError
-    from sensorgraph.export.export import check_target
-    from sensorgraph.export.export import export as write_world
-    from sensorgraph.export.nav2 import check_zones
-    from sensorgraph.export.world import ExportedWorld
+    from sensorgraph.exporting.export import check_target
+    from sensorgraph.exporting.export import export as write_world
+    from sensorgraph.exporting.nav2 import check_zones
+    from sensorgraph.exporting.world import ExportedWorld
     from sensorgraph.loading import load_arena
     from sensorgraph.world.robot import load_robot
 

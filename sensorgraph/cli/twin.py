@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sensorgraph.export.twin import Simulator
+    from sensorgraph.exporting.twin import Simulator
 
 
 def run_script(folder: Path, make: Callable[[], Simulator]) -> None:
@@ -18,7 +18,7 @@ def run_script(folder: Path, make: Callable[[], Simulator]) -> None:
     from planners.errors import PlanError
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
-    from sensorgraph.export.twin import record_twin
+    from sensorgraph.exporting.twin import record_twin
 
     parser = argparse.ArgumentParser(description="Drive a plan in this world and record it.")
     parser.add_argument("plan", type=Path, help="a plan's folder, or its trajectory.csv")

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from sensorgraph.export.world import ExportedWorld
+from sensorgraph.exporting.world import ExportedWorld
 
 WALL_GROUP, ROBOT_GROUP = 0, 1
 """Groups of geoms: the laser sees the first alone."""

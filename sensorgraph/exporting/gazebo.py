@@ -9,7 +9,7 @@ from xml.etree.ElementTree import SubElement
 
 import numpy as np
 
-from sensorgraph.export.world import ExportedWorld
+from sensorgraph.exporting.world import ExportedWorld
 
 MASS, WHEEL_MASS = 10.0, 0.5
 """[kg] of the body and of a wheel; robot.yaml does not say them."""

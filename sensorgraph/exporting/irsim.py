@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from sensorgraph.export.world import ExportedWorld
+from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.world.robot import bearings as even_bearings
 
 STEP = 0.01

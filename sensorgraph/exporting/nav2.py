@@ -10,8 +10,8 @@ import shapely
 
 from logs.run import OccupancyMap, Run
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.export.amcl import DEFAULTS, BootstrapEstimate, estimate_amcl
-from sensorgraph.export.world import ExportedWorld
+from sensorgraph.exporting.amcl import DEFAULTS, BootstrapEstimate, estimate_amcl
+from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.types import Floats
 from sensorgraph.world.simulate import occupancy_map
 

@@ -14,8 +14,8 @@ from logs.run import Run
 from planners.maps import geojson
 from sensorgraph.effects import effects_file
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.export import gazebo, irsim, mujoco, nav2
-from sensorgraph.export.world import ExportedWorld
+from sensorgraph.exporting import gazebo, irsim, mujoco, nav2
+from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.files import atomic_folder
 from sensorgraph.version import __version__
 
