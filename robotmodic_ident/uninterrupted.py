@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import threading
 from collections.abc import Callable
 from types import FrameType
 from typing import TypeVar
 
+logger = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 
@@ -33,10 +35,12 @@ def uninterrupted(work: Callable[[], Result]) -> Result:
 
 
 class _Later:
-    """A signal handler that only notes when the signal came."""
+    """A signal handler that only notes that the signal came, and says so once."""
 
     def __init__(self) -> None:
         self.frames: list[FrameType | None] = []
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
+        if not self.frames:
+            logger.warning("stopping once what is being compiled is done")
         self.frames.append(frame)

@@ -134,4 +134,6 @@ print(quarter(8.0))
 @pytest.mark.parametrize("package", ["planners", "robotmodic_ident"])
 def test_ctrl_c_while_a_kernel_compiles_is_raised_once_it_is_compiled(package: str, tmp_path: Path) -> None:
     """Also if it comes again, and within the kernels that it calls."""
-    assert run(tmp_path, INTERRUPTED.format(package=package)).stdout == "interrupted 1 1\n2.0\n"
+    done = run(tmp_path, INTERRUPTED.format(package=package))
+    assert done.stdout == "interrupted 1 1\n2.0\n"
+    assert done.stderr.count("stopping once what is being compiled is done") == 1
