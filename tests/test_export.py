@@ -174,6 +174,23 @@ def test_a_wall_seen_from_both_sides_is_a_thin_sheet() -> None:
     assert (inner.x, inner.thickness) == (2.0, 0.002)
 
 
+def test_no_box_reaches_through_another_wall_where_nobody_knows_what_is_free() -> None:
+    """A wedge whose corner the free space of a graph keeps away from."""
+    corner = np.array([[[2.0, 1.0], [3.0, 1.2]], [[2.0, 1.0], [3.0, 0.8]]])
+    free = shapely.box(0, 0, 4, 2).difference(shapely.box(1.8, 0.7, 3.2, 1.3))
+    seen = shapely.Polygon([(2.0, 1.01), (3.0, 1.21), (3.0, 1.4), (2.0, 1.4)])
+    seen = seen.union(shapely.Polygon([(2.0, 0.99), (3.0, 0.79), (3.0, 0.6), (2.0, 0.6)]))
+    arena = Arena(
+        free=free.union(seen.buffer(0.0099)),
+        walls=corner,
+        names=("w/edge_0", "w/edge_1"),
+        surfaces=("wall",) * 2,
+    )
+    wedge = shapely.Polygon([(2.0, 1.0), (3.0, 1.2), (3.0, 0.8)])
+    for box in ExportedWorld.of(arena, ROBOT).boxes:
+        assert box.outline.difference(wedge.buffer(0.006)).is_empty
+
+
 def test_sdf_holds_walls_robot_and_laser(world: ExportedWorld, tmp_path: Path) -> None:
     export(world, "gazebo", tmp_path)
     root = ElementTree.parse(tmp_path / "world.sdf").getroot()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import shapely
 
 from planners.arena import Arena
@@ -111,8 +112,9 @@ class ExportedWorld:
             arena.names if same else tuple(f"wall_{k}" for k in range(len(scene.walls)))
         )  # an obstacle is gone
         asked = arena.walls if same else scene.walls
+        lines = np.asarray(shapely.linestrings(scene.walls), dtype=np.object_)
         boxes = tuple(
-            solid_wall(name, wall, where, arena)
+            solid_wall(name, wall, where, arena, lines)
             for name, wall, where in zip(names, scene.walls, asked, strict=True)
             if np.hypot(*(wall[1] - wall[0])) > 0
         )
@@ -132,12 +134,13 @@ class ExportedWorld:
         )
 
 
-def solid_wall(name: str, wall: Floats, where: Floats, arena: Arena) -> Box:
-    """Return a wall (2, 2) [m] as a box on the side that is not free.
+def solid_wall(name: str, wall: Floats, where: Floats, arena: Arena, lines: npt.NDArray[np.object_]) -> Box:
+    """Return a wall (2, 2) [m] as a box on the side that is not free, as thick as no other wall stands in it.
 
     Parameters
     ----------
     where : (2, 2) [m] the wall as the arena has it, if it has since moved: there the free side is looked for
+    lines : (n_walls,) all walls; those of a sensorgraph have corners beside which nobody knows what is free
     """
     way = wall[1] - wall[0]
     length = float(np.hypot(*way))
@@ -158,7 +161,9 @@ def solid_wall(name: str, wall: Floats, where: Floats, arena: Arena) -> Box:
     side = -1.0 if left else 1.0
     for thickness in THICKNESSES:
         found = box(thickness, side)
-        if found.outline.intersection(arena.free).area <= INTRUSION + 4 * OVERLAP * thickness:
+        taken = found.outline.intersection(arena.free).area
+        inner = found.outline.buffer(-min(2 * OVERLAP, thickness / 4))
+        if taken <= INTRUSION + 4 * OVERLAP * thickness and not shapely.intersects(lines, inner).any():
             break
     return found
 
