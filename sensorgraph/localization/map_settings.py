@@ -126,7 +126,7 @@ class MapTrackingSettings:
     """[rad/m] the same per way."""
     fit_memory: float = 1.0
     """[s] over which the fit is averaged while the robot is followed."""
-    proof_way: float = 2.0
+    proof_way: float = 5.0
     """[m] after it was found, within which the averaged fit must stay above `near_fit`."""
     least_fit: float = 0.2
     """Averaged fit below which the robot is lost."""
