@@ -150,7 +150,7 @@ class Sensorgraph:
                 f"ray {', '.join(map(str, rays.ravel().tolist()))} does not exist; this sensor has rays 0 to {n_rays - 1}"
             )
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write one file; the same graph gives the same bytes.
 
         Raises
@@ -175,7 +175,7 @@ class Sensorgraph:
             np.lib.format.write_array(buffer, np.ascontiguousarray(arrays[name]), allow_pickle=False)
             members[f"{name}.npy"] = buffer.getvalue()
         with (
-            atomic_file(path) as part,
+            atomic_file(Path(path)) as part,
             zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as file,
         ):
             for name, data in members.items():
@@ -185,13 +185,14 @@ class Sensorgraph:
                 file.writestr(info, data)
 
     @classmethod
-    def load(cls, path: Path) -> Sensorgraph:
+    def load(cls, path: Path | str) -> Sensorgraph:
         """Read what `save` wrote; nothing in the file is executed.
 
         Raises
         ------
         SensorgraphError : not a sensorgraph, damaged, or written by a newer version
         """
+        path = Path(path)
         top, arrays = _read(path)
         if top.get("format") != FORMAT or not isinstance(top.get("version"), int):
             raise SensorgraphError(f"{path}: not a sensorgraph; build one with `sensorgraph build`")

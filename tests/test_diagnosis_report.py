@@ -225,10 +225,7 @@ def test_a_reference_worse_than_stated_is_said_where_nothing_is_found(
     assert "within what a careful set-up holds" not in said
     save_report(finding, tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
-    assert (
-        report["pose_tolerance_factor"] == pytest.approx(finding.pose_tolerance_factor)
-        and report["map_tolerance_factor"] < 1.3
-    )
+    assert report["pose_scale"] == pytest.approx(finding.pose_tolerance_factor) and report["map_scale"] < 1.3
     floors = [report["gap"][key]["rmse_m"] for key in ("stated_floor", "noise_floor")]
     assert floors[0] == pytest.approx(floors[1], rel=0.1)  # poses are fitted to each scan before it is judged
     assert all(f"{100 * floor:.2f} cm" in said for floor in floors)

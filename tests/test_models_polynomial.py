@@ -216,7 +216,8 @@ def test_every_model_survives_its_file_bit_for_bit(name: str, square, tmp_path: 
         a, b = (getattr(g.predict(run.poses[:99]), field) for g in (graph, again))
         np.testing.assert_array_equal(a, b)
     assert again.equation(3) == graph.equation(3)
-    again.save(tmp_path / "b.sensorgraph")
+    again.save(str(tmp_path / "b.sensorgraph"))
+    assert Sensorgraph.load(str(tmp_path / "b.sensorgraph")).sensor.n_rays == again.sensor.n_rays
     build_any([run], model=name).save(tmp_path / "c.sensorgraph")
     first = (tmp_path / "a.sensorgraph").read_bytes()
     assert first == (tmp_path / "b.sensorgraph").read_bytes() == (tmp_path / "c.sensorgraph").read_bytes()

@@ -13,6 +13,10 @@ import shapely
 from logs.run import Run
 from planners.maps import geojson
 from sensorgraph.effects import effects_file
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
+from sensorgraph.effects.people import PEOPLE
+from sensorgraph.effects.range_bias import RANGE_BIAS
+from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.exporting import gazebo, irsim, mujoco, nav2
 from sensorgraph.exporting.world import ExportedWorld
@@ -24,6 +28,8 @@ SCRIPTED = {"mujoco": "drive_mujoco.py", "irsim": "drive_irsim.py"}
 """Target -> the script that drives a plan there and records it."""
 BUILT_IN = ("geometry", "mount")
 """Stages of effects that every target has in its world; nav2 keeps the map as it was given."""
+NATIVE = {"gazebo": (RANGE_BIAS, SPEED_SATURATION), "mujoco": (ACTUATOR_LAG,)}
+"""Further effects that a target's own file has."""
 FIRST_STEPS = {
     "mujoco": "python -m mujoco.viewer --mjcf=scene.xml   # look at it\npython drive.py PLAN -o run.mcap          # drive a plan and record it",
     "irsim": "python -c \"import irsim; env = irsim.make('world.yaml'); env.show()\"   # look at it\n"
@@ -96,11 +102,10 @@ def export(
 
 def _effects_left_out(world: ExportedWorld, target: str) -> list[str]:
     """Say which effects the world's own files lack."""
-    native = {"gazebo": {"range_bias", "speed_saturation"}, "mujoco": {"actuator_lag", "speed_saturation"}}
     left = []
     for a in world.effects:
-        in_world = target != "nav2" and a.stage in BUILT_IN and a.name != "people"
-        if in_world or a.name in native.get(target, ()):
+        in_world = target != "nav2" and a.stage in BUILT_IN and a.effect is not PEOPLE
+        if in_world or a.effect in NATIVE.get(target, ()):
             continue
         by_script = " in the world's own file; drive.py adds it" if target in SCRIPTED else ""
         left.append(f"{a.effect.title} ({a.name}){by_script}")

@@ -9,6 +9,7 @@ from xml.etree.ElementTree import SubElement
 
 import numpy as np
 
+from sensorgraph.effects.range_bias import RANGE_BIAS
 from sensorgraph.exporting.world import ExportedWorld
 
 MASS, WHEEL_MASS = 10.0, 0.5
@@ -182,5 +183,5 @@ def _add_lidar(world: ExportedWorld, base: ElementTree.Element) -> None:
     _leaves(
         SubElement(lidar, "range"), min=sensor.range_min, max=sensor.range_max, resolution=sensor.resolution
     )
-    bias = sum(a["b"] for a in world.effects if a.name == "range_bias")
+    bias = sum(a["b"] for a in world.effects if a.effect is RANGE_BIAS)
     _leaves(SubElement(lidar, "noise"), type="gaussian", mean=float(bias), stddev=sensor.sigma)

@@ -33,8 +33,8 @@ def to_dict(finding: Finding) -> dict[str, Any]:
         "gap_bare_simulator": None if bare is None else gap_dict(bare),
         "gap_second_run": None if finding.second_gap is None else gap_dict(finding.second_gap),
         "simulation": None if finding.simulation is None else simulation_dict(finding.simulation),
-        "pose_tolerance_factor": finding.pose_tolerance_factor,
-        "map_tolerance_factor": finding.map_tolerance_factor,
+        "pose_scale": finding.pose_tolerance_factor,
+        "map_scale": finding.map_tolerance_factor,
         "within_tolerance": [effect_dict(a) for result in results.values() for a in result.within_tolerance],
         "not_observable": [
             {"name": name, "why": why}
