@@ -224,3 +224,15 @@ def test_blocks_are_contiguous_and_cover_the_record() -> None:
     np.testing.assert_array_equal(np.concatenate([p.signals["u"] for p in parts]), np.arange(11))
     with pytest.raises(ValueError, match="1 to 11"):
         blocks(data, 12)
+
+
+@pytest.mark.parametrize("unit", [2.0**-300, 2.0**400])
+def test_units_change_no_test(unit: float) -> None:
+    plain = record(3)
+    judged = []
+    for factor in (1.0, unit):
+        scaled = {name: factor * values for name, values in plain.items()}
+        model = fit(scaled, "y", Terms.parse("y(k-1)", "u(k-2)"), n_terms=2)
+        judged.append([(one.test, one.p_value) for one in validate(model, scaled, max_lag=5)])
+    for (test, one), (_, other) in zip(*judged, strict=True):
+        assert one == pytest.approx(other, rel=1e-6), test

@@ -153,7 +153,8 @@ class _ResidualData:
             targets.append(e[use])
             regressors.append(delayed[use])
             nuisance.append(g[use])
-        target, Z, G = np.concatenate(targets), np.concatenate(regressors), np.concatenate(nuisance)
+        target, Z = _of_size_one(np.concatenate(targets)), _of_size_one(np.concatenate(regressors))
+        G = np.concatenate(nuisance)
         n = len(target)
         if n <= len(lags) + 1:
             raise IdentError(f"test {test}: only {n} rows know {lags[-1]} lags; give a smaller max_lag")
@@ -192,6 +193,11 @@ def _judged(
         p_value=float(stats.chi2.sf(statistic, max(int(seen.sum()), 1))),
         n=n,
     )
+
+
+def _of_size_one(z: Floats) -> Floats:
+    """Scale each column by a power of two, which changes no digit: tests do not depend on units, but squares overflow."""
+    return np.asarray(np.ldexp(z, -np.frexp(np.abs(z).max(axis=0, initial=0.0))[1]))
 
 
 def _orthonormal(G: Floats) -> Floats:
