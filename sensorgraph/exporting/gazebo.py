@@ -10,12 +10,15 @@ from xml.etree.ElementTree import SubElement
 import numpy as np
 
 from sensorgraph.effects.range_bias import RANGE_BIAS
-from sensorgraph.exporting.world import ExportedWorld
+from sensorgraph.exporting.world import BODY_MASS, CASTER, CLEARANCE, WHEEL_MASS, ExportedWorld
 
-MASS, WHEEL_MASS = 10.0, 0.5
-"""[kg] of the body and of a wheel; robot.yaml does not say them."""
-CLEARANCE, CASTER = 0.01, 0.02
-"""[m] of the body above the floor; radius of the balls that it slides on."""
+SYSTEMS = {
+    "Physics": "physics",
+    "Sensors": "sensors",
+    "SceneBroadcaster": "scene-broadcaster",
+    "UserCommands": "user-commands",
+}
+"""Name of a system that the world runs -> the name in its file."""
 WHEEL_WIDTH = 0.03
 """[m]"""
 
@@ -24,11 +27,8 @@ def write(world: ExportedWorld, folder: Path) -> list[str]:
     """Write world.sdf and bridge.launch.py; return what they leave out, a line each."""
     root = ElementTree.Element("sdf", version="1.9")
     place = SubElement(root, "world", name=_name(world.name))
-    for plugin in ("Physics", "Sensors", "SceneBroadcaster", "UserCommands"):
-        tag = plugin.lower() if plugin in ("Physics", "Sensors") else {"SceneBroadcaster": "scene-broadcaster"}.get(
-            plugin, "user-commands"
-        )  # fmt: skip
-        SubElement(place, "plugin", filename=f"gz-sim-{tag}-system", name=f"gz::sim::systems::{plugin}")
+    for name, tag in SYSTEMS.items():
+        SubElement(place, "plugin", filename=f"gz-sim-{tag}-system", name=f"gz::sim::systems::{name}")
     light = SubElement(place, "light", type="directional", name="sun")
     _leaves(light, pose="0 0 10 0 0 0", diffuse="0.8 0.8 0.8 1", direction="-0.3 0.2 -1")
     _add_floor(place)
@@ -129,14 +129,15 @@ def _add_robot(world: ExportedWorld, place: ElementTree.Element) -> None:
     model = SubElement(place, "model", name=_name(robot.name), canonical_link="base_link")
     _leaves(model, pose=_numbers(*world.start[:2], 0, 0, 0, world.start[2]))
     base = SubElement(model, "link", name="base_link")
-    length = max(robot.sensor.height - 0.05 - CLEARANCE, 0.04)
-    _add_mass(base, MASS, robot.footprint_radius, length, _numbers(0, 0, CLEARANCE + length / 2, 0, 0, 0))
+    length = world.body_height
+    _add_mass(
+        base, BODY_MASS, robot.footprint_radius, length, _numbers(0, 0, CLEARANCE + length / 2, 0, 0, 0)
+    )
     _add_part(
         base, "body", "cylinder", _numbers(0, 0, CLEARANCE + length / 2, 0, 0, 0), radius=robot.footprint_radius,
         length=length,
     )  # fmt: skip
-    reach = max(robot.footprint_radius - CASTER, 2 * CASTER)
-    for name, x in (("front", reach), ("rear", -reach)):
+    for name, x in (("front", world.caster_reach), ("rear", -world.caster_reach)):
         ball = _add_part(base, f"caster_{name}", "sphere", _numbers(x, 0, CASTER, 0, 0, 0), radius=CASTER)
         _leaves(SubElement(SubElement(SubElement(ball, "surface"), "friction"), "ode"), mu=0.0, mu2=0.0)
     _add_lidar(world, base)

@@ -8,22 +8,16 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from sensorgraph.exporting.world import ExportedWorld
+from sensorgraph.exporting.world import BODY_MASS, CASTER, CLEARANCE, WHEEL_MASS, ExportedWorld
 
 WALL_GROUP, ROBOT_GROUP = 0, 1
 """Groups of geoms: the laser sees the first alone."""
 TIMESTEP = 0.001
 """[s]"""
-MASS, WHEEL_MASS = 10.0, 0.5
-"""[kg] of the body and of a wheel; robot.yaml does not say them."""
 SERVO_GAIN = 20.0
 """[N m s/rad] of the wheels' speed control: a step is followed within a few milliseconds, the lag aside."""
 SOLREF = "0.002 1"
 """Time constant [s] and damping ratio of the tyres' contact: softer ones let the body lag its wheels."""
-CLEARANCE = 0.01
-"""[m] of the body above the floor."""
-CASTER = 0.02
-"""[m] radius of the balls that the robot slides on in front and behind."""
 MAX_SITES = 2000
 """Rays that get a rangefinder of their own."""
 
@@ -83,10 +77,10 @@ def _add_room(world: ExportedWorld, body: ElementTree.Element) -> None:
 
 def _add_body(world: ExportedWorld, robot: ElementTree.Element) -> None:
     """Add the robot's disc, up to below its laser."""
-    half = max((world.robot.sensor.height - 0.05 - CLEARANCE) / 2, 0.02)
+    half = world.body_height / 2
     ElementTree.SubElement(
         robot, "geom", name="body", type="cylinder", pos=_text(0, 0, CLEARANCE + half),
-        size=_text(world.robot.footprint_radius, half), mass=f"{MASS:g}", rgba="0.16 0.47 0.56 1",
+        size=_text(world.robot.footprint_radius, half), mass=f"{BODY_MASS:g}", rgba="0.16 0.47 0.56 1",
         group=str(ROBOT_GROUP), friction="0.1",
     )  # fmt: skip
 
@@ -96,8 +90,7 @@ def _add_wheeled(world: ExportedWorld, robot: ElementTree.Element, actuators: El
     radius, base = world.robot.wheels.radius, world.robot.wheels.base
     ElementTree.SubElement(robot, "freejoint", name="base")
     _add_body(world, robot)
-    reach = max(world.robot.footprint_radius - CASTER, 2 * CASTER)
-    for name, x in (("front", reach), ("rear", -reach)):
+    for name, x in (("front", world.caster_reach), ("rear", -world.caster_reach)):
         ElementTree.SubElement(
             robot, "geom", name=f"caster_{name}", type="sphere", pos=_text(x, 0, CASTER), size=_text(CASTER),
             mass="0.05", friction="0 0 0", condim="1", priority="1", group=str(ROBOT_GROUP),

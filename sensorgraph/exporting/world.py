@@ -25,6 +25,14 @@ INTRUSION = 1e-6
 """[m²] of free space that a box may take."""
 SHEET = 0.002
 """[m] thickness of a wall that is seen from both sides."""
+BODY_MASS, WHEEL_MASS = 10.0, 0.5
+"""[kg] of the body and of a wheel; robot.yaml does not say them."""
+CLEARANCE = 0.01
+"""[m] of the body above the floor."""
+BELOW_LASER = 0.05
+"""[m] from the top of the body up to the laser."""
+CASTER = 0.02
+"""[m] radius of the balls that the robot slides on in front and behind."""
 OVERLAP = 1e-4
 """[m] by which a box is longer than its wall at either end, so that no ray slips through a corner."""
 
@@ -76,6 +84,16 @@ class ExportedWorld:
     """(3,) [m, m, rad] where the robot stands: as far from the walls as it gets."""
     wall_height: float
     """[m]"""
+
+    @property
+    def body_height(self) -> float:
+        """[m] of the robot's disc, up to below its laser."""
+        return max(self.robot.sensor.height - BELOW_LASER - CLEARANCE, 2 * CASTER)
+
+    @property
+    def caster_reach(self) -> float:
+        """[m] from the middle of the robot to either ball."""
+        return max(self.robot.footprint_radius - CASTER, 2 * CASTER)
 
     @classmethod
     def of(
