@@ -271,7 +271,10 @@ class Narmax:
 
         def hat(recursion: Recursion, segment: Segment) -> Floats:
             out, _, slopes = recursion.run(segment, free=False, gradient=True)
-            return np.where(np.isfinite(out), ((slopes @ shape) * slopes).sum(axis=1), np.nan)
+            size = np.abs(slopes).max(axis=1, initial=0.0)
+            unit = slopes / np.where(size > 0, size, 1.0)[:, None]
+            with np.errstate(over="ignore"):  # beyond all numbers is far away, too
+                return np.where(np.isfinite(out), ((unit @ shape) * unit).sum(axis=1) * size * size, np.nan)
 
         return self._predict(record, hat)
 

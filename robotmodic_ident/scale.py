@@ -82,3 +82,20 @@ class Scale:
 
 
 UNSCALED = Scale()
+
+
+def size_of(*arrays: ArrayLike) -> float:
+    """Return the largest absolute value of all arrays, 1 where they are empty or 0: a unit to take squares in.
+
+    Squares of values beyond about 1e154 overflow, those of values below 1e-162 vanish; squares of value / size do not.
+    """
+    size = max((float(np.max(np.abs(a), initial=0.0)) for a in arrays), default=0.0)
+    return size or 1.0
+
+
+def root_mean_square(values: Floats) -> float:
+    """Return sqrt(mean(values²)) (n,) -> float, nan for no value; no square overflows or vanishes."""
+    if not len(values):
+        return float("nan")
+    size = size_of(values)
+    return size * float(np.sqrt(np.mean((values / size) ** 2)))

@@ -236,3 +236,23 @@ def test_units_change_no_test(unit: float) -> None:
         judged.append([(one.test, one.p_value) for one in validate(model, scaled, max_lag=5)])
     for (test, one), (_, other) in zip(*judged, strict=True):
         assert one == pytest.approx(other, rel=1e-6), test
+
+
+@pytest.mark.parametrize("unit", [2.0**-600, 2.0**560, 2.0**900])
+def test_scores_and_shares_hold_where_squares_overflow_or_vanish(unit: float) -> None:
+    x, noise = np.random.default_rng(4).normal(size=(2, 60))
+    plain, scaled = score(x, x + 0.1 * noise), score(unit * x, unit * (x + 0.1 * noise))
+    assert scaled.rmse == pytest.approx(unit * plain.rmse, rel=1e-12)
+    for name in ("rrse", "r", "r_low", "p_value", "n_effective"):
+        assert getattr(scaled, name) == pytest.approx(getattr(plain, name), rel=1e-9), name
+
+
+def test_held_out_values_whose_squares_overflow_are_outside_the_fit() -> None:
+    u, noise = np.random.default_rng(5).normal(size=(2, 200))
+    near = {"u": u, "y": 0.5 * u + 0.1 * noise}
+    far = {name: 2.0**490 * values for name, values in near.items()}
+    model = fit(near, "y", Terms.parse("1", "u(k)"))
+    told = extrapolation(model, near, far)
+    assert told.share > 0.9
+    assert np.isfinite(told.rmse_outside)
+    assert all(np.isfinite(one.p_value) for one in validate(model, far, max_lag=5))

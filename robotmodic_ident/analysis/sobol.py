@@ -18,6 +18,7 @@ import numpy as np
 from robotmodic_ident.analysis.algebra import Sum, split, sum_of
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
+from robotmodic_ident.scale import size_of
 from robotmodic_ident.terms import Term
 from robotmodic_ident.types import Floats
 
@@ -77,15 +78,18 @@ def sobol(model: Narmax, signals: Mapping[str, Distribution] | Mapping[str, Floa
         raise IdentError(f"no distribution of {', '.join(missing)}; give one for each signal of the model")
     spread, dependence = _spread(signals, names)
     coefficients = _expanded(total, names, spread)
+    unit = size_of(list(coefficients.values()))
+    if not np.isfinite(unit):
+        raise IdentError("the model is larger than any number over these distributions; give smaller ones")
     shares: dict[frozenset[str], float] = {}
     for place, value in coefficients.items():
         key = frozenset(s for s, i in zip(names, place, strict=True) if i)
         if key:
-            shares[key] = shares.get(key, 0.0) + value**2
+            shares[key] = shares.get(key, 0.0) + (value / unit) ** 2
     variance = sum(shares.values())
     whole = variance if variance > 0 else 1.0
     return SobolIndices(
-        variance=variance,
+        variance=variance * unit * unit,
         first={s: shares.get(frozenset((s,)), 0.0) / whole for s in names},
         total={s: sum(v for key, v in shares.items() if s in key) / whole for s in names},
         pairs={(a, b): shares.get(frozenset((a, b)), 0.0) / whole for a, b in combinations(names, 2)},

@@ -20,6 +20,7 @@ from robotmodic_ident.estimation.prediction_error import NonlinearLeastSquares
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.prediction.recursion import Segment
 from robotmodic_ident.records import Record, Records, as_records
+from robotmodic_ident.scale import size_of
 from robotmodic_ident.types import Floats
 
 Z_95 = 1.959964
@@ -116,7 +117,8 @@ class _ResidualData:
         problem = NonlinearLeastSquares(model.recursion(), records, free=False)
         _, self.e, self.gradients = problem.evaluate(model.parameters, gradient=True)
         self.rows = problem.rows
-        self.known = [np.where(rows, e, np.nan) for e, rows in zip(self.e, self.rows, strict=True)]
+        unit = size_of(*self.e)
+        self.known = [np.where(rows, e / unit, np.nan) for e, rows in zip(self.e, self.rows, strict=True)]
         self.source = [r for r in records for _ in r.segments()]
         self.segments: list[Segment] = problem.segments
         if problem.count <= len(model.parameters) + 2 * max_lag + 1:
@@ -126,13 +128,15 @@ class _ResidualData:
             )
 
     def signal(self, name: str) -> list[Floats]:
-        """Return a signal over every segment, its mean removed; nan where not known."""
+        """Return a signal over every segment, its mean removed and of size one; nan where not known."""
         parts = [
             np.asarray(record.signals[name], dtype=np.float64)[segment.piece]
             for record, segment in zip(self.source, self.segments, strict=True)
         ]
-        mean = np.nanmean(np.concatenate(parts))
-        return [part - mean for part in parts]
+        whole = np.concatenate(parts)
+        unit = size_of(whole[np.isfinite(whole)])
+        mean = np.nanmean(whole / unit)
+        return [part / unit - mean for part in parts]
 
     def check(
         self,

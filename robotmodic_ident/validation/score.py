@@ -13,6 +13,7 @@ from scipy import stats
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.records import Record, Records, as_records
+from robotmodic_ident.scale import root_mean_square, size_of
 from robotmodic_ident.types import Floats
 
 Horizon = int | Literal["free"]
@@ -71,14 +72,14 @@ def extrapolation(model: Narmax, fitted: Records, records: Records) -> Extrapola
     records = as_records(records)
     leverage = np.concatenate([_leverage(model, record) for record in records])
     residual = np.concatenate([model.residuals(record) for record in records])
-    known = np.isfinite(leverage) & np.isfinite(residual)
+    known = ~np.isnan(leverage) & np.isfinite(residual)
     beyond = leverage[known] > largest * (1.0 + 1e-9)
-    squares = residual[known] ** 2
+    residual = residual[known]
     return Extrapolation(
         share=_mean(beyond) if np.isfinite(largest) else float("nan"),
         largest=largest if np.isfinite(largest) else float("nan"),
-        rmse_inside=float(np.sqrt(_mean(squares[~beyond]))),
-        rmse_outside=float(np.sqrt(_mean(squares[beyond]))),
+        rmse_inside=root_mean_square(residual[~beyond]),
+        rmse_outside=root_mean_square(residual[beyond]),
     )
 
 
@@ -101,22 +102,30 @@ def score(measured: Floats, predicted: Floats) -> Score:
         if both know fewer than 3 samples
     """
     known = np.isfinite(measured) & np.isfinite(predicted)
-    y, f = measured[known], predicted[known]
-    if len(y) < 3:
-        raise IdentError(f"{len(y)} samples are known to both series; a score needs 3 or more")
-    rmse, spread = float(np.sqrt(np.mean((y - f) ** 2))), float(np.std(y))
-    rrse = rmse / spread if spread > 0 else float("nan")
+    if (n := int(known.sum())) < 3:
+        raise IdentError(f"{n} samples are known to both series; a score needs 3 or more")
+    unit = size_of(measured[known], predicted[known])
+    y, f = measured[known] / unit, predicted[known] / unit
+    error, spread = root_mean_square(y - f), root_mean_square(y - y.mean())
+    rmse, rrse = unit * error, error / spread if spread > 0 else float("nan")
     if np.ptp(y) == 0 or np.ptp(f) == 0:
         nan = float("nan")
         return Score(
             n=len(y), rmse=rmse, rrse=rrse, r=nan, r_low=nan, r_high=nan, p_value=nan, n_effective=nan
         )
-    r = float(np.clip(np.corrcoef(y, f)[0, 1], -1.0, 1.0))
+    r = correlation(y, f)
     n_effective = effective_samples(y, f)
     low, high, p_value = _interval(r, n_effective)
     return Score(
         n=len(y), rmse=rmse, rrse=rrse, r=r, r_low=low, r_high=high, p_value=p_value, n_effective=n_effective
     )
+
+
+def correlation(a: Floats, b: Floats) -> float:
+    """Return Pearson's correlation of two series (n,) that vary, whatever their sizes."""
+    a, b = a - a.mean(), b - b.mean()
+    a, b = a / size_of(a), b / size_of(b)
+    return float(np.clip(a @ b / np.sqrt((a @ a) * (b @ b)), -1.0, 1.0))
 
 
 def effective_samples(a: Floats, b: Floats) -> float:
@@ -135,6 +144,7 @@ def effective_samples(a: Floats, b: Floats) -> float:
 def autocorrelation(series: Floats, max_lag: int) -> Floats:
     """Return the autocorrelation at lags 0 to max_lag (max_lag + 1,), by FFT."""
     centred = series - series.mean()
+    centred = centred / size_of(centred)
     size = 1 << int(2 * len(series) - 1).bit_length()
     power = np.abs(np.fft.rfft(centred, size)) ** 2
     value = np.fft.irfft(power, size)[: max_lag + 1]

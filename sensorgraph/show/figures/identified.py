@@ -11,6 +11,7 @@ from robotmodic_ident import Narmax
 from robotmodic_ident.analysis import sobol, surface
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.records import lagged
+from robotmodic_ident.scale import size_of
 from sensorgraph.identification.identify import IdentifiedSignal
 from sensorgraph.show.figures.style import (
     ALARM,
@@ -105,8 +106,12 @@ def _scatter(axes: Any, found: IdentifiedSignal) -> None:
 def _correlation(axes: Any, found: IdentifiedSignal) -> None:
     """Draw the autocorrelation of the one-step residual, and the p-values of the tests."""
     total, n = np.zeros(MAX_LAGS + 1), 0
-    for m, p in zip(found.measured, found.one_step, strict=True):
-        e = (m - p)[np.isfinite(m) & np.isfinite(p)]
+    pieces = [
+        (m - p)[np.isfinite(m) & np.isfinite(p)] for m, p in zip(found.measured, found.one_step, strict=True)
+    ]
+    unit = size_of(*pieces)
+    for piece in pieces:
+        e = piece / unit
         e = e - e.mean() if len(e) else e
         n += len(e)
         for lag in range(min(MAX_LAGS + 1, len(e))):
