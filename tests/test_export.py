@@ -22,6 +22,8 @@ from planners.arena import Arena
 from planners.maps import load, no_go
 from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
+from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
+from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.effects import EFFECTS
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.exporting.amcl import estimate_amcl
@@ -83,6 +85,21 @@ def spin(arena: Arena, robot: Robot) -> Trajectory:
         twists=np.column_stack([v, omega]),
         primitives=np.full(len(t), "move"),
     )
+
+
+@pytest.fixture(scope="module")
+def square_tour() -> Trajectory:
+    """Return half a minute round and round, with stops, fast straights and turns on the spot."""
+    t = np.arange(0.0, 34.0, 0.05)
+    phase = t % 7.5
+    v = np.clip(np.minimum(phase, 4.0 - phase), 0.0, 1.0) * 0.38
+    omega = np.where(phase > 4.2, np.clip(np.minimum(phase - 4.2, 7.3 - phase), 0.0, 1.0) * 0.75, 0.0)
+    phi = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * 0.05)])
+    xy = np.cumsum(np.stack([v * np.cos(phi), v * np.sin(phi)], axis=1) * 0.05, axis=0) + [0.7, 0.9]
+    return Trajectory(
+        stamps=t, poses=np.column_stack([xy, phi]), twists=np.column_stack([v, omega]),
+        primitives=np.full(len(t), "move"),
+    )  # fmt: skip
 
 
 def test_boxes_stand_where_the_walls_are_and_leave_free_space_free(world: ExportedWorld) -> None:
@@ -163,6 +180,31 @@ def test_effects_are_in_the_world_or_in_its_laser(world: ExportedWorld, tmp_path
     assert turn[1] / turn[0] == pytest.approx(1 / 1.1, rel=0.02)
     there = pair(runs[1]).poses + [0.0, 0.0, 0.1]
     assert np.median(residuals(runs[1], there, world.arena)) == pytest.approx(0.05, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("target", "drive"), [("mujoco", "diff"), ("mujoco", "reeds_shepp"), ("irsim", "diff")]
+)
+@pytest.mark.parametrize("name", ["actuator_lag", "wheel_slip"])
+def test_an_exported_effect_of_motors_and_wheels_is_found_again(
+    name: str, target: str, drive: str, square_tour: Trajectory, tmp_path: Path
+) -> None:
+    arena = load_arena("square")
+    robot = parse_robot(
+        f"drive: {drive}\nlimits: {{turning_radius: 0.1}}\nsensor: {{n_rays: 2, rate: 1.0}}\n"
+    )
+    planted = {
+        "actuator_lag": EFFECTS["actuator_lag"](tau=0.08),
+        "wheel_slip": EFFECTS["wheel_slip"](s=0.3, x=1.2, y=0.9, r=0.4),
+    }[name]
+    export(ExportedWorld.of(arena, robot, [planted]), target, tmp_path)
+    run = drive_twin(simulator(tmp_path, target), square_tour, arena, robot, [planted])
+    channel = diagnose_odometry if name == "wheel_slip" else diagnose_drive
+    result = channel(run, robot)
+    assert [a.name for a in result.effects] == [name] and result.unknown is None
+    key = {"actuator_lag": "tau", "wheel_slip": "s"}[name]
+    found = result.effects[0]
+    assert found[key] == pytest.approx(planted[key], abs=max(4 * found.stderr[key], 0.1 * planted[key]))
 
 
 def test_a_wall_seen_from_both_sides_is_a_thin_sheet() -> None:

@@ -105,7 +105,8 @@ def _effects_left_out(world: ExportedWorld, target: str) -> list[str]:
     left = []
     for a in world.effects:
         in_world = target != "nav2" and a.stage in BUILT_IN and a.effect is not PEOPLE
-        if in_world or a.effect in NATIVE.get(target, ()):
+        is_native = a.effect in NATIVE.get(target, ()) and (target != "mujoco" or world.robot.drive == "diff")
+        if in_world or is_native:
             continue
         by_script = " in the world's own file; drive.py adds it" if target in SCRIPTED else ""
         left.append(f"{a.effect.title} ({a.name}){by_script}")

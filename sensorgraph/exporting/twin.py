@@ -1,11 +1,13 @@
 """Drive a plan in another simulator and record it: what the scripts in an exported folder run on.
 
 The script gives a `Simulator`: it moves by twists and casts rays. Commands come from the embedded robot's own tracking
-law; readings go through the effects of effects.yaml, whose ranges are those of the simulator.
+law; motors that a simulator lacks, and slippery floor, come from the drivetrain of robot.yaml and effects.yaml;
+readings go through the effects of effects.yaml, whose ranges are those of the simulator.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -42,18 +44,39 @@ class Simulator(Protocol):
     """What a script offers: a robot that moves by twists, and rays."""
 
     name: str
+    has_motors: bool
+    """Its wheels follow a command with their own lag; else the body moves as it is told."""
 
     def place(self, pose: Floats) -> None:
         """Put the robot at a pose (3,) [m, m, rad], at rest."""
 
     def step(self, v: float, omega: float, duration: float) -> tuple[Floats, Floats]:
-        """Move for a while [s] with the motors told v [m/s], omega [rad/s].
+        """Move for a while [s] with the motors, or the body, told v [m/s], omega [rad/s].
 
         Returns the pose (3,) of base_link in map, phi not wrapped, and the twist (2,) that the wheels turn with.
         """
 
+    def shift(self, pose: Floats) -> None:
+        """Move the body to a pose (3,) close by, phi not wrapped; its wheels turn on."""
+
     def cast(self, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> Floats:
         """Return the ranges [m] of rays from (ox, oy) [m] along the unit vectors (ux, uy); inf where nothing is."""
+
+
+class Motors:
+    """First-order motors with limited acceleration, as those of the embedded robot, for simulators without."""
+
+    def __init__(self, drivetrain: Drivetrain, robot: Robot) -> None:
+        self._share = 1 - np.exp(-TRUTH_STEP / drivetrain.tau) if drivetrain.tau > 0 else 1.0
+        self._most = np.array([robot.limits.a, robot.limits.alpha]) * TRUTH_STEP
+        self.twist = np.zeros(2)
+        """(2,) [m/s, rad/s] that the wheels turn with."""
+
+    def step(self, told: Floats) -> Floats:
+        """Follow a command (2,) for one step of the truth; return the mean twist (2,) over it."""
+        before = self.twist
+        self.twist = before + np.clip((told - before) * self._share, -self._most, self._most)
+        return (before + self.twist) / 2
 
 
 def record_twin(
@@ -141,35 +164,38 @@ def _follow(
     rng: np.random.Generator,
     tick: Progress,
 ) -> ExecutedDrive:
-    """Track the trajectory; the simulator has motors, mass and wheels, the dead time and the limits are kept here."""
+    """Track the trajectory; mass and wheels are the simulator's, dead time, limits and slippery floor are kept here."""
     period, limits = 1.0 / robot.wheels.rate, robot.limits
     duration = trajectory.duration + STANDSTILL
     want, feed = tracking_targets(trajectory, robot, duration)
     noise = rng.normal(size=want.shape) * [robot.pose.sigma_xy, robot.pose.sigma_xy, robot.pose.sigma_yaw]
     pose = np.array(trajectory.poses[0], dtype=np.float64)
     simulator.place(pose)
+    motors = None if simulator.has_motors else Motors(drivetrain, robot)
     n_steps = round(duration / TRUTH_STEP)
-    late = round(drivetrain.delay / TRUTH_STEP)
-    backward = 0.0 if robot.drive == "dubins" else -limits.v
-    told = [(0.0, 0.0)] * (late + 1)
-    given: list[tuple[float, float]] = []
+    late = drivetrain.delay / TRUTH_STEP
+    least = [0.0 if robot.drive == "dubins" else -limits.v, -limits.omega]
+    given: list[Floats] = []
     poses, twists = [pose], [np.zeros(2)]
-    command = (0.0, 0.0)
+    waiting = [np.zeros(2)] * (math.ceil(late - 1e-9) + 1)
     for k in range(n_steps):
         if len(given) < len(want) and k * TRUTH_STEP >= len(given) * period - 1e-9:
             i = len(given)
-            v, omega = tracking_law(want[i], feed[i], pose + noise[i])
-            command = (
-                min(max(v, backward), limits.v),
-                min(max(omega, -limits.omega), limits.omega),
+            given.append(
+                np.clip(tracking_law(want[i], feed[i], pose + noise[i]), least, [limits.v, limits.omega])
             )
-            given.append(command)
             tick(i, len(want))
-        told.append(command)
-        v, omega = told[k + 1]
-        pose, twist = simulator.step(min(max(v, -drivetrain.v_max), drivetrain.v_max), omega, TRUTH_STEP)
+        waiting = [*waiting[1:], given[-1]]
+        told = np.clip(_delayed(waiting, late), [-drivetrain.v_max, -np.inf], [drivetrain.v_max, np.inf])
+        before = pose
+        v, omega = told if motors is None else motors.step(told)
+        pose, twist = simulator.step(v, omega, TRUTH_STEP)
+        grip = drivetrain.grip(float(before[0]), float(before[1]))
+        if grip < 1:
+            pose = before + grip * (pose - before)
+            simulator.shift(pose)
         poses.append(pose)
-        twists.append(twist)
+        twists.append(twist if motors is None else motors.twist)
     return ExecutedDrive(
         stamps=np.arange(n_steps + 1) * np.float64(TRUTH_STEP),
         poses=np.array(poses),
@@ -178,3 +204,11 @@ def _follow(
         commands=np.array(given).reshape(-1, 2),
         contacts=0,
     )
+
+
+def _delayed(waiting: Sequence[Floats], late: float) -> Floats:
+    """Return the command (2,) of `late` steps ago, between two where that is no whole number; the newest is last."""
+    whole = math.floor(late + 1e-9)
+    share = max(late - whole, 0.0)  # of the step that the older command still holds
+    newer = waiting[-1 - whole]
+    return newer + share * (waiting[-2 - whole] - newer) if share > 1e-9 else newer

@@ -15,7 +15,6 @@ import irsim
 from irsim.lib.algorithm.ray_casting_2d import boundary_segments, cast_ray_segments
 
 from sensorgraph.cli.twin import run_script
-from sensorgraph.world.robot import load_robot
 
 HERE = Path(__file__).parent
 FAR = 1e4
@@ -23,12 +22,12 @@ FAR = 1e4
 
 
 class IrsimWorld:
-    """The world, driven by twists; motors lag as robot.yaml says, which ir-sim's do not."""
+    """The world, driven by twists."""
 
     name = f"ir-sim {irsim.__version__}"
+    has_motors = False
 
     def __init__(self, folder: Path = HERE) -> None:
-        self.description = load_robot(folder / "robot.yaml")
         self.env = irsim.make(
             str(folder / "world.yaml"), headless=True, disable_all_plot=True, log_level="ERROR"
         )
@@ -40,21 +39,21 @@ class IrsimWorld:
         """Put the robot at a pose, at rest."""
         self.robot.set_state(np.c_[pose], init=True)
         self.robot.set_velocity([0.0, 0.0], init=True)
-        self.speed, self.heading = np.zeros(2), float(pose[2])
+        self.heading = float(pose[2])
 
     def step(self, v: float, omega: float, duration: float) -> tuple[np.ndarray, np.ndarray]:
-        """Move for a while; return the pose, phi not wrapped, and the twist that the wheels turn with."""
-        step, limits = self.env.step_time, self.description.limits
-        tau, most = self.description.actuators.tau, np.array([limits.a, limits.alpha])
-        share = 1 - np.exp(-step / tau) if tau > 0 else 1.0
-        for _ in range(round(duration / step)):
-            before = self.speed
-            change = (np.array([v, omega]) - before) * share
-            self.speed = before + np.clip(change, -most * step, most * step)
-            self.robot.step(np.c_[(before + self.speed) / 2])
+        """Move for a while; return the pose, phi not wrapped, and the twist."""
+        twist = np.array([v, omega])
+        for _ in range(round(duration / self.env.step_time)):
+            self.robot.step(np.c_[twist])
         x, y, phi = self.robot.state[:3, 0]
         self.heading += np.remainder(phi - self.heading + np.pi, 2 * np.pi) - np.pi
-        return np.array([x, y, self.heading]), self.speed.copy()
+        return np.array([x, y, self.heading]), twist
+
+    def shift(self, pose: np.ndarray) -> None:
+        """Move the body to a pose close by, its wheels turning on."""
+        self.robot.set_state(np.c_[pose])
+        self.heading = float(pose[2])
 
     def cast(self, ox: np.ndarray, oy: np.ndarray, ux: np.ndarray, uy: np.ndarray) -> np.ndarray:
         """Return the ranges of rays; inf where nothing is."""

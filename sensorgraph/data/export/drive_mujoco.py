@@ -32,16 +32,14 @@ class MujocoWorld:
             mujoco.mjtDisableBit.mjDSBL_SENSOR
         )  # rays are cast when they are asked for
         self.data = mujoco.MjData(self.model)
-        self.wheeled = self.model.nu == 2
-        self.speed = np.zeros(2)  # of a car's motors
+        self.has_motors = self.model.nu == 2  # a car stands on a planar joint
 
     def place(self, pose: np.ndarray) -> None:
         """Put the robot at a pose, at rest."""
         mujoco.mj_resetData(self.model, self.data)
-        self.turns, self.heading = 0.0, float(pose[2])
-        if not self.wheeled:
-            self.speed = np.zeros(2)
-            self.data.qpos[:3] = pose - [*self.model.body("base_link").pos[:2], 0.0]
+        self.heading = float(pose[2])
+        if not self.has_motors:
+            self.shift(pose)
             return
         self.data.qpos[:7] = [pose[0], pose[1], 0.0, np.cos(pose[2] / 2), 0.0, 0.0, np.sin(pose[2] / 2)]
         mujoco.mj_step(self.model, self.data, round(SETTLE / self.model.opt.timestep))
@@ -49,7 +47,7 @@ class MujocoWorld:
     def step(self, v: float, omega: float, duration: float) -> tuple[np.ndarray, np.ndarray]:
         """Move for a while; return the pose, phi not wrapped, and the twist that the wheels turn with."""
         n = round(duration / self.model.opt.timestep)
-        if not self.wheeled:
+        if not self.has_motors:
             return self._slide(np.array([v, omega]), duration)
         radius, base = self.robot.wheels.radius, self.robot.wheels.base
         self.data.ctrl[:] = [(v - omega * base / 2) / radius, (v + omega * base / 2) / radius]
@@ -61,18 +59,27 @@ class MujocoWorld:
         pose = np.array([self.data.qpos[0], self.data.qpos[1], self.heading])
         return pose, np.array([(left + right) / 2, (right - left) / base])
 
-    def _slide(self, told: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
-        """Move a car: its motors lag, and its body goes where its wheels point."""
-        tau, most = self.robot.actuators.tau, np.array([self.robot.limits.a, self.robot.limits.alpha])
-        for _ in range(round(duration / self.model.opt.timestep)):
-            step = self.model.opt.timestep
-            share = 1 - np.exp(-step / tau) if tau > 0 else 1.0
-            self.speed = self.speed + np.clip((told - self.speed) * share, -most * step, most * step)
-            phi = self.data.qpos[2] + self.speed[1] * step / 2
-            self.data.qvel[:3] = [self.speed[0] * np.cos(phi), self.speed[0] * np.sin(phi), self.speed[1]]
+    def shift(self, pose: np.ndarray) -> None:
+        """Move the body to a pose close by, its wheels turning on."""
+        if not self.has_motors:
+            self.data.qpos[:3] = pose - [*self.model.body("base_link").pos[:2], 0.0]
+            return
+        turn, axis = pose[2] - self.heading, np.array([0.0, 0.0, 1.0])
+        rotation, before = np.zeros(4), self.data.qpos[3:7].copy()
+        mujoco.mju_axisAngle2Quat(rotation, axis, turn)
+        mujoco.mju_mulQuat(self.data.qpos[3:7], rotation, before)
+        mujoco.mju_rotVecQuat(self.data.qvel[:3], self.data.qvel[:3].copy(), rotation)
+        self.data.qpos[:2], self.heading = pose[:2], float(pose[2])
+
+    def _slide(self, twist: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
+        """Move a car: its body goes where its wheels point."""
+        step = self.model.opt.timestep
+        for _ in range(round(duration / step)):
+            phi = self.data.qpos[2] + twist[1] * step / 2
+            self.data.qvel[:3] = [twist[0] * np.cos(phi), twist[0] * np.sin(phi), twist[1]]
             mujoco.mj_step(self.model, self.data)
         start = self.model.body("base_link").pos[:2]
-        return np.array([*(self.data.qpos[:2] + start), self.data.qpos[2]]), self.speed.copy()
+        return np.array([*(self.data.qpos[:2] + start), self.data.qpos[2]]), twist
 
     def cast(self, ox: np.ndarray, oy: np.ndarray, ux: np.ndarray, uy: np.ndarray) -> np.ndarray:
         """Return the ranges of rays at the laser's height; inf where nothing is."""
