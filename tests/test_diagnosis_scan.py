@@ -394,7 +394,7 @@ def with_box(hall: Arena) -> Arena:
 
 def test_the_outline_of_a_box_where_a_disc_is_said_doubts_no_other_name(hall: Arena) -> None:
     """A box that the map lacks and a biased laser: both are named, though a disc is not what stands there."""
-    run = drive(with_box(hall), (EFFECTS["range_bias"](b=0.03),), n=320)
+    run = drive(with_box(hall), (EFFECTS["range_bias"](b=0.03),), n=200)
     found = diagnose(run, hall, parse_robot("sensor: {n_rays: 61}"), plan_next=False)
     assert {a.name for a in found.effects} == {"unmapped_obstacle", "range_bias"}
     box = next(a for a in found.effects if a.name == "unmapped_obstacle")

@@ -14,7 +14,7 @@ import pytest
 from sensorgraph.cli import run as cli
 
 EXAMPLES = Path(__file__).parent.parent / "docs" / "examples"
-SLOW = {"controller", "hidden_effect"}
+SLOW = {"controller", "hidden_effect", "plan_to_sensorgraph"}
 SCRIPTS = [
     pytest.param(script, marks=[pytest.mark.slow] if script.stem in SLOW else [], id=script.stem)
     for script in sorted(EXAMPLES.glob("*.py"))

@@ -163,7 +163,7 @@ def test_a_further_effect_is_found_once_it_is_in_the_library(
 
 
 def test_without_it_the_library_does_not_know_that_name(hall: Arena, robot: Robot, bent: Run) -> None:
-    finding = diagnose(bent, hall, robot)
+    finding = diagnose(bent, hall, robot, plan_next=False)
     assert CURVATURE.name not in EFFECTS
     assert CURVATURE.name not in {a.name for a in finding.effects}
     assert finding.effects or finding.channels["scan"].unknown is not None  # something is said to be wrong

@@ -59,10 +59,10 @@ def test_nothing_is_named_where_nothing_is_hidden(background: str) -> None:
     assert finding.unknown is None
 
 
-QUICK = ["latency", "moved_wall", "wheel_base", "dead_time"]
-"""One of time, of the arena, of the odometry and of the motors; a sensor's own are in test_diagnosis_report.py."""
+QUICK = ["moved_wall", "wheel_base", "dead_time"]
+"""One of the arena, of the odometry and of the motors; a sensor's own are in test_diagnosis_report.py."""
 LONG = [
-    "range_bias", "mount_yaw", "max_range", "quantisation",
+    "latency", "range_bias", "mount_yaw", "max_range", "quantisation",
     "range_scale", "sector_bias", "mount_xy", "scan_skew", "glass", "mirror", "black_surface", "incidence_dropout",
     "min_range", "unmapped_obstacle", "moved_obstacle", "missing_obstacle", "map_scale", "people", "range_drift",
     "wheel_radius", "actuator_lag", "self_occlusion", "tilt", "random_outliers", "pose_clock_offset", "mixed_pixels",
