@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from localization_samples import loop_poses, room_run
+from localization_samples import ROOM, loop_poses, room_run
 
 from logs.run import Run
 from logs.transforms import compose, invert
@@ -36,6 +36,17 @@ def aligned(found: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def rms(found: Localization, truth: np.ndarray) -> float:
     errors, _ = aligned(found.poses, truth)
     return float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()))
+
+
+def carried(one: Run, two: Run) -> Run:
+    """Return two runs as one whose wheels did not notice that the robot was carried in between."""
+    odometry = compose(one.odometry[-1], two.odometry)
+    stamps = np.concatenate([one.stamps, two.stamps + one.stamps[-1] + 0.2])
+    odometry = np.concatenate([one.odometry, odometry])
+    return replace(
+        one, stamps=stamps, ranges=np.concatenate([one.ranges, two.ranges]), odom_stamps=stamps, odometry=odometry,
+        odom_twists=np.zeros((len(stamps), 2)),
+    )  # fmt: skip
 
 
 def no_ticks(done: int, total: int) -> None:
@@ -197,10 +208,11 @@ def test_match_that_does_not_tell_the_heading_is_no_closure() -> None:
 def test_stamps_that_repeat_are_said_and_the_order_of_the_log_holds() -> None:
     poses = loop_poses(40, laps=0.5)
     run = room_run(poses)
+    run = replace(run, stamps=10 * run.stamps, odom_stamps=10 * run.odom_stamps)
     stamps = run.stamps.copy()
     stamps[10:12] = stamps[9]
-    found = map_run(replace(run, stamps=stamps))
-    assert any(note.startswith("2 scans have the stamp of the one before") for note in found.notes)
+    found = map_run(replace(run, stamps=stamps, odom_stamps=stamps))
+    assert found.notes == ("2 scans have the stamp of the one before: taken in the order of the log",)
     assert rms(found, poses) < 0.01
 
 
@@ -211,15 +223,35 @@ def test_nothing_is_said_of_a_good_log(located: Localization) -> None:
 def test_robot_that_was_carried_is_found_again_or_said_to_be_lost() -> None:
     """Carried across the room between two scans, turned, and the wheels noticed nothing."""
     truth = np.concatenate([TRUTH[:60], TRUTH[15:50]])
-    run = room_run(truth)
-    odometry = run.odometry.copy()
-    after = room_run(truth[60:]).odometry
-    c, s = np.cos(odometry[59, 2]), np.sin(odometry[59, 2])
-    odometry[60:, :2] = odometry[59, :2] + after[:, :2] @ np.array([[c, s], [-s, c]])
-    odometry[60:, 2] = odometry[59, 2] + after[:, 2]
-    found = map_run(replace(run, odometry=odometry))
+    found = map_run(carried(room_run(truth[:60]), room_run(truth[60:], seed=1)))
     ok = np.array(found.status) == "ok"
     errors, _ = aligned(found.poses[ok], truth[ok])
     assert ok[:60].all()
     assert np.hypot(*errors[:, :2].T).max() < 0.05
     assert any("broke" in note for note in found.notes) or ok.all()
+    assert not found.rivals
+
+
+def test_room_that_is_there_twice_is_ambiguous_and_names_both() -> None:
+    """Through one room into its twin, then carried back into the first: nothing tells which of the two it is."""
+    apart = 12.0
+    doors = [wall for wall in ROOM if wall not in ((8.0, 0.0, 8.0, 3.0), (0.0, 6.0, 0.0, 0.0))]
+    doors += [(x, y, x, z) for x, y, z in ((8, 0, 0.5), (8, 2.5, 3), (0, 0, 0.5), (0, 2.5, 6))]
+    doors += [(8, 0.5, 12, 0.5), (8, 2.5, 12, 2.5), (-4, 0.5, 0, 0.5), (-4, 2.5, 0, 2.5)]
+    walls = doors + [(a + apart, b, c + apart, d) for a, b, c, d in doors]
+    walls += [(-4, 0.5, -4, 2.5), (20 + 4, 0.5, 20 + 4, 2.5)]
+    t = np.linspace(-np.pi / 2, 3 * np.pi / 2, 32)
+    lap = np.column_stack([3.2 + 1.5 * np.cos(t), 2.6 + 1.5 * np.sin(t), t + np.pi / 2])
+    x = np.linspace(3.5, 3.2 + apart, 40)
+    straight = np.column_stack([x, np.full(40, 1.1), np.full(40, 2 * np.pi)])
+    before = np.concatenate([lap, straight, lap + [apart, 0.0, 2 * np.pi]])
+    run = carried(room_run(before, walls=walls), room_run(lap[6:26], walls=walls, seed=1))
+    found = map_run(run)
+    states = np.array(found.status)
+    n = len(before)
+    assert (states[:n] == "ok").all() and (states[n + 6 :] == "ambiguous").all()
+    for scan, places in found.rivals.items():
+        truth = lap[6 + scan - n] - before[0] * [1, 1, 0]
+        near = np.hypot(*(places[:, :2] - truth[:2]).T)
+        assert near.min() < 0.1 and np.abs(near - apart).min() < 0.2
+    assert found.rivals and any(note.startswith("ambiguous from") for note in found.notes)

@@ -13,7 +13,7 @@ from sensorgraph.localization.known_map import KnownMap, known_map
 from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
 from sensorgraph.localization.map_tracking import MapTrack, MapTracker, rematch
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-from sensorgraph.localization.result import Localization, Status
+from sensorgraph.localization.result import Localization, Status, stretch_notes
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.seen_space import SeenSpace
 from sensorgraph.localization.smoothing import smooth
@@ -70,7 +70,7 @@ def locate_in_map(
         status=status,
         wheels=WheelSteps.of(odometry, steps).parameters(poses[steps.key_frames]),
         rivals=found.rivals,
-        notes=(*notes, *_lost_notes(run.stamps, status)),
+        notes=(*notes, *stretch_notes(run.stamps, status, "lost", "ambiguous")),
     )
 
 
@@ -151,18 +151,6 @@ def _ambiguous(is_ok: Bools, found: MapTrack) -> Bools:
         stop = start + int(np.argmax(np.append(is_ok[start:], True)))
         out[start:stop] = any(start <= k < stop for k in found.rivals)
     return out
-
-
-def _lost_notes(stamps: Floats, status: tuple[Status, ...]) -> tuple[str, ...]:
-    """Say when the robot was lost, or might have been in several places."""
-    notes: list[str] = []
-    start = 0
-    for k in range(1, len(status) + 1):
-        if k == len(status) or status[k] != status[start]:
-            if status[start] != "ok":
-                notes.append(f"{status[start]} from {stamps[start]:.1f} s to {stamps[k - 1]:.1f} s")
-            start = k
-    return tuple(notes)
 
 
 def _no_fit(

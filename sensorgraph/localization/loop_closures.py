@@ -21,7 +21,7 @@ from sensorgraph.localization.result import Closure
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import CLOSURES, ClosureSettings
 from sensorgraph.localization.submaps import Submap, cut_submaps
-from sensorgraph.types import Floats, Progress
+from sensorgraph.types import Floats, Ints, Progress
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,6 +36,36 @@ class ClosedTrack:
     """Between neighbours of the track."""
     closures: PoseEdges
     """Those that are kept."""
+    rivals: tuple[RivalPlaces, ...] = ()
+    """Where a place was seen again that no closure tells from others like it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RivalPlaces:
+    """Several places where a submap may be: a corridor that looks the same twice."""
+
+    newer: int
+    """Number of the key frame in the middle of the submap."""
+    older: Ints
+    """(n,) numbers of key frames in whose frames the places are."""
+    relative: Floats
+    """(n, 3) [m, m, rad]"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Candidate:
+    """A place where a submap was sought and something was found."""
+
+    older: int
+    """Number of the key frame in the middle of the older submap."""
+    closure: Closure
+    """With the reason why it is none."""
+    information: Floats
+    agreement: float
+    guess: Floats
+    """(3,) [m, m, rad] where it was sought."""
+    places: Floats
+    """(n, 3) [m, m, rad] in the older submap that fit as well as each other; the best first."""
 
 
 def steps_of(track: ScanTrack) -> PoseEdges:
@@ -64,6 +94,7 @@ class LoopCloser:
         self.found: list[tuple[int, int, Floats, Floats]] = []
         self.kept: list[Closure] = []
         self.refused: list[Closure] = []
+        self.rivals: list[RivalPlaces] = []
         self._tried: set[tuple[int, int]] = set()
 
     def run(self, progress: Progress) -> ClosedTrack:
@@ -76,7 +107,7 @@ class LoopCloser:
             for b in range(n):
                 for a in self._candidates(b, s.reach):
                     if (a, b) not in self._tried:
-                        self._try(a, b, s.second_window, s.second_turn)
+                        self._keep(b, self._found(a, b, s.second_window, s.second_turn), 0.0)
                 progress(n + b, 2 * n)
         closures = PoseEdges.of(self.found)
         if self.found:
@@ -88,7 +119,12 @@ class LoopCloser:
         kept = tuple(closure for closure, good in zip(self.kept, is_true, strict=True) if good)
         rows = [row for row, good in zip(self.found, is_true, strict=True) if good]
         return ClosedTrack(
-            poses=poses, kept=kept, refused=tuple(self.refused), steps=self.steps, closures=PoseEdges.of(rows)
+            poses=poses,
+            kept=kept,
+            refused=tuple(self.refused),
+            steps=self.steps,
+            closures=PoseEdges.of(rows),
+            rivals=self._undecided(rows),
         )
 
     def _first_pass(self, progress: Progress) -> None:
@@ -103,7 +139,9 @@ class LoopCloser:
                 hits = self._search_everywhere(b)
             else:
                 window, turn = min(window, s.max_window), min(turn, s.max_turn_window)
-                hits = sum(self._try(a, b, window, turn) for a in self._candidates(b, s.reach + window))
+                near = self._candidates(b, s.reach + window)
+                found = [one for a in near for one in self._found(a, b, window, turn)]
+                hits = self._keep(b, found, s.drift_per_metre * way)
             if hits:
                 last_way, last_piece = float(self.way[submap.middle]), int(self.track.piece[submap.middle])
                 new += hits
@@ -117,10 +155,12 @@ class LoopCloser:
         s, piece = self.settings, self.track.piece
         older = [a for a in range(b) if piece[self.submaps[a].middle] != piece[self.submaps[b].middle]]
         step = max(len(older) // s.broken_candidates, 1)
-        return sum(
-            self._try(a, b, s.broken_window, np.pi, guess=np.zeros(3), score=s.broken_score)
+        found = [
+            one
             for a in older[::step]
-        )
+            for one in self._found(a, b, s.broken_window, np.pi, guess=np.zeros(3), score=s.broken_score)
+        ]
+        return self._keep(b, found, np.inf, is_anywhere=True)
 
     def _candidates(self, b: int, reach: float) -> Iterator[int]:
         """Yield older submaps near a submap, the nearest of each visit, the nearest first."""
@@ -140,7 +180,7 @@ class LoopCloser:
             if len(taken) == s.candidates:
                 return
 
-    def _try(
+    def _found(
         self,
         a: int,
         b: int,
@@ -149,15 +189,15 @@ class LoopCloser:
         *,
         guess: Floats | None = None,
         score: float | None = None,
-    ) -> bool:
-        """Look for submap b in submap a, around a guess (None: where the graph has it); True if a closure was kept."""
+    ) -> list[_Candidate]:
+        """Look for submap b in submap a, around a guess (None: where the graph has it); none: nothing fits."""
         s, older, newer = self.settings, self.submaps[a], self.submaps[b]
         self._tried.add((a, b))
         poses = self.graph.poses
         if guess is None:
             guess = compose(invert(poses[older.middle]), poses[newer.middle])
         if len(newer.search_points) < 10 or len(older.points[0]) < 10:
-            return False
+            return []
         box = SearchWindow(
             x=guess[0], y=guess[1], phi=guess[2], half_x=window, half_y=window, half_phi=float(turn)
         )
@@ -170,21 +210,74 @@ class LoopCloser:
             apart=(s.rival_apart, np.radians(10.0)),
         )
         if not len(modes.scores):
-            return False
+            return []
         found = match(*newer.core_points, older.surfaces, modes.poses[0], settings=older.matching)
-        closure = Closure(
-            first=int(self.track.key_frames[older.middle]),
-            second=int(self.track.key_frames[newer.middle]),
-            relative=found.pose,
-            inliers=found.inliers,
+        candidate = _Candidate(
+            older=older.middle,
+            closure=Closure(
+                first=int(self.track.key_frames[older.middle]),
+                second=int(self.track.key_frames[newer.middle]),
+                relative=found.pose,
+                inliers=found.inliers,
+                reason=self.objection(older, newer, found, guess, window, modes.rivalry),
+            ),
+            information=self._information(found),
+            agreement=found.agreement,
+            guess=guess,
+            places=np.vstack([found.pose, modes.poses[1:]]),
         )
-        reason = self.objection(older, newer, found, guess, window, modes.rivalry)
-        if reason:
-            self._refuse(closure, reason)
-            return False
-        self.kept.append(closure)
-        self.found.append((older.middle, newer.middle, found.pose, self._information(found)))
-        return True
+        return [candidate]
+
+    def _keep(self, b: int, found: list[_Candidate], drift: float, *, is_anywhere: bool = False) -> int:
+        """Keep the closures of submap b against which nothing speaks; return how many.
+
+        Parameters
+        ----------
+        drift : [m] that the track may be off; places farther from where it has the submap are no rivals
+        is_anywhere : nobody knows where the submap is, so that one candidate does not rule out another's places
+        """
+        newer = self.submaps[b].middle
+        good = [one for one in found if not one.closure.reason]
+        rivals = self._rivals(newer, found if is_anywhere or not good else good, drift)
+        if rivals is not None:
+            self.rivals.append(rivals)
+        for one in found:
+            if one.closure.reason:
+                self.refused.append(one.closure)
+            elif rivals is not None:
+                self._refuse(one.closure, "a place elsewhere fits as well")
+            else:
+                self.kept.append(one.closure)
+                self.found.append((one.older, newer, one.closure.relative, one.information))
+        return 0 if rivals is not None else len(good)
+
+    def _rivals(self, newer: int, found: list[_Candidate], drift: float) -> RivalPlaces | None:
+        """Return the places that fit alike; None: there are no two."""
+        s = self.settings
+        fitting = [one for one in found if not one.closure.reason or len(one.places) > 1]
+        best = max((one.agreement for one in fitting), default=0.0)
+        older: list[int] = []
+        relative: list[Floats] = []
+        placed = np.zeros((0, 3))
+        for one in fitting:
+            for place in one.places:
+                in_map = compose(self.graph.poses[one.older], place)
+                way = placed - in_map
+                apart = np.where(np.array(older) == one.older, s.rival_apart, s.visits_apart)
+                is_other = (np.hypot(way[:, 0], way[:, 1]) > apart) | (np.abs(wrap(way[:, 2])) > s.rival_turn)
+                is_near = bool((np.abs(place[:2] - one.guess[:2]) <= drift).all())
+                if is_near and one.agreement >= s.rivalry * best and is_other.all():
+                    older.append(one.older)
+                    relative.append(place)
+                    placed = np.vstack([placed, in_map])
+        if len(older) < 2:
+            return None
+        return RivalPlaces(newer=newer, older=np.array(older, dtype=np.intp), relative=np.array(relative))
+
+    def _undecided(self, kept: list[tuple[int, int, Floats, Floats]]) -> tuple[RivalPlaces, ...]:
+        """Return the rivals of submaps that no closure holds."""
+        held = {key for row in kept for key in row[:2]}
+        return tuple(one for one in self.rivals if one.newer not in held)
 
     def objection(
         self, older: Submap, newer: Submap, found: Match, guess: Floats, window: float, rivalry: float

@@ -13,11 +13,11 @@ from sensorgraph.localization.loop_closures import ClosedTrack, close_loops, spr
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.refinement import FramePoints, Refined, refine
-from sensorgraph.localization.result import Localization, Status
+from sensorgraph.localization.result import Localization, Status, stretch_notes
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.settings import FINAL, MATCH, LineMatchSettings
 from sensorgraph.localization.wheel_edges import WheelSteps
-from sensorgraph.types import Bools, Floats, Progress, ProgressBars, no_progress
+from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
 
 def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) -> Localization:
@@ -58,7 +58,9 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         np.clip(np.searchsorted(tracked.key_frames, np.arange(run.n_scans), side="right") - 1, 0, None)
     ]
     is_lost = ~matched | ~joined[piece]
-    status: tuple[Status, ...] = tuple("lost" if lost else "ok" for lost in is_lost)
+    rivals, is_ambiguous = _rivals(tracked, closed, poses, joined, piece)
+    words = np.where(is_ambiguous, "ambiguous", np.where(is_lost, "lost", "ok"))
+    status: tuple[Status, ...] = tuple(words.tolist())
     return Localization(
         t=run.stamps,
         poses=poses,
@@ -67,7 +69,8 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         kept=closed.kept,
         refused=closed.refused,
         wheels=steps.parameters(refined.poses),
-        notes=_notes(run, tracked, joined, odometry is None),
+        rivals=rivals,
+        notes=_notes(run, tracked, joined, odometry is None) + stretch_notes(run.stamps, status, "ambiguous"),
     )
 
 
@@ -144,10 +147,37 @@ def _joined(tracked: ScanTrack, closed: ClosedTrack) -> Bools:
     return np.asarray(label == int(weight.argmax()))
 
 
+def _rivals(
+    tracked: ScanTrack, closed: ClosedTrack, poses: Floats, joined: Bools, piece: Ints
+) -> tuple[dict[int, Floats], Bools]:
+    """Return the places (n, 3) in map where some scans may have been as well, and which scans (n_scans,) hang on these.
+
+    A piece of track that did not join the map hangs on its rivals as a whole; the last piece of the map from there on,
+    unless a later closure holds it.
+    """
+    keys, scans = tracked.key_frames, np.arange(len(poses))
+    held = np.concatenate([closed.closures.first, closed.closures.second, [-1]])
+    rivals: dict[int, Floats] = {}
+    is_ambiguous = np.zeros(len(poses), dtype=np.bool_)
+    for one in closed.rivals:
+        own = int(tracked.piece[one.newer])
+        is_known = joined[tracked.piece[one.older]]
+        if is_known.sum() < 2:
+            continue
+        hangs = piece == own
+        if joined[own]:
+            if held[tracked.piece[held] == own].max(initial=-1) > one.newer:
+                continue
+            hangs &= scans >= keys[one.newer]
+        rivals[int(keys[one.newer])] = compose(poses[keys[one.older]], one.relative)[is_known]
+        is_ambiguous |= hangs
+    return rivals, is_ambiguous
+
+
 def _notes(run: Run, tracked: ScanTrack, joined: Bools, without_odometry: bool) -> tuple[str, ...]:
     notes = []
     if without_odometry:
-        notes.append("no odometry, or one that never moves: by scan matching alone")
+        notes.append("no odometry that can be used: by scan matching alone")
     n_same = int((np.diff(run.stamps) == 0).sum())
     if n_same:
         notes.append(f"{n_same} scans have the stamp of the one before: taken in the order of the log")

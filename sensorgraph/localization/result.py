@@ -84,3 +84,15 @@ class Localization:
                 f"poses {self.poses.shape}, covariances {self.covariances.shape} and {len(self.status)} states, "
                 f"expected ({n}, 3), ({n}, 3, 3) and {n}"
             )
+
+
+def stretch_notes(stamps: Floats, status: tuple[Status, ...], *words: Status) -> tuple[str, ...]:
+    """Say from when to when the scans are in one of some states."""
+    notes: list[str] = []
+    start = 0
+    for k in range(1, len(status) + 1):
+        if k == len(status) or status[k] != status[start]:
+            if status[start] in words:
+                notes.append(f"{status[start]} from {stamps[start]:.1f} s to {stamps[k - 1]:.1f} s")
+            start = k
+    return tuple(notes)

@@ -229,6 +229,12 @@ class ClosureSettings:
     """Share of the best score from which another place is as good."""
     rival_apart: float = 0.5
     """[m] from the best place to another."""
+    rival_turn: float = 0.17
+    """[rad] the same of headings."""
+    visits_apart: float = 2.0
+    """[m] the same of places that two older visits show: these may be adrift of each other."""
+    drift_per_metre: float = 0.0075
+    """[m/m] that the track may be off per way since the last closure: two places within it are rivals."""
     inliers: float = 0.6
     """Share of the points near surfaces that lie on them."""
     overlap: float = 0.4
