@@ -9,6 +9,7 @@ import pytest
 from localization_samples import loop_poses, room_run
 
 from logs.run import Run
+from logs.transforms import compose
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.odometry_check import with_checked_odometry
 
@@ -44,3 +45,19 @@ def test_mirrored_laser_is_refused_in_one_line() -> None:
         SensorgraphError, match="turn against each other: the laser counts its rays clockwise"
     ):
         with_checked_odometry(mirrored)
+
+
+def test_odometry_that_disagrees_with_the_scans_is_left_out_in_one_line() -> None:
+    """Degrees that went through a quaternion: turns modulo a circle, which no factor mends."""
+    turned = RUN.odometry * [1.0, 1.0, 180 / np.pi]
+    turned[:, 2] = (turned[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    run, notes = with_checked_odometry(replace(RUN, odometry=turned))
+    assert len(notes) == 1 and "disagree step by step: not used; check that it is in radians" in notes[0]
+    assert len(run.odometry) == 0
+
+
+def test_one_jump_does_not_make_the_odometry_useless() -> None:
+    jumped = RUN.odometry.copy()
+    jumped[40:] = compose(np.array([3.0, -2.0, 1.0]), jumped[40:])
+    run, notes = with_checked_odometry(replace(RUN, odometry=jumped))
+    assert notes == () and len(run.odometry)

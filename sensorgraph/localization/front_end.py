@@ -89,6 +89,9 @@ class Tracker:
     ) -> None:
         self.scans, self.stamps, self.odometry, self.settings = scans, stamps, odometry, settings
         self.matching = MATCH.for_spacing(scans.spacing)
+        intervals = np.diff(stamps)
+        ahead = intervals[intervals > 0]
+        self.interval = float(np.median(ahead)) if len(ahead) else 0.0  # [s] stamps that repeat are no speed
         self.poses = np.zeros((scans.n_scans, 3))
         self.matched = np.zeros(scans.n_scans, dtype=np.bool_)
         self.state = _State(pose=np.zeros(3), wheels=None if odometry is None else WheelEstimate())
@@ -156,7 +159,8 @@ class Tracker:
             return compose(self.poses[last], state.velocity * dt), deviations * dt + 0.01
         step = compose(invert(self.odometry[last]), self.odometry[k])
         way, limits = float(np.hypot(step[0], step[1])), state.wheels.settings
-        if way > limits.max_speed * dt + 0.1 or abs(step[2]) > limits.max_turn_rate * dt + 0.2:
+        took = max(dt, self.interval)
+        if way > limits.max_speed * took + 0.1 or abs(step[2]) > limits.max_turn_rate * took + 0.2:
             state.jumps.append(k)
             return compose(self.poses[last], state.velocity * dt), None
         corrected = state.wheels.corrected(step)

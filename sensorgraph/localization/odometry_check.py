@@ -37,6 +37,16 @@ class OdometryCheckSettings:
     """Of a factor, in its logarithm, to the one that is named."""
     opposite: float = -0.6
     """Correlation of the turns, below which one of the two is mirrored."""
+    moving_turn: float = 0.05
+    """[rad] of a step by the scans, from which on it is compared by itself."""
+    moving_way: float = 0.05
+    """[m] the same of ways."""
+    most_apart: float = 3.0
+    """Times that the odometry of such a step may be too large or too small."""
+    least_agreeing: float = 0.5
+    """Share of such steps that agree within this, below which the odometry is not used."""
+    least_moving: int = 5
+    """Such steps, below which nothing is said."""
 
 
 CHECK = OdometryCheckSettings()
@@ -48,6 +58,8 @@ TURN_UNITS = {float(np.pi / 180): "degrees"}
 
 def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> tuple[Run, tuple[str, ...]]:
     """Return the run with its odometry in metres and radians, and what was changed.
+
+    Odometry that disagrees with the scans, in all units, is left out.
 
     Raises
     ------
@@ -62,17 +74,22 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), s)
     if turns is not None and np.abs(turns[0][:, 2]).sum() > s.least_turn:
         seen, driven = turns[0][:, 2], turns[1][:, 2]
-        if _correlation(seen, driven) < s.opposite:
+        turn_factor = _factor(np.abs(seen).sum(), np.abs(driven).sum(), "turns", TURN_UNITS, notes, s)
+        is_opposite = _correlation(seen, driven) < s.opposite
+        if is_opposite and _agrees(seen, -turn_factor * driven, s.moving_turn, s):
             raise SensorgraphError(
                 "scans and odometry turn against each other: the laser counts its rays clockwise, as in a mirror; give a "
                 "robot.yaml or a transform that says so"
             )
-        turn_factor = _factor(np.abs(seen).sum(), np.abs(driven).sum(), "turns", TURN_UNITS, notes, s)
+        if not _agrees(seen, turn_factor * driven, s.moving_turn, s):
+            return _without_odometry(run), (_disagreement(seen, driven, "turns", "radians"),)
     ways = _compared(run, odometry, np.hypot(*np.diff(odometry[:, :2], axis=0).T), s)
     if ways is not None:
         seen, driven = (np.hypot(steps[:, 0], steps[:, 1]) for steps in ways)
         if seen.sum() > s.least_way:
             way_factor = _factor(seen.sum(), driven.sum(), "ways", WAY_UNITS, notes, s)
+        if not _agrees(seen, way_factor * driven, s.moving_way, s):
+            return _without_odometry(run), (_disagreement(seen, driven, "ways", "metres"),)
     return (_scaled(run, motion, way_factor, turn_factor), tuple(notes)) if notes else (run, ())
 
 
@@ -114,6 +131,24 @@ def _correlation(a: Floats, b: Floats) -> float:
     return float((a * b).sum() / max(np.sqrt((a**2).sum() * (b**2).sum()), 1e-12))
 
 
+def _agrees(seen: Floats, driven: Floats, moving: float, settings: OdometryCheckSettings) -> bool:
+    """Tell whether enough steps of the odometry are about as large as the scans say: a few may be jumps, or slip."""
+    is_moving = np.abs(seen) > moving
+    if is_moving.sum() < settings.least_moving:
+        return True
+    ratio = driven[is_moving] / seen[is_moving]
+    within = (ratio > 1 / settings.most_apart) & (ratio < settings.most_apart)
+    return bool(within.mean() >= settings.least_agreeing)
+
+
+def _disagreement(seen: Floats, driven: Floats, what: str, unit: str) -> str:
+    factor = np.abs(driven).sum() / np.abs(seen).sum()
+    return (
+        f"the odometry's {what} are {factor:.3g} times those of the scans, and disagree step by step: not used; check that "
+        f"it is in {unit}"
+    )
+
+
 def _factor(
     seen: float,
     driven: float,
@@ -135,10 +170,19 @@ def _scaled(run: Run, motion: Motion, way: float, turn: float) -> Run:
     """Return the run with its odometry in other units, as the only odometry."""
     poses = motion.poses * [way, way, turn]
     return replace(
-        run,
+        _without_odometry(run),
         odom_stamps=motion.stamps,
         odometry=poses,
         odom_twists=np.zeros((len(poses), 2)),
+    )
+
+
+def _without_odometry(run: Run) -> Run:
+    return replace(
+        run,
+        odom_stamps=np.zeros(0),
+        odometry=np.zeros((0, 3)),
+        odom_twists=np.zeros((0, 2)),
         pose_stamps=np.zeros(0),
         poses=np.zeros((0, 3)),
         pose_covariances=np.zeros((0, 3, 3)),
