@@ -13,6 +13,9 @@ import numpy as np
 
 from benchmarks.hidden_effects.results import Case, found_effects, is_placed, parameters_within
 
+STRETCHED = 1.3
+"""Times the stated tolerances, from which a report says that they are wrong."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreRow:
@@ -114,7 +117,19 @@ def _none_rows(none: Sequence[Case]) -> list[ScoreRow]:
         chosen = [c for c in none if c.background == background]
         what = f"false name on none, {background}"
         rows.append(_share(what, chosen, lambda c: bool(c.reported_names), most=most))
-    return [*rows, _share("unknown said on none", none, lambda c: c.is_unknown)]
+    wrong = [c for c in none if c.background == "wrong_tolerances"]
+    return [
+        *rows,
+        _share("unknown said on none", none, lambda c: c.is_unknown),
+        _share("tolerances 2-3 x wrong: agrees without saying so", wrong, _agrees_as_stated, most=0.0),
+    ]
+
+
+def _agrees_as_stated(case: Case) -> bool:
+    """Tell whether a report says that all is well with the tolerances of the robot file."""
+    scales = [(case.report or {}).get(key) for key in ("map_scale", "pose_scale")]
+    said = any(isinstance(scale, (int, float)) and scale >= STRETCHED for scale in scales)
+    return not (case.reported_names or case.is_unknown or said)
 
 
 def _several_rows(cases: Sequence[Case]) -> list[ScoreRow]:

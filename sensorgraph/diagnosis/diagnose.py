@@ -126,7 +126,7 @@ def diagnose(
         "odometry and drive"
     ):  # first, as both this and the scans need much memory in a long run
         odometry, drive = diagnose_motion(run, robot, known, seed, progress)
-    noise_bounds = noise_bounds or NoiseBounds()
+    noise_bounds = noise_bounds or SCAN.noise
     with clock.stage("explain"):
         most = _max_effects(alignment)
         explained = explain(train, noise_bounds, threshold=threshold, most=most, progress=progress)

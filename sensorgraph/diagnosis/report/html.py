@@ -21,6 +21,7 @@ from sensorgraph.diagnosis.report.quantities import (
 )
 from sensorgraph.diagnosis.report.summary import main_channel, summarise, undecided_rivals
 from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 
 STYLE = """
@@ -144,8 +145,6 @@ def _arena_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
 
 
 def _gap_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
-    if "gap" not in pictures:
-        return ""
     gap = finding.channels["scan"].gap if "scan" in finding.channels else None
     rays = f" ({gap.n_rays:,} rays)" if gap is not None else ""
     caption = (
@@ -153,8 +152,18 @@ def _gap_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
         "tolerances, before as after. Noise floor: what a perfect model would leave, from readings drawn from the amended model itself. Nats: how much less likely the readings are; smaller is better. "
         "Bare simulator: nothing shifts, and the floor is the sensor's nominal noise."
     )
+    text = _scales_text(finding) + _picture(pictures.get("gap"), "Gap before, after, noise floor", caption)
+    return f"<h2>How large the gap is</h2>{text}" if text else ""
+
+
+def _scales_text(finding: Finding) -> str:
+    """Say how wide the fit takes the tolerances of map and reference, as multiples of robot.yaml's."""
+    if finding.explained is None:
+        return ""
     return (
-        f"<h2>How large the gap is</h2>{_picture(pictures['gap'], 'Gap before, after, noise floor', caption)}"
+        f"<p>The fit takes the tolerances of the map {finding.map_tolerance_factor:.2f} times and those of the "
+        f"reference poses {finding.pose_tolerance_factor:.2f} times as wide as robot.yaml states them; from "
+        f"{SCAN.nuisance.stretched_scale:g} times on they count as wrong.</p>"
     )
 
 

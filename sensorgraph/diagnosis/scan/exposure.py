@@ -16,7 +16,7 @@ from sensorgraph.diagnosis.scan.gauss_newton import Solver, boxed
 from sensorgraph.diagnosis.scan.model_selection import price
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Hypothesis, hypotheses
-from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
@@ -42,7 +42,7 @@ class RunExposure:
         self.incidence = np.where(self.seen, np.nan_to_num(self.beams.incidence), 0.0)
         self.range = np.where(self.seen, self.reading, 0.0)
         self.n_seen = int(self.seen.sum())
-        noise, bounds = fitted.state.noise, NoiseBounds()
+        noise, bounds = fitted.state.noise, SCAN.noise
         self.core = bounds.core
         self.loss = max(bounds.loss[1], noise.loss)
         self.stray = max(bounds.stray[1], noise.stray)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -102,10 +103,10 @@ def held_out_gap(
     seen &= judged_after.stray <= stray
     seen &= (after.steep < sigma) & (before.steep < sigma)
 
-    def floor(side: _HeldOutFit) -> FitQuality:
+    def floor(side: _HeldOutFit, draws: np.random.Generator) -> FitQuality:
         floors = []
         for _ in range(n_replicates):
-            drawn = _drawn(data, side, side.fitted, rng)
+            drawn = _drawn(data, side, side.fitted, draws)
             responsibilities, mu = side.e_step(drawn)
             clear = seen & (responsibilities.stray <= stray)
             floors.append(_fit(drawn, mu, responsibilities, clear, odd, sigma))
@@ -115,13 +116,13 @@ def held_out_gap(
             nats_per_ray=float(np.mean([f.nats_per_ray for f in floors])),
         )
 
-    stated = _as_stated(final)
+    stated, same = _as_stated(final), copy.deepcopy(rng)  # the same draws: what differs is the tolerances
     return Gap(
         before=_fit(data, mu_before, judged_before, seen, odd, sigma),
         after=_fit(data, mu_after, judged_after, seen, odd, sigma),
-        noise_floor=floor(after),
+        noise_floor=floor(after, rng),
         n_rays=int(odd.sum()),
-        stated_floor=None if stated is None else floor(_HeldOutFit(data, named, stated, after.noise)),
+        stated_floor=None if stated is None else floor(_HeldOutFit(data, named, stated, after.noise), same),
     )
 
 

@@ -14,7 +14,7 @@ from sensorgraph.diagnosis.scan.fit import log_likelihood, start_state, thin, th
 from sensorgraph.diagnosis.scan.gauss_newton import MOST_CORNERS
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.score_test import Candidate
-from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Effect
 from sensorgraph.effects.proposals import PROPOSAL
 from sensorgraph.world.sensor_parts import part_names, sensor_of_rays
@@ -77,7 +77,7 @@ def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
     few = thin(data, every)
     state = thin_state(fitted.state, every)
     if state.noise.core > settings.max_core or state.noise.tail > settings.max_tail:
-        state = start_state(few, NoiseBounds())
+        state = start_state(few, SCAN.noise)
     base = log_likelihood(few, fitted.model, state)
     found = []
     for effect, group in groups:
