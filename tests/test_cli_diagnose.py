@@ -44,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def driven_run(seed: int) -> Run:
     """Turn to and fro on the spot at a few places of the shipped square."""
     arena, robot = load_arena("square"), parse_robot(ROBOT)
-    t = np.arange(0, 24.0, 0.01)
+    t = np.arange(0, 30.0, 0.01)
     x0, y0, x1, y1 = arena.bounds
     path = np.column_stack(
         [

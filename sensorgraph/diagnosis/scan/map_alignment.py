@@ -142,10 +142,10 @@ def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Ali
     """Look for the rigid motion of the poses that lays most ends of rays on walls."""
     middle = data.poses[:, :2].mean(axis=0)
     points = points - middle
+    turns = np.linspace(-np.pi, np.pi, SETTINGS.n_turns, endpoint=False)
+    coarse = [(turn, *raster.correlated(points @ _rotation(turn).T)) for turn in turns]
     best = (share, 0.0, middle)
-    for turn in np.linspace(-np.pi, np.pi, SETTINGS.n_turns, endpoint=False):
-        turned = points @ _rotation(turn).T
-        shift, count = raster.correlated(turned)
+    for turn, shift, count in sorted(coarse, key=lambda one: -one[2])[: SETTINGS.refined_turns]:
         if count / len(points) > best[0] - SETTINGS.search_slack:
             got = _refined(raster, points, turn, shift)
             if got[0] > best[0]:

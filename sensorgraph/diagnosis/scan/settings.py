@@ -102,6 +102,8 @@ class AlignmentSettings:
     """Ends of rays below which the question is not asked."""
     n_turns: int = 90
     """Headings that are tried."""
+    refined_turns: int = 12
+    """Best coarse headings that are refined: in a square room four, and the neighbours of each."""
     scale_range: tuple[float, float] = (0.5, 2.0)
     """Scales of the map that are tried."""
     n_scales: int = 47
