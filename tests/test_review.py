@@ -207,3 +207,17 @@ def test_every_stage_of_a_review_is_named(run: Run, graph: Sensorgraph, tmp_path
 def test_colours_span_the_scale_and_no_data_is_grey() -> None:
     rgb = maps.colours(np.array([0.0, 1.0, 2.0, np.nan]))
     assert rgb.tolist() == [[68, 1, 84], [253, 231, 37], [253, 231, 37], list(maps.EMPTY)]
+
+
+def test_stated_standard_deviations_are_shown_and_said(run: Run, tmp_path: Path) -> None:
+    covariances = np.zeros((400, 3, 3))
+    covariances[:, np.arange(3), np.arange(3)] = np.array([0.01, 0.01, 0.002]) ** 2
+    short = replace(run, stamps=run.stamps[:40], ranges=run.ranges[:40], pose_covariances=covariances)
+    stated = collect(short)
+    assert stated.deviations is not None
+    np.testing.assert_allclose(stated.deviations, np.tile([0.01, 0.01, 0.002], (40, 1)))
+    assert "standard deviation 1 cm, 0.11° (median)" in report(stated)
+    write(stated, tmp_path / "stated.rrd")
+    paths = set(rr.chunk.RrdReader(str(tmp_path / "stated.rrd")).store().schema().entity_paths())
+    assert {"/deviation/x", "/deviation/y", "/deviation/phi"} <= paths
+    assert collect(replace(short, pose_covariances=np.zeros((0, 3, 3)))).deviations is None

@@ -70,6 +70,8 @@ class Review:
     plan: Mapping[str, Any] | None
     """plan.json"""
     graph: Sensorgraph | None
+    deviations: Floats | None = None
+    """(n_shown, 3) [m, m, rad] standard deviations of x, y, phi as the run states them; None: it does not."""
 
     def points(self, ranges: Floats, part: slice = slice(None)) -> list[Floats]:
         """Return the end points (n, 2) [m, map] of each shown scan in `part`; `ranges` (n_shown, n_rays) [m]."""
@@ -190,4 +192,17 @@ def collect(
         planned=planned,
         plan=plan,
         graph=graph,
+        deviations=_deviations(run, shown),
     )
+
+
+def _deviations(run: Run, shown: NDArray[np.intp]) -> Floats | None:
+    """Return the stated standard deviations (n_shown, 3) of the poses nearest to some scans."""
+    if len(run.pose_covariances) == 0:
+        return None
+    after = np.clip(np.searchsorted(run.pose_stamps, run.stamps[shown]), 0, len(run.pose_stamps) - 1)
+    before = np.maximum(after - 1, 0)
+    stamps = run.stamps[shown]
+    is_before = np.abs(run.pose_stamps[before] - stamps) < np.abs(run.pose_stamps[after] - stamps)
+    covariances = run.pose_covariances[np.where(is_before, before, after)]
+    return np.asarray(np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from sensorgraph.building.build import training_scans
 from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.graph import Sensorgraph
@@ -23,6 +25,8 @@ def report(review: Review) -> str:
     ]
     if review.plan is not None and "coverage" in review.plan:
         lines.append(f"The plan covers {100 * review.plan['coverage']:.2f} % of the reachable cells.")
+    if review.deviations is not None:
+        lines += ["", _poses(review)]
     if review.evaluation is None or review.graph is None:
         lines += [
             "",
@@ -34,6 +38,19 @@ def report(review: Review) -> str:
     lines += ["", *_cells_and_next_drive(review.cells)]
     lines += ["", *_legend(review), ""]
     return "\n".join(lines)
+
+
+def _poses(review: Review) -> str:
+    """Say how well the poses are known, and where the robot was lost."""
+    assert review.deviations is not None
+    place = 100 * np.hypot(*review.deviations[:, :2].T) / np.sqrt(2)
+    turn = np.degrees(review.deviations[:, 2])
+    said = (
+        f"**Poses**: standard deviation {np.median(place):.2g} cm, {np.median(turn):.2g}° (median), "
+        f"{np.quantile(place, 0.99):.2g} cm, {np.quantile(turn, 0.99):.2g}° (99 %), as the log states."
+    )
+    missing = int((~review.pairing.paired).sum())
+    return said + (f" {missing:,} scans have no pose: lost, or not sure." if missing else "")
 
 
 def _cells_and_next_drive(cells: ReviewCells) -> list[str]:

@@ -23,6 +23,8 @@ CLOUD_REACH, MAX_CLOUD_POINTS = 20.0, 60_000
 """[m] and points of the cloud that stands in for the walls where there is no map."""
 ROBOT, PLANNED, CLOUD = (90, 220, 140), (60, 75, 110), (95, 95, 110)
 """Colours. A negative radius below is in points of the screen, not in metres."""
+DEVIATIONS = {"x [cm]": WHITE, "y [cm]": ORANGE, "phi [deg]": ROBOT}
+"""Series of the standard deviations of the poses."""
 
 
 def write(review: Review, path: Path, *, ray: int | None = None, progress: Progress | None = None) -> None:
@@ -76,6 +78,10 @@ def _log_static(recording: rr.RecordingStream, review: Review) -> None:
         rmse = np.nan_to_num(review.evaluation.rmse_per_ray) * 100
         bars = rr.BarChart(rmse, abscissa=np.degrees(review.run.sensor.bearings), color=ORANGE)
         recording.log("error_per_ray", bars, static=True)
+    for name, colour in DEVIATIONS.items():
+        if review.deviations is not None:
+            style = rr.SeriesLines(colors=colour, names=name, widths=1.2)
+            recording.log(f"deviation/{name.split()[0]}", style, static=True)
     for name, colour in (("measured", WHITE), ("predicted", ORANGE)):
         style = rr.SeriesLines(colors=colour, names=name, widths=1.2)
         recording.log(f"ray/{name}", style, static=True)
@@ -104,6 +110,11 @@ def _send_scans(recording: rr.RecordingStream, review: Review, part: slice, ray:
         if values is not None:
             series = np.where(np.isfinite(values[part, ray]), values[part, ray], np.nan)
             recording.send_columns(f"ray/{name}", time, rr.Scalars.columns(scalars=series))
+    if review.deviations is not None:
+        for name, values in zip(
+            DEVIATIONS, (review.deviations[part] * [100, 100, 180 / np.pi]).T, strict=True
+        ):
+            recording.send_columns(f"deviation/{name.split()[0]}", time, rr.Scalars.columns(scalars=values))
     if part.start == 0:
         recording.log("plan/robot", rr.Arrows2D.from_fields(colors=ROBOT, radii=-2.0), static=True)
 
@@ -123,7 +134,7 @@ def _layers(review: Review) -> Iterator[tuple[str, Floats, tuple[int, int, int]]
 
 
 def _layout(review: Review, ray: int) -> rrb.Blueprint:
-    """Two rows of three: scan on arena, maps, cells; one ray, error per ray, report."""
+    """Two rows of three: scan on arena, maps, cells; one ray, error per ray or of the poses, report."""
     x0, y0, x1, y1 = _extent(review)
     bounds = rrb.VisualBounds2D(x_range=[x0, x1], y_range=[-y1, -y0])
     scan = rrb.Spatial2DView(
@@ -176,21 +187,37 @@ def _layout(review: Review, ray: int) -> rrb.Blueprint:
         axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * far)),
         plot_legend=rrb.Corner2D.LeftTop,
     )
-    bars = rrb.BarChartView(
-        name="RMSE per ray [cm] over bearing [degrees]",
-        origin="/error_per_ray",
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
     words = rrb.TextDocumentView(name="report", origin="/report")
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(scan, tabs, space),
-            rrb.Horizontal(series, bars, words),
+            rrb.Horizontal(series, *_middle(review), words),
             row_shares=[3, 2],
         ),
         *folded(),
         auto_views=False,
     )
+
+
+def _middle(review: Review) -> list[rrb.View]:
+    """Return the view of the errors per ray; without a graph that of the poses' standard deviations, if there are any."""
+    if review.evaluation is not None:
+        bars = rrb.BarChartView(
+            name="RMSE per ray [cm] over bearing [degrees]",
+            origin="/error_per_ray",
+            plot_legend=rrb.PlotLegend(visible=False),
+        )
+        return [bars]
+    if review.deviations is None:
+        return []
+    top = float(np.quantile(review.deviations * [100, 100, 180 / np.pi], 0.999))
+    series = rrb.TimeSeriesView(
+        name="standard deviation of the pose: x, y [cm], phi [degrees]",
+        origin="/deviation",
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * top)),
+        plot_legend=rrb.Corner2D.LeftTop,
+    )
+    return [series]
 
 
 def _scan_name(review: Review) -> str:
