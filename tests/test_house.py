@@ -37,6 +37,7 @@ OWNERS = {
     "gtsam": {"sensorgraph/localization/pose_graph.py"},
     "mujoco": {"sensorgraph/data/export/drive_mujoco.py"},
     "irsim": {"sensorgraph/data/export/drive_irsim.py"},
+    "zenoh": {"logs/live/network.py"},
     "launch": {"sensorgraph/data/export/bridge.launch.py"},
     "launch_ros": {"sensorgraph/data/export/bridge.launch.py"},
     "numpy": set(PACKAGES),

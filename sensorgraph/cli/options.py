@@ -330,7 +330,7 @@ IdentifyTerms = Annotated[
 
 # record
 RecordPlan = Annotated[
-    Path,
+    Path | None,
     typer.Argument(help="A plan's folder, its trajectory.csv, or a run whose /cmd_vel is driven again."),
 ]
 RecordOut = Annotated[Path, typer.Option("-o", "--out", help="The run to write, *.mcap.")]

@@ -17,6 +17,17 @@ from sensorgraph.cli.options import (
     RecordRobot,
     RecordSeed,
     RecordStart,
+    Topics,
+)
+from sensorgraph.cli.record_live import (
+    RecordDomain,
+    RecordDuration,
+    RecordLive,
+    RecordRouter,
+    RecordShare,
+    RecordUntilCovered,
+    check_options,
+    record_live,
 )
 
 if TYPE_CHECKING:
@@ -28,8 +39,8 @@ if TYPE_CHECKING:
 
 
 def record(
-    plan: RecordPlan,
     out: RecordOut,
+    plan: RecordPlan = None,
     arena: RecordArena = None,
     graph: RecordGraph = None,
     controller: RecordController = None,
@@ -37,8 +48,15 @@ def record(
     start: RecordStart = None,
     effects: RecordEffects = None,
     seed: RecordSeed = 0,
+    live: RecordLive = False,
+    router: RecordRouter = None,
+    domain: RecordDomain = None,
+    topic: Topics = None,
+    duration: RecordDuration = None,
+    until_covered: RecordUntilCovered = None,
+    share: RecordShare = 0.99,
 ) -> None:
-    """Drive the embedded robot along a plan, with its lag, drift and noise, and log it as MCAP.
+    """Drive the embedded robot along a plan, with its lag, drift and noise, and log it as MCAP; or log your own, live.
 
     Examples:
 
@@ -51,29 +69,59 @@ def record(
       sensorgraph record runs/plan --graph lab.sensorgraph --controller plan --controller wall_following -o race.mcap
 
       sensorgraph record runs/plan --arena square --controller wall_following --controller turn.json -o copy.mcap
-    """
-    from sensorgraph.cli.inputs import check_output, parse_pose
-    from sensorgraph.cli.progress import progress
-    from sensorgraph.effects.effects_file import read as read_effects
-    from sensorgraph.errors import SensorgraphError
-    from sensorgraph.recording.drive_source import check_start, open_drive
-    from sensorgraph.recording.record import record as record_run
 
+      sensorgraph record --live --router 192.168.0.5 --until-covered runs/plan -o run.mcap
+    """
+    from sensorgraph.cli.inputs import check_output
+    from sensorgraph.errors import SensorgraphError
+
+    check_options(
+        live=live,
+        of_live={
+            "--router": router, "--domain": domain, "--topic": topic, "--duration": duration,
+            "--until-covered": until_covered,
+        },
+        of_plan={"PLAN": plan, "--graph": graph, "--controller": controller, "--start": start, "--effects": effects},
+    )  # fmt: skip
+    if live:
+        record_live(
+            out, router=router, domain=domain, topics=topic, duration=duration, until_covered=until_covered,
+            share=share, arena=arena, robot=robot,
+        )  # fmt: skip
+        return
+    if plan is None:
+        raise SensorgraphError("nothing to drive: give a PLAN, or --live to record your own robot")
     check_output(out, plan, *([effects] if effects is not None else []))
     if out.suffix != ".mcap":
         raise SensorgraphError(f"{out}: a run is written as *.mcap; name it {out.with_suffix('.mcap').name}")
-    if graph is not None:
-        if effects is not None or start is not None:
-            raise SensorgraphError("--graph holds what was perceived; --effects and --start go with --arena")
-        _record_closed_loop(plan, graph, out, controller or ["plan"], arena, robot, seed)
+    if graph is None and not controller:
+        _record_drive(plan, out, arena, robot, start, effects, seed)
         return
-    if controller:
-        if effects is not None or start is not None:
-            raise SensorgraphError(
-                "--controller goes with --arena or --graph alone, and starts where the plan starts"
-            )
-        _record_closed_loop(plan, None, out, controller, arena, robot, seed)
-        return
+    if effects is not None or start is not None:
+        raise SensorgraphError(
+            "--graph holds what was perceived; --effects and --start go with --arena"
+            if graph is not None
+            else "--controller goes with --arena or --graph alone, and starts where the plan starts"
+        )
+    _record_closed_loop(plan, graph, out, controller or ["plan"], arena, robot, seed)
+
+
+def _record_drive(
+    plan: Path,
+    out: Path,
+    arena: str | None,
+    robot: Path | None,
+    start: str | None,
+    effects: Path | None,
+    seed: int,
+) -> None:
+    """Drive along a plan, or by the commands of a run, once."""
+    from sensorgraph.cli.inputs import parse_pose
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.effects.effects_file import read as read_effects
+    from sensorgraph.recording.drive_source import check_start, open_drive
+    from sensorgraph.recording.record import record as record_run
+
     drive = open_drive(plan, start=None if start is None else parse_pose(start))
     walls, machine = _place(drive, arena, robot)
     amendments = () if effects is None else read_effects(effects, walls)

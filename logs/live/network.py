@@ -1,0 +1,173 @@
+"""The network of a running robot: who publishes what, and the messages as they come, through a zenoh router."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from dataclasses import dataclass
+from functools import partial
+from queue import Empty, SimpleQueue
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from logs.errors import LogError
+from logs.live.keys import PublishedTopic, data_key, parse_token, tokens_of
+
+if TYPE_CHECKING:
+    import zenoh
+
+DEFAULT_ROUTER, DEFAULT_PORT = "127.0.0.1", 7447
+CONNECT_TIMEOUT = 3.0
+"""[s] in which the router must answer."""
+ATTACHMENT_SIZE = 33
+"""[bytes] of what rmw_zenoh sends beside a message: sequence, time, and 16 of who publishes after their count."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveMessage:
+    """One message as it came."""
+
+    topic: PublishedTopic
+    received_ns: int
+    payload: bytes
+    """CDR, as it was sent."""
+    publisher: bytes = b""
+    sequence: int | None = None
+    """Count of what its publisher has sent; None: it does not say."""
+
+
+class RosNetwork:
+    """A robot's topics, through the router that its nodes use.
+
+    Parameters
+    ----------
+    router : HOST, HOST:PORT, or a zenoh endpoint such as tcp/192.168.0.5:7447
+    domain : ROS_DOMAIN_ID; None: of the environment, else 0
+
+    Raises
+    ------
+    LogError
+        if zenoh is not installed, no router answers, or the domain is no number
+    """
+
+    def __init__(self, router: str = DEFAULT_ROUTER, domain: int | None = None) -> None:
+        zenoh = _zenoh()
+        self.router = endpoint_of(router)
+        self.domain = _domain() if domain is None else domain
+        self.topics: dict[str, PublishedTopic] = {}
+        """Name -> what was announced, since it was opened."""
+        self._inbox: SimpleQueue[LiveMessage | PublishedTopic] = SimpleQueue()
+        self._subscribers: dict[str, Any] = {}
+        try:
+            config = zenoh.Config()
+            for key, value in _settings(self.router).items():
+                config.insert_json5(key, json.dumps(value))
+            self._session = zenoh.open(config)
+        except zenoh.ZError as exc:
+            raise LogError(
+                f"no zenoh router answers at {self.router}; start one on the robot (ros2 run rmw_zenoh_cpp rmw_zenohd, "
+                "its nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp), or say where it is: `router` HOST:PORT"
+            ) from exc
+        self._session.liveliness().declare_subscriber(tokens_of(self.domain), self._on_token, history=True)
+
+    def listen(self, topic: PublishedTopic) -> None:
+        """Receive a topic from now on; of a latched one, what was sent before, too."""
+        if topic.name in self._subscribers:
+            return
+        zenoh = _zenoh()
+        receive = partial(self._on_sample, topic)
+        key = data_key(self.domain, topic)
+        if topic.is_latched or topic.name.rstrip("/").endswith("tf_static"):
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+            subscriber: Any = zenoh.ext.declare_advanced_subscriber(
+                self._session, key, receive, history=history
+            )
+        else:
+            subscriber = self._session.declare_subscriber(key, receive)
+        self._subscribers[topic.name] = subscriber
+
+    def next(self, until: float) -> LiveMessage | PublishedTopic | None:
+        """Return the next message or announcement, in the order of coming; None: none came.
+
+        Parameters
+        ----------
+        until : [s] of `time.monotonic` up to which to wait; what waits in the queue is returned also later
+        """
+        try:
+            item = self._inbox.get(timeout=max(until - time.monotonic(), 1e-4))
+        except Empty:
+            return None
+        if isinstance(item, PublishedTopic):
+            self.topics[item.name] = item
+        return item
+
+    def close(self) -> None:
+        """Hang up; what had come by then can still be taken by `next`."""
+        for subscriber in self._subscribers.values():
+            subscriber.undeclare()
+        self._subscribers.clear()
+        self._session.close()
+
+    def __enter__(self) -> RosNetwork:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _on_sample(self, topic: PublishedTopic, sample: zenoh.Sample) -> None:
+        self._inbox.put(_message(topic, sample))
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        topic = parse_token(str(sample.key_expr))
+        if topic is not None and sample.kind == _zenoh().SampleKind.PUT:
+            self._inbox.put(topic)
+
+
+def endpoint_of(router: str) -> str:
+    """Return the zenoh endpoint of HOST, HOST:PORT or an endpoint."""
+    if "/" in router:
+        return router
+    host, colon, port = router.rpartition(":")
+    return f"tcp/{router}" if colon and port.isdigit() and host else f"tcp/{router}:{DEFAULT_PORT}"
+
+
+def _settings(endpoint: str) -> dict[str, Any]:
+    return {
+        "mode": "client",
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": round(CONNECT_TIMEOUT * 1e3),
+        "scouting/multicast/enabled": False,
+    }
+
+
+def _domain() -> int:
+    text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not text.isdigit():
+        raise LogError(f"ROS_DOMAIN_ID is {text!r}, expected a whole number; set it, or give `domain`")
+    return int(text)
+
+
+def _message(topic: PublishedTopic, sample: zenoh.Sample) -> LiveMessage:
+    beside = sample.attachment.to_bytes() if sample.attachment is not None else b""
+    is_known = len(beside) == ATTACHMENT_SIZE
+    return LiveMessage(
+        topic=topic,
+        received_ns=time.time_ns(),
+        payload=sample.payload.to_bytes(),
+        publisher=beside[17:] if is_known else b"",
+        sequence=int.from_bytes(beside[:8], "little") if is_known else None,
+    )
+
+
+def _zenoh() -> Any:
+    try:
+        import zenoh
+        import zenoh.ext
+    except ImportError as exc:
+        raise LogError(
+            "listening to a robot needs zenoh, which is not installed: pip install sensorgraph[live]"
+        ) from exc
+    return zenoh

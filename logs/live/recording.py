@@ -1,0 +1,244 @@
+"""A recording of a running robot: every message as it came, what is missing, and the latest seconds as a run."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.formats.mcap_file import RosFile
+from logs.live.keys import PublishedTopic
+from logs.live.network import LiveMessage, RosNetwork
+from logs.ros.interpret import to_run
+from logs.ros.recording import KEPT_TYPES, RANGE_TYPE, SCAN_TYPE, TF_TYPE, Recording, Topic, check_roles
+from logs.run import Run
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveSettings:
+    """When a recording gives up, and what it calls a gap."""
+
+    patience: float = 10.0
+    """[s] in which a topic with readings, and the topics that were named, must be announced."""
+    gap_periods: float = 3.0
+    """A silence of so many periods of a topic is a gap."""
+    least_gap: float = 0.25
+    """[s] but not a shorter one."""
+    rate_span: float = 5.0
+    """[s] over which the rate that is shown is counted."""
+    window: float = 6.0
+    """[s] of messages that are kept to tell where the robot is."""
+
+
+SETTINGS = LiveSettings()
+
+
+@dataclass
+class TopicRate:
+    """How the messages of a topic have come so far."""
+
+    type: str
+    n_messages: int = 0
+    n_lost: int = 0
+    """Messages that its publishers counted and that never came."""
+    n_gaps: int = 0
+    longest_gap: float = 0.0
+    """[s] between two messages."""
+    recent: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
+    """[s] when the latest came."""
+    _sequences: dict[bytes, int] = field(default_factory=dict)
+
+    def hz(self, now: float) -> float:
+        """Return messages a second up to now [s]: 0 where a topic has fallen silent."""
+        begin = max(now - SETTINGS.rate_span, self.recent[0]) if self.recent else now
+        count = sum(at > begin for at in self.recent)
+        return count / (now - begin) if now > begin else 0.0
+
+    def silence(self, now: float) -> float:
+        """Return how long [s] nothing has come."""
+        return now - self.recent[-1] if self.recent else 0.0
+
+    def add(self, message: LiveMessage) -> None:
+        """Count a message."""
+        at = message.received_ns / 1e9
+        if self.recent:
+            silence, span = at - self.recent[-1], self.recent[-1] - self.recent[0]
+            self.longest_gap = max(self.longest_gap, silence)
+            period = span / (len(self.recent) - 1) if len(self.recent) > 3 else np.inf
+            self.n_gaps += silence > max(SETTINGS.gap_periods * period, SETTINGS.least_gap)
+        self.recent.append(at)
+        self.n_messages += 1
+        if message.sequence is not None:
+            last = self._sequences.get(message.publisher)
+            if last is not None and message.sequence > last + 1:
+                self.n_lost += message.sequence - last - 1
+            self._sequences[message.publisher] = message.sequence
+
+
+class LiveRecording:
+    """Write all topics of a robot that a run is made of to `NAME.mcap`, message by message.
+
+    While open, the file is `NAME.mcap.part`, of which a crash loses the open chunk (64 KiB) at most:
+    `sensorgraph recover` saves the rest. An exception keeps what there is as `NAME.interrupted.mcap`.
+
+    Parameters
+    ----------
+    topics : role -> topic, where the robot names them otherwise; of lasers, only those named are written
+    attachments : files to keep inside the file
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        network: RosNetwork,
+        *,
+        topics: Mapping[str, str] | None = None,
+        attachments: Mapping[str, bytes] | None = None,
+    ) -> None:
+        check_roles(topics)
+        self.path, self.network, self.roles = path, network, dict(topics or {})
+        self.rates: dict[str, TopicRate] = {}
+        """Topic -> how its messages have come."""
+        self.notes: list[str] = []
+        """What was left out, a line each."""
+        self._recent: deque[LiveMessage] = deque()
+        self._fixed: dict[str, list[LiveMessage]] = {}
+        self._file = RosFile(path)
+        try:
+            for name, data in (attachments or {}).items():
+                self._file.attach(name, data, time.time_ns())
+        except BaseException:
+            self._file.abandon()
+            raise
+
+    @property
+    def n_scans(self) -> int:
+        """Messages with readings so far."""
+        return sum(rate.n_messages for rate in self.rates.values() if rate.type in (SCAN_TYPE, RANGE_TYPE))
+
+    def wait_for_topics(self) -> None:
+        """Wait until the readings and what was named are announced.
+
+        Raises
+        ------
+        LogError
+            if they are not in time; it lists the topics that were seen
+        """
+        until = time.monotonic() + SETTINGS.patience
+        while (missing := self._missing()) and time.monotonic() < until:
+            self._take(self.network.next(until))
+        if missing:
+            known = sorted(self.network.topics.values(), key=lambda topic: topic.name)
+            seen = ", ".join(f"{topic.name} ({topic.type})" for topic in known) or "no topic"
+            raise LogError(
+                f"{' and '.join(missing)} not published in domain {self.network.domain} at {self.network.router}; seen: "
+                f"{seen}; start the driver, name the topic (`topics` scan=/front/scan), or set `domain`"
+            )
+
+    def pump(self, duration: float) -> None:
+        """Write what comes within `duration` [s]."""
+        until = time.monotonic() + duration
+        while time.monotonic() < until:
+            self._take(self.network.next(until))
+
+    def recent(self) -> Run | None:
+        """Return the latest seconds as a run, read as the file will be; None: they hold no scan yet."""
+        recording = Recording(format="mcap")
+        for message in (*(m for kept in self._fixed.values() for m in kept), *self._recent):
+            topic = recording.topics.setdefault(
+                message.topic.name, Topic(message.topic.name, message.topic.type)
+            )
+            topic.n_messages += 1
+            topic.log_times.append(message.received_ns)
+            topic.payloads.append(message.payload)
+        try:
+            with np.errstate(all="ignore"):
+                return to_run(recording, self.path.name, self.roles)
+        except LogError:
+            return None
+
+    def close(self) -> Path:
+        """Take what still waits, and finish the file under its name.
+
+        Raises
+        ------
+        LogError
+            if not one scan came; nothing is left then
+        """
+        self.network.close()
+        for message in self._waiting():
+            self._take(message)
+        if self.n_scans == 0:
+            self._file.abandon()
+            names = ", ".join(name for name, rate in self.rates.items() if rate.n_messages) or "no topic"
+            raise LogError(f"not one scan came, messages only of {names}; is the laser on?")
+        return self._file.finish()
+
+    def __enter__(self) -> LiveRecording:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if exc is None:
+            self.close()
+        elif self.n_scans == 0:
+            self._file.abandon()
+        else:
+            self._file.finish(self.path.with_name(self.path.name.removesuffix(".mcap") + ".interrupted.mcap"))
+
+    def _waiting(self) -> Iterator[LiveMessage | PublishedTopic]:
+        while (item := self.network.next(0.0)) is not None:
+            yield item
+
+    def _missing(self) -> list[str]:
+        topics = self.network.topics
+        missing = [
+            name
+            for named in self.roles.values()
+            for name in named.split(",")
+            if not any(_fits(topic, name) for topic in topics)
+        ]
+        if not any(topic.type in (SCAN_TYPE, RANGE_TYPE) for topic in topics.values()):
+            missing.append("a LaserScan or Range is")
+        elif missing:
+            missing[-1] += " is"
+        return missing
+
+    def _is_wanted(self, topic: PublishedTopic) -> bool:
+        if topic.type in (SCAN_TYPE, RANGE_TYPE) and "scan" in self.roles:
+            return any(_fits(topic.name, name) for name in self.roles["scan"].split(","))
+        return topic.type in KEPT_TYPES
+
+    def _take(self, item: LiveMessage | PublishedTopic | None) -> None:
+        """Listen to what is announced, write what came."""
+        if isinstance(item, PublishedTopic):
+            if self._is_wanted(item):
+                first = self.rates.setdefault(item.name, TopicRate(item.type)).type
+                note = f"{item.name} is published as {first} and as {item.type}; only the first is written"
+                if first != item.type and note not in self.notes:
+                    self.notes.append(note)
+                self.network.listen(item)
+            return
+        if item is None:
+            return
+        name = item.topic.name
+        self._file.put(self._file.channel(name, item.topic.type), item.received_ns, item.payload)
+        self.rates[name].add(item)
+        if item.topic.type == TF_TYPE and name.rstrip("/").endswith("tf_static"):
+            self._fixed.setdefault(name, []).append(item)
+            return
+        self._recent.append(item)
+        while self._recent[0].received_ns < item.received_ns - SETTINGS.window * 1e9:
+            self._recent.popleft()
+
+
+def _fits(topic: str, pattern: str) -> bool:
+    return fnmatchcase(topic, "/" + pattern.strip().lstrip("/"))
