@@ -168,6 +168,17 @@ def test_covariance_grows_where_the_map_is_wrong_and_not_elsewhere() -> None:
     assert np.median(sd[62:]) > 1.3 * np.median(sd[:60])
 
 
+def test_covariance_grows_where_returns_lie_on_no_wall() -> None:
+    run = room_run(TRUTH[:30])
+    run = replace(run, sensor=replace(run.sensor, sigma=0.001))  # what scatters more is the map's
+    without_box = WALLS[:-4]
+    sd = [
+        np.sqrt(np.diagonal(locate_in_map(run, walls).covariances, axis1=1, axis2=2))[:, :2].mean()
+        for walls in (WALLS, without_box)
+    ]
+    assert sd[1] > 1.2 * sd[0]
+
+
 def test_grid_of_seen_cells_is_where_the_log_of_a_graph_has_looked() -> None:
     run = replace(room_run(TRUTH), pose_stamps=np.arange(120) / 5, poses=TRUTH)
     seen = seen_by_graph(build([run], model="cells"))

@@ -11,7 +11,7 @@ from sensorgraph.localization.front_end import ScanTrack, track
 from sensorgraph.localization.global_search import LocalView, find_places, local_view
 from sensorgraph.localization.known_map import KnownMap, known_map
 from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
-from sensorgraph.localization.map_tracking import MapTrack, MapTracker, rematch
+from sensorgraph.localization.map_tracking import MapMatches, MapTrack, MapTracker, rematch
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.result import Localization, Status, stretch_notes
 from sensorgraph.localization.scans import ScanPoints, scan_points
@@ -58,10 +58,10 @@ def locate_in_map(
     with progress("smoothing", "scans") as tick:
         start = _smoothed(poses, steps, found.breaks, found.poses, found.information, settings)[0]
         start[np.isnan(found.poses[:, 0])] = np.nan
-        places, information, noise = rematch(scans, start, place, tick)
-    poses, covariances = _smoothed(poses, steps, found.breaks, places, information, settings)
-    covariances = covariances + _map_error(noise, run.sensor.sigma, settings)
-    status = _status(run.stamps, information, found, settings)
+        matches = rematch(scans, start, place, tick)
+    poses, covariances = _smoothed(poses, steps, found.breaks, matches.poses, matches.information, settings)
+    covariances = covariances + _map_error(matches, run.sensor.sigma, settings)
+    status = _status(run.stamps, matches.information, found, settings)
     notes = () if odometry is not None else ("no odometry that moves: located by the scans alone",)
     return Localization(
         t=run.stamps,
@@ -97,17 +97,22 @@ def _smoothed(
     return result.poses, result.covariances
 
 
-def _map_error(noise: Floats, sigma: float, settings: MapTrackingSettings) -> Floats:
+def _map_error(matches: MapMatches, sigma: float, settings: MapTrackingSettings) -> Floats:
     """Return the covariances (n, 3, 3) that a map's own errors add: walls that are off scatter the returns.
 
     Neighbouring scans meet the same walls, so that smoothing does not make this smaller. Where the returns of a scan
     scatter more than usual, the map is worse there; where they do not, it is as wrong as it usually is: walls that are
-    displaced as a whole scatter nothing.
+    displaced as a whole scatter nothing. The fewer of the returns lie on walls, the less is left that the others would
+    set right: the deviation is divided by their share. A scan that was not matched is as its neighbours are.
     """
-    usual = float(np.nanmedian(noise)) if np.isfinite(noise).any() else sigma
-    excess = np.sqrt(np.maximum(np.fmax(noise, usual) ** 2 - sigma**2, 0.0))[:, None]
+    noise, known = matches.noise, np.isfinite(matches.noise)
+    usual = float(np.median(noise[known])) if known.any() else sigma
+    excess = np.sqrt(np.maximum(np.fmax(noise, usual) ** 2 - sigma**2, 0.0))
+    if known.any():
+        at = np.arange(len(noise))
+        excess = excess / np.interp(at, at[known], matches.agreement[known])
     share = np.array([settings.map_share, settings.map_share, settings.map_share_turn])
-    variances = np.asarray(settings.place_floor) ** 2 + (share * excess) ** 2
+    variances = np.asarray(settings.place_floor) ** 2 + (share * excess[:, None]) ** 2
     return np.asarray(variances[:, None, :] * np.eye(3))
 
 

@@ -156,7 +156,8 @@ class MapTrackingSettings:
     """[m, m, rad] least standard deviations of a pose in a map."""
     map_share: float = 0.8
     """Standard deviation of a pose in a map, as a share of how much more the returns scatter around its walls than the
-    laser's noise explains, there or usually, whichever is more: so far the walls are off."""
+    laser's noise explains, there or usually, whichever is more: so far the walls are off. Divided by the share of the
+    returns that lie on walls."""
     map_share_turn: float = 0.2
     """[rad/m] the same of its heading."""
     step_floor: tuple[float, float, float] = (0.003, 0.003, 0.0008)

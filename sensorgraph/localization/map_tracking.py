@@ -37,6 +37,20 @@ class MapTrack:
     """Of all searches: share of the returns on walls of the map, less twice those through walls."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MapMatches:
+    """Scans matched to a known place."""
+
+    poses: Floats
+    """(n, 3) [m, m, rad] base_link in map."""
+    information: Floats
+    """(n, 3, 3) of x, y, phi in map as the scan alone tells; zeros where it was not matched."""
+    noise: Floats
+    """(n,) [m] scatter of the returns around the walls; nan where it was not matched."""
+    agreement: Floats
+    """(n,) share of the returns that lie on walls; nan where it was not matched."""
+
+
 @dataclass
 class _State:
     """What is known while scan after scan is taken."""
@@ -275,19 +289,15 @@ def rematch(
     place: KnownMap,
     progress: Progress,
     settings: MapTrackingSettings = MAP_TRACKING,
-) -> tuple[Floats, Floats, Floats]:
+) -> MapMatches:
     """Match scans once more; with the usual radii for a laser of few rays, too, as the walls of a map are dense.
 
     Parameters
     ----------
     poses : (n, 3) [m, m, rad] to start from; nan: not matched
-
-    Returns
-    -------
-    places (n, 3), their information (n, 3, 3), and the scatter (n,) [m] of returns around the walls, nan where not matched
     """
     places, information = poses.copy(), np.zeros((len(poses), 3, 3))
-    noise = np.full(len(poses), np.nan)
+    noise, agreement = np.full((2, len(poses)), np.nan)
     for k in np.flatnonzero(np.isfinite(poses).all(axis=1)):
         own = scans.of(int(k))
         if own.stop - own.start < settings.least_points:
@@ -297,7 +307,8 @@ def rematch(
             scans.points[own], scans.normals[own], place.surfaces, poses[k], prior_information=prior
         )
         if found.inliers >= settings.inliers and found.agreement >= settings.agreement:
-            places[k], information[k], noise[k] = found.pose, found.information, found.noise
+            places[k], information[k] = found.pose, found.information
+            noise[k], agreement[k] = found.noise, found.agreement
         if k % 50 == 0:
             progress(int(k), len(poses))
-    return places, information, noise
+    return MapMatches(poses=places, information=information, noise=noise, agreement=agreement)
