@@ -21,8 +21,6 @@ import zstandard
 
 import logs
 from benchmarks.fuzz import samples
-from benchmarks.fuzz.commands import fuzz_command
-from benchmarks.fuzz.readers import READERS, fuzz_reader
 from logs import inflation
 from logs.errors import LogError
 from logs.inflation import ALLOWANCE
@@ -330,17 +328,6 @@ def test_ros_1_chunks_do_not_unpack_without_end(monkeypatch: pytest.MonkeyPatch)
         logs.formats.rosbag.cap_chunks(reader, len(bomb))
         with pytest.raises(ValueError, match="unpacks to more than"):
             reader.readers[0].chunks[0].decompressor(bomb)
-
-
-@pytest.mark.parametrize("name", [name for name in READERS if name != "model"])
-def test_a_damaged_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
-    """`python -m benchmarks.fuzz` tries 100,000; here some of each kind."""
-    assert not fuzz_reader(READERS[name](), 25, 1, tmp_path)
-
-
-@pytest.mark.parametrize("name", ["inspect", "recover", "show", "predict"])
-def test_an_odd_option_or_a_damaged_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
-    assert not fuzz_command(name, 8, 1, tmp_path)
 
 
 @pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf"])

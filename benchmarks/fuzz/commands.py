@@ -28,6 +28,7 @@ VALUES = (
     "", "0", "-1", "1", "1e308", "nan", "inf", "x", "1,1,0", "1,1", "nan,0,0", "a=b", "scan=/scan", "=", "every10", "block",
     "auto", "mode", "99999999999999999999", "1e-9", "--", "-", "é", "faces", "polynomial", "{run}", "{graph}", "{arena}",
     "{robot}", "{out}", "{out}/none", "{bad}", "/dev/null", "square", "{effects}", "{model}", "{no_go}", "{map}",
+    "mujoco", "irsim", "gazebo", "nav2",
 )  # fmt: skip
 COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "inspect": ("inspect {run} --arena {arena} --robot {robot}", ("--topic", "--arena", "--json", "--no-return", "--robot")),
@@ -63,12 +64,21 @@ COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
         "diagnose {run} --arena {arena} --robot {robot} -o {out}/o",
         ("--robot", "--effects", "--seed", "--topic", "--commissioning"),
     ),
+    "export": (
+        "export {arena} --robot {robot} --effects {effects} --to irsim -o {out}/o",
+        ("--to", "--robot", "--effects", "--wall-height", "--no-go", "--run"),
+    ),
+    "twin of a graph": ("export {graph} --to mujoco -o {out}/o", ("--to", "--robot", "--wall-height")),
+    "nav2": (
+        "export {arena} --run {run} --no-go {no_go} --to nav2 -o {out}/o",
+        ("--to", "--robot", "--run", "--no-go", "--effects"),
+    ),
     "identify": (
         "identify {signals} --output y --inputs u --lags 1 -o {out}/o.json",
         ("--output", "--inputs", "--lags", "--output-lags", "--degree", "--noise-lags", "--split", "--every", "--terms"),
     ),
 }  # fmt: skip
-"""Name -> words that work, and options to add. `drive` is `record` with controllers."""
+"""Name -> words that work, and options to add; what bears no command's name is another use of one."""
 
 
 def sample_files() -> dict[str, tuple[str, bytes]]:
@@ -90,6 +100,19 @@ def sample_files() -> dict[str, tuple[str, bytes]]:
         "plan_facts": ("plan/plan.json", samples.PLAN),
         "plan_arena": ("plan/arena.geojson", samples.GEOJSON),
         "plan_robot": ("plan/robot.yaml", samples.ROBOT),
+    }
+
+
+def write_samples(folder: Path) -> dict[str, Path]:
+    """Write what the commands read and an empty folder for what they write; return name -> place."""
+    files = sample_files()
+    for path, data in files.values():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_bytes(data)
+    (folder / "out").mkdir()
+    return {name: folder / path for name, (path, _) in files.items()} | {
+        "out": folder / "out",
+        "plan": folder / "plan",
     }
 
 
@@ -118,15 +141,10 @@ def fuzz_command(name: str, n: int, seed: int, folder: Path) -> Counter[str]:
     rng = np.random.default_rng([seed, 1, zlib.crc32(name.encode())])
     files = sample_files()
     folder = folder / "commands"
-    places = {key: folder / path for key, (path, _) in files.items()}
-    places |= {"out": folder / "out", "plan": folder / "plan"}
     found: Counter[str] = Counter()
     for _ in range(n):
         shutil.rmtree(folder, ignore_errors=True)
-        for path, data in files.values():
-            (folder / path).parent.mkdir(parents=True, exist_ok=True)
-            (folder / path).write_bytes(data)
-        places["out"].mkdir()
+        places = write_samples(folder)
         damage = rng.random() < DAMAGED_SHARE
         words = [word.format(**places) for word in _words(name, rng, odd=not damage or rng.random() < 0.1)]
         victim = ""
@@ -138,7 +156,7 @@ def fuzz_command(name: str, n: int, seed: int, folder: Path) -> Counter[str]:
         if victim:
             kept = _damaged(*files[victim], rng)
             places[victim].write_bytes(kept)
-        wrong = judge(lambda words=words: _run(words, places["out"]), COMMAND_SECONDS)  # type: ignore[misc]
+        wrong = judge(lambda words=words, out=places["out"]: _run(words, out), COMMAND_SECONDS)  # type: ignore[misc]
         if wrong:
             line = f"{wrong}: {' '.join(words)}" + (f" ({victim} damaged)" if victim else "")
             found[line.replace(str(folder), "")] += 1
