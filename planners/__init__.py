@@ -2,7 +2,7 @@
 
 `plan(arena, vehicle)` plans with one of `PLANNERS`; `planners.maps.load(path)` reads the arena.
 
-`planning` makes a `task.Task` and gives it to a planner in `methods`. That planner searches rooms (`search`, `cars`), joins
+`planning` makes a `task.Task`, and OMPL (`ompl_frame`) runs a planner of `methods` on it. That planner searches rooms (`search`, `cars`), joins
 them (`joins`), and answers with a `task.PlannedDrive`. `sections` and `battery` cut the drive to the time there is;
 `report`, `check` and `holes` measure it; `export` writes it for others. `ompl_planner` is the whole as a planner of OMPL.
 """

@@ -18,16 +18,13 @@ that `ProblemDefinition` hands out is freed with the Python object. `simplify` m
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
-from planners.arena import Arena, wrap
+from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
-from planners.joins.ompl_process import INSTALL_HINT, DistanceField
-from planners.joins.settings import JOINS
+from planners.joins.ompl_process import INSTALL_HINT
+from planners.ompl_frame import FloorChecks, path_of, pose_of, setup_of, state_of, stop_when
 from planners.planning import PLANNERS, Plan, plan
 from planners.reach import reach
 from planners.sections import check_pose
@@ -35,7 +32,7 @@ from planners.types import Floats
 from planners.vehicle import Vehicle
 
 try:
-    from ompl import base, geometric  # type: ignore[import-untyped]
+    from ompl import base  # type: ignore[import-untyped]
 except ImportError as exc:
     raise PlanError(INSTALL_HINT) from exc
 
@@ -44,8 +41,6 @@ logger = logging.getLogger(__name__)
 BASELINE_NAMES = ("random_bounce", "wall_following")
 RASTER_CELL = 0.25
 """[m] of the raster of free space."""
-PATH_RATE = 10.0
-"""[Hz] of the states of a path."""
 
 
 class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types that mypy can follow
@@ -107,7 +102,7 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
                 cell=self.cell,
                 headings=self.headings,
                 seed=self.seed,
-                progress=_stop_when(condition),
+                progress=stop_when(condition),
                 **self.options,
             )
         except KeyboardInterrupt:
@@ -117,7 +112,7 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
             return status(status.INFEASIBLE)
         stopped = bool(self.plan.report.get("interrupted", False))
         missed = 1.0 - float(self.plan.report["coverage"])
-        path = self._path(self.plan)
+        path = path_of(self.getSpaceInformation(), self.plan.curve)
         self.getProblemDefinition().addSolutionPath(path, stopped, missed if stopped else 0.0, self.name)
         return status(status.APPROXIMATE_SOLUTION if stopped else status.EXACT_SOLUTION)
 
@@ -125,7 +120,7 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
         """Return the drive as `PlannerData`: a chain of states."""
         data = base.PlannerData(self.getSpaceInformation())
         if self.plan is not None:
-            path = self._path(self.plan)
+            path = path_of(self.getSpaceInformation(), self.plan.curve)
             last = path.getStateCount() - 1
             for k in range(last + 1):
                 vertex = base.PlannerDataVertex(path.getState(k))
@@ -135,35 +130,6 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
                     data.addEdge(k - 1, k)
             data.decoupleFromPlanner()
         return data
-
-    def _path(self, made: Plan) -> Any:
-        information = self.getSpaceInformation()
-        path = geometric.PathGeometric(information)
-        n = int(np.ceil(made.curve.duration * PATH_RATE)) + 1
-        for pose in made.curve.sample(np.linspace(0.0, made.curve.duration, n))[0]:
-            path.append(_state(information.getStateSpace(), pose))
-        return path
-
-
-class DrivingTime(base.OptimizationObjective):  # type: ignore[misc]
-    """The time [s] of a drive at the robot's limits, accelerations left out: it drives and turns at once."""
-
-    def __init__(self, information: Any, vehicle: Vehicle) -> None:
-        super().__init__(information)
-        self.limits = vehicle.limits
-        self.space = information.getStateSpace() if vehicle.drive != "diff" else None
-
-    def stateCost(self, state: Any) -> Any:  # noqa: N802
-        """Return no cost: only motions take time."""
-        return base.Cost(0.0)
-
-    def motionCost(self, one: Any, other: Any) -> Any:  # noqa: N802
-        """Return the time [s] from one state to another."""
-        a, b = pose_of(one), pose_of(other)
-        if self.space is not None:
-            return base.Cost(float(self.space.distance(one, other)) / self.limits.v)
-        turn = abs(float(wrap(np.float64(b[2] - a[2]))))
-        return base.Cost(max(float(np.hypot(*(b - a)[:2])) / self.limits.v, turn / self.limits.omega))
 
 
 def registry_planners(
@@ -189,50 +155,10 @@ def problem(arena: Arena, vehicle: Vehicle, start: Floats, goal: Floats) -> Any:
 
     A state is valid where the robot's rim is free. Planners with a margin of their own, as `CoveragePlanner`, keep it.
     """
-    radius = vehicle.limits.turning_radius
-    space = {
-        "diff": base.SE2StateSpace,
-        "reeds_shepp": lambda: base.ReedsSheppStateSpace(radius),
-        "dubins": lambda: base.DubinsStateSpace(radius),
-    }[vehicle.drive]()
-    bounds = base.RealVectorBounds(2)
-    for axis, (low, high) in enumerate(zip(arena.bounds[:2], arena.bounds[2:], strict=True)):
-        bounds.setLow(axis, float(low))
-        bounds.setHigh(axis, float(high))
-    space.setBounds(bounds)
     barriers = Barriers(arena)
     free = reach(arena, barriers, clearance=vehicle.footprint_radius, cell=RASTER_CELL, start=start)
     check_pose("goal", goal, arena, barriers, free)  # OMPL would wait for a better one until its time is over
-    field = DistanceField(free.distance, free.origin, free.step)
-    field.clearance = vehicle.footprint_radius
-    setup = geometric.SimpleSetup(space)
-    setup.setStateValidityChecker(
-        lambda state: bool(field.value(state.getX(), state.getY()) >= field.clearance)
-    )  # holds nothing of OMPL
-    information = setup.getSpaceInformation()
-    information.setStateValidityCheckingResolution(JOINS.check_step / space.getMaximumExtent())
-    setup.setOptimizationObjective(DrivingTime(information, vehicle))
-    setup.setStartAndGoalStates(_state(space, start), _state(space, goal))
+    setup = setup_of(arena.bounds, FloorChecks.of(free, barriers, vehicle), is_certified=False)
+    space = setup.getSpaceInformation().getStateSpace()
+    setup.setStartAndGoalStates(state_of(space, start), state_of(space, goal))
     return setup
-
-
-def pose_of(state: Any) -> Floats:
-    """Return (3,) the pose of a state of SE2."""
-    return np.array([state.getX(), state.getY(), state.getYaw()])
-
-
-def _state(space: Any, pose: Floats) -> Any:
-    state = space.allocState()
-    state.setXY(float(pose[0]), float(pose[1]))
-    state.setYaw(float(wrap(np.float64(pose[2]))))
-    return state
-
-
-def _stop_when(condition: Any) -> Callable[[int, int], None]:
-    """Return a progress that ends the planning, as Ctrl-C would, once OMPL's condition says so."""
-
-    def progress(_: int, __: int) -> None:
-        if condition():
-            raise KeyboardInterrupt
-
-    return progress

@@ -13,6 +13,7 @@ import numpy as np
 
 from planners import holes
 from planners.arena import Arena
+from planners.arguments import DriveEnds, check_join_planner, check_numbers, check_planner
 from planners.battery import Session, battery_sessions, chain_sessions, check_battery
 from planners.bound import lower_bound
 from planners.cars.reachability import best_start, returnable_set
@@ -29,7 +30,7 @@ from planners.reach import Reach, ReturnableSet, reach
 from planners.report import plan_report, reference_time, session_report
 from planners.sections import check_pose, end_poses, fit_to_budget
 from planners.settings import JOIN_PLANNERS, REACH, STARTS
-from planners.task import ORDERS, JoinCounts, PlannedDrive, Survey, Task
+from planners.task import JoinCounts, PlannedDrive, Survey, Task
 from planners.trajectory import Trajectory
 from planners.types import Bools, Floats, Progress
 from planners.vehicle import Vehicle
@@ -42,6 +43,8 @@ PLANNERS: dict[str, Callable[[Task], PlannedDrive]] = {
     "stop_and_spin": plan_stop_and_spin,
 }
 
+FRAME = "planners.ompl_frame"
+"""Imported when something is planned: all else works without OMPL."""
 WALL_MARGIN = 0.02
 """[m] that the robot's rim keeps from walls, beyond its radius."""
 
@@ -99,9 +102,7 @@ def plan(
     join_planner: str = JOIN_PLANNERS[0],
     progress: Progress | None = None,
 ) -> Plan:
-    """Plan a drive through every reachable (x, y, phi) bin.
-
-    Most of this function is its arguments and their description; the work is done by the functions below.
+    """Plan a drive through every reachable (x, y, phi) bin, in OMPL's frame (`planners.ompl_frame`).
 
     Parameters
     ----------
@@ -126,34 +127,60 @@ def plan(
 
     Raises
     ------
-    PlanError : an argument is out of range or does not fit the others, the robot fits nowhere, nothing is left to plan,
-        a pose or the dock cannot be reached, or the budget or the battery is too small
+    PlanError : OMPL is not installed, an argument is out of range or does not fit the others, the robot fits nowhere,
+        nothing is left to plan, a pose or the dock cannot be reached, or the budget or the battery is too small
     KeyboardInterrupt : Ctrl-C came before anything was found; later, the plan so far is returned
     """
     began = time.perf_counter()
-    _check_planner(
-        planner, order, vehicle, has_duration=duration is not None, has_targets=targets is not None
+    check_planner(
+        planner, PLANNERS, order, vehicle, has_duration=duration is not None, has_targets=targets is not None
     )
-    _check_numbers(cell=cell, rate=rate, headings=headings, seed=seed, margin=margin, duration=duration)
-    start, end, dock = _pose("start", start), _pose("end", end), _pose("dock", dock)
-    _check_ends(start=start, end=end, budget=budget, battery=battery, dock=dock)
-    start = start if dock is None else dock
-    name = "start" if dock is None else "dock"
-    free, barriers = _reachable_floor(arena, vehicle, cell, margin, start, name)
-    free = replace(free, join_planner=_join_planner(join_planner))
+    check_numbers(cell=cell, rate=rate, headings=headings, seed=seed, margin=margin, duration=duration)
+    ends = DriveEnds.of(start=start, end=end, dock=dock, budget=budget, battery=battery)
+    task = _task(
+        arena, vehicle, ends, cell=cell, headings=headings, seed=seed, rate=rate, margin=margin, visited=visited,
+        join_planner=check_join_planner(join_planner),
+    )  # fmt: skip
+    task = replace(
+        task, priority=_priority(priority, task.coverage), targets=targets(task.reach) if callable(targets) else targets,
+        duration=task.duration if duration is None else duration, order=order, survey=survey, progress=progress,
+    )  # fmt: skip
+    drive = import_module(FRAME).drive_in_frame(task, PLANNERS[planner], planner)
+    made, interrupted = defer_interrupt(partial(_finish, drive, task, planner, ends, sweep_time))
+    if interrupted:
+        made.report["interrupted"] = True
+    made.report["planning_s"] = round(time.perf_counter() - began, 3)
+    return made
+
+
+def _task(
+    arena: Arena,
+    vehicle: Vehicle,
+    ends: DriveEnds,
+    *,
+    cell: float,
+    headings: int,
+    seed: int,
+    rate: float,
+    margin: float,
+    visited: Floats | None,
+    join_planner: str,
+) -> Task:
+    """Return the task of covering what is in reach and not yet visited."""
+    start = ends.start
+    free, barriers = _reachable_floor(
+        arena, vehicle, cell, margin, start, "dock" if ends.is_dock else "start"
+    )
+    free = replace(free, join_planner=join_planner)
     grid = _empty_grid(free, headings)
     returnable: ReturnableSet | None = None
     if vehicle.drive == "dubins":
         start, returnable = _dubins_start(free, vehicle, grid, rate, start, seed)
         grid = replace(grid, reachable=grid.reachable & returnable.bins)
-    if callable(priority):
-        priority = priority(grid)
-    if priority is not None and np.shape(priority) != grid.counts.shape:
-        raise PlanError(f"priority has shape {np.shape(priority)}, expected {grid.counts.shape}")
     if visited is not None:
         grid.add(np.asarray(visited, dtype=np.float64).reshape(-1, 3))
-    if end is not None:
-        check_pose("end", end, arena, barriers, free)
+    if ends.end is not None:
+        check_pose("end", ends.end, arena, barriers, free)
     task = Task(
         arena=arena,
         vehicle=vehicle,
@@ -163,63 +190,25 @@ def plan(
         start=start,
         seed=seed,
         rate=rate,
-        priority=priority,
-        duration=duration if duration is not None else reference_time(grid, vehicle),
-        progress=progress,
-        targets=targets(free) if callable(targets) else targets,
+        priority=None,
+        duration=reference_time(grid, vehicle),
+        progress=None,
         returnable=returnable,
-        order=order,
-        survey=survey,
-        budget=budget,
+        budget=ends.budget,
     )
-    if battery is not None and start is not None:
-        check_battery(task, battery, start)
-    drive = PLANNERS[planner](task)
-    finish = partial(
-        _finish, drive, task, planner, end=end, budget=budget, battery=battery, sweep_time=sweep_time
-    )
-    made, interrupted = defer_interrupt(finish)
-    if interrupted:
-        made.report["interrupted"] = True
-    made.report["planning_s"] = round(time.perf_counter() - began, 3)
-    return made
+    if ends.battery is not None and start is not None:
+        check_battery(task, ends.battery, start)
+    return task
 
 
-def _check_planner(
-    planner: str, order: str, vehicle: Vehicle, *, has_duration: bool, has_targets: bool
-) -> None:
-    """Refuse an unknown planner, and arguments that are not for this one."""
-    if order not in ORDERS:
-        raise PlanError(f"order {order!r} is unknown; expected one of {', '.join(ORDERS)}")
-    if order != "fast" and planner != "coverage":
-        raise PlanError(f"order {order} is of the planner coverage; the planner is {planner}")
-    if order != "fast" and vehicle.drive != "diff":
-        raise PlanError(
-            f"order {order} turns on the spot, which drive {vehicle.drive!r} cannot; use order fast"
-        )
-    if planner not in PLANNERS:
-        raise PlanError(f"planner {planner!r} is unknown; expected one of {', '.join(PLANNERS)}")
-    if has_duration and planner in ("coverage", "stop_and_spin", "views"):
-        raise PlanError(f"the planner {planner} drives until all is visited; duration is for the baselines")
-    if has_targets != (planner == "views"):
-        raise PlanError(f"targets are for the planner views, and views needs them; the planner is {planner}")
-
-
-def _join_planner(name: str) -> str:
-    """Refuse a planner that OMPL does not have, or a user's own that cannot be imported."""
-    module, _, kind = name.rpartition(":")
-    if not module and name not in JOIN_PLANNERS:
-        raise PlanError(
-            f"join planner {name!r} is unknown; expected module:Class or one of {', '.join(JOIN_PLANNERS)}"
-        )
-    try:
-        if module:
-            getattr(import_module(module), kind)
-    except (ImportError, AttributeError) as exc:
-        raise PlanError(
-            f"join planner {name!r} cannot be imported ({exc}); put its folder on PYTHONPATH"
-        ) from exc
-    return name
+def _priority(priority: Floats | Callable[[Coverage], Floats] | None, grid: Coverage) -> Floats | None:
+    """Return the priority of each bin, made from the grid if it is a function."""
+    if callable(priority):
+        empty = replace(grid, counts=np.zeros_like(grid.counts), core=np.zeros_like(grid.core))
+        priority = priority(empty)
+    if priority is not None and np.shape(priority) != grid.counts.shape:
+        raise PlanError(f"priority has shape {np.shape(priority)}, expected {grid.counts.shape}")
+    return priority
 
 
 def _empty_grid(free: Reach, headings: int) -> Coverage:
@@ -251,18 +240,10 @@ def _reachable_floor(
     return free, barriers
 
 
-def _finish(
-    drive: PlannedDrive,
-    task: Task,
-    planner: str,
-    *,
-    end: Floats | None,
-    budget: float | None,
-    battery: float | None,
-    sweep_time: float,
-) -> Plan:
+def _finish(drive: PlannedDrive, task: Task, planner: str, ends: DriveEnds, sweep_time: float) -> Plan:
     """Fit a drive into the budget or the battery, and measure it."""
     grid, rate = task.coverage, task.rate
+    end, budget, battery = ends.end, ends.budget, ends.battery
     covered_before = grid.covered
     lost = np.zeros_like(grid.reachable) if drive.lost is None else drive.lost
     before, runs, ended = grid.fraction, list[Session](), dict[str, Any]()
@@ -310,38 +291,6 @@ def _share_of_bare_footprint(task: Task) -> float:
     return float(met.sum() / max(int(bare.sum()) * task.coverage.headings, 1))
 
 
-def _pose(name: str, pose: Floats | None) -> Floats | None:
-    if pose is None:
-        return None
-    pose = np.asarray(pose, dtype=np.float64)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise PlanError(f"{name} is {pose.tolist()}, expected three finite numbers x, y, phi")
-    return pose
-
-
-def _check_ends(
-    *,
-    start: Floats | None,
-    end: Floats | None,
-    budget: float | None,
-    battery: float | None,
-    dock: Floats | None,
-) -> None:
-    """Refuse times that are not positive, and ends that contradict each other."""
-    for name, value in (("budget", budget), ("battery", battery)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise PlanError(f"{name} is {value}, expected a positive number")
-    if dock is not None and battery is None:
-        raise PlanError("a dock needs a battery; give `battery` too, or `start` and `end`")
-    if battery is not None and (end is not None or budget is not None):
-        raise PlanError(
-            "every run on a battery ends at the dock; leave out `end` and `budget`, and drive as many runs "
-            "as there is time for: each tells the coverage so far"
-        )
-    if dock is not None and start is not None and not np.allclose(start, dock):
-        raise PlanError("every run on a battery starts at the dock; leave out `start`, or `dock`")
-
-
 def _dubins_start(
     free: Reach, vehicle: Vehicle, grid: Coverage, rate: float, start: Floats | None, seed: int
 ) -> tuple[Floats, ReturnableSet]:
@@ -359,17 +308,3 @@ def _dubins_start(
             f"{int(grid.reachable.sum()):,} bins and come back; start at {better[0]:.2f},{better[1]:.2f},{better[2]:.2f}"
         )
     return start, found
-
-
-def _check_numbers(
-    *, cell: float, rate: float, headings: int, seed: int, margin: float, duration: float | None
-) -> None:
-    for name, value in (("cell", cell), ("rate", rate), ("duration", 1.0 if duration is None else duration)):
-        if not (np.isfinite(value) and value > 0):
-            raise PlanError(f"{name} is {value}, expected a positive number")
-    if not 1 <= headings <= 3600 or headings != int(headings):
-        raise PlanError(f"headings is {headings}, expected a whole number from 1 to 3600")
-    if seed < 0:
-        raise PlanError(f"seed is {seed}, expected 0 or more")
-    if not (np.isfinite(margin) and margin >= 0):
-        raise PlanError(f"margin is {margin}, expected 0 or more")

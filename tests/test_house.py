@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("planners", "logs", "robotmodic_ident", "sensorgraph")
 OWNERS = {
-    "ompl": {"planners/joins/ompl_process.py", "planners/ompl_planner.py"},
+    "ompl": {"planners/joins/ompl_process.py", "planners/ompl_frame.py", "planners/ompl_planner.py"},
     "mcap": {"logs/"},
     "rosbags": {"logs/"},
     "zstandard": {"logs/"},  # both come with mcap: recovery must decompress what is left of a cut chunk

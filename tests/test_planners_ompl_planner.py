@@ -20,7 +20,8 @@ import json, sys
 sys.path.insert(0, sys.argv[1])
 import numpy as np
 from ompl import geometric, util
-from planners.ompl_planner import CoveragePlanner, pose_of, problem
+from planners.ompl_frame import pose_of
+from planners.ompl_planner import CoveragePlanner, problem
 from planners.vehicle import Limits, Vehicle
 from planners_samples import door_arena, shipped
 util.setLogLevel(util.LOG_NONE)
@@ -56,7 +57,8 @@ print(json.dumps(answers))
 BENCHMARK = """
 from ompl import tools
 from benchmarks.ompl_benchmark import request, runs
-from planners.ompl_planner import DrivingTime, registry_planners
+from planners.ompl_frame import DrivingTime
+from planners.ompl_planner import registry_planners
 setup, planner = setup_of("diff")
 benchmark = tools.Benchmark(setup, "door")
 information = setup.getSpaceInformation()

@@ -175,16 +175,11 @@ def test_what_cannot_be_joined_is_counted_as_failed() -> None:
     assert (joins.direct, joins.planned, joins.failed) == (0, 0, 1)
 
 
-def test_planning_needs_ompl_only_where_a_straight_move_is_blocked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "ompl").mkdir()
-    (tmp_path / "ompl" / "__init__.py").write_text("raise ImportError('not here')\n")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    made = plan(outlined(shapely.box(0, 0, 2, 1.5)), ROBOT, cell=0.5, headings=4)
-    assert made.report["coverage"] == 1.0
+def test_without_ompl_a_plan_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ompl", None)
+    monkeypatch.delitem(sys.modules, "planners.ompl_frame", raising=False)
     with pytest.raises(PlanError, match="OMPL is not installed; pip install"):
-        plan(door_arena(0.9), ROBOT, cell=0.5, headings=4, planner="stop_and_spin")
+        plan(outlined(shapely.box(0, 0, 2, 1.5)), ROBOT, cell=0.5, headings=4)
 
 
 def test_importing_planners_does_not_import_ompl() -> None:

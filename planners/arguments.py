@@ -1,0 +1,128 @@
+"""What `planning.plan` is asked, checked: refused in one line where it is out of range or contradicts itself."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from importlib import import_module
+
+import numpy as np
+
+from planners.errors import PlanError
+from planners.settings import JOIN_PLANNERS
+from planners.task import ORDERS
+from planners.types import Floats
+from planners.vehicle import Vehicle
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DriveEnds:
+    """Where a drive begins and ends, and after how long."""
+
+    start: Floats | None
+    """(3,) [m, m, rad]; with a battery, the dock."""
+    end: Floats | None
+    budget: float | None
+    """[s]"""
+    battery: float | None
+    """[s]"""
+    is_dock: bool
+    """The start is a dock."""
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        start: Floats | None,
+        end: Floats | None,
+        dock: Floats | None,
+        budget: float | None,
+        battery: float | None,
+    ) -> DriveEnds:
+        """Refuse times that are not positive, and ends that contradict each other."""
+        start, end, dock = _pose("start", start), _pose("end", end), _pose("dock", dock)
+        for name, value in (("budget", budget), ("battery", battery)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise PlanError(f"{name} is {value}, expected a positive number")
+        if dock is not None and battery is None:
+            raise PlanError("a dock needs a battery; give `battery` too, or `start` and `end`")
+        if battery is not None and (end is not None or budget is not None):
+            raise PlanError(
+                "every run on a battery ends at the dock; leave out `end` and `budget`, and drive as many runs "
+                "as there is time for: each tells the coverage so far"
+            )
+        if dock is not None and start is not None and not np.allclose(start, dock):
+            raise PlanError("every run on a battery starts at the dock; leave out `start`, or `dock`")
+        return cls(
+            start=start if dock is None else dock,
+            end=end,
+            budget=budget,
+            battery=battery,
+            is_dock=dock is not None,
+        )
+
+
+def check_planner(
+    planner: str,
+    known: Collection[str],
+    order: str,
+    vehicle: Vehicle,
+    *,
+    has_duration: bool,
+    has_targets: bool,
+) -> None:
+    """Refuse an unknown planner, and arguments that are not for this one."""
+    if order not in ORDERS:
+        raise PlanError(f"order {order!r} is unknown; expected one of {', '.join(ORDERS)}")
+    if order != "fast" and planner != "coverage":
+        raise PlanError(f"order {order} is of the planner coverage; the planner is {planner}")
+    if order != "fast" and vehicle.drive != "diff":
+        raise PlanError(
+            f"order {order} turns on the spot, which drive {vehicle.drive!r} cannot; use order fast"
+        )
+    if planner not in known:
+        raise PlanError(f"planner {planner!r} is unknown; expected one of {', '.join(known)}")
+    if has_duration and planner in ("coverage", "stop_and_spin", "views"):
+        raise PlanError(f"the planner {planner} drives until all is visited; duration is for the baselines")
+    if has_targets != (planner == "views"):
+        raise PlanError(f"targets are for the planner views, and views needs them; the planner is {planner}")
+
+
+def check_join_planner(name: str) -> str:
+    """Refuse a planner that OMPL does not have, or a user's own that cannot be imported."""
+    module, _, kind = name.rpartition(":")
+    if not module and name not in JOIN_PLANNERS:
+        raise PlanError(
+            f"join planner {name!r} is unknown; expected module:Class or one of {', '.join(JOIN_PLANNERS)}"
+        )
+    try:
+        if module:
+            getattr(import_module(module), kind)
+    except (ImportError, AttributeError) as exc:
+        raise PlanError(
+            f"join planner {name!r} cannot be imported ({exc}); put its folder on PYTHONPATH"
+        ) from exc
+    return name
+
+
+def check_numbers(
+    *, cell: float, rate: float, headings: int, seed: int, margin: float, duration: float | None
+) -> None:
+    for name, value in (("cell", cell), ("rate", rate), ("duration", 1.0 if duration is None else duration)):
+        if not (np.isfinite(value) and value > 0):
+            raise PlanError(f"{name} is {value}, expected a positive number")
+    if not 1 <= headings <= 3600 or headings != int(headings):
+        raise PlanError(f"headings is {headings}, expected a whole number from 1 to 3600")
+    if seed < 0:
+        raise PlanError(f"seed is {seed}, expected 0 or more")
+    if not (np.isfinite(margin) and margin >= 0):
+        raise PlanError(f"margin is {margin}, expected 0 or more")
+
+
+def _pose(name: str, pose: Floats | None) -> Floats | None:
+    if pose is None:
+        return None
+    pose = np.asarray(pose, dtype=np.float64)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise PlanError(f"{name} is {pose.tolist()}, expected three finite numbers x, y, phi")
+    return pose
