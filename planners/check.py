@@ -5,8 +5,12 @@ Nothing here is shared with what draws trajectories: distances come from shapely
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 
 import numpy as np
 import shapely
@@ -44,16 +48,43 @@ def check(trajectory: Trajectory, arena: Arena, vehicle: Vehicle) -> TrajectoryC
 def check_parts(parts: Iterable[Trajectory], arena: Arena, vehicle: Vehicle) -> TrajectoryCheck:
     """Check a long trajectory in parts, of which each begins with the last sample of the one before.
 
-    A violation at such a sample counts in both.
+    A violation at such a sample counts in both. Parts are checked side by side on all processors, as many at a time.
     """
-    lines, total, least = barriers(arena), dict.fromkeys(KINDS, 0), np.inf
-    for part in parts:
-        for kind, count in _motion(part, vehicle).items():
-            total[kind] += count
-        unproven, nearest = _clearance(part, arena, lines, vehicle.footprint_radius)
-        total["clearance"] += unproven
-        least = min(least, nearest)
+    total, least = dict.fromkeys(KINDS, 0), np.inf
+    examine = partial(_check_part, arena=arena, walls=_Walls.of(arena), vehicle=vehicle)
+    left = iter(parts)
+    n = os.cpu_count() or 1
+    with ThreadPoolExecutor(n) as threads:
+        size = 1  # shapely makes its indices in the first part, and only reads them afterwards
+        while wave := list(islice(left, size)):
+            for counts, nearest in threads.map(examine, wave):
+                for kind, count in counts.items():
+                    total[kind] += count
+                least = min(least, nearest)
+            size = n
     return TrajectoryCheck(violations=total, min_clearance=least)
+
+
+@dataclass(frozen=True, eq=False)
+class _Walls:
+    """What the robot may not touch, to be searched."""
+
+    lines: NDArray[np.object_]
+    tree: shapely.STRtree
+
+    @classmethod
+    def of(cls, arena: Arena) -> _Walls:
+        lines = barriers(arena)
+        return cls(lines, shapely.STRtree(lines))
+
+
+def _check_part(
+    part: Trajectory, *, arena: Arena, walls: _Walls, vehicle: Vehicle
+) -> tuple[dict[str, int], float]:
+    """Return the violations of each kind, and the least proven distance [m]."""
+    found = _motion(part, vehicle)
+    found["clearance"], nearest = _clearance(part, arena, walls, vehicle.footprint_radius)
+    return found, nearest
 
 
 def _motion(trajectory: Trajectory, vehicle: Vehicle) -> dict[str, int]:
@@ -106,9 +137,7 @@ def _jumps(trajectory: Trajectory, part: float) -> int:
     return int(wrong.sum())
 
 
-def _clearance(
-    trajectory: Trajectory, arena: Arena, lines: NDArray[np.object_], radius: float
-) -> tuple[int, float]:
+def _clearance(trajectory: Trajectory, arena: Arena, walls: _Walls, radius: float) -> tuple[int, float]:
     """Count samples whose surroundings are not proven free; return the least distance that is proven.
 
     The distance to the nearest wall changes by no more than the way driven, so a sample with distance d and a
@@ -117,22 +146,23 @@ def _clearance(
     places = trajectory.poses[:, :2]
     steps = np.hypot(*np.diff(places, axis=0).T)
     moved = np.concatenate([[True], steps > 0])
-    distance = _distances(places[moved], lines)[np.cumsum(moved) - 1]
-    distance[~arena.contains(places)] = 0.0
+    distance = _distances(places[moved], walls)[np.cumsum(moved) - 1]
     half = np.zeros(len(places))
     half[:-1] = 0.5 * steps
     half[1:] = np.maximum(half[1:], 0.5 * steps)
+    # who never comes to a wall stays on his side of it
+    inside = arena.contains(places[:1]) if (distance > half).all() else arena.contains(places)
+    distance = np.where(inside, distance, 0.0)
     proven = np.maximum(distance - half, 0.0)
     return int((proven < radius - 1e-6).sum()), float(proven.min())
 
 
-def _distances(points: Floats, lines: NDArray[np.object_]) -> Floats:
+def _distances(points: Floats, walls: _Walls) -> Floats:
     """Return (n,) [m] exact distances where they can be the least of all, and safe bounds of them elsewhere."""
-    tree = shapely.STRtree(lines)
 
     def exact(some: Floats) -> Floats:
         where = shapely.points(some)
-        return np.asarray(shapely.distance(where, lines[tree.nearest(where)]), dtype=np.float64)
+        return np.asarray(shapely.distance(where, walls.lines[walls.tree.nearest(where)]), dtype=np.float64)
 
     anchors = np.arange(0, len(points), CHECK.anchor_stride)
     near = np.minimum(np.arange(len(points)) // CHECK.anchor_stride, len(anchors) - 1)
