@@ -14,6 +14,9 @@ from logs.run import Run
 from planners.types import Floats
 from sensorgraph.diagnosis.diagnose import diagnose_motion
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
+from sensorgraph.diagnosis.motion.increments import wheel_increments
+from sensorgraph.diagnosis.motion.motors.model import DriveModel
+from sensorgraph.diagnosis.motion.motors.rows import commands_of, drive_rows
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 
 PLANTED: list[tuple[str, dict[str, Any], str, float]] = [
@@ -148,6 +151,19 @@ def real_base(
 def test_what_every_base_does_is_no_reason_to_doubt(base: dict[str, float]) -> None:
     result = diagnose_drive(real_base(1, **base), ROBOT)
     assert result.effects == () and result.unknown is None
+
+
+def test_noise_of_coarse_ticks_is_not_cut() -> None:
+    """Nine readings in ten are 0 and so is the robust scale, while robot.yaml states the noise: it is taken whole."""
+    run, sigma = make_run(1, duration=30.0), ROBOT.wheels.sigma_v
+    commands = commands_of(run)
+    model = DriveModel(commands, drive_rows(wheel_increments(run), commands, ROBOT, None), ROBOT)
+    rng = np.random.default_rng(1)
+    ticks = rng.choice([-1.0, 1.0], 20_000) * (rng.random(20_000) < 0.1) * sigma * np.sqrt(10)
+    noise = model.fitted_noise(0, ticks, np.ones(len(ticks), dtype=np.bool_))
+    assert noise.sigma == pytest.approx(sigma, rel=0.03)
+    outliers = model.fitted_noise(0, 30 * ticks, np.ones(len(ticks), dtype=np.bool_))
+    assert outliers.sigma < 2 * sigma
 
 
 def test_better_encoders_do_not_make_a_trifle_material() -> None:

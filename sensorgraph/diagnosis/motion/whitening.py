@@ -84,8 +84,8 @@ def filter_of(autocovariance: Floats, min_innovation: float) -> WhiteningFilter:
 
 
 def clipped(residual: Floats, valid: Bools, limit: float, floor: float) -> Floats:
-    """Return a residual (n,) cut at `limit` robust standard deviations, at least at `floor`."""
-    most = limit * MAD_TO_SIGMA * np.median(np.abs(residual[valid])) + floor
+    """Return a residual (n,) cut at `limit` robust standard deviations, or at `floor` if that is more."""
+    most = max(limit * MAD_TO_SIGMA * float(np.median(np.abs(residual[valid]))), floor)
     return np.clip(residual, -most, most)
 
 

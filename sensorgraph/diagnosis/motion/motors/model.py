@@ -260,9 +260,26 @@ class DriveModel:
     def fit_noise(self, residual: Floats) -> None:
         """Fit the noise to a residual (2 n,), and whiten with it from now on."""
         first, second = (
-            fitted_noise(k, part, self.rows.valid) for k, part in enumerate(both_kinds(residual, self.rows.n))
+            self.fitted_noise(k, part, self.rows.valid)
+            for k, part in enumerate(both_kinds(residual, self.rows.n))
         )
         self.whitener = Whitener.robust((first, second), self.rows.valid, residual, EVIDENCE.huber_limit)
+
+    def fitted_noise(self, kind: int, residual: Floats, valid: Bools) -> WhiteningFilter:
+        """Return autoregressive noise as a residual (n,) shows it.
+
+        Coarse ticks read at a high rate are 0 most of the time, and so is their robust scale; noise as robot.yaml states
+        it is therefore never cut.
+
+        Parameters
+        ----------
+        kind : 0 for translation, 1 for rotation
+        """
+        stated = (self.robot.wheels.sigma_v, self.robot.wheels.sigma_omega)[kind]
+        limit = EVIDENCE.clip_limit
+        cut = clipped(residual, valid, limit, max(limit * stated, 1e-9))
+        found = fit_autoregression(cut, valid, DRIVE.filter_order)
+        return replace(found, sigma=max(found.sigma, 1e-6))
 
     def residual(self, fit: DriveFit) -> Floats:
         """Return what a fit leaves (2 n,)."""
@@ -274,10 +291,3 @@ def _misread(rows: DriveRows, wheels: MotionDifference) -> Floats:
     middle, nothing = (rows.start + rows.end) / 2, np.zeros(rows.n)
     v, omega = (np.interp(middle, wheels.stamps, rate) for rate in wheels.rates.T)
     return rows.masked(np.stack([np.concatenate([v, nothing]), np.concatenate([nothing, omega])], axis=1))
-
-
-def fitted_noise(kind: int, residual: Floats, valid: Bools) -> WhiteningFilter:
-    """Return autoregressive noise as a residual (n,) shows it, whichever kind of row it is."""
-    cut = clipped(residual, valid, EVIDENCE.clip_limit, 1e-9)
-    found = fit_autoregression(cut, valid, DRIVE.filter_order)
-    return replace(found, sigma=max(found.sigma, 1e-6))

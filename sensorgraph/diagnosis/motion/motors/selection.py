@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import simulation_error
-from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm, fitted_noise
+from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel, MotorTerm
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
 from sensorgraph.diagnosis.motion.motors.structure import drive_families
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
@@ -89,7 +89,7 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     has_limit = any(term.effect is SPEED_SATURATION for term in terms)
     own = here.columns[:, [k for k in range(model.n_own) if has_limit or k != Column.V_MAX]]
     left = model.rows.masked(model.rows.y - here.simulated)
-    test = StructureTest(model.rows.valid, left, fitted_noise, drive_nuisances(model, here))
+    test = StructureTest(model.rows.valid, left, model.fitted_noise, drive_nuisances(model, here))
     families = drive_families(model, here)
     family, gain = test.best(own, families)
     strongest = max(evidence_of_each(model, terms, here).values(), default=0.0)
