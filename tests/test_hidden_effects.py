@@ -6,7 +6,9 @@ import ast
 from pathlib import Path
 
 import pytest
+import yaml
 
+from benchmarks.hidden_effects.baselines import least_squares, room_of
 from benchmarks.hidden_effects.cases import CaseSpec, make_case
 from planners.maps import geojson
 from sensorgraph.diagnosis.diagnose import diagnose
@@ -14,7 +16,7 @@ from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.world.robot import parse_robot
 
 GENERATOR = Path(__file__).parent.parent / "benchmarks" / "hidden_effects"
-JUDGES = {"results", "run", "score", "score_table"}
+JUDGES = {"baselines", "results", "run", "score", "score_table"}
 """Modules beside the generator: they start the diagnosis and score what it wrote."""
 
 
@@ -57,6 +59,17 @@ def test_nothing_is_named_where_nothing_is_hidden(background: str) -> None:
     finding, _ = found(suite="none", index=2, background=background)
     assert not finding.effects
     assert finding.unknown is None
+
+
+def test_a_baseline_names_what_is_continuous_and_knows_no_unknown() -> None:
+    """Least squares finds a mount turned by a degree; a lens that bends the view it calls by names of the library."""
+    for name, is_known in (("mount_yaw", True), ("bearing_scale", False)):
+        suite = "singles" if is_known else "foreign"
+        spec = CaseSpec(suite=suite, stream="dev", index=5, background="clean", effect=name, strength=0.9)
+        run, _, arena, robot, _ = make_case(spec)
+        report = least_squares(run, room_of(arena), yaml.safe_load(robot))
+        assert report["unknown"] is None and report["effects"]
+        assert not is_known or report["effects"][0]["name"] == name
 
 
 QUICK = ["moved_wall", "wheel_base", "dead_time"]

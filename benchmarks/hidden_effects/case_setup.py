@@ -106,7 +106,7 @@ class CaseSetup:
 
 def motors_of(robot: RobotSpec, effects: Sequence[HiddenEffect]) -> TrueMotors:
     """Return the motors with the effects that change them."""
-    motors = TrueMotors(tau=robot.tau)
+    motors = TrueMotors(tau=robot.tau, base_loop=robot.base_loop)
     for effect in effects:
         p = {key: float(value or 0.0) for key, value in effect.parameters.items()}
         if effect.name == "actuator_lag":

@@ -14,7 +14,7 @@ from benchmarks.hidden_effects.case_setup import CaseSetup, context_of, draw_bac
 from benchmarks.hidden_effects.marks import channel_of, truth_of
 from benchmarks.hidden_effects.physics import CHANNEL, LIBRARY
 from benchmarks.hidden_effects.recording import record
-from benchmarks.hidden_effects.robot import TrueDrive, make_robot
+from benchmarks.hidden_effects.robot import TrueDrive, draw_base_loop, make_robot
 from benchmarks.hidden_effects.simulated_scan import HiddenEffect
 from benchmarks.hidden_effects.strengths import Context, draw
 from benchmarks.hidden_effects.world import make_room
@@ -95,6 +95,8 @@ def make_case(spec: CaseSpec) -> tuple[Run, Run | None, str, str, dict[str, Any]
     room_rng, robot_rng, path_rng, back_rng, effect_rng, noise_rng = map(np.random.default_rng, seeds)
     room, robot = make_room(room_rng), make_robot(robot_rng)
     background = draw_background(spec.background, back_rng)
+    if spec.background != "clean":
+        robot = replace(robot, base_loop=draw_base_loop(np.random.default_rng([spec.seed, 5])))
     path_seed = int(path_rng.integers(2**62))
     setup = CaseSetup(
         room=room,
@@ -122,6 +124,7 @@ def make_case(spec: CaseSpec) -> tuple[Run, Run | None, str, str, dict[str, Any]
         "seed": spec.seed,
         "background": spec.background,
         "background_values": dict(vars(background)),
+        "base_loop": None if robot.base_loop is None else dict(vars(robot.base_loop)),
         "effects": [t for t in truths if t["name"] in CHANNEL],
         "foreign": hidden[0] if hidden else None,
         "foreign_effect": next((t for t in truths if t["name"] not in CHANNEL), None),
@@ -139,7 +142,7 @@ def _effects(
         return []
     if spec.suite == "foreign":
         order = np.random.default_rng([ROOT_SEED, STREAMS[spec.stream], 77]).permutation(
-            foreign.FOREIGN_EFFECTS
+            foreign.KINDS[spec.stream]
         )
         name = spec.effect or str(order[spec.index % len(order)])
         tools = {

@@ -342,4 +342,15 @@ DRAW["odom_scale_jump"] = _draw_odom_jump
 _define("turn_deadband", rate=(0.12, 0.25))
 _define("battery_sag", gain=(0.75, 0.9), t0=(25.0, 55.0))
 
-FOREIGN_EFFECTS = list(DRAW)
+KINDS = {
+    "dev": (
+        "range_quadratic", "bias_jump", "range_step", "bearing_scale", "crosstalk_rotating", "dead_rays", "stale_scans",
+        "fog", "bowed_wall", "door_opens", "pose_clock_drift", "camera_distortion", "turn_deadband", "rotated_obstacle",
+    ),
+    "report": (
+        "bearing_cos2", "incidence_bias", "range_cyclic", "pitch_acceleration", "sunlight", "stuck_rays", "burst_noise",
+        "multipath_corners", "wavy_wall", "reflectivity_stripes", "pose_yaw_by_place", "odom_scale_jump", "battery_sag",
+    ),
+}  # fmt: skip
+"""Kinds for development and kinds for the report. Until November 2026 both had served the development of `sensorgraph
+diagnose`; since then only the first may."""

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.hidden_effects import foreign
 from benchmarks.hidden_effects.case_setup import RUN_DURATION, CaseSetup, scan_stamps
 from benchmarks.hidden_effects.physics import odometry
-from benchmarks.hidden_effects.robot import COMMAND_PERIOD, TrueDrive, wrap
+from benchmarks.hidden_effects.robot import BaseLoop, RobotSpec, TrueDrive, wrap
 from benchmarks.hidden_effects.simulated_scan import HiddenEffect, observe
 from benchmarks.hidden_effects.world import Floats, Room
 from logs import RangeSensor, Run
@@ -28,9 +28,11 @@ def record(setup: CaseSetup, driven: TrueDrive, effects: Sequence[HiddenEffect],
     taken = stamps + background.jitter * scan_rng.normal(size=len(stamps))
     ranges = observe(setup.scene(driven, taken), effects, (normal, lost))
     pose_stamps, poses = _reference(setup, driven, effects, pose_rng)
-    odom_stamps = np.arange(COMMAND_PERIOD, RUN_DURATION - 1e-9, COMMAND_PERIOD)
+    odom_stamps = np.arange(1 / robot.odom_rate, RUN_DURATION - 1e-9, 1 / robot.odom_rate)
     twists = odometry(driven, effects, odom_stamps, robot.base)
     twists += wheel_rng.normal(size=twists.shape) * [robot.sigma_v, robot.sigma_omega]
+    if robot.base_loop is not None:
+        twists = ticked(twists, robot.base_loop, robot.base)
     return Run(
         sensor=RangeSensor(
             bearings=robot.bearings,
@@ -48,7 +50,7 @@ def record(setup: CaseSetup, driven: TrueDrive, effects: Sequence[HiddenEffect],
         pose_stamps=pose_stamps,
         poses=poses,
         odom_stamps=odom_stamps,
-        odometry=_integrate(twists),
+        odometry=integrated(twists, robot),
         odom_twists=twists,
         cmd_stamps=driven.cmd_stamps,
         commands=driven.commands,
@@ -79,10 +81,23 @@ def reported_poses(driven: TrueDrive, stamps: Floats, effects: Sequence[HiddenEf
     return poses
 
 
-def _integrate(twists: Floats) -> Floats:
-    turn = twists[:, 1] * COMMAND_PERIOD
+def ticked(twists: Floats, loop: BaseLoop, base: float) -> Floats:
+    """Return twists (n, 2) as encoders count them: each wheel's way in whole ticks."""
+    v, omega = twists.T / loop.odom_rate
+    wheels = np.cumsum(np.stack([v - omega * base / 2, v + omega * base / 2], axis=1), axis=0)
+    counted = loop.tick * np.floor(wheels / loop.tick)
+    left, right = np.diff(counted, axis=0, prepend=np.zeros((1, 2))).T * loop.odom_rate
+    return np.stack([(left + right) / 2, (right - left) / base], axis=1)
+
+
+def integrated(twists: Floats, robot: RobotSpec) -> Floats:
+    """Add twists (n, 2) up to poses (n, 3), in one of the ways that drivers do."""
+    kind = "exact" if robot.base_loop is None else robot.base_loop.integration
+    turn = twists[:, 1] / robot.odom_rate
     phi = np.cumsum(turn)
-    middle = phi - turn / 2
-    way = (twists[:, 0] * COMMAND_PERIOD * np.sinc(turn / (2 * np.pi)))[:, None]
-    xy = np.cumsum(way * np.stack([np.cos(middle), np.sin(middle)], axis=1), axis=0)
+    heading = phi - turn if kind == "rectangle" else phi - turn / 2
+    way = twists[:, 0] / robot.odom_rate
+    if kind == "exact":
+        way = way * np.sinc(turn / (2 * np.pi))
+    xy = np.cumsum(way[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
     return np.concatenate([xy, wrap(phi)[:, None]], axis=1)

@@ -118,12 +118,17 @@ class Case:
         return ratio is not None and ratio < 1.0
 
 
-def load(folders: Iterable[Path]) -> list[Case]:
-    """Read truth and answers; cases whose answer was never asked for are left out."""
+def load(folders: Iterable[Path], answers: str = "results") -> list[Case]:
+    """Read truth and answers; cases whose answer was never asked for are left out.
+
+    Parameters
+    ----------
+    answers : name of the folder beside `truth` that holds them
+    """
     cases = []
     for folder in folders:
         for path in sorted(folder.glob("truth/*.json")):
-            result = folder / "results" / path.stem
+            result = folder / answers / path.stem
             if not result.exists():
                 continue
             report, timing, run = result / "report.json", result / "timing.json", result / "run.json"

@@ -20,6 +20,48 @@ CLEARANCE = 0.32
 """[m] the errand keeps from walls."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class BaseLoop:
+    """What every real base has between command and motor, and between wheel and odometry."""
+
+    period: float
+    """[s] of its control loop, as its maker states it: a command waits for the next tick."""
+    slow: float
+    """By which share the loop's timer runs slow, so that it beats with the commands'."""
+    phase: float
+    """[s] of the first tick."""
+    transport: float
+    """[s] mean time of a command on its way; each takes half to one and a half of it."""
+    tick: float
+    """[m] of an encoder, at the rim."""
+    odom_rate: float
+    """[Hz]"""
+    integration: str
+    """`rectangle`, `midpoint` or `exact`: how the driver adds up poses."""
+    seed: int
+    """Of the transport times."""
+
+    @property
+    def mean_delay(self) -> float:
+        """[s] from a command to its tick, as a bench test finds it."""
+        return self.transport + self.period / 2
+
+
+def draw_base_loop(rng: np.random.Generator) -> BaseLoop:
+    """Draw a base: loops of 10 to 50 Hz, ticks of 0.2 to 5 mm, odometry at 10 to 100 Hz."""
+    period = float(rng.choice([0.02, 0.04, 0.1]))
+    return BaseLoop(
+        period=period,
+        slow=float(rng.uniform(0.001, 0.004)),
+        phase=float(rng.uniform(0, period)),
+        transport=float(rng.uniform(0.002, 0.006)),
+        tick=float(rng.choice([0.0002, 0.001, 0.002, 0.005])),
+        odom_rate=float(rng.choice([10.0, 20.0, 50.0, 100.0])),
+        integration=str(rng.choice(["rectangle", "midpoint", "exact"])),
+        seed=int(rng.integers(2**62)),
+    )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotSpec:
     """What robot.yaml says."""
@@ -40,6 +82,8 @@ class RobotSpec:
     base: float = 0.40
     sigma_v: float = 0.004
     sigma_omega: float = 0.006
+    base_loop: BaseLoop | None = None
+    """Of a real base; None: commands act when they are sent, wheels are read without ticks."""
     tau: float = 0.10
     v: float = 0.4
     omega: float = 1.0
@@ -53,8 +97,24 @@ class RobotSpec:
             return -math.pi + 2 * math.pi * np.arange(self.n_rays) / self.n_rays
         return np.linspace(-self.fov / 2, self.fov / 2, self.n_rays)
 
+    @property
+    def odom_rate(self) -> float:
+        """[Hz] of the odometry."""
+        return 1 / COMMAND_PERIOD if self.base_loop is None else self.base_loop.odom_rate
+
     def yaml(self) -> str:
-        """Return robot.yaml; tolerances stay at their defaults."""
+        """Return robot.yaml; tolerances stay at their defaults, but those of a base loop, which its maker states."""
+        loop = self.base_loop
+        # one wheel's travel between two readings of an encoder is off by the difference of two uniform errors
+        rim = 0.0 if loop is None else loop.tick / math.sqrt(6) * loop.odom_rate
+        sigma_v = math.hypot(self.sigma_v, rim / math.sqrt(2))
+        sigma_omega = math.hypot(self.sigma_omega, rim * math.sqrt(2) / self.base)
+        more = {}
+        if loop is not None:
+            more["tolerances"] = {
+                "control_period": loop.period,
+                "transport_jitter": round(loop.transport / 2, 4),
+            }
         return yaml.safe_dump(
             {
                 "name": "radix",
@@ -83,11 +143,12 @@ class RobotSpec:
                 "wheels": {
                     "radius": 0.10,
                     "base": self.base,
-                    "sigma_v": self.sigma_v,
-                    "sigma_omega": self.sigma_omega,
-                    "rate": 1 / COMMAND_PERIOD,
+                    "sigma_v": round(sigma_v, 5),
+                    "sigma_omega": round(sigma_omega, 5),
+                    "rate": self.odom_rate,
                 },
-                "actuators": {"tau": self.tau, "delay": 0.0},
+                "actuators": {"tau": self.tau, "delay": 0.0 if loop is None else round(loop.mean_delay, 4)},
+                **more,
             },
             sort_keys=False,
         )
@@ -155,6 +216,7 @@ class TrueMotors:
     """After this time [s] the motors reach this share of the command."""
     backlash: float = 0.0
     """[rad/s] turn commands below this do nothing."""
+    base_loop: BaseLoop | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -279,6 +341,47 @@ def largest_part(area: shapely.Geometry) -> shapely.Geometry:
 
 
 @dataclass(eq=False)
+class Delivery:
+    """Which command the motors follow at a time; with a base loop each waits for its way and for a tick."""
+
+    motors: TrueMotors
+    commands: list[tuple[float, float]] = field(default_factory=list)
+    _due: list[float] = field(default_factory=list)
+    _now: int = -1
+
+    def __post_init__(self) -> None:
+        loop = self.motors.base_loop
+        self._rng = np.random.default_rng(0 if loop is None else loop.seed)
+
+    def send(self, u: float, w: float) -> None:
+        """Send the next command."""
+        loop = self.motors.base_loop
+        if loop is not None:
+            there = len(self.commands) * COMMAND_PERIOD + loop.transport * self._rng.uniform(0.5, 1.5)
+            there += self.motors.dead_time
+            period = loop.period * (1 + loop.slow)
+            tick = loop.phase + math.ceil((there - loop.phase) / period) * period
+            self._due.append(max(tick, self._due[-1]) if self._due else tick)
+        self.commands.append((u, w))
+
+    def at(self, t: float) -> tuple[float, float]:
+        """Return what the motors are told over the step around t [s]."""
+        if self.motors.base_loop is not None:
+            while self._now + 1 < len(self._due) and self._due[self._now + 1] <= t:
+                self._now += 1
+            return self.commands[self._now] if self._now >= 0 else (0.0, 0.0)
+        begin, end = (
+            (t + side * SIMULATION_STEP / 2 - self.motors.dead_time) / COMMAND_PERIOD for side in (-1, 1)
+        )
+        first, last = math.floor(begin + 1e-9), math.floor(end - 1e-9)
+        (au, aw), (bu, bw) = (self.commands[i] if i >= 0 else (0.0, 0.0) for i in (first, last))
+        part = (
+            (last - begin) * COMMAND_PERIOD / SIMULATION_STEP if last > first else 0.0
+        )  # of the step, still under the old command
+        return bu + part * (au - bu), bw + part * (aw - bw)
+
+
+@dataclass(eq=False)
 class Pilot:
     """Turn legs into set points; looks at the true pose."""
 
@@ -339,7 +442,7 @@ def drive(errand: Errand, robot: RobotSpec, motors: TrueMotors, duration: float)
     n_commands = round(duration / COMMAND_PERIOD)
     keep = math.exp(-SIMULATION_STEP / motors.tau)
     v = omega = u = w = 0.0
-    commands: list[tuple[float, float]] = []
+    delivery = Delivery(motors=motors)
     rows = [(x, y, phi, 0.0, 0.0)]
     px, py, pr = motors.slip_patch
     for k in range(n_commands):
@@ -353,18 +456,10 @@ def drive(errand: Errand, robot: RobotSpec, motors: TrueMotors, duration: float)
             -robot.alpha * COMMAND_PERIOD,
             min(robot.alpha * COMMAND_PERIOD, max(-robot.omega, min(robot.omega, want_w)) - w),
         )
-        commands.append((u, w))
+        delivery.send(u, w)
         for j in range(substeps):
             t = k * COMMAND_PERIOD + (j + 0.5) * SIMULATION_STEP
-            begin, end = (
-                (t + side * SIMULATION_STEP / 2 - motors.dead_time) / COMMAND_PERIOD for side in (-1, 1)
-            )
-            first, last = math.floor(begin + 1e-9), math.floor(end - 1e-9)
-            (au, aw), (bu, bw) = (commands[i] if i >= 0 else (0.0, 0.0) for i in (first, last))
-            part = (
-                (last - begin) * COMMAND_PERIOD / SIMULATION_STEP if last > first else 0.0
-            )  # of the step, still under the old command
-            cu, cw = bu + part * (au - bu), bw + part * (aw - bw)
+            cu, cw = delivery.at(t)
             cu = max(-motors.v_max, min(motors.v_max, cu))
             if motors.backlash and abs(cw) < motors.backlash:
                 cw = 0.0
@@ -387,7 +482,7 @@ def drive(errand: Errand, robot: RobotSpec, motors: TrueMotors, duration: float)
         poses=table[:, :3],
         wheels=table[:, 3:],
         cmd_stamps=np.arange(n_commands) * COMMAND_PERIOD,
-        commands=np.array(commands),
+        commands=np.array(delivery.commands),
     )
 
 

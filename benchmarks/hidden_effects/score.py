@@ -143,9 +143,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folders", type=Path, nargs="+", metavar="DIR")
+    parser.add_argument("--answers", default="results", help="folder in DIR that holds the answers")
     parser.add_argument("--json", type=Path, help="the table as JSON")
     options = parser.parse_args()
-    cases = load(options.folders)
+    cases = load(options.folders, options.answers)
     if not cases:
         parser.error(
             f"no results in {', '.join(map(str, options.folders))}; run `benchmarks.hidden_effects.run` first"
