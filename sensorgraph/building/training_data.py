@@ -18,6 +18,7 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.intake import check_jumps
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block
+from sensorgraph.models.narmax.sequences import MAX_STEP, stretches
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.orientation import orientation
 from sensorgraph.world.ray_order import bearings_text, ray_order, ray_order_line
@@ -74,8 +75,8 @@ class TrainingData:
             rows: list[tuple[Floats, ...]] = []
             waiting = 0
             for run in log.pieces():
-                poses, *of_rays = intake.take(run)
-                rows.append((poses, *(part if order[0] == 0 else part[:, order] for part in of_rays)))
+                poses, time, *of_rays = intake.take(run)
+                rows.append((poses, time, *(part if order[0] == 0 else part[:, order] for part in of_rays)))
                 waiting += len(rows[-1][0])
                 while waiting >= SCANS_PER_BLOCK:
                     joined = [np.concatenate(parts) for parts in zip(*rows, strict=True)]
@@ -93,7 +94,9 @@ class TrainingData:
                 )
             self.entries.append(entry)
 
-    def _block(self, first: int, i: int, poses: Floats, ranges: Floats, rays: Floats | None = None) -> Block:
+    def _block(
+        self, first: int, i: int, poses: Floats, time: Floats, ranges: Floats, rays: Floats | None = None
+    ) -> Block:
         scans = TrainingScans(
             sensor=self.sensor,
             poses=poses,
@@ -102,6 +105,8 @@ class TrainingData:
             bounds=self.bounds,
             pose_frame=self.pose_frame,
             ray_poses=rays,
+            stamps=time[:, 0],
+            sequence=time[:, 1].astype(np.intp),
         )
         return Block(first=first, scans=scans)
 
@@ -118,9 +123,16 @@ class _LogIntake:
         self.box = np.array([[np.inf] * 3, [-np.inf] * 3])
         self.digest: hashlib._Hash | None = None
         self.last: tuple[Floats, Floats] = np.zeros(0), np.zeros((0, 3))
+        self.period: float | None = None
+        self.end: float | None = None
+        """[s] Stamp of the last scan, if it was taken."""
+        self.n_stretches = 0
 
     def take(self, run: Run) -> tuple[Floats, ...]:
-        """Return poses and ranges of the scans of a piece to train on; of a sweep, the poses of its rays, too."""
+        """Return poses, stamps with stretches, and ranges of the scans of a piece to train on.
+
+        Of a sweep, the poses of its rays, too.
+        """
         if self.digest is None:
             self.digest = begin_digest(run.sensor)
             self._look(run)
@@ -152,9 +164,25 @@ class _LogIntake:
             self.box = np.array(
                 [np.minimum(self.box[0], poses.min(axis=0)), np.maximum(self.box[1], poses.max(axis=0))]
             )
+        time = self._time(run.stamps, use)
         if not run.sensor.has_ray_poses:
-            return poses, run.ranges[use]
-        return poses, run.ranges[use], ray_poses(run, pairing, np.flatnonzero(use))
+            return poses, time, run.ranges[use]
+        return poses, time, run.ranges[use], ray_poses(run, pairing, np.flatnonzero(use))
+
+    def _time(self, stamps: Floats, use: Bools) -> Floats:
+        """Return stamp [s] and number of the stretch (n_used, 2); a stretch goes on from one piece to the next."""
+        if self.period is None:
+            self.period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else np.inf
+        number = stretches(stamps, use, self.period)
+        if len(number) and self.end is not None and use[0]:
+            follows = stamps[0] - self.end <= MAX_STEP * self.period
+            number = number + self.n_stretches - int(follows)
+        else:
+            number = number + self.n_stretches
+        if len(number):
+            self.n_stretches = int(number[-1]) + 1
+        self.end = float(stamps[-1]) if len(use) and use[-1] else None
+        return np.column_stack([stamps[use], number])
 
     def _check_jumps(self, run: Run, pairing: Pairing) -> None:
         """Refuse poses that jump between the scans of this piece, or from the last one."""
@@ -219,6 +247,8 @@ def all_scans(feed: TrainingData) -> TrainingScans | None:
         bounds=feed.bounds,
         pose_frame=feed.pose_frame,
         ray_poses=_all_ray_poses(parts),
+        stamps=np.concatenate([part.stamps for part in parts if part.stamps is not None]),
+        sequence=np.concatenate([part.sequence for part in parts if part.sequence is not None]),
     )
 
 

@@ -15,6 +15,7 @@ from sensorgraph.cli.options import (
     BuildDask,
     BuildDegree,
     BuildHarmonics,
+    BuildLags,
     BuildModel,
     BuildOutput,
     BuildRobot,
@@ -30,7 +31,7 @@ from sensorgraph.cli.options import (
 from sensorgraph.cli.progress import progress
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
     from pathlib import Path
 
     from logs.stream import LogStream
@@ -48,6 +49,7 @@ def build(
     degree: BuildDegree = "auto",
     harmonics: BuildHarmonics = "auto",
     terms: BuildTerms = "auto",
+    lags: BuildLags = "auto",
     calibrate: BuildCalibrate = None,
     update: BuildUpdate = None,
     dask: BuildDask = None,
@@ -69,12 +71,13 @@ def build(
       sensorgraph build second.mcap --update lab.sensorgraph -o lab2.sensorgraph
 
       sensorgraph build run.mcap --model polynomial --degree 4 -o plain.sensorgraph
+
+      sensorgraph build run.mcap --model narmax --lags 3 -o lagged.sensorgraph
     """
     from logs import parse_topics
     from sensorgraph.building.build import build as build_graph
     from sensorgraph.building.dask_cluster import cluster
     from sensorgraph.cli.inputs import check_output, check_poses, check_runs, mounts_of, say_ray_order
-    from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
     from sensorgraph.models import MODELS
@@ -82,20 +85,16 @@ def build(
     check_poses(poses)
     check_output(output, *runs)
     check_runs(runs)
-    if update is not None and (model != "faces" or arena is not None):
-        raise SensorgraphError(
-            "--update adds runs to a graph as it was built; leave --model and --arena away"
-        )
-    if model not in MODELS:
-        raise SensorgraphError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
-    options: dict[str, Any] = _options(degree=degree, harmonics=harmonics, terms=terms)
-    if calibrate is not None:
-        options["calibrate"] = calibrate
+    _check_model(model, MODELS, is_update=update is not None, with_arena=arena is not None)
+    options = _options(calibrate, degree=degree, harmonics=harmonics, terms=terms, lags=lags)
     space = None if arena is None else load_arena(arena)
-    names = parse_topics(topic or [])
     known = None if update is None else Sensorgraph.load(update)
-    place = (known, str(update)) if known is not None else (space, arena or "")
-    reading: dict[str, Any] = {"topics": names, "no_return": no_return, "mounts": mounts_of(robot)}
+    place = (space, arena or "") if known is None else (known, str(update))
+    reading: dict[str, Any] = {
+        "topics": parse_topics(topic or []),
+        "no_return": no_return,
+        "mounts": mounts_of(robot),
+    }
     loaded = [_open(path, robot, poses, place, reading, is_alone=len(runs) == 1) for path in runs]
     first = (str(runs[0]), loaded[0].head.sensor) if known is None else (str(update), known.sensor)
     for path, log in zip(runs, loaded, strict=True):
@@ -117,6 +116,17 @@ def build(
     graph.save(output)
     _report(graph, split, said)
     typer.echo(f"wrote {output}: {graph.sensor.n_rays} rays, poses of {graph.pose_frame}")
+
+
+def _check_model(model: str, models: Collection[str], *, is_update: bool, with_arena: bool) -> None:
+    from sensorgraph.errors import SensorgraphError
+
+    if is_update and (model != "faces" or with_arena):
+        raise SensorgraphError(
+            "--update adds runs to a graph as it was built; leave --model and --arena away"
+        )
+    if model not in models:
+        raise SensorgraphError(f"model is {model!r}, expected one of {', '.join(models)}")
 
 
 def _open(
@@ -180,14 +190,15 @@ def _report(graph: Sensorgraph, split: str | None, said: set[str]) -> None:
         typer.echo(f"{label}: {text}")
 
 
-def _options(**texts: str) -> dict[str, int]:
-    """Return the options of the polynomial that are not chosen automatically."""
+def _options(calibrate: bool | None, **texts: str) -> dict[str, Any]:
+    """Return the options that are not chosen automatically; numbers are of polynomial and narmax."""
     numbers = {name: _number(name, text) for name, text in texts.items()}
-    return {
+    chosen = {
         "n_terms" if name == "terms" else name: number
         for name, number in numbers.items()
         if isinstance(number, int)
     }
+    return chosen | ({} if calibrate is None else {"calibrate": calibrate})
 
 
 def _number(name: str, text: str) -> int | str:

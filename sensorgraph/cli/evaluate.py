@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from sensorgraph.cli.options import (
+    EvaluateBeside,
     EvaluateCap,
     EvaluateEffects,
     EvaluateJson,
@@ -24,7 +25,7 @@ from sensorgraph.cli.options import (
 from sensorgraph.cli.progress import progress, reading_bar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from logs.run import Run
     from sensorgraph.evaluation.evaluate import Evaluation
@@ -54,6 +55,7 @@ def evaluate(
     cap: EvaluateCap = None,
     point: EvaluatePoint = None,
     effects: EvaluateEffects = None,
+    beside: EvaluateBeside = None,
     json: EvaluateJson = None,
     topic: Topics = None,
     no_return: NoReturn = None,
@@ -68,6 +70,8 @@ def evaluate(
       sensorgraph evaluate square.sensorgraph other_run.mcap
 
       sensorgraph evaluate intel.sensorgraph intel.log.gz --split block --json intel.json
+
+      sensorgraph evaluate narmax.sensorgraph other_run.mcap --beside faces.sensorgraph
 
       sensorgraph evaluate square.sensorgraph other_run.mcap --effects diagnosis/effects.yaml
     """
@@ -107,9 +111,19 @@ def evaluate(
     with progress("evaluating", "scans") as tick:
         result = evaluate_graph(model, log, split=split, point=value, cap=cap, force=force, progress=tick)
     simulator = None if effects is None else _simulator(result, log, effects, value)
+    others: dict[str, Metrics] = {}
+    for path in beside or []:
+        with progress(f"evaluating {path.stem}", "scans") as tick:
+            other = Sensorgraph.load(path)
+            others[path.stem] = evaluate_graph(
+                other, log, split=split, point=value, cap=cap, force=force, progress=tick
+            ).all
     if json is not None:
-        write_json(json, result.to_dict() | ({} if simulator is None else {"simulator": simulator}))
-    for line in table(result, simulator):
+        extra = ({} if simulator is None else {"simulator": simulator}) | (
+            {"beside": others} if others else {}
+        )
+        write_json(json, result.to_dict() | extra)
+    for line in table(result, simulator, others):
         typer.echo(line)
     if json is not None:
         typer.echo(f"wrote {json}")
@@ -131,9 +145,14 @@ def _simulator(result: Evaluation, run: Run, effects: Path, point: Point | None)
         return compare(result, run, arena, robot.sensor, read(effects, arena), point=point, progress=tick)
 
 
-def table(result: Evaluation, simulator: dict[str, Metrics] | None = None) -> list[str]:
+def table(
+    result: Evaluation,
+    simulator: dict[str, Metrics] | None = None,
+    beside: dict[str, Metrics] | None = None,
+) -> list[str]:
     """Return the printed lines: blocks side by side, and which point value each row is of."""
-    blocks = {"all": result.all, "answered": result.answered_only, **(simulator or {})}
+    blocks = {"all": result.all, "answered": result.answered_only, **_spaced(result.in_sequence)}
+    blocks |= {**(simulator or {}), **(beside or {})}
     scored = result.settings["scored"]
     lines = [
         f"{scored['n_scans']} of {scored['of_scans']} scans, {result.n_rays} returns between "
@@ -144,9 +163,18 @@ def table(result: Evaluation, simulator: dict[str, Metrics] | None = None) -> li
     for label, key, unit in ROWS:
         row = _row([_cell(block[key], unit) for block in blocks.values()])
         lines.append(f"{label:<24}{row}   {result.settings['point'].get(key, '')}".rstrip())
+    if result.in_sequence:
+        lines.append(
+            "all, answered: each pose alone; one step: from the scans before; free run: from its own predictions; "
+            "persistence: the last reading; on the rays of `all`"
+        )
     if simulator:
         lines.append("nominal, amended: the simulator as mapped and with the effects, on the rays of `all`")
     return lines
+
+
+def _spaced(blocks: Mapping[str, Metrics]) -> dict[str, Metrics]:
+    return {name.replace("_", " "): block for name, block in blocks.items()}
 
 
 def _row(cells: Iterable[str]) -> str:

@@ -156,11 +156,18 @@ BuildArena = Annotated[
 BuildRobot = Annotated[
     Path | None, typer.Option(help="Robot yaml of the robot that recorded; its sensor.sweep_time is taken.")
 ]
-BuildModel = Annotated[str, typer.Option(help="What to fit: faces, cells, or polynomial, the form of 2004.")]
+BuildModel = Annotated[
+    str, typer.Option(help="What to fit: faces, cells, polynomial (the form of 2004), or narmax: with lags.")
+]
 BuildSplit = Annotated[str | None, typer.Option(help="Hold scans out: every10 or block.")]
-BuildDegree = Annotated[str, typer.Option(help="Of polynomial: degree in x and y, or auto.")]
+BuildDegree = Annotated[
+    str, typer.Option(help="Of polynomial: degree in x and y; of narmax: in poses and twist; or auto.")
+]
 BuildHarmonics = Annotated[str, typer.Option(help="Of polynomial: harmonics of the heading, or auto.")]
-BuildTerms = Annotated[str, typer.Option(help="Of polynomial: terms kept for each ray, or auto.")]
+BuildTerms = Annotated[
+    str, typer.Option(help="Of polynomial: terms kept for each ray; of narmax: at most; or auto.")
+]
+BuildLags = Annotated[str, typer.Option(help="Of narmax: scans that it looks back, or auto (3).")]
 BuildCalibrate = Annotated[
     bool | None,
     typer.Option(
@@ -220,6 +227,10 @@ EvaluatePoint = Annotated[
 EvaluateEffects = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="effects.yaml: score the simulator too, as mapped and amended."),
+]
+EvaluateBeside = Annotated[
+    list[Path] | None,
+    typer.Option("--beside", metavar="GRAPH", help="Score this graph on the same rays too; may be repeated."),
 ]
 EvaluateJson = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers here.")]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,6 +18,7 @@ from logs.run import Pairing, PoseFrame, Run, pair
 from sensorgraph.building.build import training_scans
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.evaluation.in_sequence import SequenceScores, sequence_predictions
 from sensorgraph.evaluation.metrics import POINT_OF, Metrics, MetricSums, Reliability
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_jumps
@@ -52,6 +54,8 @@ class Evaluation:
     answered_only: Metrics
     calibration: list[dict[str, float]]
     """Bins {said, seen, n}: said and seen chance of being more than 5 cm off."""
+    in_sequence: Mapping[str, Metrics]
+    """`one_step`, `free_run` and `persistence` of a model with memory, on the rays of `all`; else empty."""
     answered: float
     """Share of the scored rays that the graph answers."""
     settings: dict[str, Any]
@@ -103,6 +107,7 @@ class Evaluation:
             "answered": self.answered,
             "all": self.all,
             "answered_only": self.answered_only,
+            **self.in_sequence,
             "calibration": self.calibration,
             **self.settings,
         }
@@ -133,14 +138,19 @@ def evaluate(
     _check_fits(graph, run, cap)
     pairing = pair(run)
     check_jumps(run, pairing, force=force)
-    use = pairing.paired & (held_out(run, split) if split is not None else True)
-    index = np.flatnonzero(use)
+    index = np.flatnonzero(pairing.paired & (held_out(run, split) if split is not None else True))
     if len(index) == 0:
         held = "" if split is None else f", none of them in split {split}"
         raise SensorgraphError(f"nothing to evaluate: {pairing}{held}")
     sigma = run.sensor.sigma if run.sensor.sigma > 0 else 0.01
     every, answered = (
         MetricSums(bearings=run.sensor.bearings, point=point, sigma=sigma) for _ in ("all", "answered")
+    )
+    there = poses_for(graph, run.pose_frame, run.sensor.mount, pairing.poses)
+    beside = SequenceScores(
+        sequence_predictions(graph, run, pairing, there, _rays_of(graph, run)),
+        MetricSums(bearings=run.sensor.bearings, point=point, sigma=sigma),
+        pairing.paired,
     )
     calibration = Reliability()
     residual = np.full((len(index), run.sensor.n_rays), np.nan)
@@ -157,12 +167,12 @@ def evaluate(
         valid = ~np.isnan(measured)
         every.add(measured, prediction, scored, valid)
         answered.add(measured, prediction, scored & prediction.answered, valid & prediction.answered)
+        beside.add(index[some], measured, scored, valid)
         calibration.add(prediction.p_off[scored], np.abs(off[scored]) > OFF_DISTANCE)
     if not every.total["n"]:
         raise SensorgraphError(
             f"no ray of the run returned between {MIN_SCORED_RANGE} m and {cap:g} m; nothing to score"
         )
-    is_scored = np.isfinite(residual)
     return Evaluation(
         scan_indices=index,
         graph=graph,
@@ -170,23 +180,23 @@ def evaluate(
         point=point or "mode",
         answered_rays=answered_rays,
         residual=residual,
-        all=every.metrics(np.abs(residual[is_scored])),
-        answered_only=answered.metrics(np.abs(residual[is_scored & answered_rays])),
+        all=every.metrics(np.abs(residual[np.isfinite(residual)])),
+        answered_only=answered.metrics(np.abs(residual[np.isfinite(residual) & answered_rays])),
         calibration=calibration.rows(),
+        in_sequence=beside.metrics(),
         answered=answered.total["n"] / every.total["n"],
         settings={
-            "scored": {
-                "from_m": MIN_SCORED_RANGE,
-                "to_m": cap,
-                "n_scans": len(index),
-                "of_scans": run.n_scans,
-            },
+            "scored": _scored(cap, len(index), run),
             "point": {name: point or default for name, default in POINT_OF.items()},
             "split": split,
             "sigma_m": sigma,
             "training": _training_overlap(graph, run, index, split),
         },
     )
+
+
+def _scored(cap: float, n_scans: int, run: Run) -> dict[str, Any]:
+    return {"from_m": MIN_SCORED_RANGE, "to_m": cap, "n_scans": n_scans, "of_scans": run.n_scans}
 
 
 def _check_fits(graph: Sensorgraph, run: Run, cap: float) -> None:

@@ -37,6 +37,10 @@ class TrainingScans:
     """Whose poses these are; base_link carries the laser at `sensor.mount`."""
     ray_poses: Floats | None = None
     """(n_scans, n_rays, 3) [m, m, rad] where each ray of a sweep was taken; None: all rays of a scan at `poses`."""
+    stamps: Floats | None = None
+    """(n_scans,) [s] of each run; None: not known."""
+    sequence: Ints | None = None
+    """(n_scans,) stretch without a gap, a scan left out or a pose missing that a scan is of, counted in each run."""
 
     @property
     def laser_mount(self) -> Floats:
@@ -58,6 +62,8 @@ class TrainingScans:
             ranges=self.ranges[index],
             run=self.run[index],
             ray_poses=None if self.ray_poses is None else self.ray_poses[index],
+            stamps=None if self.stamps is None else self.stamps[index],
+            sequence=None if self.sequence is None else self.sequence[index],
         )
 
     def __len__(self) -> int:

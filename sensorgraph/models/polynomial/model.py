@@ -22,7 +22,7 @@ from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingSca
 from sensorgraph.models.polynomial.complexity import Auto, PolynomialForm, n_candidates, select_form
 from sensorgraph.models.polynomial.settings import POLYNOMIAL
 from sensorgraph.models.polynomial.stored_form import check_order, check_scale
-from sensorgraph.models.polynomial.support import Support
+from sensorgraph.models.polynomial.support import Support, leverage_limit, scale_of, sees_around
 from sensorgraph.models.stored_numbers import check_range, check_shape
 from sensorgraph.types import Floats, Ints, Progress
 
@@ -100,14 +100,11 @@ class Polynomial:
                 f"option {', '.join(sorted(unknown))} is not known to the model polynomial; "
                 "expected degree, harmonics or n_terms"
             )
-        scale = _scale(scans)
+        scale = scale_of(scans)
         form = select_form(scans, scale, dictionary, progress=progress, **options)
         terms = dictionary(form.degree, form.harmonics)
         fitted = _select_all(scans, terms, scale, form.n_terms, progress)
         root, limit = _leverage(scans, terms, scale, fitted.pop("gram"))
-        field_of_view = np.ptp(scans.sensor.bearings) + (
-            np.diff(scans.sensor.bearings).mean() if scans.sensor.n_rays > 1 else 0.0
-        )
         draft = cls(
             sensor=scans.sensor,
             form=form,
@@ -117,7 +114,7 @@ class Polynomial:
             spread=np.zeros((scans.sensor.n_rays, len(QUANTILES))),
             root=root,
             leverage_limit=limit,
-            support=Support.of(scans.poses, sees_around=bool(field_of_view > SUPPORT.full_circle)),
+            support=Support.of(scans.poses, sees_around=sees_around(scans.sensor)),
             **fitted,
         )
         return draft._with_residuals(scans)
@@ -279,14 +276,6 @@ def _shapes(q: int, m: int, k: int) -> tuple[tuple[int, ...], ...]:
     return ((q, k), (q, k), (q, k), (q, m), (q, m), (q,), (q,), (q,), (q, len(QUANTILES)), (m, m))
 
 
-def _scale(scans: TrainingScans) -> Scale:
-    """Scale x and y by the arena's bounds if they are known, else by the poses."""
-    if scans.bounds is not None:
-        x0, y0, x1, y1 = scans.bounds
-        return Scale.between({"x": (x0, x1), "y": (y0, y1)})
-    return Scale.of({"x": scans.poses[:, 0], "y": scans.poses[:, 1]})
-
-
 def _select_all(
     scans: TrainingScans, terms: Terms, scale: Scale, n_terms: int, progress: Progress | None
 ) -> dict[str, Any]:
@@ -375,6 +364,4 @@ def _leverage(scans: TrainingScans, terms: Terms, scale: Scale, gram: Floats) ->
     for start in range(0, len(scans), POSES_PER_BLOCK):
         phi = terms.matrix(columns(scans.poses[start : start + POSES_PER_BLOCK]), scale)
         parts.append(((phi @ root) ** 2).sum(axis=1))
-    h = np.minimum(np.concatenate(parts), 1.0 - 1e-9)
-    # h / (1 - h): the leverage that a training pose would have as a new one
-    return root, float(SUPPORT.leverage_factor * np.quantile(h / (1.0 - h), SUPPORT.leverage_quantile))
+    return root, leverage_limit(np.concatenate(parts))

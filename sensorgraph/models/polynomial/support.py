@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.run import RangeSensor
+from robotmodic_ident import Scale
+from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.polynomial.settings import POLYNOMIAL
 from sensorgraph.models.stored_numbers import check_positive, check_range, check_shape
 from sensorgraph.types import Bools, Floats
@@ -90,6 +93,37 @@ class Support:
             origin=origin,
             keys=keys.astype(np.int64),
         )
+
+
+def leverage_root(phi: Floats) -> tuple[Floats, float]:
+    """Return W (m, m) with W W' = (Φ'Φ)⁻¹ for phi (n, m), and the leverage beyond which a pose is unlike these.
+
+    Directions along which the poses never varied keep a tiny variance, so that a pose off them has a huge leverage.
+    """
+    values, vectors = np.linalg.eigh(phi.T @ phi)
+    root = vectors / np.sqrt(np.maximum(values, SUPPORT.min_eigenvalue * values[-1]))
+    return root, leverage_limit(((phi @ root) ** 2).sum(axis=1))
+
+
+def leverage_limit(leverage: Floats) -> float:
+    """Return the leverage beyond which a pose is unlike the training poses, from theirs (n,)."""
+    h = np.minimum(leverage, 1.0 - 1e-9)
+    # h / (1 - h): the leverage that a training pose would have as a new one
+    return float(SUPPORT.leverage_factor * np.quantile(h / (1.0 - h), SUPPORT.leverage_quantile))
+
+
+def scale_of(scans: TrainingScans) -> Scale:
+    """Scale x and y by the arena's bounds if they are known, else by the poses."""
+    if scans.bounds is not None:
+        x0, y0, x1, y1 = scans.bounds
+        return Scale.between({"x": (x0, x1), "y": (y0, y1)})
+    return Scale.of({"x": scans.poses[:, 0], "y": scans.poses[:, 1]})
+
+
+def sees_around(sensor: RangeSensor) -> bool:
+    """Tell whether a sensor sees all around, so that its heading does not matter for what it has seen."""
+    step = np.diff(sensor.bearings).mean() if sensor.n_rays > 1 else 0.0
+    return bool(np.ptp(sensor.bearings) + step > SUPPORT.full_circle)
 
 
 def _cells(poses: Floats, cell: float, origin: Floats, n_sectors: int) -> CellKeys:

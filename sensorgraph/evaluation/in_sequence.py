@@ -1,0 +1,88 @@
+"""Predictions of scans in a row, by models with memory: one step ahead, in free run, and beside them persistence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from logs.run import Pairing, Run
+from sensorgraph.evaluation.metrics import Metrics, MetricSums
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.base import Prediction
+from sensorgraph.models.narmax.model import RayNarmax
+from sensorgraph.models.narmax.sequences import ScanSequence, held, stretches
+from sensorgraph.types import Bools, Floats, Ints
+
+ONE_STEP, FREE_RUN, PERSISTENCE = "one_step", "free_run", "persistence"
+
+
+def sequence_predictions(
+    graph: Sensorgraph, run: Run, pairing: Pairing, poses: Floats, rays: Ints
+) -> dict[str, Prediction]:
+    """Predict every paired scan of a run from the scans before it; nothing where the model has no memory.
+
+    A stretch ends at a scan without a pose and at a gap in time; no lag crosses one. `one_step` reads what was measured
+    before a scan, `free_run` what was predicted. `persistence` says that a ray returns what it returned last.
+
+    Parameters
+    ----------
+    poses : (n_scans, 3) of the graph's frame; nan where not paired
+    rays : (n_rays,) ray of the graph that each ray of the run is
+
+    Returns
+    -------
+    name -> Prediction (n_paired, n_rays), in the order of the run
+    """
+    model = graph.model
+    if not isinstance(model, RayNarmax):
+        return {}
+    paired = pairing.paired
+    period = float(np.median(np.diff(run.stamps))) if run.n_scans > 1 else np.inf
+    motion = ScanSequence(
+        poses=poses[paired], stamps=run.stamps[paired], sequence=stretches(run.stamps, paired, period)
+    )
+    measured = np.empty((len(motion.poses), graph.sensor.n_rays))
+    measured[:, rays] = run.ranges[paired]
+    one_step = model.predict_sequence(motion, rays, measured)
+    return {
+        ONE_STEP: one_step,
+        FREE_RUN: model.predict_sequence(motion, rays),
+        PERSISTENCE: _persistence(measured[:, rays], motion.position, one_step),
+    }
+
+
+def _persistence(measured: Floats, position: Ints, like: Prediction) -> Prediction:
+    """Return the last reading of each ray; where a stretch has none yet, what `like` says."""
+    last = np.vstack([np.full((1, measured.shape[1]), np.nan), held(measured, position)[:-1]])
+    lost = np.vstack([np.zeros((1, measured.shape[1])), np.isposinf(measured[:-1])]).astype(np.float64)
+    value = np.where(np.isfinite(last) & (position > 0)[:, None], last, like.mode)
+    return replace(
+        like, ranges=np.where(lost > 0, np.inf, value), median=value, mode=value, mean=value, p_no_return=lost
+    )
+
+
+class SequenceScores:
+    """Metrics of predictions in sequence, added up piece by piece."""
+
+    def __init__(self, predictions: Mapping[str, Prediction], sums: MetricSums, paired: Bools) -> None:
+        """Take predictions of the paired scans, empty sums to begin from, and which scans (n_scans,) are paired."""
+        self.predictions, self.place = predictions, np.cumsum(paired) - 1
+        self.sums = {
+            name: MetricSums(bearings=sums.bearings, point=sums.point, sigma=sums.sigma)
+            for name in predictions
+        }
+        self.errors: dict[str, list[Floats]] = {name: [] for name in predictions}
+
+    def add(self, scans: Ints, measured: Floats, scored: Bools, valid: Bools) -> None:
+        """Add some scans of the run, given by index."""
+        for name, whole in self.predictions.items():
+            rows = self.place[scans]
+            part = Prediction(**{key: getattr(whole, key)[rows] for key in Prediction.__dataclass_fields__})
+            self.sums[name].add(measured, part, scored, valid)
+            self.errors[name].append(np.abs(measured - part.point(self.sums[name].point or "mode"))[scored])
+
+    def metrics(self) -> dict[str, Metrics]:
+        """Return the metrics by name of the prediction."""
+        return {name: sums.metrics(np.concatenate(self.errors[name])) for name, sums in self.sums.items()}

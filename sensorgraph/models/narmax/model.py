@@ -1,0 +1,214 @@
+"""Model `narmax`: every ray as a polynomial of lagged poses, the twist, its own and its neighbours' lagged readings.
+
+A scan that follows others is predicted from them: one step ahead of what was measured, or in free run. A pose alone
+has no history: there the start equation holds, the static polynomial of the same degree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.run import RangeSensor
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
+from sensorgraph.models.narmax import recursion
+from sensorgraph.models.narmax.equations import equation_text, summary_of
+from sensorgraph.models.narmax.fit import TrainingRows, fit_dropouts, fit_rays, ray_spacing, sequence_of
+from sensorgraph.models.narmax.parameters import FREE_RUN, ONE_STEP, QUANTILES, START, NarmaxParameters
+from sensorgraph.models.narmax.sequences import ScanSequence
+from sensorgraph.models.narmax.settings import NARMAX
+from sensorgraph.models.narmax.stored_form import ARRAYS, form_of, restored
+from sensorgraph.models.polynomial.support import SUPPORT, Support, leverage_root, scale_of, sees_around
+from sensorgraph.types import Bools, Floats, Ints, Progress
+
+_POSES_AT_A_TIME = 4096
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RayNarmax(NarmaxParameters):
+    """The equations of all rays, and where they may be trusted."""
+
+    name: ClassVar[str] = "narmax"
+
+    @classmethod
+    def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:
+        """Choose the terms of every ray and estimate them; options: lags, degree, neighbours, noise_lags, n_terms.
+
+        Raises
+        ------
+        SensorgraphError : an option is unknown or out of range, no stretch is as long as the lags, or no ray returned
+        """
+        form = form_of(options)
+        if scans.ray_poses is not None:
+            raise SensorgraphError(
+                "the model narmax takes all rays of a scan at one pose; this laser sweeps, or is several sensors as "
+                "one: choose model polynomial or faces"
+            )
+        data = TrainingRows.of(scans, form.lags)
+        form = replace(form, spacing=ray_spacing(data, scans.sensor.bearings, form.neighbours))
+        scale = scale_of(scans)
+        fitted = fit_rays(data, form, scale, progress)
+        static = form.shared[form.static.tolist()]
+        phi = static.matrix(data.motion.signals(np.arange(len(scans)), 0), scale, n=len(scans))
+        theta_none, memory = fit_dropouts(scans.ranges, phi, data.motion.position)
+        root, limit = leverage_root(phi)
+        zero = np.zeros((3, scans.sensor.n_rays))
+        draft = cls(
+            sensor=scans.sensor, form=form, scale=scale, theta_none=theta_none, memory=memory, root=root,
+            leverage_limit=limit, sigma=zero, spread=np.zeros((*zero.shape, len(QUANTILES))),
+            support=Support.of(scans.poses, sees_around=sees_around(scans.sensor)),
+            used={
+                "scans": len(scans), "rows": len(data.rows), "dropped": data.dropped,
+                "stretches": int(data.motion.sequence[-1]) + 1,
+            },
+            **fitted,
+        )  # fmt: skip
+        return draft._with_residuals(scans)
+
+    def _with_residuals(self, scans: TrainingScans) -> Self:
+        """Fill sigma and spread from the first training scans, corrected for the terms used."""
+        few = scans.part(slice(0, NARMAX.scored_scans))
+        motion = sequence_of(few)
+        equations = self.equations(motion)
+        after = motion.position >= self.form.lags
+        predicted = [equations.start, recursion.run(equations, few.ranges), recursion.run(equations)]
+        used = [(self.start_order >= 0).sum(axis=1), *2 * [(self.order >= 0).sum(axis=1)]]
+        sigma = np.full((3, self.n_rays), self.sensor.range_max - self.sensor.range_min)
+        spread = sigma[..., None] * QUANTILES
+        for kind in range(3):
+            rows = slice(None) if kind == START else after
+            size = np.abs(few.ranges[rows] - predicted[kind][rows])
+            for ray in range(self.n_rays):
+                own = size[np.isfinite(size[:, ray]), ray]
+                free = len(own) - used[kind][ray] * len(own) / max(self.rows[ray], len(own), 1)
+                if free >= 1:
+                    grow = np.sqrt(len(own) / free)
+                    sigma[kind, ray] = max(grow * np.sqrt(np.mean(own**2)), NARMAX.min_sigma)
+                    spread[kind, ray] = grow * np.quantile(own, QUANTILES)
+        return replace(self, sigma=sigma, spread=spread)
+
+    def equations(self, motion: ScanSequence) -> recursion.Equations:
+        """Evaluate all that does not depend on readings at scans."""
+        n, m = len(motion.poses), len(self.form.shared)
+        weights = np.zeros((m, self.n_rays))
+        ray, j = np.nonzero((self.order >= 0) & (self.order < m))
+        weights[self.order[ray, j], ray] = self.theta[ray, j]
+        terms = np.flatnonzero(weights.any(axis=1))
+        chosen = self.form.shared[terms.tolist()]
+        rows = np.flatnonzero(motion.position >= self.form.lags)
+        driven = np.zeros((n, self.n_rays))
+        for start in range(0, len(rows), _POSES_AT_A_TIME):
+            some = rows[start : start + _POSES_AT_A_TIME]
+            signals = motion.signals(some, self.form.lags)
+            driven[some] = chosen.matrix(signals, self.scale, n=len(some)) @ weights[terms]
+        return recursion.Equations(
+            form=self.form,
+            scale=self.readings,
+            gains=recursion.ReadingGains.of(self.form, self.order, self.theta),
+            noise=self.noise,
+            limits=(self.sensor.range_min, self.sensor.range_max),
+            position=motion.position,
+            twists=motion.twists,
+            start=self._start(motion.poses),
+            driven=driven,
+        )
+
+    def _static(self, poses: Floats) -> Floats:
+        """Return the terms (n, n_static) of poses (n, 3) alone."""
+        motion = ScanSequence(poses=poses, stamps=np.zeros(len(poses)), sequence=np.arange(len(poses)))
+        terms = self.form.shared[self.form.static.tolist()]
+        return terms.matrix(motion.signals(np.arange(len(poses)), 0), self.scale, n=len(poses))
+
+    def _start(self, poses: Floats) -> Floats:
+        """Return the readings (n, n_rays) [m] by the start equation."""
+        place = np.full(len(self.form.shared), -1)
+        place[self.form.static] = np.arange(len(self.form.static))
+        weights = np.zeros((len(self.form.static), self.n_rays))
+        ray, j = np.nonzero(self.start_order >= 0)
+        weights[place[self.start_order[ray, j]], ray] = self.start_theta[ray, j]
+        out = np.empty((len(poses), self.n_rays))
+        for start in range(0, len(poses), _POSES_AT_A_TIME):
+            some = slice(start, start + _POSES_AT_A_TIME)
+            out[some] = self._static(poses[some]) @ weights
+        return np.clip(out, self.sensor.range_min, self.sensor.range_max)
+
+    def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
+        """Predict rays (n_rays,) at poses (n_poses, 3) without a history: by the start equation."""
+        none = np.clip(self._static(poses) @ self.theta_none.T / (1.0 - self.memory), 0.0, 1.0)
+        return self._prediction(poses, self._start(poses), none, START, rays)
+
+    def predict_sequence(
+        self, motion: ScanSequence, rays: Ints, measured: Floats | None = None
+    ) -> Prediction:
+        """Predict scans in a row: one step ahead of `measured` (n, n_rays of the graph) [m], or in free run.
+
+        In `measured`, +inf is no return and nan a broken reading; the last return then stands for it in the lags.
+        """
+        base = self._static(motion.poses) @ self.theta_none.T
+        lost = None if measured is None else np.where(np.isnan(measured), np.nan, np.isposinf(measured))
+        none = recursion.dropout_chances(base, self.memory, motion.position, lost)
+        value = recursion.run(self.equations(motion), measured)
+        kind = FREE_RUN if measured is None else ONE_STEP
+        return self._prediction(motion.poses, value, none, kind, rays)
+
+    def _prediction(self, poses: Floats, value: Floats, none: Floats, kind: int, rays: Ints) -> Prediction:
+        with np.errstate(over="ignore"):  # however large, it is cut
+            leverage = np.minimum(((self._static(poses) @ self.root) ** 2).sum(axis=1), SUPPORT.max_leverage)
+        trusted: Bools = (leverage <= self.leverage_limit) & self.support.covers(poses)
+        widen = np.sqrt(1.0 + leverage) if kind == START else np.ones(len(poses))
+        off = np.stack(
+            [
+                1.0 - np.interp(OFF_DISTANCE / widen, self.spread[kind, ray], QUANTILES)
+                for ray in rays.tolist()
+            ],
+            axis=1,
+        )
+        value, none = value[:, rays], none[:, rays]
+        return Prediction(
+            ranges=np.where(none > 0.5, np.inf, value),
+            median=value,
+            mode=value,
+            mean=value,
+            sigma=self.sigma[kind, rays] * widen[:, None],
+            p_no_return=none,
+            p_off=off,
+            answered=trusted[:, None] & (self.rows[rays] > 0),
+        )
+
+    def equation(self, ray: int) -> str:
+        """Print one ray's equation with its lags, in metres and radians, its tests, and the terms as fitted."""
+        return equation_text(self, ray)
+
+    def summary(self) -> Mapping[str, str]:
+        """Return the form, which scans count, how well they are met and what the tests say."""
+        return summary_of(self)
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return plain data and arrays that hold the whole model."""
+        support, arrays = self.support.state()
+        header = {
+            "form": self.form.to_dict(),
+            "scale": self.scale.to_dict(),
+            "readings": [self.readings.centre, self.readings.width],
+            "leverage_limit": self.leverage_limit,
+            "support": support,
+            "used": dict(self.used),
+        }
+        return header, arrays | {name: getattr(self, name) for name in ARRAYS}
+
+    @classmethod
+    def restore(
+        cls, sensor: RangeSensor, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+    ) -> Self:
+        """Build the model from what `state` gave.
+
+        Raises
+        ------
+        ValueError : an array has a wrong shape or points outside the terms
+        """
+        return cls(**restored(sensor, header, arrays))

@@ -1,0 +1,130 @@
+"""The equations of all rays run scan by scan: one step ahead of what was measured, or free of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from sensorgraph.models.narmax.candidates import FACTORS, NarmaxForm, ReadingScale
+from sensorgraph.types import Floats, Ints
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReadingGains:
+    """Coefficients of lagged readings as arrays over rays and their neighbours."""
+
+    plain: Floats
+    """(lags, n_rays, 2 * neighbours + 1)"""
+    twist: Floats
+    """(3, n_rays, 2 * neighbours + 1) at lag 1, times v, omega and omega^2."""
+
+    @classmethod
+    def of(cls, form: NarmaxForm, order: Ints, theta: Floats) -> ReadingGains:
+        """Collect them from the terms (n_rays, n_max) of each ray and their coefficients."""
+        n_rays, h, m = len(order), form.neighbours, len(form.shared)
+        plain = np.zeros((form.lags, n_rays, 2 * h + 1))
+        twist = np.zeros((len(FACTORS), n_rays, 2 * h + 1))
+        for ray, j in zip(*np.nonzero(order >= m), strict=True):
+            offset, lag, factor = form.readings[int(order[ray, j]) - m]
+            if factor:
+                twist[FACTORS.index(factor), ray, offset // form.spacing + h] = theta[ray, j]
+            else:
+                plain[lag - 1, ray, offset // form.spacing + h] = theta[ray, j]
+        return cls(plain=plain, twist=twist)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Equations:
+    """What the recursion needs of a model at n scans: all that does not depend on readings is evaluated beforehand."""
+
+    form: NarmaxForm
+    scale: ReadingScale
+    gains: ReadingGains
+    noise: Floats
+    """(n_rays, noise_lags)"""
+    limits: tuple[float, float]
+    """[m] of the sensor."""
+    position: Ints
+    """(n,) scans of the stretch before each."""
+    twists: Floats
+    """(n, 2)"""
+    start: Floats
+    """(n, n_rays) [m] by the start equation, which holds where there is no history."""
+    driven: Floats
+    """(n, n_rays) [m] sum of the terms of poses and twist; 0 where there is no history."""
+
+
+def run(equations: Equations, measured: Floats | None = None, innovations: Floats | None = None) -> Floats:
+    """Return the predicted readings (n, n_rays) [m].
+
+    Parameters
+    ----------
+    measured : (n, n_rays) [m]; the lags are those of what was measured, the last return held where there is none: one
+        step ahead. None: the lags are predictions themselves: free run
+    innovations : (n, n_rays) [m] added to each state of a free run, which then is a drawn run
+    """
+    form, low, high = equations.form, *equations.limits
+    n, q = equations.start.shape
+    lags, h = form.lags, form.reach
+    states = np.zeros((lags, q + 2 * h))  # scaled; the ends stay 0
+    errors = np.zeros((equations.noise.shape[1], q))
+    out = np.empty((n, q))
+    factors = np.column_stack([equations.twists, equations.twists[:, 1] ** 2])
+    seen = np.zeros(q, dtype=np.bool_)
+    for k in range(n):
+        position = equations.position[k]
+        if position == 0:
+            seen[:], errors[:] = False, 0.0
+        if position < lags or not lags:
+            value = raw = equations.start[k] if position < lags else equations.driven[k]
+        else:
+            window = sliding_window_view(states, 2 * h + 1, axis=1)[
+                ..., :: form.spacing
+            ]  # (lags, q, neighbours)
+            first = equations.gains.plain[0] + np.tensordot(factors[k], equations.gains.twist, 1)
+            raw = equations.driven[k] + np.einsum("qo,qo->q", first, window[0])
+            if lags > 1:
+                raw = raw + np.einsum("lqo,lqo->q", equations.gains.plain[1:], window[1:])
+            raw = raw + np.einsum("ql,lq->q", equations.noise, errors)
+            value = np.clip(raw, low, high)
+        out[k] = value
+        state, error = value, np.zeros(q)
+        if measured is not None:
+            hit = np.isfinite(measured[k])
+            last = states[0, h : h + q] * equations.scale.width + equations.scale.centre if lags else value
+            state = np.where(hit, measured[k], np.where(seen, last, value))
+            error = np.where(hit & (position >= lags), measured[k] - raw, 0.0)
+            seen |= hit
+        elif innovations is not None:
+            error = innovations[k]
+            state = np.clip(raw + error, low, high)
+            out[k] = state
+        if lags:
+            states[1:] = states[:-1].copy()
+            states[0, h : h + q] = (state - equations.scale.centre) / equations.scale.width
+        if len(errors):
+            errors[1:] = errors[:-1].copy()
+            errors[0] = error
+    return out
+
+
+def dropout_chances(base: Floats, memory: Floats, position: Ints, lost: Floats | None) -> Floats:
+    """Return the chance of no return (n, n_rays): a two-state Markov chain whose entry depends on the pose (Gilbert 1960).
+
+    Parameters
+    ----------
+    base : (n, n_rays) chance after a return
+    memory : (n_rays,) added after no return
+    lost : (n, n_rays) 1 where nothing came back, nan where not known; None: free run
+    """
+    rest = np.clip(base / (1.0 - memory), 0.0, 1.0)  # in equilibrium
+    if lost is not None:
+        before = np.vstack([rest[:1], lost[:-1]])
+        before = np.where(np.isnan(before) | (position == 0)[:, None], rest, before)
+        return np.clip(base + memory * before, 0.0, 1.0)
+    out = np.empty_like(base)
+    for k in range(len(base)):
+        out[k] = rest[k] if position[k] == 0 else np.clip(base[k] + memory * out[k - 1], 0.0, 1.0)
+    return out

@@ -1,0 +1,183 @@
+"""The search for terms: forward selection for every ray on one shared matrix of moments, by error reduction ratio.
+
+Orthogonal least squares (Billings 2013, ch. 3) as a pivoted Cholesky factorisation of Φ'Φ, of which only the rows of
+the chosen terms are needed. A ray that misses scans corrects just those rows, so its search is exact at a cost in
+proportion to what it misses. `robotmodic_ident.select` says the same for one ray at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from robotmodic_ident.selection.criteria import information, penalties
+from robotmodic_ident.selection.forward import DEPENDENCE_TOLERANCE, EPSILON, TIE_TOLERANCE
+from sensorgraph.models.narmax.candidates import NarmaxForm, ReadingColumns
+from sensorgraph.models.narmax.settings import NARMAX
+from sensorgraph.types import Bools, Floats, Ints, Progress
+
+CRITERION = "ebic"
+"""Of the number of terms: it also counts how many models the candidates allow (Chen and Chen 2008)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChosenTerms:
+    """The terms of one ray, in order of choice."""
+
+    order: Ints
+    """(k,) candidates: the shared ones first, then the ray's own readings."""
+    err: Floats
+    """(k,) error reduction ratio of each."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Problem:
+    """What one ray's search needs of the moments."""
+
+    row: Callable[[int], Floats]
+    """Candidate -> its row (m,) of Φ'Φ over the ray's scans."""
+    diagonal: Floats
+    """(m,) of Φ'Φ."""
+    cross: Floats
+    """(m,) Φ'y."""
+    power: float
+    """y'y."""
+    count: int
+    """Scans of the ray."""
+
+
+class SharedMoments:
+    """Φ'Φ and Φ'Y of all rays over the same scans; the columns of readings are those of a few rays at a time."""
+
+    def __init__(self, phi: Floats, columns: ReadingColumns, ranges: Floats, form: NarmaxForm) -> None:
+        """Take phi (n, n_shared), and ranges (n, n_rays) [m] at the same rows; nan: not known."""
+        self.columns, self.form = columns, form
+        self.n_rays = ranges.shape[1]
+        self.known = np.isfinite(ranges) & columns.all_known()
+        self.phi = (
+            phi if self.known.all() else np.ascontiguousarray(phi)
+        )  # rows are gathered where some are missing
+        self.y = np.where(self.known, ranges, 0.0)
+        self.static = phi[:, form.static]
+        self.gram = phi.T @ phi
+        self.cross = phi.T @ self.y
+        self.power = np.einsum("ij,ij->j", self.y, self.y)
+
+    def searches(self, *, is_static: bool, progress: Progress | None = None) -> Iterator[ChosenTerms]:
+        """Yield the terms of every ray in turn; `is_static`: of those that a pose alone gives."""
+        step = NARMAX.rays_per_block
+        for first in range(0, self.n_rays, step):
+            rays = range(first, min(first + step, self.n_rays))
+            if is_static:
+                yield from (self._static(ray) for ray in rays)
+            else:
+                yield from self._lagged(rays)
+            if progress is not None:
+                progress(rays.stop, self.n_rays)
+
+    def _static(self, ray: int) -> ChosenTerms:
+        few = self.form.static
+        known = self.known[:, ray]
+        phi = self.static
+        gram = self.gram[np.ix_(few, few)] if known.all() else phi[known].T @ phi[known]
+        problem = _Problem(
+            row=lambda c: gram[c],
+            diagonal=np.diagonal(gram).copy(),
+            cross=self.cross[few, ray],
+            power=float(self.power[ray]),
+            count=int(known.sum()),
+        )
+        found = forward_selection(problem, self.form.n_terms, self.form.shared[few.tolist()].canonical_order)
+        return ChosenTerms(order=few[found.order], err=found.err)
+
+    def _lagged(self, rays: range) -> Iterator[ChosenTerms]:
+        """Search the terms of neighbouring rays, whose readings are multiplied together."""
+        h = self.form.reach
+        around = slice(max(rays.start - h, 0), min(rays.stop + h, self.n_rays))
+        readings = self.columns.of_all(slice(None), around)
+        mixed, own = self.phi.T @ readings, readings.T @ readings
+        cross = readings.T @ self.y[:, rays.start : rays.stop]
+        m = len(self.gram)
+        order = np.r_[self.form.shared.canonical_order, m + np.arange(len(self.form.readings))]
+        for j, ray in enumerate(rays):
+            places = self.columns.places(ray, around)
+            has = np.flatnonzero(places >= 0)
+            at = places[has]
+            full = np.block([[self.gram, mixed[:, at]], [mixed[:, at].T, own[np.ix_(at, at)]]])
+            row, diagonal = _with_holes(full, self.phi, readings[:, at], self.known[:, ray])
+            problem = _Problem(
+                row=row,
+                diagonal=diagonal,
+                cross=np.r_[self.cross[:, ray], cross[at, j]],
+                power=float(self.power[ray]),
+                count=int(self.known[:, ray].sum()),
+            )
+            candidates = np.r_[np.arange(m), m + has]
+            place = np.full(m + len(self.form.readings), -1)
+            place[candidates] = np.arange(len(candidates))
+            found = forward_selection(problem, self.form.n_terms, place[order][place[order] >= 0])
+            yield ChosenTerms(order=candidates[found.order], err=found.err)
+
+
+def _with_holes(
+    full: Floats, phi: Floats, readings: Floats, known: Bools
+) -> tuple[Callable[[int], Floats], Floats]:
+    """Return the rows of Φ'Φ over the known scans, one by one, and its diagonal; `full` is over all scans."""
+    if known.all():
+        return (lambda c: full[c]), np.diagonal(full).copy()
+    few = known if 2 * known.sum() < len(known) else ~known
+    part = np.concatenate([phi[few], readings[few]], axis=1)
+    squares = np.einsum("ij,ij->j", part, part)
+    if few is known:
+        return (lambda c: part[:, c] @ part), squares
+    diagonal = np.diagonal(full) - squares
+    safe = np.where(diagonal > 1e-12 * np.diagonal(full), diagonal, 0.0)  # the difference is rounding
+    return (lambda c: full[c] - part[:, c] @ part), safe
+
+
+def forward_selection(problem: _Problem, n_max: int, order: Ints) -> ChosenTerms:
+    """Choose terms by what they explain, the constant first, and cut where the criterion is least.
+
+    Parameters
+    ----------
+    order : (m,) canonical order of the candidates, which decides ties; the constant is candidate 0
+    """
+    m = len(problem.diagonal)
+    n_max = max(1, min(n_max, m, problem.count // NARMAX.rows_per_term))
+    norm = np.sqrt(np.where(problem.diagonal > 0, problem.diagonal, 1.0))
+    left = np.where(problem.diagonal > 0, 1.0, 0.0)  # remaining squared norm
+    b = problem.cross / norm
+    basis, chosen, gains = np.empty((n_max, m)), [], []
+    for k in range(n_max):
+        c = 0 if k == 0 else _best(b, left, order, 4.0 * EPSILON * problem.power)
+        if c < 0 or left[c] <= DEPENDENCE_TOLERANCE:
+            break
+        row = problem.row(c) / (norm * norm[c])
+        row = row - basis[:k, c] @ basis[:k]
+        row /= np.sqrt(left[c])
+        basis[k] = row
+        z = b[c] / np.sqrt(left[c])
+        b = b - z * row
+        left = left - row**2
+        left[c] = 0.0
+        chosen.append(c)
+        gains.append(z)
+    explained = np.array(gains) ** 2 / (problem.power if problem.power > 0 else 1.0)
+    rest = 1.0 - np.r_[0.0, np.cumsum(explained)]
+    count = np.array([max(problem.count, 1)])
+    cost = penalties(CRITERION, len(chosen), m, count)
+    size = 1 + int(information(rest[None], cost, count)[0, 1:].argmin()) if chosen else 0
+    return ChosenTerms(order=np.array(chosen[:size], dtype=np.intp), err=explained[:size])
+
+
+def _best(b: Floats, left: Floats, order: Ints, floor: float) -> int:
+    """Return the candidate that explains most, of equals the first in canonical order; -1: all depend on the chosen."""
+    free = left > DEPENDENCE_TOLERANCE
+    gain = np.where(free, b**2 / np.where(free, left, 1.0), -1.0)
+    best = float(gain.max())
+    if best < 0:
+        return -1
+    equal = gain[order] >= best - TIE_TOLERANCE * best - floor
+    return int(order[int(np.argmax(equal))])
