@@ -205,6 +205,18 @@ def test_match_that_does_not_tell_the_heading_is_no_closure() -> None:
         assert bool(word) == bool(closer.objection(one, one, found, pose, 1.0, 0.0))
 
 
+def test_closures_do_not_depend_on_how_many_fields_are_kept_in_memory() -> None:
+    run = room_run(TRUTH)
+    scans = scan_points(run)
+    tracked = track(scans, run.stamps, odometry_at_scans(run, odometry_of(run)), no_ticks)
+    small = replace(CLOSURES, submap=8, step=4, seen=4, apart=12)
+    few, many = (LoopCloser(scans, tracked, replace(small, kept_pyramids=n)) for n in (2, 128))
+    kept = [[(one.first, one.second) for one in closer.run(no_ticks).kept] for closer in (few, many)]
+    assert kept[0] == kept[1] and kept[0]
+    held = [sum("pyramid" in vars(submap) for submap in closer.submaps) for closer in (few, many)]
+    assert held[0] <= 2 < held[1]
+
+
 def test_stamps_that_repeat_are_said_and_the_order_of_the_log_holds() -> None:
     poses = loop_poses(40, laps=0.5)
     run = room_run(poses)

@@ -18,10 +18,11 @@ from sensorgraph.localization.front_end import ScanTrack
 from sensorgraph.localization.matching import Match, match
 from sensorgraph.localization.pose_graph import PoseEdges, PoseGraph
 from sensorgraph.localization.result import Closure
+from sensorgraph.localization.rival_places import ClosureCandidate, RivalPlaces, rival_places
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import CLOSURES, ClosureSettings
 from sensorgraph.localization.submaps import Submap, cut_submaps
-from sensorgraph.types import Floats, Ints, Progress
+from sensorgraph.types import Floats, Progress
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,34 +39,6 @@ class ClosedTrack:
     """Those that are kept."""
     rivals: tuple[RivalPlaces, ...] = ()
     """Where a place was seen again that no closure tells from others like it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RivalPlaces:
-    """Several places where a submap may be: a corridor that looks the same twice."""
-
-    newer: int
-    """Number of the key frame in the middle of the submap."""
-    older: Ints
-    """(n,) numbers of key frames in whose frames the places are."""
-    relative: Floats
-    """(n, 3) [m, m, rad]"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Candidate:
-    """A place where a submap was sought and something was found."""
-
-    older: int
-    """Number of the key frame in the middle of the older submap."""
-    closure: Closure
-    """With the reason why it is none."""
-    information: Floats
-    agreement: float
-    guess: Floats
-    """(3,) [m, m, rad] where it was sought."""
-    places: Floats
-    """(n, 3) [m, m, rad] in the older submap that fit as well as each other; the best first."""
 
 
 def steps_of(track: ScanTrack) -> PoseEdges:
@@ -96,6 +69,7 @@ class LoopCloser:
         self.refused: list[Closure] = []
         self.rivals: list[RivalPlaces] = []
         self._tried: set[tuple[int, int]] = set()
+        self._searched: dict[int, None] = {}  # submaps with a likelihood field, the one used last at the end
 
     def run(self, progress: Progress) -> ClosedTrack:
         """Search twice: along the way, with windows that grow with it, and again where all is nearly right."""
@@ -189,7 +163,7 @@ class LoopCloser:
         *,
         guess: Floats | None = None,
         score: float | None = None,
-    ) -> list[_Candidate]:
+    ) -> list[ClosureCandidate]:
         """Look for submap b in submap a, around a guess (None: where the graph has it); none: nothing fits."""
         s, older, newer = self.settings, self.submaps[a], self.submaps[b]
         self._tried.add((a, b))
@@ -209,10 +183,11 @@ class LoopCloser:
             rival_ratio=s.rivalry,
             apart=(s.rival_apart, np.radians(10.0)),
         )
+        self._forget_pyramids_but(a, b)
         if not len(modes.scores):
             return []
         found = match(*newer.core_points, older.surfaces, modes.poses[0], settings=older.matching)
-        candidate = _Candidate(
+        candidate = ClosureCandidate(
             older=older.middle,
             closure=Closure(
                 first=int(self.track.key_frames[older.middle]),
@@ -228,7 +203,17 @@ class LoopCloser:
         )
         return [candidate]
 
-    def _keep(self, b: int, found: list[_Candidate], drift: float, *, is_anywhere: bool = False) -> int:
+    def _forget_pyramids_but(self, *used: int) -> None:
+        """Free the likelihood fields that were not used for longest."""
+        for k in used:
+            self._searched.pop(k, None)
+            self._searched[k] = None
+        while len(self._searched) > max(self.settings.kept_pyramids, len(used)):
+            oldest = next(iter(self._searched))
+            del self._searched[oldest]
+            self.submaps[oldest].forget_pyramid()
+
+    def _keep(self, b: int, found: list[ClosureCandidate], drift: float, *, is_anywhere: bool = False) -> int:
         """Keep the closures of submap b against which nothing speaks; return how many.
 
         Parameters
@@ -238,7 +223,8 @@ class LoopCloser:
         """
         newer = self.submaps[b].middle
         good = [one for one in found if not one.closure.reason]
-        rivals = self._rivals(newer, found if is_anywhere or not good else good, drift)
+        asked = found if is_anywhere or not good else good
+        rivals = rival_places(newer, asked, self.graph.poses, drift, self.settings)
         if rivals is not None:
             self.rivals.append(rivals)
         for one in found:
@@ -250,29 +236,6 @@ class LoopCloser:
                 self.kept.append(one.closure)
                 self.found.append((one.older, newer, one.closure.relative, one.information))
         return 0 if rivals is not None else len(good)
-
-    def _rivals(self, newer: int, found: list[_Candidate], drift: float) -> RivalPlaces | None:
-        """Return the places that fit alike; None: there are no two."""
-        s = self.settings
-        fitting = [one for one in found if not one.closure.reason or len(one.places) > 1]
-        best = max((one.agreement for one in fitting), default=0.0)
-        older: list[int] = []
-        relative: list[Floats] = []
-        placed = np.zeros((0, 3))
-        for one in fitting:
-            for place in one.places:
-                in_map = compose(self.graph.poses[one.older], place)
-                way = placed - in_map
-                apart = np.where(np.array(older) == one.older, s.rival_apart, s.visits_apart)
-                is_other = (np.hypot(way[:, 0], way[:, 1]) > apart) | (np.abs(wrap(way[:, 2])) > s.rival_turn)
-                is_near = bool((np.abs(place[:2] - one.guess[:2]) <= drift).all())
-                if is_near and one.agreement >= s.rivalry * best and is_other.all():
-                    older.append(one.older)
-                    relative.append(place)
-                    placed = np.vstack([placed, in_map])
-        if len(older) < 2:
-            return None
-        return RivalPlaces(newer=newer, older=np.array(older, dtype=np.intp), relative=np.array(relative))
 
     def _undecided(self, kept: list[tuple[int, int, Floats, Floats]]) -> tuple[RivalPlaces, ...]:
         """Return the rivals of submaps that no closure holds."""

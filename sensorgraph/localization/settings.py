@@ -256,6 +256,8 @@ class ClosureSettings:
     """[m] least standard deviation."""
     floor_turn: float = 0.0007
     """[rad] the same of the heading."""
+    kept_pyramids: int = 128
+    """Submaps whose likelihood fields are kept, those used last; each takes 2 to 5 MB, and a day has thousands."""
     solve_every: int = 4
     """Submaps after which closures are taken into the graph while the map is made."""
     second_window: float = 0.4

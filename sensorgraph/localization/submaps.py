@@ -66,6 +66,10 @@ class Submap:
         """Its likelihood field."""
         return MaxPyramid(field=field_of_points(self.points[0]))
 
+    def forget_pyramid(self) -> None:
+        """Free the memory of the likelihood field; it is made again when it is asked for."""
+        self.__dict__.pop("pyramid", None)
+
     @cached_property
     def surfaces(self) -> LineMap:
         """Its lines."""
