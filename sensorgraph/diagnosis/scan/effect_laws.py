@@ -18,11 +18,12 @@ from sensorgraph.effects.proposals import best_run
 from sensorgraph.types import Bools
 from sensorgraph.world.ray_order import neighbouring_rays
 
-STRAY_CAUSES = (
+STRAY_CAUSES: tuple[str, ...] = (
     "a second laser, or the robot's own light reflected",
     "dust, fog, rain or a dirty window",
     "parts of the robot, cables, or things on it within view",
 )
+STANDING_CAUSES: tuple[str, ...] = ("furniture, doors or walls that the map lacks",)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,9 +62,11 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
         short = odd & (view.z < np.where(view.aimed, view.mu, view.range_max))
     model = view.fitted.model
     for index, a in enumerate(model):
-        words, odd_share = "", 0.0
+        words, odd_share, causes = "", 0.0, STRAY_CAUSES
         if a.effect.diagnostics.explains == "short readings" and short.sum() > settings.min_absorbed_rays:
             words, odd_share = _not_people(view, short), float(short.mean())
+            if not words and (words := _standing(view, short)):
+                causes = STANDING_CAUSES
         elif a.effect.diagnostics.explains == "strays" and odd.sum() > settings.min_absorbed_rays:
             words, odd_share = _not_random(view, odd), float(odd.mean())
         if words:
@@ -78,7 +81,7 @@ def broken_laws(view: FitResiduals, gains: Mapping[int, float]) -> list[Doubt]:
                     threshold=0.0,
                     failed=frozenset([index]),
                     size=ScanError(wrong=odd_share),
-                    causes=STRAY_CAUSES,
+                    causes=causes,
                 )
             )
     for telltale in _telltales():
@@ -145,6 +148,38 @@ def _not_people(view: FitResiduals, short: Bools) -> str:
     if counts.max() > settings.max_bin_share * len(z):
         return f"{100 * share:.1f} % of the readings are short, most of them at {width * (counts.argmax() + 0.5):.2f} m"
     return ""
+
+
+def _standing(view: FitResiduals, short: Bools) -> str:
+    """Return that what makes readings short stands still, or nothing."""
+    still = _standing_share(view, short)
+    if still <= SCAN.goodness_of_fit.max_standing_share:
+        return ""
+    return (
+        f"{100 * short.mean():.1f} % of the readings are short, and {100 * still:.0f} % of the rays that come to where they "
+        f"end {SCAN.goodness_of_fit.standing_time:g} s before or later end there, too: what stands there does not walk"
+    )
+
+
+def _standing_share(view: FitResiduals, short: Bools) -> float:
+    """Return how many of the rays that come to the end of a short reading at other times end there, too.
+
+    It is near 1 for what stands, also where it is seen from all sides, and near 0 for what walked through.
+    """
+    settings = SCAN.goodness_of_fit
+    beams, z, stamps = view.beams, view.z, view.data.stamps
+    ends, at = view.ends(short), stamps[np.nonzero(short)[0]]
+    step = -(-len(ends) // settings.standing_places)
+    ended = reached = 0
+    for (x, y), when in zip(ends[::step], at[::step], strict=True):
+        dx, dy = x - beams.ox, y - beams.oy
+        along, across = dx * beams.ux + dy * beams.uy, dx * beams.uy - dy * beams.ux
+        other = np.abs(stamps - when) > settings.standing_time
+        comes = other[:, None] & (along > 0) & (np.abs(across) < settings.standing_reach) & view.returned
+        ends_there = comes & (np.abs(z - along) < 2 * settings.standing_reach)
+        ended += int(ends_there.sum())
+        reached += int((comes & (z > along)).sum() + (ends_there & (z <= along)).sum())
+    return ended / reached if reached > settings.min_standing_rays else 0.0
 
 
 def _not_random(view: FitResiduals, odd: Bools) -> str:
