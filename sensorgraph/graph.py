@@ -23,6 +23,7 @@ from logs.run import PoseFrame, RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models import MODELS
 from sensorgraph.models.base import POINTS, Model, Point, Prediction
+from sensorgraph.models.residual_memory import ResidualMemory
 from sensorgraph.models.stored_numbers import check_numbers
 from sensorgraph.types import Floats, Progress
 
@@ -49,6 +50,9 @@ class Sensorgraph:
     """Whose poses `predict` takes: the frame of the training poses."""
     origin: Mapping[str, Any]
     """Where it came from: `version`, `inputs`, `options`, `split`, counts; plain data."""
+    memory: ResidualMemory | None = None
+    """How what the model leaves depends on the scan before and on neighbours; None: not identified. It is drawn, not
+    predicted."""
 
     def predict(
         self,
@@ -138,6 +142,13 @@ class Sensorgraph:
         ]
         return html_table(f"Sensorgraph, model {self.model.name}", rows)
 
+    def facts(self) -> dict[str, str]:
+        """Return what a reader wants to know first, label -> text: of the model, and of the memory if there is one."""
+        return {
+            **self.model.summary(),
+            **({} if self.memory is None else {"memory": self.memory.summary()}),
+        }
+
     def equation(self, ray: int) -> str:
         """Print the explicit equation of one ray, given by index."""
         self._check_rays(np.array([ray]))
@@ -170,6 +181,7 @@ class Sensorgraph:
         }
         members = {"header.json": json.dumps(top, indent=1, sort_keys=True).encode()}
         arrays = {**arrays, **_sensor_arrays(self.sensor)}
+        arrays |= {} if self.memory is None else self.memory.arrays()
         for name in sorted(arrays):
             buffer = io.BytesIO()
             np.lib.format.write_array(buffer, np.ascontiguousarray(arrays[name]), allow_pickle=False)
@@ -216,7 +228,10 @@ class Sensorgraph:
                 **{name: float(top["sensor"][name]) for name in _SENSOR_FIELDS},
             )
             model = MODELS[top["model"]].restore(sensor, top["state"], arrays)
-            return cls(model=model, sensor=sensor, pose_frame=top["pose_frame"], origin=top["origin"])
+            memory = ResidualMemory.restore(arrays, sensor.n_rays)
+            return cls(
+                model=model, sensor=sensor, pose_frame=top["pose_frame"], origin=top["origin"], memory=memory
+            )
         except (
             KeyError,
             TypeError,

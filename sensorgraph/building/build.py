@@ -11,6 +11,7 @@ import numpy as np
 from logs.run import Run, pair
 from logs.stream import LogStream, WholeRun
 from planners.arena import Arena
+from sensorgraph.building.residuals import with_memory
 from sensorgraph.building.split import held_out
 from sensorgraph.building.training_data import TrainingData, all_scans, begin_digest, ranges_bytes
 from sensorgraph.errors import SensorgraphError
@@ -37,6 +38,7 @@ def build(
     map_blocks: MapBlocks = map,
     update: Sensorgraph | None = None,
     force: bool = True,
+    memory: bool = False,
     progress: ProgressBars = no_progress,
     **options: Any,
 ) -> Sensorgraph:
@@ -52,6 +54,7 @@ def build(
     map_blocks : where blocks of scans are reduced; `map`: here. See `sensorgraph.building.dask_cluster`
     update : a graph of faces to which the runs are added; its own runs are not needed
     force : take a run whose poses jump, too; False: refuse it, as the commands do
+    memory : also identify how residuals depend on the scan before and on neighbours, for drawing (`record --graph`)
     progress : opens a bar for each stage
     options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
     """
@@ -82,7 +85,13 @@ def build(
         "options": {name: options[name] for name in sorted(options)},
         "arena_bounds": None if arena is None else list(arena.bounds),
     }
-    return Sensorgraph(model=fitted, sensor=feed.sensor, pose_frame=feed.pose_frame, origin=origin)
+    graph = Sensorgraph(model=fitted, sensor=feed.sensor, pose_frame=feed.pose_frame, origin=origin)
+    if not memory:
+        return graph
+    scans = all_scans(TrainingData(sources, names, split=split, bounds=bounds, force=force))
+    assert scans is not None
+    with progress("identifying memory", "scans") as tick:
+        return with_memory(graph, scans, tick)
 
 
 def _fit(

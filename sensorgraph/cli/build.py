@@ -16,6 +16,7 @@ from sensorgraph.cli.options import (
     BuildDegree,
     BuildHarmonics,
     BuildLags,
+    BuildMemory,
     BuildModel,
     BuildOutput,
     BuildRobot,
@@ -51,6 +52,7 @@ def build(
     terms: BuildTerms = "auto",
     lags: BuildLags = "auto",
     calibrate: BuildCalibrate = None,
+    memory: BuildMemory = False,
     update: BuildUpdate = None,
     dask: BuildDask = None,
     topic: Topics = None,
@@ -110,6 +112,7 @@ def build(
             map_blocks=map_blocks,
             update=known,
             force=force,
+            memory=memory,
             progress=progress,
             **options,
         )
@@ -186,7 +189,7 @@ def _report(graph: Sensorgraph, split: str | None, said: set[str]) -> None:
             line = f"warning: {entry['name']}: {with_flags(text)}"
             if line not in said:
                 typer.echo(line, err=True)
-    for label, text in graph.model.summary().items():
+    for label, text in graph.facts().items():
         typer.echo(f"{label}: {text}")
 
 

@@ -157,7 +157,7 @@ BuildRobot = Annotated[
     Path | None, typer.Option(help="Robot yaml of the robot that recorded; its sensor.sweep_time is taken.")
 ]
 BuildModel = Annotated[
-    str, typer.Option(help="What to fit: faces, cells, polynomial (the form of 2004), or narmax: with lags.")
+    str, typer.Option(help="faces, cells, polynomial (the form of 2004) or narmax (lags).")
 ]
 BuildSplit = Annotated[str | None, typer.Option(help="Hold scans out: every10 or block.")]
 BuildDegree = Annotated[
@@ -175,6 +175,7 @@ BuildCalibrate = Annotated[
         help="Of faces: identify the laser with them (mount, ray terms, training poses); where it pays.",
     ),
 ]
+BuildMemory = Annotated[bool, typer.Option("--memory", help="Keep how residuals last and spread.")]
 BuildUpdate = Annotated[
     Path | None, typer.Option(metavar="GRAPH", help="Add the runs to this graph of faces.")
 ]
@@ -230,7 +231,7 @@ EvaluateEffects = Annotated[
 ]
 EvaluateBeside = Annotated[
     list[Path] | None,
-    typer.Option("--beside", metavar="GRAPH", help="Score this graph on the same rays too; may be repeated."),
+    typer.Option("--beside", metavar="GRAPH", help="Score this graph on the same rays, too."),
 ]
 EvaluateJson = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers here.")]
 

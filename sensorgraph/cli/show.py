@@ -66,7 +66,7 @@ def show(
             f"{sensor.range_min:g} to {sensor.range_max:g} m, sigma {sensor.sigma:g} m",
         ),
         ("poses", f"of {model.pose_frame} in map"),
-        *model.model.summary().items(),
+        *model.facts().items(),
         ("options", options),
         ("split", f"{origin['split']} held out" if origin["split"] else "none: all scans were fitted"),
     ]

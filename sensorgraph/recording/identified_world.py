@@ -22,6 +22,7 @@ from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_rays
 from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.residual_memory import MemoryState, ResidualMemory
 from sensorgraph.recording.controllers import controller_named
 from sensorgraph.types import Floats, ProgressBars, no_progress
 from sensorgraph.world.drive import follow, react
@@ -72,6 +73,29 @@ class ScanNoise:
         return self._kept[1][row], self._kept[2][row]
 
 
+class NoiseWithMemory:
+    """The numbers of `ScanNoise` with the memory of a graph: those of a scan still belong to its number alone."""
+
+    def __init__(self, seed: int, memory: ResidualMemory) -> None:
+        self.fresh = ScanNoise(seed, len(memory.lasting))
+        self.memory = memory
+        self._restart()
+
+    def _restart(self) -> None:
+        self.state, self.next, self._last = MemoryState(self.memory), 0, (np.zeros(0), np.zeros(0))
+
+    def of(self, number: int) -> tuple[Floats, Floats]:
+        """Return uniform and normal numbers (n_rays,) of one scan."""
+        if number < self.next - 1:
+            self._restart()
+        while self.next <= number:
+            rng = np.random.default_rng([self.fresh.seed, 5, self.next])
+            decisions = rng.random((2, self.fresh.n_rays))
+            self._last = self.state.step(*self.fresh.of(self.next), decisions)
+            self.next += 1
+        return self._last
+
+
 class ArenaWorld:
     """Readings cast in an arena, with the sensor's noise and nothing else."""
 
@@ -117,7 +141,9 @@ class IdentifiedWorld:
         self.graph, self.seed, self.rays = graph, seed, rays
         self.sensor = replace(robot.sensor, range_max=min(robot.sensor.range_max, graph.sensor.range_max))
         self.n_rays = self.unanswered = 0
-        self._noise = ScanNoise(seed, robot.sensor.n_rays)
+        self._noise: ScanNoise | NoiseWithMemory = ScanNoise(seed, robot.sensor.n_rays)
+        if graph.memory is not None:
+            self._noise = NoiseWithMemory(seed, graph.memory)
 
     def scans(self, first: int, poses: Floats) -> Floats:
         """Draw scans `first`, `first` + 1, ... at base_link poses; returns readings (n, n_rays) [m].

@@ -161,7 +161,7 @@ def _needed(jacobian: Floats, e: Floats, beta: Floats, noise: Floats, R: Floats)
     size = np.sqrt(np.maximum((J**2).sum(axis=0), np.finfo(np.float64).tiny))
     J = J / size
     gram = J.T @ J
-    cross = J.T @ (e + jacobian @ np.r_[beta, noise])
+    cross = J.T @ (e + jacobian @ np.r_[beta, noise][: jacobian.shape[1]])  # no noise columns where it is 0
     kept = np.ones(len(gram), dtype=np.bool_)
     variance, price = float(e @ e) / len(e), np.log(len(e))
     while kept[:k].sum() > 1:
@@ -209,7 +209,8 @@ def _multiplier_tests(
     e: Floats, G: Floats, pasts: Sequence[Floats], runs: Stretches, n_lags: int
 ) -> list[float]:
     """Return the p-values of e (n,) against the lags of signals (n,), once what G (n, k) explains is taken from them."""
-    n_lags = min(n_lags, max(1, int(runs.position.max(initial=1))))
+    while n_lags > 1 and (runs.position >= n_lags).mean() < 0.5:  # of short stretches, fewer lags
+        n_lags -= 1
     use = runs.position >= n_lags
     target, G = e[use], G[use]
     if len(target) <= n_lags + G.shape[1] + 1:

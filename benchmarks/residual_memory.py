@@ -1,0 +1,156 @@
+"""Do drawn scans have the memory of recorded ones? Spectra, lengths of bursts, correlation in time and of neighbours.
+
+    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python -m benchmarks.residual_memory GRAPH RUN [--scans 4000] [-o PICTURE.png]
+
+RUN is a log with poses, such as `sensorgraph locate intel.clf.bz2 -o intel.mcap` writes, GRAPH one of its place. The memory
+is identified on the first half of the scans; the second half is drawn from the graph at its own poses, without a memory and
+with it, and compared with what was recorded. Events are returns that are missing or off the predicted surface by 5 cm.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import welch
+
+from logs import read
+from logs.run import Run, pair
+from planners.types import Floats
+from sensorgraph.evaluation.evaluate import poses_for
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.models.base import Prediction
+from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.narmax.sequences import stretches
+from sensorgraph.models.residual_memory import ResidualMemory, events_of
+from sensorgraph.recording.identified_world import NoiseWithMemory, ScanNoise
+
+LAGS = (1, 2, 3, 5, 8)
+SEED = 1
+
+
+def main() -> None:
+    """Print the table and draw the picture."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("graph", type=Path)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--scans", type=int, default=4000)
+    parser.add_argument("-o", "--out", type=Path)
+    arguments = parser.parse_args()
+    graph, run = Sensorgraph.load(arguments.graph), read(arguments.run)
+    scans = np.flatnonzero(pair(run).paired)[: arguments.scans]
+    poses = poses_for(graph, run.pose_frame, run.sensor.mount, pair(run).poses[scans])
+    said, index = graph.predict(poses), _index(run, scans)
+    half = len(scans) // 2
+    ranges = run.ranges[scans]
+    first = events_of(ranges[:half], said.mode[:half], said.p_no_return[:half], said.p_off[:half])
+    memory = ResidualMemory.fit(**first, index=index[:half])
+    print(memory.summary())
+    later = slice(half, len(scans))
+    worlds = {
+        "recorded": ranges[later],
+        "drawn without memory": _drawn(graph, poses[later], None),
+        "drawn with memory": _drawn(graph, poses[later], memory),
+    }
+    found = {name: _statistics(values, said, later, index[later]) for name, values in worlds.items()}
+    labels = [label for label in next(iter(found.values())) if not label.startswith("_")]
+    print("| | " + " | ".join(found) + " |\n|---|" + "---:|" * len(found))
+    for label in labels:
+        print(f"| {label} | " + " | ".join(f"{values[label]:.3f}" for values in found.values()) + " |")
+    if arguments.out is not None:
+        _draw(found, arguments.out)
+
+
+def _index(run: Run, scans: np.ndarray) -> np.ndarray:
+    """Return scan numbers in which a gap leaves a number out."""
+    used = np.zeros(run.n_scans, dtype=np.bool_)
+    used[scans] = True
+    return np.arange(len(scans)) + stretches(run.stamps, used, float(np.median(np.diff(run.stamps))))
+
+
+def _drawn(graph: Sensorgraph, poses: Floats, memory: ResidualMemory | None) -> Floats:
+    model = graph.model
+    assert isinstance(model, Faces)
+    noise = ScanNoise(SEED, graph.sensor.n_rays) if memory is None else NoiseWithMemory(SEED, memory)
+    numbers = [noise.of(k) for k in range(len(poses))]
+    uniform, normal = (np.array(part) for part in zip(*numbers, strict=True))
+    return model.draw(poses, uniform, normal)
+
+
+def _statistics(ranges: Floats, said: Prediction, rows: slice, index: np.ndarray) -> dict[str, object]:
+    part = events_of(ranges, said.mode[rows], said.p_no_return[rows], said.p_off[rows])
+    event, residual = part["event"] - part["chance"], part["residual"]
+    residual = residual - np.nanmean(residual, axis=0)
+    lengths = _bursts(part["event"], index)
+    lost = _bursts(np.isposinf(ranges).astype(float), index)
+    out: dict[str, object] = {
+        "events, share": float(np.nanmean(part["event"])),
+        "length of a burst of events, mean [scans]": float(lengths.mean()),
+        "bursts of 3 scans or more, share": float((lengths >= 3).mean()),
+        "bursts of 10 scans or more, share": float((lengths >= 10).mean()),
+        "length of a burst without return, mean [scans]": float(lost.mean()) if len(lost) else float("nan"),
+        "events of neighbours, correlation": _correlation(event[:, 1:], event[:, :-1]),
+        "noise of neighbours, correlation": _correlation(residual[:, 1:], residual[:, :-1]),
+    }
+    for lag in LAGS:
+        follows = index[lag:] - index[:-lag] == lag
+        out[f"events, ACF at {lag}"] = _correlation(event[lag:][follows], event[:-lag][follows])
+    for lag in LAGS:
+        follows = index[lag:] - index[:-lag] == lag
+        out[f"noise, ACF at {lag}"] = _correlation(residual[lag:][follows], residual[:-lag][follows])
+    out["_lengths"], out["_event"], out["_noise"] = lengths, np.nan_to_num(event), np.nan_to_num(residual)
+    return out
+
+
+def _correlation(a: Floats, b: Floats) -> float:
+    known = np.isfinite(a) & np.isfinite(b)
+    return float(np.corrcoef(a[known], b[known])[0, 1])
+
+
+def _bursts(event: Floats, index: np.ndarray) -> np.ndarray:
+    """Return the lengths of runs of events of all rays; a gap ends a run."""
+    out = []
+    breaks = np.r_[True, np.diff(index) != 1]
+    for column in (event == 1).T:
+        start = column & (breaks | ~np.r_[False, column[:-1]])
+        number = np.cumsum(start)
+        out.append(np.bincount(number[column])[1:] if column.any() else np.zeros(0, dtype=int))
+    lengths = np.concatenate(out)
+    return lengths[lengths > 0]
+
+
+def _draw(found: Mapping[str, dict[str, object]], path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    fig, axes = plt.subplots(1, 4, figsize=(18, 4.2), layout="constrained")
+    for (name, values), style in zip(found.items(), ("k-", "C1--", "C0-"), strict=True):
+        lengths = np.sort(np.asarray(values["_lengths"]))
+        axes[0].loglog(lengths, 1.0 - np.arange(len(lengths)) / len(lengths), style, label=name)
+        for ax, key in ((axes[1], "events"), (axes[2], "noise")):
+            ax.plot(LAGS, [values[f"{key}, ACF at {lag}"] for lag in LAGS], style, marker="o", label=name)
+        f, power = welch(np.asarray(values["_event"]), nperseg=256, axis=0)
+        axes[3].loglog(f[1:], power.mean(axis=1)[1:], style, label=name)
+    titles = (
+        "bursts of events: share as long or longer",
+        "events: autocorrelation",
+        "noise of returns: autocorrelation",
+        "events: power spectrum",
+    )
+    names = ("length [scans]", "lag [scans]", "lag [scans]", "frequency [1/scan]")
+    for ax, title, label in zip(axes, titles, names, strict=True):
+        ax.set(title=title, xlabel=label)
+        ax.grid(alpha=0.3)
+    axes[0].legend()
+    fig.savefig(path, dpi=110)
+    print(f"wrote {path}")
+
+
+if __name__ == "__main__":
+    main()
