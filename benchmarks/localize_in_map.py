@@ -16,17 +16,20 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 import logs
 import sensorgraph as sg
 from benchmarks.grid_localization import DistanceGrid, follow, grid_of
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
+from sensorgraph.exporting.amcl import DEFAULTS
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.global_search import find_places, local_view
 from sensorgraph.localization.in_map import locate_in_map
@@ -187,17 +190,50 @@ def said(poses: Floats, truth: Floats) -> str:
 
 
 def particle_filter(data: Halves, rng: np.random.Generator) -> None:
-    """Print the errors of a plain particle filter that is told where to start.
+    """Print the errors of a plain particle filter with Nav2's defaults that is told where to start."""
+    points = points_on(data.walls, 0.025)
+    low, cell = points.min(axis=0) - 3.0, 0.05
+    nx, ny = np.ceil((points.max(axis=0) + 3.0 - low) / cell).astype(int)
+    free = np.ones((ny, nx), dtype=bool)
+    at = ((points - low) / cell).astype(int)
+    free[at[:, 1], at[:, 0]] = False
+    estimates = filtered(data, DistanceField.of(free, low, cell), DEFAULTS, rng)
+    done = np.isfinite(estimates[:, 0])
+    print(f"particle filter: {said(estimates[done], data.truth[done])}")
+    both = done & data.covered
+    print(f"particle filter, covered: {said(estimates[both], data.truth[both])}")
 
-    AMCL's models (Thrun, Burgard and Fox 2005, tables 5.6 and 6.3) with Nav2's defaults: alpha 0.2, 60 beams, z_hit and
-    z_rand 0.5, sigma_hit 0.2 m, 2,000 particles, updates every 0.25 m or 0.2 rad.
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DistanceField:
+    """Distance to the nearest occupied cell, as AMCL's likelihood field has it."""
+
+    low: Floats
+    cell: float
+    distance: Floats
+    """(ny, nx) [m]"""
+
+    @classmethod
+    def of(cls, free: NDArray[np.bool_], low: Floats, cell: float) -> DistanceField:
+        """Measure it on a grid (ny, nx) of cells that are not occupied."""
+        return cls(low=low, cell=cell, distance=np.minimum(cell * distance_transform_edt(free), 2.0))
+
+
+def filtered(
+    data: Halves, field: DistanceField, parameters: Mapping[str, float], rng: np.random.Generator
+) -> Floats:
+    """Return the poses (n_scans, 3) that a particle filter has after its updates, nan between them.
+
+    AMCL's models (Thrun, Burgard and Fox 2005, tables 5.6 and 6.3): 60 beams, 2,000 particles, updates every 0.25 m or
+    0.2 rad; it is told where to start.
+
+    Parameters
+    ----------
+    parameters : by their names in Nav2
     """
     motion = odometry_of(data.second)
     assert motion is not None
     odometry = odometry_at_scans(data.second, motion)
-    points = points_on(data.walls, 0.025)
-    low, cell = points.min(axis=0) - 3.0, 0.05
-    distance = _distances(points, low, cell, 2.0)
     first = int(np.flatnonzero(np.isfinite(data.truth[:, 0]))[0])
     particles = data.truth[first] + rng.normal(size=(2000, 3)) * [0.25, 0.25, 0.07]
     mean, last, estimates = data.truth[first], first, np.full_like(data.truth, np.nan)
@@ -205,20 +241,17 @@ def particle_filter(data: Halves, rng: np.random.Generator) -> None:
     for k in range(first, len(data.truth)):
         step = compose(invert(odometry[last]), odometry[k])
         if np.hypot(step[0], step[1]) > 0.25 or abs(wrap(step[2])) > 0.2:
-            particles = _moved(particles, step, rng)
+            particles = _moved(particles, step, parameters, rng)
             own = np.arange(scans.first[k], scans.first[k + 1])
             if len(own):
                 seen = scans.points[own[np.linspace(0, len(own) - 1, min(60, len(own))).astype(int)]]
-                weights = _weights(particles, seen, distance, low, cell)
+                weights = _weights(particles, seen, field, parameters)
                 mean = _mean(particles, weights)
                 at = np.searchsorted(np.cumsum(weights), (np.arange(2000) + rng.uniform()) / 2000)
                 particles = particles[np.clip(at, 0, 1999)]
             last = k
             estimates[k] = mean
-    done = np.isfinite(estimates[:, 0])
-    print(f"particle filter: {said(estimates[done], data.truth[done])}")
-    both = done & data.covered
-    print(f"particle filter, covered: {said(estimates[both], data.truth[both])}")
+    return estimates
 
 
 def in_grid(data: Halves) -> None:
@@ -252,39 +285,35 @@ def in_grid(data: Halves) -> None:
     )
 
 
-def _distances(points: Floats, low: Floats, cell: float, most: float) -> Floats:
-    from scipy.ndimage import distance_transform_edt
-
-    nx, ny = np.ceil((points.max(axis=0) + 3.0 - low) / cell).astype(int)
-    free = np.ones((ny, nx), dtype=bool)
-    at = ((points - low) / cell).astype(int)
-    free[at[:, 1], at[:, 0]] = False
-    return np.minimum(cell * distance_transform_edt(free), most)
-
-
-def _moved(particles: Floats, step: Floats, rng: np.random.Generator) -> Floats:
+def _moved(
+    particles: Floats, step: Floats, parameters: Mapping[str, float], rng: np.random.Generator
+) -> Floats:
     way, turn = float(np.hypot(step[0], step[1])), float(wrap(step[2]))
     before = float(np.arctan2(step[1], step[0])) if way > 0.01 else 0.0
     after = float(wrap(turn - before))
     a = min(abs(before), abs(wrap(before - np.pi)))  # backwards is as good as forwards
     b = min(abs(after), abs(wrap(after - np.pi)))
     n = len(particles)
-    first = before - rng.normal(size=n) * np.sqrt(0.2 * a**2 + 0.2 * way**2)
-    length = way - rng.normal(size=n) * np.sqrt(0.2 * way**2 + 0.2 * (a**2 + b**2))
-    second = after - rng.normal(size=n) * np.sqrt(0.2 * b**2 + 0.2 * way**2)
+    a1, a2, a3, a4 = (parameters[f"alpha{k}"] for k in (1, 2, 3, 4))
+    first = before - rng.normal(size=n) * np.sqrt(a1 * a**2 + a2 * way**2)
+    length = way - rng.normal(size=n) * np.sqrt(a3 * way**2 + a4 * (a**2 + b**2))
+    second = after - rng.normal(size=n) * np.sqrt(a1 * b**2 + a2 * way**2)
     x = particles[:, 0] + length * np.cos(particles[:, 2] + first)
     y = particles[:, 1] + length * np.sin(particles[:, 2] + first)
     return np.column_stack([x, y, particles[:, 2] + first + second])
 
 
-def _weights(particles: Floats, seen: Floats, distance: Floats, low: Floats, cell: float) -> Floats:
+def _weights(
+    particles: Floats, seen: Floats, field: DistanceField, parameters: Mapping[str, float]
+) -> Floats:
     cos, sin = np.cos(particles[:, 2:]), np.sin(particles[:, 2:])
     x = particles[:, :1] + cos * seen[:, 0] - sin * seen[:, 1]
     y = particles[:, 1:2] + sin * seen[:, 0] + cos * seen[:, 1]
-    i, j = ((x - low[0]) / cell).astype(int), ((y - low[1]) / cell).astype(int)
-    inside = (i >= 0) & (j >= 0) & (i < distance.shape[1]) & (j < distance.shape[0])
-    d = np.where(inside, distance[np.where(inside, j, 0), np.where(inside, i, 0)], 2.0)
-    p = 0.5 * np.exp(-(d**2) / (2 * 0.2**2)) + 0.5 / 100.0
+    i, j = ((x - field.low[0]) / field.cell).astype(int), ((y - field.low[1]) / field.cell).astype(int)
+    inside = (i >= 0) & (j >= 0) & (i < field.distance.shape[1]) & (j < field.distance.shape[0])
+    d = np.where(inside, field.distance[np.where(inside, j, 0), np.where(inside, i, 0)], 2.0)
+    p = parameters["z_hit"] * np.exp(-(d**2) / (2 * parameters["sigma_hit"] ** 2))
+    p = p + parameters["z_rand"] / parameters["laser_max_range"]
     weights = 1.0 + (p**3).sum(axis=1)  # as AMCL has it
     return np.asarray(weights / weights.sum())
 

@@ -143,7 +143,7 @@ def _distance_to_cells(lasers: Floats, bearings: Floats, z: Floats, grid: Occupa
 def _motion_noise(run: Run) -> dict[str, BootstrapEstimate]:
     """Return alpha1 to alpha4 from steps of the odometry against those of the poses (table 5.6); {} if there are few.
 
-    The variances of first turn, way and second turn are linear in the alphas; they are fitted to the squared
+    The variances of a step's turn and way are linear in the alphas; they are fitted to the squared
     errors by weighted least squares without negative values. alpha5 is of omnidirectional robots alone.
     """
     steps = _steps(run)
@@ -200,21 +200,22 @@ def _turn_way_turn(a: Floats, b: Floats) -> tuple[float, float, float]:
 
 
 def _fit_alphas(steps: Floats) -> Floats:
-    first, way, second = (
-        steps[:, 3],
-        steps[:, 4],
-        steps[:, 5],
-    )  # of the poses: those of the odometry hold its noise
-    none = np.zeros(len(steps))
+    """Fit alpha1 to alpha4 to how far steps turn and go wrongly; not to the two turns one by one.
+
+    On a short way the direction is noise of the poses: the two turns are then wrong by the same, one to the left, one to
+    the right, and the robot's heading is not.
+    """
+    turn, true_turn = steps[:, 0] + steps[:, 2], steps[:, 3] + steps[:, 5]
+    turns, ways = steps[:, 3] ** 2 + steps[:, 5] ** 2, steps[:, 4] ** 2  # of the poses: those of the odometry
+    none = np.zeros(len(steps))  # hold its noise
     rows = np.concatenate(
         [
-            np.stack([first**2, way**2, none, none], axis=1),
-            np.stack([none, none, way**2, first**2 + second**2], axis=1),
-            np.stack([second**2, way**2, none, none], axis=1),
+            np.stack([turns, 2 * ways, none, none], axis=1),
+            np.stack([none, none, ways, turns], axis=1),
         ]
     )
-    off = np.concatenate([wrap(steps[:, 0] - first), steps[:, 1] - way, wrap(steps[:, 2] - second)])
-    squares, alphas = off**2, np.full(4, 0.1)
+    squares = np.concatenate([wrap(turn - true_turn), steps[:, 1] - steps[:, 4]]) ** 2
+    alphas = np.full(4, 0.1)
     for _ in range(8):  # a square has twice the variance of its mean, squared
         weight = 1 / np.maximum(rows @ alphas, 1e-8)
         alphas = nnls(rows * weight[:, None], squares * weight)[0]

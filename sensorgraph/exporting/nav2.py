@@ -68,6 +68,16 @@ def _cells_in(zones: Sequence[shapely.Polygon], grid: OccupancyMap) -> np.ndarra
     return np.asarray(shapely.contains_xy(wide, x, y))
 
 
+def chosen(estimates: Mapping[str, BootstrapEstimate]) -> dict[str, float]:
+    """Return AMCL's parameters by name: Nav2's defaults, but where the interval of an estimate excludes them."""
+    return {
+        name: default
+        if (found := estimates.get(name)) is None or found.low <= default <= found.high
+        else found.value
+        for name, default in DEFAULTS.items()
+    }
+
+
 def amcl_yaml(estimates: Mapping[str, BootstrapEstimate], world: ExportedWorld) -> str:
     """Return AMCL's parameters: Nav2's defaults, but where the interval of an estimate excludes them.
 
