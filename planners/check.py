@@ -147,12 +147,10 @@ def _clearance(trajectory: Trajectory, arena: Arena, walls: _Walls, radius: floa
     steps = np.hypot(*np.diff(places, axis=0).T)
     moved = np.concatenate([[True], steps > 0])
     distance = _distances(places[moved], walls)[np.cumsum(moved) - 1]
+    distance[~arena.contains(places)] = 0.0
     half = np.zeros(len(places))
     half[:-1] = 0.5 * steps
     half[1:] = np.maximum(half[1:], 0.5 * steps)
-    # who never comes to a wall stays on his side of it
-    inside = arena.contains(places[:1]) if (distance > half).all() else arena.contains(places)
-    distance = np.where(inside, distance, 0.0)
     proven = np.maximum(distance - half, 0.0)
     return int((proven < radius - 1e-6).sum()), float(proven.min())
 

@@ -111,8 +111,6 @@ def plan(
 ) -> CoveragePlan:
     """Plan a drive that fills (x, y, phi): every reachable place, in every heading.
 
-    Most of this function is its arguments and their description.
-
     Parameters
     ----------
     arena : an arena, its file, or the name of a shipped one
@@ -142,49 +140,46 @@ def plan(
     world = arena if isinstance(arena, Arena) else load_arena(arena)
     machine = robot if isinstance(robot, Robot) else load_robot(robot)
     _check_views(views, planner, resume)
-    targets = None
-    if views is not None:
-        planner = "views"
-        targets = partial(
-            views_within, n=views, arena=world, sensor=machine.sensor, graph=priority, seed=seed
-        )
+    targets = None if views is None else partial(
+        views_within, n=views, arena=world, sensor=machine.sensor, graph=priority, seed=seed
+    )  # fmt: skip
     visited = None if resume is None else _driven(resume, world)
-    other = priority is not None or planner != "coverage" or machine.drive != "diff"
     if order is None:
-        order = "fast" if other or (budget is None and graph is None) else "anytime"
-    survey = _survey(order, world, machine, graph, visited)
+        has_own = priority is not None or views is not None
+        order = _usual_order(
+            planner, machine, is_cut=budget is not None or graph is not None, has_own=has_own
+        )
     drive = planners.plan(
-        without(world, no_go),
-        machine,
-        planner=planner,
-        cell=cell,
-        headings=headings,
-        seed=seed,
-        start=start,
-        end=end,
-        dock=dock,
-        budget=budget,
-        battery=battery,
-        sweep_time=machine.sensor.sweep_time,
-        rate=machine.sensor.rate,
-        duration=duration,
-        visited=visited,
+        without(world, no_go), machine, planner=planner if views is None else "views", cell=cell, headings=headings,
+        seed=seed, start=start, end=end, dock=dock, budget=budget, battery=battery, duration=duration, margin=margin,
+        sweep_time=machine.sensor.sweep_time, rate=machine.sensor.rate, visited=visited, targets=targets,
         priority=None if priority is None or targets is not None else partial(uncertainty, priority),
-        targets=targets,
-        order=order,
-        margin=margin,
-        join_planner=join_planner,
-        survey=survey,
-        progress=progress,
-    )
-    if not isinstance(arena, Arena):
-        drive.report["arena"] = Path(arena).name
-    for known in (priority, graph):
-        if known is not None:
-            drive.report["warnings"] += other_place_warnings(known, world)
-    if no_go:
-        drive.report["no_go"] = [[list(corner) for corner in zone.exterior.coords[:-1]] for zone in no_go]
+        order=order, survey=_survey(order, world, machine, graph, visited), join_planner=join_planner, progress=progress,
+    )  # fmt: skip
+    _note(drive.report, arena, world, [known for known in (priority, graph) if known is not None], no_go)
     return CoveragePlan(drive=drive, arena=world, robot=machine)
+
+
+def _usual_order(planner: str, machine: Robot, *, is_cut: bool, has_own: bool) -> str:
+    """Return anytime where the drive may be cut short or has a graph to ask, if it has no order of its own, else fast."""
+    can = planner == "coverage" and machine.drive == "diff" and not has_own
+    return "anytime" if can and is_cut else "fast"
+
+
+def _note(
+    report: dict[str, Any],
+    arena: Arena | Path | str,
+    world: Arena,
+    graphs: Sequence[Sensorgraph],
+    no_go: Sequence[Zone],
+) -> None:
+    """Note in plan.json what the planner does not know: the arena's name, graphs of other places, zones."""
+    if not isinstance(arena, Arena):
+        report["arena"] = Path(arena).name
+    for known in graphs:
+        report["warnings"] += other_place_warnings(known, world)
+    if no_go:
+        report["no_go"] = [[list(corner) for corner in zone.exterior.coords[:-1]] for zone in no_go]
 
 
 def _survey(
