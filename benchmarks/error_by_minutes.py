@@ -5,7 +5,8 @@
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.error_by_minutes --arena floor.geojson@5.4,16.8 --ways anytime views
 
 An arena is a shipped one, the seed of a random office of `benchmarks/offices.py`, or a file with the place where the robot
-starts. Of several, means over all arenas and seeds with their 95 % intervals are printed last.
+starts. With `--keep FILE` each result is kept there and not driven again, and means over all that it holds, of all arenas and
+seeds, are printed and drawn with their 95 % intervals (`--keep FILE --table`: that alone).
 
 Each way is planned, driven by the embedded robot (lag, slip, noise of robot.yaml) and scanned; graphs are built from
 its first minutes. A graph is asked for 1,000 fresh poses spread evenly over the floor and all headings. `views` are
@@ -17,12 +18,15 @@ views of what it does not answer. With `--thin` n only every n-th scan is built 
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from benchmarks.offices import office
 from logs.run import Run, pair
@@ -52,6 +56,10 @@ FIRST_MINUTES = 5.0
 """[min] after which the next run is planned by what the graph does not know."""
 SECONDS_A_VIEW = 8.0
 """Of a tour, to start with; the number of views is then set by how long that tour took."""
+
+COLOURS = ("#1b1b1b", "#d1345b", "#2a788e", "#7fb8c4", "#e08aa0", "#6a5acd", "#c9892b", "#8b90a0")
+LEAST_DRAWN = 0.01
+"""[%]"""
 
 Drive = Callable[[float], list[Run]]
 """Minutes -> the runs of so many minutes together."""
@@ -217,13 +225,7 @@ def picture(rows: list[DriveScore], path: Path) -> None:
     """Draw the share wrong and the share answered against minutes, a line for each way of driving."""
     figure = new_figure(11.0, 3.4)
     left, right = figure.subplots(1, 2)
-    colours = dict(
-        zip(
-            dict.fromkeys(r.way for r in rows),
-            ("#1b1b1b", "#d1345b", "#2a788e", "#7fb8c4", "#e08aa0", "#6a5acd", "#c9892b", "#8b90a0"),
-            strict=False,
-        )
-    )
+    colours = dict(zip(dict.fromkeys(r.way for r in rows), COLOURS, strict=False))
     for way, colour in colours.items():
         own = [r for r in rows if r.way == way]
         minutes = [r.minutes for r in own]
@@ -234,14 +236,19 @@ def picture(rows: list[DriveScore], path: Path) -> None:
     left.set_ylabel("rays wrong by more than 5 cm [%]", color=INK)
     right.set_ylabel("rays answered [%]", color=INK)
     for axes in (left, right):
-        axes.set_xscale("log")
-        axes.set_xticks(ALL_MINUTES, [str(m) for m in ALL_MINUTES])
-        axes.minorticks_off()
-        axes.set_xlabel("driven [min]", color=INK)
-        axes.grid(color=SOLID, lw=0.6)
-        reduce_frame(axes)
+        minutes_axis(axes)
     figure.legend(loc="outside right center", frameon=False, fontsize=8, labelcolor=INK)
     save_figure(figure, path)
+
+
+def minutes_axis(axes: Any) -> None:
+    """Lay out an axis of minutes."""
+    axes.set_xscale("log")
+    axes.set_xticks(ALL_MINUTES, [str(m) for m in ALL_MINUTES])
+    axes.minorticks_off()
+    axes.set_xlabel("driven [min]", color=INK)
+    axes.grid(color=SOLID, lw=0.6)
+    reduce_frame(axes)
 
 
 def place_of(name: str, robot: Robot, seed: int, thin: int) -> Place:
@@ -268,15 +275,38 @@ def check_of(place: Place) -> Run:
     return check_run(place.arena, place.robot, rng, poses=poses)
 
 
-def summary(rows: list[DriveScore]) -> None:
-    """Print the mean share wrong of each way with its 95 % interval."""
-    print("\n| driven by | " + " | ".join(f"{minutes} min" for minutes in ALL_MINUTES) + " |")
-    print("|---|" + "---:|" * len(ALL_MINUTES))
-    for way in dict.fromkeys(r.way for r in rows):
-        own = np.array([100 * r.wrong for r in rows if r.way == way]).reshape(-1, len(ALL_MINUTES))
-        half = 1.96 * own.std(axis=0, ddof=1) / np.sqrt(len(own))
-        cells = (f"{mean:.2f} ± {around:.2f} %" for mean, around in zip(own.mean(axis=0), half, strict=True))
-        print(f"| {way} | " + " | ".join(cells) + " |")
+def summary(rows: list[dict[str, Any]], path: Path) -> None:
+    """Print the mean share wrong of each way with its 95 % interval, over places and seeds, and draw it."""
+    print("\n| driven by | places | " + " | ".join(f"{minutes} min" for minutes in ALL_MINUTES) + " |")
+    print("|---|---:|" + "---:|" * len(ALL_MINUTES))
+    figure = new_figure(6.4, 3.4)
+    axes = figure.subplots()
+    for way, colour in zip(dict.fromkeys(row["way"] for row in rows), COLOURS, strict=False):
+        shares = [
+            np.array([100 * row["wrong"] for row in rows if (row["way"], row["minutes"]) == (way, minutes)])
+            for minutes in ALL_MINUTES
+        ]
+        mean = np.array([some.mean() if len(some) else np.nan for some in shares])
+        half = np.array([interval(some) for some in shares])
+        cells = " | ".join(f"{m:.2f} ± {h:.2f} %" for m, h in zip(mean, half, strict=True))
+        print(f"| {way} | {max(map(len, shares))} | {cells} |")
+        axes.plot(ALL_MINUTES, mean, color=colour, lw=1.8, marker="o", ms=4, label=way)
+        axes.fill_between(
+            ALL_MINUTES, np.maximum(mean - half, LEAST_DRAWN), mean + half, color=colour, alpha=0.15, lw=0
+        )
+    axes.set_ylabel("rays wrong by more than 5 cm [%]", color=INK)
+    axes.set_yscale("log")
+    axes.set_ylim(bottom=LEAST_DRAWN)
+    minutes_axis(axes)
+    figure.legend(loc="outside right center", frameon=False, fontsize=8, labelcolor=INK)
+    save_figure(figure, path)
+
+
+def interval(some: np.ndarray) -> float:
+    """Return half the 95 % interval of a mean, by Student's t."""
+    if len(some) < 2:
+        return float("nan")
+    return float(stats.t.ppf(0.975, len(some) - 1) * some.std(ddof=1) / np.sqrt(len(some)))
 
 
 def main() -> None:
@@ -286,8 +316,15 @@ def main() -> None:
     parser.add_argument("--ways", nargs="*", help="some of the ways; default: all")
     parser.add_argument("--seed", type=int, nargs="+", default=[1])
     parser.add_argument("--thin", type=int, default=1)
+    parser.add_argument(
+        "--keep", type=Path, help="file of results so far, a line each; what it holds is not driven again"
+    )
+    parser.add_argument("--table", action="store_true", help="only the means of what is kept")
     parser.add_argument("--out", type=Path, default=Path("docs/pages/pictures/error_by_minutes.png"))
     options = parser.parse_args()
+    if options.table:
+        summary(kept(options.keep), options.out)
+        return
     rows: list[DriveScore] = []
     print(
         "| arena | driven by | minutes | scans | wrong by > 5 cm | answered | of these wrong | median error |"
@@ -297,22 +334,37 @@ def main() -> None:
         for seed in options.seed:
             place = place_of(name, default_robot(), seed, options.thin)
             check, short = check_of(place), Path(name.partition("@")[0]).name
+            known = {(row["arena"], row["seed"], row["way"], row["minutes"]) for row in kept(options.keep)}
             for way, drive in ways(place).items():
                 if options.ways and way not in options.ways:
                     continue
                 for minutes in ALL_MINUTES:
-                    runs = drive(minutes)
-                    r = row(way, runs, evaluate(build(runs), check))
+                    if (short, seed, way, minutes) in known:
+                        continue
+                    r = row(way, runs := drive(minutes), evaluate(build(runs), check))
                     rows.append(r)
                     print(
                         f"| {short} {seed} | {way} | {r.minutes:.1f} | {r.scans:,} | {100 * r.wrong:.2f} % | "
                         f"{100 * r.answered:.1f} % | {100 * r.wrong_of_answered:.2f} % | {100 * r.median:.2f} cm |",
                         flush=True,
                     )
-    if len(options.arena) * len(options.seed) > 1:
-        summary(rows)
-    else:
+                    if options.keep:
+                        keep(options.keep, asdict(r) | {"arena": short, "seed": seed, "minutes": minutes})
+    if options.keep:
+        summary(kept(options.keep), options.out)
+    elif rows:
         picture(rows, options.out)
+
+
+def kept(path: Path | None) -> list[dict[str, Any]]:
+    """Return the results that a file holds."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path and path.exists() else []
+
+
+def keep(path: Path, result: dict[str, Any]) -> None:
+    """Add a result to a file."""
+    with path.open("a") as file:
+        file.write(json.dumps(result) + "\n")
 
 
 if __name__ == "__main__":
