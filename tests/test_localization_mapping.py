@@ -261,7 +261,9 @@ def test_room_that_is_there_twice_is_ambiguous_and_names_both() -> None:
     found = map_run(run)
     states = np.array(found.status)
     n = len(before)
-    assert (states[:n] == "ok").all() and (states[n + 6 :] == "ambiguous").all()
+    assert (
+        (states[:n] == "ok").all() and (states[n:] != "ok").all() and (states[n + 6 :] == "ambiguous").all()
+    )
     for scan, places in found.rivals.items():
         truth = lap[6 + scan - n] - before[0] * [1, 1, 0]
         near = np.hypot(*(places[:, :2] - truth[:2]).T)

@@ -245,6 +245,8 @@ class Tracker:
     def _bridge(self, k: int) -> None:
         """Wait for a match, or begin a new piece of track."""
         state, s = self.state, self.settings
+        if not state.failures:  # scans since the last match were placed by the wheels, as if it stood still
+            self.matched[state.last_matched + 1 : k] = False
         state.failures.append(k)
         first = state.failures[0]
         moved = self.poses[k, :2] - self.poses[first, :2]

@@ -1,4 +1,4 @@
-"""The map of a located run: returns, track, loop closures kept and refused, where it was lost."""
+"""The map of a located run: returns, track, loop closures kept and refused, where it was lost, rival places."""
 
 from __future__ import annotations
 
@@ -52,6 +52,9 @@ def localization_picture(run: Run, found: Localization, path: Path, *, walls: Fl
             axes.plot(wall[:, 0], wall[:, 1], color=SOLID, lw=LINE, zorder=0)
     axes.plot(points[:, 0], points[:, 1], ",", color=INK, alpha=0.5, zorder=1)
     _draw_track(axes, found)
+    if found.rivals:
+        x, y = np.concatenate(list(found.rivals.values()))[:, :2].T
+        axes.plot(x, y, "x", color=AMBER, zorder=4, label=f"rival places: {len(x)}")
     for closures, colour, label in ((found.refused, ALARM, "refused"), (found.kept, TEAL, "kept")):
         for i, one in enumerate(closures):
             ends = found.poses[[one.first, one.second], :2]
