@@ -10,7 +10,7 @@ it as C and LaTeX. Nothing heavy is imported until a name is used.
 | `records`, `scale`, `moments` | the data: signals over time, their scaling, and the sums that a fit needs |
 | `selection/` | which terms, and how many |
 | `estimation/` | coefficients where least squares is not enough |
-| `fitting` | `fit`: the two together |
+| `fitting`, `automatic` | `fit`: the two together; `auto_fit`: lags, degree and terms chosen for free run |
 | `model`, `prediction/`, `notation/`, `export` | the result, how it runs, how it is written |
 | `validation/`, `analysis/` | how good it is, and what it says |
 """
@@ -22,6 +22,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from robotmodic_ident.automatic import AutoFit, AutoSettings, auto_fit, output_limits
     from robotmodic_ident.bases import BASES, bspline, chebyshev, fourier, legendre, polynomial, wavelet
     from robotmodic_ident.errors import IdentError
     from robotmodic_ident.fitting import fit
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BASES",
+    "AutoFit",
+    "AutoSettings",
     "Dependence",
     "Extrapolation",
     "HorizonScore",
@@ -57,6 +60,7 @@ __all__ = [
     "Score",
     "Selection",
     "Terms",
+    "auto_fit",
     "blocks",
     "bspline",
     "chebyshev",
@@ -69,6 +73,7 @@ __all__ = [
     "lagged",
     "lags",
     "legendre",
+    "output_limits",
     "polynomial",
     "score",
     "scores",
@@ -78,6 +83,10 @@ __all__ = [
 ]
 
 _HOMES = {
+    "AutoFit": "robotmodic_ident.automatic",
+    "AutoSettings": "robotmodic_ident.automatic",
+    "auto_fit": "robotmodic_ident.automatic",
+    "output_limits": "robotmodic_ident.automatic",
     "BASES": "robotmodic_ident.bases",
     "bspline": "robotmodic_ident.bases",
     "chebyshev": "robotmodic_ident.bases",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 
 from robotmodic_ident.analysis.algebra import polynomial_part
@@ -61,6 +62,8 @@ def to_c(model: Narmax, *, name: str | None = None) -> str:
             "    double y = 0.0;",
             *([] if place else ["    (void)s;"]),
             *lines,
+            *(f"    if (y < {low!r}) y = {low!r};" for low in model.limits[:1] if math.isfinite(low)),
+            *(f"    if (y > {high!r}) y = {high!r};" for high in model.limits[1:] if math.isfinite(high)),
             "    return y;",
             "}",
             "",
@@ -85,6 +88,7 @@ def to_latex(model: Narmax, *, digits: int = 4, per_line: int = 3) -> str:
     r"""Return the equation as LaTeX, in an `aligned` block where it needs more than one line."""
     plain = polynomial_part(model.readable(max_cancellation(digits)))
     left = _latex_name(model.output) + ("(k)" if model.is_dynamic else "")
+    low, high = model.limits
     parts = []
     theta = plain.theta.tolist()
     needed = significant_digits(plain.terms, theta, digits, plain.spans)
@@ -98,6 +102,10 @@ def to_latex(model: Narmax, *, digits: int = 4, per_line: int = 3) -> str:
     if parts[0].startswith("+ "):
         parts[0] = parts[0][2:]
     rows = [" ".join(parts[i : i + per_line]) for i in range(0, len(parts), per_line)]
+    if math.isfinite(high):
+        rows[0], rows[-1] = rf"\min({high:.15g}, {rows[0]}", f"{rows[-1]})"
+    if math.isfinite(low):
+        rows[0], rows[-1] = rf"\max({low:.15g}, {rows[0]}", f"{rows[-1]})"
     if len(rows) == 1:
         return f"{left} = {rows[0]}"
     body = " \\\\\n  &\\quad ".join(rows)

@@ -11,7 +11,9 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimation.noise_model import best_order, noise_terms_of, with_noise
 from robotmodic_ident.estimation.prediction_error import Covariance, Estimate, NonlinearLeastSquares
 from robotmodic_ident.estimation.rational import RationalStructureSearch, as_ratio, times_output
+from robotmodic_ident.estimation.simulation_error import FreeRunLeastSquares
 from robotmodic_ident.model import NO_TERMS, Estimator, Narmax
+from robotmodic_ident.prediction.recursion import UNLIMITED
 from robotmodic_ident.records import Record, Records, as_records
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.selection.criteria import INFORMATION, Criterion
@@ -39,6 +41,7 @@ def fit(
     denominator: Terms = NO_TERMS,
     estimator: Estimator | None = None,
     covariance: Covariance | None = None,
+    limits: tuple[float, float] = UNLIMITED,
 ) -> Narmax:
     """Identify one output from records: choose among `terms`, estimate, and say how sure it is.
 
@@ -56,6 +59,7 @@ def fit(
     denominator : candidate terms below the line of a rational model, without a constant
     estimator : `ls`; `els`; `pem` (the default with noise or a denominator); `simulation` (least error in free run)
     covariance : `classical`; `sandwich`; `hac` (the default for `simulation`, whose residuals are correlated)
+    limits : [units of the output] between which the output is held, as a full tank holds its level; see `output_limits`
 
     Raises
     ------
@@ -72,7 +76,7 @@ def fit(
         again = partial(
             fit, records, output, terms, n_terms=n_terms, criterion=criterion, err_tol=err_tol, scale=scale,
             search=search, keep=keep, n_folds=n_folds, denominator=denominator, estimator=estimator,
-            covariance=covariance,
+            covariance=covariance, limits=limits,
         )  # fmt: skip
         return best_order(lambda order: again(noise=order), records, len(terms))
     noise_terms = noise_terms_of(noise)
@@ -86,6 +90,7 @@ def fit(
     selection = ProcessTermSelection(
         records=records, output=output, terms=candidates, n_terms=n_terms, criterion=criterion, err_tol=err_tol,
         search=search, keep=tuple(keep), n_folds=n_folds, scale=scale, is_ratio=len(denominator) > 0,
+        limits=limits,
     )  # fmt: skip
     if len(denominator):
         model = as_ratio(selection.select(), records, denominator)
@@ -97,7 +102,7 @@ def fit(
         model = selection.select()
     kind: Covariance = covariance or ("hac" if estimator == "simulation" else "classical")
     if estimator != "ls" or kind != "classical":
-        model = _refined(model, records, estimator, kind)
+        model = refined(model, records, estimator, kind)
     model = replace(model, notes=(*selection.notes, *model.notes))
     return model.without_widths() if any(model.scale.centres) else model.in_user_units()
 
@@ -108,12 +113,16 @@ def _check_causal(terms: Terms, output: str) -> None:
             raise IdentError(f"term {name} explains {output} by itself; use its past, {output}(k-1)")
 
 
-def _refined(model: Narmax, records: Sequence[Record], estimator: Estimator, kind: Covariance) -> Narmax:
-    """Finish by Gauss-Newton (not for ls and els) and give the covariance asked for."""
+def refined(model: Narmax, records: Sequence[Record], estimator: Estimator, kind: Covariance) -> Narmax:
+    """Finish a model by Gauss-Newton (not for ls and els) and give the covariance asked for."""
     free = estimator == "simulation"
     try:
-        problem = NonlinearLeastSquares(model.recursion(), records, free=free)
-        if estimator in ("ls", "els"):
+        if free:
+            result, _ = FreeRunLeastSquares(model.recursion(), records).minimise(model.parameters)
+        elif estimator == "pem":
+            result = NonlinearLeastSquares(model.recursion(), records).minimise(model.parameters)
+        else:
+            problem = NonlinearLeastSquares(model.recursion(), records)
             cost, residuals, gradients = problem.evaluate(model.parameters, gradient=True)
             result = Estimate(
                 theta=model.parameters,
@@ -123,8 +132,6 @@ def _refined(model: Narmax, records: Sequence[Record], estimator: Estimator, kin
                 gradients=gradients,
                 converged=True,
             )
-        else:
-            result = problem.minimise(model.parameters)
     except IdentError as exc:
         if not free:
             raise

@@ -13,11 +13,18 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from robotmodic_ident.errors import IdentError
+from robotmodic_ident.estimation.simulation_error import initial_outputs
 from robotmodic_ident.files import atomic_file
 from robotmodic_ident.notation.expand import expand
 from robotmodic_ident.notation.model_file import from_plain, to_plain
-from robotmodic_ident.notation.printing import max_cancellation, ratio_text, sum_text, total_size
-from robotmodic_ident.prediction.recursion import Recursion, Segment
+from robotmodic_ident.notation.printing import (
+    limited_text,
+    max_cancellation,
+    ratio_text,
+    sum_text,
+    total_size,
+)
+from robotmodic_ident.prediction.recursion import UNLIMITED, Recursion, Segment
 from robotmodic_ident.records import Record, as_records
 from robotmodic_ident.scale import UNSCALED, Scale
 from robotmodic_ident.selection.criteria import Stop
@@ -69,6 +76,8 @@ class Narmax:
     estimator: Estimator = "ls"
     spans: Mapping[str, float] = field(default_factory=dict)
     """Variable -> half its span in the fit, where the scale no longer says; tells what cancels far from 0."""
+    limits: tuple[float, float] = UNLIMITED
+    """[units of the output] between which the output is held: a full tank, the end of a travel."""
     notes: tuple[str, ...] = ()
     """What the user should know: dependent terms left out, few samples, ..."""
 
@@ -129,7 +138,13 @@ class Narmax:
     def recursion(self) -> Recursion:
         """Return the model prepared to run."""
         return Recursion(
-            self.output, self.terms, self.denominator, self.noise_terms, self.scale, self.parameters
+            self.output,
+            self.terms,
+            self.denominator,
+            self.noise_terms,
+            self.scale,
+            self.parameters,
+            self.limits,
         )
 
     def in_user_units(self) -> Narmax:
@@ -208,6 +223,7 @@ class Narmax:
         if len(form.noise_terms):
             tail = sum_text(form.noise_terms, form.noise_theta, digits=digits, scale=scale)
             text += f" - {tail[1:]}" if tail.startswith("-") else f" + {tail}"
+        text = limited_text(text, self.limits)
         return f"{form.output}(k) = {text}" if form.is_dynamic else f"{form.output} = {text}"
 
     def __repr__(self) -> str:
@@ -231,13 +247,21 @@ class Narmax:
         """
         return self._predict(record, lambda recursion, segment: recursion.run(segment, free=False)[0])
 
-    def predict_mpo(self, record: Record | Mapping[str, Floats]) -> Floats:
+    def predict_mpo(self, record: Record | Mapping[str, Floats], *, warm_up: int = 0) -> Floats:
         """Predict in free run (n,): past outputs are predictions, measured ones only start each segment.
 
         The first `max_lag` samples of a segment are nan; noise terms count as 0. Where an input is not known there is
         no prediction, and the measured output stands in for it in what follows.
+
+        warm_up : [samples] at the start of each segment whose measured outputs may be used: the run starts from the
+            outputs that meet them best, and is returned from the first sample on. 0: from the first `max_lag` ones
         """
-        return self._predict(record, lambda recursion, segment: recursion.run(segment, free=True)[0])
+
+        def run(recursion: Recursion, segment: Segment) -> Floats:
+            initial = initial_outputs(recursion, segment, warm_up)
+            return recursion.run(segment, free=True, initial=initial)[0]
+
+        return self._predict(record, run)
 
     def predict_k(self, record: Record | Mapping[str, Floats], steps: int) -> Floats:
         """Predict each sample from what was measured up to `steps` samples before it (n,); inputs are known.
@@ -327,6 +351,19 @@ class Narmax:
     def from_dict(cls, data: Mapping[str, Any]) -> Narmax:
         """Restore what `to_dict` gave."""
         return cls(**from_plain(data))
+
+
+def among(model: Narmax, terms: Terms) -> Narmax:
+    """Return the same model written in other process terms; the coefficients of those it does not have are 0."""
+    found = dict(zip(model.terms.names, model.theta.tolist(), strict=True))
+    n = len(terms) + len(model.denominator) + len(model.noise_terms)
+    return replace(
+        model,
+        terms=terms,
+        theta=np.array([found.get(name, 0.0) for name in terms.names]),
+        err=np.full(len(terms), np.nan),
+        covariance=np.zeros((n, n)),
+    )
 
 
 def _unscaled(terms: Terms, scale: Scale) -> tuple[Terms, Floats]:

@@ -99,6 +99,18 @@ def blocks(record: Record | Mapping[str, Floats], n: int) -> list[Record]:
     ]
 
 
+def cut(record: Record, piece: slice) -> Record:
+    """Return a stretch of a record; what counts as a gap stays as it was."""
+    gap = record.max_gap
+    if gap is None and record.stamps is not None and len(record) > 1:
+        gap = 1.5 * float(np.median(np.diff(record.stamps)))
+    return Record(
+        signals={name: np.asarray(values)[piece] for name, values in record.signals.items()},
+        stamps=None if record.stamps is None else record.stamps[piece],
+        max_gap=gap,
+    )
+
+
 def as_records(records: Records) -> list[Record]:
     """Accept one record or many, each a `Record` or plain signals by name."""
     if isinstance(records, Record | Mapping):

@@ -8,6 +8,7 @@ from ident_samples import simulate
 
 from robotmodic_ident import IdentError, Narmax, Record, Terms, fit, lags, polynomial
 from robotmodic_ident.estimation.prediction_error import NonlinearLeastSquares
+from robotmodic_ident.estimation.simulation_error import FreeRunLeastSquares
 
 TRUTH = {"1": 0.5, "y(k-1)": 0.6, "y(k-1)*u(k-1)": -0.15, "u(k-2)": 0.9}
 
@@ -106,13 +107,15 @@ def test_gradient_of_a_run_equals_finite_differences(names: list[str], free: boo
         noise_terms=noise,
         noise_theta=theta[len(process) + 2 :],
     )
-    problem = NonlinearLeastSquares(model.recursion(), [Record(signals=record)], free=free)
-    _, residual, (gradient,) = problem.evaluate(model.parameters, gradient=True)
-    for i in range(len(theta)):
-        step = np.zeros(len(theta))
+    kind = FreeRunLeastSquares if free else NonlinearLeastSquares
+    problem = kind(model.recursion(), [Record(signals=record)])
+    start = np.r_[model.parameters, problem.measured_start if free else []]
+    _, residual, (gradient,) = problem.evaluate(start, gradient=True)
+    for i in range(len(start)):
+        step = np.zeros(len(start))
         step[i] = 1e-6
-        _, (up,), _ = problem.evaluate(model.parameters + step)
-        _, (down,), _ = problem.evaluate(model.parameters - step)
+        _, (up,), _ = problem.evaluate(start + step)
+        _, (down,), _ = problem.evaluate(start - step)
         np.testing.assert_allclose(gradient[:, i], (down - up) / 2e-6, atol=2e-8, rtol=1e-6)
     assert np.abs(gradient).max() > 0.1 and len(residual) == 1
 

@@ -69,9 +69,9 @@ def test_coloured_noise_does_not_add_past_outputs(coefficients: tuple[float, ...
 def test_the_prediction_error_is_linear_in_the_process_coefficients() -> None:
     record = moving_average(2, (0.5,))
     model = fit(record, "y", Terms.parse(*TRUTH), n_terms=4, noise=1)
-    problem = NonlinearLeastSquares(model.recursion(), as_records(record), free=False)
+    problem = NonlinearLeastSquares(model.recursion(), as_records(record))
     start = np.array([0.0, 0.0, 0.0, 0.0, 0.4])
-    phi, target = problem.linearised(start)
+    phi, target = (np.concatenate(part) for part in zip(*problem.linearised(start), strict=True))
     theta = np.linalg.lstsq(phi[:, :4], target - 0.4 * phi[:, 4], rcond=None)[0]
     _, (residual,), (gradient,) = problem.evaluate(np.r_[theta, 0.4], gradient=True)
     np.testing.assert_allclose(

@@ -74,7 +74,7 @@ def with_noise(selection: ProcessTermSelection, noise: Terms) -> Narmax:
 
 def _with_least_prediction_error(model: Narmax, records: Sequence[Record]) -> Narmax:
     """Return the coefficients of least prediction error."""
-    theta = NonlinearLeastSquares(model.recursion(), records, free=False).minimise(model.parameters).theta
+    theta = NonlinearLeastSquares(model.recursion(), records).minimise(model.parameters).theta
     n = len(model.terms)
     return replace(model, theta=theta[:n], noise_theta=theta[n:])
 
@@ -95,7 +95,7 @@ def _extended_least_squares(model: Narmax, records: Sequence[Record], noise: Ter
         covariance=np.zeros((size, size)),
         estimator="els",
     )
-    problem = NonlinearLeastSquares(best.recursion(), records, free=False)
+    problem = NonlinearLeastSquares(best.recursion(), records)
     least, *_ = problem.evaluate(best.parameters)
     for _ in range(NOISE_SEARCH.max_els_steps):
         rows = lagged(_with_signal(records, _noise_of(best, records)), terms, [model.output])

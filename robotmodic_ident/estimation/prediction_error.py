@@ -1,4 +1,4 @@
-"""Estimation with noise terms, ratios and free runs: extended least squares, then Gauss-Newton on exact gradients.
+"""Estimation with noise terms and ratios: extended least squares, then Gauss-Newton on exact gradients.
 
 Least squares is biased where the noise is coloured. Extended least squares (Billings 2013, ch. 3) removes most of it;
 minimising the prediction error itself (Ljung 1999, ch. 7) also gives honest standard errors.
@@ -6,9 +6,9 @@ minimising the prediction error itself (Ljung 1999, ch. 7) also gives honest sta
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -18,6 +18,14 @@ from robotmodic_ident.records import Record
 from robotmodic_ident.types import Floats
 
 Covariance = Literal["classical", "sandwich", "hac"]
+
+
+class Evaluate(Protocol):
+    """What a descent asks for: the sum of squares, and residuals and gradients of every segment."""
+
+    def __call__(
+        self, theta: Floats, /, *, gradient: bool = False
+    ) -> tuple[float, list[Floats], list[Floats]]: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,10 +106,10 @@ def _width(scores: Sequence[Floats], count: int) -> int:
 
 
 class NonlinearLeastSquares:
-    """Least squares of what a model leaves in one-step prediction or in free run, over all segments."""
+    """Least squares of what a model leaves in one-step prediction, over all segments."""
 
-    def __init__(self, recursion: Recursion, records: Sequence[Record], *, free: bool) -> None:
-        self.recursion, self.free = recursion, free
+    def __init__(self, recursion: Recursion, records: Sequence[Record]) -> None:
+        self.recursion = recursion
         self.segments: list[Segment] = [s for record in records for s in recursion.segments(record)]
         self.rows = [self._rows(segment) for segment in self.segments]
         self.count = int(sum(rows.sum() for rows in self.rows))
@@ -109,14 +117,14 @@ class NonlinearLeastSquares:
             raise IdentError("the model predicts no sample of these records; give longer ones")
 
     def _rows(self, segment: Segment) -> np.ndarray:
-        out, _, _ = self.recursion.run(segment, free=self.free)
+        out, _, _ = self.recursion.run(segment, free=False)
         return np.asarray(np.isfinite(out) & np.isfinite(segment.measured), dtype=np.bool_)
 
     def evaluate(self, theta: Floats, *, gradient: bool = False) -> tuple[float, list[Floats], list[Floats]]:
         """Return the residual sum of squares, residuals and gradients; inf where the run diverges."""
         total, residuals, gradients = 0.0, [], []
         for segment, rows in zip(self.segments, self.rows, strict=True):
-            out, _, slopes = self.recursion.run(segment, free=self.free, theta=theta, gradient=gradient)
+            out, _, slopes = self.recursion.run(segment, free=False, theta=theta, gradient=gradient)
             rest = np.where(rows, segment.measured - out, 0.0)
             with np.errstate(over="ignore"):
                 total += float(rest @ rest)
@@ -124,16 +132,17 @@ class NonlinearLeastSquares:
             gradients.append(np.where(rows[:, None], slopes, 0.0) if gradient else slopes)
         return (total if np.isfinite(total) else np.inf), residuals, gradients
 
-    def linearised(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return columns (n, n_parameters) and a target (n,): least squares of them is one Gauss-Newton step.
+    def linearised(self, theta: Floats) -> Iterator[tuple[Floats, Floats]]:
+        """Yield columns (n, n_parameters) and a target (n,), a block of rows at a time.
 
-        Without a denominator, and with noise terms of the first degree in e, the prediction error is linear in the
-        process coefficients: there the step is exact for them.
+        Least squares of all of them is one Gauss-Newton step. Without a denominator, and with noise terms of the first
+        degree in e, the prediction error is linear in the process coefficients: there the step is exact for them.
         """
-        _, residuals, gradients = self.evaluate(theta, gradient=True)
-        J = np.concatenate([g[rows] for g, rows in zip(gradients, self.rows, strict=True)])
-        r = np.concatenate([e[rows] for e, rows in zip(residuals, self.rows, strict=True)])
-        return J, r + J @ theta
+        for segment, rows in zip(self.segments, self.rows, strict=True):
+            for part, out, slopes in self.recursion.gradient_blocks(segment, free=False, theta=theta):
+                use = rows[part] & np.isfinite(out)
+                J = slopes[use]
+                yield J, segment.measured[part][use] - out[use] + J @ theta
 
     def minimise(self, start: Floats) -> Estimate:
         """Descend by Levenberg-Marquardt from `start` (n_parameters,).
@@ -143,41 +152,60 @@ class NonlinearLeastSquares:
         IdentError
             if the starting model diverges
         """
-        theta, damping, converged = np.array(start, dtype=np.float64), DESCENT.damping, False
-        cost, residuals, gradients = self.evaluate(theta, gradient=True)
-        if not np.isfinite(cost):
-            raise IdentError("the starting model diverges on these records, so it cannot be refined")
-        for _ in range(DESCENT.max_steps):
-            step, expected = _step(residuals, gradients, damping)
-            trial = theta + step
-            new, *_ = self.evaluate(trial)
-            if new <= cost:
-                gain = cost - new
-                theta, damping = trial, damping / DESCENT.factor
-                cost, residuals, gradients = self.evaluate(theta, gradient=True)
-                if gain <= DESCENT.converged * cost:
-                    converged = True
-                    break
-            else:
-                damping = max(damping, DESCENT.min_damping) * DESCENT.factor
-                if damping > DESCENT.max_damping or expected <= DESCENT.converged * cost:
-                    converged = True  # no step downhill is left
-                    break
-        return Estimate(
-            theta=theta,
-            rss=cost,
-            count=self.count,
-            residuals=residuals,
-            gradients=gradients,
-            converged=converged,
-        )
+        found = levenberg_marquardt(self.evaluate, start, DESCENT)
+        return replace(found, count=self.count)
+
+
+def levenberg_marquardt(evaluate: Evaluate, start: Floats, settings: LevenbergMarquardt) -> Estimate:
+    """Descend from `start` (n_parameters,); the count of rows is that of the residuals.
+
+    Parameters
+    ----------
+    evaluate : parameters, whether gradients are wanted -> sum of squares, residuals and gradients of every segment
+
+    Raises
+    ------
+    IdentError
+        if the starting model diverges
+    """
+    theta, damping, converged = np.array(start, dtype=np.float64), settings.damping, False
+    cost, residuals, gradients = evaluate(theta, gradient=True)
+    if not np.isfinite(cost):
+        raise IdentError("the starting model diverges on these records, so it cannot be refined")
+    for _ in range(settings.max_steps):
+        step, expected = _step(residuals, gradients, damping)
+        trial = theta + step
+        new, *_ = evaluate(trial)
+        if new <= cost:
+            gain = cost - new
+            theta, damping = trial, damping / settings.factor
+            cost, residuals, gradients = evaluate(theta, gradient=True)
+            if gain <= settings.converged * cost:
+                converged = True
+                break
+        else:
+            damping = max(damping, settings.min_damping) * settings.factor
+            if damping > settings.max_damping or expected <= settings.converged * cost:
+                converged = True  # no step downhill is left
+                break
+    return Estimate(
+        theta=theta,
+        rss=cost,
+        count=sum(map(len, residuals)),
+        residuals=residuals,
+        gradients=gradients,
+        converged=converged,
+    )
 
 
 def _step(residuals: Sequence[Floats], gradients: Sequence[Floats], damping: float) -> tuple[Floats, float]:
     """Solve the damped normal equations with columns of unit norm; also return the gain that is expected."""
     J, r = np.concatenate(gradients), np.concatenate(residuals)
-    size = np.sqrt((J**2).sum(axis=0))
+    size = np.abs(J).max(axis=0, initial=0.0)
+    if not np.isfinite(size).all():
+        raise IdentError("the gradients of the model diverge on these records, so it cannot be refined")
     size[size == 0] = 1.0
+    size *= np.maximum(np.sqrt(((J / size) ** 2).sum(axis=0)), 1.0)
     p = J.shape[1]
     R = np.asarray(np.linalg.qr(np.column_stack([J / size, r]), mode="r"), dtype=np.float64)
     U, s, Vt = np.linalg.svd(R[:p, :p])

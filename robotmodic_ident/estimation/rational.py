@@ -128,7 +128,7 @@ class RationalStructureSearch:
         return best.model
 
     def _trial(self, model: Narmax, start: Floats) -> _Candidate:
-        problem = NonlinearLeastSquares(model.recursion(), self.records, free=False)
+        problem = NonlinearLeastSquares(model.recursion(), self.records)
         result = problem.minimise(start)
         size, candidates = len(start), len(self.upper) + len(self.lower)
         cost = penalties(self.criterion, size, candidates, np.array([result.count]))[0, size]
@@ -141,7 +141,7 @@ class RationalStructureSearch:
         model = trial.model
         above, below = model.terms + self.upper, model.denominator + self.lower
         full = _with_zeros(model, above, below)
-        problem = NonlinearLeastSquares(full.recursion(), self.records, free=False)
+        problem = NonlinearLeastSquares(full.recursion(), self.records)
         _, residuals, gradients = problem.evaluate(full.parameters, gradient=True)
         J, r = np.concatenate(gradients), np.concatenate(residuals)
         n, m = len(model.terms), len(model.denominator)

@@ -39,6 +39,7 @@ def to_plain(fields: Mapping[str, Any], stderr: Floats) -> dict[str, Any]:
         "spans": dict(fields["spans"]),
         "stop": fields["stop"],
         "estimator": fields["estimator"],
+        "limits": [_plain(limit) for limit in fields["limits"]],
         "notes": list(fields["notes"]),
     }
 
@@ -81,8 +82,13 @@ def from_plain(data: Mapping[str, Any]) -> dict[str, Any]:
         "noise_terms": noise_terms,
         "noise_theta": noise_theta,
         "estimator": data.get("estimator", "ls"),
+        "limits": _limits(*data.get("limits", (None, None))),
         "notes": tuple(map(str, data.get("notes", ()))),
     }
+
+
+def _limits(low: float | None, high: float | None) -> tuple[float, float]:
+    return -math.inf if low is None else float(low), math.inf if high is None else float(high)
 
 
 def _rows(terms: Terms, theta: Floats, stderr: Floats) -> list[dict[str, Any]]:

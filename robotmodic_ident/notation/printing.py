@@ -50,6 +50,13 @@ def ratio_text(numerator: str, denominator: Terms, theta: Floats, *, digits: int
     return f"({numerator}) / ({below})"
 
 
+def limited_text(text: str, limits: tuple[float, float]) -> str:
+    """Print max(low, min(high, text)) as far as there are limits."""
+    low, high = limits
+    text = text if math.isinf(high) else f"min({high:.15g}, {text})"
+    return text if math.isinf(low) else f"max({low:.15g}, {text})"
+
+
 def sum_text(
     terms: Terms,
     theta: Sequence[float] | Floats,

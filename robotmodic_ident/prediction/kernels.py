@@ -157,10 +157,16 @@ def run(
     scales: Floats,
     measured: Floats,
     look_back: int,
+    limits: Floats,
     free: bool,
+    out: Floats,
+    past: Floats,
+    noise: Floats,
     gradient: Floats,
-) -> tuple[Floats, Floats]:
-    """Run a model over one segment.
+) -> bool:
+    """Run a model over one segment, or over a block of it that begins with the last `look_back` samples before.
+
+    Returns whether it came to the end; False: it diverged.
 
     Parameters
     ----------
@@ -171,35 +177,45 @@ def run(
     table : (n_factors, 7) integers of each factor that feeds back
     scales : (n_factors, 2) centre and width
     measured : (n,) outputs; nan: not known
+    limits : (2,) the output is held between them
     free : past outputs are predictions and noise is zero; else past outputs are measured, noise is what was left
-    gradient : (n, n_terms) filled with dŷ/dθ; (0, 0): not wanted
-
-    Returns
-    -------
-    prediction (n,), nan where it is not known; noise (n,), 0 where it is not known
+    out : (n,) filled with the prediction from `look_back` on; stays as it is where it is not known
+    past : (n,) past outputs; in free run filled with the prediction
+    noise : (n,) filled with what the prediction leaves; stays as it is where that is not known
+    gradient : (n, n_terms or more) filled with dŷ/dθ, and by what further columns begin with; (0, 0): not wanted
     """
     n, m = base.shape
-    out = np.full(n, np.nan)
-    noise = np.zeros(n)
-    past = measured.copy()
-    phi = np.zeros(m)
+    phi, by_lag = np.zeros(m), np.zeros(look_back + 1)
     wanted = len(gradient) > 0
     for k in range(look_back, n):
         value, bottom = value_at(k, base, theta, group, starts, table, scales, past, noise, phi)
+        held = value < limits[0] or value > limits[1]
+        value = min(max(value, limits[0]), limits[1]) if held else value
         if not math.isfinite(value):
             continue
         if abs(value) > DIVERGED:
-            break
+            return False
         out[k] = value
         if free:
             past[k] = value
         elif math.isfinite(measured[k]):
             noise[k] = measured[k] - value
-        if wanted:
+        if wanted and not held:
             fill_gradient(
-                k, base, theta, group, starts, table, scales, past, noise, phi, bottom, free, gradient
+                k, base, theta, group, starts, table, scales, past, noise, phi, bottom, free, by_lag, gradient
             )
-    return out, noise
+    return True
+
+
+@inner_kernel
+def add_earlier(k: int, by_lag: Floats, gradient: Floats) -> None:
+    """Add to gradient[k] what comes by way of earlier samples, and set by_lag to zeros again."""
+    for lag in range(1, len(by_lag)):
+        weight = by_lag[lag]
+        if weight != 0.0:
+            for parameter in range(gradient.shape[1]):
+                gradient[k, parameter] += weight * gradient[k - lag, parameter]
+            by_lag[lag] = 0.0
 
 
 @inner_kernel
@@ -216,9 +232,13 @@ def fill_gradient(
     phi: Floats,
     bottom: float,
     free: bool,
+    by_lag: Floats,
     gradient: Floats,
 ) -> None:
-    """Fill gradient[k] by the chain rule: what a term says now, and what it changed before."""
+    """Fill gradient[k] by the chain rule: what a term says now, and what it changed before.
+
+    by_lag : (look_back + 1,) zeros, and again when this returns; dŷ(k) by the output (or noise) so many samples before
+    """
     m = len(theta)
     ratio = 0.0
     for j in range(m):
@@ -231,6 +251,8 @@ def fill_gradient(
         elif group[j] == GROUP_DENOMINATOR:
             outer = -ratio / bottom
         gradient[k, j] += outer * phi[j]
+        if theta[j] == 0.0:
+            continue  # a candidate that is not in the model yet
         for i in range(starts[j], starts[j + 1]):
             of_noise = table[i, COL_OF_NOISE] == 1
             if of_noise == free:
@@ -245,10 +267,8 @@ def fill_gradient(
                     row = table[other]
                     side = noise if row[COL_OF_NOISE] else past
                     inner *= factor(row, scales[other, 0], scales[other, 1], side[k - row[COL_LAG]])
-            weight = outer * theta[j] * inner * (-1.0 if of_noise else 1.0)
-            if weight != 0.0:
-                for parameter in range(m):
-                    gradient[k, parameter] += weight * gradient[before, parameter]
+            by_lag[table[i, COL_LAG]] += outer * theta[j] * inner * (-1.0 if of_noise else 1.0)
+    add_earlier(k, by_lag, gradient)
 
 
 @kernel
@@ -262,6 +282,7 @@ def run_ahead(
     measured: Floats,
     noise: Floats,
     look_back: int,
+    limits: Floats,
     steps: int,
 ) -> Floats:
     """Predict each sample (n,) from what was measured up to `steps` samples before it."""
@@ -274,6 +295,8 @@ def run_ahead(
         value = np.nan
         for k in range(first, last + 1):
             value, _ = value_at(k, base, theta, group, starts, table, scales, past, quiet, phi)
+            if value < limits[0] or value > limits[1]:
+                value = min(max(value, limits[0]), limits[1])
             if not abs(value) <= DIVERGED:  # not known: only what reads it is not known either
                 value = np.nan
             past[k], quiet[k] = value, 0.0

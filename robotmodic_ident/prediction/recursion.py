@@ -16,6 +16,9 @@ from robotmodic_ident.types import Floats
 
 NOISE_NAME = "e"
 """The variable of noise terms: what the model left unexplained at past samples."""
+UNLIMITED = (-np.inf, np.inf)
+ROWS_PER_BLOCK = 4096
+"""Rows whose gradients are held at a time where all of them would not fit."""
 KIND_OF_FUNCTION = {
     "": kernels.KIND_POWER,
     "cos": kernels.KIND_COS,
@@ -43,9 +46,18 @@ class Recursion:
     """ŷ = Σ numerator / (1 + Σ denominator) + Σ noise, with the tables that the compiled loops read."""
 
     def __init__(
-        self, output: str, terms: Terms, denominator: Terms, noise: Terms, scale: Scale, theta: Floats
+        self,
+        output: str,
+        terms: Terms,
+        denominator: Terms,
+        noise: Terms,
+        scale: Scale,
+        theta: Floats,
+        limits: tuple[float, float] = UNLIMITED,
     ) -> None:
         self.output, self.scale = output, scale
+        self.limits = np.array(limits, dtype=np.float64)
+        """(2,) between which the output is held."""
         self.groups = (terms, denominator, noise)
         self.table_of_terms: tuple[Term, ...] = terms.table + denominator.table + noise.table
         self.theta: Floats = np.asarray(theta, dtype=np.float64)
@@ -105,24 +117,80 @@ class Recursion:
         return base
 
     def run(
-        self, segment: Segment, *, free: bool, theta: Floats | None = None, gradient: bool = False
+        self,
+        segment: Segment,
+        *,
+        free: bool,
+        theta: Floats | None = None,
+        gradient: bool = False,
+        initial: Floats | None = None,
     ) -> tuple[Floats, Floats, Floats]:
-        """Return prediction (n,), noise (n,) and dŷ/dθ (n, n_parameters), which is empty unless asked for."""
-        n, m = segment.base.shape
-        slopes = np.zeros((n, m) if gradient else (0, 0))
-        out, noise = kernels.run(
-            segment.base,
-            self.theta if theta is None else theta,
-            self.group,
-            self.starts,
-            self.table,
-            self.scales,
-            segment.measured,
-            self.look_back,
-            free,
-            slopes,
-        )
+        """Return prediction (n,), noise (n,) and dŷ/dθ (n, n_parameters), which is empty unless asked for.
+
+        initial : (look_back,) outputs that a free run starts from instead of the measured ones; the gradients by them
+            are further columns then
+        """
+        n = len(segment.measured)
+        out, past, noise = self._start(segment, initial)
+        slopes = self._first_slopes(n, initial) if gradient else np.zeros((0, 0))
+        theta = self.theta if theta is None else theta
+        self._advance(segment, slice(0, n), theta, free, out, past, noise, slopes)
         return out, noise, slopes
+
+    def gradient_blocks(
+        self, segment: Segment, *, free: bool, theta: Floats | None = None, initial: Floats | None = None
+    ) -> Iterator[tuple[slice, Floats, Floats]]:
+        """Yield (samples, prediction (n,), dŷ/dθ (n, n_parameters)) a block at a time, as `run` gives them.
+
+        What is held does not grow with the segment. The first look_back samples are left out. It ends early where the
+        run diverges.
+        """
+        n, back = len(segment.measured), self.look_back
+        out, past, noise = self._start(segment, initial)
+        theta = self.theta if theta is None else theta
+        tail = self._first_slopes(min(back, n), initial)
+        for first in range(back, n, ROWS_PER_BLOCK):
+            rows = slice(first, min(first + ROWS_PER_BLOCK, n))
+            slopes = np.concatenate([tail, np.zeros((rows.stop - first, tail.shape[1]))])
+            if not self._advance(
+                segment, slice(first - back, rows.stop), theta, free, out, past, noise, slopes
+            ):
+                return
+            yield rows, out[rows], slopes[back:]
+            tail = slopes[len(slopes) - back :]
+
+    def _start(self, segment: Segment, initial: Floats | None) -> tuple[Floats, Floats, Floats]:
+        n = len(segment.measured)
+        out, past, noise = np.full(n, np.nan), segment.measured.copy(), np.zeros(n)
+        if initial is not None:
+            out[: self.look_back] = past[: self.look_back] = initial
+        return out, past, noise
+
+    def _first_slopes(self, n: int, initial: Floats | None) -> Floats:
+        """Return zeros (n, n_parameters), with a unit column more for each initial output."""
+        m = len(self.table_of_terms)
+        if initial is None:
+            return np.zeros((n, m))
+        slopes = np.zeros((n, m + len(initial)))
+        slopes[np.arange(len(initial)), m + np.arange(len(initial))] = 1.0
+        return slopes
+
+    def _advance(
+        self,
+        segment: Segment,
+        rows: slice,
+        theta: Floats,
+        free: bool,
+        out: Floats,
+        past: Floats,
+        noise: Floats,
+        slopes: Floats,
+    ) -> bool:
+        """Run over some samples, the first `look_back` of which are known; False: it diverged."""
+        return kernels.run(
+            segment.base[rows], theta, self.group, self.starts, self.table, self.scales, segment.measured[rows],
+            self.look_back, self.limits, free, out[rows], past[rows], noise[rows], slopes,
+        )  # fmt: skip
 
     def run_ahead(self, segment: Segment, steps: int) -> Floats:
         """Predict every sample (n,) from measurements up to `steps` samples before it."""
@@ -137,6 +205,7 @@ class Recursion:
             segment.measured,
             noise,
             self.look_back,
+            self.limits,
             steps,
         )
 

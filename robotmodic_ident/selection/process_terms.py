@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import pairwise
+from operator import add
 from typing import TypeAlias
 
 import numpy as np
@@ -11,8 +14,9 @@ from numpy.typing import NDArray
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimation.prediction_error import NonlinearLeastSquares
-from robotmodic_ident.model import Narmax
+from robotmodic_ident.model import Narmax, among
 from robotmodic_ident.moments import Moments
+from robotmodic_ident.prediction.recursion import UNLIMITED
 from robotmodic_ident.records import Record, lagged
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.selection.criteria import INFORMATION, Criterion, information, penalties
@@ -44,9 +48,15 @@ class ProcessTermSelection:
     scale: Scale | None
     is_ratio: bool
     """Whether the candidates are those of a rational model, multiplied out."""
+    limits: tuple[float, float] = UNLIMITED
+    """[units of the output] outputs there tell least squares only that they would be beyond: they are left out."""
 
     def __post_init__(self) -> None:
         self.rows = lagged(self.records, self.terms, [self.output])
+        if self.limits != UNLIMITED:
+            low, high = self.limits
+            inside = (self.rows.targets > low) & (self.rows.targets < high)
+            self.rows = replace(self.rows, targets=np.where(inside, self.rows.targets, np.nan))
         if not np.isfinite(self.rows.targets).any():
             raise IdentError(f"output {self.output} is not known at any sample whose regressors are known")
         self._shift_output()
@@ -94,25 +104,19 @@ class ProcessTermSelection:
 
     def select(self) -> Narmax:
         """Choose process terms by least squares."""
-        selection = self._selection(self.summed, self._moments, len(self.rows.sample))
+        blocks = np.array_split(np.arange(len(self.rows.sample)), self.n_folds)
+        folds = [self._moments(block) for block in blocks] if self.criterion == "cv" else []
+        selection = self._selection(self.summed, folds)
         self._judge(selection)
         return self._model(selection)
 
     def select_beside(self, model: Narmax) -> Narmax:
         """Choose process terms by the prediction error, with the noise terms of a model beside them."""
         noise, n = model.noise_terms, len(self.terms)
-        full = _among(model, self.terms)
-        phi, target = NonlinearLeastSquares(full.recursion(), self.records, free=False).linearised(
-            full.parameters
-        )
-        if self.shift:
-            target -= self.shift * phi[:, self.terms.names.index(CONSTANT)]
-
-        def part(rows: Rows) -> Moments:
-            return Moments(self.terms + noise, 1, scale=self.scale).add_rows(phi[rows], target[rows])
-
-        moments = part(slice(None))
-        selection = self._selection(moments, part, len(target), noise.names)
+        full = among(model, self.terms)
+        parts = self._linearised(full)
+        moments = reduce(add, parts)
+        selection = self._selection(moments, parts if self.criterion == "cv" else [], noise.names)
         chosen = [i for i in selection.chosen(0).tolist() if i < n]
         if not chosen:  # the noise alone is the better model, but a model has a term
             chosen = select(moments.pick(terms=range(n)), 1).chosen(0).tolist()
@@ -121,7 +125,7 @@ class ProcessTermSelection:
 
     def _model(self, selection: Selection) -> Narmax:
         """Return the model of a selection, with what was subtracted from the output given back."""
-        model = Narmax.of(selection, 0, self.output)
+        model = replace(Narmax.of(selection, 0, self.output), limits=self.limits)
         shift = np.where(np.array(model.terms.names) == CONSTANT, self.shift, 0.0)
         return replace(model, theta=model.theta + shift)
 
@@ -130,11 +134,28 @@ class ProcessTermSelection:
         columns = {name: values[rows] for name, values in self.rows.columns.items()}
         return Moments(self.terms, 1, scale=self.scale).add(columns, self.rows.targets[rows])
 
-    def _selection(
-        self, moments: Moments, part: Callable[[Rows], Moments], n: int, noise: Sequence[str] = ()
-    ) -> Selection:
-        """Select from moments; `part` sums up some of their n rows, `noise` names terms that are there anyway."""
-        blocks = np.array_split(np.arange(n), self.n_folds) if self.criterion == "cv" else []
+    def _linearised(self, model: Narmax) -> list[Moments]:
+        """Sum up the linearised prediction error of a model in contiguous parts: the folds of cv, else one.
+
+        Gradients are held a block at a time, never for all samples.
+        """
+        problem = NonlinearLeastSquares(model.recursion(), self.records)
+        n_parts = self.n_folds if self.criterion == "cv" else 1
+        parts = [Moments(self.terms + model.noise_terms, 1, scale=self.scale) for _ in range(n_parts)]
+        ends = np.cumsum([len(block) for block in np.array_split(np.arange(problem.count), n_parts)])
+        done = 0
+        for J, target in problem.linearised(model.parameters):
+            if self.shift:
+                target = target - self.shift * J[:, self.terms.names.index(CONSTANT)]
+            cuts = np.unique(np.clip(np.r_[done, ends, done + len(J)], done, done + len(J)))
+            for first, last in pairwise(cuts.tolist()):
+                rows = slice(first - done, last - done)
+                parts[int(np.searchsorted(ends, first, side="right"))].add_rows(J[rows], target[rows])
+            done += len(J)
+        return parts
+
+    def _selection(self, moments: Moments, folds: Sequence[Moments], noise: Sequence[str] = ()) -> Selection:
+        """Select from moments; `folds` are those of their parts, `noise` names terms that are there anyway."""
         return select(
             moments,
             None if self.n_terms is None else self.n_terms + len(noise),
@@ -142,7 +163,7 @@ class ProcessTermSelection:
             err_tol=self.err_tol,
             keep=(*self.keep, *noise),
             search=self.search,
-            folds=[part(block) for block in blocks],
+            folds=folds,
         )
 
     def _judge(self, selection: Selection) -> None:
@@ -156,16 +177,3 @@ class ProcessTermSelection:
                     f"by {self.criterion} no term is worth its cost; the one kept explains {share:.1%} of "
                     f"{self.output}, as chance may"
                 )
-
-
-def _among(model: Narmax, candidates: Terms) -> Narmax:
-    """Return the same model written in all candidates; the coefficients of those it does not have are 0."""
-    found = dict(zip(model.terms.names, model.theta.tolist(), strict=True))
-    n = len(candidates) + len(model.noise_terms)
-    return replace(
-        model,
-        terms=candidates,
-        theta=np.array([found.get(name, 0.0) for name in candidates.names]),
-        err=np.full(len(candidates), np.nan),
-        covariance=np.zeros((n, n)),
-    )

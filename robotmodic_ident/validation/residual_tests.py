@@ -114,7 +114,7 @@ class _ResidualData:
 
     def __init__(self, model: Narmax, records: Sequence[Record], max_lag: int) -> None:
         self.max_lag = max_lag
-        problem = NonlinearLeastSquares(model.recursion(), records, free=False)
+        problem = NonlinearLeastSquares(model.recursion(), records)
         _, self.e, self.gradients = problem.evaluate(model.parameters, gradient=True)
         self.rows = problem.rows
         unit = size_of(*self.e)

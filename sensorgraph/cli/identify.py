@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import typer
 
 from sensorgraph.cli.options import (
+    IdentifyAuto,
     IdentifyCriterion,
     IdentifyDegree,
     IdentifyEvery,
@@ -49,6 +50,7 @@ def identify(
     every: IdentifyEvery = 1,
     criterion: IdentifyCriterion = None,
     terms: IdentifyTerms = None,
+    auto: IdentifyAuto = False,
     topic: Topics = None,
 ) -> None:
     """Find the polynomial that explains one signal by others, and test it on data it has not seen.
@@ -63,6 +65,8 @@ def identify(
       sensorgraph identify run.mcap --output cmd_omega --inputs L45-90 --lags 1 -o turn.json
 
       sensorgraph identify motor.csv --output speed --inputs volts --output-lags 2 --noise-lags auto -o motor.json
+
+      sensorgraph identify motor.csv --output speed --inputs volts --auto -o motor.json
     """
     from sensorgraph.cli.inputs import check_output, write_json
     from sensorgraph.errors import SensorgraphError
@@ -78,7 +82,7 @@ def identify(
     question = IdentificationSpec(
         output=output.strip(), inputs=tuple(n.strip() for n in inputs.split(",") if n.strip()), lags=lags,
         output_lags=output_lags, degree=degree, noise_lags=_noise_lags(noise_lags), split=split,  # type: ignore[arg-type]
-        criterion=criterion, n_terms=terms,  # type: ignore[arg-type]
+        criterion=criterion, n_terms=terms, auto=auto,  # type: ignore[arg-type]
     )  # fmt: skip
     data = _read(file, [question.output, *question.inputs], every, topic)
     found = identify_model(data, question)
@@ -134,6 +138,9 @@ def summary_lines(found: IdentifiedSignal) -> list[str]:
         f"{len(model.terms)} of {len(q.terms)} terms, stopped by {model.stop}"
     )
     lines += _notes(model.notes)
+    low, high = model.limits
+    if math.isfinite(low) or math.isfinite(high):
+        lines.append(f"note: {q.output} is held between {low:g} and {high:g}, as the training data show")
     lines += ["", f"{'term':<28}{'theta':>13}{'stderr':>12}{'err':>10}"]
     for name, theta, stderr, err in zip(
         model.terms.names, model.theta.tolist(), model.stderr.tolist(), model.err.tolist(), strict=True

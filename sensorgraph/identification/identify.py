@@ -9,8 +9,9 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from robotmodic_ident import Narmax, Record, Terms, fit, lags, polynomial
+from robotmodic_ident import Narmax, Record, Terms, auto_fit, fit, lags, polynomial
 from robotmodic_ident.errors import IdentError
+from robotmodic_ident.records import cut
 from robotmodic_ident.selection.criteria import Criterion
 from robotmodic_ident.validation.residual_tests import validate
 from robotmodic_ident.validation.score import Extrapolation, Score, extrapolation
@@ -48,6 +49,8 @@ class IdentificationSpec:
     split: Split = "half"
     criterion: Criterion | None = None
     n_terms: int | None = None
+    auto: bool = False
+    """Lags, degree, terms and limits are chosen by free runs over stretches left out; what is given here is not used."""
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
@@ -56,7 +59,11 @@ class IdentificationSpec:
             raise SensorgraphError(f"criterion is {self.criterion!r}, expected one of {', '.join(CRITERIA)}")
         if self.criterion == "n_terms" and self.n_terms is None:
             raise SensorgraphError("criterion n_terms needs `n_terms` N")
-        if not self.inputs and not self.output_lags:
+        if self.auto and (self.noise_lags or self.criterion or self.n_terms):
+            raise SensorgraphError(
+                "auto chooses the terms and has no noise terms; leave noise_lags, criterion and n_terms out"
+            )
+        if not self.inputs and not self.output_lags and not self.auto:
             raise SensorgraphError(
                 "nothing to explain the output by; give `inputs`, or `output_lags` above 0"
             )
@@ -135,6 +142,9 @@ class IdentifiedSignal:
             "unknown": self.unknown,
             "candidates": len(q.terms),
             "noise_lags": q.noise_lags,
+            "auto": q.auto,
+            "order": [q.output_lags, q.lags],
+            "degree": q.degree,
         }
 
 
@@ -143,9 +153,10 @@ def identify(data: SignalData, question: IdentificationSpec) -> IdentifiedSignal
     output = variable(question.output)
     unknown = _shares(data)
     train, test = split_records(data.records, question.split)
+    if question.auto:
+        question = replace(question, lags=1, output_lags=1, degree=1)
     _check(data, train, test, question, unknown)
-    terms = question.terms
-    model = _fitted(train, output, terms, question)
+    model, question = _fitted(train, output, question)
     measured = [np.asarray(r.signals[output], dtype=np.float64) for r in test]
     one_step = [model.predict_osa(r) for r in test]
     reads_past = output in model.terms.variables or len(model.noise_terms) > 0
@@ -166,9 +177,17 @@ def identify(data: SignalData, question: IdentificationSpec) -> IdentifiedSignal
     )  # fmt: skip
 
 
-def _fitted(train: list[Record], output: str, terms: Terms, question: IdentificationSpec) -> Narmax:
+def _fitted(
+    train: list[Record], output: str, question: IdentificationSpec
+) -> tuple[Narmax, IdentificationSpec]:
+    """Return the model, and the question with the lags and the degree that were chosen."""
+    if question.auto:
+        found = auto_fit(train, output, [variable(name) for name in question.inputs])
+        order, degree = found.chosen.order, found.chosen.degree
+        return found.model, replace(question, lags=order, output_lags=order, degree=degree)
     n, criterion = question.n_terms, question.criterion
-    return fit(train, output, terms, n_terms=n, criterion=criterion, noise=question.noise_lags)
+    model = fit(train, output, question.terms, n_terms=n, criterion=criterion, noise=question.noise_lags)
+    return model, question
 
 
 def _validated(model: Narmax, test: list[Record], question: IdentificationSpec) -> list[dict[str, Any]]:
@@ -205,19 +224,6 @@ def split_records(records: Sequence[Record], split: str) -> tuple[list[Record], 
             if len(piece):
                 (test if i % 2 else train).append(piece)
     return train, test
-
-
-def cut(record: Record, piece: slice) -> Record:
-    """Return a stretch of a record; what counts as a gap stays as it was."""
-    gap = record.max_gap
-    if gap is None and record.stamps is not None and len(record) > 1:
-        gap = 1.5 * float(np.median(np.diff(record.stamps)))
-    return replace(
-        record,
-        signals={name: values[piece] for name, values in record.signals.items()},
-        stamps=None if record.stamps is None else record.stamps[piece],
-        max_gap=gap,
-    )
 
 
 def _shares(data: SignalData) -> dict[str, float]:

@@ -1,0 +1,175 @@
+"""Least squares of the simulation error: free runs from initial outputs that are estimated, too.
+
+With noise on the output alone (output error) regression on measured past outputs is biased; a free run never reads
+them. But it has to start somewhere: the first `look_back` outputs of every segment are states that are not known, only
+measured, and a slow system feels them for long. They are estimated beside the coefficients, and weigh as measurements
+(Ljung 1999, sec. 7.2). Gradients by both come from one recursion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.estimation.prediction_error import (
+    DESCENT,
+    Estimate,
+    LevenbergMarquardt,
+    levenberg_marquardt,
+)
+from robotmodic_ident.prediction.recursion import Recursion, Segment
+from robotmodic_ident.records import Record
+from robotmodic_ident.types import Floats
+
+MAX_INITIAL_OUTPUTS = 100
+"""Of all segments together that are estimated; where there are more, every segment starts from what was measured."""
+
+
+class FreeRunLeastSquares:
+    """What a model leaves in free run, over all segments, as a function of coefficients and initial outputs."""
+
+    def __init__(self, recursion: Recursion, records: Sequence[Record], *, look_back: int = 0) -> None:
+        """Prepare the runs; `look_back` [samples] lets smaller models start where larger ones do."""
+        recursion.look_back = max(recursion.look_back, look_back)
+        self.recursion = recursion
+        self.segments: list[Segment] = [s for record in records for s in recursion.segments(record)]
+        back = recursion.look_back if recursion.feeds_back else 0
+        runs = [recursion.run(s, free=True)[0] for s in self.segments]
+        starts = [
+            back > 0
+            and len(out) > 2 * back
+            and bool(np.isfinite(s.measured[:back]).all() and np.isfinite(out[back]))
+            for s, out in zip(self.segments, runs, strict=True)
+        ]
+        self.estimated = starts if sum(starts) * back <= MAX_INITIAL_OUTPUTS else [False] * len(starts)
+        """(n_segments,) whether the initial outputs of a segment are estimated."""
+        self.back = back
+        self.rows = []
+        """(n,) of every segment: the samples whose residual counts."""
+        for s, out, is_estimated in zip(self.segments, runs, self.estimated, strict=True):
+            use = np.isfinite(out) & np.isfinite(s.measured)
+            use[:back] = is_estimated
+            self.rows.append(use)
+        self.count = int(sum(rows.sum() for rows in self.rows)) - back * sum(self.estimated)
+        if self.count <= 0:
+            raise IdentError("the model predicts no sample of these records; give longer ones")
+
+    @property
+    def measured_start(self) -> Floats:
+        """(n_initial,) what was measured at the initial samples of all segments whose start is estimated."""
+        parts = [s.measured[: self.back] for s, use in zip(self.segments, self.estimated, strict=True) if use]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    def evaluate(self, both: Floats, *, gradient: bool = False) -> tuple[float, list[Floats], list[Floats]]:
+        """Return the sum of squares, residuals and gradients of every segment; inf where a run diverges.
+
+        Parameters
+        ----------
+        both : (n_parameters + n_initial,) coefficients, then initial outputs
+        """
+        m = len(self.recursion.theta)
+        theta, place, total = both[:m], m, 0.0
+        residuals, gradients = [], []
+        for segment, rows, is_estimated in zip(self.segments, self.rows, self.estimated, strict=True):
+            initial = both[place : place + self.back] if is_estimated else None
+            out, _, slopes = self.recursion.run(
+                segment, free=True, theta=theta, gradient=gradient, initial=initial
+            )
+            with np.errstate(over="ignore", invalid="ignore"):
+                rest = np.where(rows, segment.measured - out, 0.0)
+                total += float(rest @ rest)
+            residuals.append(rest)
+            if gradient:
+                wide = np.zeros((len(out), len(both)))
+                wide[rows, :m] = slopes[rows, :m]
+                if is_estimated:
+                    wide[rows, place : place + self.back] = slopes[rows, m:]
+                gradients.append(wide)
+            place += self.back if is_estimated else 0
+        return (total if np.isfinite(total) else np.inf), residuals, gradients
+
+    def minimise(
+        self, theta: Floats, settings: LevenbergMarquardt = DESCENT, initial: Floats | None = None
+    ) -> tuple[Estimate, Floats]:
+        """Descend from coefficients (n_parameters,); also return the initial outputs (n_initial,).
+
+        The gradients of the estimate are those that the initial outputs cannot imitate.
+
+        Raises
+        ------
+        IdentError
+            if the starting model diverges
+        """
+        m = len(theta)
+        start = np.concatenate([theta, self.measured_start if initial is None else initial])
+        found = levenberg_marquardt(self.evaluate, start, settings)
+        J = np.concatenate(found.gradients)
+        basis = np.linalg.qr(J[:, m:])[0] if J.shape[1] > m else np.empty((len(J), 0))
+        own = J[:, :m] - basis @ (basis.T @ J[:, :m])
+        ends = np.cumsum([len(r) for r in found.residuals])[:-1]
+        estimate = Estimate(
+            theta=found.theta[:m], rss=found.rss, count=self.count, residuals=found.residuals,
+            gradients=np.split(own, ends), converged=found.converged,
+        )  # fmt: skip
+        return estimate, found.theta[m:]
+
+    def normal_equations(self, theta: Floats, initial: Floats) -> tuple[Floats, Floats]:
+        """Return Gram (n_parameters, n_parameters) and cross products (n_parameters,) of one Gauss-Newton step.
+
+        The initial outputs are eliminated. Gradients are held a block of samples at a time.
+        """
+        m, back, place = len(theta), self.back, 0
+        gram, cross = np.zeros((m, m)), np.zeros(m)
+        for segment, rows, is_estimated in zip(self.segments, self.rows, self.estimated, strict=True):
+            start = initial[place : place + back]
+            whole = np.zeros((m + back * is_estimated + 1,) * 2)
+            for part, out, slopes in self.recursion.gradient_blocks(
+                segment, free=True, theta=theta, initial=start if is_estimated else None
+            ):
+                use = rows[part] & np.isfinite(out)
+                J = np.column_stack([slopes[use], (segment.measured[part] - out)[use]])
+                whole += J.T @ J
+            if is_estimated:
+                rest = segment.measured[:back] - start
+                whole[m : m + back, m : m + back] += np.eye(back)
+                whole[m : m + back, -1] += rest
+                whole[-1, m : m + back] += rest
+                inner = whole[m : m + back, m : m + back]
+                keep = np.r_[:m, m + back]
+                side = whole[keep, m : m + back]
+                whole = whole[np.ix_(keep, keep)] - side @ np.linalg.solve(inner, side.T)
+                place += back
+            gram += whole[:m, :m]
+            cross += whole[:m, -1]
+        return gram, cross + gram @ theta
+
+
+def initial_outputs(recursion: Recursion, segment: Segment, n: int) -> Floats | None:
+    """Return the initial outputs (look_back,) from which a free run meets the first n measured samples best.
+
+    None where they cannot be estimated: a sample among them is not known, n is no more than look_back, or no past
+    output comes in.
+    """
+    m, back = len(recursion.theta), recursion.look_back
+    head = Segment(piece=slice(0, n), base=segment.base[:n], measured=segment.measured[:n])
+    start = head.measured[:back]
+    if not recursion.feeds_back or n <= back or not np.isfinite(start).all():
+        return None
+
+    def evaluate(initial: Floats, /, *, gradient: bool = False) -> tuple[float, list[Floats], list[Floats]]:
+        out, _, slopes = recursion.run(head, free=True, gradient=gradient, initial=initial)
+        known = np.isfinite(head.measured)
+        rest = np.where(known, head.measured - out, 0.0)
+        total = float(rest @ rest)
+        return (
+            total if np.isfinite(total) else np.inf,
+            [rest],
+            [np.where(known[:, None], slopes[:, m:], 0.0)] if gradient else [],
+        )
+
+    try:
+        return levenberg_marquardt(evaluate, start, DESCENT).theta
+    except IdentError:  # it diverges within the first samples
+        return None

@@ -1,0 +1,145 @@
+"""Free-run estimation recovers planted systems where regression is biased; terms, limits and orders are found alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from benchmarks.identibench_model import build_model
+from robotmodic_ident import (
+    AutoSettings,
+    Narmax,
+    Record,
+    Terms,
+    auto_fit,
+    fit,
+    lags,
+    output_limits,
+    polynomial,
+)
+from robotmodic_ident.estimation.simulation_error import FreeRunLeastSquares
+from robotmodic_ident.selection.free_run_terms import FreeRunTerms
+
+FEW = AutoSettings(orders=(2, 3), degrees=(3,), n_folds=2)
+TRUTH = {"y(k-1)": 1.2, "y(k-2)": -0.5, "u(k-1)": 0.4, "y(k-1)^3": -0.1}
+
+
+def duffing(n: int, seed: int, *, sigma: float, high: float = np.inf) -> dict[str, np.ndarray]:
+    """Run the planted system, held below `high`, and measure it with white noise."""
+    rng = np.random.default_rng(seed)
+    u, y = lfilter([1.0], [1.0, -0.6], rng.normal(size=n)), np.zeros(n)
+    for k in range(2, n):
+        y[k] = min(high, 1.2 * y[k - 1] - 0.5 * y[k - 2] + 0.4 * u[k - 1] - 0.1 * y[k - 1] ** 3)
+    noise = sigma * rng.normal(size=n)
+    return {"u": u, "y": np.minimum(y + noise, high), "clean": y}
+
+
+def found(model: Narmax) -> dict[str, float]:
+    return dict(zip(model.terms.names, model.theta.tolist(), strict=True))
+
+
+def test_output_noise_biases_regression_and_not_the_free_run() -> None:
+    data, terms = duffing(2000, 1, sigma=0.2), Terms.parse(*TRUTH)
+    ls = fit(data, "y", terms, n_terms=4, search="forward")
+    free = fit(data, "y", terms, n_terms=4, search="forward", estimator="simulation")
+    assert abs(found(ls)["y(k-1)"] - 1.2) > 0.2
+    for name, theta, stderr in zip(free.terms.names, free.theta, free.stderr, strict=True):
+        assert theta == pytest.approx(TRUTH[name], abs=4 * stderr), name
+        assert stderr < 0.03
+
+
+def test_initial_outputs_are_estimated_better_than_they_are_measured() -> None:
+    errors = []
+    for seed in range(20):
+        data = duffing(60, seed, sigma=0.3)
+        exact = fit({**data, "y": data["clean"]}, "y", Terms.parse(*TRUTH), n_terms=4, search="forward")
+        run = exact.predict_mpo(data, warm_up=30)
+        errors.append([run[:2] - data["clean"][:2], data["y"][:2] - data["clean"][:2]])
+    estimated, measured = np.sqrt(np.mean(np.square(errors), axis=(0, 2)))
+    assert estimated < 0.8 * measured
+
+
+def test_normal_equations_are_those_of_all_gradients_with_the_initial_outputs_taken_out() -> None:
+    data = duffing(200, 3, sigma=0.1)
+    records = [
+        Record(signals={k: v[:90] for k, v in data.items()}),
+        Record(signals={k: v[90:] for k, v in data.items()}),
+    ]
+    problem = FreeRunLeastSquares(fit(data, "y", Terms.parse(*TRUTH), n_terms=4).recursion(), records)
+    start = problem.measured_start
+    gram, cross = problem.normal_equations(problem.recursion.theta, start)
+    _, r, J = problem.evaluate(np.r_[problem.recursion.theta, start], gradient=True)
+    whole, rest = np.concatenate(J), np.concatenate(r)
+    basis = np.linalg.qr(whole[:, 4:])[0]
+    own = whole[:, :4] - basis @ (basis.T @ whole[:, :4])
+    np.testing.assert_allclose(gram, own.T @ own, rtol=1e-9)
+    np.testing.assert_allclose(cross, own.T @ (rest + own @ problem.recursion.theta), rtol=1e-9)
+
+
+def test_blocks_of_gradients_join_without_a_seam() -> None:
+    data = duffing(9000, 2, sigma=0.1)
+    recursion = fit(data, "y", Terms.parse(*TRUTH), n_terms=4).recursion()
+    (segment,) = recursion.segments(Record(signals=data))
+    for free in (True, False):
+        out, _, slopes = recursion.run(segment, free=free, gradient=True)
+        parts = list(recursion.gradient_blocks(segment, free=free))
+        assert len(parts) > 1
+        np.testing.assert_array_equal(np.concatenate([p for _, p, _ in parts]), out[2:])
+        np.testing.assert_array_equal(np.concatenate([g for _, _, g in parts]), slopes[2:])
+
+
+def test_terms_are_found_by_the_simulation_error_where_regression_adds_others() -> None:
+    data = duffing(1500, 4, sigma=0.2)
+    candidates = polynomial(lags("y", 1, 2) + lags("u", 0, 2), 3)
+    linear = Terms(tuple(t for t in candidates if sum(f.power for f in t) <= 1))
+    start = fit(data, "y", linear, n_terms=len(linear), search="forward")
+    path = FreeRunTerms([Record(signals=data)], candidates).path(start)
+    assert {frozenset(t) for t in path[4].model.terms} == {frozenset(t) for t in Terms.parse(*TRUTH)}
+
+
+def test_a_limit_is_seen_in_the_data_and_held_in_prediction() -> None:
+    data = duffing(3000, 5, sigma=0.0, high=0.9)
+    assert output_limits(data, "y") == (-np.inf, 0.9)
+    model = fit(data, "y", Terms.parse(*TRUTH), n_terms=4, search="forward", limits=(-np.inf, 0.9))
+    for name, theta in found(model).items():  # what is held at the limit misleads no regression
+        assert theta == pytest.approx(TRUTH[name], abs=1e-9)
+    np.testing.assert_allclose(model.predict_mpo(data)[2:], data["y"][2:], atol=1e-9)
+    assert model.equation().startswith("y(k) = min(0.9, ")
+    assert Narmax.from_dict(model.to_dict()).limits == (-np.inf, 0.9)
+    unlimited = replace(model, limits=(-np.inf, np.inf))
+    assert np.nanmax(unlimited.predict_osa(data)) > 1.0
+
+
+def test_levels_of_a_quantised_output_are_no_limit() -> None:
+    y = np.round(np.sin(np.arange(3000) * 0.03), 1)
+    assert output_limits({"y": y}, "y") == (-np.inf, np.inf)
+
+
+def test_order_degree_and_terms_are_found_alone() -> None:
+    data = duffing(1200, 6, sigma=0.05)
+    result = auto_fit({"u": data["u"], "y": data["y"]}, "y", ["u"], settings=FEW)
+    assert result.chosen.order >= 2
+    assert {frozenset(t) for t in Terms.parse(*TRUTH)} <= {frozenset(t) for t in result.model.terms}
+    fresh = duffing(1000, 7, sigma=0.0)
+    error = result.model.predict_mpo(fresh, warm_up=50)[50:] - fresh["y"][50:]
+    assert np.sqrt(np.mean(error**2)) < 0.02 * np.std(fresh["y"])
+    assert np.isfinite(result.model.stderr).all()
+
+
+def test_identibench_gets_a_predictor_of_its_shapes() -> None:
+    class Context:
+        def get_train_sequences(self):
+            data = duffing(500, 8, sigma=0.01)
+            return [(data["u"][:, None], data["y"][:, None], {"fs": 1.0})]
+
+        def get_valid_sequences(self):
+            data = duffing(200, 9, sigma=0.01)
+            return [(data["u"][:, None], data["y"][:, None], {"fs": 1.0})]
+
+    fresh = duffing(300, 10, sigma=0.0)
+    predicted = build_model(Context(), FEW)(fresh["u"][:, None], fresh["y"][:50, None], {})
+    assert predicted.shape == (300, 1)
+    assert np.sqrt(np.mean((predicted[50:, 0] - fresh["y"][50:]) ** 2)) < 0.05 * np.std(fresh["y"])
