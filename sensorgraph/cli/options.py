@@ -340,12 +340,7 @@ IdentifyTerms = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="Terms to keep, or the most to look at.")
 ]
 IdentifyAuto = Annotated[
-    bool,
-    typer.Option(
-        "--auto",
-        help="Choose lags, degree, terms and limits of the output for free run, by stretches left out of the training "
-        "part; takes the place of --lags, --output-lags and --degree.",
-    ),
+    bool, typer.Option("--auto", help="Choose lags, degree and terms for free run, by hiding stretches.")
 ]
 
 # record
