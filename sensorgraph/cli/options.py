@@ -329,19 +329,13 @@ IdentifyDegree = Annotated[int, typer.Option(min=1, max=8, help="Of the polynomi
 IdentifyNoiseLags = Annotated[
     str, typer.Option(metavar="N|auto", help="Past noise e(k-1), ..., e(k-N); auto: as many as it takes.")
 ]
-IdentifySplit = Annotated[
-    str, typer.Option(help="half: first half trains; block: every second tenth is held out; none.")
-]
+IdentifySplit = Annotated[str, typer.Option(help="half: first half trains; block: every second tenth; none.")]
 IdentifyEvery = Annotated[int, typer.Option(min=1, help="Use every K-th sample.", metavar="K")]
-IdentifyCriterion = Annotated[
-    str | None, typer.Option(help="How many terms: bic, aic, ebic, cv, err_tol, n_terms.")
-]
+IdentifyCriterion = Annotated[str | None, typer.Option(help="Of size: bic, aic, ebic, cv, err_tol, n_terms.")]
 IdentifyTerms = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="Terms to keep, or the most to look at.")
 ]
-IdentifyAuto = Annotated[
-    bool, typer.Option("--auto", help="Choose lags, degree and terms for free run, by hiding stretches.")
-]
+IdentifyAuto = Annotated[bool, typer.Option("--auto", help="Choose lags, degree and terms for free run.")]
 
 # record
 RecordPlan = Annotated[
