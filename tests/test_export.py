@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import cast as cast_to
 from xml.etree import ElementTree
@@ -23,11 +22,11 @@ from planners.arena import Arena
 from planners.maps import load, no_go
 from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
+from sensorgraph.cli.twin import run_script
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.effects import EFFECTS
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.exporting.amcl import _motion_noise, estimate_amcl
 from sensorgraph.exporting.export import TARGETS, export
 from sensorgraph.exporting.twin import Simulator, drive_twin
 from sensorgraph.exporting.world import ExportedWorld
@@ -35,10 +34,10 @@ from sensorgraph.loading import load_arena
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot, parse_robot
-from sensorgraph.world.simulate import occupancy_map
 
 ROBOT = parse_robot("sensor: {n_rays: 61, rate: 5.0}\n")
 SIMULATORS = ["mujoco", "irsim"]
+BROKEN = "broken.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -260,78 +259,6 @@ def test_nav2_map_is_read_back_as_the_arena(world: ExportedWorld, tmp_path: Path
     assert parameters["alpha1"] == 0.2 and parameters["z_hit"] == 0.5  # without a run, Nav2's defaults
 
 
-def noisy_run(
-    alphas: tuple[float, float, float, float],
-    mixture: tuple[float, float, float],
-    way: tuple[float, float] = (0.3, 0.4),
-) -> Run:
-    """Return a run with planted odometry noise (table 5.6) and a planted share of short, lost and random readings."""
-    rng = np.random.default_rng(8)
-    n, arena = 1500, load_arena("square")
-    t = 0.5 * np.arange(n)
-    phi, at, odo = 0.0, np.array([1.2, 1.2]), np.zeros(3)
-    poses, odometry = [], []
-    for _ in range(n):
-        first, second = rng.uniform(-0.8, 0.8, 2)
-        length = rng.uniform(*way)
-        heading = np.arctan2(1.2 - at[1], 1.2 - at[0]) if np.hypot(*(at - 1.2)) > 0.3 else phi + first
-        first = float((heading - phi + np.pi) % (2 * np.pi) - np.pi)
-        first = float(np.clip(first, -1.0, 1.0))
-        second = np.copysign(
-            second, first
-        )  # each step turns the robot, so that the filter is updated at each
-        poses.append([*at, phi])
-        odometry.append(odo.copy())
-        at = at + length * np.array([np.cos(phi + first), np.sin(phi + first)])
-        phi += first + second
-        a1, a2, a3, a4 = alphas
-        r1 = first + rng.normal() * np.sqrt(a1 * first**2 + a2 * length**2)
-        d = length + rng.normal() * np.sqrt(a3 * length**2 + a4 * (first**2 + second**2))
-        r2 = second + rng.normal() * np.sqrt(a1 * second**2 + a2 * length**2)
-        odo = odo + [d * np.cos(odo[2] + r1), d * np.sin(odo[2] + r1), r1 + r2]
-    truth = np.array(poses)
-    ranges = cast(arena, truth, ROBOT.sensor).ranges
-    ranges = ranges + 0.01 * rng.normal(size=ranges.shape)
-    kind = rng.random(ranges.shape)
-    short, lost, stray = mixture
-    ranges = np.where(kind < short, rng.random(ranges.shape) * ranges, ranges)
-    ranges = np.where((kind >= short) & (kind < short + lost), np.inf, ranges)
-    uniform = rng.random(ranges.shape) * ROBOT.sensor.range_max
-    ranges = np.where((kind >= short + lost) & (kind < short + lost + stray), uniform, ranges)
-    return Run(
-        sensor=ROBOT.sensor, stamps=t, ranges=ranges, pose_stamps=t, poses=truth, odom_stamps=t,
-        odometry=np.array(odometry), odom_twists=np.zeros((n, 2)),
-    )  # fmt: skip
-
-
-def test_amcl_finds_the_planted_noise_of_odometry_and_laser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sensorgraph.exporting.amcl.MAX_GAP", 1.0)
-    alphas, mixture = (0.01, 0.004, 0.02, 0.002), (0.0, 0.06, 0.04)
-    arena = load_arena("square")
-    found = estimate_amcl(noisy_run(alphas, mixture), arena, occupancy_map(arena))
-    for name, planted in zip(("alpha1", "alpha2", "alpha3", "alpha4"), alphas, strict=True):
-        wide = found[name].high - found[name].low
-        assert found[name].low - wide / 2 <= planted <= found[name].high + wide / 2, name
-        assert wide < 2 * planted + 1e-3
-    assert found["z_max"].value == pytest.approx(0.06, abs=0.006)
-    assert found["z_rand"].value + found["z_short"].value == pytest.approx(0.04, abs=0.008)
-    assert found["z_hit"].value == pytest.approx(0.90, abs=0.01)
-    assert 0.01 < found["sigma_hit"].value < 0.06  # half a cell and the laser's noise
-    assert found["laser_max_range"].value == ROBOT.sensor.range_max
-
-
-def test_noise_of_the_reference_on_short_ways_is_no_noise_of_the_wheels(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The direction of a short way is noise: the two turns are wrong by the same, and cancel."""
-    monkeypatch.setattr("sensorgraph.exporting.amcl.MAX_GAP", 1.0)
-    alphas = (0.01, 0.004, 0.02, 0.002)
-    run = noisy_run(alphas, (0.0, 0.0, 0.0), way=(0.02, 0.06))
-    noise = np.random.default_rng(1).normal(size=run.poses.shape) * [0.005, 0.005, 0.001]
-    found = _motion_noise(replace(run, poses=run.poses + noise))
-    assert found["alpha1"].value == pytest.approx(alphas[0], rel=0.4)
-
-
 def test_the_command_writes_a_folder_whose_script_records_a_run(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     assert cli(["export", "square", "--to", "mujoco", "-o", str(tmp_path / "twin")]) == 0
@@ -350,6 +277,31 @@ def test_the_command_writes_a_folder_whose_script_records_a_run(tmp_path: Path) 
     assert "nowhere does not exist" in bad.stderr
 
 
+def test_a_script_says_what_it_lacks_before_it_drives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def script(*arguments: str) -> str:
+        monkeypatch.setattr(sys, "argv", ["drive.py", *arguments])
+        with pytest.raises(SystemExit, match="2"):
+            run_script(tmp_path, lambda: pytest.fail("it drove"), "scene.xml")
+        return capsys.readouterr().err
+
+    assert "scene.xml is missing; export the world again" in script("plan")
+    for name in ("scene.xml", "arena.geojson", "robot.yaml"):
+        (tmp_path / name).touch()
+    assert "does not exist; make it first" in script("plan", "-o", str(tmp_path / "nowhere" / "run.mcap"))
+
+
+def test_a_second_export_leaves_nothing_of_the_first(world: ExportedWorld, tmp_path: Path) -> None:
+    planted = ExportedWorld.of(world.arena, ROBOT, [EFFECTS["range_bias"](b=0.05)])
+    export(planted, "mujoco", tmp_path)
+    (tmp_path / "mine.txt").touch()
+    export(world, "irsim", tmp_path)
+    assert not (tmp_path / "effects.yaml").exists()  # it would be driven with
+    assert not (tmp_path / "scene.xml").exists()
+    assert (tmp_path / "mine.txt").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -359,11 +311,21 @@ def test_the_command_writes_a_folder_whose_script_records_a_run(tmp_path: Path) 
         (["square", "--to", "irsim", "--no-go", "1,1,2,1,2,2"], "for --to nav2"),
         (["square", "--to", "nav2", "--no-go", "91,91,92,91,92,92"], "no no-go zone lies in the arena"),
         (["square", "--to", "gazebo", "--wall-height", "-1"], "expected a height"),
+        (["square", "--to", "mujoco", "--effects", "nowhere.yaml"], "nowhere.yaml does not exist"),
+        (["square", "--to", "mujoco", "--effects", BROKEN], "not YAML"),
+        ([BROKEN, "--to", "mujoco"], "broken.yaml"),
+        (["square", "--to", "nav2", "--run", "nowhere.mcap"], "nowhere.mcap: No such file"),
     ],
 )
 def test_a_mistake_is_one_line_and_leaves_nothing(
-    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(BROKEN).write_text(": [\n")
     assert cli(["export", *arguments, "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err.strip().splitlines()
     assert len(said) == 1
@@ -374,6 +336,12 @@ def test_a_mistake_is_one_line_and_leaves_nothing(
 def test_a_robot_too_large_for_the_arena_is_refused() -> None:
     with pytest.raises(SensorgraphError, match="stands nowhere in the arena"):
         ExportedWorld.of(load_arena("square"), parse_robot("footprint_radius: 3.0\n"))
+
+
+def test_an_output_that_is_a_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert cli(["export", "square", "--to", "nav2", "-o", str(tmp_path / "file")]) == 2
+    assert "is a file; give the name of a folder" in capsys.readouterr().err
 
 
 @pytest.mark.slow

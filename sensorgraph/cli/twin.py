@@ -12,10 +12,16 @@ if TYPE_CHECKING:
     from sensorgraph.exporting.twin import Simulator
 
 
-def run_script(folder: Path, make: Callable[[], Simulator]) -> None:
-    """Drive a plan in an exported world and write the run; a mistake is one line and exit code 2."""
+def run_script(folder: Path, make: Callable[[], Simulator], world: str) -> None:
+    """Drive a plan in an exported world and write the run; a mistake is one line and exit code 2.
+
+    Parameters
+    ----------
+    world : the file of the folder that `make` opens
+    """
     from logs.errors import LogError
     from planners.errors import PlanError
+    from sensorgraph.cli.inputs import check_output
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.exporting.twin import record_twin
@@ -26,6 +32,10 @@ def run_script(folder: Path, make: Callable[[], Simulator]) -> None:
     parser.add_argument("--seed", type=int, default=0, help="of all noise")
     options = parser.parse_args()
     try:
+        missing = [name for name in (world, "arena.geojson", "robot.yaml") if not (folder / name).is_file()]
+        if missing:
+            raise SensorgraphError(f"{folder / missing[0]} is missing; export the world again")
+        check_output(options.out)
         run = record_twin(folder, make(), options.plan, options.out, seed=options.seed, progress=progress)
     except (SensorgraphError, LogError, PlanError, OSError) as exc:
         sys.stderr.write(f"error: {exc}\n")

@@ -26,6 +26,11 @@ from sensorgraph.version import __version__
 TARGETS = ("mujoco", "irsim", "gazebo", "nav2")
 SCRIPTED = {"mujoco": "drive_mujoco.py", "irsim": "drive_irsim.py"}
 """Target -> the script that drives a plan there and records it."""
+OWN_FILES = (
+    "arena.geojson", "robot.yaml", "effects.yaml", "drive.py", "scene.xml", "world.yaml", "world.sdf", "bridge.launch.py",
+    "map.yaml", "map.pgm", "keepout.yaml", "keepout.pgm", "amcl.yaml",
+)  # fmt: skip
+"""What an export may write; those of an older one in the same folder would change what the newer one means."""
 BUILT_IN = ("geometry", "mount")
 """Stages of effects that every target has in its world; nav2 keeps the map as it was given."""
 NATIVE = {"gazebo": (RANGE_BIAS, SPEED_SATURATION), "mujoco": (ACTUATOR_LAG,)}
@@ -66,7 +71,7 @@ def export(
     Parameters
     ----------
     target : one of TARGETS
-    folder : made if it is not there; all files are complete or not there
+    folder : made if it is not there; all files are complete or not there, and those of an older export are taken away
     no_go, run : see `nav2.write`
 
     Raises
@@ -97,6 +102,10 @@ def export(
             + "\n",
             encoding="utf-8",
         )
+        if (folder / "export.json").is_file():
+            for name in OWN_FILES:
+                if not (part / name).exists():
+                    (folder / name).unlink(missing_ok=True)
     return left_out
 
 

@@ -72,4 +72,4 @@ class IrsimWorld:
 
 
 if __name__ == "__main__":
-    run_script(HERE, IrsimWorld)
+    run_script(HERE, IrsimWorld, "world.yaml")

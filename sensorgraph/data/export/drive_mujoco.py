@@ -96,4 +96,4 @@ class MujocoWorld:
 
 
 if __name__ == "__main__":
-    run_script(HERE, MujocoWorld)
+    run_script(HERE, MujocoWorld, "scene.xml")
