@@ -18,6 +18,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.types import Floats, Ints
+from sensorgraph.world.cell_outline import widened_outline
 
 MIN_WALL_VISIBILITY = 0.5
 """Visibility above which a stretch is a wall."""
@@ -119,20 +120,11 @@ def _group_points(points: Floats, distance: float) -> tuple[int, Ints]:
 
 def _free_space(crossed: ObservedSpace, walls: Floats, normals: Floats) -> Polygon | MultiPolygon:
     """Return the crossed cells, a little wider, without what lies behind walls."""
-    i, j = np.nonzero(crossed.counts)
-    x, y = (
-        low + crossed.cell * np.arange(n + 1)
-        for low, n in zip(crossed.origin, crossed.counts.shape, strict=True)
-    )
-    cells = shapely.coverage_union_all(
-        shapely.box(x[i], y[j], x[i + 1], y[j + 1])
-    )  # they share corners and edges
+    cells = widened_outline(crossed.counts > 0, np.asarray(crossed.origin), crossed.cell)
     behind = np.concatenate(
         [walls, walls[:, ::-1] - WALL_THICKNESS * normals[:, None]], axis=1
     )  # (n_walls, 4, 2)
-    free = cells.buffer(crossed.cell / 2, join_style="mitre").difference(
-        shapely.union_all(shapely.polygons(behind))
-    )
+    free = cells.difference(shapely.union_all(shapely.polygons(behind)))
     parts = [p for p in shapely.get_parts(free) if isinstance(p, Polygon) and _is_wide(p)]
     if not parts:
         raise SensorgraphError("the graph knows no free space; build it from a longer log, or give a map")
