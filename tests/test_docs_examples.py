@@ -15,6 +15,8 @@ from sensorgraph.cli import run as cli
 
 EXAMPLES = Path(__file__).parent.parent / "docs" / "examples"
 SLOW = {"controller", "hidden_effect", "plan_to_sensorgraph"}
+NEEDS = {"mujoco_twin": "mujoco"}
+"""Script -> a package of an extra, without which it is skipped."""
 SCRIPTS = [
     pytest.param(script, marks=[pytest.mark.slow] if script.stem in SLOW else [], id=script.stem)
     for script in sorted(EXAMPLES.glob("*.py"))
@@ -26,6 +28,8 @@ NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][+-]\d+)?")
 def test_the_script_prints_what_its_page_shows(
     script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    if script.stem in NEEDS:
+        pytest.importorskip(NEEDS[script.stem])
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [str(script)])
     runpy.run_path(str(script), run_name="__main__")
