@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS, Amendment, moved_obstacle
+from sensorgraph.effects.proposals import PROPOSAL, strangest_obstacles
 from sensorgraph.world.robot import parse_robot
 from sensorgraph.world.scene import Scene, draw_readings
 
@@ -83,3 +85,19 @@ def test_a_move_across_the_view_gets_its_name_and_an_error_from_the_silhouette(h
     assert named.name == "moved_obstacle"
     assert 0.002 < named.stderr["dy"] < 0.02
     assert abs(named["dy"] - 0.04) < 3 * named.stderr["dy"]
+
+
+def test_a_move_is_looked_for_where_most_rays_are_strange() -> None:
+    """A building has hundreds of things; each move that is tried is cast."""
+    n = 30
+    names = ("room/edge_0", *(f"thing_{k}/edge_0" for k in range(n)))
+    wall = np.repeat(np.arange(n + 1), np.arange(n + 1) + 1)[None]  # thing k is met by k + 2 rays
+    residuals = SimpleNamespace(
+        arena=SimpleNamespace(names=names),
+        model=(EFFECTS["moved_obstacle"](dx=0.1, dy=0.0).at(f"thing_{n - 1}"),),
+        walls=np.zeros((n + 1, 2, 2)),
+        beams=SimpleNamespace(wall=wall),
+        strange=np.ones(wall.shape, dtype=np.bool_),
+    )
+    found = strangest_obstacles(residuals)  # type: ignore[arg-type]
+    assert found == [f"thing_{n - 2 - k}" for k in range(PROPOSAL.max_obstacles)]

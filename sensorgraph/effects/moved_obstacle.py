@@ -8,7 +8,7 @@ from planners.arena import Arena
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.interfaces import CornerShift, Proposal, Residuals
 from sensorgraph.effects.places import named_walls, obstacles, walls_of
-from sensorgraph.effects.proposals import PROPOSAL, unchanged_obstacles
+from sensorgraph.effects.proposals import PROPOSAL, strangest_obstacles
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.ray_intersection import nearest_walls
 from sensorgraph.world.scene import Scene
@@ -47,7 +47,7 @@ def _elsewhere(residuals: Residuals) -> list[Proposal]:
     """Lay the outline of each obstacle over the ends of unexplained rays."""
     found = []
     ends = residuals.ends(residuals.strange) if residuals.strange.sum() else np.zeros((0, 2))
-    for name in unchanged_obstacles(residuals):
+    for name in strangest_obstacles(residuals):
         members = named_walls(residuals.arena, name)
         mine = np.isin(residuals.beams.wall, members)
         if mine.sum() >= PROPOSAL.min_rays:
@@ -88,7 +88,7 @@ def nudged(residuals: Residuals) -> list[Proposal]:
         return []
     ends = residuals.ends(residuals.strange)
     found = []
-    for name in unchanged_obstacles(residuals):
+    for name in strangest_obstacles(residuals):
         members = named_walls(residuals.arena, name)
         if (_beside(ends, residuals.walls[members]) < NUDGE_DISTANCE).sum() >= PROPOSAL.min_rays:
             proposal = _nudge(residuals, name, members)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.effects.interfaces import Proposal, Residuals
-from sensorgraph.effects.places import obstacles
+from sensorgraph.effects.places import named_walls, obstacles
 from sensorgraph.types import Bools, Floats, Ints
 
 
@@ -27,6 +27,8 @@ class ProposalSettings:
     """[m] along a wall."""
     max_walls: int = 4
     """Walls with the most strange rays, on which panes and mirrors are looked for."""
+    max_obstacles: int = 8
+    """Obstacles with the most strange rays, of which a move is looked for: in a building there are hundreds."""
     behind_wall: float = 0.1
     """[m] below range_max that a wall must stand for a lost ray on it to be strange."""
 
@@ -142,6 +144,15 @@ def unchanged_obstacles(residuals: Residuals) -> list[str]:
     """Return the obstacles of the map of which no effect is in the model."""
     changed = {a.place for a in residuals.model}
     return [name for name in obstacles(residuals.arena) if name not in changed]
+
+
+def strangest_obstacles(residuals: Residuals) -> list[str]:
+    """Return, of the unchanged obstacles, those on which most strange rays should have ended, most of them first."""
+    walls = residuals.beams.wall[residuals.strange & (residuals.beams.wall >= 0)]
+    counts = np.bincount(walls, minlength=len(residuals.walls))
+    names = unchanged_obstacles(residuals)
+    strange = [int(counts[named_walls(residuals.arena, name)].sum()) for name in names]
+    return [names[k] for k in np.argsort(-np.array(strange), kind="stable")[: PROPOSAL.max_obstacles]]
 
 
 def half_spacing(residuals: Residuals) -> float:
