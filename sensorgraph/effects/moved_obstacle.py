@@ -112,13 +112,13 @@ def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
     rays = ox[some], oy[some], beams.ux[some], beams.uy[some]
     bare = np.delete(walls, members, axis=0)
     behind, _ = nearest_walls(bare, *rays)
-    usual = np.where(
-        residuals.aimed[some], residuals.mu[some] - beams.ranges[some], 0.0
-    )  # what nuisances add
+    with np.errstate(invalid="ignore"):  # a ray that meets nothing has no reading for nuisances to add to
+        added = residuals.mu[some] - beams.ranges[some]
+    usual = np.where(residuals.aimed[some] & np.isfinite(added), added, 0.0)
 
     def log_p(shift: Floats) -> float:
         there, _ = nearest_walls(walls[members] + shift, *rays)
-        reading = np.minimum(there, behind) + np.where(np.isfinite(usual), usual, 0.0)
+        reading = np.minimum(there, behind) + usual
         return float(residuals.likely(reading, some).sum())
 
     best, at = (here := log_p(np.zeros(2))), np.zeros(2)
