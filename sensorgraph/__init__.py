@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     )
     from sensorgraph.effects import EFFECTS
     from sensorgraph.graph import Sensorgraph
+    from sensorgraph.identification.design import design
+    from sensorgraph.identification.design_task import DesignTask
     from sensorgraph.loading import load_arena
     from sensorgraph.world.robot import Robot, load_robot
 
@@ -46,9 +48,11 @@ if TYPE_CHECKING:
 __all__ = [
     "EFFECTS",
     "Arena",
+    "DesignTask",
     "Robot",
     "Sensorgraph",
     "build",
+    "design",
     "diagnose",
     "errors",
     "evaluate",
@@ -69,6 +73,8 @@ _HOMES = {
     "Arena": "planners.arena",
     "Robot": "sensorgraph.world.robot",
     "Sensorgraph": "sensorgraph.graph",
+    "DesignTask": "sensorgraph.identification.design_task",
+    "design": "sensorgraph.identification.design:design",
     "load_arena": "sensorgraph.loading",
     "load_robot": "sensorgraph.world.robot",
 } | dict.fromkeys(

@@ -16,6 +16,7 @@ import typer
 
 from sensorgraph.cli.build import build
 from sensorgraph.cli.demo import demo
+from sensorgraph.cli.design import design
 from sensorgraph.cli.diagnose import diagnose
 from sensorgraph.cli.evaluate import evaluate
 from sensorgraph.cli.export import export
@@ -45,6 +46,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "review": review,
     "diagnose": diagnose,
     "identify": identify,
+    "design": design,
     "record": record,
     "export": export,
 }

@@ -1,0 +1,123 @@
+"""What is asked of a controller, and what a drive came to: wall distance, speed, smoothness, contacts, laps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy import stats
+
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.types import Floats
+from sensorgraph.world.drive import STANDSTILL, Clearance, ExecutedDrive
+from sensorgraph.world.robot import Robot
+
+WALL_SIGMA = 0.002
+"""[m] what the walls of a graph, and tables of the distance to them, are off by beside the noise of the drives."""
+SAMPLE_STEP = 0.1
+"""[s] between the samples of a drive that are measured."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignTask:
+    """The behaviour asked for."""
+
+    wall_distance: float
+    """[m] from the centre of the robot to the nearest wall; the wall is on its right."""
+    speed: float
+    """[m/s]"""
+    smoothness: float = 1.0
+    """[rad/s^2] largest root mean square of the change of the commanded turn rate."""
+    duration: float = 90.0
+    """[s] of a drive that is predicted."""
+
+    def check(self, robot: Robot) -> None:
+        """Refuse what the robot cannot do.
+
+        Raises
+        ------
+        SensorgraphError : a number is out of the robot's range
+        """
+        limits = (
+            ("wall distance", self.wall_distance, robot.footprint_radius, 2.0, "m"),
+            ("speed", self.speed, 0.0, robot.limits.v, "m/s"),
+            ("smoothness", self.smoothness, 0.0, np.inf, "rad/s^2"),
+            ("duration", self.duration, 1.0, 3600.0, "s"),
+        )
+        for name, value, low, high, unit in limits:
+            if not low < value <= high:
+                raise SensorgraphError(
+                    f"{name} is {value:g} {unit}, expected more than {low:g} and at most {high:g} for {robot.name}"
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveQuantities:
+    """One drive in numbers."""
+
+    wall_distance_m: float
+    """Mean."""
+    wall_distance_5_m: float
+    """5 % quantile over time."""
+    wall_distance_95_m: float
+    speed_m_s: float
+    turn_change_rad_s2: float
+    """Root mean square of the change of the commanded turn rate."""
+    contacts: float
+    lap_s: float
+    """[s] of one turn around the middle of the floor; nan where the drive did not come round."""
+
+
+def quantities(drive: ExecutedDrive, clearance: Clearance, middle: Floats, period: float) -> DriveQuantities:
+    """Measure a drive against walls; `middle` (2,) [m] is what laps go around, `period` [s] that of the scans."""
+    end = float(drive.stamps[-1]) - STANDSTILL  # then it is told to stand
+    t = np.arange(0.0, end, SAMPLE_STEP)
+    poses = drive.at(t)
+    distance = np.array([clearance(x, y) for x, y in poses[:, :2]])
+    moved = np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()
+    angle = np.unwrap(np.arctan2(*(poses[:, :2] - middle).T[::-1]))
+    turned = abs(float(angle[-1] - angle[0]))
+    every = max(1, round(period / float(np.diff(drive.cmd_stamps[:2])[0])))
+    change = np.diff(drive.commands[drive.cmd_stamps <= end][::every, 1]) / period
+    low, high = np.quantile(distance, [0.05, 0.95])
+    return DriveQuantities(
+        wall_distance_m=float(distance.mean()),
+        wall_distance_5_m=float(low),
+        wall_distance_95_m=float(high),
+        speed_m_s=float(moved / max(t[-1] - t[0], 1e-9)),
+        turn_change_rad_s2=float(np.sqrt(np.mean(change**2))),
+        contacts=float(drive.contacts),
+        lap_s=float(2 * np.pi * (t[-1] - t[0]) / turned) if turned >= 2 * np.pi else float("nan"),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interval:
+    """What a quantity will be in the next drive."""
+
+    mean: float
+    low: float
+    high: float
+    """95 % prediction interval over drives (Student's t)."""
+
+    def holds(self, value: float) -> bool:
+        """Tell whether a value lies within; one that is not known lies in what is not known."""
+        if np.isnan(self.mean) or np.isnan(value):
+            return bool(np.isnan(self.mean) and np.isnan(value))
+        return self.low - 1e-9 <= value <= self.high + 1e-9
+
+
+def predicted(drives: Sequence[DriveQuantities]) -> dict[str, Interval]:
+    """Return the prediction interval of every quantity from drives of the same kind."""
+    out = {}
+    for field in fields(DriveQuantities):
+        values = np.array([getattr(drive, field.name) for drive in drives])
+        n, mean = len(values), float(values.mean())
+        if n < 2:
+            out[field.name] = Interval(mean=mean, low=np.nan, high=np.nan)
+            continue
+        sigma = np.hypot(values.std(ddof=1), WALL_SIGMA if field.name.startswith("wall_distance") else 0.0)
+        half = float(stats.t.ppf(0.975, n - 1) * sigma * np.sqrt(1 + 1 / n))
+        out[field.name] = Interval(mean=mean, low=mean - half, high=mean + half)
+    return out
