@@ -1,0 +1,244 @@
+"""Each tuned number of the diagnosis, halved and doubled: which answers change.
+
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.sensitivity [--only selection,motion.EvidenceSettings]
+
+A few short runs of `benchmarks.hidden_effects` (development seeds) are diagnosed with the settings as they are, and
+again with one setting at a time times 0.5 and times 2. An answer is the set of names with their places, and whether
+something unknown is said. A setting that moves no answer is counted; one that moves any is listed with what it moved.
+
+Counts are rounded and at least 1; shares and probabilities keep below 1 (twice 0.7 becomes 0.85, half the way to 1).
+Each variant is a process of its own, begun before anything that a setting decides is imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import multiprocessing
+import os
+import re
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from benchmarks.hidden_effects.cases import CaseSpec, make_case
+from logs import Run
+from planners.maps import geojson
+from sensorgraph.diagnosis.motion import settings as motion
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.world.robot import parse_robot
+
+FACTORS = (0.5, 2.0)
+SHARE = re.compile("share|probability|chance|correlation|confidence|matching|cosine|dropout|absorber")
+"""Names of numbers that are below 1 by their nature."""
+NOT_OF_ANSWERS = {"held_out", "observability", "site"}
+"""Groups that decide on the gap, on what a run could show, and on runs against a commissioning run."""
+TIME_LIMIT = 120.0
+"""[s] of one variant."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hidden:
+    """A case by what is hidden in it."""
+
+    suite: str
+    effect: str = ""
+    strength: float = 0.35
+    """Of a single effect: weak ones are the first to go."""
+    background: str = "dirty"
+    index: int = 5
+    duration: float = 30.0
+    """[s] of the run that is used."""
+
+    @property
+    def label(self) -> str:
+        """What a table calls it."""
+        return self.effect or f"nothing, {self.background}"
+
+    def make(self, channel: str) -> tuple[Run, str, str]:
+        """Return run, arena and robot file, with what a channel needs."""
+        spec = CaseSpec(
+            suite=self.suite,
+            stream="dev",
+            index=self.index,
+            background=self.background,
+            effect=self.effect or None,
+            strength=self.strength if self.suite == "singles" else None,
+        )
+        run, _, arena, robot, _ = make_case(spec)
+        kept = run.stamps < run.stamps[0] + self.duration
+        run = replace(run, stamps=run.stamps[kept], ranges=run.ranges[kept])
+        if channel == "scan":  # what the motion channels take would be measured in vain
+            unused = ("odom_stamps", "odometry", "odom_twists", "cmd_stamps", "commands")
+            run = replace(run, **{name: getattr(run, name)[:0] for name in unused})
+        return run, arena, robot
+
+
+SCAN_CASES = (
+    Hidden(suite="none", index=2),
+    Hidden(suite="singles", effect="range_bias"),
+    Hidden(suite="singles", effect="unmapped_obstacle"),
+    Hidden(suite="foreign", effect="bias_jump"),
+)
+MOTION_CASES = (
+    Hidden(suite="none", index=2),
+    Hidden(suite="singles", effect="wheel_base", strength=0.5),
+    Hidden(suite="singles", effect="wheel_slip", strength=0.6),
+    Hidden(suite="singles", effect="dead_time"),
+    Hidden(suite="foreign", effect="battery_sag"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """One number: the group that holds it, and its name there."""
+
+    channel: str
+    group: Any
+    name: str
+
+    @property
+    def label(self) -> str:
+        """What a table calls it."""
+        return f"{self.channel}.{type(self.group).__name__}.{self.name}"
+
+    @property
+    def value(self) -> Any:
+        """As it stands."""
+        return getattr(self.group, self.name)
+
+
+def settings_of(channel: str, group: Any) -> Iterator[Setting]:
+    """Yield the numbers of a settings object, of its groups too."""
+    for one in fields(group):
+        value = getattr(group, one.name)
+        if is_dataclass(value) and not isinstance(value, type):
+            if one.name not in NOT_OF_ANSWERS:
+                yield from settings_of(channel, value)
+        elif scaled(one.name, value, 2.0) is not None:
+            yield Setting(channel=channel, group=group, name=one.name)
+
+
+def scaled(name: str, value: Any, factor: float) -> Any:
+    """Return a number, or each number of a tuple or mapping, times a factor; None for what is no number."""
+    if isinstance(value, bool) or value is None or isinstance(value, str):
+        return None
+    if isinstance(value, int):
+        return max(1, round(value * factor))
+    if isinstance(value, float):
+        if SHARE.search(name) and value < 1.0 <= value * factor:
+            return (1.0 + value) / 2
+        return value * factor
+    if isinstance(value, tuple):
+        parts = [scaled(name, part, factor) for part in value]
+        return None if any(part is None for part in parts) else tuple(parts)
+    if isinstance(value, Mapping):
+        return {key: scaled(name, part, factor) for key, part in value.items()}
+    return None
+
+
+def answers(channel: str, cases: list[tuple[Run, str, str]]) -> list[str]:
+    """Return what is said of each case; imports only now, so that settings hold for what is decided on import."""
+    from sensorgraph.diagnosis.diagnose import diagnose, diagnose_motion
+
+    out = []
+    for run, arena, file in cases:
+        robot = parse_robot(file)
+        if channel == "scan":
+            scan = diagnose(
+                run, geojson.loads(arena), robot, threshold=SCAN.selection.threshold, plan_next=False
+            ).channels["scan"]
+            results = [scan]
+        else:
+            results = list(diagnose_motion(run, robot, (), 0))
+        names = sorted(a.name + (f" {a.place}" if a.place else "") for r in results for a in r.effects)
+        doubt = ["unknown"] if any(r.unknown for r in results) else []
+        out.append(", ".join([*names, *doubt]) or "silent")
+    return out
+
+
+def in_process(
+    channel: str, cases: list[tuple[Run, str, str]], setting: Setting | None, factor: float = 1.0
+) -> list[str] | str:
+    """Return the answers of a process in which one setting differs, or what went wrong there."""
+    here, there = multiprocessing.get_context("fork").Pipe(duplex=False)
+    child = multiprocessing.get_context("fork").Process(
+        target=_answer, args=(there, channel, cases, setting, factor)
+    )
+    child.start()
+    there.close()
+    try:
+        got = here.recv() if here.poll(TIME_LIMIT) else f"longer than {TIME_LIMIT:.0f} s"
+    except EOFError:
+        got = "no answer"
+    child.kill()
+    child.join()
+    return got  # type: ignore[no-any-return]
+
+
+def _answer(
+    to: Connection, channel: str, cases: list[tuple[Run, str, str]], setting: Setting | None, factor: float
+) -> None:
+    logging.disable(logging.ERROR)
+    if setting is not None:
+        object.__setattr__(setting.group, setting.name, scaled(setting.name, setting.value, factor))
+    try:
+        to.send(answers(channel, cases))
+    except Exception as exc:
+        to.send(f"{type(exc).__name__}: {exc}")
+
+
+def main() -> None:
+    """Print what moves."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", default="", help="parts of the names of settings, comma-separated")
+    options = parser.parse_args()
+    wanted = [part for part in options.only.split(",") if part]
+    parts = {
+        "motion": (
+            MOTION_CASES,
+            [s for g in (motion.EVIDENCE, motion.ODOMETRY, motion.DRIVE) for s in settings_of("motion", g)],
+        ),
+        "scan": (SCAN_CASES, list(settings_of("scan", SCAN))),
+    }
+    for channel, (hidden, settings) in parts.items():
+        settings = [s for s in settings if not wanted or any(part in s.label for part in wanted)]
+        if not settings:
+            continue
+        cases = [one.make(channel) for one in hidden]
+        begin = time.perf_counter(), os.times().children_user
+        usual = in_process(channel, cases, None)
+        if isinstance(usual, str):
+            raise SystemExit(f"{channel}: {usual}")
+        took, cpu = time.perf_counter() - begin[0], os.times().children_user - begin[1]
+        print(
+            f"{channel}: {len(settings)} settings, {len(cases)} cases, {took:.0f} s ({cpu:.1f} of CPU) a variant",
+            flush=True,
+        )
+        for one, said in zip(hidden, usual, strict=True):
+            print(f"  {one.label}: {said}", flush=True)
+        still, moved = 0, np.zeros(len(cases), dtype=np.intp)
+        for setting in settings:
+            lines = []
+            for factor in FACTORS:
+                got = in_process(channel, cases, setting, factor)
+                if isinstance(got, str):
+                    lines.append(f"x {factor:g}: {got}")
+                    continue
+                changed = [k for k in range(len(cases)) if got[k] != usual[k]]
+                moved[changed] += 1
+                lines += [f"x {factor:g}: {hidden[k].label} -> {got[k]}" for k in changed]
+            still += not lines
+            for line in lines:
+                print(f"  {setting.label} = {setting.value}, {line}", flush=True)
+        print(f"{channel}: {still} of {len(settings)} settings move no answer", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,25 @@
+"""benchmarks/sensitivity: every number is varied, by itself, and stays what it is by nature."""
+
+from __future__ import annotations
+
+from benchmarks.sensitivity import in_process, scaled, settings_of
+from sensorgraph.diagnosis.scan.settings import SCAN
+
+
+def test_a_number_keeps_its_nature() -> None:
+    assert scaled("min_rays", 3, 0.5) == 2 and scaled("min_rays", 1, 0.5) == 1
+    assert scaled("min_share", 0.7, 2.0) == 0.85 and scaled("threshold", 12.0, 2.0) == 24.0
+    assert scaled("core", (0.75, 1.15), 2.0) == (1.5, 2.3) and scaled("min_z", {"bias": 4.5}, 2.0) == {
+        "bias": 9.0
+    }
+    assert scaled("name", "text", 2.0) is None and scaled("is_on", True, 2.0) is None
+
+
+def test_a_variant_leaves_no_trace() -> None:
+    """Each setting of the scan channel has a label of its own; one varied in a process of its own stays as it is here."""
+    settings = list(settings_of("scan", SCAN))
+    labels = [one.label for one in settings]
+    assert len(set(labels)) == len(labels) > 100 and "scan.SelectionSettings.threshold" in labels
+    before = SCAN.selection.threshold
+    (threshold,) = (one for one in settings if one.label == "scan.SelectionSettings.threshold")
+    assert in_process("scan", [], threshold, 2.0) == [] and SCAN.selection.threshold == before
