@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from benchmarks.identibench_model import build_model
 from robotmodic_ident import (
     AutoSettings,
+    IdentError,
     Narmax,
     Record,
     Terms,
@@ -98,6 +99,17 @@ def test_terms_are_found_by_the_simulation_error_where_regression_adds_others() 
     start = fit(data, "y", linear, n_terms=len(linear), search="forward")
     path = FreeRunTerms([Record(signals=data)], candidates).path(start)
     assert {frozenset(t) for t in path[4].model.terms} == {frozenset(t) for t in Terms.parse(*TRUTH)}
+
+
+def test_a_start_that_diverges_is_led_back_over_short_stretches() -> None:
+    data, terms = duffing(1500, 11, sigma=0.1), Terms.parse(*TRUTH)
+    good = fit(data, "y", terms, n_terms=4, search="forward")
+    unstable = replace(good, theta=np.array([{"y(k-1)^3": 0.3}.get(n, t) for n, t in found(good).items()]))
+    with pytest.raises(IdentError, match="diverge"):
+        FreeRunLeastSquares(unstable.recursion(), [Record(signals=data)]).minimise(unstable.theta)
+    path = FreeRunTerms([Record(signals=data)], terms).path(unstable)
+    for name, theta in found(path[4].model).items():
+        assert theta == pytest.approx(TRUTH[name], abs=0.02), name
 
 
 def test_a_limit_is_seen_in_the_data_and_held_in_prediction() -> None:

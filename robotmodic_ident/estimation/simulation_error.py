@@ -36,7 +36,8 @@ class FreeRunLeastSquares:
         self.recursion = recursion
         self.segments: list[Segment] = [s for record in records for s in recursion.segments(record)]
         back = recursion.look_back if recursion.feeds_back else 0
-        runs = [recursion.run(s, free=True)[0] for s in self.segments]
+        zero = np.zeros_like(recursion.theta)  # tells where there are predictions; none of them diverges
+        runs = [recursion.run(s, free=True, theta=zero)[0] for s in self.segments]
         starts = [
             back > 0
             and len(out) > 2 * back
@@ -119,6 +120,11 @@ class FreeRunLeastSquares:
         """Return Gram (n_parameters, n_parameters) and cross products (n_parameters,) of one Gauss-Newton step.
 
         The initial outputs are eliminated. Gradients are held a block of samples at a time.
+
+        Raises
+        ------
+        IdentError
+            if the gradients diverge
         """
         m, back, place = len(theta), self.back, 0
         gram, cross = np.zeros((m, m)), np.zeros(m)
@@ -130,7 +136,8 @@ class FreeRunLeastSquares:
             ):
                 use = rows[part] & np.isfinite(out)
                 J = np.column_stack([slopes[use], (segment.measured[part] - out)[use]])
-                whole += J.T @ J
+                with np.errstate(over="ignore", invalid="ignore"):
+                    whole += J.T @ J
             if is_estimated:
                 rest = segment.measured[:back] - start
                 whole[m : m + back, m : m + back] += np.eye(back)
@@ -138,11 +145,17 @@ class FreeRunLeastSquares:
                 whole[-1, m : m + back] += rest
                 inner = whole[m : m + back, m : m + back]
                 keep = np.r_[:m, m + back]
-                side = whole[keep, m : m + back]
-                whole = whole[np.ix_(keep, keep)] - side @ np.linalg.solve(inner, side.T)
+                if not np.isfinite(whole).all():
+                    raise IdentError("the gradients of the model diverge on these records")
+                size = np.sqrt(np.diagonal(inner))
+                side = whole[keep, m : m + back] / size
+                inverse = np.linalg.pinv(inner / np.outer(size, size), hermitian=True)
+                whole = whole[np.ix_(keep, keep)] - side @ inverse @ side.T
                 place += back
             gram += whole[:m, :m]
             cross += whole[:m, -1]
+        if not (np.isfinite(gram).all() and np.isfinite(cross).all()):
+            raise IdentError("the gradients of the model diverge on these records")
         return gram, cross + gram @ theta
 
 

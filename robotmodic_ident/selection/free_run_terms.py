@@ -17,7 +17,7 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimation.prediction_error import LevenbergMarquardt
 from robotmodic_ident.estimation.simulation_error import FreeRunLeastSquares
 from robotmodic_ident.model import Narmax, among
-from robotmodic_ident.records import Record
+from robotmodic_ident.records import Record, blocks
 from robotmodic_ident.selection.forward import DEPENDENCE_TOLERANCE
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
@@ -26,6 +26,9 @@ TRIAL = LevenbergMarquardt(max_steps=5, converged=1e-2)
 """The descent that tells which of the promising terms is best."""
 SHORT_DESCENT = LevenbergMarquardt(max_steps=20, converged=1e-3)
 """The descent of a model on the way; the one that is kept is brought to rest."""
+
+SHOOTING_LENGTHS = (3, 10, 30, 100, 300, 1000)
+"""[samples] of the stretches that are run free where the whole diverges."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +80,7 @@ class FreeRunTerms:
         IdentError
             if `start` diverges in free run
         """
-        now = self.minimised(start, start.parameters, SHORT_DESCENT)
+        now = self._started(start)
         best: dict[int, Simulated] = {}
         now, idle = self._pruned(now, best), 0
         while len(now.model.terms) < self.settings.max_terms and idle < self.settings.patience:
@@ -89,6 +92,28 @@ class FreeRunTerms:
             idle = idle + 1 if before - now.rss < self.settings.min_gain * before else 0
         return best
 
+    def _started(self, start: Narmax) -> Simulated:
+        """Descend from `start`; where it diverges, first over short stretches, then over longer ones.
+
+        That is multiple shooting (Bock 1983) with measured states at every start, lengthened until one is enough.
+        """
+        try:
+            return self.minimised(start, start.parameters, SHORT_DESCENT)
+        except IdentError:
+            theta = start.parameters
+        for length in SHOOTING_LENGTHS:
+            pieces = [
+                piece
+                for record in self.records
+                for piece in blocks(record, max(1, len(record) // (length + self.terms.max_lag)))
+            ]
+            try:
+                short = FreeRunLeastSquares(start.recursion(), pieces)
+                theta = short.minimise(theta, SHORT_DESCENT)[0].theta
+            except IdentError:  # too long already; the whole is tried from where this came
+                break
+        return self.minimised(start, theta, SHORT_DESCENT)
+
     def minimised(self, model: Narmax, theta: Floats, settings: LevenbergMarquardt) -> Simulated:
         """Descend from coefficients theta (n_terms,)."""
         result, initial = self._error(model).minimise(theta, settings)
@@ -99,7 +124,10 @@ class FreeRunTerms:
 
     def _grown(self, now: Simulated) -> Simulated | None:
         """Return the model with the term more that lowers its simulation error most; None: there is none."""
-        gain = self._gains(now)
+        try:
+            gain = self._gains(now)
+        except IdentError:
+            return None
         tried = []
         for j in np.argsort(-gain, kind="stable")[: self.settings.trials].tolist():
             if gain[j] <= 0.0:
@@ -135,9 +163,9 @@ class FreeRunTerms:
 
     def _shrunk(self, now: Simulated) -> Simulated | None:
         """Return the model without its least useful term; None if it diverges."""
-        i = self._least_useful(now)
-        smaller = among(now.model, now.model.terms[[j for j in range(len(now.model.terms)) if j != i]])
         try:
+            i = self._least_useful(now)
+            smaller = among(now.model, now.model.terms[[j for j in range(len(now.model.terms)) if j != i]])
             return self.minimised(smaller, smaller.theta, SHORT_DESCENT)
         except IdentError:
             return None
