@@ -155,3 +155,14 @@ def test_identibench_gets_a_predictor_of_its_shapes() -> None:
     predicted = build_model(Context(), FEW)(fresh["u"][:, None], fresh["y"][:50, None], {})
     assert predicted.shape == (300, 1)
     assert np.sqrt(np.mean((predicted[50:, 0] - fresh["y"][50:]) ** 2)) < 0.05 * np.std(fresh["y"])
+
+
+def test_short_constant_and_tiny_records_end_in_a_model_or_in_one_line() -> None:
+    data = duffing(40, 12, sigma=0.05)
+    for record in (data, {"u": data["u"], "y": np.ones(40)}, {"u": data["u"][:9], "y": data["y"][:9]}):
+        try:
+            result = auto_fit({"u": record["u"], "y": record["y"]}, "y", ["u"], settings=FEW)
+        except IdentError as exc:
+            assert str(exc)
+        else:
+            assert np.isfinite(result.model.theta).all()

@@ -35,7 +35,7 @@ class FreeRunLeastSquares:
         recursion.look_back = max(recursion.look_back, look_back)
         self.recursion = recursion
         self.segments: list[Segment] = [s for record in records for s in recursion.segments(record)]
-        back = recursion.look_back if recursion.feeds_back else 0
+        back = recursion.look_back
         zero = np.zeros_like(recursion.theta)  # tells where there are predictions; none of them diverges
         runs = [recursion.run(s, free=True, theta=zero)[0] for s in self.segments]
         starts = [

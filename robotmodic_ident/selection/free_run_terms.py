@@ -200,5 +200,9 @@ class FreeRunTerms:
     def _normalised(self, now: Simulated, model: Narmax) -> tuple[Floats, Floats]:
         """Return the normal equations of a model for columns of unit norm."""
         gram, cross = self._error(model).normal_equations(model.theta, now.initial)
-        size = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
-        return gram / np.outer(size, size), cross / size
+        size = np.sqrt(np.diagonal(gram))
+        size = np.where(size > 0, size, 1.0)
+        gram, cross = gram / size / size[:, None], cross / size
+        if not (np.isfinite(gram).all() and np.isfinite(cross).all()):
+            raise IdentError("the gradients of the model diverge on these records")
+        return gram, cross

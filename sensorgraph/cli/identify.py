@@ -184,7 +184,9 @@ def _notes(notes: Sequence[str]) -> list[str]:
 def _doubt_of_stderr(found: IdentifiedSignal) -> list[str]:
     """Say so if the residual is correlated, so that the standard errors are too small."""
     p_value = next((t["p_value"] for t in found.validation if t["test"] == "e-e"), 1.0)
-    if p_value >= MIN_P_VALUE:
+    if (
+        p_value >= MIN_P_VALUE or found.question.auto
+    ):  # whose errors are those of a correlated residual already
         return []
     hint = "try --noise-lags auto" if not found.question.noise_lags else "more terms or lags may be missing"
     return [f"what is left is correlated (e-e): the standard errors are too small; {hint}"]
