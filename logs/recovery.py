@@ -12,10 +12,13 @@ from logs.formats.mcap_file import CHUNK_SIZE, open_bytes
 from logs.mcap.records import MAGIC, Channel, Contents, Loss
 from logs.mcap.walk import RecordWalk
 from logs.ros.cdr import MESSAGE_FIELDS
-from logs.ros.definitions import definition
+from logs.ros.definitions import definition, quality
 from logs.ros.own_record import METADATA_NAME, is_intact
 from logs.types import Progress
+from logs.yaml_text import parse_yaml
 
+QUALITY, POLICIES = "offered_qos_profiles", ("history", "reliability", "durability")
+"""Key of a channel's metadata, and what each profile in it says by a word or a small number."""
 OTHER_FORMATS = (
     (
         b"SQLite format 3\x00",
@@ -156,7 +159,24 @@ def _read_contents(data: bytes | mmap) -> Contents:
         for key, schema in known.schemas.items():
             if schema.name in MESSAGE_FIELDS and schema.encoding == "ros2msg":
                 known.schemas[key] = replace(schema, data=definition(schema.name))
+        for key, channel in known.channels.items():
+            if not _is_quality(channel.metadata.get(QUALITY, "[]")):
+                own = channel.metadata | {QUALITY: quality(channel.topic)}
+                known.channels[key] = replace(channel, metadata=own)
     return known
+
+
+def _is_quality(text: str) -> bool:
+    """Tell whether readers can read it as the quality of service of a channel's publishers."""
+    try:
+        profiles = parse_yaml(text)
+    except ValueError:
+        return False
+    return isinstance(profiles, list) and all(
+        isinstance(one, dict)
+        and all(isinstance(one.get(name), str) or one.get(name) in range(6) for name in POLICIES)
+        for one in profiles
+    )
 
 
 def _check(path: Path, out: Path) -> None:

@@ -148,6 +148,18 @@ def test_any_record_whose_kind_changed_is_noticed(whole: bytes, tmp_path: Path, 
         assert assert_part_of_original(out) >= N_SCANS // 2
 
 
+@pytest.mark.parametrize(
+    "change", [(b"history: 1", b"history: 7"), (b"- history", b"} history"), (b"- history", b"- his:ory")]
+)
+def test_a_damaged_quality_of_service_is_restored(
+    change: tuple[bytes, bytes], whole: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "bad.mcap").write_bytes(whole[:-100].replace(*change))
+    recover(tmp_path / "bad.mcap", tmp_path / "out.mcap")
+    opens_elsewhere(tmp_path / "out.mcap")
+    assert change[0] in (tmp_path / "out.mcap").read_bytes()
+
+
 def test_sensor_facts_that_changed_are_left_out_and_said(whole: bytes, tmp_path: Path) -> None:
     at = whole.index(repr(ORIGINAL.sensor.sigma).encode())
     data = whole[:at] + b"9" + whole[at + 1 :]
