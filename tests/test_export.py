@@ -183,9 +183,16 @@ def test_effects_are_in_the_world_or_in_its_laser(world: ExportedWorld, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("target", "drive"), [("mujoco", "diff"), ("mujoco", "reeds_shepp"), ("irsim", "diff")]
+    ("name", "target", "drive"),
+    [
+        ("actuator_lag", "irsim", "diff"),
+        ("wheel_slip", "mujoco", "diff"),
+        pytest.param("wheel_slip", "irsim", "diff", marks=pytest.mark.slow),
+        pytest.param("wheel_slip", "mujoco", "reeds_shepp", marks=pytest.mark.slow),
+        pytest.param("actuator_lag", "mujoco", "diff", marks=pytest.mark.slow),
+        pytest.param("actuator_lag", "mujoco", "reeds_shepp", marks=pytest.mark.slow),
+    ],
 )
-@pytest.mark.parametrize("name", ["actuator_lag", "wheel_slip"])
 def test_an_exported_effect_of_motors_and_wheels_is_found_again(
     name: str, target: str, drive: str, square_tour: Trajectory, tmp_path: Path
 ) -> None:

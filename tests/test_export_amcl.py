@@ -61,8 +61,7 @@ def noisy_run(
     )  # fmt: skip
 
 
-def test_amcl_finds_the_planted_noise_of_odometry_and_laser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sensorgraph.exporting.amcl.MAX_GAP", 1.0)
+def test_amcl_finds_the_planted_noise_of_odometry_and_laser() -> None:
     alphas, mixture = (0.01, 0.004, 0.02, 0.002), (0.0, 0.06, 0.04)
     arena = load_arena("square")
     found = estimate_amcl(noisy_run(alphas, mixture), arena, occupancy_map(arena))
@@ -77,11 +76,8 @@ def test_amcl_finds_the_planted_noise_of_odometry_and_laser(monkeypatch: pytest.
     assert found["laser_max_range"].value == ROBOT.sensor.range_max
 
 
-def test_noise_of_the_reference_on_short_ways_is_no_noise_of_the_wheels(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_noise_of_the_reference_on_short_ways_is_no_noise_of_the_wheels() -> None:
     """The direction of a short way is noise: the two turns are wrong by the same, and cancel."""
-    monkeypatch.setattr("sensorgraph.exporting.amcl.MAX_GAP", 1.0)
     alphas = (0.01, 0.004, 0.02, 0.002)
     run = noisy_run(alphas, (0.0, 0.0, 0.0), way=(0.02, 0.06))
     noise = np.random.default_rng(1).normal(size=run.poses.shape) * [0.005, 0.005, 0.001]

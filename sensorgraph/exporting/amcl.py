@@ -34,8 +34,9 @@ MIN_D, MIN_A = 0.25, 0.2
 """[m], [rad] between two updates of AMCL (update_min_d, update_min_a)."""
 MIN_STEPS = 40
 """Steps of the odometry that its noise can be told from."""
-MAX_GAP = 0.2
-"""[s] to the next pose of the reference."""
+MAX_POSE_DISTANCE = 0.11
+"""[s] to the nearest pose of the reference: half the period of a laser of 5 Hz that was located by its scans."""
+MOTION_NAMES = ("alpha1", "alpha2", "alpha3", "alpha4")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +150,6 @@ def _motion_noise(run: Run) -> dict[str, BootstrapEstimate]:
     steps = _steps(run)
     if len(steps) < MIN_STEPS:
         return {}
-    names = ("alpha1", "alpha2", "alpha3", "alpha4")
     every = _fit_alphas(steps)
     block = np.arange(len(steps)) * N_BLOCKS // len(steps)
     rng = np.random.default_rng(0)
@@ -160,7 +160,7 @@ def _motion_noise(run: Run) -> dict[str, BootstrapEstimate]:
     low, high = np.percentile(draws, [2.5, 97.5], axis=0)
     return {
         name: BootstrapEstimate(value=float(every[i]), low=float(low[i]), high=float(high[i]))
-        for i, name in enumerate(names)
+        for i, name in enumerate(MOTION_NAMES)
     }
 
 
@@ -171,7 +171,8 @@ def _steps(run: Run) -> Floats:
     stamps, odometry = run.odom_stamps, run.odometry
     after = np.searchsorted(run.pose_stamps, stamps).clip(1, len(run.pose_stamps) - 1)
     known = (stamps >= run.pose_stamps[0]) & (stamps <= run.pose_stamps[-1])
-    known &= run.pose_stamps[after] - run.pose_stamps[after - 1] <= MAX_GAP
+    nearest = np.minimum(run.pose_stamps[after] - stamps, stamps - run.pose_stamps[after - 1])
+    known &= nearest <= MAX_POSE_DISTANCE
     phi = np.unwrap(run.poses[:, 2])
     truth = np.column_stack(
         [np.interp(stamps, run.pose_stamps, part) for part in (run.poses[:, 0], run.poses[:, 1], phi)]

@@ -10,7 +10,7 @@ import shapely
 
 from logs.run import OccupancyMap, Run
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.exporting.amcl import DEFAULTS, BootstrapEstimate, estimate_amcl
+from sensorgraph.exporting.amcl import DEFAULTS, MOTION_NAMES, BootstrapEstimate, estimate_amcl
 from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.types import Floats
 from sensorgraph.world.simulate import occupancy_map
@@ -87,7 +87,12 @@ def amcl_yaml(estimates: Mapping[str, BootstrapEstimate], world: ExportedWorld) 
     for name, default in DEFAULTS.items():
         found = estimates.get(name)
         if found is None:
-            lines.append(f"{name}: {default:g}  # Nav2's default")
+            why = (
+                "; the run has too few steps of odometry beside poses"
+                if estimates and name in MOTION_NAMES
+                else ""
+            )
+            lines.append(f"{name}: {default:g}  # Nav2's default{why}")
         elif found.low <= default <= found.high:
             lines.append(f"{name}: {default:g}  # Nav2's default; the run says {found}")
         else:
