@@ -113,9 +113,8 @@ class Recorder:
         if exc is None:
             self.close()
             return
-        name = self.path.name.removesuffix(".mcap") + ".interrupted.mcap"
         self._file.describe(f"{METADATA_NAME}.interrupted", {"reason": f"{type(exc).__name__}: {exc}"})
-        kept = self._file.finish(self.path.with_name(name))
+        kept = self._file.finish(interrupted=True)
         logger.warning("the recording was interrupted; what was written is in %s", kept)
 
     def _ns(self, stamp: float) -> Stamps:

@@ -12,13 +12,13 @@ from logs.formats.mcap_file import CHUNK_SIZE, open_bytes
 from logs.mcap.records import MAGIC, Channel, Contents, Loss
 from logs.mcap.walk import RecordWalk
 from logs.ros.cdr import MESSAGE_FIELDS
-from logs.ros.definitions import definition, quality
+from logs.ros.definitions import QUALITY, definition, quality
 from logs.ros.own_record import METADATA_NAME, is_intact
 from logs.types import Progress
 from logs.yaml_text import parse_yaml
 
-QUALITY, POLICIES = "offered_qos_profiles", ("history", "reliability", "durability")
-"""Key of a channel's metadata, and what each profile in it says by a word or a small number."""
+POLICIES = ("history", "reliability", "durability")
+"""What a profile of a channel's quality of service says by a word or a small number."""
 OTHER_FORMATS = (
     (
         b"SQLite format 3\x00",

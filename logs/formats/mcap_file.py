@@ -18,7 +18,7 @@ from logs.errors import LogError
 from logs.mcap.records import MAGIC, Contents, Loss
 from logs.mcap.walk import RecordWalk
 from logs.ros import cdr
-from logs.ros.definitions import definition, quality
+from logs.ros.definitions import QUALITY, definition, quality
 from logs.ros.interpret import to_run
 from logs.ros.messages import (
     GRID_TYPE,
@@ -91,7 +91,7 @@ class RosFile:
         if topic not in self._channels:
             if msgtype not in self._schemas:
                 self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", definition(msgtype))
-            metadata = {"offered_qos_profiles": quality(topic)}
+            metadata = {QUALITY: quality(topic)}
             self._channels[topic] = self._writer.register_channel(
                 topic, "cdr", self._schemas[msgtype], metadata
             )
@@ -113,8 +113,8 @@ class RosFile:
         media_type = MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
         self._writer.add_attachment(0, ns, name, media_type, data)
 
-    def finish(self, path: Path | None = None) -> Path:
-        """Write the index and give the file its name (or another).
+    def finish(self, *, interrupted: bool = False) -> Path:
+        """Write the index and give the file its name, or `NAME.interrupted.mcap`.
 
         Raises
         ------
@@ -123,7 +123,8 @@ class RosFile:
         """
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.close()
-        return self.part.replace(path or self.path)
+        kept = self.path.with_name(self.path.name.removesuffix(".mcap") + ".interrupted.mcap")
+        return self.part.replace(kept if interrupted else self.path)
 
     def abandon(self) -> None:
         """Remove what was begun."""

@@ -192,7 +192,7 @@ class LiveRecording:
         elif self.n_scans == 0:
             self._file.abandon()
         else:
-            self._file.finish(self.path.with_name(self.path.name.removesuffix(".mcap") + ".interrupted.mcap"))
+            self._file.finish(interrupted=True)
 
     def _waiting(self) -> Iterator[LiveMessage | PublishedTopic]:
         while (item := self.network.next(0.0)) is not None:

@@ -27,6 +27,10 @@ def definition(msgtype: str) -> bytes:
     return text.encode()
 
 
+QUALITY = "offered_qos_profiles"
+"""Key of a channel's metadata."""
+
+
 def quality(topic: str) -> str:
     """Return `offered_qos_profiles` with integer policies, as rosbag2 reads them without its own metadata.
 

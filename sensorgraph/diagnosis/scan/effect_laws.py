@@ -178,7 +178,7 @@ def _standing_share(view: FitResiduals, short: Bools) -> float:
         comes = other[:, None] & (along > 0) & (np.abs(across) < settings.standing_reach) & view.returned
         ends_there = comes & (np.abs(z - along) < 2 * settings.standing_reach)
         ended += int(ends_there.sum())
-        reached += int((comes & (z > along)).sum() + (ends_there & (z <= along)).sum())
+        reached += int((ends_there | comes & (z > along)).sum())
     return ended / reached if reached > settings.min_standing_rays else 0.0
 
 
