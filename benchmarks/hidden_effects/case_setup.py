@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.hidden_effects.robot import Errand, RobotSpec, TrueDrive, TrueMotors, drive
+from benchmarks.hidden_effects.drive import Errand, TrueDrive, TrueMotors, drive
+from benchmarks.hidden_effects.robot import RobotSpec
 from benchmarks.hidden_effects.simulated_scan import HiddenEffect, SimulatedScan
 from benchmarks.hidden_effects.strengths import Context
 from benchmarks.hidden_effects.world import Floats, Room, cast, walls_of

@@ -11,10 +11,11 @@ import numpy as np
 
 from benchmarks.hidden_effects import foreign
 from benchmarks.hidden_effects.case_setup import CaseSetup, context_of, draw_background
+from benchmarks.hidden_effects.drive import TrueDrive
 from benchmarks.hidden_effects.marks import channel_of, truth_of
 from benchmarks.hidden_effects.physics import CHANNEL, LIBRARY
 from benchmarks.hidden_effects.recording import record
-from benchmarks.hidden_effects.robot import TrueDrive, draw_base_loop, make_robot
+from benchmarks.hidden_effects.robot import draw_base_loop, make_robot
 from benchmarks.hidden_effects.simulated_scan import HiddenEffect
 from benchmarks.hidden_effects.strengths import Context, draw
 from benchmarks.hidden_effects.world import make_room

@@ -12,9 +12,10 @@ from scipy.signal import lfilter
 
 from benchmarks.hidden_effects import foreign
 from benchmarks.hidden_effects.case_setup import RUN_DURATION, CaseSetup, motors_of, scan_stamps
+from benchmarks.hidden_effects.drive import SIMULATION_STEP, TrueDrive, TrueMotors
 from benchmarks.hidden_effects.physics import CHANNEL, DETERMINISTIC, odometry
 from benchmarks.hidden_effects.recording import reported_poses
-from benchmarks.hidden_effects.robot import COMMAND_PERIOD, SIMULATION_STEP, TrueDrive, TrueMotors
+from benchmarks.hidden_effects.robot import COMMAND_PERIOD
 from benchmarks.hidden_effects.simulated_scan import HiddenEffect, observe
 from benchmarks.hidden_effects.strengths import MATERIALITY, Context, ratio_of
 from benchmarks.hidden_effects.world import Floats

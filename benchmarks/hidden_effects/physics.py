@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.hidden_effects.robot import TrueDrive
+from benchmarks.hidden_effects.drive import TrueDrive
 from benchmarks.hidden_effects.simulated_scan import (
     DETECTION_STAGE,
     FINAL_STAGE,

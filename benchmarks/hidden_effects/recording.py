@@ -9,8 +9,9 @@ import numpy as np
 
 from benchmarks.hidden_effects import foreign
 from benchmarks.hidden_effects.case_setup import RUN_DURATION, CaseSetup, scan_stamps
+from benchmarks.hidden_effects.drive import TrueDrive, wrap
 from benchmarks.hidden_effects.physics import odometry
-from benchmarks.hidden_effects.robot import BaseLoop, RobotSpec, TrueDrive, wrap
+from benchmarks.hidden_effects.robot import BaseLoop, RobotSpec
 from benchmarks.hidden_effects.simulated_scan import HiddenEffect, observe
 from benchmarks.hidden_effects.world import Floats, Room
 from logs import RangeSensor, Run

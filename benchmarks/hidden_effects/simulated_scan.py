@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.hidden_effects.robot import RobotSpec, TrueDrive
+from benchmarks.hidden_effects.drive import TrueDrive
+from benchmarks.hidden_effects.robot import RobotSpec
 from benchmarks.hidden_effects.world import Floats, Room, Walls, cast, disc_range, walls_of
 
 N_SUBRAYS = 31

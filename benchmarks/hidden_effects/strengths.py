@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
+from benchmarks.hidden_effects.drive import TrueDrive, largest_part
 from benchmarks.hidden_effects.people import walkers
-from benchmarks.hidden_effects.robot import RobotSpec, TrueDrive, largest_part
+from benchmarks.hidden_effects.robot import RobotSpec
 from benchmarks.hidden_effects.simulated_scan import HiddenEffect
 from benchmarks.hidden_effects.world import ARENA, Floats, Room, TrueHits
 
