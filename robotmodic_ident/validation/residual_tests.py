@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
+from scipy.special import chdtrc
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimation.prediction_error import NonlinearLeastSquares
@@ -194,7 +194,7 @@ def _judged(
         correlation=score / size,
         bound=Z_95 * root / size,
         statistic=statistic,
-        p_value=float(stats.chi2.sf(statistic, max(int(seen.sum()), 1))),
+        p_value=float(chdtrc(max(int(seen.sum()), 1), statistic)),
         n=n,
     )
 

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import stdtr
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
@@ -157,7 +157,7 @@ def _interval(r: float, n: float) -> tuple[float, float, float]:
         return -1.0, 1.0, 1.0
     z, half = np.arctanh(np.clip(r, -1 + 1e-15, 1 - 1e-15)), 1.96 / np.sqrt(n - 3)
     t = abs(r) * np.sqrt((n - 2) / max(1 - r * r, 1e-300))
-    return float(np.tanh(z - half)), float(np.tanh(z + half)), float(2 * stats.t.sf(t, n - 2))
+    return float(np.tanh(z - half)), float(np.tanh(z + half)), float(2 * stdtr(n - 2, -t))
 
 
 def scores(model: Narmax, records: Records, horizons: Sequence[Horizon] = (1, "free")) -> list[HorizonScore]:

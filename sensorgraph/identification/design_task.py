@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
@@ -118,6 +118,6 @@ def predicted(drives: Sequence[DriveQuantities]) -> dict[str, Interval]:
             out[field.name] = Interval(mean=mean, low=np.nan, high=np.nan)
             continue
         sigma = np.hypot(values.std(ddof=1), WALL_SIGMA if field.name.startswith("wall_distance") else 0.0)
-        half = float(stats.t.ppf(0.975, n - 1) * sigma * np.sqrt(1 + 1 / n))
+        half = float(stdtrit(n - 1, 0.975) * sigma * np.sqrt(1 + 1 / n))
         out[field.name] = Interval(mean=mean, low=mean - half, high=mean + half)
     return out

@@ -13,7 +13,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.narmax.noise import estimate
@@ -157,6 +156,8 @@ class MemoryState:
         shares[0] = False
         source = np.maximum.accumulate(np.where(shares, 0, np.arange(len(uniform))))
         self.uniform = uniform[source]
+        from scipy.signal import lfilter  # 0.3 s to import, for graphs with memory only
+
         rho = float(memory.across[0])
         fresh = normal * np.sqrt(1.0 - rho**2)
         fresh[0] = normal[0]
@@ -254,6 +255,8 @@ def _noise_of(z: Floats, index: Ints) -> tuple[Floats, Floats]:
 
 def _variance(ar: Floats, ma: Floats) -> float:
     """Return the variance of a process with unit innovations, by its impulse response."""
+    from scipy.signal import lfilter  # as above
+
     impulse = np.zeros(2000)
     impulse[0] = 1.0
     return float((lfilter(np.r_[1.0, ma], np.r_[1.0, -ar], impulse) ** 2).sum())
