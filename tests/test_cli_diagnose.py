@@ -171,6 +171,7 @@ def test_an_arena_of_another_scale_is_said_first(
     assert json.loads((tmp_path / "out" / "report.json").read_text())["effects"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pictures")
 def test_an_arena_that_lacks_obstacles_is_said_and_they_are_no_people(tmp_path: Path, folder: Path) -> None:
     arena = json.loads(geojson.dumps(load_arena("square")))
@@ -262,7 +263,9 @@ def finding(folder: Path) -> Finding:
     return diagnose(logs.read(folder / "run.mcap"), load_arena("square"), parse_robot(ROBOT))
 
 
-@pytest.mark.parametrize("where", ["residuals_picture", "next_run_picture"])
+@pytest.mark.parametrize(
+    "where", ["residuals_picture", pytest.param("next_run_picture", marks=pytest.mark.slow)]
+)
 def test_ctrl_c_leaves_the_last_report_as_it_was(
     where: str,
     finding: Finding,

@@ -93,6 +93,7 @@ def test_a_plan_recorded_and_resumed_leaves_little_to_do(
         assert "nothing is left to plan" in said.err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pictures")
 def test_a_battery_makes_a_folder_for_each_run_that_can_be_recorded(tmp_path: Path) -> None:
     out, options = (

@@ -78,6 +78,7 @@ def test_a_floor_that_slopes_is_unknown_by_its_own_look() -> None:
     assert result.unknown.size["speed_m_s"] == pytest.approx(0.03 / np.sqrt(2), rel=0.4)
 
 
+@pytest.mark.slow
 def test_wheels_that_misread_at_speed_are_no_saturation() -> None:
     run = make_run(8)
     v = run.odom_twists[:, 0]

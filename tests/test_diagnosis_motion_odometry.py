@@ -59,7 +59,7 @@ def test_slippery_patch_is_found_where_it_is() -> None:
     assert np.hypot(found["x"] - moving[0], found["y"] - moving[1]) < 0.3  # place, as the issue asks
 
 
-@pytest.mark.parametrize("share", [0.03, 0.07])
+@pytest.mark.parametrize("share", [0.03, pytest.param(0.07, marks=pytest.mark.slow)])
 def test_a_faint_patch_is_no_reason_to_doubt(share: float) -> None:
     spot = make_run(4).poses[600]
     result = diagnose_odometry(make_run(4, slip=(share, spot[0], spot[1], 0.5)), ROBOT)

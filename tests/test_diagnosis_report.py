@@ -234,6 +234,7 @@ def test_a_reference_worse_than_stated_is_said_where_nothing_is_found(
     assert "careful set-up" in " ".join(summarise(silent).details)
 
 
+@pytest.mark.slow
 def test_the_same_finding_gives_the_same_bytes(silent: Finding, tmp_path: Path) -> None:
     for name in ("a", "b"):
         save_report(silent, tmp_path / name)

@@ -392,6 +392,7 @@ def with_box(hall: Arena) -> Arena:
     return polygon_arena(*rings)
 
 
+@pytest.mark.slow
 def test_the_outline_of_a_box_where_a_disc_is_said_doubts_no_other_name(hall: Arena) -> None:
     """A box that the map lacks and a biased laser: both are named, though a disc is not what stands there."""
     run = drive(with_box(hall), (EFFECTS["range_bias"](b=0.03),), n=200)

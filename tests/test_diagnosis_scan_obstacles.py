@@ -79,6 +79,7 @@ def test_of_a_box_that_stands_where_the_map_has_it_nothing_is_proposed(hall: Are
     assert moved_obstacle.nudged(FitResiduals(*bare(hall, to_and_fro(hall)))) == []
 
 
+@pytest.mark.slow
 def test_a_move_across_the_view_gets_its_name_and_an_error_from_the_silhouette(hall: Arena) -> None:
     finding = diagnose(to_and_fro(hall, (moved(0.0, 0.04),)), hall, ROBOT)
     (named,) = finding.effects

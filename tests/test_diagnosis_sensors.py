@@ -68,15 +68,15 @@ def test_nothing_is_found_where_nothing_was_planted(robot: Robot, hall: Arena) -
 @pytest.mark.parametrize(
     ("robot", "planted"),
     [
-        (RING, EFFECTS["mount_xy"](dx=0.03, dy=0.02).at("sensor 5")),
+        pytest.param(RING, EFFECTS["mount_xy"](dx=0.03, dy=0.02).at("sensor 5"), marks=pytest.mark.slow),
         (RING, EFFECTS["mount_yaw"](delta=0.1).at("sensor 5")),
-        (RING, EFFECTS["range_scale"](s=0.03).at("sensor 2")),
-        (RING, EFFECTS["range_noise"](k=0.03).at("sensor 4")),
+        pytest.param(RING, EFFECTS["range_scale"](s=0.03).at("sensor 2"), marks=pytest.mark.slow),
+        pytest.param(RING, EFFECTS["range_noise"](k=0.03).at("sensor 4"), marks=pytest.mark.slow),
         (RING, EFFECTS["incidence_dropout"](alpha_max=0.9).at("sensor 4")),
         (RING, EFFECTS["range_bias"](b=0.03)),
-        (RING, EFFECTS["range_noise"](k=0.01)),
+        pytest.param(RING, EFFECTS["range_noise"](k=0.01), marks=pytest.mark.slow),
         (FRONT_AND_REAR, EFFECTS["mount_yaw"](delta=0.02).at("sensor 1")),
-        (FRONT_AND_REAR, EFFECTS["range_bias"](b=0.03).at("sensor 0")),
+        pytest.param(FRONT_AND_REAR, EFFECTS["range_bias"](b=0.03).at("sensor 0"), marks=pytest.mark.slow),
     ],
     ids=lambda value: value.name + value.place if isinstance(value, Amendment) else "",
 )

@@ -185,7 +185,7 @@ def test_effects_are_in_the_world_or_in_its_laser(world: ExportedWorld, tmp_path
 @pytest.mark.parametrize(
     ("name", "target", "drive"),
     [
-        ("actuator_lag", "irsim", "diff"),
+        pytest.param("actuator_lag", "irsim", "diff", marks=pytest.mark.slow),
         ("wheel_slip", "mujoco", "diff"),
         pytest.param("wheel_slip", "irsim", "diff", marks=pytest.mark.slow),
         pytest.param("wheel_slip", "mujoco", "reeds_shepp", marks=pytest.mark.slow),

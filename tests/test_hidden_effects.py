@@ -72,10 +72,10 @@ def test_a_baseline_names_what_is_continuous_and_knows_no_unknown() -> None:
         assert not is_known or report["effects"][0]["name"] == name
 
 
-QUICK = ["moved_wall", "wheel_base", "dead_time"]
-"""One of the arena, of the odometry and of the motors; a sensor's own are in test_diagnosis_report.py."""
+QUICK = ["dead_time"]
+"""Others stand in the tests of the channels and in test_diagnosis_report.py."""
 LONG = [
-    "latency", "range_bias", "mount_yaw", "max_range", "quantisation",
+    "moved_wall", "wheel_base", "latency", "range_bias", "mount_yaw", "max_range", "quantisation",
     "range_scale", "sector_bias", "mount_xy", "scan_skew", "glass", "mirror", "black_surface", "incidence_dropout",
     "min_range", "unmapped_obstacle", "moved_obstacle", "missing_obstacle", "map_scale", "people", "range_drift",
     "wheel_radius", "actuator_lag", "self_occlusion", "tilt", "random_outliers", "pose_clock_offset", "mixed_pixels",
