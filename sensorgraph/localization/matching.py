@@ -15,6 +15,9 @@ from sensorgraph.localization.line_map import LineMap, fit_line
 from sensorgraph.localization.settings import MATCH, LineMatchSettings
 from sensorgraph.types import Floats, Ints
 
+_Line = tuple[float, float, float, float, float, float, float]
+"""As `fit_line` returns it: weight, middle x and y, normal x and y, variances across and along."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Match:
@@ -125,107 +128,142 @@ def _match(
     numbers: Floats,
     out: Floats,
 ) -> None:
-    """Run Gauss-Newton; one loop, so that nothing is allocated within.
+    """Run Gauss-Newton.
 
     `out` takes the pose (3), the sum of weighted JᵀJ (9), the points with a line, the inliers, the weighted sum of
     squares and the weights.
     """
-    first_radius, last_radius, sigma = numbers[0], numbers[1], numbers[2]
-    n_iterations, tolerance, roundness = int(numbers[3]), numbers[4], numbers[5]
-    min_points, same_side, inlier = numbers[6], numbers[7], numbers[8]
+    first_radius, last_radius = numbers[0], numbers[1]
+    n_iterations, tolerance = int(numbers[3]), numbers[4]
     x, y, phi = start[0], start[1], start[2]
     radius, shrink = first_radius, (last_radius / first_radius) ** 0.25
-    variance = sigma * sigma
+    sums = np.zeros(19)
     is_found = False
     for iteration in range(n_iterations + 1):
         cos, sin = np.cos(phi), np.sin(phi)
-        u00, u01, u02, u11, u12, u22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # of the information alone
-        h00, h01, h02, h11, h12, h22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        g0, g1, g2 = 0.0, 0.0, 0.0
-        near, within, square, weights = 0.0, 0.0, 0.0, 0.0
+        sums[:] = 0.0
         for k in range(len(points)):
             rx = cos * points[k, 0] - sin * points[k, 1]
             ry = sin * points[k, 0] + cos * points[k, 1]
             mx = cos * normals[k, 0] - sin * normals[k, 1]
             my = sin * normals[k, 0] + cos * normals[k, 1]
-            w, cx, cy, nx, ny, across, along = fit_line(
-                x + rx, y + ry, mx, my, radius, same_side, side, keys, first, counts, map_points, map_normals
+            line = _line_at(
+                x + rx, y + ry, mx, my, radius, numbers, side, keys, first, counts, map_points, map_normals
             )
-            if w < min_points and radius < side:  # far away, where the rays lie apart
-                w, cx, cy, nx, ny, across, along = fit_line(
-                    x + rx,
-                    y + ry,
-                    mx,
-                    my,
-                    side,
-                    same_side,
-                    side,
-                    keys,
-                    first,
-                    counts,
-                    map_points,
-                    map_normals,
-                )
-                if across > variance:  # other surfaces, too
-                    continue
-            if w < min_points:
-                continue
-            near += 1.0
-            dx, dy = x + rx - cx, y + ry - cy
-            v = variance + across
-            r = nx * dx + ny * dy
-            soft = 1.0 / (1.0 + r * r / (4.0 * v))
-            is_in = r * r < inlier * inlier * v
-            if is_in:
-                within += 1.0
-            j = nx * -ry + ny * rx
-            tx, ty = -ny, nx
-            jt = tx * -ry + ty * rx
-            tilt = min(
-                across / (w * along + 1e-12), 1.0
-            )  # variance [rad²] of the line's direction: the share of JᵀJ that it makes
-            # along the line is no information
-            u00, u01 = u00 + soft * (nx * nx - tilt * tx * tx), u01 + soft * (nx * ny - tilt * tx * ty)
-            u02, u11 = u02 + soft * (nx * j - tilt * tx * jt), u11 + soft * (ny * ny - tilt * ty * ty)
-            u12, u22 = u12 + soft * (ny * j - tilt * ty * jt), u22 + soft * (j * j - tilt * jt * jt)
-            if is_in:
-                square, weights = square + soft * r * r, weights + soft
-            q = soft / v
-            h00, h01, h02 = h00 + q * nx * nx, h01 + q * nx * ny, h02 + q * nx * j
-            h11, h12, h22 = h11 + q * ny * ny, h12 + q * ny * j, h22 + q * j * j
-            g0, g1, g2 = g0 + q * nx * r, g1 + q * ny * r, g2 + q * j * r
-            if across > roundness * along:
-                r = tx * dx + ty * dy
-                v = variance + along
-                q = 1.0 / (1.0 + r * r / (4.0 * v)) / v
-                h00, h01, h02 = h00 + q * tx * tx, h01 + q * tx * ty, h02 + q * tx * jt
-                h11, h12, h22 = h11 + q * ty * ty, h12 + q * ty * jt, h22 + q * jt * jt
-                g0, g1, g2 = g0 + q * tx * r, g1 + q * ty * r, g2 + q * jt * r
-        out[3], out[4], out[5], out[6], out[7], out[8] = u00, u01, u02, u01, u11, u12
-        out[9], out[10], out[11] = u02, u12, u22
-        out[12], out[13], out[14], out[15] = near, within, square, weights
+            if line[0] >= numbers[6]:
+                _add_point(sums, rx, ry, x + rx - line[1], y + ry - line[2], line, numbers)
         if is_found or iteration == n_iterations:
             break
-        ex, ey = x - prior[0], y - prior[1]
-        ephi = np.arctan2(np.sin(phi - prior[2]), np.cos(phi - prior[2]))
-        g0 += prior_information[0, 0] * ex + prior_information[0, 1] * ey + prior_information[0, 2] * ephi
-        g1 += prior_information[1, 0] * ex + prior_information[1, 1] * ey + prior_information[1, 2] * ephi
-        g2 += prior_information[2, 0] * ex + prior_information[2, 1] * ey + prior_information[2, 2] * ephi
-        h00, h01, h02 = (
-            h00 + prior_information[0, 0],
-            h01 + prior_information[0, 1],
-            h02 + prior_information[0, 2],
-        )
-        h11, h12, h22 = (
-            h11 + prior_information[1, 1],
-            h12 + prior_information[1, 2],
-            h22 + prior_information[2, 2],
-        )
-        d0, d1, d2 = _solve(h00, h01, h02, h11, h12, h22, -g0, -g1, -g2)
+        d0, d1, d2 = _step(sums, x, y, phi, prior, prior_information)
         x, y, phi = x + d0, y + d1, phi + d2
         is_found = radius <= last_radius * 1.0001 and max(abs(d0), abs(d1), abs(d2)) < tolerance
         radius = max(last_radius, radius * shrink)
     out[0], out[1], out[2] = x, y, phi
+    out[3], out[4], out[5], out[6], out[7], out[8] = sums[0], sums[1], sums[2], sums[1], sums[3], sums[4]
+    out[9], out[10], out[11] = sums[2], sums[4], sums[5]
+    out[12:16] = sums[15:19]
+
+
+@inner_kernel
+def _line_at(
+    x: float,
+    y: float,
+    nx: float,
+    ny: float,
+    radius: float,
+    numbers: Floats,
+    side: float,
+    keys: Ints,
+    first: Ints,
+    counts: Ints,
+    points: Floats,
+    normals: Floats,
+) -> _Line:
+    """Fit a line around (x, y) as `fit_line` does; far away, where the rays lie apart, within a bucket's side.
+
+    Its weight is 0 where the points in there are of other surfaces, too.
+    """
+    variance, min_points, same_side = numbers[2] * numbers[2], numbers[6], numbers[7]
+    line = fit_line(x, y, nx, ny, radius, same_side, side, keys, first, counts, points, normals)
+    if line[0] >= min_points or radius >= side:
+        return line
+    line = fit_line(x, y, nx, ny, side, same_side, side, keys, first, counts, points, normals)
+    if line[5] > variance:
+        return 0.0, x, y, 1.0, 0.0, 0.0, 0.0
+    return line
+
+
+@inner_kernel
+def _add_point(
+    sums: Floats, rx: float, ry: float, dx: float, dy: float, line: _Line, numbers: Floats
+) -> None:
+    """Add a point (rx, ry) from the robot that is (dx, dy) from the middle of its line, all in the map's directions.
+
+    `sums` holds upper triangles of the information alone (6) and of the normal equations (6), their right side (3),
+    the points, the inliers, the weighted sum of squares and the weights.
+    """
+    w, _, _, nx, ny, across, along = line
+    variance, roundness, inlier = numbers[2] * numbers[2], numbers[5], numbers[8]
+    v = variance + across
+    r = nx * dx + ny * dy
+    soft = 1.0 / (1.0 + r * r / (4.0 * v))
+    j = nx * -ry + ny * rx
+    tx, ty = -ny, nx
+    jt = tx * -ry + ty * rx
+    tilt = min(
+        across / (w * along + 1e-12), 1.0
+    )  # variance [rad²] of the line's direction: the share of JᵀJ that it makes along the line is no information
+    sums[0] += soft * (nx * nx - tilt * tx * tx)
+    sums[1] += soft * (nx * ny - tilt * tx * ty)
+    sums[2] += soft * (nx * j - tilt * tx * jt)
+    sums[3] += soft * (ny * ny - tilt * ty * ty)
+    sums[4] += soft * (ny * j - tilt * ty * jt)
+    sums[5] += soft * (j * j - tilt * jt * jt)
+    sums[15] += 1.0
+    if r * r < inlier * inlier * v:
+        sums[16] += 1.0
+        sums[17] += soft * r * r
+        sums[18] += soft
+    _add_residual(sums, r, soft / v, nx, ny, j)
+    if across > roundness * along:
+        r = tx * dx + ty * dy
+        v = variance + along
+        _add_residual(sums, r, 1.0 / (1.0 + r * r / (4.0 * v)) / v, tx, ty, jt)
+
+
+@inner_kernel
+def _add_residual(sums: Floats, r: float, weight: float, jx: float, jy: float, jphi: float) -> None:
+    """Add a residual with its derivatives to the normal equations."""
+    wx, wy, wphi = weight * jx, weight * jy, weight * jphi
+    sums[6] += wx * jx
+    sums[7] += wx * jy
+    sums[8] += wx * jphi
+    sums[9] += wy * jy
+    sums[10] += wy * jphi
+    sums[11] += wphi * jphi
+    sums[12] += wx * r
+    sums[13] += wy * r
+    sums[14] += wphi * r
+
+
+@inner_kernel
+def _step(
+    sums: Floats, x: float, y: float, phi: float, prior: Floats, information: Floats
+) -> tuple[float, float, float]:
+    """Return the Gauss-Newton step by the points and the prior."""
+    ex, ey = x - prior[0], y - prior[1]
+    ephi = np.arctan2(np.sin(phi - prior[2]), np.cos(phi - prior[2]))
+    return _solve(
+        sums[6] + information[0, 0],
+        sums[7] + information[0, 1],
+        sums[8] + information[0, 2],
+        sums[9] + information[1, 1],
+        sums[10] + information[1, 2],
+        sums[11] + information[2, 2],
+        -sums[12] - (information[0, 0] * ex + information[0, 1] * ey + information[0, 2] * ephi),
+        -sums[13] - (information[1, 0] * ex + information[1, 1] * ey + information[1, 2] * ephi),
+        -sums[14] - (information[2, 0] * ex + information[2, 1] * ey + information[2, 2] * ephi),
+    )
 
 
 @inner_kernel
