@@ -12,6 +12,7 @@ from logs.run import Run
 from logs.transforms import compose
 from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.global_search import GlobalPlaces, find_places, local_view
 from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
@@ -144,6 +145,27 @@ def test_rays_into_space_that_nobody_mapped_do_not_count_against_a_place() -> No
     assert found.fit > 0.85 > 0.75 > find_places(view, blind).fit
 
 
+def test_last_scan_is_enough_where_the_map_lacks_what_the_scans_before_it_saw() -> None:
+    half = known_map(WALLS[WALLS[:, :, 0].max(axis=1) <= 5.0])  # without the right arm
+    poses = np.array([[6.5, 1.4, 0.2], [1.2, 4.5, 2.0]])
+    scans = scan_points(room_run(poses, n_rays=360))
+    both, last = (local_view(scans, chosen, poses[chosen]) for chosen in (np.array([0, 1]), np.array([1])))
+    found = find_places(both, half)
+    assert len(both.points) == len(last.points)
+    assert np.hypot(*(found.poses[0] - poses[1])[:2]) < 0.05
+    assert found.fit > 0.8 > 0.6 > found.fits[0]
+
+
+def test_match_that_a_wall_behind_a_screen_holds_is_found_beside_it() -> None:
+    screen = np.array([[[7.7, 0.0], [7.7, 1.6]]])
+    place = known_map(np.concatenate([WALLS, screen]))
+    pose = np.array([[6.4, 1.5, 0.0]])
+    scans = scan_points(room_run(pose, walls=[*ROOM, (7.7, 0.0, 7.7, 1.6)]))
+    window = SearchWindow.around(pose[0] + [0.3, 0.0, 0.0], half_xy=0.05, half_phi=0.02)
+    found = find_places(local_view(scans, np.array([0]), pose), place, window=window)
+    assert np.hypot(*(found.poses[0] - pose[0])[:2]) < 0.03 and found.hidden[0] < 0.05
+
+
 def test_place_whose_rays_are_likelier_but_fit_worse_does_not_rule_out_another() -> None:
     both = GlobalPlaces(
         poses=np.array([[0.0, 0, 0], [9.0, 0, 0]]),
@@ -154,6 +176,9 @@ def test_place_whose_rays_are_likelier_but_fit_worse_does_not_rule_out_another()
     )
     assert both.fits == pytest.approx([0.7, 0.61 / 0.7])
     assert len(both.rivals) == 1 and both.fit == both.fits[1]
+    alike, worse = (replace(both, agreements=np.array([0.9, share])) for share in (0.51, 0.45))
+    assert alike.fits == pytest.approx([0.7, 0.47 / 0.7])
+    assert len(alike.rivals) == 1 and len(worse.rivals) == 0
 
 
 def test_covariance_grows_where_the_map_is_wrong_and_not_elsewhere() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,27 +50,30 @@ class GlobalPlaces:
     """(n,) share of the points of which the map says nothing."""
     least_seen: float = GLOBAL_SEARCH.least_seen
     """Of `fits`."""
+    last_fit: float = 0.0
+    """The best `fit_of` the last scan alone at the first place and its rivals; 0: it was not asked."""
 
     @property
     def fits(self) -> Floats:
         """(n,) `fit_of` each place."""
-        shares = zip(self.agreements, self.hidden, self.unseen, strict=True)
-        return np.array([fit_of(*of_place, self.least_seen) for of_place in shares])
+        return _fits(self.agreements, self.hidden, self.unseen, self.least_seen)
 
     @property
     def fit(self) -> float:
-        """The best of `fits`; 0 without any place."""
-        return float(self.fits.max()) if len(self.poses) else 0.0
+        """The best of `fits` and `last_fit`; 0 without any place."""
+        return max(float(self.fits.max()), self.last_fit) if len(self.poses) else 0.0
 
     @property
     def rivals(self) -> Floats:
         """(n, 3) other places that cannot be ruled out; none if the first is the place.
 
         A place that fits as well as the first is a rival though its rays are less likely: rays that all go through one
-        opened door are one surprise, not many.
+        opened door, or beyond the map, are one surprise, not many.
         """
         fits = self.fits
-        can_be = (self.probabilities > GLOBAL_SEARCH.rival_probability) | (fits >= fits[:1])
+        can_be = (self.probabilities > GLOBAL_SEARCH.rival_probability) | (
+            fits >= fits[:1] - GLOBAL_SEARCH.rival_margin
+        )
         return self.poses[1:][can_be[1:]]
 
 
@@ -83,6 +86,11 @@ def fit_of(
     """
     on_surfaces = agreement - GLOBAL_SEARCH.hidden_weight * hidden
     return float(on_surfaces / max(1.0 - float(unseen), least_seen))
+
+
+def _fits(agreements: Floats, hidden: Floats, unseen: Floats, least_seen: float) -> Floats:
+    shares = zip(agreements, hidden, unseen, strict=True)
+    return np.array([fit_of(*of_place, least_seen) for of_place in shares])
 
 
 def local_view(
@@ -123,20 +131,35 @@ def find_places(
 ) -> GlobalPlaces:
     """Return where in a window (None: all of the map) a view may have been taken; nothing where it fits nowhere.
 
-    The last scan is sought first. All scans together judge the places found, and where they fit none of these, the last
-    scan alone, as the map may lack what the others saw. If that does not help, all are sought together.
+    The last scan is sought first, and all scans together judge the places found. As the map may lack what the others saw,
+    it is enough that the last scan alone fits the place that all together say is the most probable. Where neither fits,
+    all are sought together.
     """
     s = settings
     last, seen = view.last_scan, s.least_seen_anywhere if window is None else s.least_seen
-    modes = _modes(last.points, place, window, s)
-    found = _judged(modes, view, place, seen, s)
-    if found.fit >= s.enough_fit or len(last.points) == len(view.points):
+    found = _judged(_modes(last.points, place, window, s), view, place, seen, s)
+    if found.fit >= s.enough_fit or view.last is None:
         return found
-    alone = _judged(modes, last, place, seen, s)
-    if alone.fit >= s.enough_fit and _judged(alone.poses[:1], view, place, seen, s).fit >= s.least_joint_fit:
-        return alone
+    found = _with_last_fit(found, last, place, s)
+    if found.fit >= s.enough_fit:
+        return found
     other = _judged(_modes(view.points, place, window, s), view, place, seen, s)
+    other = _with_last_fit(other, last, place, s)
     return other if other.fit > found.fit else found
+
+
+def _with_last_fit(
+    found: GlobalPlaces, last: LocalView, place: KnownMap, settings: GlobalSearchSettings
+) -> GlobalPlaces:
+    """Ask the last scan alone whether it fits a place that all scans neither rule out nor speak against."""
+    possible = np.vstack([found.poses[:1], found.rivals])
+    if len(possible) == 0 or found.fit < settings.least_joint_fit:
+        return found
+    own = [match(last.points, last.normals, place.surfaces, pose) for pose in possible]
+    judged = place.judge(np.array([one.pose for one in own]), last.points, last.starts)
+    agreements = np.array([one.agreement for one in own])
+    fits = _fits(agreements, judged.hidden, judged.unseen, found.least_seen)
+    return replace(found, last_fit=float(fits.max()))
 
 
 def _modes(
@@ -170,6 +193,10 @@ def _judged(
     found = [match(view.points, view.normals, place.surfaces, pose) for pose in starts]
     poses = np.array([one.pose for one in found])
     judged = place.judge(poses, view.points, view.starts)
+    first = poses[np.argsort(-judged.likelihoods, kind="stable")[: s.max_nudged]]
+    found += [match(view.points, view.normals, place.surfaces, pose) for pose in _beside(first, s.nudge)]
+    poses = np.array([one.pose for one in found])
+    judged = place.judge(poses, view.points, view.starts)
     scores = judged.likelihoods / s.correlation
     order = _distinct(poses, scores, s)
     weights = np.exp(scores[order] - scores[order[0]])
@@ -181,6 +208,13 @@ def _judged(
         unseen=judged.unseen[order],
         least_seen=least_seen,
     )
+
+
+def _beside(poses: Floats, way: float) -> Floats:
+    """Return the eight poses around each of poses (n, 3): (8 n, 3)."""
+    steps = np.array([(x, y, 0.0) for x in (-way, 0.0, way) for y in (-way, 0.0, way) if x or y])
+    around: Floats = (poses[:, None] + steps).reshape(-1, 3)
+    return around
 
 
 def _distinct(poses: Floats, scores: Floats, settings: GlobalSearchSettings) -> Ints:

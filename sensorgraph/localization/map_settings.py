@@ -52,10 +52,15 @@ class GlobalSearchSettings:
     """Places that are judged, at most."""
     max_matches: int = 40
     """The best of them, that are matched and judged again."""
+    max_nudged: int = 5
+    """The best of these, around which matches start once more: the field knows one place within `apart`, where walls that
+    are close to each other hold a match in several."""
+    nudge: float = 0.25
+    """[m] along x and y, from these to the other starts."""
     enough_fit: float = 0.6
     """`GlobalPlaces.fit` of the first place, from which on no other scans are sought."""
     least_joint_fit: float = 0.25
-    """The same by all scans of a place that the last scan alone found: the map may lack what the others saw, but they do
+    """The same by all scans of a place that the last scan alone fits: the map may lack what the others saw, but they do
     not speak against it."""
     apart: float = 0.5
     """[m] places nearer than this, and than `apart_turn`, are one."""
@@ -71,7 +76,9 @@ class GlobalSearchSettings:
     least_seen_anywhere: float = 0.8
     """The same where nobody knows where the robot is: some place at the edge of a map fits by chance."""
     rival_probability: float = 0.02
-    """A less probable place is ruled out."""
+    """A less probable place is ruled out, if it fits worse than the best by `rival_margin`."""
+    rival_margin: float = 0.05
+    """Standard error of a fit: of a share of .85 of `points` / `correlation`."""
 
 
 GLOBAL_SEARCH = GlobalSearchSettings()

@@ -203,16 +203,18 @@ class MapTracker:
         found = find_places(view, self.place, window=window)
         if self._take(k, found, s.near_fit):
             return
-        if s.expected_fit <= found.fit and _is_beside(found.poses[0], window, s):
-            if find_places(view, self.place).fit <= found.fit and self._take(k, found, s.expected_fit):
+        is_expected = found.fit >= s.expected_fit and _is_beside(found.poses[0], window, s)
+        if not is_expected and state.n_searches % s.every_nth_everywhere != 0:
+            return
+        anywhere = find_places(view, self.place)
+        if is_expected and anywhere.fit <= found.fit:
+            if self._take(k, found, s.expected_fit):
                 state.proof_fit = s.least_fit
-        elif state.n_searches % s.every_nth_everywhere == 0:
-            last = state.last_sure
-            if self._take(k, find_places(view, self.place), s.far_fit) and not _is_within(
-                self.poses[k], window
-            ):
-                self.breaks[last + 1] = True  # it was carried there
-                state.last_sure = state.sure_before = -1
+            return
+        last = state.last_sure
+        if self._take(k, anywhere, s.far_fit) and not _is_within(self.poses[k], window):
+            self.breaks[last + 1] = True  # it was carried there
+            state.last_sure = state.sure_before = -1
 
     def _is_due(self, k: int) -> bool:
         s, state = self.settings, self.state
