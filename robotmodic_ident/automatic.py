@@ -20,7 +20,13 @@ from robotmodic_ident.fitting import fit, refined
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.prediction.recursion import UNLIMITED
 from robotmodic_ident.records import Record, Records, as_records, cut, lags
-from robotmodic_ident.selection.free_run_terms import FREE_RUN_SEARCH, FreeRunSearch, FreeRunTerms, Simulated
+from robotmodic_ident.selection.free_run_terms import (
+    FREE_RUN_SEARCH,
+    SHORT_DESCENT,
+    FreeRunSearch,
+    FreeRunTerms,
+    Simulated,
+)
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
@@ -33,7 +39,9 @@ class AutoSettings:
 
     orders: tuple[int, ...] = (2, 3, 4, 6)
     """[samples] lags of output and inputs; after the first, until `patience` of them in a row do no better."""
-    patience: int = 1
+    patience: int = 2
+    min_order_gain: float = 0.2
+    """Relative fall of the error that longer lags must bring: the spread over folds of sets of some 1,000 samples."""
     degrees: tuple[int, ...] = (2, 3, 1)
     """All are tried at the first order, the best one at the others."""
     max_product_lag: int = 3
@@ -71,9 +79,11 @@ class Trial:
     """[units of the output]"""
     n_candidates: int
     n_terms: int
-    """Size that does best on stretches left out."""
+    """Least size that does as well as the best on stretches left out."""
     rmse: float
     """[units of the output] of the free run there; inf where no size ran to the end on all of them."""
+    found: tuple[Narmax, ...] = ()
+    """The model of that size of every fold."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,7 +133,8 @@ def auto_fit(
         if idle == settings.patience:
             break
         now = tried(order, best.degree, best.limits)
-        best, idle = (now, 0) if now.rmse < best.rmse else (best, idle + 1)
+        is_better = now.rmse < best.rmse * (1.0 - settings.min_order_gain)
+        best, idle = (now, 0) if is_better else (best, idle + 1)
     if not np.isfinite(best.rmse):
         raise IdentError(
             f"no model of {output} runs free over the stretches left out without diverging; give longer records, or "
@@ -203,9 +214,13 @@ def _cross_validated(
     limits: tuple[float, float],
     settings: AutoSettings,
 ) -> Trial:
-    """Hide one stretch of every record after another; return what size does best there."""
+    """Hide one stretch of every record after another; return the least size that does as well there as the best.
+
+    That is within one standard error over the stretches (Breiman et al. 1984, sec. 3.4.3).
+    """
     most = settings.search.max_terms
     errors = np.full((settings.n_folds, most + 1), np.inf)
+    paths: list[dict[int, Simulated]] = []
     for i in range(settings.n_folds):
         hidden = [_stretch(len(record), i, settings) for record in records]
         shown = [_hidden(record, output, rows) for record, rows in zip(records, hidden, strict=True)]
@@ -213,13 +228,15 @@ def _cross_validated(
             path = _path(shown, output, terms, limits, settings)
         except IdentError:
             continue
+        paths.append(path)
         for size in range(1, most + 1):
             if size in path:
                 errors[i, size] = _mean_square(path[size].model, records, shown, hidden, settings)
             elif size > min(path):  # it gained nothing by that many terms
                 errors[i, size] = errors[i, size - 1]
-    means = errors.mean(axis=0)
-    size = int(means.argmin())
+    means, best = errors.mean(axis=0), int(errors.mean(axis=0).argmin())
+    spread = float(errors[:, best].std(ddof=1) / np.sqrt(len(errors))) if np.isfinite(means[best]) else 0.0
+    size = int((means <= means[best] + spread).argmax())  # one-standard-error rule
     return Trial(
         order=order,
         degree=degree,
@@ -227,6 +244,7 @@ def _cross_validated(
         n_candidates=len(terms),
         n_terms=size,
         rmse=float(np.sqrt(means[size])),
+        found=tuple(path[size].model for path in paths if size in path),
     )
 
 
@@ -285,11 +303,30 @@ def _final(
     best: Trial,
     settings: AutoSettings,
 ) -> Narmax:
-    """Search on all stretches for the model of the size that does best, and estimate it on all records."""
+    """Estimate on all records the structure that does best on stretches left out.
+
+    Compared are what is found with nothing hidden, and what every fold found: where a search ends hangs on the data,
+    and a structure whose coefficients the data do not determine shows in other folds.
+    """
     path = _path(searched, output, terms, best.limits, settings)
     size = min(path, key=lambda k: (abs(k - best.n_terms), k))
-    model = refined(path[size].model, records, "simulation", "hac")
-    note = (
-        f"order {best.order}, degree {best.degree} and {size} terms do best in free run on stretches left out"
-    )
+    tried = (path[size].model, *best.found)
+    errors = [_structure_error(model, searched, terms, settings) for model in tried]
+    model = replace(tried[int(np.argmin(errors))], notes=path[size].model.notes)
+    model = refined(model, records, "simulation", "hac")
+    note = f"order {best.order}, degree {best.degree} and {len(model.terms)} terms do best in free run on stretches left out"
     return replace(model, notes=(*model.notes, note), stop="cv")
+
+
+def _structure_error(model: Narmax, records: Sequence[Record], terms: Terms, settings: AutoSettings) -> float:
+    """Return the mean square on hidden stretches of a model's terms, estimated on the rest; inf where it diverges."""
+    squares = []
+    for i in range(settings.n_folds):
+        hidden = [_stretch(len(record), i, settings) for record in records]
+        shown = [_hidden(record, model.output, rows) for record, rows in zip(records, hidden, strict=True)]
+        try:
+            there = FreeRunTerms(shown, terms, settings.search).minimised(model, model.theta, SHORT_DESCENT)
+        except IdentError:
+            return float("inf")
+        squares.append(_mean_square(there.model, records, shown, hidden, settings))
+    return float(np.mean(squares))

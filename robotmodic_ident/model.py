@@ -25,7 +25,7 @@ from robotmodic_ident.notation.printing import (
     total_size,
 )
 from robotmodic_ident.prediction.recursion import UNLIMITED, Recursion, Segment
-from robotmodic_ident.records import Record, as_records
+from robotmodic_ident.records import Record, as_records, standing_before
 from robotmodic_ident.scale import UNSCALED, Scale
 from robotmodic_ident.selection.criteria import Stop
 from robotmodic_ident.selection.select import Selection
@@ -254,14 +254,18 @@ class Narmax:
         no prediction, and the measured output stands in for it in what follows.
 
         warm_up : [samples] at the start of each segment whose measured outputs may be used: the run starts from the
-            outputs that meet them best, and is returned from the first sample on. 0: from the first `max_lag` ones
+            outputs that meet them best, and is returned from the first sample on. Where they are no more than
+            `max_lag`, the record is taken to have stood at its first values before. 0: from the first `max_lag` ones
         """
+        (record,) = as_records(record)
+        recursion = self.recursion()
+        before = recursion.look_back if 0 < warm_up <= recursion.look_back else 0
 
         def run(recursion: Recursion, segment: Segment) -> Floats:
-            initial = initial_outputs(recursion, segment, warm_up)
+            initial = initial_outputs(recursion, segment, before + warm_up)
             return recursion.run(segment, free=True, initial=initial)[0]
 
-        return self._predict(record, run)
+        return self._predict(standing_before(record, before), run)[before:]
 
     def predict_k(self, record: Record | Mapping[str, Floats], steps: int) -> Floats:
         """Predict each sample from what was measured up to `steps` samples before it (n,); inputs are known.

@@ -111,6 +111,19 @@ def cut(record: Record, piece: slice) -> Record:
     )
 
 
+def standing_before(record: Record, n: int) -> Record:
+    """Return a record with n samples more before it, in which every signal stands at its first value."""
+    if n == 0 or len(record) == 0:
+        return record
+    whole = cut(record, slice(None))
+    stamps = whole.stamps
+    if stamps is not None:
+        step = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 1.0
+        stamps = np.concatenate([stamps[0] - step * np.arange(n, 0, -1), stamps])
+    signals = {name: np.concatenate([np.full(n, v[0]), v]) for name, v in whole.signals.items()}
+    return Record(signals=signals, stamps=stamps, max_gap=whole.max_gap)
+
+
 def as_records(records: Records) -> list[Record]:
     """Accept one record or many, each a `Record` or plain signals by name."""
     if isinstance(records, Record | Mapping):

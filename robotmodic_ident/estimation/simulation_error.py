@@ -117,9 +117,9 @@ class FreeRunLeastSquares:
         return estimate, found.theta[m:]
 
     def normal_equations(self, theta: Floats, initial: Floats) -> tuple[Floats, Floats]:
-        """Return Gram (n_parameters, n_parameters) and cross products (n_parameters,) of one Gauss-Newton step.
+        """Return Gram (n_parameters, n_parameters) and cross products with the residual (n_parameters,).
 
-        The initial outputs are eliminated. Gradients are held a block of samples at a time.
+        They give one Gauss-Newton step from theta. The initial outputs are eliminated. Gradients are held a block of samples at a time.
 
         Raises
         ------
@@ -156,7 +156,7 @@ class FreeRunLeastSquares:
             cross += whole[:m, -1]
         if not (np.isfinite(gram).all() and np.isfinite(cross).all()):
             raise IdentError("the gradients of the model diverge on these records")
-        return gram, cross + gram @ theta
+        return gram, cross
 
 
 def initial_outputs(recursion: Recursion, segment: Segment, n: int) -> Floats | None:

@@ -18,7 +18,6 @@ from robotmodic_ident.estimation.prediction_error import LevenbergMarquardt
 from robotmodic_ident.estimation.simulation_error import FreeRunLeastSquares
 from robotmodic_ident.model import Narmax, among
 from robotmodic_ident.records import Record, blocks
-from robotmodic_ident.selection.forward import DEPENDENCE_TOLERANCE
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
@@ -35,7 +34,7 @@ SHOOTING_LENGTHS = (3, 10, 30, 100, 300, 1000)
 class FreeRunSearch:
     """How far terms are looked for by the simulation error."""
 
-    max_terms: int = 20
+    max_terms: int = 30
     """Largest model."""
     trials: int = 3
     """Most promising terms that a descent tries at each size."""
@@ -114,9 +113,11 @@ class FreeRunTerms:
                 break
         return self.minimised(start, theta, SHORT_DESCENT)
 
-    def minimised(self, model: Narmax, theta: Floats, settings: LevenbergMarquardt) -> Simulated:
-        """Descend from coefficients theta (n_terms,)."""
-        result, initial = self._error(model).minimise(theta, settings)
+    def minimised(
+        self, model: Narmax, theta: Floats, settings: LevenbergMarquardt, initial: Floats | None = None
+    ) -> Simulated:
+        """Descend from coefficients theta (n_terms,), and from initial outputs (n_initial,) or the measured ones."""
+        result, initial = self._error(model).minimise(theta, settings, initial)
         return Simulated(replace(model, theta=result.theta), result.rss, initial)
 
     def _error(self, model: Narmax) -> FreeRunLeastSquares:
@@ -134,13 +135,13 @@ class FreeRunTerms:
                 continue
             larger = among(now.model, now.model.terms + self.terms[[j]])
             try:
-                tried.append(self.minimised(larger, larger.theta, TRIAL))
+                tried.append(self.minimised(larger, larger.theta, TRIAL, now.initial))
             except IdentError:  # it diverges on the way
                 continue
         if not tried:
             return None
         best = min(tried, key=lambda one: one.rss)
-        return self.minimised(best.model, best.model.theta, SHORT_DESCENT)
+        return self.minimised(best.model, best.model.theta, SHORT_DESCENT, best.initial)
 
     def _thinned(self, now: Simulated, best: dict[int, Simulated]) -> Simulated:
         """Take terms out as long as that beats the best model of the smaller size; return where this ends."""
@@ -166,7 +167,7 @@ class FreeRunTerms:
         try:
             i = self._least_useful(now)
             smaller = among(now.model, now.model.terms[[j for j in range(len(now.model.terms)) if j != i]])
-            return self.minimised(smaller, smaller.theta, SHORT_DESCENT)
+            return self.minimised(smaller, smaller.theta, SHORT_DESCENT, now.initial)
         except IdentError:
             return None
 
@@ -180,29 +181,30 @@ class FreeRunTerms:
     def _gains(self, now: Simulated) -> Floats:
         """Return what a Gauss-Newton step with each candidate more would take off the sum of squares (n_candidates,)."""
         full = among(now.model, now.model.terms + self.terms)
-        gram, cross = self._normalised(now, full)
+        gram, cross, _ = self._normalised(now, full)
         n = len(now.model.terms)
-        both = np.linalg.pinv(gram[:n, :n], hermitian=True) @ np.column_stack([gram[:n], cross[:n]])
-        norm = np.diagonal(gram) - (gram[:n] * both[:, :-1]).sum(axis=0)
+        damped = gram[:n, :n] + TRIAL.damping * np.eye(n)
+        both = np.linalg.solve(damped, np.column_stack([gram[:n], cross[:n]]))
+        norm = np.diagonal(gram) + TRIAL.damping - (gram[:n] * both[:, :-1]).sum(axis=0)
         rest = cross - gram[:n].T @ both[:, -1]
-        gain = np.where(norm > DEPENDENCE_TOLERANCE, rest**2 / np.maximum(norm, DEPENDENCE_TOLERANCE), 0.0)
+        gain = rest**2 / np.maximum(norm, TRIAL.damping)
         place = {name: i for i, name in enumerate(full.terms.names)}
         where = np.array([place.get(name, 0) for name in self.terms.names])
         return np.where(where >= n, gain[where], 0.0)
 
     def _least_useful(self, now: Simulated) -> int:
         """Return the term whose loss costs least to first order."""
-        gram, cross = self._normalised(now, now.model)
+        gram, cross, theta = self._normalised(now, now.model)
         inverse = np.linalg.pinv(gram, hermitian=True)
-        theta = inverse @ cross
+        theta = theta + inverse @ cross
         return int(np.argmin(theta**2 / np.maximum(np.diagonal(inverse), 1e-100)))
 
-    def _normalised(self, now: Simulated, model: Narmax) -> tuple[Floats, Floats]:
-        """Return the normal equations of a model for columns of unit norm."""
+    def _normalised(self, now: Simulated, model: Narmax) -> tuple[Floats, Floats, Floats]:
+        """Return the normal equations of a model, and its coefficients, for columns of unit norm."""
         gram, cross = self._error(model).normal_equations(model.theta, now.initial)
-        size = np.sqrt(np.diagonal(gram))
+        size = np.sqrt(np.maximum(np.diagonal(gram), 0.0))  # below 0 by rounding
         size = np.where(size > 0, size, 1.0)
         gram, cross = gram / size / size[:, None], cross / size
         if not (np.isfinite(gram).all() and np.isfinite(cross).all()):
             raise IdentError("the gradients of the model diverge on these records")
-        return gram, cross
+        return gram, cross, model.theta * size
