@@ -110,9 +110,10 @@ def _motion(trajectory: Trajectory, vehicle: Vehicle) -> dict[str, int]:
 
 def barriers(arena: Arena) -> NDArray[np.object_]:
     """Return every straight piece of wall, and of the rim of free space, as shapely lines (n,)."""
-    found = [shapely.LineString(wall) for wall in arena.walls]
-    found += list(getattr(shapely.boundary(arena.free), "geoms", [shapely.boundary(arena.free)]))
-    return np.array([segment for line in found for segment in _segments(line)])
+    rim = shapely.boundary(arena.free)
+    rings = [np.asarray(line.coords)[:, :2] for line in getattr(rim, "geoms", [rim])]
+    pieces = [np.stack([ring[:-1], ring[1:]], axis=1) for ring in rings]
+    return np.asarray(shapely.linestrings(np.concatenate([arena.walls, *pieces])))
 
 
 def _jumps(trajectory: Trajectory, part: float) -> int:
@@ -170,8 +171,3 @@ def _distances(points: Floats, walls: _Walls) -> Floats:
     open_ = np.flatnonzero(bound < known.min() + CHECK.exact_margin)
     bound[open_] = exact(points[open_])
     return bound
-
-
-def _segments(line: shapely.LineString) -> list[shapely.LineString]:
-    points = np.asarray(line.coords)[:, :2]
-    return [shapely.LineString(points[k : k + 2]) for k in range(len(points) - 1)]

@@ -15,6 +15,7 @@ from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.world.ray_intersection import nearest_walls, nearest_walls_plain
 from sensorgraph.world.raycast import cast, cast_rays, laser_poses
+from sensorgraph.world.wall_grid import WallGrid, nearest_in_grid
 
 FULL = RangeSensor(bearings=-np.pi + 2 * np.pi * np.arange(360) / 360, range_min=0.0, range_max=100.0)
 
@@ -178,6 +179,33 @@ def test_the_compiled_rays_are_the_plain_ones() -> None:
     np.testing.assert_array_equal(ranges, there)
     np.testing.assert_array_equal(wall, other)
     assert 0.5 < np.isfinite(ranges).mean() < 1
+
+
+def test_a_grid_of_walls_changes_no_bit() -> None:
+    """Rays from within and from outside, along the axes, through corners; walls without length or taken away."""
+    rng = np.random.default_rng(8)
+    walls = clutter(120, rng).walls.copy()
+    walls[7], walls[9, 1] = 1e9, walls[9, 0]
+    n = 6000
+    ox, oy, phi = rng.uniform(-4, 24, n), rng.uniform(-4, 19, n), rng.uniform(-np.pi, np.pi, n)
+    ux, uy = np.cos(phi), np.sin(phi)
+    ux[:400], uy[:400] = np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])[
+        rng.integers(0, 4, 400)
+    ].T
+    aim = walls[rng.integers(10, len(walls), 600), 1] - np.column_stack([ox, oy])[400:1000]
+    ux[400:1000], uy[400:1000] = aim.T / np.hypot(*aim.T)
+    ox[1000:1400], oy[1000:1400] = walls[rng.integers(10, len(walls), 400), 0].T
+    ranges, wall = nearest_in_grid(walls, WallGrid.of(walls), ox, oy, ux, uy)
+    there, other = nearest_walls(walls, ox, oy, ux, uy)
+    np.testing.assert_array_equal(ranges, there)
+    np.testing.assert_array_equal(wall, other)
+    assert 0.5 < np.isfinite(ranges).mean() < 1
+
+
+def test_a_grid_without_walls_stops_no_ray() -> None:
+    gone = np.full((3, 2, 2), 1e9)
+    ranges, wall = nearest_in_grid(gone, WallGrid.of(gone), np.zeros(2), np.zeros(2), np.ones(2), np.zeros(2))
+    assert np.isinf(ranges).all() and (wall == -1).all()
 
 
 def test_where_no_wall_is_no_ray_ends() -> None:

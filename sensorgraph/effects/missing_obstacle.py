@@ -10,7 +10,7 @@ from sensorgraph.effects.effect import Amendment, Diagnostics, Effect
 from sensorgraph.effects.exposures import UNEXPECTED, listed
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import named_walls, obstacles, walls_of
-from sensorgraph.effects.proposals import PROPOSAL, unchanged_obstacles
+from sensorgraph.effects.proposals import PROPOSAL, strangest_obstacles
 from sensorgraph.world.ray_intersection import nearest_from_each
 from sensorgraph.world.scene import Scene
 
@@ -24,7 +24,7 @@ def propose(residuals: Residuals) -> list[Proposal]:
     """Look for rays that see what stands behind an obstacle of the map."""
     found = []
     walls, beams, shape = residuals.walls, residuals.beams, residuals.z.shape
-    for name in unchanged_obstacles(residuals):
+    for name in strangest_obstacles(residuals, residuals.long | residuals.lost):
         members = named_walls(residuals.arena, name)
         mine = np.isin(beams.wall, members)
         if mine.sum() < PROPOSAL.min_rays:

@@ -14,13 +14,10 @@ from sensorgraph.effects.set_up import depth_edge_error
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.ray_intersection import nearest_from_each
 from sensorgraph.world.ray_order import neighbouring_rays
-from sensorgraph.world.raycast import cast_laser
-from sensorgraph.world.scene import MAX_DISTANCE, Scene
+from sensorgraph.world.scene import Scene
 
 N_SPREAD = 33
 """Rays that fill one beam at an edge."""
-FEW_WALLS = 100
-"""Up to here it is faster to ask every wall."""
 GRAZING = 1.5  # [rad] walls met at more are taken as if met at this
 STEP = 0.02  # [m] a smaller step in depth is a bent wall, not an edge
 
@@ -62,9 +59,6 @@ def _spread(scene: Scene, edge: Bools, gamma: float) -> Floats:
     ox, oy = (np.broadcast_to(o, edge.shape)[edge] for o in (beams.ox, beams.oy))
     ux, uy = beams.ux[edge], beams.uy[edge]
     turn = gamma * (2 * (np.arange(N_SPREAD) + 0.5) / N_SPREAD - 1)
-    if len(scene.walls) > FEW_WALLS:
-        lasers = np.stack([ox, oy, np.arctan2(uy, ux)], axis=1)
-        return cast_laser(scene.walls, lasers, turn, MAX_DISTANCE)[0]
     c, s = np.cos(turn), np.sin(turn)
     vx, vy = ux[:, None] * c - uy[:, None] * s, uy[:, None] * c + ux[:, None] * s
     return nearest_from_each(scene.walls, ox[:, None], oy[:, None], vx, vy)[0]

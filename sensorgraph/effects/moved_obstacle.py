@@ -10,7 +10,7 @@ from sensorgraph.effects.interfaces import CornerShift, Proposal, Residuals
 from sensorgraph.effects.places import named_walls, obstacles, walls_of
 from sensorgraph.effects.proposals import PROPOSAL, strangest_obstacles
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.ray_intersection import nearest_walls
+from sensorgraph.world.ray_intersection import nearest_from_each, nearest_walls
 from sensorgraph.world.scene import Scene
 
 NUDGE_DISTANCE = 0.12
@@ -111,7 +111,7 @@ def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
         return None
     rays = ox[some], oy[some], beams.ux[some], beams.uy[some]
     bare = np.delete(walls, members, axis=0)
-    behind, _ = nearest_walls(bare, *rays)
+    behind, _ = nearest_from_each(bare, *rays)
     with np.errstate(invalid="ignore"):  # a ray that meets nothing has no reading for nuisances to add to
         added = residuals.mu[some] - beams.ranges[some]
     usual = np.where(residuals.aimed[some] & np.isfinite(added), added, 0.0)
@@ -136,10 +136,13 @@ def _nudge(residuals: Residuals, name: str, members: Ints) -> Proposal | None:
 
 def _beside(points: Floats, outline: Floats) -> Floats:
     """Return how far points (n, 2) are from an outline (k, 2, 2), (n,) [m]."""
-    a, d = outline[:, 0], outline[:, 1] - outline[:, 0]
-    off = points[:, None] - a
-    share = np.clip((off * d).sum(axis=2) / np.maximum((d * d).sum(axis=1), 1e-12), 0.0, 1.0)
-    return np.asarray(np.hypot(*np.moveaxis(off - share[..., None] * d, 2, 0)).min(axis=1))
+    least = np.full(len(points), np.inf)
+    for (ax, ay), (bx, by) in outline:
+        dx, dy = bx - ax, by - ay
+        x, y = points[:, 0] - ax, points[:, 1] - ay
+        share = np.clip((x * dx + y * dy) / max(dx * dx + dy * dy, 1e-12), 0.0, 1.0)
+        np.minimum(least, (x - share * dx) ** 2 + (y - share * dy) ** 2, out=least)
+    return np.asarray(np.sqrt(least))
 
 
 MOVED_OBSTACLE = Effect(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from planners.arena import Arena
@@ -29,11 +31,21 @@ def named_walls(arena: Arena, name: str) -> Ints:
     ------
     SensorgraphError : the arena has no wall and no feature of that name
     """
-    found = [i for i, wall in enumerate(arena.names) if wall == name or wall.rsplit("/", 1)[0] == name]
-    if not found:
+    found = _walls_by_name(arena.names).get(name)
+    if found is None:
         near = ", ".join(arena.names[:6])
         raise SensorgraphError(f"the arena has no wall or obstacle {name!r}; it has {near}, ...")
-    return np.array(found, dtype=np.intp)
+    return found.copy()
+
+
+@lru_cache(maxsize=8)
+def _walls_by_name(names: tuple[str, ...]) -> dict[str, Ints]:
+    """Return the indices of the walls of each wall's name and of each feature's."""
+    found: dict[str, list[int]] = {}
+    for i, wall in enumerate(names):
+        for name in {wall, wall.rsplit("/", 1)[0]}:
+            found.setdefault(name, []).append(i)
+    return {name: np.array(walls, dtype=np.intp) for name, walls in found.items()}
 
 
 def obstacles(arena: Arena) -> list[str]:

@@ -28,7 +28,7 @@ class ProposalSettings:
     max_walls: int = 4
     """Walls with the most strange rays, on which panes and mirrors are looked for."""
     max_obstacles: int = 8
-    """Obstacles with the most strange rays, of which a move is looked for: in a building there are hundreds."""
+    """Obstacles with the most strange rays, of which a move or an absence is looked for: a building has hundreds."""
     behind_wall: float = 0.1
     """[m] below range_max that a wall must stand for a lost ray on it to be strange."""
 
@@ -146,9 +146,15 @@ def unchanged_obstacles(residuals: Residuals) -> list[str]:
     return [name for name in obstacles(residuals.arena) if name not in changed]
 
 
-def strangest_obstacles(residuals: Residuals) -> list[str]:
-    """Return, of the unchanged obstacles, those on which most strange rays should have ended, most of them first."""
-    walls = residuals.beams.wall[residuals.strange & (residuals.beams.wall >= 0)]
+def strangest_obstacles(residuals: Residuals, odd: Bools | None = None) -> list[str]:
+    """Return, of the unchanged obstacles, those on which most odd rays should have ended, most of them first.
+
+    Parameters
+    ----------
+    odd : (n_scans, n_rays); None: all that are strange
+    """
+    odd = residuals.strange if odd is None else odd
+    walls = residuals.beams.wall[odd & (residuals.beams.wall >= 0)]
     counts = np.bincount(walls, minlength=len(residuals.walls))
     names = unchanged_obstacles(residuals)
     strange = [int(counts[named_walls(residuals.arena, name)].sum()) for name in names]

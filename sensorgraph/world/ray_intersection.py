@@ -1,4 +1,4 @@
-"""Rays that each have their own origin, every ray against every wall: compiled, and plainly in numpy for the tests."""
+"""Rays that each have their own origin: against every wall, or against those on their way; plainly for the tests."""
 
 from __future__ import annotations
 
@@ -6,6 +6,12 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.types import Floats, Ints
+from sensorgraph.world.wall_grid import grid_of, nearest_in_grid
+
+MAX_UNSORTED_WALLS = 100
+"""Up to here every ray meets every wall; beyond, those of the cells on its way ..."""
+MAX_UNSORTED_PAIRS = 300_000
+"""... if there are more pairs of ray and wall than it takes to sort the walls into cells."""
 
 
 @kernel
@@ -57,5 +63,9 @@ def nearest_from_each(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Flo
     x, y = (
         np.broadcast_to(o, ux.shape).flatten() for o in (ox, oy)
     )  # may be written to: one compiled version
-    ranges, wall = nearest_walls(walls, x, y, ux.ravel(), uy.ravel())
+    if len(walls) > MAX_UNSORTED_WALLS and len(walls) * ux.size > MAX_UNSORTED_PAIRS:
+        walls = np.ascontiguousarray(walls)
+        ranges, wall = nearest_in_grid(walls, grid_of(walls.tobytes()), x, y, ux.ravel(), uy.ravel())
+    else:
+        ranges, wall = nearest_walls(walls, x, y, ux.ravel(), uy.ravel())
     return ranges.reshape(ux.shape), wall.reshape(ux.shape)

@@ -8,6 +8,7 @@ for rays that share no origin (a sensor that sweeps while the robot moves).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -16,7 +17,7 @@ from logs.run import RangeSensor
 from logs.transforms import compose
 from planners.arena import Arena, wrap
 from sensorgraph.types import Floats, Ints
-from sensorgraph.world.ray_intersection import nearest_walls
+from sensorgraph.world.ray_intersection import nearest_from_each
 from sensorgraph.world.wall_clusters import SECTORS, ClusterView, SectorReach, WallClusters
 
 POSES_PER_BATCH = 48  # poses at a time: the working set stays in the cache
@@ -90,7 +91,7 @@ def cast_laser(walls: Floats, lasers: Floats, bearings: Floats, farthest: float)
         shape = (len(lasers), len(bearings))
         return np.full(shape, np.inf), np.full(shape, -1, dtype=np.intp)
     sensor = RangeSensor(bearings=bearings, range_min=0.0, range_max=farthest)
-    hits = _Caster(_Walls(walls), sensor)(lasers)
+    hits = _Caster(_prepared_copy(np.ascontiguousarray(walls).tobytes()), sensor)(lasers)
     return hits.ranges, hits.wall
 
 
@@ -116,7 +117,7 @@ def cast_rays(arena: Arena, origins: Floats, headings: Floats, sensor: RangeSens
     shape = headings.shape
     x, y = np.ascontiguousarray(origins.reshape(-1, 2).T, dtype=np.float64)
     ux, uy = np.cos(headings).ravel(), np.sin(headings).ravel()
-    ranges, wall = nearest_walls(arena.walls, x, y, ux, uy)
+    ranges, wall = nearest_from_each(arena.walls, x, y, ux, uy)
     ranges, incidence, wall = _apply_limits(_unit_tangents(arena.walls), ux, uy, ranges, wall, sensor)
     return Hits(ranges=ranges.reshape(shape), incidence=incidence.reshape(shape), wall=wall.reshape(shape))
 
@@ -309,6 +310,12 @@ def _prepared_walls(arena: Arena) -> _Walls:
     if arena not in _PREPARED_WALLS:
         _PREPARED_WALLS[arena] = _Walls(arena.walls)
     return _PREPARED_WALLS[arena]
+
+
+@lru_cache(maxsize=8)
+def _prepared_copy(walls: bytes) -> _Walls:
+    """Return walls that are the same in many casts, though not the same array: those of a scene."""
+    return _Walls(np.frombuffer(walls).reshape(-1, 2, 2))
 
 
 def _keep_nearest(ranges: Floats, wall: Ints, at: Ints, r: Floats, k: Ints) -> None:

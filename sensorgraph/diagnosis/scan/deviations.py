@@ -136,13 +136,16 @@ def _in_partition(
 ) -> list[Deviation]:
     """Return the deviating bins of one partition; `blocks` (n_scans,) tells the block of each scan."""
     settings, sigma = SCAN.goodness_of_fit, view.data.sensor.sigma
-    n_blocks = int(blocks.max(initial=0)) + 1
-    size = n_blocks * part.count + 1
-    bins = np.where(part.index >= 0, blocks[:, None] * part.count + part.index, size - 1).ravel()
+    inside = part.index >= 0
+    # a building has thousands of bins, each met in a few blocks: only the pairs that occur are summed
+    pairs, pair = np.unique((blocks[:, None] * part.count + part.index)[inside], return_inverse=True)
+    bins = pairs % part.count  # of each pair (block, bin)
 
     def by_block(values: Floats | Bools) -> Floats:
-        sums = np.bincount(bins, values.ravel(), size)[:-1].reshape(n_blocks, -1)
-        return np.asarray(sums, dtype=np.float64)
+        return np.asarray(np.bincount(pair, values[inside], len(pairs)), dtype=np.float64)
+
+    def by_bin(values: Floats | Bools) -> Floats:
+        return np.asarray(np.bincount(bins, values, part.count), dtype=np.float64)
 
     found, counts = [], dict[int, Floats]()
     for family, value in score.values.items():
@@ -150,12 +153,12 @@ def _in_partition(
         if id(counted) not in counts:
             counts[id(counted)] = by_block(counted)
         n, s = counts[id(counted)], by_block(value)
-        total, rays = s.sum(axis=0), n.sum(axis=0)
+        total, rays = by_bin(s), by_bin(n)
         mean = total / np.maximum(rays, 1)
-        scatter = np.sqrt(((s - mean * n) ** 2).sum(axis=0) + 1e-12)
+        scatter = np.sqrt(by_bin((s - mean[bins] * n) ** 2) + 1e-12)
         min_scatter = settings.min_scatter[family] * np.sqrt(rays)
         z = total / np.maximum(np.maximum(scatter, min_scatter), 1e-9)
-        enough = (rays >= settings.min_rays) & ((n > 0).sum(axis=0) >= settings.min_blocks)
+        enough = (rays >= settings.min_rays) & (by_bin(n > 0) >= settings.min_blocks)
         is_strong = (np.abs(z) > min_z) if family == "bias" else (z > min_z)
         unit = sigma if family == "bias" else 1.0
         for k in np.flatnonzero(enough & is_strong & (np.abs(mean) > settings.min_size[family])):

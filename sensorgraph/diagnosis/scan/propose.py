@@ -75,9 +75,15 @@ def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
     n_scans = settings.n_scans_of_large_map if is_large else settings.n_scans
     every = max(1, data.n_scans // n_scans)
     few = thin(data, every)
-    state = thin_state(fitted.state, every)
+    state, nominal = thin_state(fitted.state, every), start_state(few, SCAN.noise)
     if state.noise.core > settings.max_core or state.noise.tail > settings.max_tail:
-        state = start_state(few, SCAN.noise)
+        state = nominal
+    # at nominal nuisances the answer hangs on the model alone, and a strained fit asks twice
+    key = b"swept|" + repr([(a.key, *a.parameters.items()) for a in fitted.model]).encode()
+    if state is nominal and key in data.memo:
+        kept = data.memo[key]
+        assert isinstance(kept, list)
+        return kept
     base = log_likelihood(few, fitted.model, state)
     found = []
     for effect, group in groups:
@@ -87,4 +93,7 @@ def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
             gain = (log_likelihood(few, (*fitted.model, amendment), state) - base) * every
             tried.append(Candidate(amendment=amendment, gain=gain))
         found.append(max(tried, key=lambda c: c.gain))
-    return sorted(found, key=lambda c: -c.gain)[: settings.max_candidates]
+    best = sorted(found, key=lambda c: -c.gain)[: settings.max_candidates]
+    if state is nominal:
+        data.memo[key] = best
+    return best

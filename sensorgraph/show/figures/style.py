@@ -81,10 +81,17 @@ def fill_solid(
 
     frame = arena.free.envelope.buffer(pad, join_style="mitre") if pad else arena.free.envelope
     solid = frame.difference(arena.free)
-    for polygon in getattr(solid, "geoms", [solid]):
-        rings = [np.asarray(ring.coords)[:, :2] + shift for ring in (polygon.exterior, *polygon.interiors)]
-        outline = Outline.make_compound_path(*(Outline(ring, closed=True) for ring in rings if len(ring)))
-        axes.add_patch(PathPatch(outline, facecolor=SOLID, edgecolor="none", zorder=zorder))
+    polygons = getattr(solid, "geoms", [solid])
+    rings = [
+        ring for polygon in polygons for ring in (polygon.exterior, *polygon.interiors) if len(ring.coords)
+    ]
+    if rings:  # one patch: what was never seen of a building is of thousands of polygons
+        outline = Outline.make_compound_path(*(Outline(_moved(r, shift), closed=True) for r in rings))
+        axes.add_artist(PathPatch(outline, facecolor=SOLID, edgecolor="none", zorder=zorder))
+
+
+def _moved(ring: Any, shift: Floats | tuple[float, float]) -> Floats:
+    return np.asarray(ring.coords)[:, :2] + shift
 
 
 def reduce_frame(axes: Any) -> None:
