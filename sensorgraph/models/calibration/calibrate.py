@@ -39,6 +39,7 @@ from sensorgraph.models.calibration.pose_refinement import (
     LaserPoses,
     RefinedPoses,
     compose_poses,
+    is_broken,
     refine_poses,
 )
 from sensorgraph.models.calibration.ray_terms import RayTerms
@@ -179,7 +180,7 @@ class _JointCalibration:
         self.own = np.zeros((2, len(readings.bearings)), dtype=np.bool_)
         self.offset_se = np.full(3, np.nan)
         self.gauge: Gauge | None = None
-        self.pose_noise = (0.0, 0.0)
+        self.pose_noise = self.pose_errors = (0.0, 0.0)
         self.faces: FaceSet
         self.noise: ReturnNoise
 
@@ -210,7 +211,7 @@ class _JointCalibration:
         Noise of a pose moves all returns of a scan together, and many such scans look like terms that are not
         there. So the mount counts against the poses' noise, and all others after the poses were refined.
         """
-        if _is_broken(self.noise.sigma_xy, self.noise.sigma_yaw):
+        if is_broken(self.noise.sigma_xy, self.noise.sigma_yaw):
             logger.info("calibration: returns and poses do not belong together: %s", self.noise)
             return False
         everything, probe = self.readings, CALIBRATION.probe_readings
@@ -225,6 +226,7 @@ class _JointCalibration:
         mount, terms, better = self._paying()
         if better.log_evidence > CALIBRATION.min_gain:
             self.shifts, self.pose_noise = better.shifts, (better.sigma_xy, better.sigma_yaw)
+            self.pose_errors = better.errors
         least = max(CALIBRATION.min_gain, CALIBRATION.min_gain_per_reading * len(self.readings))
         self.is_amiss = force or mount > CALIBRATION.min_gain or terms > least
         return self.is_amiss or better.log_evidence > CALIBRATION.min_gain
@@ -267,7 +269,7 @@ class _JointCalibration:
         work = WorkCounter(tick, n_coarse * coarse + len(reaches) * (fit + round_) + fit)
         if self.is_amiss:
             self.shifts = np.zeros_like(self.shifts)  # they tried to make up for the laser
-            self.pose_noise = (0.0, 0.0)
+            self.pose_noise = self.pose_errors = (0.0, 0.0)
             for i, sigma in enumerate(CALIBRATION.coarse_sigmas):
                 self.take(draft_faces(self.corrected(), sigma=sigma), least=sigma)
                 self.adjust(incidence=i > 0)
@@ -275,7 +277,11 @@ class _JointCalibration:
                 work.add(coarse)
         for reach in reaches:
             rays = self.corrected()
-            self.take(fit_faces(rays, sigma=CALIBRATION.fine_sigma, progress=work.part(fit)))
+            self.take(
+                fit_faces(
+                    rays, sigma=CALIBRATION.fine_sigma, pose_errors=self.pose_errors, progress=work.part(fit)
+                )
+            )
             work.add(fit)
             if self.is_amiss:
                 self.adjust(incidence=True)
@@ -285,7 +291,7 @@ class _JointCalibration:
             self.refine_poses()
             work.add(round_)
         rays = self.corrected()
-        fitted = fit_faces(rays, progress=work.part(fit))
+        fitted = fit_faces(rays, pose_errors=self.pose_errors, progress=work.part(fit))
         return CalibratedFaces(fitted=fitted, calibration=self.calibration(), rays=rays, mount=self.mount)
 
     def corrected(self) -> Rays:
@@ -328,7 +334,7 @@ class _JointCalibration:
         if better.log_evidence < CALIBRATION.min_gain:
             return
         self.shifts = better.shifts
-        self.pose_noise = (better.sigma_xy, better.sigma_yaw)
+        self.pose_noise, self.pose_errors = (better.sigma_xy, better.sigma_yaw), better.errors
 
     def settle(self, reach: float) -> None:
         """Fix the common shift of the walls by occlusion edges, then adjust the ray terms to it."""
@@ -359,7 +365,7 @@ class _JointCalibration:
 
     def _poses(self, matches: Matches) -> RefinedPoses:
         found = refine_poses(self.readings, self.lasers, matches, self.faces, self.shifts, self.noise.sigma)
-        if _is_broken(found.sigma_xy, found.sigma_yaw):
+        if is_broken(found.sigma_xy, found.sigma_yaw):
             logger.info("poses off by %.2f m, %.2f rad: not refined", found.sigma_xy, found.sigma_yaw)
             return replace(found, log_evidence=0.0)
         return found
@@ -379,12 +385,6 @@ class _JointCalibration:
             own = 0.5 * math.log(max(n / n_rays, 2.0)) + math.log((1 - share) / share)
             prices[N_COMMON + group * n_rays : N_COMMON + (group + 1) * n_rays] = own
         return prices
-
-
-def _is_broken(sigma_xy: float, sigma_yaw: float) -> bool:
-    """Tell whether poses are so noisy [m, rad] that no small step mends the log."""
-    most_xy, most_yaw = CALIBRATION.poses.max_noise
-    return sigma_xy > most_xy or sigma_yaw > most_yaw
 
 
 def _whole_scans(readings: Readings, most: int) -> Readings:

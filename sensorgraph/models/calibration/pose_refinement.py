@@ -31,6 +31,8 @@ class RefinedPoses:
     """[rad]"""
     log_evidence: float
     """Log evidence of noisy poses over exact ones."""
+    errors: tuple[float, float]
+    """[m, rad] standard errors of the poses so refined, each axis and the heading, in the mean over scans."""
 
 
 def refine_poses(
@@ -54,17 +56,18 @@ def refine_poses(
     right += np.einsum("nij,nj->ni", own, shifts)
     seen = own[:, 0, 0] + own[:, 1, 1] > 0
     found = np.zeros((n, 3))
-    found[seen], spread, log_evidence = _solve_damped(own[seen], right[seen])
+    found[seen], spread, log_evidence, errors = _solve_damped(own[seen], right[seen])
     return RefinedPoses(
         shifts=found,
         sigma_xy=float(np.sqrt(spread[0])),
         sigma_yaw=float(np.sqrt(spread[2])),
         log_evidence=log_evidence,
+        errors=errors,
     )
 
 
-def _solve_damped(own: Floats, right: Floats) -> tuple[Floats, Floats, float]:
-    """Solve for the scans' corrections (n, 3) and the variance (3,) that these have; return the evidence for it, too."""
+def _solve_damped(own: Floats, right: Floats) -> tuple[Floats, Floats, float, tuple[float, float]]:
+    """Solve for the scans' corrections (n, 3) and the variance (3,) that these have; return evidence and errors, too."""
     spread = np.array([POSES.first_noise[0], *POSES.first_noise]) ** 2
     for _ in range(POSES.rounds if len(own) else 0):
         inverse = np.linalg.inv(own + np.diag(1 / spread))
@@ -76,7 +79,15 @@ def _solve_damped(own: Floats, right: Floats) -> tuple[Floats, Floats, float]:
     found = np.einsum("nij,nj->ni", inverse, right)
     explained = 0.5 * float((right * found).sum())
     volume = 0.5 * float(np.linalg.slogdet(np.eye(3) + own * spread[:, None])[1].sum())
-    return found, spread, explained - volume
+    left = np.einsum("nii->ni", inverse).mean(axis=0) if len(own) else np.zeros(3)
+    errors = float(np.sqrt(left[:2].mean())), float(np.sqrt(left[2]))
+    return found, spread, explained - volume, errors
+
+
+def is_broken(sigma_xy: float, sigma_yaw: float) -> bool:
+    """Tell whether poses are so noisy [m, rad] that no small step mends the log."""
+    most_xy, most_yaw = POSES.max_noise
+    return sigma_xy > most_xy or sigma_yaw > most_yaw
 
 
 def compose_poses(lasers: Floats, shifts: Floats) -> Floats:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planners.kernel import kernel
+from sensorgraph.models.faces.blurred_edges import blur_edges
 from sensorgraph.models.faces.ray_march import (
     CANDIDATE_SLOTS,
     MIN_VISIBILITY,
@@ -16,6 +17,7 @@ from sensorgraph.models.faces.ray_march import (
 )
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
+    MIN_SQUARED_COSINE,
     REACH_MARGIN,
     REACH_SIGMAS,
     Rays,
@@ -37,20 +39,22 @@ class Crossings(NamedTuple):
     """(n_looks,) chance that the ray stopped there, given that it came so far."""
     weight: Floats
     """(n_looks,) chance that it came so far."""
+    error: Floats
+    """(n_looks,) [m] standard error of the abscissa, from the noise of the poses."""
     bounds: Ints
     """(n_faces + 1,) where each face's crossings begin."""
 
-    def at(self, k: int) -> tuple[Floats, Floats, Floats]:
-        """Return abscissae, stops and weights of face k."""
+    def at(self, k: int) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return abscissae, stops, weights and errors of face k."""
         part = slice(self.bounds[k], self.bounds[k + 1])
-        return self.t[part], self.stop[part], self.weight[part]
+        return self.t[part], self.stop[part], self.weight[part], self.error[part]
 
     def of_faces(self, index: Ints) -> Crossings:
         """Return the crossings of some faces, in the order of `index`."""
         parts = [np.arange(self.bounds[k], self.bounds[k + 1]) for k in index]
         place = np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
         bounds = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.intp)
-        return Crossings(self.t[place], self.stop[place], self.weight[place], bounds)
+        return Crossings(self.t[place], self.stop[place], self.weight[place], self.error[place], bounds)
 
 
 def fit_stretches(faces: FaceSet, crossings: Crossings) -> FaceSet:
@@ -58,7 +62,8 @@ def fit_stretches(faces: FaceSet, crossings: Crossings) -> FaceSet:
 
     The outcomes of all crossings of a face, sorted along it, are cut by dynamic programming (optimal partitioning,
     Jackson et al. 2005) at the places that are worth more than `FaceEdgeSettings.min_gain` nats; an edge lies midway between the
-    crossings on both sides of it. A face may be left that stops nothing: see `is_visible`.
+    crossings on both sides of it, or where it explains them best if their places are uncertain (`blurred_edges`). A face
+    may be left that stops nothing: see `is_visible`.
     """
     first, edges, levels, blur = [0], [], [], []
     for k in range(faces.n_faces):
@@ -79,19 +84,32 @@ def fit_stretches(faces: FaceSet, crossings: Crossings) -> FaceSet:
     )
 
 
-def crossings_of(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Crossings:
-    """List what rays did at faces."""
-    face, t, stop, weight = _list_crossings(
-        rays.origins, rays.directions, rays.ranges, rays.range_max, faces, bucket_grid(faces), noise.array
+def crossings_of(
+    rays: Rays, faces: FaceSet, noise: ReturnNoise, pose_errors: tuple[float, float] = (0.0, 0.0)
+) -> Crossings:
+    """List what rays did at faces; `pose_errors` [m, rad] are left in refined poses, beside the noise."""
+    xy, yaw = np.hypot([noise.sigma_xy, noise.sigma_yaw], pose_errors)
+    face, t, stop, weight, error = _list_crossings(
+        rays.origins,
+        rays.directions,
+        rays.ranges,
+        rays.range_max,
+        faces,
+        bucket_grid(faces),
+        noise.array,
+        xy**2,
+        yaw**2,
     )
-    return sorted_crossings(face, t, stop, weight, faces.n_faces)
+    return sorted_crossings(face, t, stop, weight, error, faces.n_faces)
 
 
-def sorted_crossings(face: Ints, t: Floats, stop: Floats, weight: Floats, n_faces: int) -> Crossings:
+def sorted_crossings(
+    face: Ints, t: Floats, stop: Floats, weight: Floats, error: Floats, n_faces: int
+) -> Crossings:
     """Sort crossings (n,) by face, then along it."""
     order = np.argsort(_sort_key(face, t), kind="stable")
     bounds = np.searchsorted(face[order], np.arange(n_faces + 1))
-    return Crossings(t[order], stop[order], weight[order], bounds)
+    return Crossings(t[order], stop[order], weight[order], error[order], bounds)
 
 
 def is_visible(faces: FaceSet) -> Bools:
@@ -132,12 +150,14 @@ def take_faces(faces: FaceSet, index: Ints) -> FaceSet:
 
 @kernel
 def _list_crossings(
-    origins: Any, directions: Any, ranges: Any, range_max: Any, faces: Any, buckets: Any, noise: Any
-) -> Any:
-    """List all crossings: face, abscissa, chance that the ray stopped given that it came so far, and that chance."""
+    origins: Any, directions: Any, ranges: Any, range_max: Any, faces: Any, buckets: Any, noise: Any,
+    var_xy: Any, var_yaw: Any,
+) -> Any:  # fmt: skip
+    """List all crossings: face, abscissa, chance that the ray stopped given that it came so far, that chance, error."""
     size = 3 * len(ranges) + 64
-    face, rows = np.empty(size, np.int32), np.empty((3, size))
-    at, stop, weight = rows[0], rows[1], rows[2]
+    face, rows = np.empty(size, np.int32), np.empty((4, size))
+    at, stop, weight, error = rows[0], rows[1], rows[2], rows[3]
+    normals = faces[0]
     r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
     k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
     gamma, survive = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
@@ -154,29 +174,57 @@ def _list_crossings(
                 continue
             if count == size:
                 size *= 2
-                more_faces, more = np.empty(size, np.int32), np.empty((3, size))
+                more_faces, more = np.empty(size, np.int32), np.empty((4, size))
                 for c in range(count):
                     more_faces[c] = face[c]
-                    more[0, c], more[1, c], more[2, c] = at[c], stop[c], weight[c]
-                face, at, stop, weight = more_faces, more[0], more[1], more[2]
+                    more[0, c], more[1, c], more[2, c], more[3, c] = at[c], stop[c], weight[c], error[c]
+                face, at, stop, weight, error = more_faces, more[0], more[1], more[2], more[3]
             face[count], at[count] = k[m], t[m]
+            den = normals[k[m], 0] * ux + normals[k[m], 1] * uy
+            error[count] = np.sqrt((var_xy + r[m] * r[m] * var_yaw) / max(den * den, MIN_SQUARED_COSINE))
             stop[count], weight[count] = min(gamma[m] / survive[m], 1.0), survive[m]
             count += 1
-    return face[:count], at[:count], stop[:count], weight[:count]
+    return face[:count], at[:count], stop[:count], weight[:count], error[:count]
 
 
-def _stretches(t: Floats, stop: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
+def _stretches(t: Floats, stop: Floats, weight: Floats, error: Floats) -> tuple[Floats, Floats, Floats]:
     """Cut sorted crossings into stretches; return edges, visibility after each (the last 0) and the edges' s.e."""
     if len(t) == 0:
         return np.array([0.0, 1e-9]), np.zeros(2), np.zeros(2)
-    cuts = _partition(stop, weight, FACES.edges.min_gain + 0.5 * np.log(len(t)))
+    price = FACES.edges.min_gain + 0.5 * np.log(len(t))
+    cuts = _without_idle_cuts(_partition(stop, weight, price), stop, weight, price)
     stopped, looked = np.add.reduceat(stop * weight, cuts[:-1]), np.add.reduceat(weight, cuts[:-1])
     level = (stopped + PRIOR_STOPS) / (looked + PRIOR_CROSSINGS)
-    level[level < MIN_VISIBILITY * FACES.edges.visibility_factor] = 0.0
     inner = cuts[1:-1]
     edges = np.concatenate([t[:1], (t[inner - 1] + t[inner]) / 2, t[-1:]])
     gap = np.concatenate([[0.0], (t[inner] - t[inner - 1]) / np.sqrt(12), [0.0]])
-    return edges + 1e-9 * np.arange(len(edges)), np.append(level, 0.0), gap
+    level = np.append(level, 0.0)
+    if len(inner) and error.any():
+        edges, level, gap = blur_edges(t, stop, weight, error, edges, level, gap, price)
+    level[level < MIN_VISIBILITY * FACES.edges.visibility_factor] = 0.0
+    return edges + 1e-9 * np.arange(len(edges)), level, gap
+
+
+def _without_idle_cuts(cuts: Ints, stop: Floats, weight: Floats, price: float) -> Ints:
+    """Drop cuts that are not worth their price: those of stretches with more runs than the partition looks back."""
+
+    def cost(first: int, last: int) -> float:
+        s, w = sums[last] - sums[first]
+        p = (s + PRIOR_STOPS) / (w + PRIOR_CROSSINGS)
+        return float(-s * np.log(p) - (w - s) * np.log(1 - p))
+
+    sums = np.zeros((len(stop) + 1, 2))
+    np.cumsum(np.column_stack([stop * weight, weight]), axis=0, out=sums[1:])
+    kept = cuts.tolist()
+    k = 1
+    while k < len(kept) - 1:
+        a, b, c = kept[k - 1 : k + 2]
+        if cost(a, c) - cost(a, b) - cost(b, c) < price:
+            del kept[k]
+            k = max(k - 1, 1)
+        else:
+            k += 1
+    return np.array(kept, dtype=np.intp)
 
 
 @kernel

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import ndtr
 
+from sensorgraph.models.faces.blurred_edges import MIN_ERROR
 from sensorgraph.models.faces.change_points import Crossings
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.settings import FACES
@@ -71,17 +73,32 @@ def _meetings(faces: FaceSet, k: int, p: Floats) -> list[tuple[int, float]]:
     return out
 
 
-def _loss(faces: FaceSet, e: int, k: int, s: float, t: Floats, stop: Floats, weight: Floats) -> float:
-    """Return the nats lost by moving edge e of face k to abscissa s."""
+def _loss(
+    faces: FaceSet, e: int, k: int, s: float, t: Floats, stop: Floats, weight: Floats, error: Floats
+) -> float:
+    """Return the nats lost by moving edge e of face k to abscissa s, both blurred as the crossings' places are."""
     old = faces.edges[e]
-    low, high = min(old, s), max(old, s)
-    a, b = np.searchsorted(t, [low, high])
+    margin = EDGES.window_errors * _median_error(t, error, old)
+    a, b = np.searchsorted(t, [min(old, s) - margin, max(old, s) + margin])
     after = faces.levels[e]
     before = faces.levels[e - 1] if e > faces.first[k] else 0.0
-    now, then = (before, after) if s < old else (after, before)  # what was said there, what would be said
-    now, then = np.clip([now, then], EDGES.min_visibility, 1 - EDGES.min_visibility)
-    y, w = stop[a:b], weight[a:b]
+    y, w, tau = stop[a:b], weight[a:b], np.maximum(error[a:b], MIN_ERROR)
+    now, then = (
+        np.clip(
+            before + (after - before) * ndtr((t[a:b] - place) / tau),
+            EDGES.min_visibility,
+            1 - EDGES.min_visibility,
+        )
+        for place in (old, s)
+    )
     return float((w * (y * np.log(now / then) + (1 - y) * np.log((1 - now) / (1 - then)))).sum())
+
+
+def _median_error(t: Floats, error: Floats, place: float) -> float:
+    """Return the standard error [m] of crossings next to a place, 0 where there is none."""
+    middle = int(np.searchsorted(t, place))
+    near = error[max(middle - 10, 0) : middle + 10]
+    return float(np.median(near)) if len(near) else 0.0
 
 
 def _in_order(faces: FaceSet) -> FaceSet:

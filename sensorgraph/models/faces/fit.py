@@ -49,6 +49,7 @@ def fit_faces(
     *,
     hit_moments: HitMoments | None = None,
     sigma: float = FIT.first_sigma,
+    pose_errors: tuple[float, float] = (0.0, 0.0),
     progress: Progress | None = None,
 ) -> FittedFaces:
     """Find the faces that explain rays.
@@ -57,6 +58,7 @@ def fit_faces(
     ----------
     hit_moments : pooled hits of all rays that `rays` are a sample of; None: of `rays` themselves
     sigma : [m] range noise to begin with; it is then estimated, and so is the noise of the poses
+    pose_errors : [m, rad] left in poses that were refined by these rays: it does not show in the noise any more
     """
     work = WorkCounter(progress, fit_cost(len(rays)))
     if hit_moments is None:
@@ -71,11 +73,11 @@ def fit_faces(
         faces, noise, expectation = _em(draft, faces, noise, passes=FIT.round_passes)
         work.add((SPLIT_PASSES + FIT.round_passes) * len(draft))
         logger.info("%d faces, %.4f nats a ray", faces.n_faces, expectation.log_likelihood / len(draft))
-    faces = fit_stretches(faces, crossings_of(draft, faces, noise))
+    faces = fit_stretches(faces, crossings_of(draft, faces, noise, pose_errors))
     faces = take_faces(faces, np.flatnonzero(is_visible(faces)))
     work.add(len(draft))
     faces, noise, expectation = _em(final, faces, noise, passes=1)
-    crossings = crossings_of(final, faces, noise)
+    crossings = crossings_of(final, faces, noise, pose_errors)
     faces = fit_stretches(faces, crossings)
     seen_faces = np.flatnonzero(is_visible(faces))
     faces, crossings = take_faces(faces, seen_faces), crossings.of_faces(seen_faces)

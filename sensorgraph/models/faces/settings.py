@@ -161,6 +161,16 @@ class FaceEdgeSettings:
     """Runs of equal outcome that one stretch may hold."""
     max_stray: float = 0.5
     """Chance that a return comes from no face, above which its ray tells of no crossing."""
+    level_passes: int = 6
+    """Of EM on the visibility of stretches, next to whose edges a crossing may belong to either (`blurred_edges`)."""
+    search_rounds: int = 4
+    """In which an edge's place is sought, each on a finer grid than the last."""
+    search_half: int = 4
+    """Places on each side of the best one in a round."""
+    max_step_errors: float = 8.0
+    """Standard errors of a crossing's place, up to which a stretch may be the blur of one edge."""
+    window_errors: float = 4.0
+    """Standard errors from an edge, within which crossings may belong to either side."""
     min_reached: float = 0.2
     """Chance that a ray came as far as a crossing, below which that is not counted."""
     visibility_factor: float = 5.0

@@ -28,6 +28,8 @@ SUMS = {
     "stray": "stray",
 }
 """Name in a file -> field of `SufficientStatistics`."""
+Columns = tuple[Ints, Floats, Floats, Floats, Floats]
+"""Face, abscissa, stop, weight and error of crossings, each (n,), as in `Crossings`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,6 +53,8 @@ class SufficientStatistics:
     t: Floats
     stop: Floats
     weight: Floats
+    error: Floats
+    """(n_near,) [m] standard error of their abscissae."""
 
     @classmethod
     def of(
@@ -72,6 +76,7 @@ class SufficientStatistics:
             t=crossings.t[place],
             stop=crossings.stop[place],
             weight=crossings.weight[place],
+            error=crossings.error[place],
         )
 
     def scaled(self, scale: float) -> SufficientStatistics:
@@ -88,8 +93,8 @@ class SufficientStatistics:
             ),
         )
 
-    def as_crossings(self, faces: FaceSet, slide: Floats) -> tuple[Ints, Floats, Floats, Floats]:
-        """Return face, abscissa, stop and weight of crossings that stand for all that is remembered.
+    def as_crossings(self, faces: FaceSet, slide: Floats) -> Columns:
+        """Return face, abscissa, stop, weight and error of crossings that stand for all that is remembered.
 
         Those next to edges are themselves; the others of a stretch are spread evenly over it. `slide` (n_faces,)
         [m] is added to abscissae.
@@ -109,7 +114,8 @@ class SufficientStatistics:
         )
         face = np.concatenate([self.face, np.repeat(owner[at], FACES.reduction.stand_ins)])
         t = np.concatenate([self.t, t.ravel()]) + slide[face]
-        return face, t, np.concatenate([self.stop, stop]), np.concatenate([self.weight, weight])
+        error = np.concatenate([self.error, np.zeros(len(stop))])
+        return face, t, np.concatenate([self.stop, stop]), np.concatenate([self.weight, weight]), error
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return compact arrays for a file, by their names there."""
@@ -120,7 +126,7 @@ class SufficientStatistics:
         }
         out |= {stored: getattr(self, field) for stored, field in SUMS.items()}
         out |= {"face": self.face.astype(np.int32), "t": self.t}
-        return out | {name: getattr(self, name).astype(np.float32) for name in ("stop", "weight")}
+        return out | {name: getattr(self, name).astype(np.float32) for name in ("stop", "weight", "error")}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], faces: FaceSet) -> SufficientStatistics:
@@ -133,10 +139,13 @@ class SufficientStatistics:
         fields = {**SUMS, "t": "t", "stop": "stop", "weight": "weight"}
         found = {field: np.asarray(arrays[stored], dtype=np.float64) for stored, field in fields.items()}
         n_edges, n_near = len(faces.edges), len(found["t"])
+        # a graph written before 0.5 has no errors: its crossings count as exact
+        found["error"] = np.asarray(arrays.get("error", np.zeros(n_near)), dtype=np.float64)
+        fields["error"] = "error"
         shapes = {stored: found[field].shape for stored, field in fields.items()}
         expected = {
             "lines": (faces.n_faces, 8), "stops": (n_edges,), "looks": (n_edges,), "spread": (3, 4),
-            "stray": (2,), "t": (n_near,), "stop": (n_near,), "weight": (n_near,),
+            "stray": (2,), "t": (n_near,), "stop": (n_near,), "weight": (n_near,), "error": (n_near,),
         }  # fmt: skip
         if shapes != expected:
             raise ValueError(f"the statistics have shapes {shapes}, expected {expected}")
@@ -147,16 +156,16 @@ class SufficientStatistics:
         return cls(unexplained_hits=hits, face=np.asarray(arrays["face"], dtype=np.intp), **found)
 
 
-def merge_crossings(parts: list[tuple[Ints, Floats, Floats, Floats]], n_faces: int) -> Crossings:
-    """Put crossings (face, abscissa, stop, weight) of several sources together and sort them."""
-    face, t, stop, weight = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    return sorted_crossings(face, t, stop, weight, n_faces)
+def merge_crossings(parts: list[Columns], n_faces: int) -> Crossings:
+    """Put crossings (face, abscissa, stop, weight, error) of several sources together and sort them."""
+    face, t, stop, weight, error = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return sorted_crossings(face, t, stop, weight, error, n_faces)
 
 
-def columns_of(crossings: Crossings, scale: float = 1.0) -> tuple[Ints, Floats, Floats, Floats]:
+def columns_of(crossings: Crossings, scale: float = 1.0) -> Columns:
     """Return crossings as columns, each counted `scale` times."""
     face = np.repeat(np.arange(len(crossings.bounds) - 1), np.diff(crossings.bounds))
-    return face, crossings.t, crossings.stop, scale * crossings.weight
+    return face, crossings.t, crossings.stop, scale * crossings.weight, crossings.error
 
 
 def rebase_line_sums(lines: Floats, before: FaceSet, after: FaceSet) -> Floats:

@@ -86,7 +86,7 @@ def update_faces(
     fresh = columns_of(crossings_of(rays, faces, noise), scale)
     crossings = merge_crossings([held.as_crossings(before, slide), fresh], faces.n_faces)
     single = merge_crossings(
-        [(held.face, held.t + slide[held.face], held.stop, held.weight), fresh], faces.n_faces
+        [(held.face, held.t + slide[held.face], held.stop, held.weight, held.error), fresh], faces.n_faces
     )
     held_lines = rebase_line_sums(held.line_sums, before, faces)
     faces = fit_stretches(faces, crossings)
@@ -166,7 +166,7 @@ def _add(
     owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
     stops, total = np.zeros(len(owner)), np.zeros(len(owner))
     for k in range(faces.n_faces):
-        t, stop, weight = crossings.at(k)
+        t, stop, weight, _ = crossings.at(k)
         a, b = int(faces.first[k]), int(faces.first[k + 1])
         j = np.clip(np.searchsorted(faces.edges[a:b], t, side="right") - 1, 0, b - a - 1)
         total[a:b] = np.bincount(j, weights=weight, minlength=b - a)

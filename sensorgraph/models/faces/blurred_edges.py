@@ -1,0 +1,211 @@
+"""Edges among crossings whose places are known up to the noise of the poses.
+
+Where poses are off by a little, rays on both sides of a sharp edge do both: stop and pass. The more rays, the surer it
+is that this margin is neither: cut as it stands, an edge becomes a stair of stretches that are not there, and the longer
+the log the more steps. Here a crossing at t with standard error τ stops with the chance that a sharp edge at s leaves it,
+`before` + (`after` - `before`) Φ((t - s) / τ). A stretch stays only if it is worth its price against one edge so blurred.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from planners.kernel import inner_kernel, kernel
+from sensorgraph.models.faces.settings import FACES
+
+EDGES = FACES.edges
+LEVEL_PASSES, SEARCH_ROUNDS, SEARCH_HALF = EDGES.level_passes, EDGES.search_rounds, EDGES.search_half
+MAX_ERRORS, WINDOW = EDGES.max_step_errors, EDGES.window_errors
+MIN_CHANCE = EDGES.min_visibility
+PRIOR_STOPS, PRIOR_CROSSINGS = FACES.expectation.prior_stops, FACES.expectation.prior_crossings
+MIN_ERROR = 1e-7
+"""[m] below it a crossing's place is exact."""
+
+
+@kernel
+def blur_edges(
+    t: Any, stop: Any, weight: Any, error: Any, edges: Any, levels: Any, errors: Any, price: Any
+) -> Any:
+    """Drop stretches that blurred edges explain, and move the others' edges to where they explain most.
+
+    Parameters
+    ----------
+    t, stop, weight, error : (n,) crossings of one face as in `Crossings`, sorted
+    edges, levels, errors : (m + 1,) of its stretches, the level after the last edge 0; errors: of the edges' places [m]
+    price : [nats] that a stretch must be worth
+
+    Returns
+    -------
+    edges, levels, errors (k + 1,), k <= m
+    """
+    e, level, se = edges.copy(), levels.copy(), errors.copy()
+    n = len(e)
+    _fit_levels(t, stop, weight, error, e, level, n)
+    is_kept = np.zeros(n, np.bool_)
+    while True:
+        j, width = -1, np.inf
+        for k in range(1, n - 2):
+            if not is_kept[k] and e[k + 1] - e[k] < width:
+                j, width = k, e[k + 1] - e[k]
+        if j < 0:
+            break
+        is_kept[j] = True
+        spread = _error_about(t, error, 0.5 * (e[j] + e[j + 1]))
+        if width > MAX_ERRORS * spread:
+            continue
+        low, high = max(e[j - 1], e[j] - WINDOW * spread), min(e[j + 2], e[j + 1] + WINDOW * spread)
+        a, b = np.searchsorted(t, low), np.searchsorted(t, high)
+        before, own, after = level[j - 1], level[j], level[j + 1]
+        stairs = max(
+            _two_edges(t, stop, weight, error, a, b, before, own, after, e[j], e[j + 1], 1.0),
+            _two_edges(t, stop, weight, error, a, b, before, own, after, e[j], e[j + 1], 0.0),
+        )
+        place, one = _best_place(t, stop, weight, error, a, b, before, after, e[j], e[j + 1])
+        if one + price < stairs:
+            continue
+        e[j], se[j] = place, max(se[j], se[j + 1])
+        for k in range(j + 1, n - 1):
+            e[k], se[k], is_kept[k] = e[k + 1], se[k + 1], is_kept[k + 1]
+        for k in range(j, n - 1):
+            level[k] = level[k + 1]
+        n -= 1
+        is_kept[j - 1] = is_kept[j] = False
+        _fit_levels(t, stop, weight, error, e, level, n)
+    for j in range(1, n - 1):
+        spread = _error_about(t, error, e[j])
+        if spread < MIN_ERROR:
+            continue
+        low, high = max(e[j - 1], e[j] - WINDOW * spread), min(e[j + 1], e[j] + WINDOW * spread)
+        a, b = np.searchsorted(t, low), np.searchsorted(t, high)
+        near = 0.5 * WINDOW * spread
+        left, right = max(e[j] - near, 0.5 * (e[j] + e[j - 1])), min(e[j] + near, 0.5 * (e[j] + e[j + 1]))
+        e[j] = _best_place(t, stop, weight, error, a, b, level[j - 1], level[j], left, right)[0]
+        known = _information(t, weight, error, a, b, level[j - 1], level[j], e[j])
+        se[j] = min(math.sqrt(se[j] ** 2 + 1.0 / max(known, 1e-12)), spread)
+    _fit_levels(t, stop, weight, error, e, level, n)
+    return e[:n], level[:n], se[:n]
+
+
+@inner_kernel
+def _below(x: Any) -> Any:
+    """Return Φ(x)."""
+    return 0.5 * math.erfc(-x * 0.7071067811865476)
+
+
+@kernel
+def _error_about(t: Any, error: Any, place: Any) -> Any:
+    """Return the standard error [m] of the crossings about a place, those next to it."""
+    middle: Any = np.searchsorted(t, place)
+    total, count = 0.0, 0
+    for i in range(max(middle - 10, 0), min(middle + 10, len(t))):
+        total += error[i]
+        count += 1
+    return total / max(count, 1)
+
+
+@inner_kernel
+def _nats(y: Any, w: Any, p: Any) -> Any:
+    p = min(max(p, MIN_CHANCE), 1.0 - MIN_CHANCE)
+    return w * (y * math.log(p) + (1.0 - y) * math.log(1.0 - p))
+
+
+@inner_kernel
+def _two_edges(
+    t: Any, stop: Any, weight: Any, error: Any, a: Any, b: Any, before: Any, own: Any, after: Any,
+    first: Any, second: Any, blur: Any,
+) -> Any:  # fmt: skip
+    """Return the log likelihood of crossings a ... b - 1 by two edges; `blur` 0: as if their places were exact."""
+    total = 0.0
+    for i in range(a, b):
+        tau = max(blur * error[i], MIN_ERROR)
+        p = before + (own - before) * _below((t[i] - first) / tau)
+        p += (after - own) * _below((t[i] - second) / tau)
+        total += _nats(stop[i], weight[i], p)
+    return total
+
+
+@inner_kernel
+def _best_place(
+    t: Any, stop: Any, weight: Any, error: Any, a: Any, b: Any, before: Any, after: Any, low: Any, high: Any
+) -> Any:
+    """Return where between low and high one blurred edge explains crossings a ... b - 1 best, and how well."""
+    best, place = -np.inf, 0.5 * (low + high)
+    centre, half = place, 0.5 * (high - low)
+    for _ in range(SEARCH_ROUNDS):
+        for k in range(-SEARCH_HALF, SEARCH_HALF + 1):
+            s = centre + half * k / SEARCH_HALF
+            if s < low or s > high:
+                continue
+            total = 0.0
+            for i in range(a, b):
+                p = before + (after - before) * _below((t[i] - s) / max(error[i], MIN_ERROR))
+                total += _nats(stop[i], weight[i], p)
+            if total > best:
+                best, place = total, s
+        centre, half = place, half / SEARCH_HALF
+    return place, best
+
+
+@inner_kernel
+def _information(t: Any, weight: Any, error: Any, a: Any, b: Any, before: Any, after: Any, place: Any) -> Any:
+    """Return the Fisher information [1/m²] of a blurred edge's place."""
+    total = 0.0
+    for i in range(a, b):
+        tau = max(error[i], MIN_ERROR)
+        x = (t[i] - place) / tau
+        p = min(max(before + (after - before) * _below(x), MIN_CHANCE), 1.0 - MIN_CHANCE)
+        slope = (after - before) * 0.3989422804014327 * math.exp(-0.5 * x * x) / tau
+        total += weight[i] * slope * slope / (p * (1.0 - p))
+    return total
+
+
+@kernel
+def _fit_levels(t: Any, stop: Any, weight: Any, error: Any, e: Any, level: Any, n: Any) -> Any:
+    """Set the visibility of n - 1 stretches by EM: a crossing near an edge may have been beyond it."""
+    stopped, looked = np.zeros(n), np.zeros(n)
+    near, count = np.empty(len(t), np.int64), 0
+    j = 0
+    for i in range(len(t)):
+        while j < n - 2 and t[i] >= e[j + 1]:
+            j += 1
+        reach = WINDOW * error[i]
+        if (j > 0 and t[i] - e[j] < reach) or (j < n - 2 and e[j + 1] - t[i] < reach):
+            near[count] = i
+            count += 1
+        else:
+            stopped[j] += stop[i] * weight[i]
+            looked[j] += weight[i]
+    if count == 0:
+        return
+    now, all_ = np.empty(n), np.empty(n)
+    for _ in range(LEVEL_PASSES):
+        for k in range(n):
+            now[k], all_[k] = stopped[k], looked[k]
+        j = 0
+        for m in range(count):
+            i = near[m]
+            while j < n - 2 and t[i] >= e[j + 1]:
+                j += 1
+            tau = max(error[i], MIN_ERROR)
+            left = _below((e[j] - t[i]) / tau) if j > 0 else 0.0
+            right = _below((t[i] - e[j + 1]) / tau) if j < n - 2 else 0.0
+            share = max(1.0 - left - right, 0.0)
+            p = share * level[j]
+            if j > 0:
+                p += left * level[j - 1]
+            if j < n - 2:
+                p += right * level[j + 1]
+            p = min(max(p, MIN_CHANCE), 1.0 - MIN_CHANCE)
+            y, w = stop[i], weight[i]
+            for k in range(max(j - 1, 0), min(j + 2, n - 1)):
+                chance = share if k == j else (left if k < j else right)
+                hit = chance * level[k] / p
+                miss = chance * (1.0 - level[k]) / (1.0 - p)
+                now[k] += w * y * hit
+                all_[k] += w * (y * hit + (1.0 - y) * miss)
+        for k in range(n - 1):
+            level[k] = min(max((now[k] + PRIOR_STOPS) / (all_[k] + PRIOR_CROSSINGS), 0.0), 1.0)
+    level[n - 1] = 0.0

@@ -1,0 +1,61 @@
+"""More scans of the same places: edges stay single."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sensorgraph.models.faces.change_points import Crossings, fit_stretches
+from sensorgraph.models.faces.ray_march import FaceSet
+from sensorgraph.types import Floats
+
+FACE = FaceSet(
+    normals=np.array([[0.0, 1.0]]), offsets=np.zeros(1), first=np.array([0, 2]), edges=np.array([0.0, 1.0]),
+    levels=np.array([1.0, 0.0]), blur=np.zeros(2), neighbour=np.full(2, -1),
+)  # fmt: skip
+
+
+def crossed(n: int, visible: Floats, edges: list[float], error: float, seed: int = 0) -> Crossings:
+    """Crossings of one face with stretches of some visibility, whose places are logged with an error [m]."""
+    rng = np.random.default_rng(seed)
+    true = rng.uniform(0.0, 1.0, n)
+    chance = visible[np.searchsorted(edges, true)]
+    errors = error * rng.uniform(0.5, 2.0, n)  # near and far, head-on and grazing
+    logged = true + errors * rng.normal(size=n)
+    order = np.argsort(logged)
+    stop = (rng.uniform(size=n) < chance).astype(float)
+    return Crossings(logged[order], stop[order], np.ones(n), errors[order], np.array([0, n], dtype=np.intp))
+
+
+@pytest.mark.parametrize("n", [2_000, 20_000, 100_000])
+def test_an_edge_seen_from_noisy_poses_is_one_edge_however_many_rays_cross(n: int) -> None:
+    found = fit_stretches(FACE, crossed(n, np.array([0.0, 0.998]), [0.4], 0.004))
+    assert len(found.edges) == 3
+    assert abs(found.edges[1] - 0.4) < 5 * found.blur[1]
+    assert found.blur[1] < 0.003  # [m] less than one crossing's error
+    assert found.levels[:2] == pytest.approx([0.0, 0.998], abs=0.01)
+
+
+def test_more_crossings_know_an_edge_better() -> None:
+    few, many = (
+        fit_stretches(FACE, crossed(n, np.array([0.0, 0.998]), [0.4], 0.004)) for n in (2_000, 50_000)
+    )
+    assert many.blur[1] < few.blur[1] / 3  # five times, by the root of 25
+
+
+def test_a_stretch_that_stops_every_other_ray_stays() -> None:
+    found = fit_stretches(FACE, crossed(20_000, np.array([0.0, 0.5, 0.998]), [0.4, 0.5], 0.004))
+    assert found.edges[1:3] == pytest.approx([0.4, 0.5], abs=0.003)
+    assert found.levels[1] == pytest.approx(0.5, abs=0.05)  # 2,000 crossings: 0.011
+
+
+def test_a_leg_narrower_than_a_few_errors_is_seen_as_often_as_it_is() -> None:
+    found = fit_stretches(FACE, crossed(20_000, np.array([0.0, 0.998, 0.0]), [0.40, 0.42], 0.004))
+    assert len(found.edges) == 4
+    assert found.edges[1:3] == pytest.approx([0.40, 0.42], abs=0.002)
+    assert found.levels[1] > 0.95
+
+
+def test_exact_places_are_cut_as_they_stand() -> None:
+    found = fit_stretches(FACE, crossed(2_000, np.array([0.0, 1.0]), [0.4], 0.0))
+    assert found.edges[1] == pytest.approx(0.4, abs=0.002)  # 2,000 crossings on a metre
