@@ -1,4 +1,4 @@
-"""More scans of the same places: edges stay single."""
+"""More scans of the same places: edges stay single, rare places stay in the draft, nothing gets worse."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from sensorgraph.models.faces.change_points import Crossings, fit_stretches
+from sensorgraph.models.faces.fit import _thinned
 from sensorgraph.models.faces.ray_march import FaceSet
+from sensorgraph.models.faces.visibility import Rays
 from sensorgraph.types import Floats
 
 FACE = FaceSet(
@@ -59,3 +61,18 @@ def test_a_leg_narrower_than_a_few_errors_is_seen_as_often_as_it_is() -> None:
 def test_exact_places_are_cut_as_they_stand() -> None:
     found = fit_stretches(FACE, crossed(2_000, np.array([0.0, 1.0]), [0.4], 0.0))
     assert found.edges[1] == pytest.approx(0.4, abs=0.002)  # 2,000 crossings on a metre
+
+
+def test_drafts_keep_places_that_were_passed_once() -> None:
+    rng = np.random.default_rng(1)
+    origins = np.concatenate([rng.uniform(0.0, 0.4, (20_000, 2)), [[5.2, 5.2]] * 50])
+    turn = rng.uniform(-np.pi, np.pi, len(origins))
+    rays = Rays(
+        origins=origins,
+        directions=np.column_stack([np.cos(turn), np.sin(turn)]),
+        ranges=np.ones(len(origins)),
+        range_max=8.0,
+    )
+    draft = _thinned(rays, 2_000)
+    assert 1_900 < len(draft) <= 2_000
+    assert (draft.origins[:, 0] > 5).sum() == 50

@@ -210,6 +210,10 @@ class FaceFitSettings:
 
     draft_rays: int = 300_000
     """Rays that lines and bins are fitted to in the first rounds."""
+    stratum_cell: float = 0.5
+    """[m] side of the cells from which drafts take as many rays each, as far as there are any, ..."""
+    stratum_sector: float = math.radians(15.0)
+    """[rad] ... in each direction."""
     final_rays: int = 1_500_000
     """Rays that edges and visibility are taken from in the end."""
     rounds: int = 3
