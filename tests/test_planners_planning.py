@@ -300,7 +300,7 @@ def test_cars_are_refused_with_what_works(planner: str) -> None:
     ("cell", "headings", "limits"),
     [
         (0.25, 1, Limits()),
-        (0.8, 36, Limits(omega=3.0, alpha=8.0)),
+        pytest.param(0.8, 36, Limits(omega=3.0, alpha=8.0), marks=pytest.mark.slow),
         pytest.param(0.2, 5, Limits(v=0.1, a=0.05), marks=pytest.mark.slow),
         pytest.param(0.5, 16, Limits(omega=0.2), marks=pytest.mark.slow),
     ],

@@ -103,7 +103,9 @@ def early(made: Plan, priority: Floats) -> float:
     return float(priority[half.covered & grid.reachable].sum() / priority[grid.reachable].sum())
 
 
-@pytest.mark.parametrize("drive", ["diff", pytest.param("reeds_shepp", marks=pytest.mark.slow), "dubins"])
+@pytest.mark.parametrize(
+    "drive", ["diff", *(pytest.param(car, marks=pytest.mark.slow) for car in ("reeds_shepp", "dubins"))]
+)
 def test_all_drives_meet_first_what_has_priority(drive: Drive) -> None:
     vehicle = Vehicle(drive=drive, limits=Limits(turning_radius=0.0 if drive == "diff" else 0.3))
     start = np.array([0.8, 0.8, 0.3])

@@ -223,7 +223,7 @@ def pressing(work: Callable[..., Any], times: int = 1) -> Callable[..., Any]:
     return pressed
 
 
-@pytest.mark.parametrize("drive", ["diff", "reeds_shepp"])
+@pytest.mark.parametrize("drive", ["diff", pytest.param("reeds_shepp", marks=pytest.mark.slow)])
 def test_ctrl_c_while_rooms_are_joined_keeps_what_is_joined(
     drive: Drive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
