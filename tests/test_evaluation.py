@@ -17,6 +17,7 @@ from sensorgraph.building.build import build
 from sensorgraph.building.split import SPLITS, held_out
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import evaluate
+from sensorgraph.evaluation.metrics import MetricSums
 
 KEYS = [
     "median_m",
@@ -208,3 +209,26 @@ def test_nothing_to_score_is_said(run: Run) -> None:
         evaluate(graph, replace(run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3))))
     with pytest.raises(SensorgraphError, match="cap"):
         evaluate(graph, run, cap=0.05)
+
+
+@pytest.mark.parametrize(
+    "bearings",
+    [np.linspace(-np.pi, np.pi, 40), np.random.default_rng(3).uniform(-6, 6, 40), np.repeat([0.5, -2.0], 20)],
+    ids=["full turn, the first ray twice", "in no order", "two bearings"],
+)
+def test_end_points_are_compared_with_the_nearest_whatever_the_order_of_the_rays(bearings) -> None:
+    rng = np.random.default_rng(7)
+    seen, told = rng.uniform(0.05, 3.0, (2, 5, 40))
+    scored = rng.random((5, 40)) < 0.7
+    scored[4] = False
+    sums = MetricSums(bearings=bearings, point=None, sigma=0.01)
+    sums._add_shape(seen, told, scored)
+    ray = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    for i in range(4):
+        a, b = (values[i, scored[i], None] * ray[scored[i]] for values in (seen, told))
+        apart = np.linalg.norm(a[:, None] - b[None], axis=-1)
+        there, back = apart.min(axis=1), apart.min(axis=0)
+        assert sums.chamfer[i] == pytest.approx((there.mean() + back.mean()) / 2, rel=1e-9)
+        recall, precision = (there <= 0.1).mean(), (back <= 0.1).mean()
+        assert sums.f_score[i] == pytest.approx(2 * recall * precision / max(recall + precision, 1e-9))
+    assert len(sums.chamfer) == 4

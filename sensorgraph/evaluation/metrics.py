@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Bools, Floats
 
@@ -95,17 +96,20 @@ class MetricSums:
         Chamfer is half the sum of the mean distances to the nearest end point, measured to predicted and
         back; the f-score is the harmonic mean of both shares within 0.1 m. Scans without a scored ray do not count.
         """
-        directions = np.column_stack([np.cos(self.bearings), np.sin(self.bearings)])
-        for i in np.flatnonzero(scored.any(axis=1)).tolist():
-            rays = np.flatnonzero(scored[i])
-            seen = measured[i, rays, None] * directions[rays]
-            said = value[i, rays, None] * directions[rays]
-            there = np.asarray(cKDTree(said).query(seen)[0])
-            back = np.asarray(cKDTree(seen).query(said)[0])
-            self.chamfer.append(float((there.mean() + back.mean()) / 2))
-            recall, precision = (there <= MATCH_DISTANCE).mean(), (back <= MATCH_DISTANCE).mean()
-            both = recall + precision
-            self.f_score.append(float(2 * recall * precision / both) if both > 0 else 0.0)
+        order = np.argsort(self.bearings % (2 * np.pi))
+        chamfer, f_score = np.empty(len(measured)), np.empty(len(measured))
+        _compare_end_points(
+            measured[:, order],
+            value[:, order],
+            scored[:, order],
+            self.bearings[order],
+            MATCH_DISTANCE,
+            chamfer,
+            f_score,
+        )
+        counted = scored.any(axis=1)
+        self.chamfer += chamfer[counted].tolist()
+        self.f_score += f_score[counted].tolist()
 
     def metrics(self, errors: Floats) -> Metrics:
         """Return the block.
@@ -137,6 +141,47 @@ class MetricSums:
         out["pearson_r"] = total["ab"] / size if size > 0 else None
         out["chamfer_m"], out["f_score"] = float(np.mean(self.chamfer)), float(np.mean(self.f_score))
         return out
+
+
+@kernel
+def _compare_end_points(
+    measured: Any, value: Any, scored: Any, bearings: Any, match: float, chamfer: Any, f_score: Any
+) -> None:
+    """Fill chamfer and f-score (n_scans,) of scans whose rays are in the order of their bearings."""
+    for i in range(len(measured)):
+        n = 0
+        total, recall, precision = 0.0, 0.0, 0.0
+        for j in range(len(bearings)):
+            if scored[i, j]:
+                there = _nearest(measured[i, j], j, value[i], scored[i], bearings)
+                back = _nearest(value[i, j], j, measured[i], scored[i], bearings)
+                n += 1
+                total += there + back
+                recall += there <= match
+                precision += back <= match
+        if n:
+            chamfer[i] = total / (2 * n)
+            f_score[i] = 2 * recall * precision / (recall + precision) / n if recall + precision > 0 else 0.0
+
+
+@inner_kernel
+def _nearest(r: Any, j: Any, others: Any, scored: Any, bearings: Any) -> Any:
+    """Return how far the end point at range r of ray j is from the nearest one of other ranges.
+
+    A ray at an angle from it passes at r sin(angle), or at r beyond a right angle: neighbours are tried outwards, both
+    ways, until even their rays pass farther away than what is found.
+    """
+    n, found = len(bearings), abs(others[j] - r)
+    for way in (-1, 1):
+        for step in range(1, n):
+            k = (j + way * step) % n
+            angle = (way * (bearings[k] - bearings[j])) % (2 * math.pi)
+            if angle > math.pi or r * math.sin(min(angle, math.pi / 2)) >= found:
+                break
+            if scored[k]:
+                side = others[k]
+                found = min(found, math.sqrt((r - side) ** 2 + 4 * r * side * math.sin(angle / 2) ** 2))
+    return found
 
 
 @dataclass(kw_only=True, eq=False)
