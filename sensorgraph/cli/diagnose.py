@@ -59,21 +59,23 @@ def diagnose(
       sensorgraph diagnose run.mcap --simulation gazebo.mcap --arena lab.geojson --robot robot.yaml
 
       sensorgraph diagnose today.log.gz --commissioning good.log.gz --arena lab.geojson --robot robot.yaml
+
+      sensorgraph diagnose monday.log friday.log -o wheels
     """
     from logs import parse_topics
-    from sensorgraph.cli.inputs import check_folder, check_poses, mounts_of, say_ray_order, with_poses
+    from sensorgraph.cli.inputs import mounts_of, say_ray_order, with_poses
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
     from sensorgraph.diagnosis.diagnose import diagnose as diagnose_run
     from sensorgraph.diagnosis.report.files import save_diagnosis
 
-    _check_runs(runs)
-    _check_simulation(simulation, runs, commissioning)
-    check_folder(out)
-    check_poses(poses)
+    _check(runs, simulation, commissioning, out, poses)
     names = parse_topics(topic or [])
     reading: dict[str, Any] = {"topics": names, "no_return": no_return, "mounts": mounts_of(robot)}
     loaded = [_read(path, reading) for path in runs]
+    if arena is None and not (effects or commissioning or simulation) and _has_neither(loaded, poses):
+        _drive_alone(loaded, runs, robot, out, poses, reading)
+        return
     walls, machine = _place(loaded[0], runs[0], arena, robot)
     place = arena or "the arena kept in the run"
     loaded = [
@@ -102,9 +104,7 @@ def diagnose(
         "seed": seed,
         "runs": [path.name for path in runs],
         "arena": arena or "kept in the run",
-        "robot": machine.name,
-        "tolerances": vars(machine.tolerances),
-        "known_effects": [a.name for a in known],
+        **_said(machine, known),
         "simulation": simulation and simulation.name,
         "commissioning": baseline and baseline.to_dict(", ".join(path.name for path in commissioning or ())),
     }
@@ -112,6 +112,68 @@ def diagnose(
         save_diagnosis(finding, out, walls, machine, name=runs[0].name, settings=settings, progress=tick)
     for line in _lines(finding, out):
         typer.echo(line)
+
+
+def _said(machine: Robot, known: Sequence[Amendment]) -> dict[str, Any]:
+    """Return what the report keeps of the robot and of what was known."""
+    return {
+        "robot": machine.name,
+        "tolerances": vars(machine.tolerances),
+        "known_effects": [a.name for a in known],
+    }
+
+
+def _has_neither(runs: Sequence[Run], poses: str | None) -> bool:
+    """Tell whether no run has an arena or a reference, so that only wheels and mount can be told."""
+    from sensorgraph.loading import arena_in
+    from sensorgraph.localization.kept import needs_locating
+
+    return all(needs_locating(run, run.n_scans, poses) and arena_in(run) is None for run in runs)
+
+
+def _drive_alone(
+    loaded: Sequence[Run],
+    paths: Sequence[Path],
+    robot: Path | None,
+    out: Path,
+    poses: str | None,
+    reading: Mapping[str, Any],
+) -> None:
+    """Tell wheels and mount of runs without arena and reference."""
+    from sensorgraph.cli.inputs import with_poses
+    from sensorgraph.cli.progress import progress
+    from sensorgraph.diagnosis.motion.calibration.driving import diagnose_driving
+    from sensorgraph.diagnosis.report.driving import save_driving
+    from sensorgraph.world.robot import load_robot
+
+    names = [path.name if len({p.name for p in paths}) == len(paths) else str(path) for path in paths]
+    runs = {
+        name: (run, with_poses(run, path, poses, options=reading))
+        for name, run, path in zip(names, loaded, paths, strict=True)
+    }
+    base = None if robot is None else load_robot(robot).wheels.base
+    finding = diagnose_driving(runs, base=base, progress=progress)
+    save_driving(finding, out, {"runs": names, "robot": robot and robot.name})
+    for line in finding.lines:
+        typer.echo(line)
+    typer.echo("no arena, no reference: the poses absorb everything else; give --arena to look for more")
+    typer.echo(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml, calibration.png")
+
+
+def _check(
+    runs: Sequence[Path],
+    simulation: Path | None,
+    commissioning: Sequence[Path] | None,
+    out: Path,
+    poses: str | None,
+) -> None:
+    """Refuse what cannot be meant, before anything is read."""
+    from sensorgraph.cli.inputs import check_folder, check_poses
+
+    _check_runs(runs)
+    _check_simulation(simulation, runs, commissioning)
+    check_folder(out)
+    check_poses(poses)
 
 
 def _check_runs(runs: Sequence[Path]) -> None:

@@ -1,0 +1,155 @@
+"""Two runs of one robot, or two parts of one run: what of wheels and mount has changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.calibration.estimate import (
+    NUISANCES,
+    PARAMETERS,
+    DrivingCalibration,
+    WindowRows,
+    calibrate,
+)
+from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
+from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION, DrivingCalibrationSettings
+from sensorgraph.diagnosis.motion.calibration.words import QUANTITIES
+from sensorgraph.types import Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """One parameter in two runs."""
+
+    name: str
+    """One of PARAMETERS."""
+    first: float
+    second: float
+    stderr: float
+    """Of the difference; two of them hold 95 %."""
+    threshold: float
+    """Standard errors beyond which the runs differ."""
+
+    @property
+    def value(self) -> float:
+        """The second run's less the first run's."""
+        return self.second - self.first
+
+    @property
+    def differs(self) -> bool:
+        """Tell whether chance is ruled out."""
+        return abs(self.value) > self.threshold * self.stderr
+
+    @property
+    def is_material(self) -> bool:
+        """Tell whether it is more than a careful set-up would notice."""
+        return abs(self.value) > QUANTITIES[self.name].materiality
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """A parameter that changed once within a run."""
+
+    difference: Difference
+    """Before (first) and after (second)."""
+    at_s: float
+    """[s] since the first scan."""
+
+
+def compare(
+    first: DrivingCalibration, second: DrivingCalibration, settings: DrivingCalibrationSettings = CALIBRATION
+) -> tuple[Difference, ...]:
+    """Compare wheels and mount of two runs, in the order of PARAMETERS."""
+    limit = _threshold(settings.level / len(PARAMETERS))
+    stderr = np.hypot(first.stderr, second.stderr)
+    return tuple(
+        Difference(
+            name=name,
+            first=float(first.values[k]),
+            second=float(second.values[k]),
+            stderr=float(stderr[k]),
+            threshold=limit,
+        )
+        for k, name in enumerate(PARAMETERS)
+    )
+
+
+def change_within(
+    motion: LaserMotion, found: DrivingCalibration, settings: DrivingCalibrationSettings = CALIBRATION
+) -> Change | None:
+    """Return the parameter that changed once within a run, where one did; None: all hold from beginning to end.
+
+    Each place between blocks with a quarter of the run on either side is tried: both sides are calibrated by themselves and
+    compared; the threshold counts places and parameters (Bonferroni, in the spirit of Andrews 1993).
+
+    Parameters
+    ----------
+    found : the calibration of all of the run
+    """
+    s, n = settings, len(motion.first)
+    at = [n * b // s.blocks for b in range(s.blocks // 4, s.blocks - s.blocks // 4 + 1)]
+    splits = [k for k in at if min(k, n - k) >= s.window * s.least_side]
+    best: Difference | None = None
+    for k in splits:
+        sides = compare(calibrate(motion.part(slice(0, k)), s), calibrate(motion.part(slice(k, n)), s), s)
+        for one in sides:
+            one = replace(one, threshold=_threshold(s.level / (len(PARAMETERS) * len(splits))))
+            if one.differs and one.is_material and (best is None or _sigmas(one) > _sigmas(best)):
+                best = one
+    if best is None:
+        return None
+    return Change(difference=best, at_s=_time_of(found.rows, PARAMETERS.index(best.name), s))
+
+
+def part_of(rows: WindowRows, chosen: slice) -> WindowRows:
+    """Return some windows."""
+    return replace(
+        rows,
+        information=rows.information[chosen],
+        scores=rows.scores[chosen],
+        from_s=rows.from_s[chosen],
+    )
+
+
+def block_estimates(found: DrivingCalibration, blocks: int) -> tuple[Floats, Floats, Floats]:
+    """Return the estimates (blocks, 9) of the parts of a run, their standard errors (blocks, 9), and their middles [s]."""
+    rows, n = found.rows, len(found.rows.scores)
+    values, errors = np.zeros((blocks, found.values.size)), np.zeros((blocks, found.values.size))
+    ends = np.append(rows.from_s, found.duration_s)
+    middles = np.zeros(blocks)
+    for b in range(blocks):
+        own = part_of(rows, slice(n * b // blocks, n * (b + 1) // blocks))
+        inverse = np.linalg.inv(own.information.sum(axis=0) + rows.prior)
+        values[b] = found.values + inverse @ own.scores.sum(axis=0)
+        errors[b] = np.sqrt(np.diagonal(inverse @ (own.scores.T @ own.scores) @ inverse))
+        middles[b] = 0.5 * (ends[n * b // blocks] + ends[n * (b + 1) // blocks])
+    return values, errors, middles
+
+
+def _time_of(rows: WindowRows, parameter: int, settings: DrivingCalibrationSettings) -> float:
+    """Return the time [s] at which one parameter changed: where two fits gain most over one."""
+    n = len(rows.scores)
+    least = max(n // settings.blocks, 1)
+    total = rows.information.sum(axis=0) + rows.prior
+    kept = [k for k in range(len(PARAMETERS) + len(NUISANCES)) if k != parameter]
+    # the parameter's own score and information, the others' share taken out
+    share = total[np.ix_([parameter], kept)] @ np.linalg.inv(total[np.ix_(kept, kept)])
+    row = np.zeros(len(total))
+    row[parameter], row[kept] = 1.0, -share[0]
+    score = np.cumsum(rows.scores @ row)
+    information = np.cumsum(np.einsum("a,kab,b->k", row, rows.information, row))
+    left, all_of = information[least - 1 : n - least], information[-1]
+    gain = (score[least - 1 : n - least] - score[-1] * left / all_of) ** 2 / (left * (1 - left / all_of))
+    return float(rows.from_s[least + int(np.argmax(gain))])
+
+
+def _sigmas(one: Difference) -> float:
+    return abs(one.value) / one.stderr
+
+
+def _threshold(level: float) -> float:
+    """Return how many standard errors chance exceeds with this probability."""
+    return NormalDist().inv_cdf(1 - level / 2)

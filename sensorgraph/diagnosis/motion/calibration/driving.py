@@ -1,0 +1,73 @@
+"""Diagnose runs that have neither arena nor reference: what their wheels and their mount tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from logs.run import Run
+from sensorgraph.diagnosis.motion.calibration.comparison import Change, Difference, change_within, compare
+from sensorgraph.diagnosis.motion.calibration.estimate import DrivingCalibration, calibrate
+from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion
+from sensorgraph.diagnosis.motion.calibration.verdict import change_lines, effects_of, lines_of, verdict
+from sensorgraph.effects import Amendment
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.types import ProgressBars, no_progress
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DrivingFinding:
+    """What one or two runs tell without arena and reference."""
+
+    runs: Mapping[str, DrivingCalibration]
+    """Name -> what driving alone tells."""
+    changes: Mapping[str, Change | None]
+    """Name -> what changed within the run."""
+    differences: tuple[Difference, ...]
+    """Of the second run from the first, in the order of PARAMETERS; empty with one run."""
+    effects: tuple[Amendment, ...]
+    """Material, of the last run; for `record` and `export`."""
+
+    @property
+    def lines(self) -> list[str]:
+        """Say it, the verdict first."""
+        names = list(self.runs)
+        out = verdict(self.differences, names[0], names[1]) if len(names) > 1 else []
+        for name, found in self.runs.items():
+            said = lines_of(found)
+            out += [f"{name}, {said[0]}", *(f"  {line}" for line in said[1:])]
+            out += [f"  {line}" for line in change_lines(self.changes[name])]
+        return out
+
+
+def diagnose_driving(
+    runs: Mapping[str, tuple[Run, Run]], *, base: float | None = None, progress: ProgressBars = no_progress
+) -> DrivingFinding:
+    """Calibrate wheels and mount from driving alone, and compare two runs.
+
+    Parameters
+    ----------
+    runs : name -> the run as logged, and the same run located; one or two
+    base : [m] between the wheels, as the odometry takes it; None: not known
+
+    Raises
+    ------
+    SensorgraphError : a run has no odometry, or is too short
+    """
+    found: dict[str, DrivingCalibration] = {}
+    changes: dict[str, Change | None] = {}
+    for name, (run, located) in runs.items():
+        try:
+            motion = laser_motion(run, located, progress=progress)
+        except SensorgraphError as exc:
+            raise SensorgraphError(f"{name}: {exc}") from exc
+        with progress("calibrating wheels and mount", ""):
+            found[name] = calibrate(motion)
+            changes[name] = change_within(motion, found[name])
+    first, *others = found.values()
+    return DrivingFinding(
+        runs=found,
+        changes=changes,
+        differences=compare(first, others[0]) if others else (),
+        effects=effects_of(others[0] if others else first, base),
+    )

@@ -1,0 +1,178 @@
+"""Wheel scale, wheel base and the laser's mount from driving alone, with standard errors that hold.
+
+The model is that of Censi, Franchi, Marchionni and Oriolo (2013), Simultaneous calibration of odometry and sensor
+parameters for mobile robots, IEEE T-RO 29(2): the laser's motion is the wheels' corrected motion, seen through the
+mount. Three nuisances are fitted along: the delay between scans and odometry, and the drift of the robot with the floor.
+The residuals of each step are added up over windows of steps, in which errors of stamps cancel; Student's t takes the
+slips. Standard errors are a jackknife over long blocks of the run (Quenouille 1956; Cameron and Miller 2015), never below
+those of independent windows, and widened so that two of them hold 95 %.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.transforms import compose, invert, wrap
+from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
+from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION, DrivingCalibrationSettings
+from sensorgraph.localization.wheels import corrected_steps
+from sensorgraph.types import Floats
+
+PARAMETERS = ("way_scale", "turn_scale", "heading_bias", "mount_x", "mount_y", "mount_phi")
+"""What is told: scales of the odometry, the turn it misses [rad/m], the laser in base_link [m, m, rad]."""
+NUISANCES = ("delay", "drift_x", "drift_y")
+"""[s] by which a scan is later than the odometry at its stamp; [m/m] in map, with the floor."""
+N_ALL = len(PARAMETERS) + len(NUISANCES)
+YAW = 5
+DIFFERENCES = np.array([1e-4] * 6 + [1e-2] + [1e-4] * 2)
+"""Of numerical derivatives."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WindowRows:
+    """The linearised problem at the estimate, window by window."""
+
+    information: Floats
+    """(n_windows, 9, 9)"""
+    scores: Floats
+    """(n_windows, 9)"""
+    prior: Floats
+    """(9, 9)"""
+    from_s: Floats
+    """(n_windows,) [s] since the first scan, where each begins."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DrivingCalibration:
+    """What driving alone tells of wheels and mount."""
+
+    values: Floats
+    """(9,) of PARAMETERS and NUISANCES."""
+    stderr: Floats
+    """(9,) two of them hold 95 %."""
+    mount: Floats
+    """(3,) [m, m, rad] as stated."""
+    way_m: float
+    turn_rad: float
+    duration_s: float
+    rows: WindowRows
+
+    def of(self, name: str) -> tuple[float, float]:
+        """Return value and standard error of one of PARAMETERS or NUISANCES."""
+        k = (*PARAMETERS, *NUISANCES).index(name)
+        return float(self.values[k]), float(self.stderr[k])
+
+
+def calibrate(motion: LaserMotion, settings: DrivingCalibrationSettings = CALIBRATION) -> DrivingCalibration:
+    """Estimate wheels and mount from one run.
+
+    Parameters
+    ----------
+    motion : of `settings.window * settings.least_windows` steps at least
+    """
+    s = settings
+    before = np.concatenate([[1.0, 1.0, 0.0], motion.mount, np.zeros(3)])
+    sd = np.array([s.scale_sd] * 2 + [s.heading_bias_sd] + [s.mount_sd] * 3 + [s.delay_sd] + [s.drift_sd] * 2)
+    prior = np.diag(sd**-2.0)
+    theta = before.copy()
+    information, scores = np.zeros((1, N_ALL, N_ALL)), np.zeros((1, N_ALL))
+    jacobians = np.zeros((1, 3, N_ALL))
+    for iteration in range(s.iterations):
+        residuals = _added(_residuals(motion, theta), s.window)
+        if iteration < s.derivatives:
+            jacobians = _derivatives(motion, theta, s.window)
+        scale = 1.4826 * np.median(np.abs(residuals), axis=0) + 1e-9
+        weights = (s.tail + 1) / (s.tail + (residuals / scale) ** 2) / scale**2
+        information = np.einsum("kc,kca,kcb->kab", weights, jacobians, jacobians)
+        scores = np.einsum("kc,kca,kc->ka", weights, jacobians, residuals)
+        gradient = scores.sum(axis=0) - prior @ (theta - before)
+        theta += np.linalg.solve(information.sum(axis=0) + prior, gradient)
+    begins = motion.stamps[motion.first[:: s.window][: len(scores)]] - motion.stamps[0]
+    rows = WindowRows(information=information, scores=scores, prior=prior, from_s=begins)
+    blocks = min(max(len(scores) // s.least_block, 4), s.blocks)
+    stderr = standard_errors(rows, blocks)
+    stderr[YAW] = np.hypot(stderr[YAW], s.sideways_sd)
+    ways = np.hypot(*np.diff(motion.odometry[:, :2], axis=0).T)
+    return DrivingCalibration(
+        values=theta,
+        stderr=stderr,
+        mount=motion.mount,
+        way_m=float(ways.sum()),
+        turn_rad=float(np.abs(np.diff(motion.odometry[:, 2])).sum()),
+        duration_s=float(np.ptp(motion.stamps)),
+        rows=rows,
+    )
+
+
+def standard_errors(rows: WindowRows, blocks: int) -> Floats:
+    """Return the standard errors (9,): of the jackknife over blocks, or of independent windows if these are larger."""
+    from scipy.stats import t as student  # slow to import, and not needed by those who only read a run
+
+    total = rows.information.sum(axis=0) + rows.prior
+    scores = rows.scores
+    n = len(scores)
+    block = np.arange(n) * blocks // n
+    moves = np.array(
+        [
+            np.linalg.solve(total - rows.information[block == b].sum(axis=0), -scores[block == b].sum(axis=0))
+            for b in range(blocks)
+        ]
+    )
+    widening = student.ppf(0.975, blocks - 1) / 1.96
+    jackknife = widening * np.sqrt((blocks - 1) / blocks * (moves**2).sum(axis=0))
+    inverse = np.linalg.inv(total)
+    independent = np.sqrt(np.diagonal(inverse @ (scores.T @ scores) @ inverse))
+    return np.asarray(np.maximum(jackknife, independent))
+
+
+def _added(values: Floats, window: int) -> Floats:
+    """Add up values (n_steps, ...) over windows (n_windows, ...)."""
+    n = len(values) // window
+    return np.asarray(values[: n * window].reshape(n, window, *values.shape[1:]).sum(axis=1))
+
+
+def _derivatives(motion: LaserMotion, theta: Floats, window: int) -> Floats:
+    """Return the derivatives (n_windows, 3, 9) of what is predicted for each window, seen from the laser."""
+    columns = []
+    for k, step in enumerate(DIFFERENCES):
+        change = np.zeros(N_ALL)
+        change[k] = step
+        off = _residuals(motion, theta - change) - _residuals(motion, theta + change)
+        columns.append(_added(off / (2 * step), window))
+    return np.stack(columns, axis=-1)
+
+
+def _residuals(motion: LaserMotion, theta: Floats) -> Floats:
+    """Return the laser's steps seen from the predicted ones (n_steps, 3) [m, m, rad]."""
+    off = compose(invert(predicted(motion, theta)), motion.steps)
+    off[:, 2] = wrap(off[:, 2])
+    return off
+
+
+def predicted(motion: LaserMotion, theta: Floats) -> Floats:
+    """Return the steps (n_steps, 3) [m, m, rad] of the laser, as wheels and mount of theta (9,) make them."""
+    way_scale, turn_scale, heading_bias, *mount, delay, drift_x, drift_y = theta
+    track = motion.odometry
+    moved = compose(invert(track[:-1]), track[1:])
+    moved[:, 2] = np.diff(track[:, 2])
+    moved = corrected_steps(moved, way_scale, turn_scale, heading_bias)
+    phi = np.concatenate([[0.0], np.cumsum(moved[:, 2])])
+    cos, sin = np.cos(phi[:-1]), np.sin(phi[:-1])
+    x = np.concatenate([[0.0], np.cumsum(cos * moved[:, 0] - sin * moved[:, 1])])
+    y = np.concatenate([[0.0], np.cumsum(sin * moved[:, 0] + cos * moved[:, 1])])
+    poses = np.column_stack([x, y, phi])
+    if delay != 0.0:
+        t = motion.stamps
+        poses = np.column_stack([np.interp(t + delay, t, column) for column in poses.T])
+    steps = compose(invert(poses[motion.first]), poses[motion.second])
+    way = np.hypot(steps[:, 0], steps[:, 1])
+    cos, sin = np.cos(motion.headings), np.sin(motion.headings)
+    steps[:, 0] += way * (cos * drift_x + sin * drift_y)
+    steps[:, 1] += way * (cos * drift_y - sin * drift_x)
+    at = np.asarray(mount)
+    seen = compose(np.broadcast_to(invert(at), steps.shape), steps)
+    out = compose(seen, np.broadcast_to(at, steps.shape))
+    out[:, 2] = wrap(out[:, 2])
+    return np.asarray(out)

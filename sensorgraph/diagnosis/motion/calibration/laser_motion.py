@@ -1,0 +1,158 @@
+"""How the laser moved between scans, by the scans alone.
+
+The poses of a located run were helped by its wheels, so they must not judge these. Poses and surfaces are fitted
+together once more, from the located poses on, with every tie to the wheels cut: what comes out hangs on scans alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.run import Run, pair
+from logs.transforms import compose, invert, wrap
+from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION, DrivingCalibrationSettings
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.localization.odometry_check import with_checked_odometry
+from sensorgraph.localization.pose_graph import PoseEdges
+from sensorgraph.localization.refinement import FramePoints, refine
+from sensorgraph.localization.scans import scan_points
+from sensorgraph.localization.wheel_edges import WheelSteps
+from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LaserMotion:
+    """Steps of the laser between scans, and the odometry at all scans."""
+
+    first: Ints
+    """(n_steps,) scan at which each step begins."""
+    second: Ints
+    """(n_steps,) scan at which it ends."""
+    steps: Floats
+    """(n_steps, 3) [m, m, rad] the laser's later pose in its earlier one, from scans alone."""
+    headings: Floats
+    """(n_steps,) [rad] of base_link in map where each begins."""
+    stamps: Floats
+    """(n_scans,) [s] that never go back, evened out where they come in bursts."""
+    odometry: Floats
+    """(n_scans, 3) [m, m, rad] as the wheels say."""
+    mount: Floats
+    """(3,) [m, m, rad] of the laser in base_link as stated."""
+
+    def part(self, chosen: slice) -> LaserMotion:
+        """Return some of the steps, with the scans between them."""
+        first, second = self.first[chosen], self.second[chosen]
+        if len(first) == 0:
+            scans = slice(0, 0)
+        else:
+            scans = slice(int(first[0]), int(second[-1]) + 1)
+        return LaserMotion(
+            first=first - scans.start,
+            second=second - scans.start,
+            steps=self.steps[chosen],
+            headings=self.headings[chosen],
+            stamps=self.stamps[scans],
+            odometry=self.odometry[scans],
+            mount=self.mount,
+        )
+
+
+def laser_motion(
+    run: Run,
+    located: Run,
+    *,
+    settings: DrivingCalibrationSettings = CALIBRATION,
+    progress: ProgressBars = no_progress,
+) -> LaserMotion:
+    """Measure how the laser moved, by the scans alone.
+
+    Parameters
+    ----------
+    run : as it was logged, with its odometry
+    located : the same run with the poses that `locate` found: where the search begins
+
+    Raises
+    ------
+    SensorgraphError : the run has no odometry, or too few of its scans were located
+    """
+    run, _ = with_checked_odometry(run)
+    motion = odometry_of(run)
+    if motion is None:
+        raise SensorgraphError(
+            "the run has no odometry that moves; wheels and mount can be told only from a drive with odometry"
+        )
+    odometry = odometry_at_scans(run, motion)
+    odometry[:, 2] = np.unwrap(odometry[:, 2])
+    paired = pair(located)
+    length = _lengths(odometry, settings)
+    keys = _keys(length, paired.paired)
+    if len(keys) < settings.window * settings.least_windows:
+        raise SensorgraphError(
+            f"the robot made {len(keys)} steps of {settings.step_way:g} m or {np.degrees(settings.step_turn):.0f}° between "
+            f"scans that were located, expected {settings.window * settings.least_windows}; drive longer"
+        )
+    with progress("measuring motions by scans alone", "steps") as bar:
+        poses = _by_scans_alone(run, keys, paired.poses[keys], bar)
+    steps = compose(invert(poses[:-1]), poses[1:])
+    mount = np.asarray(run.sensor.mount, dtype=np.float64)
+    there, back = np.broadcast_to(mount, steps.shape), np.broadcast_to(invert(mount), steps.shape)
+    steps = compose(compose(back, steps), there)
+    steps[:, 2] = wrap(steps[:, 2])
+    whole = np.diff(length[keys]) < settings.longest_step
+    return LaserMotion(
+        first=keys[:-1][whole],
+        second=keys[1:][whole],
+        steps=steps[whole],
+        headings=poses[:-1, 2][whole],
+        stamps=_even_stamps(run.stamps, settings),
+        odometry=odometry,
+        mount=mount,
+    )
+
+
+def _even_stamps(stamps: Floats, settings: DrivingCalibrationSettings) -> Floats:
+    """Return stamps (n,) that never go back; means over neighbours where a log was written in bursts."""
+    rising = np.maximum.accumulate(stamps)
+    intervals = np.diff(rising)
+    mean = float(np.ptp(rising)) / max(len(intervals), 1)
+    if (intervals < settings.short_interval * mean).mean() > settings.most_bursts:
+        w = settings.burst_scans
+        before, after = rising[0] - mean * np.arange(w, 0, -1), rising[-1] + mean * np.arange(1, w + 1)
+        rising = np.convolve(
+            np.concatenate([before, rising, after]), np.ones(2 * w + 1) / (2 * w + 1), "valid"
+        )
+    return np.asarray(rising + 1e-6 * np.arange(len(rising)))
+
+
+def _lengths(odometry: Floats, settings: DrivingCalibrationSettings) -> Floats:
+    """Return way and turn up to each scan (n_scans,), in steps."""
+    ways = np.hypot(*np.diff(odometry[:, :2], axis=0).T) / settings.step_way
+    turns = np.abs(np.diff(odometry[:, 2])) / settings.step_turn
+    return np.concatenate([[0.0], np.cumsum(ways + turns)])
+
+
+def _keys(length: Floats, usable: Bools) -> Ints:
+    """Return the scans between which steps are measured: usable ones, each a step or more after the last."""
+    keys: list[int] = []
+    for k in np.flatnonzero(usable):
+        if not keys or length[k] - length[keys[-1]] >= 1.0:
+            keys.append(int(k))
+    return np.array(keys, dtype=np.intp)
+
+
+def _by_scans_alone(run: Run, keys: Ints, poses: Floats, progress: Progress) -> Floats:
+    """Fit poses (n_keys, 3) and surfaces together, without wheels."""
+    n = len(keys)
+    first = np.arange(n - 1)
+    relative = compose(invert(poses[:-1]), poses[1:])
+    loose = np.broadcast_to(np.diag([1e4, 1e4, 1e6]), (n - 1, 3, 3)).copy()  # only speeds up the solver
+    chain = PoseEdges(first=first, second=first + 1, relative=relative, information=loose)
+    none = PoseEdges(
+        first=first[:0], second=first[:0], relative=np.zeros((0, 3)), information=np.zeros((0, 3, 3))
+    )
+    untied = WheelSteps(first=first, steps=np.zeros((n - 1, 3)), has_odometry=False)
+    frames = FramePoints.of(scan_points(run, odometry_of(run)), keys)
+    return refine(frames, poses, untied, (chain, none), progress).poses

@@ -1,0 +1,119 @@
+"""What driving alone tells, as effects and as sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.calibration.comparison import Change, Difference
+from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, DrivingCalibration
+from sensorgraph.diagnosis.motion.calibration.words import QUANTITIES
+from sensorgraph.effects import Amendment
+from sensorgraph.effects.mount_xy import MOUNT_XY
+from sensorgraph.effects.mount_yaw import MOUNT_YAW
+from sensorgraph.effects.wheel_base import WHEEL_BASE
+from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
+from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
+
+SURE = 2.64
+"""Standard errors: five in a hundred good robots would show one of six parameters beyond."""
+LEAST_DELAY = 0.01
+"""[s] a smaller delay is not worth a line."""
+LEAST_DRIFT = 0.005
+"""[m/m] the same of the drift with the floor."""
+
+
+def effects_of(found: DrivingCalibration, base: float | None) -> tuple[Amendment, ...]:
+    """Return the material effects of wheels and mount, for `record` and `export`.
+
+    Parameters
+    ----------
+    base : [m] between the wheels, as the odometry takes it; None: not known, so that unequal radii have no size
+    """
+    (way, way_sd), (turn, turn_sd), (bias, bias_sd) = (found.of(name) for name in PARAMETERS[:3])
+    (x, x_sd), (y, y_sd), (yaw, yaw_sd) = (found.of(name) for name in PARAMETERS[3:])
+    ratio = turn / way
+    stated = found.mount
+    shift = {"dx": x - stated[0], "dy": y - stated[1]}
+    angle = MOUNT_YAW.parameters[0].name
+    known = [
+        (WHEEL_RADIUS, {"s": 1 / way - 1}, {"s": way_sd / way**2}),
+        (WHEEL_BASE, {"s": ratio - 1}, {"s": ratio * float(np.hypot(turn_sd / turn, way_sd / way))}),
+        (MOUNT_XY, shift, {"dx": x_sd, "dy": y_sd}),
+        (MOUNT_YAW, {angle: yaw - stated[2]}, {angle: yaw_sd}),
+    ]
+    if base is not None:
+        known.append((WHEEL_RADIUS_DIFF, {"s": -bias * base}, {"s": bias_sd * base}))
+    named = []
+    for effect, values, errors in known:
+        sizes = {p.name: abs(values[p.name]) / errors[p.name] for p in effect.parameters}
+        if any(
+            sizes[p.name] > SURE and abs(values[p.name]) > (p.materiality or 0.0) for p in effect.parameters
+        ):
+            evidence = 0.5 * max(sizes.values()) ** 2
+            named.append(Amendment(effect=effect, parameters=values, stderr=errors, evidence=evidence))
+    return tuple(sorted(named, key=lambda a: -(a.evidence or 0.0)))
+
+
+def lines_of(found: DrivingCalibration) -> list[str]:
+    """Say what one run tells."""
+    q = QUANTITIES
+    (way, way_sd), (turn, turn_sd), (bias, bias_sd) = (found.of(name) for name in PARAMETERS[:3])
+    mount = [q[name].text(*found.of(name)) for name in PARAMETERS[3:]]
+    stated = found.mount
+    lines = [
+        f"from driving alone, {found.way_m:.0f} m and {found.turn_rad / (2 * np.pi):.0f} full turns in "
+        f"{found.duration_s / 60:.0f} min:",
+        f"ways: {q['way_scale'].text(way - 1, way_sd)} to be added to the odometry's (against the laser's metre)",
+        f"turns: {q['turn_scale'].text(turn - 1, turn_sd)} to be added to the odometry's",
+        f"heading: {q['heading_bias'].text(bias, bias_sd)} that the odometry misses (wheels of unequal size)",
+        f"laser: {mount[0]} ahead of the axle, {mount[1]} to the left, turned by {mount[2]} (stated: "
+        f"{100 * stated[0]:.1f} cm, {100 * stated[1]:.1f} cm, {np.degrees(stated[2]):.1f}°)",
+    ]
+    delay, delay_sd = found.of("delay")
+    if abs(delay) > LEAST_DELAY and abs(delay) > SURE * delay_sd:
+        older = "older" if delay < 0 else "newer"
+        lines.append(
+            f"clocks: scans are {1e3 * abs(delay):.0f} ± {1e3 * delay_sd:.0f} ms {older} than the odometry of their stamps"
+        )
+    drift = found.values[-2:]
+    size, sd = float(np.hypot(*drift)), float(found.stderr[-2:].max())
+    if size > LEAST_DRIFT and size > SURE * sd:
+        lines.append(
+            f"floor: carries the robot {100 * size:.1f} ± {100 * sd:.1f} cm a metre towards "
+            f"{np.degrees(np.arctan2(drift[1], drift[0])):.0f}° of the map (a slope, the nap of a carpet)"
+        )
+    return lines
+
+
+def difference_line(one: Difference, first: str, second: str) -> str:
+    """Say how a parameter of two runs compares."""
+    q = QUANTITIES[one.name]
+    return f"{q.title} of {second} differs from {first}'s by {q.text(one.value, one.stderr)}: {q.causes}"
+
+
+def verdict(differences: Sequence[Difference], first: str, second: str) -> list[str]:
+    """Say in a few lines whether two runs agree."""
+    told = [d for d in differences if d.differs and d.is_material]
+    small = [d for d in differences if d.differs and not d.is_material]
+    if told:
+        lines = ["The two runs differ.", *(difference_line(d, first, second) for d in told)]
+    else:
+        worst = max(differences, key=lambda d: abs(d.value) / d.stderr)
+        lines = [
+            f"The two runs agree in wheels and mount (largest difference {abs(worst.value) / worst.stderr:.1f} standard "
+            f"errors, {QUANTITIES[worst.name].title})."
+        ]
+    lines += [f"too small to matter: {difference_line(d, first, second)}" for d in small]
+    return lines
+
+
+def change_lines(change: Change | None) -> list[str]:
+    """Say whether wheels and mount held for all of the run."""
+    if change is None:
+        return ["Wheels and mount hold from beginning to end of the run."]
+    one, q = change.difference, QUANTITIES[change.difference.name]
+    return [
+        f"The {q.title} changes within the run, at about {change.at_s:.0f} s, by {q.text(one.value, one.stderr)}: {q.causes}"
+    ]

@@ -1,0 +1,123 @@
+"""The report of runs without arena and reference: report.json, report.html, effects.yaml and a picture."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from logs.files import atomic_file
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
+from sensorgraph.diagnosis.motion.calibration.estimate import NUISANCES, PARAMETERS, DrivingCalibration
+from sensorgraph.diagnosis.motion.calibration.words import ABSORBED
+from sensorgraph.diagnosis.report.data import plain
+from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
+from sensorgraph.diagnosis.report.files import remove_old_report
+from sensorgraph.diagnosis.report.html import STYLE
+from sensorgraph.effects import effects_file
+from sensorgraph.files import atomic_folder
+from sensorgraph.version import __version__
+
+UNITS = dict(
+    zip(
+        (*PARAMETERS, *NUISANCES), ("1", "1", "rad/m", "m", "m", "rad", "s", "m/m", "m/m"), strict=True
+    )
+)  # fmt: skip
+
+
+def save_driving(finding: DrivingFinding, folder: Path, settings: Mapping[str, Any]) -> None:
+    """Write the report into a folder; all of it or nothing."""
+    with atomic_folder(folder) as part:
+        kept = {"version": __version__, **settings}
+        report = plain({**driving_dict(finding), "settings": kept})
+        with atomic_file(part / "report.json") as file:
+            file.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        effects_file.write(finding.effects, part / "effects.yaml")
+        calibration_picture(finding.runs, part / "calibration.png")
+        with atomic_file(part / "report.html") as file:
+            file.write_text(_page(finding, part / "calibration.png"), encoding="utf-8")
+        remove_old_report(folder)
+
+
+def driving_dict(finding: DrivingFinding) -> dict[str, Any]:
+    """Return the report as plain data; what needs an arena or a reference is empty."""
+    return {
+        "effects": [
+            {
+                "name": a.name,
+                "parameters": dict(a.parameters),
+                "stderr": dict(a.stderr),
+                "location": None,
+                "probability": None,
+                "evidence_nats": a.evidence,
+            }
+            for a in finding.effects
+        ],
+        "unknown": None,
+        "where": None,
+        "runner_up": None,
+        "gap": None,
+        "within_tolerance": [],
+        "not_observable": dict(ABSORBED),
+        "next_run": None,
+        "intake": {"reference": "none: located from scans and wheels", "runs": list(finding.runs)},
+        "calibration": [
+            {**_calibration(name, found), "change": _change(finding, name)}
+            for name, found in finding.runs.items()
+        ],
+        "comparison": [
+            {
+                "name": d.name,
+                "difference": d.value,
+                "stderr": d.stderr,
+                "unit": UNITS[d.name],
+                "differs": d.differs,
+                "material": d.is_material,
+            }
+            for d in finding.differences
+        ],
+        "summary": finding.lines,
+    }
+
+
+def _calibration(name: str, found: DrivingCalibration) -> dict[str, Any]:
+    return {
+        "run": name,
+        "way_m": found.way_m,
+        "turn_rad": found.turn_rad,
+        "duration_s": found.duration_s,
+        "stated_mount": found.mount.tolist(),
+        "parameters": {
+            key: {"value": found.of(key)[0], "stderr": found.of(key)[1], "unit": unit}
+            for key, unit in UNITS.items()
+        },
+    }
+
+
+def _change(finding: DrivingFinding, name: str) -> dict[str, Any] | None:
+    change = finding.changes[name]
+    if change is None:
+        return None
+    one = change.difference
+    return {"name": one.name, "difference": one.value, "stderr": one.stderr, "at_s": change.at_s}
+
+
+def _page(finding: DrivingFinding, picture: Path) -> str:
+    """Return a page that stands alone."""
+    title, *rest = finding.lines
+    image = base64.b64encode(picture.read_bytes()).decode("ascii")
+    said = "".join(f"<p>{escape(line)}</p>" for line in rest)
+    absorbed = "".join(f"<li>{escape(why)}</li>" for why in ABSORBED.values())
+    is_found = any(d.differs and d.is_material for d in finding.differences) or any(finding.changes.values())
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(" and ".join(finding.runs))}</title>'
+        f'<style>{STYLE}</style><main><header class="{"found" if is_found else "calm"}">'
+        f'<p class="eyebrow">wheels and mount from driving alone</p><h1>{escape(title)}</h1></header>{said}'
+        f'<figure><img alt="parameters along the runs" src="data:image/png;base64,{image}">'
+        "<figcaption>Line and band: the whole run with two standard errors. Dots: its eighths, with one, as if their "
+        "windows were independent.</figcaption></figure>"
+        f"<h2>What the poses absorb</h2><ul>{absorbed}</ul></main></html>\n"
+    )

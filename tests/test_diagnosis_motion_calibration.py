@@ -1,0 +1,150 @@
+"""Wheels and mount from driving alone: what was planted is found within its standard errors, what was not is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from logs.transforms import compose, invert
+from sensorgraph.diagnosis.motion.calibration.comparison import change_within, compare
+from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, calibrate
+from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
+from sensorgraph.diagnosis.motion.calibration.verdict import change_lines, effects_of, lines_of, verdict
+from sensorgraph.types import Floats
+
+MOUNT = np.array([0.12, -0.02, 0.05])
+BASE = 0.4
+EVERY = 5
+"""Scans from one step to the next."""
+
+
+def track_of(twists: Floats, dt: float) -> Floats:
+    """Integrate (n, 2) [m/s, rad/s] along arcs; (n + 1, 3), phi unwrapped."""
+    phi = np.concatenate([[0.0], np.cumsum(twists[:, 1] * dt)])
+    middle = phi[:-1] + twists[:, 1] * dt / 2
+    way = twists[:, 0] * dt
+    x, y = np.cumsum(way * np.cos(middle)), np.cumsum(way * np.sin(middle))
+    return np.column_stack([np.append(0.0, x), np.append(0.0, y), phi])
+
+
+def drive(
+    *,
+    seed: int = 0,
+    n: int = 8_000,
+    radius: float = 1.0,
+    turns: float = 1.0,
+    later_turns: float = 1.0,
+    bias: float = 0.0,
+    delay: float = 0.0,
+) -> LaserMotion:
+    """Drive a differential robot with wheels that slip a little; the odometry says less than it does.
+
+    Parameters
+    ----------
+    radius, turns : true way and turn per way and turn of the odometry
+    later_turns : factor of `turns` in the second half
+    bias : [rad/m] true turn that the odometry misses
+    delay : [s] by which the odometry is ahead of the scans
+    """
+    rng = np.random.default_rng(seed)
+    dt = 0.1
+    slow = np.repeat(rng.uniform([0.1, -1.0], [0.5, 1.0], (n // 30 + 1, 2)), 30, axis=0)[:n]
+    kernel = np.ones(10) / 10  # the robot does not jump to a speed
+    said = np.column_stack([np.convolve(column, kernel, "same") for column in slow.T])
+    slip = 1 + 0.02 * rng.standard_normal((n, 2))
+    factor = turns * np.where(np.arange(n) < n // 2, 1.0, later_turns)
+    true = np.column_stack([radius * said[:, 0], factor * said[:, 1] + bias * said[:, 0]]) * slip
+    odometry, body = track_of(said, dt), track_of(true, dt)
+    stamps = dt * np.arange(n + 1)
+    seen = np.column_stack([np.interp(stamps + delay, stamps, column) for column in body.T])
+    laser = compose(seen, np.broadcast_to(MOUNT, seen.shape))
+    keys = np.arange(0, n + 1, EVERY)
+    noise = rng.standard_normal((len(keys), 3)) * [0.002, 0.002, 0.0005]
+    laser = compose(laser[keys], noise)
+    return LaserMotion(
+        first=keys[:-1],
+        second=keys[1:],
+        steps=compose(invert(laser[:-1]), laser[1:]),
+        headings=seen[keys[:-1], 2],
+        stamps=stamps,
+        odometry=odometry,
+        mount=np.zeros(3),
+    )
+
+
+@pytest.fixture(scope="module")
+def untouched() -> LaserMotion:
+    return drive()
+
+
+def test_planted_wheels_mount_and_delay_are_found_within_their_standard_errors() -> None:
+    found = calibrate(drive(radius=1.03, turns=0.97, bias=0.03, delay=-0.1))
+    truth = np.array([1.03, 0.97, 0.03, *MOUNT, -0.1, 0.0, 0.0])
+    off = np.abs(found.values - truth) / found.stderr
+    assert off.max() < 3.0  # nine of them, two hold 95 % each
+    assert (found.stderr[:3] < [0.003, 0.006, 0.006]).all()
+
+
+def test_two_standard_errors_hold_95_percent() -> None:
+    truth = np.array([1.0, 1.0, 0.0, *MOUNT])
+    off = [
+        np.abs(found.values[:6] - truth) / found.stderr[:6]
+        for found in (calibrate(drive(seed=seed, n=4_000)) for seed in range(10, 18))
+    ]
+    assert np.mean(np.array(off) < 2.0) >= 0.86  # 48 of them: 95 % less three standard deviations of chance
+
+
+def test_untouched_runs_agree(untouched: LaserMotion) -> None:
+    said = verdict(compare(calibrate(untouched), calibrate(drive(seed=1))), "one", "two")
+    assert said[0].startswith("The two runs agree")
+
+
+def test_a_turn_scale_that_differs_between_runs_is_told_with_its_size(untouched: LaserMotion) -> None:
+    differences = compare(calibrate(untouched), calibrate(drive(seed=1, turns=1.012)))
+    told = [d for d in differences if d.differs and d.is_material]
+    assert [d.name for d in told] == ["turn_scale"]
+    assert told[0].value == pytest.approx(0.012, abs=2 * told[0].stderr)
+    assert "turn scale of two differs from one's by +1." in verdict(differences, "one", "two")[1]
+
+
+def test_a_turn_scale_that_changes_within_a_run_is_told_with_its_time() -> None:
+    motion = drive(later_turns=1.03)
+    change = change_within(motion, calibrate(motion))
+    assert change is not None and change.difference.name == "turn_scale"
+    assert change.at_s == pytest.approx(400.0, abs=40.0)
+    assert "changes within the run" in change_lines(change)[0]
+
+
+def test_wheels_that_hold_do_not_change_within_a_run() -> None:
+    motion = drive(seed=3)
+    assert change_within(motion, calibrate(motion)) is None
+
+
+def test_effects_say_what_the_simulator_must_be_told() -> None:
+    found = calibrate(drive(radius=1 / 1.03, turns=1.0, bias=0.03))
+    sizes = {a.name: dict(a.parameters) for a in effects_of(found, BASE)}
+    assert set(sizes) == {"wheel_radius", "wheel_base", "wheel_radius_diff", "mount_xy", "mount_yaw"}
+    assert sizes["wheel_radius"]["s"] == pytest.approx(0.03, abs=0.004)
+    assert sizes["wheel_base"]["s"] == pytest.approx(0.03, abs=0.008)
+    assert sizes["wheel_radius_diff"]["s"] == pytest.approx(-0.012, abs=0.002)
+    assert sizes["mount_xy"]["dx"] == pytest.approx(MOUNT[0], abs=0.005)
+    assert "wheel_radius_diff" not in {a.name for a in effects_of(found, None)}
+
+
+def test_a_delay_is_told_in_words() -> None:
+    lines = lines_of(calibrate(drive(delay=-0.1)))
+    assert any(line.startswith("clocks: scans are 1") and "older" in line for line in lines)
+
+
+def test_a_part_of_a_run_is_as_good_as_the_run(untouched: LaserMotion) -> None:
+    half = len(untouched.first) // 2
+    parts = [calibrate(untouched.part(chosen)) for chosen in (slice(0, half), slice(half, None))]
+    assert not any(d.differs and d.is_material for d in compare(*parts))
+    assert set(PARAMETERS) == {d.name for d in compare(*parts)}
+
+
+def test_other_stated_mounts_do_not_move_the_found_one(untouched: LaserMotion) -> None:
+    other = calibrate(replace(untouched, mount=np.array([0.2, 0.1, 0.0])))
+    assert other.values[3:6] == pytest.approx(calibrate(untouched).values[3:6], abs=1e-4)
