@@ -36,7 +36,7 @@ from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import known_map
 from sensorgraph.localization.likelihood_field import points_on
 from sensorgraph.localization.map_settings import MAP_TRACKING
-from sensorgraph.localization.map_tracking import MapTracker
+from sensorgraph.localization.map_tracking import MapTracker, least_fit_of
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.scans import scan_points
@@ -139,7 +139,7 @@ def start(data: Halves, n_scans: int, n_places: int, rng: np.random.Generator) -
         back = np.searchsorted(driven, driven[k] - 0.4 * np.arange(n_scans - 1, 0, -1))
         chosen = np.unique(np.append(back, k)).astype(np.intp)
         found = find_places(local_view(scans, chosen, data.truth[chosen]), place)
-        if found.fit < MAP_TRACKING.found_fit:
+        if found.fit < least_fit_of(found):
             tally["no place"] += 1
         elif len(found.rivals):
             tally["ambiguous"] += 1

@@ -17,6 +17,7 @@ from sensorgraph.localization.global_search import GlobalPlaces, find_places, lo
 from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import known_map
+from sensorgraph.localization.map_tracking import least_fit_of
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
 
@@ -164,6 +165,20 @@ def test_match_that_a_wall_behind_a_screen_holds_is_found_beside_it() -> None:
     window = SearchWindow.around(pose[0] + [0.3, 0.0, 0.0], half_xy=0.05, half_phi=0.02)
     found = find_places(local_view(scans, np.array([0]), pose), place, window=window)
     assert np.hypot(*(found.poses[0] - pose[0])[:2]) < 0.03 and found.hidden[0] < 0.05
+
+
+def test_place_that_fits_badly_is_believed_only_where_no_other_comes_near() -> None:
+    alone = GlobalPlaces(
+        poses=np.array([[0.0, 0, 0], [9.0, 0, 0]]),
+        probabilities=np.array([1.0, 0.0]),
+        agreements=np.array([0.8, 0.4]),
+        hidden=np.array([0.15, 0.25]),  # half a metre of a door that is open now
+        unseen=np.zeros(2),
+    )
+    among_others = replace(alone, hidden=np.array([0.15, 0.1]))
+    assert alone.lead == pytest.approx(0.6) and among_others.lead == pytest.approx(0.3)
+    assert least_fit_of(alone) < alone.fit == among_others.fit < least_fit_of(among_others)
+    assert least_fit_of(replace(alone, agreements=np.array([0.65, 0.2]))) > 0.35  # no place fits so badly
 
 
 def test_place_whose_rays_are_likelier_but_fit_worse_does_not_rule_out_another() -> None:

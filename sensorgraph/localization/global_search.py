@@ -51,7 +51,7 @@ class GlobalPlaces:
     least_seen: float = GLOBAL_SEARCH.least_seen
     """Of `fits`."""
     last_fit: float = 0.0
-    """The best `fit_of` the last scan alone at the first place and its rivals; 0: it was not asked."""
+    """The best `fit_of` the last scan alone at the first place and its rivals; 0: it does not fit, or was not asked."""
 
     @property
     def fits(self) -> Floats:
@@ -62,6 +62,12 @@ class GlobalPlaces:
     def fit(self) -> float:
         """The best of `fits` and `last_fit`; 0 without any place."""
         return max(float(self.fits.max()), self.last_fit) if len(self.poses) else 0.0
+
+    @property
+    def lead(self) -> float:
+        """By how much the first place fits better than any other; infinite without another."""
+        fits = self.fits
+        return float(fits[0] - fits[1:].max()) if len(fits) > 1 else np.inf
 
     @property
     def rivals(self) -> Floats:
@@ -159,7 +165,8 @@ def _with_last_fit(
     judged = place.judge(np.array([one.pose for one in own]), last.points, last.starts)
     agreements = np.array([one.agreement for one in own])
     fits = _fits(agreements, judged.hidden, judged.unseen, found.least_seen)
-    return replace(found, last_fit=float(fits.max()))
+    best = float(fits.max())
+    return found if best < settings.enough_fit else replace(found, last_fit=best)
 
 
 def _modes(

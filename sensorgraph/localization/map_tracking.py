@@ -198,7 +198,9 @@ class MapTracker:
         state.n_searches += 1
         window = self._window(k)
         if window is None:
-            self._take(k, find_places(view, self.place), s.found_fit)
+            found = find_places(view, self.place)
+            if self._take(k, found, least_fit_of(found, s)) and found.fit < s.found_fit:
+                state.proof_fit = s.least_fit
             return
         found = find_places(view, self.place, window=window)
         if self._take(k, found, s.near_fit):
@@ -252,6 +254,12 @@ class MapTracker:
         state.sure_before, state.proof_fit = state.last_sure, self.settings.near_fit
         state.fit = state.usual_fit = float(found.fits[0])
         return True
+
+
+def least_fit_of(found: GlobalPlaces, settings: MapTrackingSettings = MAP_TRACKING) -> float:
+    """Return the fit that a place found without a guess must have to be believed."""
+    is_alone = len(found.poses) > 0 and found.lead >= settings.alone_lead
+    return settings.alone_fit if is_alone else settings.found_fit
 
 
 def _is_beside(pose: Floats, window: SearchWindow, settings: MapTrackingSettings) -> bool:
