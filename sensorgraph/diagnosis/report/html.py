@@ -252,7 +252,7 @@ def _deviations_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
         "The bare simulator against what a difference may depend on; bands are two standard errors. Upper row: the mean of measured − simulated. "
         "Lower row: scatter, or the share of rays that missed, returned unexpectedly, or strayed."
     )
-    return f"<h2>What differs, before any name</h2><p>After the small corrections that every set-up is allowed (map, mount, clocks and poses within tolerance):</p>{text}{_picture(pictures.get('residuals'), 'Residuals by bearing, range, incidence, time, turn rate, speed', caption)}"
+    return f"<h2>What differs, before any name</h2><p>What is left once map, mount, clocks and poses are corrected by as much as every set-up is allowed.</p>{text}{_picture(pictures.get('residuals'), 'Residuals by bearing, range, incidence, time, turn rate, speed', caption)}"
 
 
 def _tolerated_section(finding: Finding) -> str:
