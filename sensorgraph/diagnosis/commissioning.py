@@ -27,6 +27,7 @@ from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
 from sensorgraph.diagnosis.scan.site_tolerances import pose_tolerances, shift_tolerances
 from sensorgraph.diagnosis.scan.site_variation import single_effects
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
+from sensorgraph.diagnosis.unknown_space import without_unknown_space
 from sensorgraph.effects import EFFECTS, Amendment, quantisation
 from sensorgraph.types import Progress
 from sensorgraph.work_counter import WorkCounter
@@ -87,8 +88,7 @@ def commission(
     if pixels is not None:
         arena, robot = pixels.arena, pixels.widened(robot)
     data, _ = prepare_scans(run, arena, robot)
-    if pixels is not None:
-        data, _ = pixels.judged(data)
+    data, _ = without_unknown_space(data) if pixels is None else pixels.judged(data)
     data = replace(data, laser_frame=False)
     cuts = SCAN.site.windows[:2] if learn_effects else SCAN.site.windows[:1]
     n_windows = sum(

@@ -37,6 +37,7 @@ from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
+from sensorgraph.diagnosis.unknown_space import without_unknown_space
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
@@ -200,6 +201,8 @@ def _prepare(
     data, notes = prepare_scans(run, arena, robot, known)
     if pixels is not None:
         data, notes["map_of_pixels"] = pixels.judged(data)
+    else:
+        data, notes["into_unknown_share"] = without_unknown_space(data)
     return data if baseline is None else baseline.apply_to(data), dict(notes)
 
 

@@ -216,11 +216,9 @@ def undecided_rivals(finding: Finding) -> list[tuple[Amendment, Rival]]:
 
 def map_sentences(finding: Finding) -> list[str]:
     """Say where the building is not as its map of pixels, and what of the run was not judged."""
-    notes = finding.intake.get("map_of_pixels")
-    if not notes or "changes" not in notes:
-        return []
+    notes = finding.intake.get("map_of_pixels", finding.intake)
     out = []
-    if notes["changes"]:
+    if notes.get("changes"):
         listed = "; ".join(one["statement"] for one in notes["changes"][:MAX_CHANGES])
         more = len(notes["changes"]) - MAX_CHANGES
         rest = f"; and {more} smaller ones" if more > 0 else ""
@@ -228,7 +226,7 @@ def map_sentences(finding: Finding) -> list[str]:
         out.append(
             f"The building is not as its map ({share:.0f} % of the readings, not judged): {listed}{rest}."
         )
-    if notes["into_unknown_share"] > 0.005:
+    if notes.get("into_unknown_share", 0.0) > 0.005:
         out.append(
             f"{100 * notes['into_unknown_share']:.0f} % of the rays enter space that the map does not know: not judged."
         )

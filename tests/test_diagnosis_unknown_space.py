@@ -1,0 +1,70 @@
+"""Where free space ends without a wall nothing is known, and rays that go there are not judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import shapely
+
+from logs.run import Run
+from planners.arena import Arena
+from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+from sensorgraph.diagnosis.unknown_space import without_unknown_space
+from sensorgraph.world.open_borders import open_borders
+from sensorgraph.world.raycast import cast
+from sensorgraph.world.robot import parse_robot
+
+ROBOT = parse_robot("sensor: {n_rays: 181}")
+
+
+def looking_about(arena: Arena) -> Run:
+    """Turn in place before the pillar of the 4 x 3 m room."""
+    t = 0.1 * np.arange(60)
+    poses = np.column_stack([np.full(60, 1.2), np.full(60, 1.3), np.zeros(60)])
+    return Run(
+        sensor=ROBOT.sensor,
+        stamps=t,
+        ranges=cast(arena, poses, ROBOT.sensor).ranges,
+        pose_stamps=t,
+        poses=poses,
+    )
+
+
+def with_hole_in_east_wall(room: Arena) -> Arena:
+    """Take the wall at x = 4 away; free space still ends there."""
+    east = (room.walls[..., 0] == 4.0).all(axis=1)
+    names = tuple(name for name, gone in zip(room.names, east, strict=True) if not gone)
+    return replace(room, walls=room.walls[~east], names=names, surfaces=room.surfaces[: len(names)])
+
+
+def test_walls_all_round_leave_nothing_unknown(room: Arena) -> None:
+    data, _ = prepare_scans(looking_about(room), room, ROBOT)
+    same, share = without_unknown_space(data)
+    assert len(open_borders(room)) == 0
+    assert share == 0.0
+    np.testing.assert_array_equal(same.ranges, data.ranges)
+
+
+def test_only_rays_that_leave_known_space_are_left_out(room: Arena) -> None:
+    part = with_hole_in_east_wall(room)
+    data, _ = prepare_scans(looking_about(room), part, ROBOT)
+    judged, share = without_unknown_space(data)
+    met = cast(room, data.poses, data.sensor).wall
+    east = (room.walls[met, :, 0] == 4.0).all(axis=2) & (met >= 0)
+    assert 0.02 < share < 0.5
+    np.testing.assert_array_equal(np.isnan(judged.ranges), east & ~np.isnan(data.ranges))
+    np.testing.assert_array_equal(judged.ranges[~east], data.ranges[~east])
+
+
+def test_a_wall_just_behind_the_rim_still_takes_the_ray(room: Arena) -> None:
+    """A graph's free space is of cells, which end before the wall."""
+    short = replace(room, free=room.free.intersection(shapely.box(0, 0, 3.92, 3)))
+    assert len(open_borders(short)) == 0
+
+
+def test_cells_that_no_ray_happened_to_cross_are_no_border(room: Arena) -> None:
+    speckled = replace(room, free=room.free.difference(shapely.box(1.0, 2.0, 1.2, 2.2)))
+    assert len(open_borders(speckled)) == 0
+    large = replace(room, free=room.free.difference(shapely.box(0.8, 1.8, 1.6, 2.6)))
+    assert len(open_borders(large)) == 4
