@@ -9,6 +9,9 @@ in the window under test alone, by code of its own that knows nothing of the pro
 beams given another bearing, poses and stamps shifted. The laser reports whole centimetres, which robot.yaml says here;
 `--undithered` leaves that and the commissioning out, and the diagnosis should find the lattice.
 
+With `--graph` the log is one that `sensorgraph locate` has written, the map a sensorgraph of its first half, and the
+windows are of its second half, 90 rays of some 100 scans each.
+
 Prints, per effect and size: windows, how often it is named first, in how many another name stands first, the median
 evidence and the median of the estimated size; and the names given on untouched windows.
 """
@@ -24,12 +27,21 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.planted_changes import FULL_SIZE, HALF_SIZE, OTHERS, Plant
-from benchmarks.planted_site import LogWindow, measurement, robot_of, windows
+from benchmarks.planted_site import (
+    LogWindow,
+    graph_of_first_half,
+    measurement,
+    robot_of,
+    scans_alone,
+    windows,
+    windows_in_graph,
+)
 from logs import Run, read
 from sensorgraph.diagnosis.commissioning import commission, merged
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
+from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.robot import Robot
 
 LOG = Path(__file__).parents[2] / "shared" / "data" / "ple-freiburg-079" / "freiburg-079-corrected.log.gz"
@@ -131,6 +143,9 @@ def arguments_given() -> argparse.Namespace:
     parser.add_argument("log", nargs="?", type=Path, default=LOG)
     parser.add_argument("--effects", default="", help="labels, comma-separated; default: all")
     parser.add_argument("--windows", default="", help="numbers, comma-separated; default: all")
+    parser.add_argument(
+        "--graph", type=Path, help="of the first half of a located log, built if it is not there"
+    )
     parser.add_argument("--only", default="full,half,also", help="which lists of effects")
     parser.add_argument("--undithered", action="store_true", help="do not tell the resolution of the laser")
     parser.add_argument("--quiet", action="store_true", help="the table only")
@@ -140,7 +155,7 @@ def arguments_given() -> argparse.Namespace:
 def main() -> None:
     """Plant, diagnose, count."""
     arguments = arguments_given()
-    log = read(arguments.log)
+    log = scans_alone(read(arguments.log)) if arguments.graph else read(arguments.log)
     lists = {"full": FULL_SIZE, "half": HALF_SIZE, "also": OTHERS}
     plants = [p for part in arguments.only.split(",") if part in lists for p in lists[part]]
     if arguments.effects:
@@ -148,7 +163,10 @@ def main() -> None:
     wanted = [int(k) for k in arguments.windows.split(",")] if arguments.windows else None
     robot = robot_of(log, 0.001 if arguments.undithered else 0.01)
     start = time.process_time()
-    parts = list(windows(log))
+    if arguments.graph:
+        parts = list(windows_in_graph(log, arena_of(graph_of_first_half(log, arguments.graph))))
+    else:
+        parts = list(windows(log))
     known_good: list[SiteBaseline] = []
     if not arguments.undithered:
         known_good = [

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import shapely
@@ -13,7 +14,10 @@ from scipy.spatial import cKDTree
 
 from logs import Run
 from planners.arena import Arena
-from sensorgraph.world.raycast import cast_laser
+from sensorgraph import build
+from sensorgraph.graph import Sensorgraph
+from sensorgraph.world.open_borders import open_borders
+from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot, default_robot
 
 Floats = NDArray[np.float64]
@@ -25,6 +29,8 @@ SPARSE_STEP = 1.0  # [s] between scans: the log is taken as one stretch, whose m
 SPARSE_WINDOW = 72  # scans of a window of such a log
 MAP_CELL = 0.08  # [m]
 RANGE_SIGMA = 0.015  # [m]
+SCANS_IN_GRAPH, N_SCANS_IN_GRAPH = 400, 100  # of a window against a graph, and how many of them are taken
+MIN_KNOWN = 0.4  # share of its rays that meet a wall of the graph before unknown space
 
 
 def ends(poses: Floats, ranges: Floats, bearings: Floats) -> tuple[Floats, NDArray[np.intp]]:
@@ -194,3 +200,43 @@ def windows(log: Run) -> Iterator[LogWindow]:
         arena = site(log.poses[even], log.ranges[even], log.sensor.bearings)
         for part in np.array_split(odd, len(odd) // SPARSE_WINDOW if is_sparse else 2):
             yield LogWindow(f"{part[0]}-{part[-1]}", part, arena)
+
+
+def graph_of_first_half(log: Run, path: Path) -> Sensorgraph:
+    """Build a graph of every second scan of the log's first half, or read it where it is kept.
+
+    A ray without a return says nothing here: with 80 m of reach it would make free space of what lies outside.
+    """
+    if not path.exists():
+        some = np.arange(0, log.n_scans // 2, 2)
+        ranges = np.where(np.isfinite(log.ranges[some]), log.ranges[some], np.nan)
+        build(replace(log, stamps=log.stamps[some], ranges=ranges)).save(path)
+    return Sensorgraph.load(path)
+
+
+def windows_in_graph(log: Run, arena: Arena) -> Iterator[LogWindow]:
+    """Cut the second half of a located log into windows of some 100 scans; those mostly in unknown space are left out."""
+    borders = open_borders(arena)
+    second = np.arange(log.n_scans // 2, log.n_scans)
+    for part in np.array_split(second, max(2, round(len(second) / SCANS_IN_GRAPH))):
+        scans = part[:: max(1, len(part) // N_SCANS_IN_GRAPH)]
+        run = measurement(log, scans)
+        lasers = laser_poses(run.poses, run.sensor.mount)
+        at_wall, at_border = (
+            cast_laser(lines, lasers, run.sensor.bearings, MAP_MAX_RANGE)[0]
+            for lines in (arena.walls, borders)
+        )
+        if (at_wall < at_border).mean() > MIN_KNOWN:
+            yield LogWindow(f"{part[0]}-{part[-1]}", scans, arena)
+
+
+def scans_alone(log: Run) -> Run:
+    """Return a located log without its wheels."""
+    none = np.zeros(0)
+    return replace(
+        log,
+        odom_stamps=none,
+        odometry=np.zeros((0, 3)),
+        odom_twists=np.zeros((0, 2)),
+        pose_covariances=np.zeros((0, 3, 3)),
+    )
