@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from robotmodic_ident.bases import polynomial
 from robotmodic_ident.errors import IdentError
+from robotmodic_ident.estimation.prediction_error import LevenbergMarquardt
 from robotmodic_ident.fitting import fit, refined
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.prediction.recursion import UNLIMITED
@@ -47,6 +49,8 @@ class AutoSettings:
     max_product_lag: int = 3
     """[samples] of signals in terms of degree 2 and more; longer lags are linear."""
     n_folds: int = 5
+    min_whole_gain: float = 0.2
+    """Relative fall of the error over whole records that speaks for another model than the one that pieces chose."""
     max_rows: int = 3_000
     """Samples among which terms are searched, in pieces spread over the records; all are fitted in the end."""
     n_pieces: int = 4
@@ -142,6 +146,10 @@ def auto_fit(
         )
     terms = dictionary(output, inputs, best.order, best.degree, settings)
     model = _final(searched, records, output, terms, best, settings)
+    if len(searched) != len(records) or sum(map(len, searched)) != sum(map(len, records)):
+        model, best = _over_whole_records(
+            model, best, [*trials, _linear(records, best, inputs, settings)], records, settings
+        )
     return AutoFit(model=model, chosen=best, trials=tuple(trials))
 
 
@@ -316,6 +324,55 @@ def _final(
     model = refined(model, records, "simulation", "hac")
     note = f"order {best.order}, degree {best.degree} and {len(model.terms)} terms do best in free run on stretches left out"
     return replace(model, notes=(*model.notes, note), stop="cv")
+
+
+def _linear(records: Sequence[Record], best: Trial, inputs: Sequence[str], settings: AutoSettings) -> Trial:
+    """Return linear models estimated in free run over one long stretch at the start of every record."""
+    share = 2 * settings.max_rows / sum(map(len, records))
+    heads = [cut(record, slice(0, int(share * len(record)) + 1)) for record in records]
+    output = best.found[0].output
+    found = []
+    for order in dict.fromkeys((settings.orders[0], best.order)):
+        terms = dictionary(output, inputs, order, 1, settings)
+        with suppress(IdentError):
+            found.append(
+                fit(
+                    heads,
+                    output,
+                    terms,
+                    n_terms=len(terms),
+                    search="forward",
+                    estimator="simulation",
+                    limits=best.limits,
+                )
+            )
+    return replace(
+        best, degree=1, n_candidates=len(terms), n_terms=len(terms), rmse=float("nan"), found=tuple(found)
+    )
+
+
+def _over_whole_records(
+    model: Narmax, best: Trial, trials: Sequence[Trial], records: Sequence[Record], settings: AutoSettings
+) -> tuple[Narmax, Trial]:
+    """Return the model, or one found on the way that runs free over whole records far better.
+
+    What is searched in pieces of a long record says nothing of how far a free run drifts over all of it, as that of
+    an integrating output does.
+    """
+
+    def error(one: Narmax) -> float:
+        whole = [slice(_warm_up(len(record), settings), None) for record in records]
+        return _mean_square(one, records, records, whole, settings)
+
+    others = [(error(one), one, trial) for trial in trials for one in trial.found]
+    least, other, trial = min(others, key=lambda found: found[0], default=(np.inf, model, best))
+    if not least < (1.0 - settings.min_whole_gain) ** 2 * error(model):
+        return model, best
+    descended = refined(other, records, "simulation", "hac")
+    stay = LevenbergMarquardt(max_steps=0)
+    kept = descended if error(descended) < least else refined(other, records, "simulation", "hac", stay)
+    note = f"of the models found it drifts least in free run over whole records: order {trial.order}, degree {trial.degree}"
+    return replace(kept, notes=(*kept.notes, note), stop="cv"), replace(trial, rmse=float(np.sqrt(least)))
 
 
 def _structure_error(model: Narmax, records: Sequence[Record], terms: Terms, settings: AutoSettings) -> float:

@@ -9,7 +9,13 @@ from typing import Literal
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimation.noise_model import best_order, noise_terms_of, with_noise
-from robotmodic_ident.estimation.prediction_error import Covariance, Estimate, NonlinearLeastSquares
+from robotmodic_ident.estimation.prediction_error import (
+    DESCENT,
+    Covariance,
+    Estimate,
+    LevenbergMarquardt,
+    NonlinearLeastSquares,
+)
 from robotmodic_ident.estimation.rational import RationalStructureSearch, as_ratio, times_output
 from robotmodic_ident.estimation.simulation_error import FreeRunLeastSquares
 from robotmodic_ident.model import NO_TERMS, Estimator, Narmax
@@ -113,12 +119,21 @@ def _check_causal(terms: Terms, output: str) -> None:
             raise IdentError(f"term {name} explains {output} by itself; use its past, {output}(k-1)")
 
 
-def refined(model: Narmax, records: Sequence[Record], estimator: Estimator, kind: Covariance) -> Narmax:
-    """Finish a model by Gauss-Newton (not for ls and els) and give the covariance asked for."""
+def refined(
+    model: Narmax,
+    records: Sequence[Record],
+    estimator: Estimator,
+    kind: Covariance,
+    descent: LevenbergMarquardt = DESCENT,
+) -> Narmax:
+    """Finish a model by Gauss-Newton (not for ls and els) and give the covariance asked for.
+
+    descent : of the free run; without steps, only the covariance is found
+    """
     free = estimator == "simulation"
     try:
         if free:
-            result, _ = FreeRunLeastSquares(model.recursion(), records).minimise(model.parameters)
+            result, _ = FreeRunLeastSquares(model.recursion(), records).minimise(model.parameters, descent)
         elif estimator == "pem":
             result = NonlinearLeastSquares(model.recursion(), records).minimise(model.parameters)
         else:
@@ -138,7 +153,7 @@ def refined(model: Narmax, records: Sequence[Record], estimator: Estimator, kind
         return replace(model, notes=(*model.notes, f"no refinement in free run: {exc}"))
     a, b = len(model.terms), len(model.terms) + len(model.denominator)
     notes = model.notes
-    if not result.converged:
+    if not result.converged and descent.max_steps:
         notes = (*notes, "the descent did not come to rest; theta may still move")
     return replace(
         model,

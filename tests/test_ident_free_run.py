@@ -198,3 +198,22 @@ def test_a_run_starts_from_fewer_samples_than_the_model_looks_back() -> None:
         run = model.predict_mpo({"u": data["u"], "y": y}, warm_up=known)
         assert np.isfinite(run).all()
         np.testing.assert_allclose(run[50:], data["y"][50:], atol=1e-3)  # what it stood at has died away
+
+
+def test_a_long_record_of_an_integrator_ends_in_a_model_that_does_not_run_away() -> None:
+    """Pieces of it do not show how far a free run drifts."""
+
+    def motor(seed: int) -> dict[str, np.ndarray]:
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.normal(size=60), 50)
+        y, v = np.zeros(3000), 0.0
+        for k in range(1, 3000):
+            u[k] -= 40.0 * y[k - 1]  # closed loop
+            v += 0.02 * (0.05 * u[k] - 2.0 * v - 0.02 * np.sign(v))
+            y[k] = y[k - 1] + 0.02 * v
+        return {"u": u, "y": y}
+
+    few = AutoSettings(orders=(2,), degrees=(2,), n_folds=2, max_rows=600)
+    fresh = motor(2)
+    run = auto_fit(motor(1), "y", ["u"], settings=few).model.predict_mpo(fresh, warm_up=20)
+    assert np.sqrt(np.mean((run - fresh["y"])[20:] ** 2)) < 2.0 * np.std(fresh["y"])
