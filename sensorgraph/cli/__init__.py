@@ -21,6 +21,7 @@ from sensorgraph.cli.diagnose import diagnose
 from sensorgraph.cli.evaluate import evaluate
 from sensorgraph.cli.export import export
 from sensorgraph.cli.identify import identify
+from sensorgraph.cli.influence import influence
 from sensorgraph.cli.inspect import inspect
 from sensorgraph.cli.locate import locate
 from sensorgraph.cli.messages import with_flags
@@ -47,6 +48,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "diagnose": diagnose,
     "identify": identify,
     "design": design,
+    "influence": influence,
     "record": record,
     "export": export,
 }

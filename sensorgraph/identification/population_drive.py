@@ -47,6 +47,7 @@ class ClosedLoopPopulation:
         self.model, self.robot, self.inputs, self.seed, self.mount = model, robot, inputs, seed, mount
         self.rays = np.unique(np.concatenate(list(inputs.values())))
         self.columns = {name: np.searchsorted(self.rays, rays) for name, rays in inputs.items()}
+        self.bearings = model.sensor.bearings[self.rays]
         self.walls, self.table = walls, np.array(walls.table)
 
     def perceived(self, poses: Floats, scan: int, n_starts: int) -> Floats:
@@ -55,9 +56,7 @@ class ClosedLoopPopulation:
         shape = (n_starts, len(self.rays))
         uniform, normal = rng.random(shape), rng.normal(size=shape)
         times = len(poses) // n_starts
-        drawn = self.model.draw(
-            self._there(poses), np.tile(uniform, (times, 1)), np.tile(normal, (times, 1)), self.rays
-        )
+        drawn = self.drawn(poses, np.tile(uniform, (times, 1)), np.tile(normal, (times, 1)), scan)
         hit = np.isfinite(drawn)
         value = np.where(hit, drawn, 0.0)
         out = np.full((len(poses), len(self.inputs)), np.nan)
@@ -65,6 +64,10 @@ class ClosedLoopPopulation:
             count = hit[:, columns].sum(axis=1)
             out[:, j] = np.where(count > 0, value[:, columns].sum(axis=1) / np.maximum(count, 1), np.nan)
         return out
+
+    def drawn(self, poses: Floats, uniform: Floats, normal: Floats, scan: int) -> Floats:
+        """Draw readings (n, n_rays) [m] at poses (n, 3) of base_link by numbers of the same shape."""
+        return self.model.draw(self._there(poses), uniform, normal, self.rays)
 
     def _there(self, poses: Floats) -> Floats:
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])

@@ -1,0 +1,165 @@
+"""One controller driven many times at once in an identified world, each time with another robot, sensor or obstacle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from robotmodic_ident import Narmax
+from sensorgraph.identification.population_drive import MOTION_STEP, ClosedLoopPopulation
+from sensorgraph.types import Floats
+
+OBSTACLE_RADIUS = 0.15
+"""[m] of the disc that stands out from a wall."""
+MIN_TURNED = 2.0 * np.pi
+"""[rad] around the middle of the floor that a lap takes."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Varied:
+    """What differs between drives, one value (n,) each."""
+
+    noise: Floats
+    """[m] standard deviation added to that of the graph."""
+    scale: Floats
+    """Reading over distance."""
+    yaw: Floats
+    """[rad] of the laser, added to that of the robot."""
+    wheels: Floats
+    """Turn rate over what was commanded: the base assumed over the true one."""
+    tau: Floats
+    """[s] of the motors."""
+    delay: Floats
+    """[s] from a command to its first effect."""
+    obstacle: Floats
+    """[m] that a disc stands out from the wall."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WallObstacle:
+    """Where a disc may stand."""
+
+    wall: Floats
+    """(2,) [m] point of the wall."""
+    outward: Floats
+    """(2,) unit vector from there into the room."""
+
+    def centres(self, out: Floats) -> Floats:
+        """Return the centre (n, 2) of a disc that stands out so far [m]."""
+        return np.asarray(self.wall + (out - OBSTACLE_RADIUS)[:, None] * self.outward)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VariedDrives:
+    """What the drives came to."""
+
+    quantities: Mapping[str, Floats]
+    """Quantity of behaviour -> (n,)."""
+    tracks: Floats
+    """(n_scans, n, 3) [m, m, rad] poses."""
+
+
+class VariedPopulation(ClosedLoopPopulation):
+    """A world for many robots that are not quite the same."""
+
+    def drive_varied(
+        self, controller: Narmax, speed: float, start: Floats, varied: Varied, obstacle: WallObstacle | None,
+        middle: Floats, duration: float,
+    ) -> VariedDrives:  # fmt: skip
+        """Drive the controller once for each value of what varies.
+
+        Parameters
+        ----------
+        controller : static polynomial of the inputs' names, turn rate [rad/s]
+        start : (3,)
+        middle : (2,) [m] what laps go around
+        """
+        robot, n = self.robot, len(varied.noise)
+        self.varied, self.discs = varied, None if obstacle is None else obstacle.centres(varied.obstacle)
+        poses = np.tile(start, (n, 1)).astype(np.float64)
+        command, v, omega = np.zeros(n), np.zeros(n), np.zeros(n)
+        steps = max(1, round(1.0 / robot.sensor.rate / MOTION_STEP))
+        late = np.round(varied.delay / MOTION_STEP).astype(int)
+        waiting = np.zeros((int(late.max()) + 1, n))  # row 0 is now
+        held = np.zeros(n, dtype=np.bool_)
+        tracks, turns, contacts = [], np.zeros(n), np.zeros(n)
+        n_scans = int(duration * robot.sensor.rate)
+        for scan in range(n_scans):
+            tracks.append(poses)
+            command = self._steered(controller, poses, scan, command)
+            for _ in range(steps):
+                waiting = np.concatenate([command[None], waiting[:-1]])
+                v, omega = self._driven(v, omega, speed, waiting[late, np.arange(n)])
+                poses, now = self._moved(poses, v, omega)
+                contacts += now & ~held
+                held = now
+                turns += omega**2 / steps
+        whole = np.array(tracks)
+        distance = np.array([self.clearance(xy) for xy in whole[:, :, :2]])
+        angle = np.unwrap(np.arctan2(whole[:, :, 1] - middle[1], whole[:, :, 0] - middle[0]), axis=0)
+        turned = np.abs(angle[-1] - angle[0])
+        lap = np.where(turned >= MIN_TURNED, 2 * np.pi * duration / np.maximum(turned, 1e-9), np.nan)
+        found = {
+            "wall_distance_m": distance.mean(axis=0),
+            "wall_distance_sd_m": distance.std(axis=0),
+            "lap_s": lap,
+            "turn_rate_rms_rad_s": np.sqrt(turns / n_scans),
+            "contacts": contacts,
+        }
+        return VariedDrives(quantities=found, tracks=whole)
+
+    def _steered(self, controller: Narmax, poses: Floats, scan: int, before: Floats) -> Floats:
+        """Return the turn rates (n,) commanded; the last ones where an input is not known."""
+        seen = self.perceived(poses, scan, 1)
+        known = np.isfinite(seen).all(axis=1)
+        columns = {f"{name}(k)": np.nan_to_num(seen[:, j]) for j, name in enumerate(self.inputs)}
+        turn = controller.terms.matrix(columns, controller.scale, n=len(poses)) @ controller.theta
+        limit = self.robot.limits.omega
+        return np.where(known, np.clip(turn, -limit, limit), before)
+
+    def _there(self, poses: Floats) -> Floats:
+        there = super()._there(poses)
+        there[:, 2] += self.varied.yaw
+        return there
+
+    def drawn(self, poses: Floats, uniform: Floats, normal: Floats, scan: int) -> Floats:
+        """Draw readings (n, n_rays): of the graph, of the disc where it is nearer, with the sensor's own faults."""
+        out = super().drawn(poses, uniform, normal, scan)
+        if self.discs is not None:
+            out = np.minimum(out, self._disc_ranges(poses))
+        extra = np.random.default_rng([self.seed, 9, scan]).normal(size=len(self.rays))
+        return np.maximum(out * self.varied.scale[:, None] + self.varied.noise[:, None] * extra, 0.0)
+
+    def _disc_ranges(self, poses: Floats) -> Floats:
+        """Return how far (n, n_rays) [m] the disc is along each ray; inf where it is missed."""
+        x, y, yaw = self.robot.sensor.mount
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        laser = poses[:, :2] + np.column_stack([c * x - s * y, s * x + c * y])
+        heading = (poses[:, 2] + yaw + self.varied.yaw)[:, None] + self.bearings
+        to = (np.empty_like(laser) if self.discs is None else self.discs) - laser
+        along = to[:, :1] * np.cos(heading) + to[:, 1:] * np.sin(heading)
+        reach = along**2 - (to**2).sum(axis=1)[:, None] + OBSTACLE_RADIUS**2
+        near = along - np.sqrt(np.maximum(reach, 0.0))
+        return np.where((reach > 0) & (near > 0) & (near < self.robot.sensor.range_max), near, np.inf)
+
+    def clearance(self, xy: Floats) -> Floats:
+        """Return the distance (n,) [m] of points (n, 2) to the nearest wall or disc; 0 outside."""
+        free = super().clearance(xy)
+        if self.discs is None:
+            return free
+        return np.asarray(
+            np.minimum(free, np.maximum(np.hypot(*(xy - self.discs).T) - OBSTACLE_RADIUS, 0.0)),
+            dtype=np.float64,
+        )
+
+    def _driven(self, v: Floats, omega: Floats, speed: float, turn: Floats) -> tuple[Floats, Floats]:
+        """Return the twists one step later: first order, limited acceleration, and the wheel base."""
+        limits, tau = self.robot.limits, np.maximum(self.varied.tau, 1e-9)
+        share = 1.0 - np.exp(-MOTION_STEP / tau)
+        dv, domega = limits.a * MOTION_STEP, limits.alpha * MOTION_STEP
+        return (
+            v + np.clip((speed - v) * share, -dv, dv),
+            omega + np.clip((turn * self.varied.wheels - omega) * share, -domega, domega),
+        )
