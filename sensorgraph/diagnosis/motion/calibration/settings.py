@@ -1,7 +1,7 @@
 """Every tuned number of the calibration from driving alone, with unit and meaning.
 
-The defaults were chosen on whole raw logs (intel, fr079, aces; splits of one located log by `benchmarks.halves`);
-where a log is cut into halves is no part of that choice.
+The defaults were chosen on intel, fr079 and aces, whole and as parts of one located log (`benchmarks.halves`). Their halves
+located apart were compared after that choice, but a log of another robot has not been seen.
 """
 
 from __future__ import annotations
