@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -50,6 +50,7 @@ def influence(
       sensorgraph influence lab.sensorgraph c.json --start 1,0.5,0 --vary noise=0:0.05 --vary delay=0:0.3 -o runs/i
     """
     from sensorgraph.cli.inputs import check_folder, write_json
+    from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.identification.influence import influence as find_influence
@@ -66,12 +67,19 @@ def influence(
         raise SensorgraphError(f"{controller} does not exist; `sensorgraph design` writes such a controller")
     steer = PolynomialController.load(controller, machine)
     model = Sensorgraph.load(graph)
-    found = find_influence(
-        model, steer, machine, place, factors=factors, rows=rows, duration=duration, seed=seed
-    )
+    settings: dict[str, Any] = {"factors": factors, "rows": rows, "duration": duration, "seed": seed}
+    with progress("driving", "scans") as tick:
+        found = find_influence(model, steer, machine, place, **settings, progress=tick)
     files = [out / "influence.json", out / "influence.png"]
     out.mkdir(parents=True, exist_ok=True)
-    write_json(files[0], found.to_dict())
+    made = {
+        "graph": graph.name,
+        "controller": controller.name,
+        "robot": machine.name,
+        "seed": seed,
+        "rows": rows,
+    }
+    write_json(files[0], {**found.to_dict(), **made})
     influence_picture(found, files[1])
     typer.echo(f"{found.n_drives:,} drives of {duration:g} s")
     for line in table(found):

@@ -22,7 +22,7 @@ from sensorgraph.identification.varied_drive import Varied, VariedDrives, Varied
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.recording.controllers import PolynomialController
 from sensorgraph.recording.identified_world import IdentifiedWorld
-from sensorgraph.types import Floats
+from sensorgraph.types import Floats, Progress
 from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.robot import Robot
 from sensorgraph.world.wall_distance import WallDistance
@@ -148,6 +148,7 @@ def influence(
     rows: int = 64,
     duration: float = 90.0,
     seed: int = 0,
+    progress: Progress | None = None,
 ) -> Influence:
     """Drive one controller `rows` * (factors + 2) times in an identified world, and share out the variance.
 
@@ -180,13 +181,15 @@ def influence(
     population = VariedPopulation(graph.model, robot, clearance, rays, seed, mount)
     middle = np.array(walls.free.centroid.coords[0])
 
-    def driven(values: Mapping[str, Floats], n: int, obstacle: WallObstacle | None) -> VariedDrives:
+    def driven(
+        values: Mapping[str, Floats], n: int, obstacle: WallObstacle | None, progress: Progress | None = None
+    ) -> VariedDrives:
         rest = {name: np.full(n, factor.rest) for name, factor in FACTORS.items()}
         rest["tau"] = np.full(n, robot.actuators.tau)
         rest["delay"] = np.full(n, robot.actuators.delay)
         varied = Varied(**{**rest, **values})
         return population.drive_varied(
-            controller.model, controller.held, place, varied, obstacle, middle, duration
+            controller.model, controller.held, place, varied, obstacle, middle, duration, progress
         )
 
     alone = driven({}, 1, None)
@@ -194,7 +197,7 @@ def influence(
     points = saltelli_points(rows, len(spans), np.random.default_rng([seed, 10]))
     flat = points.reshape(-1, len(spans))
     values = {name: low + (high - low) * flat[:, i] for i, (name, (low, high)) in enumerate(spans.items())}
-    drives = driven(values, len(flat), obstacle)
+    drives = driven(values, len(flat), obstacle, progress)
     found = np.stack([drives.quantities[name] for name in QUANTITIES], axis=-1)
     shares = sampled_sobol(found.reshape(rows, len(spans) + 2, -1), np.random.default_rng([seed, 11]))
     return Influence(

@@ -9,7 +9,7 @@ import numpy as np
 
 from robotmodic_ident import Narmax
 from sensorgraph.identification.population_drive import MOTION_STEP, ClosedLoopPopulation
-from sensorgraph.types import Floats
+from sensorgraph.types import Floats, Progress
 
 OBSTACLE_RADIUS = 0.15
 """[m] of the disc that stands out from a wall."""
@@ -66,7 +66,7 @@ class VariedPopulation(ClosedLoopPopulation):
 
     def drive_varied(
         self, controller: Narmax, speed: float, start: Floats, varied: Varied, obstacle: WallObstacle | None,
-        middle: Floats, duration: float,
+        middle: Floats, duration: float, progress: Progress | None = None,
     ) -> VariedDrives:  # fmt: skip
         """Drive the controller once for each value of what varies.
 
@@ -96,6 +96,8 @@ class VariedPopulation(ClosedLoopPopulation):
                 contacts += now & ~held
                 held = now
                 turns += omega**2 / steps
+            if progress is not None:
+                progress(scan + 1, n_scans)
         whole = np.array(tracks)
         distance = np.array([self.clearance(xy) for xy in whole[:, :, :2]])
         angle = np.unwrap(np.arctan2(whole[:, :, 1] - middle[1], whole[:, :, 0] - middle[0]), axis=0)
