@@ -40,6 +40,19 @@ def ctrl_c() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let one worker compile the kernels of `build`, half a minute, while the others are at the planners.
+
+    Two that meet a kernel at the same time compile it twice.
+    """
+    items.sort(
+        key=lambda item: (
+            item.path.name != "test_building_stream.py",
+            not item.path.name.startswith("test_planners"),
+        )
+    )
+
+
 def pytest_collection_finish() -> None:
     """Leave the thousands of collected tests out of every later search for garbage."""
     gc.freeze()
