@@ -13,7 +13,7 @@ from logs.files import atomic_file
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.motion.calibration.estimate import NUISANCES, PARAMETERS, DrivingCalibration
 from sensorgraph.diagnosis.motion.calibration.words import ABSORBED
-from sensorgraph.diagnosis.report.data import plain
+from sensorgraph.diagnosis.report.data import effect_dict, plain
 from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
 from sensorgraph.diagnosis.report.files import remove_old_report
 from sensorgraph.diagnosis.report.html import STYLE
@@ -45,17 +45,7 @@ def save_driving(finding: DrivingFinding, folder: Path, settings: Mapping[str, A
 def driving_dict(finding: DrivingFinding) -> dict[str, Any]:
     """Return the report as plain data; what needs an arena or a reference is empty."""
     return {
-        "effects": [
-            {
-                "name": a.name,
-                "parameters": dict(a.parameters),
-                "stderr": dict(a.stderr),
-                "location": None,
-                "probability": None,
-                "evidence_nats": a.evidence,
-            }
-            for a in finding.effects
-        ],
+        "effects": [effect_dict(a) for a in finding.effects],
         "unknown": None,
         "where": None,
         "runner_up": None,
