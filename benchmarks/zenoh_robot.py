@@ -91,6 +91,7 @@ def open_session(mode: str, port: int) -> zenoh.Session:
     config.insert_json5("mode", f'"{mode}"')
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("timestamping/enabled", "true")
+    config.insert_json5("connect/retry", '{"period_init_ms": 100, "period_max_ms": 200}')
     ends = "listen/endpoints" if mode == "router" else "connect/endpoints"
     config.insert_json5(ends, f'["tcp/127.0.0.1:{port}"]')
     return zenoh.open(config)
@@ -131,14 +132,19 @@ class Robot:
             beside = struct.pack("<qqB", self.counts[topic], time.time_ns(), 16) + bytes(16)
             self.publishers[topic].put(message, attachment=beside)
 
-    def drive(self, duration: float, *, rate: float, n_rays: int, noise: float = 0.0) -> int:
-        """Publish scans at a rate, and pose, odometry and commands with each, on a circle; return how many."""
+    def drive(
+        self, duration: float, *, rate: float, n_rays: int, noise: float = 0.0, begin: float = 0.0
+    ) -> int:
+        """Publish scans at a rate, and pose, odometry and commands with each, on a circle; return how many.
+
+        Stamps begin at `begin` [s] after an epoch of its own.
+        """
         draw = Random(0)
         scans = [[2.0 + 0.001 * k + draw.gauss(0, noise) for k in range(n_rays)] for _ in range(64)]
         began = time.monotonic()
         n = round(duration * rate)
         for k in range(n):
-            stamp = 1_700_000_000.0 + k / rate
+            stamp = 1_700_000_000.0 + begin + k / rate
             phi = 0.5 * k / rate
             x, y = 2 + math.sin(phi), 2 - math.cos(phi)
             for topic, message in (

@@ -52,6 +52,18 @@ def drive(robot: lab.Robot, duration: float, rate: float = 40.0) -> Thread:
     return thread
 
 
+def stop_with(thread: Thread, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Press Ctrl-C when the thread has ended."""
+    pump: Callable[[recording.LiveRecording, float], None] = recording.LiveRecording.pump
+
+    def interrupted(self: recording.LiveRecording, duration: float) -> None:
+        pump(self, duration)
+        if not thread.is_alive():
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(recording.LiveRecording, "pump", interrupted)
+
+
 @pytest.mark.parametrize("type_hash", [lab.HUMBLE, lab.KILTED], ids=["humble", "kilted"])
 def test_every_message_is_in_the_file_as_it_was_sent(
     type_hash: str, port: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -69,7 +81,8 @@ def test_every_message_is_in_the_file_as_it_was_sent(
     np.testing.assert_allclose(run.poses[4, :2], [2 + np.sin(0.05), 2 - np.cos(0.05)], atol=1e-9)
     np.testing.assert_allclose(run.odom_twists[3], [0.5, 0.5])
     said = capsys.readouterr().out
-    assert "/scan: 20 messages\n" in said and "/chatter" not in said
+    assert "/scan: 20 messages, silent for the last 0." in said and "/tf_static: 1 message\n" in said
+    assert "/chatter" not in said
     assert not list(tmp_path.glob("*.part"))
 
 
@@ -90,7 +103,7 @@ def test_messages_lost_on_the_way_and_gaps_are_counted(
     assert live(port, tmp_path / "run.mcap", "--duration", "1.2", domain=3) == 0
     thread.join()
     robot.close()
-    assert "/scan: 9 messages, 3 lost on the way, 1 gaps, the longest 0.4" in capsys.readouterr().out
+    assert "/scan: 9 messages, 3 lost on the way, 1 gap of 0.4" in capsys.readouterr().out
 
 
 def test_it_ends_when_the_plan_is_covered_and_says_what_is_missing(
@@ -129,6 +142,7 @@ def test_it_ends_when_the_plan_is_covered_and_says_what_is_missing(
         (["--duration", "5"], "a LaserScan or Range is not published in domain 9 at tcp/127.0.0.1"),
         (["--topic", "pose=/mocap/pose"], "/mocap/pose"),
         (["--duration", "-1"], "expected seconds above 0"),
+        (["--wait", "0"], "--wait is 0, expected seconds above 0"),
         (["--until-covered", "nowhere"], "nowhere holds no trajectory.csv"),
         (["--graph", "some.sensorgraph"], "--graph is for the embedded robot"),
     ],
@@ -203,16 +217,76 @@ def test_ctrl_c_ends_a_recording_as_it_should(
 ) -> None:
     robot = lab.Robot(port, ["/scan"], domain=6)
     thread = drive(robot, 0.6)
-    pump: Callable[[recording.LiveRecording, float], None] = recording.LiveRecording.pump
-
-    def interrupted(self: recording.LiveRecording, duration: float) -> None:
-        pump(self, duration)
-        if self.n_scans >= 20:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(recording.LiveRecording, "pump", interrupted)
+    stop_with(thread, monkeypatch)
     assert live(port, tmp_path / "run.mcap", domain=6) == 0
     thread.join()
     robot.close()
     assert "stopped after" in capsys.readouterr().out
     assert logs.read(tmp_path / "run.mcap").n_scans >= 20
+
+
+def test_a_recording_goes_on_when_router_and_robot_restart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    port = lab.free_port()
+    router = lab.open_session("router", port)
+    seen: list[int] = []
+
+    def lose_and_regain() -> None:
+        nonlocal router
+        first = lab.Robot(port, TOPICS)
+        first.send("/tf_static", lab.mount(1_700_000_000.0, 0.1, -0.05, 0.2))
+        first.wait_for_listener()
+        time.sleep(0.1)
+        seen.append(first.drive(0.25, rate=40.0, n_rays=N_RAYS))
+        router.close()
+        time.sleep(0.4)
+        router = lab.open_session("router", port)
+        first.wait_for_listener()
+        seen.append(first.drive(0.25, rate=40.0, n_rays=N_RAYS, begin=2.0))
+        first.close()  # switched off, and on again: other publishers, which count from 1
+        again = lab.Robot(port, ["/odom", "/pose", "/scan", "/tf_static"])
+        again.wait_for_listener()
+        time.sleep(0.3)
+        seen.append(again.drive(0.25, rate=40.0, n_rays=N_RAYS, begin=4.0))
+        again.close()
+        time.sleep(0.3)
+
+    thread = Thread(target=lose_and_regain)
+    stop_with(thread, monkeypatch)
+    thread.start()
+    assert live(port, tmp_path / "run.mcap") == 0
+    thread.join()
+    router.close()
+    run = logs.read(tmp_path / "run.mcap")
+    assert seen == [10, 10, 10] and run.n_scans == len(run.poses) == len(run.odometry) == 30
+    np.testing.assert_allclose(np.diff(run.stamps)[[9, 19]], [2.0 - 0.225, 2.0 - 0.225], atol=1e-6)
+    np.testing.assert_allclose(run.sensor.mount, [0.1, -0.05, 0.2], atol=1e-9)
+    said = capsys.readouterr().out
+    (note,) = (line for line in said.splitlines() if line.startswith("note:"))
+    away = float(note.rpartition("(")[2].split()[0])
+    assert f"the router at tcp/127.0.0.1:{port} was away from 0." in note and 0.3 <= away <= 3.0, note
+    (scan,) = (line for line in said.splitlines() if line.startswith("/scan: 30 messages"))
+    assert "lost" not in scan and "2 gaps, the longest " in scan and "silent for the last" in scan
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_router_and_robot_may_come_later_than_the_recorder(tmp_path: Path) -> None:
+    port = lab.free_port()
+
+    def come() -> None:
+        time.sleep(0.3)
+        router = lab.open_session("router", port)
+        robot = lab.Robot(port, ["/pose", "/scan"])
+        robot.wait_for_listener()
+        time.sleep(0.1)
+        robot.drive(0.25, rate=40.0, n_rays=N_RAYS)
+        time.sleep(0.2)
+        robot.close()
+        router.close()
+
+    thread = Thread(target=come)
+    thread.start()
+    assert live(port, tmp_path / "run.mcap", "--wait", "10", "--duration", "0.8") == 0
+    thread.join()
+    assert logs.read(tmp_path / "run.mcap").n_scans == 10

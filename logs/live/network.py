@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 DEFAULT_ROUTER, DEFAULT_PORT = "127.0.0.1", 7447
 CONNECT_TIMEOUT = 3.0
 """[s] in which the router must answer."""
+FIRST_RETRY, LONGEST_RETRY = 0.1, 0.5
+"""[s] between two tries to reach a router that went away: the first, doubled up to the longest."""
 ATTACHMENT_SIZE = 33
 """[bytes] of what rmw_zenoh sends beside a message: sequence, time, and 16 of who publishes after their count."""
 
@@ -44,32 +46,32 @@ class RosNetwork:
     ----------
     router : HOST, HOST:PORT, or a zenoh endpoint such as tcp/192.168.0.5:7447
     domain : ROS_DOMAIN_ID; None: of the environment, else 0
+    wait : [s] in which the router must answer; None: CONNECT_TIMEOUT
+
+    A router that goes away later is waited for without end: what is listened to comes again when it is back.
 
     Raises
     ------
     LogError
-        if zenoh is not installed, no router answers, or the domain is no number
+        if zenoh is not installed, no router answers in time, or the domain is no number
     """
 
-    def __init__(self, router: str = DEFAULT_ROUTER, domain: int | None = None) -> None:
-        zenoh = _zenoh()
+    def __init__(
+        self, router: str = DEFAULT_ROUTER, domain: int | None = None, *, wait: float | None = None
+    ) -> None:
         self.router = endpoint_of(router)
         self.domain = _domain() if domain is None else domain
         self.topics: dict[str, PublishedTopic] = {}
         """Name -> what was announced, since it was opened."""
         self._inbox: SimpleQueue[LiveMessage | PublishedTopic] = SimpleQueue()
         self._subscribers: dict[str, Any] = {}
-        try:
-            config = zenoh.Config()
-            for key, value in _settings(self.router).items():
-                config.insert_json5(key, json.dumps(value))
-            self._session = zenoh.open(config)
-        except zenoh.ZError as exc:
-            raise LogError(
-                f"no zenoh router answers at {self.router}; start one on the robot (ros2 run rmw_zenoh_cpp rmw_zenohd, "
-                "its nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp), or say where it is: `router` HOST:PORT"
-            ) from exc
+        self._session = _open(self.router, CONNECT_TIMEOUT if wait is None else wait)
         self._session.liveliness().declare_subscriber(tokens_of(self.domain), self._on_token, history=True)
+
+    @property
+    def is_connected(self) -> bool:
+        """The router answers."""
+        return bool(self._session.info.routers_zid() or self._session.info.peers_zid())
 
     def listen(self, topic: PublishedTopic) -> None:
         """Receive a topic from now on; of a latched one, what was sent before, too."""
@@ -134,11 +136,35 @@ def endpoint_of(router: str) -> str:
     return f"tcp/{router}" if colon and port.isdigit() and host else f"tcp/{router}:{DEFAULT_PORT}"
 
 
-def _settings(endpoint: str) -> dict[str, Any]:
+def _open(endpoint: str, wait: float) -> Any:
+    zenoh = _zenoh()
+    until = time.monotonic() + wait
+    while True:
+        config = zenoh.Config()
+        one_try = min(max(until - time.monotonic(), 0.1), CONNECT_TIMEOUT)
+        try:
+            for key, value in _settings(endpoint, one_try).items():
+                config.insert_json5(key, json.dumps(value))
+            return zenoh.open(config)
+        except zenoh.ZError as exc:
+            if time.monotonic() < until:
+                continue
+            raise LogError(
+                f"no zenoh router answers at {endpoint}; start one on the robot (ros2 run rmw_zenoh_cpp rmw_zenohd, "
+                "its nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp), or say where it is: `router` HOST:PORT"
+            ) from exc
+
+
+def _settings(endpoint: str, timeout: float) -> dict[str, Any]:
     return {
         "mode": "client",
         "connect/endpoints": [endpoint],
-        "connect/timeout_ms": round(CONNECT_TIMEOUT * 1e3),
+        "connect/timeout_ms": round(timeout * 1e3),
+        "connect/retry": {
+            "period_init_ms": round(FIRST_RETRY * 1e3),
+            "period_max_ms": round(LONGEST_RETRY * 1e3),
+            "period_increase_factor": 2,
+        },
         "scouting/multicast/enabled": False,
     }
 

@@ -7,7 +7,9 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from types import TracebackType
 
 import numpy as np
@@ -26,15 +28,19 @@ class LiveSettings:
     """When a recording gives up, and what it calls a gap."""
 
     patience: float = 10.0
-    """[s] in which a topic with readings, and the topics that were named, must be announced."""
+    """[s] in which a topic with readings, and the topics that were named, must be announced, unless told otherwise."""
     gap_periods: float = 3.0
     """A silence of so many periods of a topic is a gap."""
     least_gap: float = 0.25
     """[s] but not a shorter one."""
+    gap_steps: int = 20
+    """The period is the median of so many steps, so that a gap among them does not hide the next."""
     rate_span: float = 5.0
     """[s] over which the rate that is shown is counted."""
     window: float = 6.0
     """[s] of messages that are kept to tell where the robot is."""
+    look_every: float = 0.1
+    """[s] between two looks whether the router is there."""
 
 
 SETTINGS = LiveSettings()
@@ -51,6 +57,8 @@ class TopicRate:
     n_gaps: int = 0
     longest_gap: float = 0.0
     """[s] between two messages."""
+    longest_gap_began: float = 0.0
+    """[s] when the message before it came, since the epoch, as all times here."""
     recent: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
     """[s] when the latest came."""
     _sequences: dict[bytes, int] = field(default_factory=dict)
@@ -65,14 +73,22 @@ class TopicRate:
         """Return how long [s] nothing has come."""
         return now - self.recent[-1] if self.recent else 0.0
 
+    def is_gap(self, silence: float) -> bool:
+        """Tell whether a silence [s] is longer than the topic's rate explains."""
+        n = min(len(self.recent), SETTINGS.gap_steps + 1)
+        if n <= 3 or silence <= SETTINGS.least_gap:
+            return False
+        latest = [self.recent[-k] for k in range(n, 0, -1)]
+        return silence > SETTINGS.gap_periods * median(b - a for a, b in pairwise(latest))
+
     def add(self, message: LiveMessage) -> None:
         """Count a message."""
         at = message.received_ns / 1e9
         if self.recent:
-            silence, span = at - self.recent[-1], self.recent[-1] - self.recent[0]
-            self.longest_gap = max(self.longest_gap, silence)
-            period = span / (len(self.recent) - 1) if len(self.recent) > 3 else np.inf
-            self.n_gaps += silence > max(SETTINGS.gap_periods * period, SETTINGS.least_gap)
+            silence = at - self.recent[-1]
+            if silence > self.longest_gap:
+                self.longest_gap, self.longest_gap_began = silence, self.recent[-1]
+            self.n_gaps += self.is_gap(silence)
         self.recent.append(at)
         self.n_messages += 1
         if message.sequence is not None:
@@ -82,8 +98,20 @@ class TopicRate:
             self._sequences[message.publisher] = message.sequence
 
 
+@dataclass(kw_only=True)
+class Outage:
+    """The router was away: nothing could come."""
+
+    began: float
+    """[s] since the epoch."""
+    ended: float | None = None
+    """[s]; None: it is still away."""
+
+
 class LiveRecording:
     """Write all topics of a robot that a run is made of to `NAME.mcap`, message by message.
+
+    A robot or a router that goes away is waited for; what comes later is written to the same file.
 
     While open, the file is `NAME.mcap.part`, of which a crash loses the open chunk (64 KiB) at most:
     `sensorgraph recover` saves the rest. An exception keeps what there is as `NAME.interrupted.mcap`.
@@ -108,6 +136,10 @@ class LiveRecording:
         """Topic -> how its messages have come."""
         self.notes: list[str] = []
         """What was left out, a line each."""
+        self.outages: list[Outage] = []
+        self.began: float | None = None
+        """[s] since the epoch: when the first message came."""
+        self._looked = 0.0
         self._recent: deque[LiveMessage] = deque()
         self._fixed: dict[str, list[LiveMessage]] = {}
         self._file = RosFile(path)
@@ -123,15 +155,19 @@ class LiveRecording:
         """Messages with readings so far."""
         return sum(rate.n_messages for rate in self.rates.values() if rate.type in (SCAN_TYPE, RANGE_TYPE))
 
-    def wait_for_topics(self) -> None:
+    def wait_for_topics(self, patience: float | None = None) -> None:
         """Wait until the readings and what was named are announced.
+
+        Parameters
+        ----------
+        patience : [s]; None: that of the settings
 
         Raises
         ------
         LogError
             if they are not in time; it lists the topics that were seen
         """
-        until = time.monotonic() + SETTINGS.patience
+        until = time.monotonic() + (SETTINGS.patience if patience is None else patience)
         while (missing := self._missing()) and time.monotonic() < until:
             self._take(self.network.next(until))
         if missing:
@@ -145,8 +181,11 @@ class LiveRecording:
     def pump(self, duration: float) -> None:
         """Write what comes within `duration` [s]."""
         until = time.monotonic() + duration
-        while time.monotonic() < until:
-            self._take(self.network.next(until))
+        while (now := time.monotonic()) < until:
+            if now - self._looked > SETTINGS.look_every:
+                self._looked = now
+                self._look_for_router()
+            self._take(self.network.next(min(until, now + SETTINGS.look_every)))
 
     def recent(self) -> Run | None:
         """Return the latest seconds as a run, read as the file will be; None: they hold no scan yet."""
@@ -194,6 +233,15 @@ class LiveRecording:
         else:
             self._file.finish(interrupted=True)
 
+    def _look_for_router(self) -> None:
+        """Note when the router goes away and comes back."""
+        is_away = bool(self.outages) and self.outages[-1].ended is None
+        if self.network.is_connected:
+            if is_away:
+                self.outages[-1].ended = time.time()
+        elif not is_away:
+            self.outages.append(Outage(began=time.time()))
+
     def _waiting(self) -> Iterator[LiveMessage | PublishedTopic]:
         while (item := self.network.next(0.0)) is not None:
             yield item
@@ -229,6 +277,8 @@ class LiveRecording:
             return
         if item is None:
             return
+        if self.began is None:
+            self.began = item.received_ns / 1e9
         name = item.topic.name
         self._file.put(self._file.channel(name, item.topic.type), item.received_ns, item.payload)
         self.rates[name].add(item)

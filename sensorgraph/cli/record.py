@@ -26,6 +26,7 @@ from sensorgraph.cli.record_live import (
     RecordRouter,
     RecordShare,
     RecordUntilCovered,
+    RecordWait,
     check_options,
     record_live,
 )
@@ -53,6 +54,7 @@ def record(
     domain: RecordDomain = None,
     topic: Topics = None,
     duration: RecordDuration = None,
+    wait: RecordWait = None,
     until_covered: RecordUntilCovered = None,
     share: RecordShare = 0.99,
 ) -> None:
@@ -79,13 +81,13 @@ def record(
         live=live,
         of_live={
             "--router": router, "--domain": domain, "--topic": topic, "--duration": duration,
-            "--until-covered": until_covered,
+            "--wait": wait, "--until-covered": until_covered,
         },
         of_plan={"PLAN": plan, "--graph": graph, "--controller": controller, "--start": start, "--effects": effects},
     )  # fmt: skip
     if live:
         record_live(
-            out, router=router, domain=domain, topics=topic, duration=duration, until_covered=until_covered,
+            out, router=router, domain=domain, topics=topic, duration=duration, wait=wait, until_covered=until_covered,
             share=share, arena=arena, robot=robot,
         )  # fmt: skip
         return

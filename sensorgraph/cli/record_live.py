@@ -28,6 +28,13 @@ RecordDomain = Annotated[
     typer.Option(min=0, max=232, help="--live: ROS domain; default: ROS_DOMAIN_ID, else 0."),
 ]
 RecordDuration = Annotated[float | None, typer.Option(metavar="S", help="--live: end after so many seconds.")]
+RecordWait = Annotated[
+    float | None,
+    typer.Option(
+        metavar="S",
+        help="--live: wait so many seconds for the router and the robot; default: 3 and 10. Either may come back later.",
+    ),
+]
 RecordUntilCovered = Annotated[
     Path | None,
     typer.Option(
@@ -63,6 +70,7 @@ def record_live(
     domain: int | None,
     topics: list[str] | None,
     duration: float | None,
+    wait: float | None,
     until_covered: Path | None,
     share: float,
     arena: str | None,
@@ -79,21 +87,19 @@ def record_live(
     check_output(out)
     if out.suffix != ".mcap":
         raise SensorgraphError(f"{out}: a run is written as *.mcap; name it {out.with_suffix('.mcap').name}")
-    if duration is not None and not duration > 0:
-        raise SensorgraphError(f"--duration is {duration:g}, expected seconds above 0")
+    for name, seconds in (("--duration", duration), ("--wait", wait)):
+        if seconds is not None and not seconds > 0:
+            raise SensorgraphError(f"{name} is {seconds:g}, expected seconds above 0")
     coverage = None if until_covered is None else PlanCoverage.of(until_covered)
     kept = _attachments(until_covered, arena, robot)
     with (
-        RosNetwork(router or DEFAULT_ROUTER, domain) as network,
+        RosNetwork(router or DEFAULT_ROUTER, domain, wait=wait) as network,
         LiveRecording(out, network, topics=parse_topics(topics or []), attachments=kept) as recording,
     ):
-        why = _listen(recording, coverage, share, duration)
-    for name, rate in recording.rates.items():
-        lost = f", {rate.n_lost:,} lost on the way" if rate.n_lost else ""
-        gaps = f", {rate.n_gaps:,} gaps, the longest {rate.longest_gap:.2f} s" if rate.n_gaps else ""
-        typer.echo(f"{name}: {rate.n_messages:,} messages{lost}{gaps}")
-    for note in recording.notes:
-        typer.echo(f"note: {note}")
+        why = _listen(recording, coverage, share, duration, wait)
+        ended = time.time()
+    for line in _summary(recording, ended):
+        typer.echo(line)
     if coverage is not None:
         typer.echo(coverage.sentence())
         if coverage.missing.any():
@@ -101,14 +107,39 @@ def record_live(
     typer.echo(f"{why}; wrote {out}")
 
 
+def _summary(recording: LiveRecording, ended: float) -> list[str]:
+    """Return what came and what is missing, a line a topic and a line a note; times count from the first message."""
+    began = recording.began or ended
+    out = []
+    for name, rate in recording.rates.items():
+        line = f"{name}: {rate.n_messages:,} message{'' if rate.n_messages == 1 else 's'}"
+        if rate.n_lost:
+            line += f", {rate.n_lost:,} lost on the way"
+        if rate.n_gaps:
+            word = "1 gap of" if rate.n_gaps == 1 else f"{rate.n_gaps:,} gaps, the longest"
+            line += f", {word} {rate.longest_gap:.2f} s at {rate.longest_gap_began - began:.2f} s"
+        if rate.is_gap(rate.silence(ended)):
+            line += f", silent for the last {rate.silence(ended):.1f} s"
+        out.append(line)
+    for outage in recording.outages:
+        at = f"the router at {recording.network.router} was away from {outage.began - began:.1f} s"
+        back = "until the end" if outage.ended is None else f"to {outage.ended - began:.1f} s"
+        out.append(f"note: {at} {back} ({(outage.ended or ended) - outage.began:.1f} s)")
+    return out + [f"note: {note}" for note in recording.notes]
+
+
 def _listen(
-    recording: LiveRecording, coverage: PlanCoverage | None, share: float, duration: float | None
+    recording: LiveRecording,
+    coverage: PlanCoverage | None,
+    share: float,
+    duration: float | None,
+    wait: float | None,
 ) -> str:
     """Record and show how it goes; return why it ended."""
     began = time.monotonic()
     knows_place = False
     try:
-        recording.wait_for_topics()
+        recording.wait_for_topics(wait)
         with _display() as show:
             began = time.monotonic()
             while duration is None or time.monotonic() - began < duration:
@@ -119,10 +150,21 @@ def _listen(
                     knows_place = (run is not None and coverage.add(run)) or knows_place
                     if coverage.share >= share:
                         return "the plan is covered"
-                show(recording, _coverage_text(coverage, knows_place), time.monotonic() - began)
+                state = [_outage_text(recording), _coverage_text(coverage, knows_place)]
+                show(recording, "; ".join(text for text in state if text), time.monotonic() - began)
     except KeyboardInterrupt:
         return f"stopped after {time.monotonic() - began:.0f} s"
     return f"{duration:g} s are over"
+
+
+def _outage_text(recording: LiveRecording) -> str:
+    now = time.time()
+    if recording.outages and recording.outages[-1].ended is None:
+        return f"no router for {now - recording.outages[-1].began:.0f} s; waiting for it"
+    silent = [rate.silence(now) for rate in recording.rates.values() if rate.is_gap(rate.silence(now))]
+    if silent and len(silent) == sum(rate.n_messages > 3 for rate in recording.rates.values()):
+        return f"nothing has come for {min(silent):.0f} s; waiting for the robot"
+    return ""
 
 
 def _coverage_text(coverage: PlanCoverage | None, knows_place: bool) -> str:
@@ -162,8 +204,8 @@ def _display() -> Iterator[Callable[[LiveRecording, str, float], None]]:
 
     with Live(console=Console(stderr=True), transient=True, refresh_per_second=4) as live:
 
-        def show(recording: LiveRecording, covered: str, elapsed: float) -> None:
-            live.update(_table(recording, covered, elapsed))
+        def show(recording: LiveRecording, state: str, elapsed: float) -> None:
+            live.update(_table(recording, state, elapsed))
 
         yield show
 
@@ -174,7 +216,7 @@ class _PlainLines:
     def __init__(self) -> None:
         self.said = time.monotonic()
 
-    def show(self, recording: LiveRecording, covered: str, elapsed: float) -> None:
+    def show(self, recording: LiveRecording, state: str, elapsed: float) -> None:
         if time.monotonic() - self.said < PLAIN_EVERY:
             return
         self.said = time.monotonic()
@@ -183,23 +225,21 @@ class _PlainLines:
         gaps = sum(rate.n_gaps for rate in recording.rates.values())
         lost = sum(rate.n_lost for rate in recording.rates.values())
         sys.stderr.write(
-            f"recording: {elapsed:.0f} s: {rates}; {gaps} gaps, {lost} lost{f'; {covered}' if covered else ''}\n"
+            f"recording: {elapsed:.0f} s: {rates}; {gaps} gaps, {lost} lost{f'; {state}' if state else ''}\n"
         )
         sys.stderr.flush()
 
 
-def _table(recording: LiveRecording, covered: str, elapsed: float) -> Any:
+def _table(recording: LiveRecording, state: str, elapsed: float) -> Any:
     from rich.table import Table
 
-    table = Table(
-        title=f"recording {recording.path}, {elapsed:.0f} s, Ctrl-C ends it", caption=covered or None
-    )
+    table = Table(title=f"recording {recording.path}, {elapsed:.0f} s, Ctrl-C ends it", caption=state or None)
     table.add_column("topic")
     for column in ("messages", "Hz", "longest gap", "gaps", "lost"):
         table.add_column(column, justify="right")
     now = time.time()
     for name, rate in recording.rates.items():
-        gap = f"{rate.longest_gap:.2f} s" if rate.n_messages > 1 else ""
+        gap = f"{max(rate.longest_gap, rate.silence(now)):.2f} s" if rate.n_messages > 1 else ""
         table.add_row(
             name, f"{rate.n_messages:,}", f"{rate.hz(now):.1f}", gap, f"{rate.n_gaps:,}", f"{rate.n_lost:,}"
         )
