@@ -6,7 +6,8 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Iterator
+import tracemalloc
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -104,3 +105,13 @@ def sensor() -> RangeSensor:
     return RangeSensor(
         bearings=np.linspace(-np.pi / 2, np.pi / 2, 61), range_max=8.0, mount=np.array([0.1, 0.02, 0.01])
     )
+
+
+def peak(action: Callable[[], object]) -> int:
+    """Return the most memory [bytes] that Python held meanwhile."""
+    tracemalloc.start()
+    try:
+        action()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
