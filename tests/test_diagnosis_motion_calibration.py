@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from logs.transforms import compose, invert
 from sensorgraph.diagnosis.motion.calibration.comparison import change_within, compare
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
 from sensorgraph.diagnosis.motion.calibration.verdict import change_lines, effects_of, lines_of, verdict
+from sensorgraph.diagnosis.report.driving import save_driving
 from sensorgraph.types import Floats
 
 MOUNT = np.array([0.12, -0.02, 0.05])
@@ -38,6 +43,7 @@ def drive(
     later_turns: float = 1.0,
     bias: float = 0.0,
     delay: float = 0.0,
+    mount: Floats | None = None,
 ) -> LaserMotion:
     """Drive a differential robot with wheels that slip a little; the odometry says less than it does.
 
@@ -47,6 +53,7 @@ def drive(
     later_turns : factor of `turns` in the second half
     bias : [rad/m] true turn that the odometry misses
     delay : [s] by which the odometry is ahead of the scans
+    mount : (3,) as stated; None: in the middle of the axle, straight ahead
     """
     rng = np.random.default_rng(seed)
     dt = 0.1
@@ -70,7 +77,7 @@ def drive(
         headings=seen[keys[:-1], 2],
         stamps=stamps,
         odometry=odometry,
-        mount=np.zeros(3),
+        mount=np.zeros(3) if mount is None else mount,
     )
 
 
@@ -148,3 +155,39 @@ def test_a_part_of_a_run_is_as_good_as_the_run(untouched: LaserMotion) -> None:
 def test_other_stated_mounts_do_not_move_the_found_one(untouched: LaserMotion) -> None:
     other = calibrate(replace(untouched, mount=np.array([0.2, 0.1, 0.0])))
     assert other.values[3:6] == pytest.approx(calibrate(untouched).values[3:6], abs=1e-4)
+
+
+def finding_of(**motions: LaserMotion) -> DrivingFinding:
+    """Return what runs tell."""
+    found = {name: calibrate(motion) for name, motion in motions.items()}
+    first, *others = found.values()
+    return DrivingFinding(
+        runs=found,
+        changes={name: change_within(motion, found[name]) for name, motion in motions.items()},
+        differences=compare(first, others[0]) if others else (),
+        effects=effects_of(found[list(found)[-1]], BASE),
+    )
+
+
+def test_the_headline_is_a_sentence_and_says_what_is_not_as_stated(untouched: LaserMotion) -> None:
+    wrong = finding_of(run=untouched).lines
+    assert re.fullmatch(r"Wheels and mount are not as stated: laser ahead of the axle \+1[12].*\.", wrong[0])
+    assert "way scale" not in wrong[0]
+    right = finding_of(run=drive(mount=MOUNT)).lines
+    assert right[0] == "Wheels and mount are as stated, as far as driving alone can tell."
+    assert right[1].startswith("run, from driving alone") and right[1].endswith(":")
+
+
+def test_the_page_of_two_runs_stands_alone_and_sets_a_proper_minus(
+    untouched: LaserMotion, tmp_path: Path
+) -> None:
+    later = replace(drive(seed=1, turns=1.012), mount=np.array([-0.04, 0.0, 0.0]))
+    save_driving(finding_of(monday=untouched, friday=later), tmp_path / "out", {})
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "<h1>The two runs differ.</h1>" in page and "stated: −4.0" in page
+    words = re.sub("<style>.*?</style>|<[^>]*>", " ", page, flags=re.DOTALL)
+    assert not re.search(r"(?<!\w)-\d", words)
+    assert not re.search('src=(?!"data:)|href=', page)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert [c["name"] for c in report["comparison"] if c["differs"]] == ["turn_scale"]
+    assert report["summary"][0] == "The two runs differ."

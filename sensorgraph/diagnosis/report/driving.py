@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Mapping
 from html import escape
@@ -12,11 +11,12 @@ from typing import Any
 from logs.files import atomic_file
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.motion.calibration.estimate import NUISANCES, PARAMETERS, DrivingCalibration
+from sensorgraph.diagnosis.motion.calibration.verdict import source_of
 from sensorgraph.diagnosis.motion.calibration.words import ABSORBED
 from sensorgraph.diagnosis.report.data import effect_dict, plain
 from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
 from sensorgraph.diagnosis.report.files import remove_old_report
-from sensorgraph.diagnosis.report.html import STYLE
+from sensorgraph.diagnosis.report.page_shell import page_shell, picture, without_breaks
 from sensorgraph.effects import effects_file
 from sensorgraph.files import atomic_folder
 from sensorgraph.version import __version__
@@ -95,19 +95,31 @@ def _change(finding: DrivingFinding, name: str) -> dict[str, Any] | None:
     return {"name": one.name, "difference": one.value, "stderr": one.stderr, "at_s": change.at_s}
 
 
-def _page(finding: DrivingFinding, picture: Path) -> str:
+def driving_section(finding: DrivingFinding, drawn: Path | None, *, heading: str) -> str:
+    """Return what the runs tell, with the picture of their parts."""
+    caption = (
+        "Line and band: the whole run with two standard errors. Dots: its eighths, with one, as if their windows were "
+        "independent."
+    )
+    parts = [f"<h2>{escape(heading)}</h2>"] if heading else []
+    for name, found in finding.runs.items():
+        said = "".join(f"<li>{without_breaks(line)}</li>" for line in finding.lines_of(name))
+        parts.append(f"<p>{escape(name)}, {without_breaks(source_of(found))}:</p><ul>{said}</ul>")
+    return "\n".join([*parts, picture(drawn, "parameters along the runs", caption)])
+
+
+def _page(finding: DrivingFinding, drawn: Path) -> str:
     """Return a page that stands alone."""
-    title, *rest = finding.lines
-    image = base64.b64encode(picture.read_bytes()).decode("ascii")
-    said = "".join(f"<p>{escape(line)}</p>" for line in rest)
+    title, *rest = finding.verdict
     absorbed = "".join(f"<li>{escape(why)}</li>" for why in ABSORBED.values())
-    is_found = any(d.differs and d.is_material for d in finding.differences) or any(finding.changes.values())
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(" and ".join(finding.runs))}</title>'
-        f'<style>{STYLE}</style><main><header class="{"found" if is_found else "calm"}">'
-        f'<p class="eyebrow">wheels and mount from driving alone</p><h1>{escape(title)}</h1></header>{said}'
-        f'<figure><img alt="parameters along the runs" src="data:image/png;base64,{image}">'
-        "<figcaption>Line and band: the whole run with two standard errors. Dots: its eighths, with one, as if their "
-        "windows were independent.</figcaption></figure>"
-        f"<h2>What the poses absorb</h2><ul>{absorbed}</ul></main></html>\n"
+    is_found = bool(finding.effects) or any(d.differs and d.is_material for d in finding.differences)
+    return page_shell(
+        headline=title,
+        lead=rest,
+        eyebrow=f"sensorgraph diagnose: {' and '.join(finding.runs)}, wheels and mount from driving alone",
+        kind="found" if is_found or any(finding.changes.values()) else "calm",
+        sections=[
+            driving_section(finding, drawn, heading=""),
+            f"<h2>What the poses absorb</h2><ul>{absorbed}</ul>",
+        ],
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import re
 from collections.abc import Iterable, Mapping
 from html import escape
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.report.page_shell import page_shell, picture
 from sensorgraph.diagnosis.report.quantities import (
     deviation_text,
     minus,
@@ -24,45 +24,6 @@ from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 
-STYLE = """
-:root { --ink: #23262f; --soft: #6d7282; --line: #e3e6ec; --alarm: #d1345b; --calm: #2a788e; --pale: #f6f7f9; }
-* { box-sizing: border-box; }
-body { margin: 0; color: var(--ink); background: #fff; font: 16px/1.55 system-ui, -apple-system, "Segoe UI", Roboto,
-  "Helvetica Neue", Arial, sans-serif; }
-main { max-width: 60rem; margin: 0 auto; padding: 3.5rem 1.5rem 5rem; }
-header { border-left: 5px solid var(--calm); padding-left: 1.4rem; margin-bottom: 3rem; }
-header.found, header.unknown, header.undecided, header.misplaced { border-color: var(--alarm); }
-header.skipped { border-color: var(--line); }
-.eyebrow { color: var(--soft); font-size: .85rem; letter-spacing: .02em; margin: 0 0 .5rem; }
-h1 { font-size: 1.75rem; line-height: 1.28; font-weight: 650; margin: 0 0 .8rem; letter-spacing: -.01em; }
-header p.lead { margin: .35rem 0; max-width: 46rem; }
-h2 { font-size: 1.15rem; font-weight: 650; margin: 3.2rem 0 .6rem; }
-p { margin: .5rem 0; max-width: 46rem; }
-.note, .soft, figcaption { color: var(--soft); font-size: .9rem; }
-figure { margin: 1.2rem 0 0; }
-figure img { display: block; max-width: 100%; height: auto; }
-figcaption { margin-top: .5rem; max-width: 46rem; }
-table { border-collapse: collapse; width: 100%; font-size: .92rem; margin-top: .8rem; }
-th { text-align: left; font-weight: 600; color: var(--soft); font-size: .82rem; }
-th, td { padding: .45rem .9rem .45rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-.effect { border: 1px solid var(--line); border-radius: 8px; padding: 1.1rem 1.3rem; margin: 1rem 0; }
-.effect h3 { margin: 0; font-size: 1.05rem; }
-.effect h3 code { color: var(--soft); font-weight: 400; font-size: .85rem; margin-left: .5rem; }
-.equation { font: 1.02rem/1.6 ui-serif, Georgia, "Times New Roman", serif; background: var(--pale); border-radius: 6px;
-  padding: .6rem .9rem; margin: .7rem 0; max-width: none; }
-.equation b { font-weight: 600; color: var(--calm); white-space: nowrap; }
-.facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(8.5rem, 1fr)); gap: .4rem 1.5rem; margin: .8rem 0; }
-.facts div span { display: block; color: var(--soft); font-size: .8rem; }
-table.pairs td:first-child { width: 34%; color: var(--soft); }
-sub { font-size: .72em; }
-code { font: .88em ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; }
-ul { padding-left: 1.1rem; margin: .5rem 0; } li { margin: .2rem 0; }
-details summary { cursor: pointer; color: var(--soft); font-size: .92rem; margin-top: .6rem; }
-footer { margin-top: 4rem; padding-top: 1rem; border-top: 1px solid var(--line); color: var(--soft); font-size: .85rem; }
-@media print { main { padding: 0; max-width: none; } body { font-size: 11pt; } figure, .effect, tr { break-inside: avoid; }
-  h2 { break-after: avoid; } }
-"""
 CHANNELS = {
     "scan": "scan against map and pose",
     "odometry": "odometry against pose",
@@ -98,11 +59,7 @@ def page(
         _effects_section(finding),
         _ranking_section(finding, pictures),
     ]
-    parts = [
-        f'<header class="{summary.outcome}"><p class="eyebrow">sensorgraph diagnose: {escape(title)}</p>',
-        f"<h1>{_without_breaks(summary.headline)}</h1>",
-        *(f'<p class="lead">{_without_breaks(text)}</p>' for text in summary.details),
-        "</header>",
+    sections = [
         *(body if main_channel(finding) == "scan" else [*body[1:], body[0]]),
         _deviations_section(finding, pictures),
         _tolerated_section(finding),
@@ -111,22 +68,12 @@ def page(
         _next_run_section(next_run, pictures),
         _settings_section(finding, settings),
     ]
-    text = "\n".join(part for part in parts if part)
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(summary.headline)}</title><style>{STYLE}</style></head>\n<body><main>\n{text}\n</main></body></html>\n"
-    )
-
-
-def _picture(path: Path | None, alt: str, caption: str) -> str:
-    if path is None:
-        return ""
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    width = int.from_bytes(path.read_bytes()[16:20], "big")  # PNG: the header chunk begins with the width
-    return (
-        f'<figure><img alt="{escape(alt)}" width="{round(width * 0.62)}" src="data:image/png;base64,{data}">'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
+    return page_shell(
+        headline=summary.headline,
+        lead=summary.details,
+        eyebrow=f"sensorgraph diagnose: {title}",
+        kind=summary.outcome,
+        sections=sections,
     )
 
 
@@ -141,7 +88,7 @@ def _arena_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
     if amended:
         caption += " A model that is right leaves an even, narrow band of noise along every wall."
     title = "Where they differ" if main_channel(finding) == "scan" else "The scans in the arena"
-    return f"<h2>{title}</h2>{_picture(pictures['arena'], 'Residuals in the arena', caption)}"
+    return f"<h2>{title}</h2>{picture(pictures['arena'], 'Residuals in the arena', caption)}"
 
 
 def _gap_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
@@ -152,7 +99,7 @@ def _gap_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
         "tolerances, before as after. Noise floor: what a perfect model would leave, from readings drawn from the amended model itself. Nats: how much less likely the readings are; smaller is better. "
         "Bare simulator: nothing shifts, and the floor is the sensor's nominal noise."
     )
-    text = _scales_text(finding) + _picture(pictures.get("gap"), "Gap before, after, noise floor", caption)
+    text = _scales_text(finding) + picture(pictures.get("gap"), "Gap before, after, noise floor", caption)
     return f"<h2>How large the gap is</h2>{text}" if text else ""
 
 
@@ -194,14 +141,6 @@ def _effect(a: Amendment) -> str:
     )
 
 
-def _without_breaks(text: str) -> str:
-    """Keep numbers with their units and errors on one line."""
-    glued = re.sub(
-        r"(?<=\d) (?=(%|cm|mm|ms|m|s|nats)\b|%)|(?<=[\d°]) (?=±)|(?<=[±<>=]) (?=[\d+−])", "\u00a0", text
-    )
-    return escape(glued)
-
-
 def _with_subscripts(text: str) -> str:
     """Set `α_max` with an index."""
     return re.sub(r"_([a-z]+)", r"<sub>\1</sub>", escape(text))
@@ -232,7 +171,7 @@ def _ranking_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
     )
     close = undecided_rivals(finding)
     lead = "<p>The best two are too close to call.</p>" if close else ""
-    return f"<h2>How the names rank</h2>{lead}{_picture(pictures.get('ranking'), 'Ranking of the candidates', caption)}{table}"
+    return f"<h2>How the names rank</h2>{lead}{picture(pictures.get('ranking'), 'Ranking of the candidates', caption)}{table}"
 
 
 def _deviations_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
@@ -252,7 +191,7 @@ def _deviations_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
         "The bare simulator against what a difference may depend on; bands are two standard errors. Upper row: the mean of measured − simulated. "
         "Lower row: scatter, or the share of rays that missed, returned unexpectedly, or strayed."
     )
-    return f"<h2>What differs, before any name</h2><p>What is left once map, mount, clocks and poses are corrected by as much as every set-up is allowed.</p>{text}{_picture(pictures.get('residuals'), 'Residuals by bearing, range, incidence, time, turn rate, speed', caption)}"
+    return f"<h2>What differs, before any name</h2><p>What is left once map, mount, clocks and poses are corrected by as much as every set-up is allowed.</p>{text}{picture(pictures.get('residuals'), 'Residuals by bearing, range, incidence, time, turn rate, speed', caption)}"
 
 
 def _tolerated_section(finding: Finding) -> str:
@@ -350,7 +289,7 @@ def _next_run_section(plan: Mapping[str, Any] | None, pictures: Mapping[str, Pat
         + (f"<p>{escape(why)}</p>" if why else "")
         + (f"<ul>{asked}</ul>" if asked else "")
         + (f"<div class='facts'>{cells}</div>" if cells else "")
-        + _picture(pictures.get("next_run"), "The way of the next run", "")
+        + picture(pictures.get("next_run"), "The way of the next run", "")
         + listed
     )
 

@@ -9,7 +9,14 @@ from logs.run import Run
 from sensorgraph.diagnosis.motion.calibration.comparison import Change, Difference, change_within, compare
 from sensorgraph.diagnosis.motion.calibration.estimate import DrivingCalibration, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion
-from sensorgraph.diagnosis.motion.calibration.verdict import change_lines, effects_of, lines_of, verdict
+from sensorgraph.diagnosis.motion.calibration.verdict import (
+    change_lines,
+    effects_of,
+    headline,
+    lines_of,
+    source_of,
+    verdict,
+)
 from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import ProgressBars, no_progress
@@ -29,14 +36,23 @@ class DrivingFinding:
     """Material, of the last run; for `record` and `export`."""
 
     @property
+    def verdict(self) -> list[str]:
+        """Say it in a line, or in a few where two runs differ."""
+        names = list(self.runs)
+        if len(names) > 1:
+            return verdict(self.differences, names[0], names[1])
+        return [headline(self.runs[names[0]], self.changes[names[0]])]
+
+    def lines_of(self, name: str) -> list[str]:
+        """Say what one run tells, quantity by quantity."""
+        return [*lines_of(self.runs[name]), *change_lines(self.changes[name])]
+
+    @property
     def lines(self) -> list[str]:
         """Say it, the verdict first."""
-        names = list(self.runs)
-        out = verdict(self.differences, names[0], names[1]) if len(names) > 1 else []
+        out = self.verdict
         for name, found in self.runs.items():
-            said = lines_of(found)
-            out += [f"{name}, {said[0]}", *(f"  {line}" for line in said[1:])]
-            out += [f"  {line}" for line in change_lines(self.changes[name])]
+            out += [f"{name}, {source_of(found)}:", *(f"  {line}" for line in self.lines_of(name))]
         return out
 
 

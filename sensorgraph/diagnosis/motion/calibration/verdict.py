@@ -56,20 +56,43 @@ def effects_of(found: DrivingCalibration, base: float | None) -> tuple[Amendment
     return tuple(sorted(named, key=lambda a: -(a.evidence or 0.0)))
 
 
+def headline(found: DrivingCalibration, change: Change | None) -> str:
+    """Say in one line what one run tells: what changed within it, else what differs from what the log states."""
+    if change is not None:
+        return change_lines(change)[0]
+    q, mount = QUANTITIES, found.mount
+    stated = dict(zip(PARAMETERS, (1.0, 1.0, 0.0, *mount), strict=True))
+    off = {name: (found.of(name)[0] - stated[name], found.of(name)[1]) for name in PARAMETERS}
+    told = [
+        f"{q[name].title} {q[name].text(d, sd)}"
+        for name, (d, sd) in off.items()
+        if abs(d) > max(SURE * sd, q[name].materiality)
+    ]
+    if told:
+        return f"Wheels and mount are not as stated: {', '.join(told)}."
+    return "Wheels and mount are as stated, as far as driving alone can tell."
+
+
+def source_of(found: DrivingCalibration) -> str:
+    """Say what was driven."""
+    return (
+        f"from driving alone, {found.way_m:.0f} m and {found.turn_rad / (2 * np.pi):.0f} full turns in "
+        f"{found.duration_s / 60:.0f} min"
+    )
+
+
 def lines_of(found: DrivingCalibration) -> list[str]:
-    """Say what one run tells."""
+    """Say what one run tells, quantity by quantity."""
     q = QUANTITIES
     (way, way_sd), (turn, turn_sd), (bias, bias_sd) = (found.of(name) for name in PARAMETERS[:3])
     mount = [q[name].text(*found.of(name)) for name in PARAMETERS[3:]]
-    stated = found.mount
+    stated = [f"{v:.1f}".replace("-", "−") for v in found.mount * [100.0, 100.0, float(np.degrees(1.0))]]
     lines = [
-        f"from driving alone, {found.way_m:.0f} m and {found.turn_rad / (2 * np.pi):.0f} full turns in "
-        f"{found.duration_s / 60:.0f} min:",
         f"ways: {q['way_scale'].text(way - 1, way_sd)} to be added to the odometry's (against the laser's metre)",
         f"turns: {q['turn_scale'].text(turn - 1, turn_sd)} to be added to the odometry's",
         f"heading: {q['heading_bias'].text(bias, bias_sd)} that the odometry misses (wheels of unequal size)",
         f"laser: {mount[0]} ahead of the axle, {mount[1]} to the left, turned by {mount[2]} (stated: "
-        f"{100 * stated[0]:.1f} cm, {100 * stated[1]:.1f} cm, {np.degrees(stated[2]):.1f}°)",
+        f"{stated[0]} cm, {stated[1]} cm, {stated[2]}°)",
     ]
     delay, delay_sd = found.of("delay")
     if abs(delay) > LEAST_DELAY and abs(delay) > SURE * delay_sd:
@@ -82,7 +105,7 @@ def lines_of(found: DrivingCalibration) -> list[str]:
     if size > LEAST_DRIFT and size > SURE * sd:
         lines.append(
             f"floor: carries the robot {100 * size:.1f} ± {100 * sd:.1f} cm a metre towards "
-            f"{np.degrees(np.arctan2(drift[1], drift[0])):.0f}° of the map (a slope, the nap of a carpet)"
+            f"{np.degrees(np.arctan2(drift[1], drift[0])) % 360:.0f}° of the map (a slope, the nap of a carpet)"
         )
     return lines
 
