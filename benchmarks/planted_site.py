@@ -29,7 +29,7 @@ SPARSE_STEP = 1.0  # [s] between scans: the log is taken as one stretch, whose m
 SPARSE_WINDOW = 72  # scans of a window of such a log
 MAP_CELL = 0.08  # [m]
 RANGE_SIGMA = 0.015  # [m]
-SCANS_IN_GRAPH, N_SCANS_IN_GRAPH = 400, 100  # of a window against a graph, and how many of them are taken
+SCANS_IN_GRAPH, N_SCANS_IN_GRAPH = 200, 100  # of a window against a graph, and how many of them are taken
 MIN_KNOWN = 0.4  # share of its rays that meet a wall of the graph before unknown space
 
 

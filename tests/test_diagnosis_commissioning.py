@@ -18,7 +18,10 @@ from planners.types import Floats
 from sensorgraph.diagnosis.commissioning import commission, commission_all
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.scan.model_selection import price
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.site_clutter import clutter_kind
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate, baseline_intervals
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import EFFECTS
@@ -176,6 +179,45 @@ def test_shares_have_their_interval_on_the_scale_of_their_root() -> None:
 
 def test_too_few_windows_have_no_interval() -> None:
     assert baseline_intervals(windows("range_bias", "b", [0.0, 0.001, 0.002]), 100) == {}
+
+
+def baseline(*gains: dict[str, float]) -> SiteBaseline:
+    """Return what several good runs show, in which clutter brings effects these nats."""
+    shown = [
+        WindowEstimate(n_scans=100, n_readings=9000, gains=one, sizes={}, stderrs={}, misfit=0.0)
+        for one in gains
+    ]
+    return SiteBaseline(
+        robot=ROBOT,
+        known=(),
+        noise_bounds=NoiseBounds(),
+        not_looked_for=(),
+        runs=tuple(((w,),) for w in shown),
+    )
+
+
+def floors(site: SiteBaseline) -> dict[str, float]:
+    windows = site.similar_windows(100)
+    return site.clutter_nats(windows, {}, 100, 9000)
+
+
+def test_an_effect_that_no_good_run_tried_pays_the_least_that_clutter_brings_others() -> None:
+    found = floors(baseline({"range_noise": 40.0, "people": 500.0}, {"range_noise": 50.0}))
+    assert found["range_noise"] == pytest.approx(SCAN.site.min_clutter_factor * 50.0)
+    assert found["min_range"] == found["range_noise"]
+    assert found["people"] > found["range_noise"]
+    assert floors(baseline({}, {"range_noise": 5.0})).keys() == {"range_noise"}  # less than a name takes
+
+
+def test_clutter_at_walls_is_no_price_of_what_stands_free() -> None:
+    run = site_run(2)
+    data = replace(prepare_scans(run, ARENA, ROBOT)[0], clutter_nats={"unmapped_obstacle": 900.0})
+    disc = EFFECTS["unmapped_obstacle"]
+    wall = ARENA.walls[0].mean(axis=0)
+    free = np.median(run.poses[:, :2], axis=0)
+    at_wall, in_the_room = (disc(x=x, y=y, r=0.1) for x, y in (wall, free))
+    assert clutter_kind(at_wall, data) == "unmapped_obstacle"
+    assert price(at_wall, data) - price(in_the_room, data) == pytest.approx(900.0)
 
 
 @pytest.mark.slow

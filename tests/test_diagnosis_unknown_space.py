@@ -5,12 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import shapely
 
 from logs.run import Run
 from planners.arena import Arena
+from sensorgraph.diagnosis.scan.fit import fit, start_state
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.unknown_space import without_unknown_space
+from sensorgraph.effects import EFFECTS
 from sensorgraph.world.open_borders import open_borders
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import parse_robot
@@ -68,3 +73,15 @@ def test_cells_that_no_ray_happened_to_cross_are_no_border(room: Arena) -> None:
     assert len(open_borders(speckled)) == 0
     large = replace(room, free=room.free.difference(shapely.box(0.8, 1.8, 1.6, 2.6)))
     assert len(open_borders(large)) == 4
+
+
+def test_a_range_beyond_which_nothing_returns_is_seen_though_much_is_unknown(room: Arena) -> None:
+    run = looking_about(room)
+    short = replace(run, ranges=np.where(run.ranges > 2.0, np.inf, run.ranges))
+    data, _ = prepare_scans(short, room, ROBOT)
+    expected = cast(room, data.poses, data.sensor).ranges
+    judged = replace(data, ranges=np.where(expected > 2.4, np.nan, data.ranges), memo={})
+    assert (np.isnan(judged.ranges) & (expected > 2.4)).mean() > 0.1
+    null = fit(judged, (), start_state(judged, NoiseBounds()), NoiseBounds(), outer=1, inner=3)
+    proposed = EFFECTS["max_range"].diagnostics.propose(FitResiduals(judged, null))
+    assert proposed and proposed[0].values["R"] == pytest.approx(2.0, abs=0.05)

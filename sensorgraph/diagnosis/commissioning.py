@@ -23,6 +23,7 @@ from sensorgraph.diagnosis.scan.model_selection import is_rough, price, searched
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.site_clutter import clutter_kind
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
 from sensorgraph.diagnosis.scan.site_tolerances import pose_tolerances, shift_tolerances
 from sensorgraph.diagnosis.scan.site_variation import single_effects
@@ -237,7 +238,7 @@ def noise_bounds(fits: Sequence[Fitted]) -> NoiseBounds:
 def clutter_gains(
     data: ScanData, null: Fitted, bounds: NoiseBounds
 ) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-    """Return, per effect, the most that it gains beyond its price [nats], and the sizes of those of the whole sensor."""
+    """Return, per kind of clutter, the most that it gains beyond its price [nats], and sizes of effects of the whole sensor."""
     gains: dict[str, float] = {}
     sizes: dict[str, dict[str, float]] = {}
     for candidate in shortlist(data, null, set(), 0.0):
@@ -246,7 +247,8 @@ def clutter_gains(
             got = searched(data, got, bounds, rounds=3, first=1.0, turns=1)
         (effect,) = got.model
         gain = got.j - null.j - price(effect, data)
-        if gain > gains.get(effect.name, -np.inf) and effect.effect.place is None:
+        if effect.effect.place is None and gain > gains.get(effect.name, -np.inf):
             sizes[effect.name] = {k: effect[k] for k in effect.effect.sizes}
-        gains[effect.name] = max(gains.get(effect.name, 0.0), gain)
+        kind = clutter_kind(effect, data)
+        gains[kind] = max(gains.get(kind, 0.0), gain)
     return gains, {name: values for name, values in sizes.items() if values}

@@ -12,6 +12,7 @@ from scipy.special import stdtrit
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.site_clutter import effect_of, kinds_of
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval, WindowEstimate, baseline_intervals
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Floats
@@ -89,20 +90,32 @@ class SiteBaseline:
         n_scans: int,
         n_readings: int,
     ) -> dict[str, float]:
-        """Return, per effect, what it may gain though nothing is wrong [nats], in a run of this length.
+        """Return, per kind of clutter, what it may gain though nothing is wrong [nats], in a run of this length.
 
-        Smooth effects of the whole sensor with a baseline interval are left out: the interval is the sharper test.
+        Smooth effects of the whole sensor with a baseline interval are left out: the interval is the sharper test. An
+        effect that no good run gave a reason to try may still be tried in the next: where clutter has brought others more
+        than a name takes, it pays the least of these.
         """
         gained: dict[str, list[float]] = {}
         for w in windows:
             size = float(np.sqrt(n_readings / w.n_readings))
-            for name, gain in w.gains.items():
+            for kind, gain in w.gains.items():
+                name = effect_of(kind)
                 if not (name in intervals and EFFECTS[name].nuisances):
-                    gained.setdefault(name, []).append(gain if _is_local(name) else gain * size)
-        return {
-            name: max(values) * self._clutter_factor(name, np.array(values))
-            for name, values in gained.items()
+                    gained.setdefault(kind, []).append(gain if _is_local(name) else gain * size)
+        nats = {
+            kind: max(values) * self._clutter_factor(effect_of(kind), np.array(values))
+            for kind, values in gained.items()
         }
+        least = min((n for n in nats.values() if n > SCAN.selection.threshold), default=0.0)
+        if least == 0.0:
+            return nats
+        looked_for = [
+            name
+            for name, effect in EFFECTS.items()
+            if effect.channel == "scan" and not (name in intervals and effect.nuisances)
+        ]
+        return {**{kind: least for name in looked_for for kind in kinds_of(name)}, **nats}
 
     def _clutter_factor(self, name: str, gained: Floats) -> float:
         """Return what a name takes, over the most that clutter alone has brought: more, where windows differ much.
@@ -131,9 +144,9 @@ class SiteBaseline:
         """
         windows = self.similar_windows(data.n_scans)
         intervals = baseline_intervals(windows, data.n_scans)
-        clutter = dict.fromkeys(self.not_looked_for, float("inf"))
-        for name, nats in self.clutter_nats(windows, intervals, data.n_scans, data.ranges.size).items():
-            clutter[name] = max(nats - SCAN.selection.threshold, 0.0)
+        floors = self.clutter_nats(windows, intervals, data.n_scans, data.ranges.size)
+        clutter = {kind: max(nats - SCAN.selection.threshold, 0.0) for kind, nats in floors.items()}
+        clutter |= dict.fromkeys(self.not_looked_for, float("inf"))
         return replace(data, laser_frame=False, clutter_nats=clutter, baseline_intervals=intervals, memo={})
 
     def discount(self, doubt: GoodnessOfFit, data: ScanData) -> GoodnessOfFit:

@@ -22,6 +22,7 @@ from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.site_clutter import clutter_kind
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
@@ -64,7 +65,9 @@ def price(amendment: Amendment, data: ScanData) -> float:
         v != 0.0 or not amendment.effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items()
     ]
     paid = SCAN.selection.price * max(sum(counted), 1) + float(np.log(max(places, 1)))
-    return paid + data.clutter_nats.get(amendment.name, 0.0)
+    if not data.clutter_nats:
+        return paid
+    return paid + data.clutter_nats.get(clutter_kind(amendment, data), 0.0)
 
 
 def explain(

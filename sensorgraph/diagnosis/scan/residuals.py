@@ -65,9 +65,10 @@ class FitResiduals:
 
     @cached_property
     def certain_loss(self) -> Floats:
-        """[nats] gained by the claim that a ray cannot return."""
+        """[nats] gained by the claim that a ray cannot return; rays that are not judged say nothing of it."""
         floor = np.log((self.noise.stray + SCAN.likelihood.unexplained) / self.range_max)
-        return np.asarray(np.where(self.returned, floor, np.where(self.lost, 0.0, -12.0)) - self.log_p)
+        gain = np.where(self.returned, floor, np.where(self.lost, 0.0, -12.0)) - self.log_p
+        return np.asarray(np.where(np.isnan(self.z), 0.0, gain))
 
     @cached_property
     def along(self) -> Floats:

@@ -25,7 +25,7 @@ class WindowEstimate:
     n_scans: int
     n_readings: int
     gains: Mapping[str, float]
-    """Effect -> [nats] the most that it gains, its price paid."""
+    """Kind of clutter (`site_clutter`) -> [nats] the most that it gains, its price paid."""
     sizes: Mapping[str, Mapping[str, float]]
     """Effect -> parameter -> fitted value."""
     stderrs: Mapping[str, float]
