@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +11,12 @@ from conftest import polygon_arena
 
 from logs.run import Run
 from planners.arena import Arena
+from sensorgraph.diagnosis import scan_channel
 from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
 from sensorgraph.diagnosis.report.data import to_dict
 from sensorgraph.diagnosis.report.summary import summarise
+from sensorgraph.diagnosis.scan.model_selection import Explained
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.simulation import counterpart, is_same_size
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.raycast import cast_laser, laser_poses
@@ -64,6 +68,27 @@ def test_what_only_the_simulation_shows_is_said(room: Arena) -> None:
     assert not finding.effects and finding.simulation is not None
     assert [a.name for a in finding.simulation.only_in_simulation] == ["range_bias"]
     assert "the robot lacks" in summarise(finding).headline
+
+
+def test_the_run_is_searched_once_though_both_share_an_effect(
+    room: Arena, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched: list[int] = []
+    explain = scan_channel.explain
+
+    def counted(data: ScanData, *args: Any, **options: Any) -> Explained:
+        searched.append(data.n_scans)
+        return explain(data, *args, **options)
+
+    monkeypatch.setattr(scan_channel, "explain", counted)
+    robot_run, simulated = scanned(room, 0, bias=0.04), scanned(room, 1, bias=0.04)
+    finding = diagnose_against_simulation(robot_run, room, ROBOT, simulation=simulated, plan_next=False)
+    assert len(searched) == 2  # the simulation, the run
+    assert not finding.effects
+    assert [a.name for a in finding.shared] == ["range_bias"]
+    gap = finding.channels["scan"].gap
+    assert gap is not None  # of a simulator that has the bias already
+    assert gap.before.normalised == pytest.approx(gap.noise_floor.normalised, rel=0.1)
 
 
 def test_effects_are_the_same_by_name_place_and_size() -> None:

@@ -13,7 +13,6 @@ from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.simulation import (
     SimulationComparison,
     counterpart,
-    is_same_size,
     is_same_unknown,
     laser_noise,
 )
@@ -66,35 +65,25 @@ def diagnose_against_simulation(
         raise SensorgraphError(
             f"{name}: {theirs.intake['arena']}; give a simulation that was driven in the same arena"
         )
-    is_probe = bool(theirs.effects)  # what both share is known only after a first look
-    first = {**options, "plan_next": False} if is_probe else options
-    ours = diagnose(run, arena, robot, known=known, force=force, progress=progress, **first)
-    if ours.explained is None:
-        return ours
-    compared = compared_with(ours, theirs, name)
-    if is_probe:
-        known = (*known, *compared.shared)
-        ours = diagnose(run, arena, robot, known=known, force=force, progress=progress, **options)
-    return _with_comparison(ours, compared)
+    ours = diagnose(
+        run, arena, robot, known=known, simulated=theirs.effects, force=force, progress=progress, **options
+    )
+    return ours if ours.explained is None else _with_comparison(ours, compared_with(ours, theirs, name))
 
 
 def compared_with(ours: Finding, theirs: Finding, name: str) -> SimulationComparison:
     """Sort the effects of a run and of a simulation by which of the two shows them."""
     assert ours.explained is not None and theirs.explained is not None
-    shared, changed = [], []
-    for a in ours.effects:
-        b = counterpart(a, theirs.effects)
-        if b is not None and is_same_size(a, b):
-            shared.append(b)
-        elif b is not None:
-            changed.append((a, b))
+    both = [(a, counterpart(a, theirs.effects)) for a in ours.effects]
+    changed = [(a, b) for a, b in both if b is not None]
     small = [a for channel in ours.channels.values() for a in (*channel.within_tolerance, *channel.undecided)]
-    only = [b for b in theirs.effects if counterpart(b, (*ours.effects, *small)) is None]
+    seen = (*ours.effects, *ours.shared, *small)
+    only = [b for b in theirs.effects if counterpart(b, seen) is None]
     unseen = {key: why for channel in ours.channels.values() for key, why in channel.not_observable.items()}
     unknown = theirs.unknown
     return SimulationComparison(
         name=name,
-        shared=tuple(shared),
+        shared=ours.shared,
         changed=tuple(changed),
         only_in_simulation=tuple(only),
         not_observable={b.name: unseen[b.name] for b in only if b.name in unseen},

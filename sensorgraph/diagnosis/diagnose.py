@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,45 +18,32 @@ from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.naming import (
     ScanNames,
     name_motion_effects,
-    name_scan_effects,
     without_limits_of_doubted_wheels,
 )
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import open_questions
 from sensorgraph.diagnosis.raster_map import RasterMap
-from sensorgraph.diagnosis.result import ChannelResult, Gap
-from sensorgraph.diagnosis.scan.deviations import deviations
-from sensorgraph.diagnosis.scan.goodness_of_fit import check
-from sensorgraph.diagnosis.scan.held_out_gap import held_out, held_out_gap
+from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.map_alignment import Alignment, align, misalignment
-from sensorgraph.diagnosis.scan.model_selection import Explained, explain
-from sensorgraph.diagnosis.scan.observability import alike, not_observable
-from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan_channel import diagnose_scans
+from sensorgraph.diagnosis.simulation import shared_with, without_shared
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
+from sensorgraph.diagnosis.stages import StageClock
 from sensorgraph.diagnosis.unknown_space import without_unknown_space
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.intake import check_jumps
-from sensorgraph.types import Progress, ProgressBars, no_progress
+from sensorgraph.types import ProgressBars, no_progress
 from sensorgraph.world.pixel_walls import is_raster
 from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
 
-STAGES = {
-    "intake": "laying scans on the arena",
-    "odometry and drive": "",
-    "explain": "",
-    "criticise": "looking for what is left",
-    "prove": "measuring the gap",
-    "observable": "asking what the run could show",
-    "next run": "planning the next run",
-}
-"""Name, as timing.json has it -> what its bar says; empty: it opens bars of its own."""
 LEAST_SIGMA = 2e-4
 """[m, rad, m/s, rad/s] no reference and no wheel is better."""
 
@@ -76,11 +61,10 @@ def diagnose(
     seed: int = 0,
     plan_next: bool = True,
     force: bool = True,
+    simulated: Sequence[Amendment] = (),
     progress: ProgressBars = no_progress,
 ) -> Finding:
     """Compare a run with the simulator of its arena and robot, and name what is missing.
-
-    Most of this function is the description of its arguments and one line for each stage.
 
     Parameters
     ----------
@@ -92,6 +76,7 @@ def diagnose(
     seed : of the replicates and of the next run
     plan_next : plan the run that would tell more
     force : take a run whose poses jump, too; False: refuse it, as the commands do
+    simulated : effects that a simulation of the run shows; what this run shows with the same size is no difference
     progress : opens a bar for each of the STAGES, and for what is counted within
 
     Raises
@@ -99,82 +84,50 @@ def diagnose(
     SensorgraphError
         A run is too short, has no returns or no poses, poses that jump, or is of another sensor or place.
     """
-    check_jumps(run, pair(run), force=force)
-    if second is not None:
-        check_jumps(second, pair(second), force=force)
-    rng = np.random.default_rng(seed)
-    clock = _StageClock(progress)
+    for one in [run] if second is None else [run, second]:
+        check_jumps(one, pair(one), force=force)
+    rng, clock = np.random.default_rng(seed), StageClock(progress)
     if baseline is not None:
         robot, known, noise_bounds = baseline.robot, (*baseline.known, *known), baseline.noise_bounds
     with clock.stage("intake"):
-        pixels = RasterMap.of(arena) if is_raster(arena) else None
-        if pixels is not None:
-            arena, robot = pixels.arena, pixels.widened(robot)
-        data, intake = _prepare(run, arena, robot, known, baseline, pixels)
-        alignment = align(data, rng)
-        intake["arena"], intake["share_at_walls"] = alignment.sentence(), alignment.share
-        problem = misalignment(alignment, run, data)
-    if problem is not None:
-        return misaligned(data, intake, problem, clock.seconds)
-    with clock.stage("intake"):
-        second_data = (
-            None if second is None else _prepare_second(second, data, robot, baseline, alignment, rng, pixels)
-        )
-        held = held_out(data)
-        train, unseen = data.subset(~held), data.subset(held)
+        laid = _laid_on_arena(run, arena, robot, known, baseline, rng)
+        if problem := misalignment(laid.alignment, run, laid.data):
+            return misaligned(laid.data, laid.notes, problem, clock.seconds)
+        second_data = None if second is None else _prepare_second(second, laid, baseline, rng)
+        held = held_out(laid.data)
+        laid.notes.update(rays=int(laid.data.ranges.size), held_out_scans=int(held.sum()))
+        train, unseen = laid.data.subset(~held), laid.data.subset(held)
         run, second = _without_scans(run), None  # from here on a long log's scans would only take memory
-    with clock.stage(
-        "odometry and drive"
-    ):  # first, as both this and the scans need much memory in a long run
-        odometry, drive = diagnose_motion(run, robot, known, seed, progress)
-    noise_bounds = noise_bounds or SCAN.noise
-    with clock.stage("explain"):
-        most = _max_effects(alignment)
-        explained = explain(train, noise_bounds, threshold=threshold, most=most, progress=progress)
-        null, final = explained.null, explained.final
-    with clock.stage("criticise") as tick:
-        fit = check(train, final, final.j - null.j, explained.gains, rng=rng, tick=tick)
-        fit = fit if baseline is None else baseline.discount(fit, train)
-        listed = deviations(FitResiduals(train, null))[: SCAN.goodness_of_fit.max_listed]
-        names = name_scan_effects(train, explained, fit, listed)
-    with clock.stage("prove"):
-        gap, second_gap = measure_gaps(unseen, second_data, explained, names, rng)
-    with clock.stage("observable"):
-        scan = replace(names.result, gap=gap, not_observable=not_observable(train, final))
-        intake["cannot_tell_apart"] = [asdict(pair) for pair in alike(train, final)]
+    # first, as both this and the scans need much memory in a long run
+    with clock.stage("odometry and drive"):
+        odometry, drive = diagnose_motion(run, laid.robot, known, seed, progress)
+    scans = diagnose_scans(
+        train,
+        unseen,
+        second_data,
+        noise_bounds=noise_bounds or SCAN.noise,
+        threshold=threshold,
+        most=_max_effects(laid.alignment),
+        baseline=baseline,
+        simulated=simulated,
+        rng=rng,
+        clock=clock,
+    )
     plan = None
     if plan_next:
         with clock.stage("next run"):
-            plan = plan_next_run(scan, names, arena, robot, seed)
+            plan = plan_next_run(scans.result, scans.names, laid.arena, laid.robot, seed)
     return Finding(
-        channels={"scan": scan, "odometry": odometry, "drive": drive},
-        intake={**intake, "rays": int(data.ranges.size), "held_out_scans": int(held.sum())},
-        data=data,
-        explained=explained,
-        goodness_of_fit=fit,
-        second_gap=second_gap,
+        channels={one.channel: without_shared(one, simulated) for one in (scans.result, odometry, drive)},
+        intake={**laid.notes, "cannot_tell_apart": scans.cannot_tell_apart},
+        data=laid.data,
+        explained=scans.explained,
+        goodness_of_fit=scans.goodness_of_fit,
+        second_gap=scans.second_gap,
+        shared=(*scans.shared, *shared_with(odometry, simulated), *shared_with(drive, simulated)),
         next_run=plan,
         seconds=clock.seconds,
     )
-
-
-class _StageClock:
-    """CPU time per stage, and a bar for each."""
-
-    def __init__(self, progress: ProgressBars) -> None:
-        self.seconds: dict[str, float] = {}
-        self._progress = progress
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[Progress]:
-        """Say what is done now, and book its time when it has ended."""
-        begin, label = time.process_time(), STAGES[name]
-        with (self._progress if label else no_progress)(
-            label, "replicates" if name == "criticise" else ""
-        ) as tick:
-            tick(0, 1)
-            yield tick
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.process_time() - begin
 
 
 def _without_scans(run: Run) -> Run:
@@ -206,43 +159,50 @@ def _prepare(
     return data if baseline is None else baseline.apply_to(data), dict(notes)
 
 
-def _prepare_second(
-    run: Run,
-    first: ScanData,
-    robot: Robot,
-    baseline: SiteBaseline | None,
-    alignment: Alignment,
-    rng: np.random.Generator,
-    pixels: RasterMap | None,
-) -> ScanData:
-    """Return the scans of a further run; refuse one of another place.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Laid:
+    """A run laid on its arena."""
 
-    Parameters
-    ----------
-    first : scans of the first run
-    alignment : of the first run with the arena
-    """
-    data, _ = _prepare(run, first.arena, robot, first.known, baseline, pixels)
+    data: ScanData
+    notes: dict[str, Any]
+    """For the report."""
+    alignment: Alignment
+    arena: Arena
+    robot: Robot
+    """Both as the run is diagnosed with: walls instead of pixels, and tolerances that allow for that."""
+    pixels: RasterMap | None
+
+
+def _laid_on_arena(
+    run: Run,
+    arena: Arena,
+    robot: Robot,
+    known: Sequence[Amendment],
+    baseline: SiteBaseline | None,
+    rng: np.random.Generator,
+) -> _Laid:
+    """Prepare the scans of a run, and look whether they fit the arena."""
+    pixels = RasterMap.of(arena) if is_raster(arena) else None
+    if pixels is not None:
+        arena, robot = pixels.arena, pixels.widened(robot)
+    data, notes = _prepare(run, arena, robot, known, baseline, pixels)
+    alignment = align(data, rng)
+    notes["arena"], notes["share_at_walls"] = alignment.sentence(), alignment.share
+    return _Laid(data=data, notes=notes, alignment=alignment, arena=arena, robot=robot, pixels=pixels)
+
+
+def _prepare_second(
+    run: Run, first: _Laid, baseline: SiteBaseline | None, rng: np.random.Generator
+) -> ScanData:
+    """Return the scans of a further run; refuse one of another place than the first."""
+    data, _ = _prepare(run, first.data.arena, first.robot, first.data.known, baseline, first.pixels)
     share = align(data, rng).share
-    if share < min(SCAN.alignment.poor_share, SCAN.alignment.second_run_share * alignment.share):
+    if share < min(SCAN.alignment.poor_share, SCAN.alignment.second_run_share * first.alignment.share):
         raise SensorgraphError(
             f"the second run does not fit the arena: {100 * share:.0f} % of its returns end at walls, "
-            f"{100 * alignment.share:.0f} % of the first run's; give a run of the same place"
+            f"{100 * first.alignment.share:.0f} % of the first run's; give a run of the same place"
         )
     return data
-
-
-def measure_gaps(
-    unseen: ScanData,
-    second: ScanData | None,
-    explained: Explained,
-    names: ScanNames,
-    rng: np.random.Generator,
-) -> tuple[Gap, Gap | None]:
-    """Return the gap on the held-out scans, and on those of a second run if there is one."""
-    null, final = explained.null, explained.final
-    gap = held_out_gap(unseen, null, final, names.named, rng=rng)
-    return gap, None if second is None else held_out_gap(second, null, final, names.named, rng=rng)
 
 
 def diagnose_motion(

@@ -30,6 +30,8 @@ class Finding:
     """Of that model."""
     second_gap: Gap | None = None
     """On a further run that no fit has seen, where one was given."""
+    shared: tuple[Amendment, ...] = ()
+    """Effects that a simulation shows, too, with the same size and as it has them: part of the simulator."""
     next_run: NextRun | None = None
     """A drive that would tell more; None where none was asked for, or none can be made."""
     simulation: SimulationComparison | None = None

@@ -7,11 +7,11 @@ user's simulator already, one that only the robot shows is missing there, one th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.result import Unknown
+from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.effects import Amendment
@@ -101,6 +101,19 @@ def is_same_size(a: Amendment, b: Amendment) -> bool:
     places = {"x", "y", "a", "b", "theta1", "theta2"}  # told by the place
     rest = {k: d for k, d in clear.items() if k not in a.effect.sizes and k not in places}
     return all(abs(d) <= MAX_SHARE * max(abs(a[k]), abs(b[k])) for k, d in rest.items())
+
+
+def shared_with(result: ChannelResult, simulated: Sequence[Amendment]) -> tuple[Amendment, ...]:
+    """Return those of a simulation's effects that a channel of the robot names with the same size."""
+    pairs = [(a, counterpart(a, simulated)) for a in result.effects]
+    return tuple(b for a, b in pairs if b is not None and is_same_size(a, b))
+
+
+def without_shared(result: ChannelResult, simulated: Sequence[Amendment]) -> ChannelResult:
+    """Leave out what is no difference."""
+    shared = shared_with(result, simulated)
+    kept = tuple(a for a in result.effects if counterpart(a, shared) is None)
+    return result if len(kept) == len(result.effects) else replace(result, effects=kept)
 
 
 def is_same_unknown(a: Unknown | None, b: Unknown | None) -> bool:

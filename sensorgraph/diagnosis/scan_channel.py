@@ -1,0 +1,151 @@
+"""Scans against map and pose: search for effects, doubt what was found, measure the gap, say what could not be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sensorgraph.diagnosis.naming import ScanNames, located, name_scan_effects
+from sensorgraph.diagnosis.result import ChannelResult, Gap
+from sensorgraph.diagnosis.scan.deviations import deviations
+from sensorgraph.diagnosis.scan.fit import fit, start_state
+from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check
+from sensorgraph.diagnosis.scan.held_out_gap import held_out_gap
+from sensorgraph.diagnosis.scan.model_selection import Explained, explain
+from sensorgraph.diagnosis.scan.observability import alike, not_observable
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.simulation import counterpart, is_same_size
+from sensorgraph.diagnosis.site_baseline import SiteBaseline
+from sensorgraph.diagnosis.stages import StageClock
+from sensorgraph.effects import Amendment
+from sensorgraph.types import Progress
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScanDiagnosis:
+    """All that the scan channel says."""
+
+    result: ChannelResult
+    names: ScanNames
+    explained: Explained
+    goodness_of_fit: GoodnessOfFit
+    second_gap: Gap | None
+    shared: tuple[Amendment, ...]
+    """Effects that a simulation shows with the same size, as it has them; part of the simulator from then on."""
+    cannot_tell_apart: list[dict[str, Any]]
+
+
+def diagnose_scans(
+    train: ScanData,
+    unseen: ScanData,
+    second: ScanData | None,
+    *,
+    noise_bounds: NoiseBounds,
+    threshold: float,
+    most: int,
+    baseline: SiteBaseline | None,
+    simulated: Sequence[Amendment],
+    rng: np.random.Generator,
+    clock: StageClock,
+) -> ScanDiagnosis:
+    """Explain scans, and prove it on scans that no fit has seen.
+
+    Parameters
+    ----------
+    second : of a further run, for a further proof
+    most : effects that a model may have
+    simulated : effects that a simulation shows; what has the same size here is no difference
+    """
+    with clock.stage("explain"):
+        explained = explain(train, noise_bounds, threshold=threshold, most=most, progress=clock.progress)
+        shared = shared_effects(train, explained, simulated)
+        if shared:
+            known = (*train.known, *shared)
+            train, unseen = (replace(one, known=known, memo={}) for one in (train, unseen))
+            second = None if second is None else replace(second, known=known, memo={})
+            explained = given(train, explained, shared, noise_bounds)
+    with clock.stage("criticise") as tick:
+        goodness, names = judge(train, explained, baseline, rng, tick=tick)
+    null, final = explained.null, explained.final
+    with clock.stage("prove"):
+        gap = held_out_gap(unseen, null, final, names.named, rng=rng)
+        second_gap = None if second is None else held_out_gap(second, null, final, names.named, rng=rng)
+    with clock.stage("observable"):
+        result = replace(names.result, gap=gap, not_observable=not_observable(train, final))
+        pairs = [asdict(pair) for pair in alike(train, final)]
+    return ScanDiagnosis(
+        result=result,
+        names=names,
+        explained=explained,
+        goodness_of_fit=goodness,
+        second_gap=second_gap,
+        shared=shared,
+        cannot_tell_apart=pairs,
+    )
+
+
+def judge(
+    train: ScanData,
+    explained: Explained,
+    baseline: SiteBaseline | None,
+    rng: np.random.Generator,
+    *,
+    tick: Progress | None = None,
+) -> tuple[GoodnessOfFit, ScanNames]:
+    """Ask what an accepted model leaves unexplained, and name what deserves it."""
+    null, final = explained.null, explained.final
+    settings = SCAN.goodness_of_fit
+    found = check(
+        train,
+        final,
+        final.j - null.j,
+        explained.gains,
+        rng=rng,
+        n_replicates=settings.n_replicates,
+        tick=tick,
+    )
+    found = found if baseline is None else baseline.discount(found, train)
+    listed = deviations(FitResiduals(train, null), min_z=settings.listed_z)[: settings.max_listed]
+    return found, name_scan_effects(train, explained, found, listed)
+
+
+def shared_effects(
+    data: ScanData, explained: Explained, simulated: Sequence[Amendment]
+) -> tuple[Amendment, ...]:
+    """Return those of a simulation's effects that an accepted model has with the same size, as the simulation has them."""
+    pairs = [(a, counterpart(located(a, data), simulated)) for a in explained.final.model]
+    return tuple(b for a, b in pairs if b is not None and is_same_size(a, b))
+
+
+def given(
+    data: ScanData, explained: Explained, known: Sequence[Amendment], noise_bounds: NoiseBounds
+) -> Explained:
+    """Return a model without effects that `data` knows already, fitted beside them.
+
+    Parameters
+    ----------
+    known : by what they were found to share
+    """
+    model = explained.final.model
+    kept = [k for k, a in enumerate(model) if counterpart(located(a, data), known) is None]
+    null = fit(data, (), start_state(data, noise_bounds), noise_bounds, outer=1, inner=7)
+    if kept:
+        chosen = tuple(model[k] for k in kept)
+        final = fit(data, chosen, explained.final.state, noise_bounds, outer=2, inner=4)
+        errors = [model[k].stderr for k in kept]
+        fitted = tuple(replace(a, stderr=e) for a, e in zip(final.model, errors, strict=True))
+        final = replace(final, model=fitted)
+    else:
+        final = null
+    return replace(
+        explained,
+        null=null,
+        final=final,
+        gains={new: explained.gains[k] for new, k in enumerate(kept)},
+        rivals={new: explained.rivals[k] for new, k in enumerate(kept) if k in explained.rivals},
+    )
