@@ -13,9 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scan_samples import ROOM_ROBOT, drive_in_room
 
 import logs
 from logs.run import Run
+from planners.arena import Arena
 from planners.maps import geojson
 from sensorgraph.cli import run as cli
 from sensorgraph.diagnosis.diagnose import diagnose
@@ -296,3 +298,40 @@ def test_ctrl_c_half_way_leaves_nothing(folder: Path, tmp_path: Path) -> None:
     out, err = work.communicate(timeout=30)
     assert (work.returncode, out, err.splitlines()[-1]) == (130, "", "interrupted")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_the_command_writes_a_report_and_says_what_it_found(
+    room: Arena, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = drive_in_room(room, bias=0.03)
+    logs.write(run, tmp_path / "run.mcap")
+    (tmp_path / "robot.yaml").write_text(ROOM_ROBOT)
+    arena = {
+        "type": "FeatureCollection",
+        "features": [
+            feature("w", "arena", [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]),
+            feature("pillar", "obstacle", [[2.5, 1], [3, 1], [3, 1.5], [2.5, 1.5], [2.5, 1]]),
+        ],
+    }
+    (tmp_path / "arena.geojson").write_text(json.dumps(arena))
+    options = ["--arena", str(tmp_path / "arena.geojson"), "--robot", str(tmp_path / "robot.yaml")]
+    assert cli(["diagnose", str(tmp_path / "run.mcap"), *options, "-o", str(tmp_path / "new" / "out")]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("Found: range bias, +")
+    assert "report.html" in out
+    assert {path.name for path in (tmp_path / "new" / "out").iterdir()} >= {
+        "report.json", "report.html", "effects.yaml", "review.rrd", "timing.json",
+    }  # fmt: skip
+    assert cli(["diagnose", str(tmp_path / "run.mcap"), *options, "-o", str(tmp_path / "robot.yaml")]) == 2
+    assert "is a file; give the name of a folder" in capsys.readouterr().err
+    assert cli(["diagnose", *[str(tmp_path / "run.mcap")] * 3, *options, "-o", str(tmp_path / "o")]) == 2
+    assert "expected one, or two" in capsys.readouterr().err
+
+
+def feature(name: str, kind: str, ring: list[list[float]]) -> dict[str, object]:
+    return {
+        "type": "Feature",
+        "properties": {"name": name, "kind": kind},
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+    }

@@ -14,11 +14,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import rerun as rr
+from scan_samples import ROOM_ROBOT, drive_in_room
 
-from logs import write
-from logs.run import Run
 from planners.arena import Arena
-from sensorgraph.cli import run as cli
 from sensorgraph.demo_effect import HiddenEffect
 from sensorgraph.demo_effect import to_dict as hidden_dict
 from sensorgraph.diagnosis.diagnose import diagnose
@@ -35,29 +33,10 @@ from sensorgraph.types import Progress
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import parse_robot
 
-ROBOT = """
-name: tester
-sensor: {mount: [0.1, 0.0, 0.0], n_rays: 61, fov: 3.14159265, range_min: 0.05, range_max: 8.0, sigma: 0.01, rate: 10.0}
-"""
 FILES = {"report.json", "report.html", "effects.yaml", "review.rrd", "timing.json"}
 KEYS = {
     "effects", "unknown", "where", "runner_up", "gap", "within_tolerance", "not_observable", "next_run", "intake",
 }  # fmt: skip
-
-
-def drive(room: Arena, *, bias: float = 0.0) -> Run:
-    """Return a short run through the room, without odometry and commands."""
-    rng = np.random.default_rng(4)
-    machine = parse_robot(ROBOT)
-    t = np.arange(0.0, 16.0, 0.1)
-    phi = 0.9 * np.sin(0.9 * t) + 0.5 * t
-    poses = np.stack(
-        [1.4 + 0.8 * np.cos(0.4 * t), 1.5 + 0.9 * np.sin(0.4 * t), (phi + np.pi) % (2 * np.pi) - np.pi],
-        axis=1,
-    )
-    ranges = cast(room, poses, machine.sensor).ranges + bias
-    ranges = ranges + machine.sensor.sigma * rng.normal(size=ranges.shape)
-    return Run(sensor=machine.sensor, stamps=t, ranges=ranges, pose_stamps=t, poses=poses)
 
 
 STAGES: dict[str, list[tuple[int, int]]] = {}
@@ -73,7 +52,7 @@ def bar(label: str, unit: str) -> Iterator[Progress]:
 
 @pytest.fixture(scope="module")
 def found(room: Arena) -> Finding:
-    return diagnose(drive(room, bias=0.03), room, parse_robot(ROBOT), progress=bar)
+    return diagnose(drive_in_room(room, bias=0.03), room, parse_robot(ROOM_ROBOT), progress=bar)
 
 
 def test_every_stage_of_a_diagnosis_is_named(found: Finding) -> None:
@@ -94,7 +73,7 @@ def test_every_stage_of_a_diagnosis_is_named(found: Finding) -> None:
 
 @pytest.fixture(scope="module")
 def silent(room: Arena) -> Finding:
-    return diagnose(drive(room), room, parse_robot(ROBOT))
+    return diagnose(drive_in_room(room), room, parse_robot(ROOM_ROBOT))
 
 
 @pytest.fixture(scope="module")
@@ -212,9 +191,9 @@ def test_a_reference_worse_than_stated_is_said_where_nothing_is_found(
     silent: Finding, room: Arena, tmp_path: Path
 ) -> None:
     """Poses off by twice their tolerance: they agree only if the tolerance is wrong, and the report says so."""
-    run, rng = drive(room), np.random.default_rng(5)
+    run, rng = drive_in_room(room), np.random.default_rng(5)
     shaken = run.poses + rng.normal(size=run.poses.shape) * [0.005, 0.005, 0.0034]
-    finding = diagnose(replace(run, poses=shaken), room, parse_robot(ROBOT))
+    finding = diagnose(replace(run, poses=shaken), room, parse_robot(ROOM_ROBOT))
     assert (
         finding.effects == ()
         and finding.pose_tolerance_factor is not None
@@ -281,10 +260,10 @@ def test_the_demo_keeps_what_was_planted_and_what_was_found(found: Finding) -> N
 
 
 def test_wide_tolerances_say_what_they_hide(room: Arena, silent: Finding) -> None:
-    machine = parse_robot(ROBOT)
+    machine = parse_robot(ROOM_ROBOT)
     machine = replace(machine, tolerances=replace(machine.tolerances, mount_yaw=0.03))
     turned = replace(machine.sensor, mount=machine.sensor.mount + [0.0, 0.0, 0.03])
-    run = drive(room)
+    run = drive_in_room(room)
     ranges = cast(room, run.poses, turned).ranges + 0.01 * np.random.default_rng(1).normal(
         size=run.ranges.shape
     )
@@ -381,45 +360,10 @@ def test_a_failure_leaves_no_part_behind(
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_the_command_writes_a_report_and_says_what_it_found(
-    room: Arena, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = drive(room, bias=0.03)
-    write(run, tmp_path / "run.mcap")
-    (tmp_path / "robot.yaml").write_text(ROBOT)
-    arena = {
-        "type": "FeatureCollection",
-        "features": [
-            feature("w", "arena", [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]),
-            feature("pillar", "obstacle", [[2.5, 1], [3, 1], [3, 1.5], [2.5, 1.5], [2.5, 1]]),
-        ],
-    }
-    (tmp_path / "arena.geojson").write_text(json.dumps(arena))
-    options = ["--arena", str(tmp_path / "arena.geojson"), "--robot", str(tmp_path / "robot.yaml")]
-    assert cli(["diagnose", str(tmp_path / "run.mcap"), *options, "-o", str(tmp_path / "new" / "out")]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("Found: range bias, +")
-    assert "report.html" in out
-    assert {path.name for path in (tmp_path / "new" / "out").iterdir()} >= FILES
-    assert cli(["diagnose", str(tmp_path / "run.mcap"), *options, "-o", str(tmp_path / "robot.yaml")]) == 2
-    assert "is a file; give the name of a folder" in capsys.readouterr().err
-    assert cli(["diagnose", *[str(tmp_path / "run.mcap")] * 3, *options, "-o", str(tmp_path / "o")]) == 2
-    assert "expected one, or two" in capsys.readouterr().err
-
-
-def feature(name: str, kind: str, ring: list[list[float]]) -> dict[str, object]:
-    return {
-        "type": "Feature",
-        "properties": {"name": name, "kind": kind},
-        "geometry": {"type": "Polygon", "coordinates": [ring]},
-    }
-
-
-@pytest.mark.usefixtures("no_pictures")
 def test_a_diagnosis_prints_its_headline_and_saves_its_report(
     found: Finding, room: Arena, tmp_path: Path
 ) -> None:
-    diagnosis = Diagnosis.of(found, room, parse_robot(ROBOT))
+    diagnosis = Diagnosis.of(found, room, parse_robot(ROOM_ROBOT))
     first, *effects = repr(diagnosis).splitlines()
     assert first.startswith("Diagnosis: Found: range bias")
     table = ElementTree.fromstring(diagnosis._repr_html_())

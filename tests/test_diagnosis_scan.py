@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import polygon_arena
+from scan_samples import data_of, drive, hall_arena
 
-from logs.run import Run
-from planners.arena import Arena, wrap
+from planners.arena import Arena
 from planners.types import Floats
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.naming import is_material
@@ -18,63 +18,21 @@ from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, solver_for, start_
 from sensorgraph.diagnosis.scan.goodness_of_fit import check, replicate
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings, plain_e_step
-from sensorgraph.diagnosis.scan.map_alignment import align
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.nuisance import Nuisance
-from sensorgraph.errors import SensorgraphError
-from sensorgraph.world.robot import default_robot, parse_robot
-from sensorgraph.world.scene import Scene, draw_readings
+from sensorgraph.world.robot import parse_robot
 
 SIGMA = 0.01
 
 
 @pytest.fixture(scope="module")
 def hall() -> Arena:
-    """Return a 6 x 5 m hall with two pillars."""
-    return polygon_arena(
-        [(0, 0), (6, 0), (6, 5), (0, 5)],
-        [(2.0, 3.0), (2.6, 3.0), (2.6, 3.5), (2.0, 3.5)],
-        [(4.0, 1.0), (4.5, 1.2), (4.3, 1.7)],
-    )
-
-
-def drive(hall: Arena, effects: tuple[Amendment, ...] = (), *, seed: int = 0, n: int = 160) -> Run:
-    """Scan along a circle that breathes, with turns of both senses; noisy reference at every scan."""
-    rng = np.random.default_rng(seed)
-    t = 0.2 * np.arange(n)
-    phase = 0.35 * t
-    x, y = 3.0 + 1.5 * np.cos(phase), 2.3 + 1.0 * np.sin(phase) + 0.2 * np.sin(3 * phase)
-    poses = np.column_stack([x, y, phase + 1.5 * np.sin(0.9 * t)])
-    robot = parse_robot("sensor: {n_rays: 61}")
-    fine = np.linspace(0, t[-1], 20 * n)
-    path = np.stack([np.interp(fine, t, c) for c in poses.T], axis=1)
-    scene = Scene(
-        arena=hall,
-        sensor=robot.sensor,
-        stamps=t,
-        motion=lambda times: np.stack([np.interp(times, fine, c) for c in path.T], axis=-1),
-        span=float(t[-1]),
-    )
-    scene.run(effects)
-    noise = rng.normal(size=path.shape) * [0.002, 0.002, 0.0015]
-    reference = path + noise
-    return Run(
-        sensor=robot.sensor,
-        stamps=t,
-        ranges=draw_readings(scene, rng),
-        pose_stamps=fine,
-        poses=np.column_stack([reference[:, :2], wrap(reference[:, 2])]),
-    )
-
-
-def data_of(hall: Arena, effects: tuple[Amendment, ...] = (), **options: int) -> ScanData:
-    robot = parse_robot("sensor: {n_rays: 61}")
-    return prepare_scans(drive(hall, effects, **options), hall, robot)[0]
+    return hall_arena()
 
 
 @pytest.fixture(scope="module")
@@ -319,33 +277,6 @@ def test_one_block_in_eight_is_held_out(quiet: ScanData) -> None:
     assert (np.diff(np.flatnonzero(held)) == 1).any()  # whole blocks
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.7, np.pi])
-def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, turn: float) -> None:
-    run = drive(hall)
-    c, s = np.cos(turn), np.sin(turn)
-    poses = np.column_stack(
-        [c * run.poses[:, 0] - s * run.poses[:, 1] + 3.0, s * run.poses[:, 0] + c * run.poses[:, 1] - 1.5, wrap(run.poses[:, 2] + turn)]
-    )  # fmt: skip
-    data, _ = prepare_scans(replace(run, poses=poses), hall, parse_robot("sensor: {n_rays: 61}"))
-    place = align(data, np.random.default_rng(0))
-    assert not place.is_good
-    assert place.best_share > 0.85
-    assert abs(wrap(place.dphi + turn)) < 0.05
-    there = align(data_of(hall), np.random.default_rng(0))
-    assert there.is_good
-    assert there.share > 0.95
-
-
-def test_too_few_scans_are_refused_in_one_line(hall: Arena) -> None:
-    with pytest.raises(SensorgraphError, match="the run has 20 scans, expected 50"):
-        data_of(hall, n=20)
-
-
-def test_another_sensor_is_refused(hall: Arena) -> None:
-    with pytest.raises(SensorgraphError, match="the run has 61 rays"):
-        prepare_scans(drive(hall), hall, default_robot())
-
-
 @pytest.mark.parametrize(("away", "doubted"), [(0, False), (60, True)])
 def test_a_pane_that_is_away_for_a_stretch_of_the_run_is_no_pane(
     hall: Arena, away: int, doubted: bool
@@ -363,20 +294,6 @@ def test_a_pane_that_is_away_for_a_stretch_of_the_run_is_no_pane(
     doubt = check(data, fitted, gained, {0: gained}, rng=np.random.default_rng(0))
     assert gained > 500
     assert (0 in doubt.failed) == doubted
-
-
-def test_a_run_in_an_arena_full_of_walls_is_of_another_place_though_rays_end_at_walls(hall: Arena) -> None:
-    shelves = [
-        [(x, y), (x + 0.08, y), (x + 0.08, y + 4.6), (x, y + 4.6)]
-        for x, y in zip(np.arange(0.3, 5.9, 0.4), 14 * [0.2], strict=True)
-    ]
-    store = polygon_arena([(0, 0), (6, 0), (6, 5), (0, 5)], *shelves)
-    data, _ = prepare_scans(drive(hall), store, parse_robot("sensor: {n_rays: 61}"))
-    place = align(data, np.random.default_rng(0))
-    assert place.share > 0.6  # by chance
-    assert place.matching < 0.3 and not place.is_good
-    assert "as long as the arena would make them" in place.sentence()
-    assert align(data_of(hall), np.random.default_rng(0)).matching > 0.95
 
 
 def with_box(hall: Arena) -> Arena:

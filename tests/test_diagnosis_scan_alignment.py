@@ -1,0 +1,62 @@
+"""Whether a run and an arena belong together is asked before anything is named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import polygon_arena
+from scan_samples import data_of, drive, hall_arena
+
+from planners.arena import Arena, wrap
+from sensorgraph.diagnosis.scan.map_alignment import align
+from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+from sensorgraph.errors import SensorgraphError
+from sensorgraph.world.robot import default_robot, parse_robot
+
+
+@pytest.fixture(scope="module")
+def hall() -> Arena:
+    return hall_arena()
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7, np.pi])
+def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, turn: float) -> None:
+    run = drive(hall)
+    c, s = np.cos(turn), np.sin(turn)
+    poses = np.column_stack(
+        [c * run.poses[:, 0] - s * run.poses[:, 1] + 3.0, s * run.poses[:, 0] + c * run.poses[:, 1] - 1.5, wrap(run.poses[:, 2] + turn)]
+    )  # fmt: skip
+    data, _ = prepare_scans(replace(run, poses=poses), hall, parse_robot("sensor: {n_rays: 61}"))
+    place = align(data, np.random.default_rng(0))
+    assert not place.is_good
+    assert place.best_share > 0.85
+    assert abs(wrap(place.dphi + turn)) < 0.05
+    there = align(data_of(hall), np.random.default_rng(0))
+    assert there.is_good
+    assert there.share > 0.95
+
+
+def test_too_few_scans_are_refused_in_one_line(hall: Arena) -> None:
+    with pytest.raises(SensorgraphError, match="the run has 20 scans, expected 50"):
+        data_of(hall, n=20)
+
+
+def test_another_sensor_is_refused(hall: Arena) -> None:
+    with pytest.raises(SensorgraphError, match="the run has 61 rays"):
+        prepare_scans(drive(hall), hall, default_robot())
+
+
+def test_a_run_in_an_arena_full_of_walls_is_of_another_place_though_rays_end_at_walls(hall: Arena) -> None:
+    shelves = [
+        [(x, y), (x + 0.08, y), (x + 0.08, y + 4.6), (x, y + 4.6)]
+        for x, y in zip(np.arange(0.3, 5.9, 0.4), 14 * [0.2], strict=True)
+    ]
+    store = polygon_arena([(0, 0), (6, 0), (6, 5), (0, 5)], *shelves)
+    data, _ = prepare_scans(drive(hall), store, parse_robot("sensor: {n_rays: 61}"))
+    place = align(data, np.random.default_rng(0))
+    assert place.share > 0.6  # by chance
+    assert place.matching < 0.3 and not place.is_good
+    assert "as long as the arena would make them" in place.sentence()
+    assert align(data_of(hall), np.random.default_rng(0)).matching > 0.95
