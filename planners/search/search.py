@@ -292,7 +292,7 @@ class CoverageSearch:
         primitives, scratch = self.primitive_arrays(), new_scratch(MAX_STOP_PRIMITIVES)
         n = find_escape(x, y, int(h), int(m), -MAX_STOP_PRIMITIVES, self.world, primitives, scratch)
         way = scratch.escape[: max(n, 0)]
-        for j in way:
+        for j in way.tolist():
             apply_primitive(self.state, j, self.world, primitives, scratch.covered)
         self._parts.append(way)
         return bool(n >= 0)

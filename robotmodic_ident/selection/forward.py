@@ -64,7 +64,7 @@ def forward(
     factor, gain = np.zeros((n, n_max, n_max)), np.zeros((n, n_max))
     _choose(
         grams,
-        cross,
+        np.ascontiguousarray(cross),  # one compiled version serves all
         np.ascontiguousarray(power),
         np.asarray(own, dtype=np.intp),
         np.asarray(order, dtype=np.intp),

@@ -133,7 +133,7 @@ class MaxPyramid:
         box = box.astype(np.int32)
         found = np.zeros((max_modes, 4), dtype=np.int32)
         lowest = max(int(np.ceil(min_score * PEAK * len(points))), 1)
-        n = _best_first(self.levels, cells, reach, box, is_full_turn, lowest, rival_ratio, found)
+        n = _best_first(self.levels, cells, reach, box, is_full_turn, lowest, float(rival_ratio), found)
         sums, turn, offsets = found[:n, 0], found[:n, 1], found[:n, 2:]
         poses = np.column_stack([np.array([window.x, window.y]) + resolution * offsets, headings[turn]])
         poses[:, 2] = np.pi - (np.pi - poses[:, 2]) % (2 * np.pi)

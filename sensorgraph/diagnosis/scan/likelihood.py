@@ -137,7 +137,7 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
         z.ravel(),
         (expected.reading + shift).ravel(),
         (noise.core * expected.sigma).ravel(),
-        expected.p_return.ravel(),
+        np.require(expected.p_return.ravel(), requirements="W"),  # one compiled version serves all
         expected.alternative.ravel(),
         expected.p_alternative.ravel(),
         (
