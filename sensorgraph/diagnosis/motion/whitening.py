@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
 
 from sensorgraph.types import Bools, Floats
 
@@ -33,6 +32,8 @@ class WhiteningFilter:
 
     def __call__(self, columns: Floats) -> Floats:
         """Return columns (n, ...) filtered along time and divided by sigma."""
+        if columns.ndim == 1 and len(columns):
+            return np.convolve(columns, self.taps)[: len(columns)] / self.sigma
         out = np.empty(columns.shape)
         self.write(columns, out)
         return out
@@ -78,7 +79,9 @@ def filter_of(autocovariance: Floats, min_innovation: float) -> WhiteningFilter:
     ----------
     min_innovation : least share of the variance that the past does not predict
     """
-    coefficients = solve_toeplitz(autocovariance[:-1], autocovariance[1:])
+    lag = np.arange(len(autocovariance) - 1)
+    covariance = autocovariance[np.abs(lag[:, None] - lag)]  # small: quicker so than by Levinson's recursion
+    coefficients = np.linalg.solve(covariance, autocovariance[1:])
     variance = max(autocovariance[0] - coefficients @ autocovariance[1:], min_innovation * autocovariance[0])
     return WhiteningFilter(taps=np.concatenate([[1.0], -coefficients]), sigma=float(np.sqrt(variance)))
 
