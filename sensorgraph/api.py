@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from sensorgraph.diagnosis import diagnose as diagnosing
 from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
 from sensorgraph.diagnosis.commissioning import commission_all
 from sensorgraph.diagnosis.report.diagnosis import Diagnosis
+from sensorgraph.diagnosis.report.driving_files import DrivingDiagnosis
+from sensorgraph.diagnosis.without_reference import drive_alone, driving_of, located_in, with_driving
 from sensorgraph.effects import Amendment, effects_file
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.evaluation.evaluate import Evaluation
@@ -28,7 +31,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification import identify as identifying
 from sensorgraph.identification.signals import SignalData, is_table, signals_of_run, signals_of_table
 from sensorgraph.loading import arena_in, load_arena, read_poses, robot_for, robot_in
-from sensorgraph.localization.locate import LocatedRun, located_run
+from sensorgraph.localization.locate import LocatedRun, has_reference, located_run
 from sensorgraph.localization.locate import locate as locate_run
 from sensorgraph.models.base import Point, Prediction
 from sensorgraph.planning.plan import CoveragePlan, plan
@@ -41,17 +44,8 @@ from sensorgraph.world.identified_arena import arena_of
 from sensorgraph.world.robot import Robot, load_robot
 
 __all__ = [
-    "build",
-    "diagnose",
-    "evaluate",
-    "identify",
-    "locate",
-    "plan",
-    "predict",
-    "read",
-    "record",
-    "review",
-]
+    "build", "diagnose", "evaluate", "identify", "locate", "plan", "predict", "read", "record", "review",
+]  # fmt: skip
 
 RunLike = Run | Path | str
 """A run, or a file of one."""
@@ -235,12 +229,14 @@ def diagnose(
     simulation: RunLike | None = None,
     seed: int = 0,
     force: bool = False,
-) -> Diagnosis:
+) -> Diagnosis | DrivingDiagnosis:
     """Find where simulation and measurement disagree, and name the missing physical effect.
+
+    A run without a reference is located first. Without an arena, too, only wheels and mount can be told, from driving alone.
 
     Parameters
     ----------
-    second : a further run of the same place, used for nothing but the proof
+    second : a further run of the same place, used for nothing but the proof; without arena and reference: to compare with
     arena, robot : None: those that the run keeps
     effects : what is part of the model already; or an effects.yaml
     commissioning : runs known to be good; what differs from them is found
@@ -250,31 +246,33 @@ def diagnose(
 
     Raises
     ------
-    SensorgraphError : the run keeps no arena and none is given, or the second run is of another place
+    SensorgraphError : no arena is known of a run with a reference, no odometry of one without, or the second is of another place
     """
     log = _run(run)
     walls = arena_in(log) if arena is None else _arena(arena)
     if walls is None:
-        raise SensorgraphError("the run keeps no arena; give the arena it was driven in")
+        if has_reference(log) or effects or commissioning or simulation is not None:
+            raise SensorgraphError("the run keeps no arena; give the arena it was driven in")
+        several = [log] if second is None else [log, _run(second)]
+        return DrivingDiagnosis.of(drive_alone(several, None if robot is None else _robot(robot)))
+    log = located_in(log, walls)
     machine = (robot_in(log) or robot_for(log)) if robot is None else _robot(robot)
     known = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else effects
     effects_file.check_places(known, walls)
     good = [_run(one) for one in commissioning]
     if good and simulation is not None:
-        raise SensorgraphError(
-            "simulation and commissioning are both given; a run is compared with one or the other"
-        )
+        raise SensorgraphError("simulation and commissioning are both given; compare with one or the other")
     options: dict[str, Any] = {
-        "second": None if second is None else _run(second),
+        "second": None if second is None else located_in(_run(second), walls),
         "known": known,
         "baseline": commission_all(good, walls, machine, seed=seed) if good else None,
         "seed": seed,
         "force": force,
     }
-    if simulation is None:
-        finding = diagnosing.diagnose(log, walls, machine, **options)
-    else:
-        finding = diagnose_against_simulation(log, walls, machine, simulation=_run(simulation), **options)
+    find: Any = diagnosing.diagnose
+    if simulation is not None:
+        find = partial(diagnose_against_simulation, simulation=located_in(_run(simulation), walls))
+    finding = with_driving(find(log, walls, machine, **options), driving_of(log, machine))
     return Diagnosis.of(finding, walls, machine)
 
 

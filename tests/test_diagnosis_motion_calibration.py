@@ -6,18 +6,27 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scan_samples import ROOM_ROBOT, drive_in_room
 
+import sensorgraph as sg
 from logs.transforms import compose, invert
+from planners.arena import Arena
+from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.motion.calibration.comparison import change_within, compare
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
 from sensorgraph.diagnosis.motion.calibration.verdict import change_lines, effects_of, lines_of, verdict
-from sensorgraph.diagnosis.report.driving import save_driving
+from sensorgraph.diagnosis.report.driving_files import save_driving
+from sensorgraph.diagnosis.report.files import save_report
+from sensorgraph.diagnosis.without_reference import driving_of, with_driving
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
+from sensorgraph.world.robot import parse_robot
 
 MOUNT = np.array([0.12, -0.02, 0.05])
 BASE = 0.4
@@ -163,7 +172,7 @@ def finding_of(**motions: LaserMotion) -> DrivingFinding:
     first, *others = found.values()
     return DrivingFinding(
         runs=found,
-        changes={name: change_within(motion, found[name]) for name, motion in motions.items()},
+        changes=dict.fromkeys(motions),
         differences=compare(first, others[0]) if others else (),
         effects=effects_of(found[list(found)[-1]], BASE),
     )
@@ -173,7 +182,7 @@ def test_the_headline_is_a_sentence_and_says_what_is_not_as_stated(untouched: La
     wrong = finding_of(run=untouched).lines
     assert re.fullmatch(r"Wheels and mount are not as stated: laser ahead of the axle \+1[12].*\.", wrong[0])
     assert "way scale" not in wrong[0]
-    right = finding_of(run=drive(mount=MOUNT)).lines
+    right = finding_of(run=drive(n=4_000, mount=MOUNT)).lines
     assert right[0] == "Wheels and mount are as stated, as far as driving alone can tell."
     assert right[1].startswith("run, from driving alone") and right[1].endswith(":")
 
@@ -181,7 +190,7 @@ def test_the_headline_is_a_sentence_and_says_what_is_not_as_stated(untouched: La
 def test_the_page_of_two_runs_stands_alone_and_sets_a_proper_minus(
     untouched: LaserMotion, tmp_path: Path
 ) -> None:
-    later = replace(drive(seed=1, turns=1.012), mount=np.array([-0.04, 0.0, 0.0]))
+    later = replace(drive(seed=1, turns=1.03, n=4_000), mount=np.array([-0.04, 0.0, 0.0]))
     save_driving(finding_of(monday=untouched, friday=later), tmp_path / "out", {})
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "<h1>The two runs differ.</h1>" in page and "stated: −4.0" in page
@@ -191,3 +200,53 @@ def test_the_page_of_two_runs_stands_alone_and_sets_a_proper_minus(
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert [c["name"] for c in report["comparison"] if c["differs"]] == ["turn_scale"]
     assert report["summary"][0] == "The two runs differ."
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_in_a_known_place_driving_alone_stands_in_for_the_odometry_channel(
+    untouched: LaserMotion, room: Arena, tmp_path: Path
+) -> None:
+    shown = drive_in_room(room)
+    some = replace(shown, stamps=shown.stamps[::2], ranges=shown.ranges[::2])
+    finding = diagnose(some, room, parse_robot(ROOM_ROBOT), plan_next=False)
+    assert with_driving(finding, None) is finding
+    told = with_driving(finding, finding_of(run=untouched))
+    assert "mount_xy" in {a.name for a in told.effects}
+    assert "wheel_slip" in told.channels["odometry"].not_observable
+    save_report(told, tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["calibration"][0]["parameters"]["mount_x"]["value"] == pytest.approx(MOUNT[0], abs=0.01)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<h2>Wheels and mount from driving alone</h2>" in page
+
+
+def test_a_reference_that_is_no_image_of_the_scans_is_left_to_the_odometry_channel(room: Arena) -> None:
+    assert driving_of(drive_in_room(room), parse_robot(ROOM_ROBOT)) is None
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, "the run: the run has no odometry that moves"),
+        ({"second": "same"}, "the first run: the run has no odometry that moves"),
+        ({"simulation": "same"}, "keeps no arena; give the arena it was driven in"),
+        ({"commissioning": ["same"]}, "keeps no arena; give the arena it was driven in"),
+    ],
+)
+def test_a_run_that_cannot_tell_its_wheels_gets_one_line(
+    room: Arena, options: dict[str, Any], said: str
+) -> None:
+    run = drive_in_room(room)
+    bare = replace(run, poses=run.poses[:0], pose_stamps=run.pose_stamps[:0])
+    given = {k: [bare] if isinstance(v, list) else bare for k, v in options.items()}
+    with pytest.raises(SensorgraphError, match=said) as caught:
+        sg.diagnose(bare, **given)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_located_in_an_arena_without_odometry_has_no_calibration(
+    room: Arena, caplog: pytest.LogCaptureFixture
+) -> None:
+    located = replace(drive_in_room(room), meta={"pose_source": "locate"})
+    assert driving_of(located, parse_robot(ROOM_ROBOT)) is None
+    assert "no odometry that moves" in caplog.text

@@ -63,15 +63,15 @@ def diagnose(
       sensorgraph diagnose monday.log friday.log -o wheels
     """
     from logs import parse_topics
-    from sensorgraph.cli.inputs import mounts_of, say_ray_order, with_poses
+    from sensorgraph.cli.inputs import mounts_of, with_poses
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
     from sensorgraph.diagnosis.diagnose import diagnose as diagnose_run
     from sensorgraph.diagnosis.report.files import save_diagnosis
+    from sensorgraph.diagnosis.without_reference import driving_of, with_driving
 
     _check(runs, simulation, commissioning, out, poses)
-    names = parse_topics(topic or [])
-    reading: dict[str, Any] = {"topics": names, "no_return": no_return, "mounts": mounts_of(robot)}
+    reading = {"topics": parse_topics(topic or []), "no_return": no_return, "mounts": mounts_of(robot)}
     loaded = [_read(path, reading) for path in runs]
     if arena is None and not (effects or commissioning or simulation) and _has_neither(loaded, poses):
         _drive_alone(loaded, runs, robot, out, poses, reading)
@@ -82,8 +82,7 @@ def diagnose(
         with_poses(run, path, poses, walls, name=place, options=reading)
         for run, path in zip(loaded, runs, strict=True)
     ]
-    for path, bearings in zip(runs, [run.sensor.bearings for run in loaded], strict=True):
-        say_ray_order(str(path), bearings, machine.name, machine.sensor.bearings)
+    _say_ray_orders(runs, loaded, machine)
     known = _known(effects, walls)
     baseline = _commission([_read(path, reading) for path in commissioning or ()], walls, machine, seed)
     options: dict[str, Any] = {"known": known, "seed": seed, "force": force, "progress": progress}
@@ -92,6 +91,7 @@ def diagnose(
             _read(simulation, reading), simulation, poses, walls, name=place, options=reading
         )
         options |= {"simulation": simulated, "name": str(simulation)}
+    driving = driving_of(loaded[0], machine, name=runs[0].name, progress=progress)
     finding = (diagnose_run if simulation is None else diagnose_against_simulation)(
         loaded.pop(0),  # so that nobody keeps the scans of a long log when they are not needed any more
         arena=walls,
@@ -100,6 +100,7 @@ def diagnose(
         baseline=baseline,
         **options,
     )
+    finding = with_driving(finding, driving)
     settings = {
         "seed": seed,
         "runs": [path.name for path in runs],
@@ -110,8 +111,15 @@ def diagnose(
     }
     with progress("reporting", "files") as tick:
         save_diagnosis(finding, out, walls, machine, name=runs[0].name, settings=settings, progress=tick)
-    for line in _lines(finding, out):
-        typer.echo(line)
+    typer.echo("\n".join(_lines(finding, out)))
+
+
+def _say_ray_orders(paths: Sequence[Path], loaded: Sequence[Run], machine: Robot) -> None:
+    """Say where a run numbers its rays otherwise than the robot does."""
+    from sensorgraph.cli.inputs import say_ray_order
+
+    for path, run in zip(paths, loaded, strict=True):
+        say_ray_order(str(path), run.sensor.bearings, machine.name, machine.sensor.bearings)
 
 
 def _said(machine: Robot, known: Sequence[Amendment]) -> dict[str, Any]:
@@ -142,10 +150,12 @@ def _drive_alone(
     """Tell wheels and mount of runs without arena and reference."""
     from sensorgraph.cli.inputs import with_poses
     from sensorgraph.cli.progress import progress
-    from sensorgraph.diagnosis.motion.calibration.driving import diagnose_driving
-    from sensorgraph.diagnosis.report.driving import save_driving
+    from sensorgraph.diagnosis.motion.calibration.driving import check_odometry, diagnose_driving
+    from sensorgraph.diagnosis.report.driving_files import save_driving
     from sensorgraph.world.robot import load_robot
 
+    for run, path in zip(loaded, paths, strict=True):
+        check_odometry(run, name=path.name)
     names = [path.name if len({p.name for p in paths}) == len(paths) else str(path) for path in paths]
     runs = {
         name: (run, with_poses(run, path, poses, options=reading))
@@ -255,6 +265,7 @@ def _lines(finding: Finding, out: Path) -> list[str]:
     summary = summarise(finding)
     review = "" if finding.explained is None else ", review.rrd"
     lines = [summary.headline, *summary.details, *intake_sentences(finding)]
+    lines += [] if finding.driving is None else finding.driving.lines[1:]
     lines.append(f"wrote {out / 'report.html'}, and beside it report.json, effects.yaml{review}")
     if finding.next_run is not None:
         plan = out / "next_run"

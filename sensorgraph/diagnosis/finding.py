@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.next_run.design import NextRun
 from sensorgraph.diagnosis.result import ChannelResult, Gap, Unknown
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
@@ -32,6 +33,9 @@ class Finding:
     """On a further run that no fit has seen, where one was given."""
     shared: tuple[Amendment, ...] = ()
     """Effects that a simulation shows, too, with the same size and as it has them: part of the simulator."""
+    driving: DrivingFinding | None = None
+    """Wheels and mount from driving alone, where the run has no reference but its own scans; in place of the odometry
+    channel, which such poses would flatter."""
     next_run: NextRun | None = None
     """A drive that would tell more; None where none was asked for, or none can be made."""
     simulation: SimulationComparison | None = None

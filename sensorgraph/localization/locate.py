@@ -75,6 +75,11 @@ def has_reference(run: Run) -> bool:
     return len(run.pose_stamps) > 0 and not source.startswith("odometry")
 
 
+def is_located(run: Run) -> bool:
+    """Tell whether the poses of a run were found from its own scans and wheels."""
+    return run.meta.get("pose_source", "") == POSE_SOURCE
+
+
 def located_run(run: Run, found: Localization) -> Run:
     """Return the run with the poses of the scans that were located, and everything else as it was."""
     ok = np.array(found.status) == "ok"

@@ -9,6 +9,7 @@ from typing import Any
 
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import bare_gap
+from sensorgraph.diagnosis.report.driving import calibrations
 from sensorgraph.diagnosis.report.summary import main_channel
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Gap, Unknown
 from sensorgraph.diagnosis.simulation import SimulationComparison
@@ -33,6 +34,7 @@ def to_dict(finding: Finding) -> dict[str, Any]:
         "gap_bare_simulator": None if bare is None else gap_dict(bare),
         "gap_second_run": None if finding.second_gap is None else gap_dict(finding.second_gap),
         "simulation": None if finding.simulation is None else simulation_dict(finding.simulation),
+        "calibration": [] if finding.driving is None else calibrations(finding.driving),
         "pose_scale": finding.pose_tolerance_factor,
         "map_scale": finding.map_tolerance_factor,
         "within_tolerance": [effect_dict(a) for result in results.values() for a in result.within_tolerance],

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.report.driving import driving_section
 from sensorgraph.diagnosis.report.page_shell import page_shell, picture
 from sensorgraph.diagnosis.report.quantities import (
     deviation_text,
@@ -64,6 +65,7 @@ def page(
         _deviations_section(finding, pictures),
         _tolerated_section(finding),
         _channels_section(finding),
+        _driving_section(finding, pictures),
         _not_observable_section(finding),
         _next_run_section(next_run, pictures),
         _settings_section(finding, settings),
@@ -223,6 +225,13 @@ def _channels_section(finding: Finding) -> str:
     )
     listed = f"<p>Odometry and drive deviate, before any name:</p><ul>{notes}</ul>" if notes else ""
     return f"<h2>Channels</h2><table class='pairs'>{rows}</table>{listed}"
+
+
+def _driving_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
+    if finding.driving is None:
+        return ""
+    heading = "Wheels and mount from driving alone"
+    return driving_section(finding.driving, pictures.get("calibration"), heading=heading)
 
 
 def _motion_deviation(where: Any) -> str:

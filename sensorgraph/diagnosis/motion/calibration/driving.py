@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from logs.run import Run
 from sensorgraph.diagnosis.motion.calibration.comparison import Change, Difference, change_within, compare
 from sensorgraph.diagnosis.motion.calibration.estimate import DrivingCalibration, calibrate
-from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion
+from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion, with_moving_odometry
 from sensorgraph.diagnosis.motion.calibration.verdict import (
     change_lines,
     effects_of,
@@ -54,6 +54,14 @@ class DrivingFinding:
         for name, found in self.runs.items():
             out += [f"{name}, {source_of(found)}:", *(f"  {line}" for line in self.lines_of(name))]
         return out
+
+
+def check_odometry(run: Run, *, name: str = "the run") -> None:
+    """Refuse a run that cannot tell wheels and mount, before it is located."""
+    try:
+        with_moving_odometry(run)
+    except SensorgraphError as exc:
+        raise SensorgraphError(f"{name}: {exc}") from exc
 
 
 def diagnose_driving(

@@ -78,13 +78,7 @@ def laser_motion(
     ------
     SensorgraphError : the run has no odometry, or too few of its scans were located
     """
-    run, _ = with_checked_odometry(run)
-    motion = odometry_of(run)
-    if motion is None:
-        raise SensorgraphError(
-            "the run has no odometry that moves; wheels and mount can be told only from a drive with odometry"
-        )
-    odometry = odometry_at_scans(run, motion)
+    run, odometry = with_moving_odometry(run)
     odometry[:, 2] = np.unwrap(odometry[:, 2])
     paired = pair(located)
     length = _lengths(odometry, settings)
@@ -111,6 +105,17 @@ def laser_motion(
         odometry=odometry,
         mount=mount,
     )
+
+
+def with_moving_odometry(run: Run) -> tuple[Run, Floats]:
+    """Return a run with its odometry checked, and that at each scan (n_scans, 3) [m, m, rad]; refuse one without."""
+    run, _ = with_checked_odometry(run)
+    motion = odometry_of(run)
+    if motion is None:
+        raise SensorgraphError(
+            "the run has no odometry that moves; wheels and mount can be told only from a drive with odometry"
+        )
+    return run, odometry_at_scans(run, motion)
 
 
 def _even_stamps(stamps: Floats, settings: DrivingCalibrationSettings) -> Floats:

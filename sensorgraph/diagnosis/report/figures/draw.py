@@ -7,6 +7,7 @@ from pathlib import Path
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import ComparedScans, bare_gap
 from sensorgraph.diagnosis.report.figures.arena import arena_picture
+from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
 from sensorgraph.diagnosis.report.figures.gap import gap_picture
 from sensorgraph.diagnosis.report.figures.next_run import next_run_picture
 from sensorgraph.diagnosis.report.figures.ranking import ranking_picture
@@ -30,6 +31,9 @@ def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> 
     if finding.explained is not None and any(step.tried for step in finding.explained.steps):
         out["ranking"] = folder / "ranking.png"
         ranking_picture(finding, out["ranking"])
+    if finding.driving is not None:
+        out["calibration"] = folder / "calibration.png"
+        calibration_picture(finding.driving.runs, out["calibration"])
     if finding.next_run is not None:
         out["next_run"] = folder / "next_run.png"
         next_run_picture(finding.next_run.trajectory.poses, finding.data.arena, out["next_run"])
