@@ -36,7 +36,7 @@ def test_the_loop_in_the_readme_runs(
     assert len(code.splitlines()) <= 16
     bins = "cell=0.5, headings=8"
     assert bins in code
-    code = code.replace(bins, "cell=1.0, headings=4")  # so that the drive is short; all else word for word
+    code = code.replace(bins, "cell=1.0, headings=2")  # so that the drive is short; all else word for word
     monkeypatch.chdir(tmp_path)
     exec(compile(code, str(page), "exec"), {})
     printed = capsys.readouterr().out

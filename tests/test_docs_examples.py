@@ -14,7 +14,7 @@ import pytest
 from sensorgraph.cli import run as cli
 
 EXAMPLES = Path(__file__).parent.parent / "docs" / "examples"
-SLOW = {"controller", "hidden_effect", "plan_to_sensorgraph"}
+SLOW = {"controller", "hidden_effect", "nav2", "plan_to_sensorgraph"}
 NEEDS = {"mujoco_twin": "mujoco"}
 """Script -> a package of an extra, without which it is skipped."""
 SCRIPTS = [

@@ -162,6 +162,7 @@ def test_a_further_effect_is_found_once_it_is_in_the_library(
     assert finding.channels["scan"].unknown is None
 
 
+@pytest.mark.slow  # a search through all that is known
 def test_without_it_the_library_does_not_know_that_name(hall: Arena, robot: Robot, bent: Run) -> None:
     finding = diagnose(bent, hall, robot, plan_next=False)
     assert CURVATURE.name not in EFFECTS

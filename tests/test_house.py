@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -70,15 +70,19 @@ def tree_of(path: Path) -> ast.Module:
 
 
 @cache
+def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(tree_of(path)))
+
+
+@cache
 def imports(path: Path) -> tuple[tuple[str, bool], ...]:
     """Return (top-level package, is at module level) of every import."""
     return tuple(_imports(path))
 
 
 def _imports(path: Path) -> Iterator[tuple[str, bool]]:
-    tree = tree_of(path)
-    top = {id(node) for node in tree.body}
-    for node in ast.walk(tree):
+    top = {id(node) for node in tree_of(path).body}
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             for alias in node.names:
                 yield alias.name.split(".")[0], id(node) in top
@@ -158,10 +162,10 @@ def dotted(path: Path) -> str:
     return name_of(path).removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
 
-def own_imports(node: ast.AST, known: frozenset[str]) -> set[str]:
-    """Return the modules of ours that are imported anywhere within a node."""
+def own_imports(nodes: Iterable[ast.AST], known: frozenset[str]) -> set[str]:
+    """Return the modules of ours that any of the nodes imports."""
     found = set()
-    for inner in ast.walk(node):
+    for inner in nodes:
         if isinstance(inner, ast.Import):
             found |= {alias.name for alias in inner.names}
         elif isinstance(inner, ast.ImportFrom):
@@ -174,7 +178,7 @@ def test_no_module_imports_itself_through_others() -> None:
     """Also not through type hints, nor through imports inside functions."""
     paths = {dotted(path): path for path in modules()}
     known = frozenset(paths)
-    left = {name: own_imports(tree_of(path), known) - {name} for name, path in paths.items()}
+    left = {name: own_imports(nodes_of(path), known) - {name} for name, path in paths.items()}
     while done := {name for name, needs in left.items() if not needs & left.keys()}:
         left = {name: needs for name, needs in left.items() if name not in done}
     assert not left, f"a circle runs through some of {sorted(left)}"
@@ -186,9 +190,9 @@ def test_imports_inside_functions_hide_something() -> None:
     for path in modules():
         if any(name_of(path).startswith(room) for room in LIGHT):
             continue
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.FunctionDef) and node.name != "__getattr__":
-                inside = own_imports(node, known)
+                inside = own_imports(ast.walk(node), known)
                 assert not inside, (
                     f"{name_of(path)}: {node.name} imports {sorted(inside)}; import it at the top"
                 )
@@ -196,9 +200,9 @@ def test_imports_inside_functions_hide_something() -> None:
 
 def test_what_is_long_says_why() -> None:
     for path in modules():
-        tree = tree_of(path)
-        pieces = [("module", name_of(path), len(path.read_text().splitlines()), ast.get_docstring(tree))]
-        for node in ast.walk(tree):
+        doc = ast.get_docstring(tree_of(path))
+        pieces = [("module", name_of(path), len(path.read_text().splitlines()), doc)]
+        for node in nodes_of(path):
             if isinstance(node, ast.FunctionDef | ast.ClassDef):
                 kind = "class" if isinstance(node, ast.ClassDef) else "function"
                 lines = (node.end_lineno or 0) - node.lineno + 1

@@ -169,7 +169,8 @@ class Solver:
         m = self.map.reshape(2, n_walls, -1)
         cv = cl.reshape(n_scans * 3, -1) @ self.map
         gv = gl.reshape(len(gl), -1) @ self.map
-        vv = np.einsum("akv,abk,bkw->vw", m, square, m, optimize=True)
+        weighed = square[:, 0, :, None] * m[0] + square[:, 1, :, None] * m[1]  # (2, n_walls, 2 n_corners)
+        vv = self.map.T @ weighed.reshape(len(self.map), -1)
         rv = rl.reshape(-1) @ self.map
         cv = cv.reshape(n_scans, 3, -1)
         c = np.concatenate([c[..., :k], cv, c[..., k:]], axis=2)
