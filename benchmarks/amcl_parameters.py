@@ -1,7 +1,7 @@
 """AMCL's parameters from data: a particle filter on the second half of a raw log, with Nav2's defaults and with those found.
 
 The map is what `sensorgraph export --to nav2` writes for a graph of the first half; the parameters are estimated from the
-first half. Truth is the whole log, located together. The filter is ours (`localize_in_map.filtered`), with AMCL's models;
+first half. Truth is the whole log, located together. The filter is ours (`particle_filter.filtered`), with AMCL's models;
 both are told where to start.
 
     python -m benchmarks.amcl_parameters ../shared/data/raw-carmen/intel.clf.bz2 --work /tmp/in_map
@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 import sensorgraph as sg
-from benchmarks.localize_in_map import DistanceField, filtered, halves, said
+from benchmarks.localize_in_map import halves, said
+from benchmarks.particle_filter import DistanceField, filtered
 from sensorgraph.exporting.amcl import DEFAULTS, estimate_amcl
 from sensorgraph.exporting.nav2 import chosen
 from sensorgraph.world.identified_arena import arena_of
@@ -42,7 +43,7 @@ def main() -> None:
     field = DistanceField.of(grid.data != 100, np.asarray(grid.origin[:2]), grid.resolution)
     for label, parameters in (("Nav2's defaults", DEFAULTS), ("from the first half", chosen(estimates))):
         for seed in range(given.seeds):
-            poses = filtered(data, field, parameters, np.random.default_rng(seed))
+            poses = filtered(data.second, data.truth, field, parameters, np.random.default_rng(seed))
             done = np.isfinite(poses[:, 0]) & data.covered
             print(
                 f"{given.log.name}, {label}, seed {seed}, covered: {said(poses[done], data.truth[done])}",

@@ -16,17 +16,16 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 import logs
 import sensorgraph as sg
 from benchmarks.grid_localization import DistanceGrid, follow, grid_of
+from benchmarks.particle_filter import DistanceField, filtered
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.exporting.amcl import DEFAULTS
@@ -197,61 +196,11 @@ def particle_filter(data: Halves, rng: np.random.Generator) -> None:
     free = np.ones((ny, nx), dtype=bool)
     at = ((points - low) / cell).astype(int)
     free[at[:, 1], at[:, 0]] = False
-    estimates = filtered(data, DistanceField.of(free, low, cell), DEFAULTS, rng)
+    estimates = filtered(data.second, data.truth, DistanceField.of(free, low, cell), DEFAULTS, rng)
     done = np.isfinite(estimates[:, 0])
     print(f"particle filter: {said(estimates[done], data.truth[done])}")
     both = done & data.covered
     print(f"particle filter, covered: {said(estimates[both], data.truth[both])}")
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DistanceField:
-    """Distance to the nearest occupied cell, as AMCL's likelihood field has it."""
-
-    low: Floats
-    cell: float
-    distance: Floats
-    """(ny, nx) [m]"""
-
-    @classmethod
-    def of(cls, free: NDArray[np.bool_], low: Floats, cell: float) -> DistanceField:
-        """Measure it on a grid (ny, nx) of cells that are not occupied."""
-        return cls(low=low, cell=cell, distance=np.minimum(cell * distance_transform_edt(free), 2.0))
-
-
-def filtered(
-    data: Halves, field: DistanceField, parameters: Mapping[str, float], rng: np.random.Generator
-) -> Floats:
-    """Return the poses (n_scans, 3) that a particle filter has after its updates, nan between them.
-
-    AMCL's models (Thrun, Burgard and Fox 2005, tables 5.6 and 6.3): 60 beams, 2,000 particles, updates every 0.25 m or
-    0.2 rad; it is told where to start.
-
-    Parameters
-    ----------
-    parameters : by their names in Nav2
-    """
-    motion = odometry_of(data.second)
-    assert motion is not None
-    odometry = odometry_at_scans(data.second, motion)
-    first = int(np.flatnonzero(np.isfinite(data.truth[:, 0]))[0])
-    particles = data.truth[first] + rng.normal(size=(2000, 3)) * [0.25, 0.25, 0.07]
-    mean, last, estimates = data.truth[first], first, np.full_like(data.truth, np.nan)
-    scans = scan_points(data.second)
-    for k in range(first, len(data.truth)):
-        step = compose(invert(odometry[last]), odometry[k])
-        if np.hypot(step[0], step[1]) > 0.25 or abs(wrap(step[2])) > 0.2:
-            particles = _moved(particles, step, parameters, rng)
-            own = np.arange(scans.first[k], scans.first[k + 1])
-            if len(own):
-                seen = scans.points[own[np.linspace(0, len(own) - 1, min(60, len(own))).astype(int)]]
-                weights = _weights(particles, seen, field, parameters)
-                mean = _mean(particles, weights)
-                at = np.searchsorted(np.cumsum(weights), (np.arange(2000) + rng.uniform()) / 2000)
-                particles = particles[np.clip(at, 0, 1999)]
-            last = k
-            estimates[k] = mean
-    return estimates
 
 
 def in_grid(data: Halves) -> None:
@@ -282,46 +231,6 @@ def in_grid(data: Halves) -> None:
     print(
         f"tracking in a grid of 5 cm (threshold {best[2]}, sigma {best[3]} m), same scans: "
         f"{said(best[1][which], data.truth[which])}"
-    )
-
-
-def _moved(
-    particles: Floats, step: Floats, parameters: Mapping[str, float], rng: np.random.Generator
-) -> Floats:
-    way, turn = float(np.hypot(step[0], step[1])), float(wrap(step[2]))
-    before = float(np.arctan2(step[1], step[0])) if way > 0.01 else 0.0
-    after = float(wrap(turn - before))
-    a = min(abs(before), abs(wrap(before - np.pi)))  # backwards is as good as forwards
-    b = min(abs(after), abs(wrap(after - np.pi)))
-    n = len(particles)
-    a1, a2, a3, a4 = (parameters[f"alpha{k}"] for k in (1, 2, 3, 4))
-    first = before - rng.normal(size=n) * np.sqrt(a1 * a**2 + a2 * way**2)
-    length = way - rng.normal(size=n) * np.sqrt(a3 * way**2 + a4 * (a**2 + b**2))
-    second = after - rng.normal(size=n) * np.sqrt(a1 * b**2 + a2 * way**2)
-    x = particles[:, 0] + length * np.cos(particles[:, 2] + first)
-    y = particles[:, 1] + length * np.sin(particles[:, 2] + first)
-    return np.column_stack([x, y, particles[:, 2] + first + second])
-
-
-def _weights(
-    particles: Floats, seen: Floats, field: DistanceField, parameters: Mapping[str, float]
-) -> Floats:
-    cos, sin = np.cos(particles[:, 2:]), np.sin(particles[:, 2:])
-    x = particles[:, :1] + cos * seen[:, 0] - sin * seen[:, 1]
-    y = particles[:, 1:2] + sin * seen[:, 0] + cos * seen[:, 1]
-    i, j = ((x - field.low[0]) / field.cell).astype(int), ((y - field.low[1]) / field.cell).astype(int)
-    inside = (i >= 0) & (j >= 0) & (i < field.distance.shape[1]) & (j < field.distance.shape[0])
-    d = np.where(inside, field.distance[np.where(inside, j, 0), np.where(inside, i, 0)], 2.0)
-    p = parameters["z_hit"] * np.exp(-(d**2) / (2 * parameters["sigma_hit"] ** 2))
-    p = p + parameters["z_rand"] / parameters["laser_max_range"]
-    weights = 1.0 + (p**3).sum(axis=1)  # as AMCL has it
-    return np.asarray(weights / weights.sum())
-
-
-def _mean(particles: Floats, weights: Floats) -> Floats:
-    place = weights @ particles[:, :2]
-    return np.array(
-        [*place, np.arctan2(weights @ np.sin(particles[:, 2]), weights @ np.cos(particles[:, 2]))]
     )
 
 
