@@ -31,6 +31,7 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.exporting.amcl import DEFAULTS
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.global_search import find_places, local_view
+from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import known_map
 from sensorgraph.localization.likelihood_field import points_on
@@ -40,7 +41,6 @@ from sensorgraph.localization.matching import match
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
-from sensorgraph.world.identified_arena import walls_of
 
 Floats = NDArray[np.float64]
 RIGHT_PLACE, RIGHT_TURN = 0.5, 0.26
@@ -54,6 +54,8 @@ class Halves:
     """A graph of the first half, and the second half with its truth."""
 
     walls: Floats
+    normals: Floats
+    """(n_walls, 2) to where each was seen from."""
     seen: SeenSpace | None
     first: Run
     """Located: what the graph was built from."""
@@ -80,7 +82,7 @@ def halves(log: Path, work: Path, *, swapped: bool = False) -> Halves:
     if not path.exists():
         sg.build(part(located, *known), calibrate=False).save(path)
     graph = sg.Sensorgraph.load(path)
-    walls, seen = walls_of(graph), seen_by_graph(graph)
+    (walls, normals), seen = walls_of_graph(graph), seen_by_graph(graph)
     second = part(logs.read(log), *other)
     whole_part = part(located, *other)
     truth = logs.pair(whole_part).poses
@@ -89,7 +91,7 @@ def halves(log: Path, work: Path, *, swapped: bool = False) -> Halves:
     )
     if len(whole_part.poses) == whole_part.n_scans:  # stamps may repeat
         nearest = np.arange(whole_part.n_scans)
-    place, scans = known_map(walls, seen), scan_points(second)
+    place, scans = known_map(walls, seen, normals), scan_points(second)
     covered = np.zeros(len(truth), dtype=np.bool_)
     for k in range(len(truth)):
         own = scans.of(k)
@@ -97,7 +99,7 @@ def halves(log: Path, work: Path, *, swapped: bool = False) -> Halves:
             found = match(scans.points[own], scans.normals[own], place.surfaces, truth[k])
             covered[k] = found.agreement >= COVERED
     return Halves(
-        walls=walls, seen=seen, first=part(located, *known), second=second, truth=truth, covered=covered,
+        walls=walls, normals=normals, seen=seen, first=part(located, *known), second=second, truth=truth, covered=covered,
         truth_covariances=whole_part.pose_covariances[nearest],
     )  # fmt: skip
 
@@ -129,7 +131,7 @@ def errors(poses: Floats, truth: Floats) -> tuple[Floats, Floats]:
 
 def start(data: Halves, n_scans: int, n_places: int, rng: np.random.Generator) -> None:
     """Print how often a start without a guess is right, ambiguous, wrong or not found."""
-    place, scans = known_map(data.walls, data.seen), scan_points(data.second)
+    place, scans = known_map(data.walls, data.seen, data.normals), scan_points(data.second)
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(data.truth[:, :2], axis=0).T))])
     there = np.flatnonzero(data.covered & (driven > 2.0))
     tally = dict.fromkeys(("right", "ambiguous", "no place", "wrong"), 0)
@@ -158,7 +160,7 @@ def start(data: Halves, n_scans: int, n_places: int, rng: np.random.Generator) -
 def tracking(data: Halves) -> None:
     """Print the errors of the located second half."""
     began = time.monotonic()
-    found = locate_in_map(data.second, data.walls, seen=data.seen)
+    found = locate_in_map(data.second, data.walls, seen=data.seen, normals=data.normals)
     took = time.monotonic() - began
     states = np.array(found.status)
     for label, which in (("ok", states == "ok"), ("ok, covered", (states == "ok") & data.covered)):
@@ -213,7 +215,7 @@ def in_grid(data: Halves) -> None:
     assert motion is not None
     scans, odometry = scan_points(data.second, motion), odometry_at_scans(data.second, motion)
     steps = track(scans, data.second.stamps, odometry, lambda done, total: None)
-    ours = MapTracker(scans, data.second.stamps, steps, known_map(data.walls, data.seen)).run(
+    ours = MapTracker(scans, data.second.stamps, steps, known_map(data.walls, data.seen, data.normals)).run(
         lambda done, total: None
     )
     grid = grid_of(data.first)
@@ -246,7 +248,7 @@ def kidnapped(data: Halves, n: int, rng: np.random.Generator) -> None:
         one, two = (part(data.second, k, int(np.searchsorted(stamps, stamps[k] + span))) for k in (a, b))
         truth = np.concatenate([data.truth[a : a + one.n_scans], data.truth[b : b + two.n_scans]])
         try:
-            found = locate_in_map(_joined(one, two), data.walls, seen=data.seen)
+            found = locate_in_map(_joined(one, two), data.walls, seen=data.seen, normals=data.normals)
         except sg.errors.SensorgraphError:  # the scans fit nowhere
             tally["said to be lost within 2 s"] += 1
             continue

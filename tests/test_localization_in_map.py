@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 from localization_samples import ROOM, loop_poses, room_run
 
 from logs.run import Run
@@ -21,6 +22,7 @@ from sensorgraph.localization.map_tracking import least_fit_of
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
 
+FREE = shapely.Polygon([wall[:2] for wall in ROOM[:10]], [[wall[:2] for wall in ROOM[10:]]])
 WALLS = np.array(ROOM).reshape(-1, 2, 2)
 TRUTH = loop_poses(120)
 
@@ -119,15 +121,33 @@ def test_run_without_odometry_is_located_by_its_scans() -> None:
 def test_run_is_located_in_a_graph_of_cells() -> None:
     run = replace(room_run(TRUTH), pose_stamps=np.arange(120) / 5, poses=TRUTH)
     graph = build([run], model="cells")
-    walls = walls_of_graph(graph)
+    walls, normals = walls_of_graph(graph)
     ends = WALLS[:, 1] - WALLS[:, 0]
     share = ((walls.mean(axis=1)[:, None] - WALLS[:, 0]) * ends).sum(axis=2) / (ends**2).sum(axis=1)
     nearest = WALLS[:, 0] + np.clip(share, 0, 1)[..., None] * ends
     off = np.hypot(*(walls.mean(axis=1)[:, None] - nearest).transpose(2, 0, 1)).min(axis=1)
     assert len(walls) > 300 and np.quantile(off, 0.95) < 0.02  # the noise of returns
-    found = locate_in_map(room_run(TRUTH[20:60], seed=7), walls)
+    sided = normals.any(axis=1)
+    inwards = (walls.mean(axis=1) + 0.15 * normals)[sided]
+    assert sided.mean() > 0.8 and shapely.contains_xy(FREE, *inwards.T).mean() > 0.98
+    found = locate_in_map(room_run(TRUTH[20:60], seed=7), walls, normals=normals)
     distance = np.hypot(*errors(found.poses, TRUTH[20:60])[:, :2].T)
     assert set(found.status) == {"ok"} and distance.max() < 0.02
+
+
+def test_robot_behind_a_wall_is_not_drawn_to_the_side_that_was_mapped() -> None:
+    screen = [(4.94, 0.0, 4.94, 2.2), (5.06, 2.2, 5.06, 0.0)]
+    mapped = np.concatenate([WALLS, np.array(screen[:1]).reshape(-1, 2, 2)])  # its right side nobody has seen
+    ahead = mapped[:, 1] - mapped[:, 0]
+    normals = np.column_stack([-ahead[:, 1], ahead[:, 0]]) / np.hypot(*ahead.T)[:, None]
+    is_free = shapely.contains_xy(FREE, *(mapped.mean(axis=1) + 0.05 * normals).T)
+    normals[:-1] *= np.where(is_free, 1.0, -1.0)[:-1, None]  # that of the screen points left
+    right = np.column_stack([np.full(20, 6.3), np.linspace(1.0, 2.0, 20), np.full(20, 0.3)])
+    run = room_run(right, walls=[*ROOM, *screen])
+    off = [
+        errors(locate_in_map(run, mapped, normals=way).poses, right)[:, 0].max() for way in (None, normals)
+    ]
+    assert off[0] > 0.02 > 0.005 > off[1]
 
 
 def test_rays_into_space_that_nobody_mapped_do_not_count_against_a_place() -> None:

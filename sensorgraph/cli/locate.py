@@ -107,4 +107,4 @@ def _walls(place: Arena | Sensorgraph | None) -> Floats | None:
 
     if place is None:
         return None
-    return walls_of_graph(place) if isinstance(place, Sensorgraph) else place.walls
+    return walls_of_graph(place)[0] if isinstance(place, Sensorgraph) else place.walls

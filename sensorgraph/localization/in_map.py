@@ -26,6 +26,7 @@ def locate_in_map(
     walls: Floats,
     *,
     seen: SeenSpace | None = None,
+    normals: Floats | None = None,
     name: str = "the map",
     progress: ProgressBars = no_progress,
     settings: MapTrackingSettings = MAP_TRACKING,
@@ -36,6 +37,7 @@ def locate_in_map(
     ----------
     walls : (n, 2, 2) [m, map] both ends of each wall
     seen : where the map says what is there; None: everywhere
+    normals : (n, 2) unit, from each wall to where it was seen from; None, or 0, 0: it has one line for both sides
     name : of the map, for messages
 
     Raises
@@ -47,7 +49,7 @@ def locate_in_map(
     motion = odometry_of(run)
     scans = scan_points(run, motion)
     odometry = None if motion is None else odometry_at_scans(run, motion)
-    place = known_map(walls, seen)
+    place = known_map(walls, seen, normals)
     with progress("following the scans", "scans") as tick:
         steps = track(scans, run.stamps, odometry, tick)
     with progress(f"locating in {name}", "scans") as tick:

@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.branch_and_bound import MaxPyramid, SearchWindow
-from sensorgraph.localization.likelihood_field import LikelihoodField, field_of_points, points_on
+from sensorgraph.localization.likelihood_field import (
+    LikelihoodField,
+    field_of_points,
+    points_on,
+    points_with_owners,
+)
 from sensorgraph.localization.line_map import LineMap, line_map
 from sensorgraph.localization.map_settings import KNOWN_MAP, KnownMapSettings
 from sensorgraph.localization.seen_space import SeenSpace, is_ray_seen
@@ -88,7 +93,10 @@ class KnownMap:
 
 
 def known_map(
-    walls: Floats, seen: SeenSpace | None = None, settings: KnownMapSettings = KNOWN_MAP
+    walls: Floats,
+    seen: SeenSpace | None = None,
+    normals: Floats | None = None,
+    settings: KnownMapSettings = KNOWN_MAP,
 ) -> KnownMap:
     """Prepare a place.
 
@@ -96,6 +104,8 @@ def known_map(
     ----------
     walls : (n, 2, 2) [m, map] both ends of each wall
     seen : where the map says what is there; None: everywhere
+    normals : (n, 2) unit, from each wall to where it was seen from: no return from behind is matched to it; None, or
+        0, 0: both sides are the same line
 
     Raises
     ------
@@ -103,7 +113,7 @@ def known_map(
     """
     if len(walls) == 0:
         raise SensorgraphError("the map has no wall to find a robot by; give one with walls")
-    points = points_on(walls, settings.spacing)
+    points, owner = points_with_owners(walls, settings.spacing)
     fine = field_of_points(
         points_on(walls, settings.resolution / 2),
         resolution=settings.resolution,
@@ -113,7 +123,7 @@ def known_map(
     (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
     window = SearchWindow(x=(x0 + x1) / 2, y=(y0 + y1) / 2, half_x=(x1 - x0) / 2, half_y=(y1 - y0) / 2)
     return KnownMap(
-        surfaces=line_map(points),
+        surfaces=line_map(points, None if normals is None else normals[owner]),
         pyramid=MaxPyramid(field=coarse),
         field=fine,
         window=window,

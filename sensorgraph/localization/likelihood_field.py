@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.kernel import inner_kernel, kernel
-from sensorgraph.types import Floats
+from sensorgraph.types import Floats, Ints
 
 MAX_CELLS = 1 << 26
 """Of a grid, 64 MiB; where surfaces lie farther apart, its cells are made larger until it fits."""
@@ -82,13 +82,18 @@ def field_of_segments(segments: Floats, *, resolution: float = 0.05, sigma: floa
 
 def points_on(segments: Floats, spacing: float) -> Floats:
     """Return points (n, 2) on segments (n_segments, 2, 2), both ends included, at most `spacing` [m] apart."""
+    return points_with_owners(segments, spacing)[0]
+
+
+def points_with_owners(segments: Floats, spacing: float) -> tuple[Floats, Ints]:
+    """Return `points_on` segments, and for each point (n,) the segment on which it lies."""
     lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
     counts = np.ceil(lengths / spacing).astype(np.intp) + 1
     owner = np.repeat(np.arange(len(segments)), counts)
     rank = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
     share = rank / np.maximum(counts[owner] - 1, 1)
     points: Floats = segments[owner, 0] + share[:, None] * (segments[owner, 1] - segments[owner, 0])
-    return points
+    return points, owner
 
 
 @kernel

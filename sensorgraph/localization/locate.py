@@ -20,7 +20,7 @@ from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry_check import with_checked_odometry
 from sensorgraph.localization.result import Closure, Localization
-from sensorgraph.localization.seen_space import seen_by_graph
+from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
 from sensorgraph.types import Floats, ProgressBars, no_progress
 
 POSE_SOURCE = "locate"
@@ -63,10 +63,16 @@ def locate(
     if place is None:
         found = map_run(run, progress=progress)
     else:
-        walls = walls_of_graph(place) if isinstance(place, Sensorgraph) else place.walls
-        seen = seen_by_graph(place) if isinstance(place, Sensorgraph) else None
-        found = locate_in_map(run, walls, seen=seen, name=name, progress=progress)
+        walls, normals, seen = place_of(place)
+        found = locate_in_map(run, walls, seen=seen, normals=normals, name=name, progress=progress)
     return replace(found, notes=(*notes, *found.notes)) if notes else found
+
+
+def place_of(place: Arena | Sensorgraph) -> tuple[Floats, Floats | None, SeenSpace | None]:
+    """Return walls, their normals, and where it is known what is there, as `locate_in_map` takes them."""
+    if isinstance(place, Sensorgraph):
+        return *walls_of_graph(place), seen_by_graph(place)
+    return place.walls, None, None
 
 
 def has_reference(run: Run) -> bool:

@@ -63,6 +63,11 @@ def walls_of(graph: Sensorgraph) -> Floats:
     return _faces_of(graph)[1]
 
 
+def walls_with_normals(graph: Sensorgraph) -> tuple[Floats, Floats]:
+    """Return `walls_of` a graph, and for each the unit normal (n, 2) towards the space from which it was seen."""
+    return _faces_of(graph)[1:]
+
+
 def _faces_of(graph: Sensorgraph) -> tuple[Faces, Floats, Floats]:
     """Return the model, and walls (n, 2, 2) with their normals (n, 2)."""
     model = graph.model
