@@ -22,9 +22,25 @@ def make_heap(heap: Ints, size: int, costs: Floats) -> None:
 @outer_kernel
 def pop_least(heap: Ints, size: int, costs: Floats) -> int:
     """Take the index of the least cost off a heap of `size` entries; of equal costs, the least index comes first."""
-    least = heap[0]
-    heap[0] = heap[size - 1]
-    _sift_down(heap, 0, size - 1, costs)
+    least, moved, size = heap[0], heap[size - 1], size - 1
+    hole, child = 0, 1
+    while child + 1 < size:  # the hole sinks to a leaf, as what fills it came from one and will not rise far
+        a, b = heap[child], heap[child + 1]
+        child += (costs[b] < costs[a]) | ((costs[b] == costs[a]) & (b < a))
+        heap[hole] = heap[child]
+        hole, child = child, 2 * child + 1
+    if child < size:
+        heap[hole] = heap[child]
+        hole = child
+    cost = costs[moved]
+    while hole > 0:
+        above = (hole - 1) >> 1
+        a = heap[above]
+        if costs[a] < cost or (costs[a] == cost and a < moved):
+            break
+        heap[hole] = a
+        hole = above
+    heap[hole] = moved
     return int(least)
 
 

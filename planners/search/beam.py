@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planners.array_kernels import make_heap, pop_least
-from planners.kernel import inner_kernel, outer_kernel
+from planners.kernel import inlined_kernel, inner_kernel, outer_kernel
 from planners.search.kernel_goals import cell_distance, is_safe
 from planners.search.kernel_world import (
     PrimitiveArrays,
@@ -19,7 +19,7 @@ from planners.search.workspace import BeamSettings, Workspace, beam_room_kernel
 from planners.types import Floats, Int32s, Ints
 
 
-@inner_kernel
+@inlined_kernel
 def _expand(
     node: int,
     layer: int,
@@ -46,7 +46,9 @@ def _expand(
             continue
         gain, count = 0.0, 0
         for c in range(n_covered):
-            if _is_covered(node, covered[c], workspace.parents, workspace.n_covered, bins):
+            if settings.can_repeat and _is_covered(
+                node, covered[c], workspace.parents, workspace.n_covered, bins
+            ):
                 continue
             ci, ck = covered[c] // (n_phi * ny), (covered[c] // n_phi) % ny
             gain += world.value[ci, ck] * (
@@ -92,6 +94,9 @@ def beam_search(
     room = beam_room_kernel(settings.width, primitives.next_mode.shape[1])
     at, scores, hs, ms = workspace.places, workspace.scores, workspace.headings, workspace.modes
     pool, fill, costs = workspace.pool, workspace.pool_sizes, workspace.costs
+    slots = 4
+    while slots < 2 * settings.width + 2:
+        slots *= 2
     fill[:] = 0
     at[0, 0], at[0, 1], hs[0], ms[0] = state[0], state[1], int(state[2]), int(state[3])
     scores[0], workspace.parents[0], workspace.n_covered[0], workspace.total_covered[0] = 0.0, -1, 0, 0
@@ -113,7 +118,7 @@ def beam_search(
             key = lattice_key(
                 at[node, 0], at[node, 1], hs[node], ms[node], world, primitives, settings.lattice
             )
-            if find_slot(workspace.hash_keys, workspace.stamp[0], workspace.hash_stamps, key) >= 0:
+            if find_slot(workspace.hash_keys, slots, workspace.stamp[0], workspace.hash_stamps, key) >= 0:
                 continue  # a better one is there
             kept += 1
             if kept > settings.width:

@@ -112,45 +112,23 @@ def try_primitive(
 
     One loop on purpose: it is the innermost of all searches, inlined, and looks at each sample once for both questions.
     """
-    distance, need, missing, inner = world.distance, world.need, world.missing, world.inner
+    distance, need, inner = world.distance, world.need, world.inner
     offsets, bins, core = primitives.offsets, primitives.bins, primitives.core
     n_samples = bins.shape[3]
-    x0, y0, step, clearance = world.x0, world.y0, world.step, world.clearance
+    step, clearance = world.step, world.clearance
     per_step, per_cell = 1.0 / step, 1.0 / world.cell
+    x, y = x - world.x0, y - world.y0
     mx, my = distance.shape
     ny, n_phi = need.shape[1], need.shape[2]
-    n_covered = 0
-    run_id, run_start = -1, 0
-    run_inner = False
-    if primitives.stops_first[m, j]:
-        cell_u, cell_v = (x - x0) * per_cell, (y - y0) * per_cell
-        ci, ck, rim = int(cell_u), int(cell_v), STOP_MARGIN * per_cell
-        if (
-            need[ci, ck, primitives.heading_bin[h]]
-            and rim < cell_u - ci < 1 - rim
-            and rim < cell_v - ck < 1 - rim
-        ):
-            covered[0] = (ci * ny + ck) * n_phi + primitives.heading_bin[h]
-            n_covered = 1
-    period = primitives.sample_period[m, j]
     middle = n_samples // 2
-    i = int((x - x0 + offsets[h, m, j, middle, 0]) * per_step)
-    k = int((y - y0 + offsets[h, m, j, middle, 1]) * per_step)
+    i = int((x + offsets[h, m, j, middle, 0]) * per_step)
+    k = int((y + offsets[h, m, j, middle, 1]) * per_step)
     if i < 0 or k < 0 or i >= mx or k >= my:
         return False, 0
-    is_open = distance[i, k] >= clearance + primitives.max_offset  # no wall is near enough to matter
-    ci, ck = int((x - x0) * per_cell), int((y - y0) * per_cell)
-    ei = int((x - x0 + offsets[h, m, j, n_samples, 0]) * per_cell)
-    ek = int((y - y0 + offsets[h, m, j, n_samples, 1]) * per_cell)
-    wins_nothing = is_open and missing[ci, ck] + missing[ei, ek] + missing[ci, ek] + missing[ei, ck] == 0
-    if is_open and wins_nothing:
-        return True, n_covered
-    for s in range(n_samples + 1):
-        px = x - x0 + offsets[h, m, j, s, 0]
-        py = y - y0 + offsets[h, m, j, s, 1]
-        if not is_open:
-            u = px * per_step - 0.5
-            v = py * per_step - 0.5
+    if distance[i, k] < clearance + primitives.max_offset:  # a wall may be near enough to matter
+        for s in range(n_samples + 1):
+            u = (x + offsets[h, m, j, s, 0]) * per_step - 0.5
+            v = (y + offsets[h, m, j, s, 1]) * per_step - 0.5
             if u < 0.0 or v < 0.0:
                 return False, 0
             i, k = int(u), int(v)
@@ -162,13 +140,40 @@ def try_primitive(
                     return False, 0
                 if interpolate(distance, i, k, u - i, v - k) < clearance:
                     return False, 0
-        if wins_nothing:
-            continue
+    n_covered = 0
+    if primitives.stops_first[m, j]:
+        cell_u, cell_v = x * per_cell, y * per_cell
+        ci, ck, rim = int(cell_u), int(cell_v), STOP_MARGIN * per_cell
+        if (
+            need[ci, ck, primitives.heading_bin[h]]
+            and rim < cell_u - ci < 1 - rim
+            and rim < cell_v - ck < 1 - rim
+        ):
+            covered[0] = (ci * ny + ck) * n_phi + primitives.heading_bin[h]
+            n_covered = 1
+    period = primitives.sample_period[m, j]
+    least = min(world.dwell, world.inner_dwell) / period + min(primitives.core_margin, 0.5)
+    every = min(max(int(np.ceil(least - 1e-9)), 1), n_samples)  # samples in the shortest stay that counts
+    is_seen = False
+    for s in range(every - 1, n_samples, every):
+        cell_u, cell_v = (x + offsets[h, m, j, s, 0]) * per_cell, (y + offsets[h, m, j, s, 1]) * per_cell
+        ci, ck = int(cell_u), int(cell_v)
+        if need[ci, ck, bins[h, m, j, s]] and not (
+            inner[ci, ck]
+            and (abs(cell_u - ci - 0.5) > 0.25 or abs(cell_v - ck - 0.5) > 0.25 or not core[h, m, j, s])
+        ):
+            is_seen = True
+            break
+    if not is_seen:
+        return True, n_covered
+    run_id, run_start, run_inner = -1, 0, False
+    for s in range(n_samples + 1):
         bin_here = -1
         if s < n_samples:
-            cell_u, cell_v = px * per_cell, py * per_cell
+            cell_u = (x + offsets[h, m, j, s, 0]) * per_cell
+            cell_v = (y + offsets[h, m, j, s, 1]) * per_cell
             ci, ck = int(cell_u), int(cell_v)
-            if missing[ci, ck] > 0 and need[ci, ck, bins[h, m, j, s]]:
+            if need[ci, ck, bins[h, m, j, s]]:
                 bin_here = (ci * ny + ck) * n_phi + bins[h, m, j, s]
                 if inner[ci, ck] and (
                     abs(cell_u - ci - 0.5) > 0.25 or abs(cell_v - ck - 0.5) > 0.25 or not core[h, m, j, s]
@@ -255,9 +260,12 @@ def find_escape(
 
 
 @inner_kernel
-def find_slot(table: Ints, stamp: int, marks: Ints, key: int) -> int:
-    """Return the slot of `key` in an open hash table, or -1 - slot if it is new; other stamps mark what is free."""
-    mask = len(table) - 1
+def find_slot(table: Ints, size: int, stamp: int, marks: Ints, key: int) -> int:
+    """Return the slot of `key` in an open hash table, or -1 - slot if it is new; other stamps mark what is free.
+
+    size : slots that are used, a power of two; a small table stays in the processor's cache
+    """
+    mask = size - 1
     z = key * np.int64(-7046029254386353131)
     slot = int((z ^ (z >> 29)) & mask)
     while marks[slot] == stamp:

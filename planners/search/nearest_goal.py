@@ -47,7 +47,12 @@ def _expand_nearest(
             continue
         x2, y2, h2, m2 = end_state(x, y, h, m, j, primitives)
         key = 2 * lattice_key(x2, y2, h2, m2, world, primitives, settings.lattice) + (n_covered > 0)
-        if find_slot(workspace.hash_keys, workspace.stamp[0], workspace.hash_stamps, key) >= 0:
+        if (
+            find_slot(
+                workspace.hash_keys, len(workspace.hash_keys), workspace.stamp[0], workspace.hash_stamps, key
+            )
+            >= 0
+        ):
             continue
         later = (layer + primitives.cost[m, j]) % ring
         if n_nodes >= settings.goal_max_states:

@@ -37,6 +37,8 @@ class BeamSettings(NamedTuple):
     lattice: float
     """[m]"""
     guided_width: int
+    can_repeat: bool
+    """Whether a bin may be met twice within the horizon; a robot that spins meets each heading once in a revolution."""
 
 
 def beam_settings(settings: SearchSettings, primitives: MotionPrimitives) -> BeamSettings:
@@ -58,6 +60,9 @@ def beam_settings(settings: SearchSettings, primitives: MotionPrimitives) -> Bea
         overtime=s.overtime,
         lattice=s.lattice,
         guided_width=s.guided_width,
+        can_repeat=not (
+            primitives.omega and len(np.unique(primitives.heading_bin)) == primitives.n_headings >= horizon
+        ),
     )
 
 
