@@ -287,6 +287,6 @@ def _scale_of(terms: Terms, columns: Mapping[str, Floats]) -> Scale:
     values: dict[str, list[Floats]] = {}
     for term in terms:
         for f in term:
-            if f.function not in ("cos", "sin") and f.domain is None and f.signal in columns:
+            if f.is_scaled and f.signal in columns:
                 values.setdefault(f.variable, []).append(columns[f.signal])
     return Scale.of({name: np.concatenate(parts) for name, parts in values.items()})

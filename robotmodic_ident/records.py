@@ -153,11 +153,11 @@ def lagged(
     look_back = terms.max_lag if skip is None else skip
     if look_back < terms.max_lag:
         raise ValueError(f"skip is {skip}, but the terms look back {terms.max_lag} samples")
-    atoms = {f.signal: (f.variable, f.lag or 0) for term in terms for f in term}
+    atoms = {f.signal: (f.variable, f.lag or 0, f.minus) for term in terms for f in term}
     parts: dict[str, list[Floats]] = {name: [] for name in atoms}
     targets, owner, sample = [], [], []
     for i, record in enumerate(as_records(records)):
-        unknown = {v for v, _ in atoms.values()} | set(outputs)
+        unknown = {v for v, _, _ in atoms.values()} | set(outputs)
         unknown -= set(record.signals)
         if unknown:
             names = ", ".join(sorted(unknown))
@@ -167,7 +167,10 @@ def lagged(
             k = np.arange(piece.start + look_back, piece.stop, dtype=np.intp)
             if len(k) == 0:
                 continue
-            rows = {name: data[v][k - lag] for name, (v, lag) in atoms.items()}
+            rows = {
+                name: data[v][k - lag] - (0.0 if minus is None else data[v][k - minus])
+                for name, (v, lag, minus) in atoms.items()
+            }
             known = np.ones(len(k), dtype=np.bool_)
             for values in rows.values():
                 known &= np.isfinite(values)

@@ -16,13 +16,16 @@ from robotmodic_ident.scale import UNSCALED, Scale
 from robotmodic_ident.types import Floats
 
 CONSTANT = "1"
+PLAIN_FUNCTIONS = ("cos", "sin", "abs", "tanh")
+"""Functions of a signal in the user's units."""
 _SIGNAL = r"(?P<variable>[A-Za-z_]\w*)(?:\(\s*k\s*(?:-\s*(?P<lag>\d+)\s*)?(?P<lagged>\)))?"
+_MINUS = r"(?:\s*-\s*(?P<same>[A-Za-z_]\w*)\(\s*k\s*-\s*(?P<minus>\d+)\s*\))?"
 _NUMBER = r"\d+\.?\d*(?:e[+-]?\d+)?"
-_WAVE = r"(?P<wave>cos|sin)\(\s*(?:(?P<times>\d+)\s*\*\s*)?"
+_WAVE = r"(?P<wave>cos|sin|abs|tanh)\(\s*(?:(?P<times>\d+)\s*\*\s*)?"
 _SHAPE = r"(?P<shape>[PTBW])(?P<order>\d+)(?:_(?P<first>\d+))?(?:of(?P<second>\d+))?\((?!\s*k\s*[-)])\s*"
-_DOMAIN = rf"\s*(?P<sign>[+-])\s*(?P<centre>{_NUMBER})\s*\)\s*/\s*(?P<width>{_NUMBER})\s*"
+_DOMAIN = rf"(?:\s*(?P<sign>[+-])\s*(?P<centre>{_NUMBER}))?\s*\)\s*/\s*(?P<width>{_NUMBER})\s*"
 _FACTOR = re.compile(
-    rf"\s*(?:{_WAVE}|{_SHAPE}(?P<open>\()?)?{_SIGNAL}(?:{_DOMAIN})?\s*(?P<close>\))?"
+    rf"\s*(?:(?:{_WAVE}|{_SHAPE})(?P<open>\()?)?{_SIGNAL}{_MINUS}(?:{_DOMAIN})?\s*(?P<close>\))?"
     r"\s*(?:\^\s*(?P<power>\d+))?\s*(?P<more>\*|$)"
 )
 
@@ -36,18 +39,26 @@ class Factor:
     """[samples]; None: a static variable, printed without `(k)`."""
     power: int = 1
     function: str = ""
-    """`cos`, `sin`, a letter of `shapes.SHAPES`, or nothing."""
+    """`cos`, `sin`, `abs`, `tanh`, a letter of `shapes.SHAPES`, or nothing."""
     harmonic: int = 1
     """Of cos and sin; degree of a polynomial or spline; level of a wavelet."""
     part: tuple[int, int] = (0, 0)
     """Which spline of how many; shift of a wavelet."""
     domain: tuple[float, float] | None = None
-    """(centre, width) of a shape's argument; None: as the model scales the variable."""
+    """(centre, width) of the argument of a shape, which None leaves to the model's scale, or of tanh."""
+    minus: int | None = None
+    """[samples] larger lag whose value is subtracted inside abs and tanh: `abs(y(k-1)-y(k-2))`, a speed."""
 
     @property
     def signal(self) -> str:
-        """The column that it reads: `y(k-1)`, `u(k)`, `x`."""
-        return signal_name(self.variable, self.lag)
+        """The column that it reads: `y(k-1)`, `u(k)`, `x`, `y(k-1)-y(k-2)`."""
+        name = signal_name(self.variable, self.lag)
+        return name if self.minus is None else f"{name}-{signal_name(self.variable, self.minus)}"
+
+    @property
+    def look_back(self) -> int:
+        """[samples]"""
+        return max(self.lag or 0, self.minus or 0)
 
     @property
     def degree(self) -> int:
@@ -55,14 +66,26 @@ class Factor:
         return self.power * (self.harmonic + (self.function == "W"))
 
     @property
+    def width(self) -> float:
+        """Of a tanh: [units of the signal] beyond it the sign is all that is left."""
+        return 1.0 if self.domain is None else self.domain[1]
+
+    @property
     def is_shape(self) -> bool:
         """Tell whether it is a function of the scaled variable other than a power."""
         return self.function in SHAPES
+
+    @property
+    def is_scaled(self) -> bool:
+        """Tell whether it reads the variable as the model scales it."""
+        return self.domain is None and self.function not in PLAIN_FUNCTIONS
 
     def __str__(self) -> str:
         inner = self.signal
         if self.is_shape:
             inner = f"{shape_name(self.function, self.harmonic, self.part)}({_argument(inner, self.domain)})"
+        elif self.function == "tanh":
+            inner = f"tanh(({inner})/{self.width!r})"
         elif self.function:
             inner = f"{self.function}({'' if self.harmonic == 1 else f'{self.harmonic}*'}{inner})"
         return inner if self.power == 1 else f"{inner}^{self.power}"
@@ -94,7 +117,7 @@ def _parse_term(text: str) -> Term:
     position = 0
     while True:
         match = _FACTOR.match(text, position)
-        if not match or match["variable"] in ("cos", "sin") or not _is_closed(match):
+        if not match or match["variable"] in PLAIN_FUNCTIONS or not _is_closed(match):
             raise IdentError(
                 f"cannot read the term {text!r} at {text[position:]!r}; "
                 "expected a form like y(k-1)*u(k)^2, x^2*y, cos(2*phi), P3(x), B3_0of8(x), W2_1(x) or 1"
@@ -106,8 +129,15 @@ def _parse_term(text: str) -> Term:
 
 
 def _is_closed(match: re.Match[str]) -> bool:
-    """Tell whether every bracket that was opened is closed, and no other."""
-    if (match["open"] is not None) != (match["sign"] is not None):
+    """Tell whether every bracket that was opened is closed, and no other, and each function has its argument."""
+    wave, is_wide = match["wave"], match["width"] is not None
+    if (match["open"] is not None) != is_wide or (is_wide and wave and wave != "tanh"):
+        return False
+    if (is_wide and (match["sign"] is None) != (wave == "tanh")) or ((wave == "tanh") and not is_wide):
+        return False
+    if match["same"] and (match["same"] != match["variable"] or wave not in ("abs", "tanh")):
+        return False
+    if match["times"] and wave not in ("cos", "sin"):
         return False
     return bool(match["wave"] or match["shape"]) == bool(match["close"])
 
@@ -118,14 +148,20 @@ def _factor(match: re.Match[str], text: str) -> Factor:
     harmonic = int(match["order"] or match["times"] or 1)
     part = (int(match["first"] or 0), int(match["second"] or 0))
     domain = None
-    if match["sign"]:
-        domain = float(match["sign"] + match["centre"]) * -1.0, float(match["width"])
+    if match["width"]:
+        centre = float(match["sign"] + match["centre"]) * -1.0 if match["sign"] else 0.0
+        domain = centre, float(match["width"])
+    minus = int(match["minus"]) if match["minus"] else None
+    if (minus is not None and (lag is None or minus <= lag)) or (domain and domain[1] <= 0):
+        raise IdentError(
+            f"term {text!r}: expected the difference from an earlier sample, and a width above 0"
+        )
     function = match["shape"] or match["wave"] or ""
     if power < 1 or (harmonic < 1 and function not in ("B", "W")):
         raise IdentError(f"term {text!r} has a power or harmonic of 0; leave that factor out")
     if match["shape"]:
         check_shape(function, match["first"] is not None, match["second"] is not None, part, harmonic, text)
-    return Factor(match["variable"], lag, power, function, harmonic, part, domain)
+    return Factor(match["variable"], lag, power, function, harmonic, part, domain, minus)
 
 
 def _merged(factors: Iterable[Factor]) -> Term:
@@ -144,7 +180,7 @@ def term_name(term: Term) -> str:
 
 def canonical_key(term: Term) -> tuple[int, int, int, str]:
     """Order terms by degree, largest lag, sum of lags, name: the rule that resolves ties."""
-    lags = [f.lag or 0 for f in term]
+    lags = [f.look_back for f in term]
     return sum(f.degree for f in term), max(lags, default=0), sum(lags), term_name(term)
 
 
@@ -192,7 +228,7 @@ class Terms:
     @cached_property
     def max_lag(self) -> int:
         """[samples] the farthest look back."""
-        return max((f.lag or 0 for term in self.table for f in term), default=0)
+        return max((f.look_back for term in self.table for f in term), default=0)
 
     @cached_property
     def canonical_order(self) -> NDArray[np.intp]:
@@ -304,6 +340,8 @@ def _values(f: Factor, signal: Floats, scale: Scale) -> Floats:
     if f.function in ("cos", "sin"):
         angle = f.harmonic * signal
         return np.cos(angle) if f.function == "cos" else np.sin(angle)
+    if f.function in ("abs", "tanh"):
+        return np.abs(signal) if f.function == "abs" else np.tanh(signal / f.width)
     if f.domain is not None:
         scaled = (signal - f.domain[0]) / f.domain[1]
     else:

@@ -84,6 +84,7 @@ def test_armax_is_the_linear_case() -> None:
         ["1", "y(k-1)", "u(k-1)*y(k-2)", "y(k-1)^2*y(k-2)", "e(k-1)", "e(k-1)*e(k-2)", "y(k-1)*e(k-2)"],
         ["u(k)", "P2(y(k-1))", "T3(y(k-2))", "e(k-2)"],
         ["u(k)", "B3_2of7(y(k-1))", "W1_1(y(k-1))", "cos(2*y(k-2))", "sin(y(k-1))*u(k-1)"],
+        ["y(k-1)", "u(k)", "tanh((y(k-1)-y(k-3))/0.4)", "abs(y(k-1)-y(k-2))*u(k)", "abs(y(k-2))*e(k-1)"],
     ],
 )
 def test_gradient_of_a_run_equals_finite_differences(names: list[str], free: bool) -> None:

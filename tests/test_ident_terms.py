@@ -146,3 +146,24 @@ def test_missing_signal_is_named() -> None:
 
 def test_lags_are_named_from_now_backwards() -> None:
     assert lags("u", 0, 2) == ["u(k)", "u(k-1)", "u(k-2)"]
+
+
+def test_functions_of_a_difference_read_two_lags_and_print_as_they_are_read() -> None:
+    names = ("abs(y(k-1)-y(k-3))", "tanh((y(k-1)-y(k-2))/0.5)*u(k)", "abs(u(k))", "tanh((u(k))/2.0)")
+    terms = Terms.parse(*names)
+    assert terms.names == names
+    assert terms.max_lag == 3
+    y, u = np.array([0.3, -1.0, 2.0, 0.5]), np.array([1.0, -2.0, 3.0, 4.0])
+    rows = lagged(Record(signals={"y": y, "u": u}), terms, ["y"])
+    expected = [abs(2.0 - 0.3), np.tanh((2.0 + 1.0) / 0.5) * 4.0, 4.0, np.tanh(2.0)]
+    np.testing.assert_allclose(terms.matrix(rows.columns)[0], expected, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["y(k-1)-y(k-2)", "cos(y(k-1)-y(k-2))", "abs(y(k-2)-y(k-1))", "tanh(y(k-1))", "abs(y(k-1)-u(k-2))",
+     "tanh((y(k-1))/0)", "abs((y(k))/2)"],
+)  # fmt: skip
+def test_a_difference_that_is_none_is_refused(name: str) -> None:
+    with pytest.raises(IdentError, match="expected"):
+        Terms.parse(name)

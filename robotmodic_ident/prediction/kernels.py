@@ -14,9 +14,11 @@ from robotmodic_ident.kernel import inner_kernel, kernel
 from robotmodic_ident.types import Floats, Ints
 
 KIND_POWER, KIND_COS, KIND_SIN, KIND_LEGENDRE, KIND_CHEBYSHEV, KIND_SPLINE, KIND_WAVELET = range(7)
+KIND_ABS, KIND_TANH = 7, 8
 """Kinds of factors."""
-COL_LAG, COL_OF_NOISE, COL_KIND, COL_HARMONIC, COL_FIRST, COL_SECOND, COL_EXPONENT = range(7)
+COL_LAG, COL_OF_NOISE, COL_KIND, COL_HARMONIC, COL_FIRST, COL_SECOND, COL_EXPONENT, COL_MINUS = range(8)
 """Columns of the integer table of factors."""
+N_COLUMNS = 8
 GROUP_NUMERATOR, GROUP_DENOMINATOR, GROUP_NOISE = range(3)
 """Where a term stands: ŷ = Σ numerator / (1 + Σ denominator) + Σ noise."""
 DIVERGED = 1e150
@@ -57,6 +59,10 @@ def shape(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
     if kind == KIND_WAVELET:
         r = 2.0**harmonic * (t + 1.0) / 2.0 - first
         return (1.0 - r * r) * math.exp(-0.5 * r * r)
+    if kind == KIND_ABS:
+        return abs(t)
+    if kind == KIND_TANH:
+        return math.tanh(t)
     return t
 
 
@@ -88,7 +94,19 @@ def slope(kind: int, harmonic: int, first: int, second: int, t: float) -> float:
     if kind == KIND_WAVELET:
         r = 2.0**harmonic * (t + 1.0) / 2.0 - first
         return (r * r - 3.0) * r * math.exp(-0.5 * r * r) * 2.0**harmonic / 2.0
+    if kind == KIND_ABS:
+        return math.copysign(1.0, t)
+    if kind == KIND_TANH:
+        return 1.0 - math.tanh(t) ** 2
     return 1.0
+
+
+@inner_kernel
+def argument(row: Ints, source: Floats, k: int) -> float:
+    """Return what a factor reads at sample k: a value, or the difference of two."""
+    if row[COL_MINUS]:
+        return float(source[k - row[COL_LAG]] - source[k - row[COL_MINUS]])
+    return float(source[k - row[COL_LAG]])
 
 
 @inner_kernel
@@ -136,7 +154,7 @@ def value_at(
         v = base[k, j]
         for i in range(starts[j], starts[j + 1]):
             source = noise if table[i, COL_OF_NOISE] else past
-            v *= factor(table[i], scales[i, 0], scales[i, 1], source[k - table[i, COL_LAG]])
+            v *= factor(table[i], scales[i, 0], scales[i, 1], argument(table[i], source, k))
         phi[j] = v
         if group[j] == GROUP_NUMERATOR:
             top += theta[j] * v
@@ -174,7 +192,7 @@ def run(
     theta : (n_terms,)
     group : (n_terms,) numerator, denominator or noise
     starts : (n_terms + 1,) rows of `table` of each term
-    table : (n_factors, 7) integers of each factor that feeds back
+    table : (n_factors, N_COLUMNS) integers of each factor that feeds back
     scales : (n_factors, 2) centre and width
     measured : (n,) outputs; nan: not known
     limits : (2,) the output is held between them
@@ -261,13 +279,18 @@ def fill_gradient(
             if of_noise and not math.isfinite(past[before]):
                 continue  # noise that is not known counts as 0 whatever theta is
             source = noise if of_noise else past
-            inner = base[k, j] * factor_slope(table[i], scales[i, 0], scales[i, 1], source[before])
+            inner = base[k, j] * factor_slope(
+                table[i], scales[i, 0], scales[i, 1], argument(table[i], source, k)
+            )
             for other in range(starts[j], starts[j + 1]):
                 if other != i:
                     row = table[other]
                     side = noise if row[COL_OF_NOISE] else past
-                    inner *= factor(row, scales[other, 0], scales[other, 1], side[k - row[COL_LAG]])
-            by_lag[table[i, COL_LAG]] += outer * theta[j] * inner * (-1.0 if of_noise else 1.0)
+                    inner *= factor(row, scales[other, 0], scales[other, 1], argument(row, side, k))
+            weight = outer * theta[j] * inner * (-1.0 if of_noise else 1.0)
+            by_lag[table[i, COL_LAG]] += weight
+            if table[i, COL_MINUS]:
+                by_lag[table[i, COL_MINUS]] -= weight
     add_earlier(k, by_lag, gradient)
 
 

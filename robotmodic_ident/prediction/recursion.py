@@ -27,6 +27,8 @@ KIND_OF_FUNCTION = {
     "T": kernels.KIND_CHEBYSHEV,
     "B": kernels.KIND_SPLINE,
     "W": kernels.KIND_WAVELET,
+    "abs": kernels.KIND_ABS,
+    "tanh": kernels.KIND_TANH,
 }
 
 
@@ -68,7 +70,7 @@ class Recursion:
         self._check(feeds)
         self.starts = np.cumsum([0, *map(len, feeds)]).astype(np.int64)
         rows = [self._row(f) for some in feeds for f in some]
-        self.table = np.array([row for row, _ in rows], dtype=np.int64).reshape(-1, 7)
+        self.table = np.array([row for row, _ in rows], dtype=np.int64).reshape(-1, kernels.N_COLUMNS)
         self.scales = np.array([pair for _, pair in rows], dtype=np.float64).reshape(-1, 2)
         self.feeds_back = bool((self.table[:, kernels.COL_OF_NOISE] == 0).any())
         """Whether past outputs come in."""
@@ -83,8 +85,9 @@ class Recursion:
 
     def _row(self, f: Factor) -> tuple[list[int], tuple[float, float]]:
         of_noise = int(f.variable == NOISE_NAME)
-        pair = (0.0, 1.0) if f.function in ("cos", "sin") else f.domain or self.scale.pair(f.variable)
-        return [f.lag or 0, of_noise, KIND_OF_FUNCTION[f.function], f.harmonic, *f.part, f.power], pair
+        pair = self.scale.pair(f.variable) if f.is_scaled else f.domain or (0.0, 1.0)
+        kind = KIND_OF_FUNCTION[f.function]
+        return [f.lag or 0, of_noise, kind, f.harmonic, *f.part, f.power, f.minus or 0], pair
 
     def segments(self, record: Record) -> Iterator[Segment]:
         """Evaluate the input part of every term over each segment of a record."""
@@ -106,8 +109,11 @@ class Recursion:
             tuple(f for f in t if f.variable not in (self.output, NOISE_NAME)) for t in self.table_of_terms
         ]
         distinct = list(dict.fromkeys(inputs))
-        atoms = {f.signal: (f.variable, f.lag or 0) for term in distinct for f in term}
-        columns = {name: _delayed(data[variable], lag) for name, (variable, lag) in atoms.items()}
+        atoms = {f.signal: (f.variable, f.lag or 0, f.minus) for term in distinct for f in term}
+        columns = {
+            name: _delayed(data[v], lag) - (0.0 if minus is None else _delayed(data[v], minus))
+            for name, (v, lag, minus) in atoms.items()
+        }
         parts = np.empty((n, len(distinct)))
         for j, term in enumerate(distinct):
             parts[:, j] = Terms((term,)).matrix(columns, self.scale, n=n)[:, 0]

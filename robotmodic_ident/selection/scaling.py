@@ -19,12 +19,7 @@ def scale_for(terms: Terms, rows: LaggedData) -> Scale:
     """Divide every variable by its size; centre it, at a round number, where it lies far from 0."""
     names, centres, widths = [], [], []
     for variable in terms.variables:
-        signals = {
-            f.signal
-            for term in terms
-            for f in term
-            if f.variable == variable and f.function not in ("cos", "sin") and f.domain is None
-        }
+        signals = {f.signal for term in terms for f in term if f.variable == variable and f.is_scaled}
         if not signals:
             continue
         low = min(float(rows.columns[name].min()) for name in signals)
