@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from robotmodic_ident import AutoFit, AutoSettings, auto_fit
-from robotmodic_ident.automatic import AUTO
+from robotmodic_ident.trials import AUTO
 
 
 class Context(Protocol):

@@ -22,7 +22,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from robotmodic_ident.automatic import AutoFit, AutoSettings, auto_fit, output_limits
+    from robotmodic_ident.automatic import AutoFit, auto_fit
     from robotmodic_ident.bases import BASES, bspline, chebyshev, fourier, legendre, polynomial, wavelet
     from robotmodic_ident.errors import IdentError
     from robotmodic_ident.fitting import fit
@@ -30,9 +30,11 @@ if TYPE_CHECKING:
     from robotmodic_ident.moments import Moments
     from robotmodic_ident.records import LaggedData, Record, blocks, halves, lagged, lags
     from robotmodic_ident.scale import Scale
+    from robotmodic_ident.selection.candidates import output_limits
     from robotmodic_ident.selection.exact_dependence import Dependence, independent
     from robotmodic_ident.selection.select import Selection, select
     from robotmodic_ident.terms import Terms
+    from robotmodic_ident.trials import AutoSettings
     from robotmodic_ident.validation.residual_tests import ResidualTest, false_discoveries, validate
     from robotmodic_ident.validation.score import (
         Extrapolation,
@@ -84,9 +86,9 @@ __all__ = [
 
 _HOMES = {
     "AutoFit": "robotmodic_ident.automatic",
-    "AutoSettings": "robotmodic_ident.automatic",
+    "AutoSettings": "robotmodic_ident.trials",
     "auto_fit": "robotmodic_ident.automatic",
-    "output_limits": "robotmodic_ident.automatic",
+    "output_limits": "robotmodic_ident.selection.candidates",
     "BASES": "robotmodic_ident.bases",
     "bspline": "robotmodic_ident.bases",
     "chebyshev": "robotmodic_ident.bases",

@@ -39,6 +39,7 @@ def to_c(model: Narmax, *, name: str | None = None) -> str:
     Past outputs are signals as any other: fed with measurements it predicts one step ahead, fed with its own
     results it runs free. Noise terms are left out (their expectation is 0). Variables far from 0 stay centred.
     """
+    _check_signed(model)
     plain = polynomial_part(model.readable(MAX_CANCELLATION_IN_C))
     function = name or f"{model.output}_step"
     if not re.fullmatch(r"[A-Za-z_]\w*", function):
@@ -71,6 +72,14 @@ def to_c(model: Narmax, *, name: str | None = None) -> str:
     )
 
 
+def _check_signed(model: Narmax) -> None:
+    if model.is_magnitude:
+        raise IdentError(
+            f"the terms are of the signed {model.output}, of which the magnitude is measured; write "
+            "replace(model, is_magnitude=False), and take the magnitude of what it gives"
+        )
+
+
 def _c_factors(term: Term, place: dict[str, int], scale: Scale) -> str:
     text = ""
     for f in term:
@@ -86,6 +95,7 @@ def _c_factors(term: Term, place: dict[str, int], scale: Scale) -> str:
 
 def to_latex(model: Narmax, *, digits: int = 4, per_line: int = 3) -> str:
     r"""Return the equation as LaTeX, in an `aligned` block where it needs more than one line."""
+    _check_signed(model)
     plain = polynomial_part(model.readable(max_cancellation(digits)))
     left = _latex_name(model.output) + ("(k)" if model.is_dynamic else "")
     low, high = model.limits

@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimation.simulation_error import initial_outputs
 from robotmodic_ident.files import atomic_file
-from robotmodic_ident.notation.expand import expand
+from robotmodic_ident.notation.expand import expand, unscaled
 from robotmodic_ident.notation.model_file import from_plain, to_plain
 from robotmodic_ident.notation.printing import (
     limited_text,
@@ -24,6 +24,7 @@ from robotmodic_ident.notation.printing import (
     sum_text,
     total_size,
 )
+from robotmodic_ident.prediction.magnitude import with_signs
 from robotmodic_ident.prediction.recursion import UNLIMITED, Recursion, Segment
 from robotmodic_ident.records import Record, as_records, standing_before
 from robotmodic_ident.scale import UNSCALED, Scale
@@ -78,6 +79,8 @@ class Narmax:
     """Variable -> half its span in the fit, where the scale no longer says; tells what cancels far from 0."""
     limits: tuple[float, float] = UNLIMITED
     """[units of the output] between which the output is held: a full tank, the end of a travel."""
+    is_magnitude: bool = False
+    """Whether only the magnitude of the output is measured; the terms are of the signed output."""
     notes: tuple[str, ...] = ()
     """What the user should know: dependent terms left out, few samples, ..."""
 
@@ -179,9 +182,9 @@ class Narmax:
 
     def without_widths(self) -> Narmax:
         """Return the same model with every variable centred as before but no longer divided by its width."""
-        below, below_factor = _unscaled(self.denominator, self.scale)
-        terms, factor = _unscaled(self.terms, self.scale)
-        noise, noise_factor = _unscaled(self.noise_terms, self.scale)
+        below, below_factor = unscaled(self.denominator, self.scale)
+        terms, factor = unscaled(self.terms, self.scale)
+        noise, noise_factor = unscaled(self.noise_terms, self.scale)
         total = np.concatenate([factor, below_factor, noise_factor])
         return replace(
             self,
@@ -224,6 +227,8 @@ class Narmax:
             tail = sum_text(form.noise_terms, form.noise_theta, digits=digits, scale=scale)
             text += f" - {tail[1:]}" if tail.startswith("-") else f" + {tail}"
         text = limited_text(text, self.limits)
+        if self.is_magnitude:
+            return f"|{form.output}(k)| is measured, {form.output}(k) = {text}"
         return f"{form.output}(k) = {text}" if form.is_dynamic else f"{form.output} = {text}"
 
     def __repr__(self) -> str:
@@ -313,8 +318,9 @@ class Narmax:
         out = np.full(len(record), np.nan)
         recursion = self.recursion()
         for segment in recursion.segments(record):
-            out[segment.piece] = run(recursion, segment)
-        return out
+            some = with_signs(recursion, segment) if self.is_magnitude else segment
+            out[segment.piece] = run(recursion, some)
+        return np.abs(out) if self.is_magnitude else out
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain data."""
@@ -368,19 +374,3 @@ def among(model: Narmax, terms: Terms) -> Narmax:
         err=np.full(len(terms), np.nan),
         covariance=np.zeros((n, n)),
     )
-
-
-def _unscaled(terms: Terms, scale: Scale) -> tuple[Terms, Floats]:
-    """Return terms whose shapes hold their own domain, and what the widths of the others divide (n_terms,)."""
-    table, factors = [], []
-    for term in terms:
-        moved, factor = [], 1.0
-        for f in term:
-            if f.is_shape and f.domain is None and f.variable in scale.variables:
-                f = replace(f, domain=scale.pair(f.variable))
-            elif not f.function:
-                factor /= scale.pair(f.variable)[1] ** f.power
-            moved.append(f)
-        table.append(tuple(moved))
-        factors.append(factor)
-    return Terms(tuple(table)), np.array(factors, dtype=np.float64)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter
 
 from benchmarks.identibench_model import build_model
 from robotmodic_ident import (
@@ -21,9 +21,18 @@ from robotmodic_ident import (
     output_limits,
     polynomial,
 )
+from robotmodic_ident.automatic import linear_orders
 from robotmodic_ident.estimation.simulation_error import FreeRunLeastSquares
 from robotmodic_ident.model import among
+from robotmodic_ident.prediction.recursion import UNLIMITED
 from robotmodic_ident.selection.free_run_terms import SHORT_DESCENT, TRIAL, FreeRunTerms
+from robotmodic_ident.selection.hidden_stretches import WARM_UP, HiddenStretches
+from robotmodic_ident.selection.readable_forms import (
+    FrictionSearch,
+    SignSearch,
+    friction_models,
+    magnitude_models,
+)
 
 FEW = AutoSettings(orders=(2, 3), degrees=(3,), n_folds=2)
 TRUTH = {"y(k-1)": 1.2, "y(k-2)": -0.5, "u(k-1)": 0.4, "y(k-1)^3": -0.1}
@@ -213,7 +222,83 @@ def test_a_long_record_of_an_integrator_ends_in_a_model_that_does_not_run_away()
             y[k] = y[k - 1] + 0.02 * v
         return {"u": u, "y": y}
 
-    few = AutoSettings(orders=(2,), degrees=(2,), n_folds=2, max_rows=600)
+    few = AutoSettings(orders=(2,), degrees=(2,), n_folds=2, max_rows=600, min_unexplained=np.inf)
     fresh = motor(2)
     run = auto_fit(motor(1), "y", ["u"], settings=few).model.predict_mpo(fresh, warm_up=20)
     assert np.sqrt(np.mean((run - fresh["y"])[20:] ** 2)) < 2.0 * np.std(fresh["y"])
+
+
+def coasting(n: int, seed: int) -> dict[str, np.ndarray]:
+    """Run a motor against dry friction, driven in both directions; its position is measured with little noise."""
+    rng = np.random.default_rng(seed)
+    u, y, v = np.repeat(rng.uniform(-1, 1, n // 50), 50), np.zeros(n), 0.0
+    for k in range(1, n):
+        v += 0.02 * (u[k] - y[k - 1] - 0.3 * v - 0.25 * np.tanh(v / 0.01))
+        y[k] = y[k - 1] + 0.02 * v
+    return {"u": u, "y": y + 1e-4 * rng.normal(size=n)}
+
+
+@pytest.mark.slow
+def test_dry_friction_is_found_alone_where_a_slope_does_not_do() -> None:
+    few = AutoSettings(orders=(2,), degrees=(1,), n_folds=2)
+    train, fresh = coasting(1500, 31), coasting(1500, 32)
+
+    def error(model: Narmax) -> float:
+        run = model.predict_mpo(fresh, warm_up=20)
+        return float(np.sqrt(np.mean((run - fresh["y"])[20:] ** 2)) / np.std(fresh["y"]))
+
+    model = auto_fit(train, "y", ["u"], settings=few).model
+    (friction,) = [i for i, name in enumerate(model.terms.names) if name.startswith("tanh((y(k-1)-y(k-")]
+    assert model.theta[friction] == pytest.approx(-(0.02**2) * 0.25, rel=0.2)
+    without = auto_fit(train, "y", ["u"], settings=replace(few, min_unexplained=np.inf)).model
+    assert error(model) < 0.05 < 0.1 < error(without)
+
+
+def pendulum(n: int, seed: int) -> dict[str, np.ndarray]:
+    """Return a resonance of which the magnitude alone is measured."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1, 1, n // 10 + 1), 10)[:n]
+    x = lfilter([0.0, 0.05, 0.04], [1.0, -1.8, 0.9], u)
+    return {"u": u, "y": np.abs(x) + 0.005 * rng.normal(size=n)}
+
+
+def test_friction_of_a_motor_comes_back() -> None:
+    record = Record(signals=coasting(800, 33))
+    (model,) = friction_models([record], "y", ["u"], 2, UNLIMITED, FrictionSearch(spans=(1,), shares=(0.03,)))
+    (friction,) = [i for i, name in enumerate(model.terms.names) if name.startswith("tanh((y(k-1)-y(k-2))/")]
+    assert model.theta[friction] == pytest.approx(-(0.02**2) * 0.25, rel=0.2)
+
+
+def test_the_lost_sign_of_an_output_is_found() -> None:
+    record, fresh = Record(signals=pendulum(400, 41)), pendulum(300, 42)
+    search = SignSearch(time_constants=(4.0,), delays=(2,))
+    (model,) = magnitude_models([record], "y", ["u"], 2, search)
+    names = found(model)
+    assert names["y(k-1)"] == pytest.approx(1.8, abs=0.01)
+    assert names["y(k-2)"] == pytest.approx(-0.9, abs=0.01)
+    assert model.equation().startswith("|y(k)| is measured, y(k) = ")
+    again = Narmax.from_dict(model.to_dict())
+    run = again.predict_mpo(fresh, warm_up=15)
+    assert np.sqrt(np.mean((run - fresh["y"])[15:] ** 2)) < 0.03 * np.std(fresh["y"])
+    assert (again.predict_osa(fresh)[2:] >= 0).all()
+    signed = {**fresh, "y": fresh["y"] - 1.0}
+    assert magnitude_models([Record(signals=signed)], "y", ["u"], 2, search) == []
+
+
+@pytest.mark.slow
+def test_a_lost_sign_is_found_alone() -> None:
+    few = AutoSettings(orders=(2,), degrees=(1,), n_folds=2, max_magnitude_order=2)
+    assert auto_fit(pendulum(500, 41), "y", ["u"], settings=few).model.is_magnitude
+
+
+def test_long_dynamics_are_found_by_linear_models_first() -> None:
+    """Of a cube between two filters short lags say little, and with products they say what is not there."""
+    rng = np.random.default_rng(51)
+    first, second = butter(2, 0.3), butter(2, 0.35)
+    u = rng.normal(size=1500)
+    x = lfilter(*first, u)
+    record = Record(signals={"u": u, "y": lfilter(*second, x - 0.05 * x**3)})
+    stretches = HiddenStretches(records=[record], output="y", n_folds=3, warm_up=WARM_UP)
+    settings = AutoSettings(orders=(1, 2, 4, 8))
+    orders = linear_orders([record], stretches, ["u"], UNLIMITED, settings)
+    assert orders[0] == 4

@@ -12,6 +12,7 @@ import numpy as np
 
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.model import Narmax
+from robotmodic_ident.prediction.recursion import UNLIMITED
 from robotmodic_ident.terms import Factor, Term, Terms, canonical_key, term_name
 from robotmodic_ident.types import Floats
 
@@ -39,6 +40,17 @@ def sum_of(model: Narmax) -> Sum:
 
 def deterministic(model: Narmax) -> Narmax:
     """Return a polynomial model in the user's units without its noise terms: what it says of y, not of e."""
+    if model.is_magnitude:
+        raise IdentError(
+            f"the analysis is of polynomials; of {model.output} this model gives the magnitude alone. For the signed "
+            "output ask replace(model, is_magnitude=False)"
+        )
+    if model.limits != UNLIMITED:
+        low, high = model.limits
+        raise IdentError(
+            f"the analysis is of polynomials; this model holds {model.output} between {low:g} and {high:g}. Where the "
+            "limits are not reached, ask replace(model, limits=(-inf, inf))"
+        )
     return polynomial_part(model if len(model.denominator) else model.in_user_units())
 
 

@@ -78,3 +78,19 @@ def _expand_term(term: Term, scale: Scale) -> Polynomial:
             if factor
         }
     return result
+
+
+def unscaled(terms: Terms, scale: Scale) -> tuple[Terms, Floats]:
+    """Return terms whose shapes hold their own domain, and what the widths of the others divide (n_terms,)."""
+    table, factors = [], []
+    for term in terms:
+        moved, factor = [], 1.0
+        for f in term:
+            if f.is_shape and f.domain is None and f.variable in scale.variables:
+                f = replace(f, domain=scale.pair(f.variable))
+            elif not f.function:
+                factor /= scale.pair(f.variable)[1] ** f.power
+            moved.append(f)
+        table.append(tuple(moved))
+        factors.append(factor)
+    return Terms(tuple(table)), np.array(factors, dtype=np.float64)

@@ -40,6 +40,7 @@ def to_plain(fields: Mapping[str, Any], stderr: Floats) -> dict[str, Any]:
         "stop": fields["stop"],
         "estimator": fields["estimator"],
         "limits": [_plain(limit) for limit in fields["limits"]],
+        "is_magnitude": fields["is_magnitude"],
         "notes": list(fields["notes"]),
     }
 
@@ -83,6 +84,7 @@ def from_plain(data: Mapping[str, Any]) -> dict[str, Any]:
         "noise_theta": noise_theta,
         "estimator": data.get("estimator", "ls"),
         "limits": _limits(*data.get("limits", (None, None))),
+        "is_magnitude": bool(data.get("is_magnitude", False)),
         "notes": tuple(map(str, data.get("notes", ()))),
     }
 

@@ -79,7 +79,7 @@ class FreeRunTerms:
         IdentError
             if `start` diverges in free run
         """
-        now = self._started(start)
+        now = self.started(start)
         best: dict[int, Simulated] = {}
         now, idle = self._pruned(now, best), 0
         while len(now.model.terms) < self.settings.max_terms and idle < self.settings.patience:
@@ -91,7 +91,7 @@ class FreeRunTerms:
             idle = idle + 1 if before - now.rss < self.settings.min_gain * before else 0
         return best
 
-    def _started(self, start: Narmax) -> Simulated:
+    def started(self, start: Narmax) -> Simulated:
         """Descend from `start`; where it diverges, first over short stretches, then over longer ones.
 
         That is multiple shooting (Bock 1983) with measured states at every start, lengthened until one is enough.

@@ -1,0 +1,55 @@
+"""What a free-run model of one output may be made of: its candidate terms, and the limits that hold the output."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from robotmodic_ident.bases import polynomial
+from robotmodic_ident.prediction.recursion import UNLIMITED
+from robotmodic_ident.records import Records, as_records, lags
+from robotmodic_ident.terms import Terms
+from robotmodic_ident.types import Floats
+
+MIN_AT_LIMIT = 5
+"""Samples that lie exactly at a limit at least."""
+NEAR_VALUES = 10
+"""Distinct values next to a limit that it is compared with."""
+LIMIT_RATIO = 5
+"""Times that a limit comes more often than any value near it: levels of a quantised output come about equally often."""
+
+
+def dictionary(output: str, inputs: Sequence[str], order: int, degree: int, max_product_lag: int) -> Terms:
+    """Return the candidates: all signals up to lag `order`, and products of those up to `max_product_lag`."""
+    near = min(order, max_product_lag)
+    products = lags(output, 1, near)
+    linear = lags(output, 1, order)
+    for name in inputs:
+        products += lags(name, 0, near)
+        linear += lags(name, 0, order)
+    return polynomial(linear, 1) + polynomial(products, degree)
+
+
+def linear_part(terms: Terms) -> Terms:
+    """Return the terms of degree 1 and the constant."""
+    return Terms(tuple(term for term in terms if sum(f.power for f in term) <= 1))
+
+
+def output_limits(records: Records, output: str) -> tuple[float, float]:
+    """Return the values between which an output seems to be held; infinite where there is no such limit.
+
+    A limit shows as one value, the largest or least of all, that comes far more often than any near it: a full tank,
+    the end of a travel, the range of a converter.
+    """
+    parts = [np.asarray(record.signals[output], dtype=np.float64) for record in as_records(records)]
+    known = np.concatenate([part[np.isfinite(part)] for part in parts])
+    if len(known) == 0 or np.ptp(known) == 0:
+        return UNLIMITED
+    return -_upper_limit(-known), _upper_limit(known)
+
+
+def _upper_limit(values: Floats) -> float:
+    distinct, counts = np.unique(values, return_counts=True)
+    near = int(counts[-1 - NEAR_VALUES : -1].max(initial=1))
+    return float(distinct[-1]) if counts[-1] >= max(MIN_AT_LIMIT, LIMIT_RATIO * near) else float("inf")

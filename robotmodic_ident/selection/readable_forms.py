@@ -1,0 +1,167 @@
+"""What no polynomial says: dry friction, and an output measured without its sign; linear models otherwise.
+
+Both are estimated in free run, where they are worth most: friction decides how far a motor coasts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from robotmodic_ident.errors import IdentError
+from robotmodic_ident.fitting import fit
+from robotmodic_ident.model import Narmax
+from robotmodic_ident.records import Record
+from robotmodic_ident.selection.candidates import dictionary
+from robotmodic_ident.terms import Terms
+from robotmodic_ident.types import Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionSearch:
+    """Differences of the output whose sign is tried."""
+
+    spans: tuple[int, ...] = (1, 3, 10)
+    """[samples] between the two values: a longer one stands out of noise, a shorter one is quicker."""
+    shares: tuple[float, ...] = (0.003, 0.03)
+    """Of the largest difference: the width of tanh, which takes the place of the sign, whose slope says nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignSearch:
+    """How the signs of a magnitude are guessed, and then corrected by the model that they lead to."""
+
+    max_least_share: float = 0.1
+    """Of the largest value: a magnitude comes as near to 0 as its 5 % quantile ..."""
+    max_negative_share: float = 0.05
+    """... and is never farther below it."""
+    time_constants: tuple[float, ...] = (1.0, 4.0, 16.0)
+    """[samples] of the smoothed input whose sign is the first guess."""
+    delays: tuple[int, ...] = (0, 2, 5)
+    """[samples] of it."""
+    max_rounds: int = 12
+
+
+FRICTION_SEARCH = FrictionSearch()
+SIGN_SEARCH = SignSearch()
+
+
+def friction_models(
+    records: Sequence[Record],
+    output: str,
+    inputs: Sequence[str],
+    order: int,
+    limits: tuple[float, float],
+    search: FrictionSearch = FRICTION_SEARCH,
+) -> list[Narmax]:
+    """Return linear models with the sign of the output's own speed, tanh((y(k-1)-y(k-2))/width).
+
+    Of what resists every motion alike (Coulomb) no polynomial gives more than a slope.
+    """
+    linear = dictionary(output, inputs, order, 1, order)
+    out = []
+    for span in search.spans:
+        largest = _largest_difference(records, output, span)
+        if not largest > 0:
+            continue
+        for share in search.shares:
+            terms = linear + Terms.parse(
+                f"tanh(({output}(k-1)-{output}(k-{1 + span}))/{float(f'{share * largest:.2g}')!r})"
+            )
+            with suppress(IdentError):
+                out.append(
+                    fit(
+                        records,
+                        output,
+                        terms,
+                        n_terms=len(terms),
+                        search="forward",
+                        estimator="simulation",
+                        limits=limits,
+                    )
+                )
+    return out
+
+
+def _largest_difference(records: Sequence[Record], output: str, span: int) -> float:
+    parts = [np.asarray(record.signals[output], dtype=np.float64) for record in records]
+    steps = [np.abs(part[span:] - part[:-span]) for part in parts if len(part) > span]
+    known = np.concatenate(steps) if steps else np.empty(0)
+    known = known[np.isfinite(known)]
+    return float(known.max()) if len(known) else 0.0
+
+
+def magnitude_models(
+    records: Sequence[Record],
+    output: str,
+    inputs: Sequence[str],
+    order: int,
+    search: SignSearch = SIGN_SEARCH,
+) -> list[Narmax]:
+    """Return a linear model of the signed output behind a magnitude; none where the output is no magnitude.
+
+    The signs are those of a smoothed and delayed input at first, then those of the free run of the model that they
+    lead to, until they stay (as the phase is retrieved by Gerchberg and Saxton 1972). The best of all starts is kept.
+    """
+    values = np.concatenate([np.asarray(r.signals[output], dtype=np.float64) for r in records])
+    values = values[np.isfinite(values)]
+    top = float(values.max(initial=0.0))
+    if (
+        values.min(initial=0.0) < -search.max_negative_share * top
+        or np.quantile(values, 0.05) > search.max_least_share * top
+    ):
+        return []
+    terms = dictionary(output, inputs, order, 1, order)
+    best, least = None, np.inf
+    for signs in _first_signs(records, inputs, search):
+        with suppress(IdentError):
+            model, error = _with_settled_signs(records, output, terms, signs, search)
+            if error < least:
+                best, least = model, error
+    return [] if best is None else [replace(best, is_magnitude=True)]
+
+
+def _first_signs(
+    records: Sequence[Record], inputs: Sequence[str], search: SignSearch
+) -> Iterator[list[Floats]]:
+    """Yield guesses: for every record (n,) 1 or -1."""
+    for name in inputs:
+        for constant in search.time_constants:
+            for delay in search.delays:
+                stay = np.exp(-1.0 / constant)
+                out = []
+                for record in records:
+                    u = np.nan_to_num(np.asarray(record.signals[name], dtype=np.float64))
+                    smooth = lfilter([1.0 - stay], [1.0, -stay], u)
+                    late = np.r_[np.full(min(delay, len(u)), smooth[0]), smooth[: max(len(u) - delay, 0)]]
+                    out.append(np.where(late < 0, -1.0, 1.0))
+                yield out
+
+
+def _with_settled_signs(
+    records: Sequence[Record], output: str, terms: Terms, signs: list[Floats], search: SignSearch
+) -> tuple[Narmax, float]:
+    """Fit and take the signs of the free run in turn; return the model and the mean square of its magnitude."""
+    model, error = None, np.inf
+    for _ in range(search.max_rounds):
+        signed = [
+            replace(r, signals={**r.signals, output: np.asarray(r.signals[output]) * s})
+            for r, s in zip(records, signs, strict=True)
+        ]
+        now = fit(signed, output, terms, n_terms=len(terms), search="forward", estimator="simulation")
+        runs = [now.predict_mpo(r, warm_up=2 * terms.max_lag) for r in signed]
+        rest = np.concatenate(
+            [np.abs(run) - r.signals[output] for run, r in zip(runs, records, strict=True)]
+        )[terms.max_lag :]
+        square = float(np.nanmean(rest**2))
+        if not square < error:
+            break
+        model, error = now, square
+        signs = [np.where(run < 0, -1.0, 1.0) for run in runs]
+    if model is None:
+        raise IdentError("the free run diverges")
+    return model, error
