@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -352,3 +354,21 @@ def test_surrogates_keep_values_and_spectrum() -> None:
     a, b = np.abs(np.fft.rfft(y)), np.abs(np.fft.rfft(other))
     assert np.linalg.norm(a - b) < 0.05 * np.linalg.norm(a)
     assert abs(np.corrcoef(y, other)[0, 1]) < 0.3
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        lambda m: lyapunov(m, [0.1, 0.2]),
+        lambda m: gfrf(m, [0.1], input="u"),
+        lambda m: sobol(m, {"y(k-1)": np.linspace(0, 1, 9), "u(k)": np.linspace(0, 1, 9)}),
+        lambda m: derivative(m, 0.1, "dy"),
+    ],
+    ids=["lyapunov", "gfrf", "sobol", "derivative"],
+)
+def test_what_holds_the_output_is_not_left_out_in_silence(asked: Callable[[Narmax], object]) -> None:
+    plain = model("y", {"y(k-1)": 0.5, "u(k)": 0.3})
+    with pytest.raises(IdentError, match="holds y between -inf and 10"):
+        asked(replace(plain, limits=(-np.inf, 10.0)))
+    with pytest.raises(IdentError, match="of y this model gives the magnitude alone"):
+        asked(replace(plain, is_magnitude=True))
