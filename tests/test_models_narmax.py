@@ -15,10 +15,13 @@ from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.narmax.candidates import NarmaxForm, ReadingColumns, ReadingScale
+from sensorgraph.models.narmax.drawing import DrawnRun
 from sensorgraph.models.narmax.model import RayNarmax
 from sensorgraph.models.narmax.noise import Stretches
 from sensorgraph.models.narmax.search import SharedMoments
 from sensorgraph.models.narmax.sequences import ScanSequence, held
+from sensorgraph.recording.identified_world import IdentifiedWorld
+from sensorgraph.world.robot import default_robot
 
 SENSOR = RangeSensor(bearings=np.radians([-20.0, -10.0, 0.0, 10.0, 20.0]), range_min=0.1, range_max=40.0)
 NOISE, SIGMA = 0.6, 0.05
@@ -215,7 +218,7 @@ def test_evaluate_scores_one_step_and_free_run_beside_persistence(graph: Sensorg
     ("options", "said"),
     [
         ({"harmonics": 2}, "harmonics is not known to the model narmax; expected lags, degree"),
-        ({"lags": 90}, "lags is 90 to 90, expected 0 to 20"),
+        ({"lags": 90}, "lags is 90, expected 0 to 20"),
         ({"degree": 7, "lags": 5}, "candidates, expected 4000 at most; take fewer lags"),
     ],
 )
@@ -228,3 +231,35 @@ def test_scans_that_never_follow_each_other_are_refused(run: Run) -> None:
     stamps = np.cumsum(np.where(np.arange(run.n_scans) % 2, 0.1, 9.0))
     with pytest.raises(SensorgraphError, match="no stretch of 5 scans without a gap among 1500"):
         build([replace(run, stamps=stamps, pose_stamps=stamps)], model="narmax")
+
+
+def test_a_drawn_run_has_the_noise_and_the_lags_of_the_model(graph: Sensorgraph) -> None:
+    model = model_of(graph)
+    rng = np.random.default_rng(11)
+    poses = drive(rng, 500)
+    drawn = DrawnRun(model, 0.1)
+    readings = np.array([drawn.scan(pose, rng.random(5), rng.normal(size=5)) for pose in poses])
+    motion = ScanSequence(poses=poses, stamps=0.1 * np.arange(500), sequence=np.zeros(500, dtype=np.intp))
+    said = model.predict_sequence(motion, np.arange(5), readings)
+    rest = (readings - said.mode)[50:]
+    np.testing.assert_allclose(rest.std(axis=0), model.sigma[1], rtol=0.15)
+    alike = [np.corrcoef(rest[1:, ray], rest[:-1, ray])[0, 1] for ray in range(5)]
+    assert np.abs(alike).max() < 5 / np.sqrt(450)  # one step ahead nothing is left that could be foreseen
+    alone = (readings - model.predict(poses, np.arange(5), "mode").mode)[50:]
+    assert min(np.corrcoef(alone[1:, ray], alone[:-1, ray])[0, 1] for ray in range(5)) > 0.3
+
+
+def test_a_world_of_lags_is_the_same_scan_by_scan_and_together(graph: Sensorgraph) -> None:
+    robot = replace(default_robot(), sensor=SENSOR)
+    poses = drive(np.random.default_rng(12), 40)
+    together = IdentifiedWorld(graph, robot, seed=4).scans(0, poses)
+    world = IdentifiedWorld(graph, robot, seed=4)
+    np.testing.assert_array_equal(together, [world.scan(k, pose) for k, pose in enumerate(poses)])
+    np.testing.assert_array_equal(together, world.scans(0, poses))  # from the start again
+    assert (IdentifiedWorld(graph, robot, seed=5).scans(0, poses) != together).all()
+
+
+def test_without_lags_the_form_says_so(run: Run) -> None:
+    still = build([run], model="narmax", lags=0, degree=1, neighbours=1)
+    assert still.model.summary()["form"].startswith("degree 1 in pose and twist, without lags: ")
+    assert "r1(k-1)" not in still.equation(1)

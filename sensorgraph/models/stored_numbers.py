@@ -75,7 +75,8 @@ def check_range(name: str, values: object, low: float, high: float = LARGEST) ->
     """
     array = np.asarray(values)
     if array.size and not (array.min() >= low and array.max() <= high):
-        raise ValueError(f"{name} is {array.min()} to {array.max()}, expected {low:g} to {high:g}")
+        found = f"{array.min()} to {array.max()}" if array.size > 1 else f"{array.min()}"
+        raise ValueError(f"{name} is {found}, expected {low:g} to {high:g}")
 
 
 def check_positive(name: str, value: float) -> None:

@@ -22,6 +22,8 @@ from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_rays
 from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.narmax.drawing import DrawnRun
+from sensorgraph.models.narmax.model import RayNarmax
 from sensorgraph.models.residual_memory import MemoryState, ResidualMemory
 from sensorgraph.recording.controllers import controller_named
 from sensorgraph.types import Floats, ProgressBars, no_progress
@@ -144,6 +146,8 @@ class IdentifiedWorld:
         self._noise: ScanNoise | NoiseWithMemory = ScanNoise(seed, robot.sensor.n_rays)
         if graph.memory is not None:
             self._noise = NoiseWithMemory(seed, graph.memory)
+        self._run: DrawnRun | None = None
+        self._next = 0
 
     def scans(self, first: int, poses: Floats) -> Floats:
         """Draw scans `first`, `first` + 1, ... at base_link poses; returns readings (n, n_rays) [m].
@@ -165,7 +169,9 @@ class IdentifiedWorld:
         noise = [self._noise.of(first + i) for i in range(len(poses))]
         uniform, normal = (np.array(part) for part in zip(*noise, strict=True))
         model = self.graph.model
-        if not isinstance(model, Faces):
+        if isinstance(model, RayNarmax):
+            readings = self._drawn_run(model, first, poses, uniform, normal)
+        elif not isinstance(model, Faces):
             said = self.graph.predict(poses, rays=self.rays)
             lost = uniform[:, self.rays] < said.p_no_return
             readings = np.where(lost, np.inf, said.mode + said.sigma * normal[:, self.rays])
@@ -178,6 +184,16 @@ class IdentifiedWorld:
                 there = np.ascontiguousarray(poses[:, i])
                 readings[:, i] = model.draw(there, uniform[:, own], normal[:, own], own)[:, 0]
         return apply_range_limits(readings, self.sensor)
+
+    def _drawn_run(
+        self, model: RayNarmax, first: int, poses: Floats, uniform: Floats, normal: Floats
+    ) -> Floats:
+        """Draw scans in a row, whose lags are those before; where they do not follow on, a run begins."""
+        if self._run is None or first != self._next:
+            self._run = DrawnRun(model, 1.0 / self.sensor.rate)
+        self._next = first + len(poses)
+        drawn = [self._run.scan(*of_scan) for of_scan in zip(poses, uniform, normal, strict=True)]
+        return np.array(drawn).reshape(len(poses), model.n_rays)[:, self.rays]
 
 
 def record_in_world(

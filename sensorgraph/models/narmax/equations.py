@@ -9,6 +9,7 @@ import numpy as np
 from robotmodic_ident import Scale, Terms, false_discoveries
 from robotmodic_ident.notation.expand import expand
 from robotmodic_ident.notation.printing import sum_text
+from sensorgraph.models.narmax.candidates import NarmaxForm
 from sensorgraph.models.narmax.parameters import FREE_RUN, ONE_STEP, START, NarmaxParameters
 from sensorgraph.types import Floats
 
@@ -80,6 +81,15 @@ def equation_text(model: NarmaxParameters, ray: int) -> str:
     )  # fmt: skip
 
 
+def _signals_text(form: NarmaxForm) -> str:
+    if not form.lags:
+        return "pose and twist, without lags"
+    return (
+        f"poses at lags 0 to {form.lags} and twist, own reading and {form.neighbours} neighbours a side "
+        f"({form.spacing} rays apart) at lags 1 to {form.lags}"
+    )
+
+
 def summary_of(model: NarmaxParameters) -> Mapping[str, str]:
     """Return the form, which scans count, how well they are met and what the tests say."""
     terms, form, used = (model.order >= 0).sum(axis=1), model.form, model.used
@@ -87,9 +97,8 @@ def summary_of(model: NarmaxParameters) -> Mapping[str, str]:
     tested = model.tests[:, 0] >= 0
     alarms = false_discoveries(np.where(tested, model.tests[:, 0], np.nan)).sum()
     return {
-        "form": f"degree {form.degree} in poses at lags 0 to {form.lags} and twist, own reading and {form.neighbours} "
-        f"neighbours a side ({form.spacing} rays apart) at lags 1 to {form.lags}: {form.n_candidates} candidates, {terms.min()} to {terms.max()} terms "
-        f"a ray, chosen by EBIC; noise terms on {int(model.noise.any(axis=1).sum())} rays",
+        "form": f"degree {form.degree} in {_signals_text(form)}: {form.n_candidates} candidates, {terms.min()} to "
+        f"{terms.max()} terms a ray, chosen by EBIC; noise terms on {int(model.noise.any(axis=1).sum())} rays",
         "scans": f"{used['rows']} of {used['scans']} fitted in {used['stretches']} stretches; {used['dropped']} at the "
         "start of a stretch serve as lags only",
         "sigma": f"median {medians[0]} m one step ahead, {medians[1]} m in free run, {medians[2]} m of a pose alone",

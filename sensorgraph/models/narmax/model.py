@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor
+from robotmodic_ident import Terms
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
 from sensorgraph.models.narmax import recursion
@@ -94,22 +96,18 @@ class RayNarmax(NarmaxParameters):
 
     def equations(self, motion: ScanSequence) -> recursion.Equations:
         """Evaluate all that does not depend on readings at scans."""
-        n, m = len(motion.poses), len(self.form.shared)
-        weights = np.zeros((m, self.n_rays))
-        ray, j = np.nonzero((self.order >= 0) & (self.order < m))
-        weights[self.order[ray, j], ray] = self.theta[ray, j]
-        terms = np.flatnonzero(weights.any(axis=1))
-        chosen = self.form.shared[terms.tolist()]
+        n = len(motion.poses)
+        chosen, weights = self._driven_terms
         rows = np.flatnonzero(motion.position >= self.form.lags)
         driven = np.zeros((n, self.n_rays))
         for start in range(0, len(rows), _POSES_AT_A_TIME):
             some = rows[start : start + _POSES_AT_A_TIME]
             signals = motion.signals(some, self.form.lags)
-            driven[some] = chosen.matrix(signals, self.scale, n=len(some)) @ weights[terms]
+            driven[some] = chosen.matrix(signals, self.scale, n=len(some)) @ weights
         return recursion.Equations(
             form=self.form,
             scale=self.readings,
-            gains=recursion.ReadingGains.of(self.form, self.order, self.theta),
+            gains=self._gains,
             noise=self.noise,
             limits=(self.sensor.range_min, self.sensor.range_max),
             position=motion.position,
@@ -118,11 +116,38 @@ class RayNarmax(NarmaxParameters):
             driven=driven,
         )
 
+    @cached_property
+    def _driven_terms(self) -> tuple[Terms, Floats]:
+        """Shared terms that any ray has, and their coefficients (n_terms, n_rays)."""
+        m = len(self.form.shared)
+        weights = np.zeros((m, self.n_rays))
+        ray, j = np.nonzero((self.order >= 0) & (self.order < m))
+        weights[self.order[ray, j], ray] = self.theta[ray, j]
+        terms = np.flatnonzero(weights.any(axis=1))
+        return self.form.shared[terms.tolist()], weights[terms]
+
+    @cached_property
+    def _static_terms(self) -> Terms:
+        return self.form.shared[self.form.static.tolist()]
+
+    @cached_property
+    def _gains(self) -> recursion.ReadingGains:
+        return recursion.ReadingGains.of(self.form, self.order, self.theta)
+
+    def no_return_chances(self, motion: ScanSequence, lost: Floats | Bools | None) -> Floats:
+        """Return the chance of no return (n, n_rays) at scans in a row, of which those before (n_rays,) were lost or not.
+
+        lost : None: nothing is known of the scan before the first
+        """
+        base = self._static(motion.poses) @ self.theta_none.T
+        if lost is None:
+            return recursion.dropout_chances(base, self.memory, motion.position, None)
+        return np.clip(base + self.memory * lost, 0.0, 1.0)
+
     def _static(self, poses: Floats) -> Floats:
         """Return the terms (n, n_static) of poses (n, 3) alone."""
         motion = ScanSequence(poses=poses, stamps=np.zeros(len(poses)), sequence=np.arange(len(poses)))
-        terms = self.form.shared[self.form.static.tolist()]
-        return terms.matrix(motion.signals(np.arange(len(poses)), 0), self.scale, n=len(poses))
+        return self._static_terms.matrix(motion.signals(np.arange(len(poses)), 0), self.scale, n=len(poses))
 
     def _start(self, poses: Floats) -> Floats:
         """Return the readings (n, n_rays) [m] by the start equation."""

@@ -56,57 +56,78 @@ class Equations:
     """(n, n_rays) [m] sum of the terms of poses and twist; 0 where there is no history."""
 
 
-def run(equations: Equations, measured: Floats | None = None, innovations: Floats | None = None) -> Floats:
+class RunState:
+    """What a run carries from scan to scan: scaled readings of the last scans, and their noise."""
+
+    def __init__(self, equations: Equations) -> None:
+        form, n_rays = equations.form, equations.start.shape[1]
+        self.form, self.scale, self.n_rays = form, equations.scale, n_rays
+        self.readings = np.zeros((form.lags, n_rays + 2 * form.reach))
+        """Scaled; the ends stay 0."""
+        self.errors = np.zeros((equations.noise.shape[1], n_rays))
+
+    @property
+    def last(self) -> Floats:
+        """(n_rays,) [m] reading of the scan before."""
+        h = self.form.reach
+        return np.asarray(
+            self.readings[0, h : h + self.n_rays] * self.scale.width + self.scale.centre, dtype=np.float64
+        )
+
+    def predicted(self, equations: Equations, k: int) -> Floats:
+        """Return the readings (n_rays,) [m] of scan k, which has `lags` scans before it."""
+        if not self.form.lags:
+            return np.asarray(equations.driven[k])
+        window = sliding_window_view(self.readings, 2 * self.form.reach + 1, axis=1)[
+            ..., :: self.form.spacing
+        ]  # (lags, q, neighbours)
+        v, omega = equations.twists[k]
+        first = equations.gains.plain[0] + np.tensordot([v, omega, omega**2], equations.gains.twist, 1)
+        raw = equations.driven[k] + np.einsum("qo,qo->q", first, window[0])
+        if self.form.lags > 1:
+            raw = raw + np.einsum("lqo,lqo->q", equations.gains.plain[1:], window[1:])
+        return np.asarray(raw + np.einsum("ql,lq->q", equations.noise, self.errors))
+
+    def advance(self, reading: Floats, error: Floats) -> None:
+        """Take a scan's readings and its noise (n_rays,) [m]."""
+        h = self.form.reach
+        if len(self.readings):
+            self.readings[1:] = self.readings[:-1].copy()
+            self.readings[0, h : h + self.n_rays] = (reading - self.scale.centre) / self.scale.width
+        if len(self.errors):
+            self.errors[1:] = self.errors[:-1].copy()
+            self.errors[0] = error
+
+
+def run(equations: Equations, measured: Floats | None = None) -> Floats:
     """Return the predicted readings (n, n_rays) [m].
 
     Parameters
     ----------
     measured : (n, n_rays) [m]; the lags are those of what was measured, the last return held where there is none: one
         step ahead. None: the lags are predictions themselves: free run
-    innovations : (n, n_rays) [m] added to each state of a free run, which then is a drawn run
     """
-    form, low, high = equations.form, *equations.limits
     n, q = equations.start.shape
-    lags, h = form.lags, form.reach
-    states = np.zeros((lags, q + 2 * h))  # scaled; the ends stay 0
-    errors = np.zeros((equations.noise.shape[1], q))
+    state = RunState(equations)
     out = np.empty((n, q))
-    factors = np.column_stack([equations.twists, equations.twists[:, 1] ** 2])
     seen = np.zeros(q, dtype=np.bool_)
     for k in range(n):
         position = equations.position[k]
         if position == 0:
-            seen[:], errors[:] = False, 0.0
-        if position < lags or not lags:
-            value = raw = equations.start[k] if position < lags else equations.driven[k]
-        else:
-            window = sliding_window_view(states, 2 * h + 1, axis=1)[
-                ..., :: form.spacing
-            ]  # (lags, q, neighbours)
-            first = equations.gains.plain[0] + np.tensordot(factors[k], equations.gains.twist, 1)
-            raw = equations.driven[k] + np.einsum("qo,qo->q", first, window[0])
-            if lags > 1:
-                raw = raw + np.einsum("lqo,lqo->q", equations.gains.plain[1:], window[1:])
-            raw = raw + np.einsum("ql,lq->q", equations.noise, errors)
-            value = np.clip(raw, low, high)
+            seen[:], state.errors[:] = False, 0.0
+        has_history = position >= equations.form.lags
+        raw = state.predicted(equations, k) if has_history else equations.start[k]
+        is_held = has_history and equations.form.lags > 0
+        value = np.clip(raw, *equations.limits) if is_held else raw
         out[k] = value
-        state, error = value, np.zeros(q)
+        reading, error = value, np.zeros(q)
         if measured is not None:
             hit = np.isfinite(measured[k])
-            last = states[0, h : h + q] * equations.scale.width + equations.scale.centre if lags else value
-            state = np.where(hit, measured[k], np.where(seen, last, value))
-            error = np.where(hit & (position >= lags), measured[k] - raw, 0.0)
+            last = state.last if equations.form.lags else value
+            reading = np.where(hit, measured[k], np.where(seen, last, value))
+            error = np.where(hit & has_history, measured[k] - raw, 0.0)
             seen |= hit
-        elif innovations is not None:
-            error = innovations[k]
-            state = np.clip(raw + error, low, high)
-            out[k] = state
-        if lags:
-            states[1:] = states[:-1].copy()
-            states[0, h : h + q] = (state - equations.scale.centre) / equations.scale.width
-        if len(errors):
-            errors[1:] = errors[:-1].copy()
-            errors[0] = error
+        state.advance(reading, error)
     return out
 
 

@@ -1,0 +1,43 @@
+"""A run drawn from the model `narmax`, scan by scan: its readings are the lags of what comes after them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sensorgraph.models.narmax.model import RayNarmax
+from sensorgraph.models.narmax.parameters import ONE_STEP, START
+from sensorgraph.models.narmax.recursion import RunState
+from sensorgraph.models.narmax.sequences import ScanSequence
+from sensorgraph.types import Floats
+
+
+class DrawnRun:
+    """What was drawn so far; the first scans, which have no history, are those of a pose alone."""
+
+    def __init__(self, model: RayNarmax, period: float) -> None:
+        self.model, self.period = model, period
+        self.poses: list[Floats] = []
+        self.state: RunState | None = None
+        self.lost = np.zeros(model.n_rays, dtype=np.bool_)
+
+    def scan(self, pose: Floats, uniform: Floats, normal: Floats) -> Floats:
+        """Draw the next scan (n_rays,) [m], +inf: no return, at a pose (3,), from numbers (n_rays,) of each kind."""
+        model, lags = self.model, self.model.form.lags
+        first = not self.poses
+        self.poses = [*self.poses, pose][-(max(lags, 1) + 1) :]
+        n = len(self.poses)
+        motion = ScanSequence(
+            poses=np.array(self.poses),
+            stamps=self.period * np.arange(n, dtype=np.float64),
+            sequence=np.zeros(n, dtype=np.intp),
+        )
+        equations = model.equations(motion)
+        self.state = self.state or RunState(equations)
+        has_history = n > lags
+        raw = self.state.predicted(equations, n - 1) if has_history else equations.start[n - 1]
+        error = model.sigma[ONE_STEP if has_history else START] * normal
+        reading = np.clip(raw + error, *equations.limits)
+        self.state.advance(reading, error if has_history else np.zeros(len(error)))
+        chance = model.no_return_chances(motion, None if first else self.lost)[-1]
+        self.lost = uniform < chance
+        return np.where(self.lost, np.inf, reading)
