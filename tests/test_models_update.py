@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.sufficient_statistics import rebase_line_sums
+from sensorgraph.models.residual_memory import ResidualMemory
 from sensorgraph.world.raycast import cast
 
 BOX = [(1.0, 1.0), (1.4, 1.0), (1.4, 1.4), (1.0, 1.4)]
@@ -146,3 +148,18 @@ def test_what_cannot_be_updated_is_said(first: Sensorgraph, room: Arena, sensor:
     other = RangeSensor(bearings=np.linspace(-1, 1, 9), mount=sensor.mount)
     with pytest.raises(SensorgraphError, match="9 rays at other bearings than the 61"):
         build([drive(room, other, 60, 3)], update=first)
+
+
+def test_an_update_keeps_the_memory_or_identifies_it_anew(
+    first: Sensorgraph, room: Arena, sensor: RangeSensor
+) -> None:
+    n = sensor.n_rays
+    known = ResidualMemory(
+        lasting=np.full(n, 0.4), shared=np.array([0.2]), ar=np.zeros((n, 2)), ma=np.zeros((n, 1)),
+        gain=np.ones(n), across=np.array([0.1]),
+    )  # fmt: skip
+    again = drive(room, sensor, 230, 2)
+    graph = replace(first, memory=known)
+    assert build([again], names=["again"], update=graph).memory is known
+    anew = build([again], names=["again"], update=graph, memory=True).memory
+    assert anew is not None and anew.lasting.mean() < 0.2  # poses at random: nothing lasts

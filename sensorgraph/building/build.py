@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import PurePath
 from typing import Any
 
@@ -54,7 +56,8 @@ def build(
     map_blocks : where blocks of scans are reduced; `map`: here. See `sensorgraph.building.dask_cluster`
     update : a graph of faces to which the runs are added; its own runs are not needed
     force : take a run whose poses jump, too; False: refuse it, as the commands do
-    memory : also identify how residuals depend on the scan before and on neighbours, for drawing (`record --graph`)
+    memory : also identify how residuals depend on the scan before and on neighbours, for drawing (`record --graph`);
+        with `update` on the new runs, where it stays as it was otherwise
     progress : opens a bar for each stage
     options : for the model; the polynomial takes `degree`, `harmonics`, `n_terms`, each a number or `auto`
     """
@@ -74,9 +77,11 @@ def build(
                     remedy=f"{remedy}, or choose one laser with `topics` scan=NAME",
                 )  # fmt: skip
     bounds = None if arena is None else arena.bounds
-    feed = TrainingData(sources, names, split=split, bounds=bounds, force=force)
+    feed_again = partial(TrainingData, sources, names, split=split, bounds=bounds, force=force)
+    feed = feed_again()
     if update is not None:
-        return _updated(update, feed, map_blocks, progress, options)
+        graph = _updated(update, feed, map_blocks, progress, options)
+        return _remembering(graph, feed_again(), progress) if memory else graph
     fitted = _fit(feed, MODELS[model], map_blocks, progress, options)
     origin = {
         "software": __version__,
@@ -86,9 +91,11 @@ def build(
         "arena_bounds": None if arena is None else list(arena.bounds),
     }
     graph = Sensorgraph(model=fitted, sensor=feed.sensor, pose_frame=feed.pose_frame, origin=origin)
-    if not memory:
-        return graph
-    scans = all_scans(TrainingData(sources, names, split=split, bounds=bounds, force=force))
+    return _remembering(graph, feed_again(), progress) if memory else graph
+
+
+def _remembering(graph: Sensorgraph, feed: TrainingData, progress: ProgressBars) -> Sensorgraph:
+    scans = all_scans(feed)
     assert scans is not None
     with progress("identifying memory", "scans") as tick:
         return with_memory(graph, scans, tick)
@@ -171,7 +178,7 @@ def _updated(
                 f"{entry['name']} is part of the graph already; give runs that it has not seen"
             )
     origin = {**graph.origin, "inputs": [*graph.origin["inputs"], *feed.entries]}
-    return Sensorgraph(model=fitted, sensor=graph.sensor, pose_frame=graph.pose_frame, origin=origin)
+    return replace(graph, model=fitted, origin=origin)
 
 
 def _check_enough(feed: TrainingData) -> None:
