@@ -187,7 +187,7 @@ def test_command_writes_shares_and_a_picture(
 @pytest.mark.parametrize(
     ("option", "value", "said"),
     [
-        ("--start", "1,2", "--start is 1,2, expected x,y,phi"),
+        ("--start", "1,2", "--start is '1,2', expected X,Y,PHI such as 1.0,2.0,0.5"),
         ("--vary", "noise", "--vary is noise, expected NAME=LOW:HIGH"),
         ("--vary", "noise=a:b", "--vary is noise=a:b, expected NAME=LOW:HIGH"),
         ("--rows", "7", "rows: n is 7"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -49,7 +50,7 @@ def influence(
 
       sensorgraph influence lab.sensorgraph c.json --start 1,0.5,0 --vary noise=0:0.05 --vary delay=0:0.3 -o runs/i
     """
-    from sensorgraph.cli.inputs import check_folder, write_json
+    from sensorgraph.cli.inputs import check_folder, parse_pose, write_json
     from sensorgraph.cli.progress import progress
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
@@ -60,7 +61,7 @@ def influence(
     from sensorgraph.world.robot import load_robot
 
     check_folder(out)
-    place = _numbers(start, ",", 3, f"--start is {start}, expected x,y,phi")
+    place = parse_pose(start).tolist()
     factors = dict(map(_factor, vary)) if vary else None
     machine = load_robot() if robot is None else load_robot(robot)
     if not controller.is_file():
@@ -88,18 +89,13 @@ def influence(
 
 
 def _factor(text: str) -> tuple[str, tuple[float, float]]:
-    name, _, span = text.partition("=")
-    low, high = _numbers(span, ":", 2, f"--vary is {text}, expected NAME=LOW:HIGH, such as noise=0:0.05")
-    return name.strip(), (low, high)
-
-
-def _numbers(text: str, sign: str, n: int, said: str) -> list[float]:
     from sensorgraph.errors import SensorgraphError
 
+    name, _, span = text.partition("=")
     try:
-        values = [float(part) for part in text.split(sign)]
+        low, high = map(float, span.split(":"))
+        if isfinite(low) and isfinite(high):
+            return name.strip(), (low, high)
     except ValueError:
-        raise SensorgraphError(said) from None
-    if len(values) != n or any(v != v or abs(v) == float("inf") for v in values):
-        raise SensorgraphError(said)
-    return values
+        pass
+    raise SensorgraphError(f"--vary is {text}, expected NAME=LOW:HIGH, such as noise=0:0.05")
