@@ -25,10 +25,11 @@ from numpy.typing import NDArray
 import logs
 import sensorgraph as sg
 from benchmarks.grid_localization import DistanceGrid, follow, grid_of
-from benchmarks.particle_filter import DistanceField, filtered
-from logs.run import Run
+from benchmarks.particle_filter import followed
+from logs.run import OccupancyMap, Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.exporting.amcl import DEFAULTS
+from sensorgraph.exporting.amcl_filter import CellDistances
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.global_search import find_places, local_view
 from sensorgraph.localization.graph_walls import walls_of_graph
@@ -195,10 +196,11 @@ def particle_filter(data: Halves, rng: np.random.Generator) -> None:
     points = points_on(data.walls, 0.025)
     low, cell = points.min(axis=0) - 3.0, 0.05
     nx, ny = np.ceil((points.max(axis=0) + 3.0 - low) / cell).astype(int)
-    free = np.ones((ny, nx), dtype=bool)
+    cells = np.zeros((ny, nx), dtype=np.int8)
     at = ((points - low) / cell).astype(int)
-    free[at[:, 1], at[:, 0]] = False
-    estimates = filtered(data.second, data.truth, DistanceField.of(free, low, cell), DEFAULTS, rng)
+    cells[at[:, 1], at[:, 0]] = 100
+    grid = OccupancyMap(data=cells, resolution=cell, origin=np.array([*low, 0.0]))
+    estimates = followed(data.second, data.truth, CellDistances.of(grid), DEFAULTS, rng)
     done = np.isfinite(estimates[:, 0])
     print(f"particle filter: {said(estimates[done], data.truth[done])}")
     both = done & data.covered

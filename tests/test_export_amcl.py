@@ -6,9 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 
 from logs.run import Run
-from sensorgraph.exporting.amcl import _motion_noise, estimate_amcl
+from sensorgraph.exporting import amcl
+from sensorgraph.exporting.amcl import DEFAULTS, _motion_noise, compare_laser_models, estimate_amcl
+from sensorgraph.exporting.amcl_filter import LASER_MODELS, CellDistances, filtered
+from sensorgraph.exporting.nav2 import map_of
 from sensorgraph.loading import load_arena
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import parse_robot
@@ -83,3 +87,55 @@ def test_noise_of_the_reference_on_short_ways_is_no_noise_of_the_wheels() -> Non
     noise = np.random.default_rng(1).normal(size=run.poses.shape) * [0.005, 0.005, 0.001]
     found = _motion_noise(replace(run, poses=run.poses + noise))
     assert found["alpha1"].value == pytest.approx(alphas[0], rel=0.4)
+
+
+KNOWN = {
+    **DEFAULTS, "alpha1": 0.01, "alpha2": 0.004, "alpha3": 0.02, "alpha4": 0.002,
+    "sigma_hit": 0.04, "z_hit": 0.95, "z_rand": 0.05, "laser_max_range": ROBOT.sensor.range_max,
+}  # fmt: skip
+
+
+def test_the_product_of_likelihoods_is_chosen_where_it_follows_the_run_better(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In the room's own map it does; where readings have nothing to do with it, Nav2's default is left."""
+    monkeypatch.setattr(amcl, "N_STRETCHES", 10)
+    monkeypatch.setattr(amcl, "N_PARTICLES", 200)
+    run, grid = noisy_run((0.01, 0.004, 0.02, 0.002), (0.0, 0.02, 0.02)), map_of(load_arena("square"))
+    found = compare_laser_models(run, grid, KNOWN)
+    assert found is not None and found.name == "likelihood_field_prob"
+    assert found.product_error.high < found.default_error.low
+    assert "cm" in str(found) and "Nav2's default is likelihood_field" in str(found)
+    strange = replace(run, ranges=np.random.default_rng(0).permuted(run.ranges, axis=1))
+    left = compare_laser_models(strange, grid, KNOWN)
+    assert left is not None and left.name == "likelihood_field"
+    none = {"odom_stamps": np.zeros(0), "odometry": np.zeros((0, 3)), "odom_twists": np.zeros((0, 2))}
+    assert compare_laser_models(replace(run, **none), grid, KNOWN) is None
+
+
+def test_a_filter_in_the_right_map_follows_and_nav2s_weights_are_flat() -> None:
+    arena = load_arena("square")
+    run, field = (
+        noisy_run((0.01, 0.004, 0.02, 0.002), (0.0, 0.0, 0.0)),
+        CellDistances.of(occupancy_map(arena)),
+    )
+    errors = {}
+    for model in LASER_MODELS:
+        poses = filtered(
+            run.odometry[:150], run.ranges[:150], run.sensor, run.poses[0], field, KNOWN,
+            rng=np.random.default_rng(1), laser_model=model, n_particles=300,
+        )  # fmt: skip
+        errors[model] = np.nanmedian(np.hypot(*(poses - run.poses[:150])[:, :2].T))
+        assert np.isfinite(poses[:, 0]).sum() > 140
+    assert errors["likelihood_field_prob"] < 0.04 < errors["likelihood_field"] < 0.25
+
+
+def test_the_map_ends_near_the_walls_and_keeps_its_cells() -> None:
+    """The free space of a graph goes as far as the laser where nothing stops it: 200 m made cells of 10 cm."""
+    square = load_arena("square")
+    wide = replace(square, free=square.free.union(shapely.box(-100, -100, 100, 100)))
+    grid = map_of(wide)
+    ends = square.walls.reshape(-1, 2)
+    assert grid.resolution == 0.05
+    assert grid.data.shape[1] * 0.05 == pytest.approx(np.ptp(ends[:, 0]) + 20, abs=0.5)
+    assert (grid.data == 100).any()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -17,6 +18,8 @@ from scipy.optimize import nnls
 from logs.run import OccupancyMap, Run, pair
 from planners.arena import Arena, wrap
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.exporting.amcl_filter import LASER_MODELS, MIN_A, MIN_D, CellDistances, filtered, updates
+from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser, laser_poses
 
@@ -30,8 +33,9 @@ MAX_SCANS = 2000
 N_BLOCKS, N_DRAWS = 20, 200
 """Stretches of the run, and how often as many of them are drawn."""
 EM_PASSES = 60
-MIN_D, MIN_A = 0.25, 0.2
-"""[m], [rad] between two updates of AMCL (update_min_d, update_min_a)."""
+N_STRETCHES, N_UPDATES, N_WARM_UP, N_PARTICLES = 20, 25, 10, 500
+"""Stretches of the run on which the laser models are compared; updates of the filter in each, and how many of them are
+not counted, as the filter has to settle; its particles."""
 MIN_STEPS = 40
 """Steps of the odometry that its noise can be told from."""
 MAX_POSE_DISTANCE = 0.11
@@ -74,6 +78,74 @@ def estimate_amcl(run: Run, arena: Arena, grid: OccupancyMap) -> dict[str, Boots
     top = run.sensor.range_max
     out["laser_max_range"] = BootstrapEstimate(value=top, low=top, high=top)
     return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaserModelChoice:
+    """A laser model of AMCL, and what the run says for it."""
+
+    name: str
+    default_error: BootstrapEstimate
+    """[m] median distance of a filter with Nav2's laser model to the run's poses."""
+    product_error: BootstrapEstimate
+    """[m] of one with `likelihood_field_prob`."""
+
+    def __str__(self) -> str:
+        by_name = (
+            f"{name} {100 * found.value:.1f} cm ({100 * found.low:.1f} to {100 * found.high:.1f})"
+            for name, found in zip(LASER_MODELS, (self.default_error, self.product_error), strict=True)
+        )
+        default = "" if self.name == LASER_MODELS[0] else f"; Nav2's default is {LASER_MODELS[0]}"
+        return f"off the run's poses: {', '.join(by_name)}{default}"
+
+
+def compare_laser_models(
+    run: Run, grid: OccupancyMap, parameters: Mapping[str, float]
+) -> LaserModelChoice | None:
+    """Follow stretches of the run by a filter with each laser model; None: the run has too little odometry.
+
+    Nav2's default is left where the interval of the difference excludes zero in favour of the product.
+
+    Parameters
+    ----------
+    run : its poses are in the frame of the map
+    parameters : by their names in Nav2
+    """
+    motion, pairing = odometry_of(run), pair(run)
+    if motion is None or len(run.odom_stamps) < MIN_STEPS:
+        return None
+    odometry, field = odometry_at_scans(run, motion), CellDistances.of(grid)
+    medians = []
+    for first in np.linspace(0, run.n_scans, N_STRETCHES, endpoint=False).astype(np.intp):
+        known = first + np.flatnonzero(pairing.paired[first:])
+        if len(known) == 0:
+            break
+        last = list(islice(updates(odometry[known]), N_UPDATES))[-1:]
+        index = known[: last[0] + 1] if last else known[:1]
+        at, truth = odometry[index], pairing.poses[index]
+        errors = []
+        for model in LASER_MODELS:
+            poses = filtered(
+                at, run.ranges[index], run.sensor, truth[0], field, parameters,
+                rng=np.random.default_rng(0), laser_model=model, n_particles=N_PARTICLES,
+            )  # fmt: skip
+            errors.append(np.hypot(*(poses - truth)[:, :2].T))
+        settled = np.flatnonzero(np.isfinite(errors[0]))[N_WARM_UP:]
+        if len(settled):
+            medians.append([float(np.median(error[settled])) for error in errors])
+    if len(medians) < N_STRETCHES // 2:
+        return None
+    rows = np.array(medians)
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(0, len(rows), (N_DRAWS, len(rows)))
+    draws = np.median(rows[drawn], axis=1)  # (n_draws, 2)
+    low, high = np.percentile(draws, [2.5, 97.5], axis=0)
+    is_better = np.percentile(np.median((rows[:, 1] - rows[:, 0])[drawn], axis=1), 97.5) < 0
+    found = [
+        BootstrapEstimate(value=float(np.median(rows[:, i])), low=float(low[i]), high=float(high[i]))
+        for i in (0, 1)
+    ]
+    return LaserModelChoice(name=LASER_MODELS[int(is_better)], default_error=found[0], product_error=found[1])
 
 
 def _beam_mixture(

@@ -9,14 +9,23 @@ import numpy as np
 import shapely
 
 from logs.run import OccupancyMap, Run
+from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.exporting.amcl import DEFAULTS, MOTION_NAMES, BootstrapEstimate, estimate_amcl
+from sensorgraph.exporting.amcl import (
+    DEFAULTS,
+    MOTION_NAMES,
+    BootstrapEstimate,
+    LaserModelChoice,
+    compare_laser_models,
+    estimate_amcl,
+)
+from sensorgraph.exporting.amcl_filter import LASER_MODELS
 from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.types import Floats
 from sensorgraph.world.simulate import occupancy_map
 
-RESOLUTION = 0.05
-"""[m] side of a cell."""
+RESOLUTION, MARGIN, MOST_CELLS = 0.05, 10.0, 100_000_000
+"""[m] side of a cell; [m] around the walls at which the map ends; cells from which on they are made larger."""
 FREE, OCCUPIED, UNKNOWN = 254, 0, 205
 """Grey values that map_server reads so in trinary mode."""
 
@@ -31,17 +40,23 @@ def write(
     no_go : where the robot may not enter
     run : with poses in the arena's frame; without it AMCL keeps Nav2's defaults
     """
-    grid = occupancy_map(world.arena, resolution=RESOLUTION)
+    grid = map_of(world.arena)
     grey = np.select([grid.data == 0, grid.data == 100], [FREE, OCCUPIED], UNKNOWN)
     _write_map(folder, "map", grey, grid)
     if no_go:
         _write_map(folder, "keepout", np.where(_cells_in(no_go, grid), OCCUPIED, FREE), grid)
     estimates = {} if run is None else estimate_amcl(run, world.arena, grid)
-    (folder / "amcl.yaml").write_text(amcl_yaml(estimates, world), encoding="utf-8")
+    model = None if run is None else compare_laser_models(run, grid, chosen(estimates))
+    (folder / "amcl.yaml").write_text(amcl_yaml(estimates, model, world), encoding="utf-8")
     left_out = ["the sweep, the noise and the lag: a map has none"]
     if run is None:
         left_out.append("AMCL's parameters: give a run with poses (--run) to have them estimated")
     return left_out
+
+
+def map_of(arena: Arena) -> OccupancyMap:
+    """Return the map that is exported: cells of 5 cm, up to MARGIN around the walls."""
+    return occupancy_map(arena, resolution=RESOLUTION, most=MOST_CELLS, margin=MARGIN)
 
 
 def _write_map(folder: Path, name: str, grey: np.ndarray, grid: OccupancyMap) -> None:
@@ -78,7 +93,9 @@ def chosen(estimates: Mapping[str, BootstrapEstimate]) -> dict[str, float]:
     }
 
 
-def amcl_yaml(estimates: Mapping[str, BootstrapEstimate], world: ExportedWorld) -> str:
+def amcl_yaml(
+    estimates: Mapping[str, BootstrapEstimate], model: LaserModelChoice | None, world: ExportedWorld
+) -> str:
     """Return AMCL's parameters: Nav2's defaults, but where the interval of an estimate excludes them.
 
     `lambda_short`, `z_short` and `z_max` count only in the beam model; `laser_max_range` is the sensor's own.
@@ -99,10 +116,12 @@ def amcl_yaml(estimates: Mapping[str, BootstrapEstimate], world: ExportedWorld) 
             lines.append(f"{name}: {found.value:.3g}  # the run says {found}; Nav2's default is {default:g}")
     x, y, phi = world.start
     kind = "nav2_amcl::DifferentialMotionModel"
+    said = "Nav2's default" if model is None else str(model)
+    laser_model = LASER_MODELS[0] if model is None else model.name
     body = "\n".join(f"    {line}" for line in lines)
     return (
         "# AMCL: a part of Nav2's parameter file. Intervals are of 95 %, from a bootstrap over stretches of the run.\n"
-        f"amcl:\n  ros__parameters:\n    robot_model_type: {kind}\n    laser_model_type: likelihood_field\n"
+        f"amcl:\n  ros__parameters:\n    robot_model_type: {kind}\n    laser_model_type: {laser_model}  # {said}\n"
         f"    laser_min_range: {world.robot.sensor.range_min:g}\n{body}\n"
         f"    set_initial_pose: true\n    initial_pose: {{x: {x:.3f}, y: {y:.3f}, z: 0.0, yaw: {phi:.3f}}}\n"
     )

@@ -90,12 +90,23 @@ def simulate(
     )
 
 
-def occupancy_map(arena: Arena, *, resolution: float = 0.05, most: int = 4_000_000) -> OccupancyMap:
+def occupancy_map(
+    arena: Arena, *, resolution: float = 0.05, most: int = 4_000_000, margin: float | None = None
+) -> OccupancyMap:
     """Rasterise an arena for /map: free 0, crossed by a wall 100, elsewhere unknown -1.
 
     The resolution [m] is made coarser where the grid would have more than `most` cells.
+
+    Parameters
+    ----------
+    margin : [m] around the walls at which the map ends; None: all free space is in it. Where nothing stops the rays, that
+        of a graph goes as far as the laser reaches.
     """
     x0, y0, x1, y1 = arena.bounds
+    if margin is not None and len(arena.walls):
+        ends = arena.walls.reshape(-1, 2)
+        x0, y0 = np.maximum([x0, y0], ends.min(axis=0) - margin)
+        x1, y1 = np.minimum([x1, y1], ends.max(axis=0) + margin)
     resolution = max(resolution, float(np.sqrt((x1 - x0) * (y1 - y0) / most)))
     x0, y0 = x0 - 2 * resolution, y0 - 2 * resolution
     nx, ny = int((x1 - x0) / resolution) + 3, int((y1 - y0) / resolution) + 3

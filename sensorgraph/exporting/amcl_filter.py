@@ -1,0 +1,143 @@
+"""A small particle filter with AMCL's models: what its parameters are worth on a run.
+
+Models as Nav2's AMCL has them: odometry (Thrun, Burgard and Fox 2005, table 5.6) and likelihood field (table 6.3), whose
+two laser models differ in how rays count. `likelihood_field` weighs a particle by one plus the sum of the cubes
+of its rays' likelihoods, which is never far from flat; `likelihood_field_prob` by their product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from logs.run import OccupancyMap, RangeSensor
+from logs.transforms import compose, invert
+from planners.arena import wrap
+from sensorgraph.types import Floats
+
+LASER_MODELS = ("likelihood_field", "likelihood_field_prob")
+"""The first is Nav2's default."""
+MIN_D, MIN_A = 0.25, 0.2
+"""[m], [rad] between two updates of AMCL (update_min_d, update_min_a)."""
+MAX_BEAMS = 60
+MAX_DISTANCE = 2.0
+"""[m] of a return to the nearest occupied cell (laser_likelihood_max_dist)."""
+START_SPREAD = (0.25, 0.25, 0.07)
+"""[m, m, rad] of the particles about the pose that the filter is told to start from."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CellDistances:
+    """Distance to the nearest occupied cell."""
+
+    low: Floats
+    """(2,) [m] corner of the grid."""
+    cell: float
+    distance: Floats
+    """(ny, nx) [m], at most MAX_DISTANCE."""
+
+    @classmethod
+    def of(cls, grid: OccupancyMap) -> CellDistances:
+        """Measure it on a map."""
+        far = grid.resolution * distance_transform_edt(grid.data != 100)
+        return cls(
+            low=np.asarray(grid.origin[:2]), cell=grid.resolution, distance=np.minimum(far, MAX_DISTANCE)
+        )
+
+    def table(self, parameters: Mapping[str, float], laser_model: str) -> Floats:
+        """Return what a return in each cell counts (ny * nx + 1,); the last is off the map."""
+        distance = np.append(self.distance.ravel(), MAX_DISTANCE)
+        p = parameters["z_hit"] * np.exp(-0.5 * (distance / parameters["sigma_hit"]) ** 2)
+        p += parameters["z_rand"] / parameters["laser_max_range"]
+        return p**3 if laser_model == LASER_MODELS[0] else np.log(p)
+
+
+def updates(odometry: Floats) -> Iterator[int]:
+    """Yield the scans at which the filter is updated: it has gone or turned far enough by its odometry (n, 3)."""
+    last = 0
+    for k in range(len(odometry)):
+        way = np.hypot(*(odometry[k, :2] - odometry[last, :2]))
+        if way > MIN_D or abs(wrap(odometry[k, 2] - odometry[last, 2])) > MIN_A:
+            last = k
+            yield k
+
+
+def filtered(
+    odometry: Floats,
+    ranges: Floats,
+    sensor: RangeSensor,
+    start: Floats,
+    field: CellDistances,
+    parameters: Mapping[str, float],
+    *,
+    rng: np.random.Generator,
+    laser_model: str = LASER_MODELS[0],
+    n_particles: int = 2000,
+) -> Floats:
+    """Return the poses (n, 3) that the filter has after its updates, nan between them.
+
+    Parameters
+    ----------
+    odometry : (n, 3) [m, m, rad] at the scans
+    ranges : (n, n_rays) [m]
+    start : (3,) pose at the first scan
+    parameters : by their names in Nav2
+    """
+    particles = start + rng.normal(size=(n_particles, 3)) * START_SPREAD
+    table, out, last = field.table(parameters, laser_model), np.full((len(odometry), 3), np.nan), 0
+    rays = np.arange(0, sensor.n_rays, max((sensor.n_rays - 1) // (MAX_BEAMS - 1), 1))
+    top = min(parameters["laser_max_range"], sensor.range_max - sensor.resolution)
+    for k in updates(odometry):
+        step = compose(invert(odometry[last]), odometry[k])
+        particles, last = _moved(particles, step, parameters, rng), k
+        used = rays[(ranges[k, rays] > sensor.range_min) & (ranges[k, rays] < top)]
+        if len(used) == 0:
+            continue
+        bearings = sensor.bearings[used] + sensor.mount[2]
+        ends = sensor.mount[:2] + ranges[k, used, None] * np.column_stack(
+            [np.cos(bearings), np.sin(bearings)]
+        )
+        counted = _counted(particles, ends, field, table).sum(axis=1)
+        weights = 1.0 + counted if laser_model == LASER_MODELS[0] else np.exp(counted - counted.max())
+        weights /= weights.sum()
+        out[k] = _mean(particles, weights)
+        at = np.searchsorted(np.cumsum(weights), (np.arange(n_particles) + rng.uniform()) / n_particles)
+        particles = particles[np.clip(at, 0, n_particles - 1)]
+    return out
+
+
+def _moved(
+    particles: Floats, step: Floats, parameters: Mapping[str, float], rng: np.random.Generator
+) -> Floats:
+    way, turn = float(np.hypot(step[0], step[1])), float(wrap(step[2]))
+    before = float(np.arctan2(step[1], step[0])) if way > 0.01 else 0.0
+    after = float(wrap(turn - before))
+    a = min(abs(before), abs(float(wrap(before - np.pi))))  # backwards is as good as forwards
+    b = min(abs(after), abs(float(wrap(after - np.pi))))
+    n = len(particles)
+    a1, a2, a3, a4 = (parameters[f"alpha{k}"] for k in (1, 2, 3, 4))
+    first = before - rng.normal(size=n) * np.sqrt(a1 * a**2 + a2 * way**2)
+    length = way - rng.normal(size=n) * np.sqrt(a3 * way**2 + a4 * (a**2 + b**2))
+    second = after - rng.normal(size=n) * np.sqrt(a1 * b**2 + a2 * way**2)
+    x = particles[:, 0] + length * np.cos(particles[:, 2] + first)
+    y = particles[:, 1] + length * np.sin(particles[:, 2] + first)
+    return np.column_stack([x, y, particles[:, 2] + first + second])
+
+
+def _counted(particles: Floats, ends: Floats, field: CellDistances, table: Floats) -> Floats:
+    """Return what each return counts for each particle (n_particles, n_returns)."""
+    cos, sin = np.cos(particles[:, 2:]) / field.cell, np.sin(particles[:, 2:]) / field.cell
+    place = (particles[:, :2] - field.low) / field.cell
+    column = np.floor(place[:, :1] + cos * ends[:, 0] - sin * ends[:, 1]).astype(np.intp)
+    row = np.floor(place[:, 1:] + sin * ends[:, 0] + cos * ends[:, 1]).astype(np.intp)
+    ny, nx = field.distance.shape
+    inside = (column >= 0) & (row >= 0) & (column < nx) & (row < ny)
+    return np.asarray(table[np.where(inside, row * nx + column, ny * nx)])
+
+
+def _mean(particles: Floats, weights: Floats) -> Floats:
+    turn = np.arctan2(weights @ np.sin(particles[:, 2]), weights @ np.cos(particles[:, 2]))
+    return np.array([*(weights @ particles[:, :2]), turn])
