@@ -8,7 +8,7 @@ from functools import partial
 from typing import Literal
 
 from robotmodic_ident.errors import IdentError
-from robotmodic_ident.estimation.noise_model import best_order, noise_terms_of, with_noise
+from robotmodic_ident.estimation.noise_model import best_order, noise_terms_of, with_noise, with_products
 from robotmodic_ident.estimation.prediction_error import (
     DESCENT,
     Covariance,
@@ -16,7 +16,12 @@ from robotmodic_ident.estimation.prediction_error import (
     LevenbergMarquardt,
     NonlinearLeastSquares,
 )
-from robotmodic_ident.estimation.rational import RationalStructureSearch, as_ratio, times_output
+from robotmodic_ident.estimation.rational import (
+    RationalStructureSearch,
+    as_ratio,
+    times_output,
+    with_noise_terms,
+)
 from robotmodic_ident.estimation.simulation_error import FreeRunLeastSquares
 from robotmodic_ident.model import NO_TERMS, Estimator, Narmax
 from robotmodic_ident.prediction.recursion import UNLIMITED
@@ -61,7 +66,7 @@ def fit(
     keep : names of terms that stay
     n_folds : contiguous blocks that criterion `cv` leaves out in turn
     noise : lags of e(k), or terms that hold `e(k-1)`, ...; they stay in the predictor; `auto`: as many lags as the
-        residual's own test asks for and EBIC agrees to (the notes of the model say how many were tried)
+        residual's own test asks for and EBIC agrees to, and products such as `e(k-1)*u(k-1)`, alike; see the notes
     denominator : candidate terms below the line of a rational model, without a constant
     estimator : `ls`; `els`; `pem` (the default with noise or a denominator); `simulation` (least error in free run)
     covariance : `classical`; `sandwich`; `hac` (the default for `simulation`, whose residuals are correlated)
@@ -71,20 +76,20 @@ def fit(
     ------
     IdentError
         if the records do not allow it: a signal is missing, the output is never known, no row is left, a term
-        explains the output by itself, or a ratio has noise terms
+        explains the output by itself, or a ratio would have nothing above its line
     ValueError
         if an option is none of those listed
     """
     records = as_records(records)
-    if len(denominator) and noise:
-        raise IdentError("a rational model with noise terms is not offered; leave one of them out")
     if noise == "auto":
         again = partial(
             fit, records, output, terms, n_terms=n_terms, criterion=criterion, err_tol=err_tol, scale=scale,
             search=search, keep=keep, n_folds=n_folds, denominator=denominator, estimator=estimator,
             covariance=covariance, limits=limits,
         )  # fmt: skip
-        return best_order(lambda order: again(noise=order), records, len(terms))
+        count = len(terms) + len(denominator)
+        best = best_order(lambda order: again(noise=order), records, count)
+        return with_products(best, lambda some: again(noise=some), records, count)
     noise_terms = noise_terms_of(noise)
     if estimator is None:
         estimator = "pem" if len(noise_terms) or len(denominator) else "ls"
@@ -99,7 +104,7 @@ def fit(
         limits=limits,
     )  # fmt: skip
     if len(denominator):
-        model = as_ratio(selection.select(), records, denominator)
+        model = with_noise_terms(as_ratio(selection.select(), records, denominator), noise_terms)
         if criterion in INFORMATION:
             model = RationalStructureSearch(records, terms, denominator, criterion).search(model)
     elif len(noise_terms):

@@ -217,7 +217,5 @@ def test_wrong_wishes_are_refused() -> None:
         fit(record, "y", terms, estimator="best")
     with pytest.raises(IdentError, match="holds no past e"):
         fit(record, "y", terms, noise=Terms.parse("u(k-1)"))
-    with pytest.raises(IdentError, match="not offered"):
-        fit(record, "y", terms, noise=1, denominator=Terms.parse("u(k)"))
     with pytest.raises(IdentError, match="constant 1 already"):
         fit(record, "y", terms, denominator=Terms.parse("1"))

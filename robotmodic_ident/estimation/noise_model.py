@@ -33,6 +33,11 @@ class NoiseSearch:
     """[samples] noise lags that `auto` looks at."""
     patience: int = 2
     """Noise lags in a row that may fail to lower EBIC: of e(k-2) alone, the first one does not."""
+    max_products: int = 3
+    max_product_lag: int = 2
+    """[samples] of the noise in products."""
+    min_new_share: float = 1e-10
+    """Of a candidate's squared norm that the others do not explain; below it depends on them."""
     alarm: float = 0.05
     """p-value of the residual's test below which another lag is tried; the convention."""
     tested_lags: tuple[int, ...] = (10, 5, 2)
@@ -148,6 +153,73 @@ def best_order(fitted: Callable[[int], Narmax], records: Sequence[Record], n_can
     return replace(best, notes=(*best.notes, note))
 
 
+def with_products(
+    model: Narmax, fitted: Callable[[Terms], Narmax], records: Sequence[Record], n_candidates: int
+) -> Narmax:
+    """Add products of past noise and signals, `e(k-1)*u(k-1)`, while the tests ask for them and EBIC agrees.
+
+    The variance of such noise changes with the signals, which no number of lags says.
+
+    Parameters
+    ----------
+    fitted : noise terms -> model
+    n_candidates : process terms that were looked at
+    """
+    least = _cost(model, model.n_samples, n_candidates)
+    added: list[str] = []
+    while len(added) < NOISE_SEARCH.max_products and not _is_white(model, records, with_inputs=True):
+        candidates = _noise_products(model)
+        if not len(candidates):
+            break
+        price = 2.0 * (len(added) + 1) * np.log(len(candidates) + len(added))
+        name = _most_promising(model, candidates, records)
+        try:
+            larger = fitted(model.noise_terms + Terms.parse(name))
+        except IdentError:
+            break
+        if not _cost(larger, model.n_samples, n_candidates) + price < least:
+            break
+        model, added, least = larger, [*added, name], _cost(larger, model.n_samples, n_candidates) + price
+    return replace(model, notes=(*model.notes, f"noise products: {', '.join(added)}")) if added else model
+
+
+def _noise_products(model: Narmax) -> Terms:
+    """Return products of a past e with a past signal that the model reads, or with a past e, that it has not yet."""
+    groups = (model.terms, model.denominator)
+    read = [
+        f.signal
+        for terms in groups
+        for term in terms
+        for f in term
+        if f.lag and not f.function and f.lag <= 2
+    ]
+    inputs = {v for terms in groups for v in terms.variables if v != model.output}
+    signals = dict.fromkeys([*read, f"{model.output}(k-1)", *(f"{name}(k-1)" for name in sorted(inputs))])
+    past = [f"{NOISE_NAME}(k-{lag})" for lag in range(1, NOISE_SEARCH.max_product_lag + 1)]
+    names = [f"{signal}*{e}" for signal in signals for e in past]
+    names += [f"{e}*{other}" for i, e in enumerate(past) for other in past[i + 1 :]]
+    have = {frozenset(term) for term in model.noise_terms}
+    return Terms(tuple(term for term in Terms.parse(*names) if frozenset(term) not in have))
+
+
+def _most_promising(model: Narmax, candidates: Terms, records: Sequence[Record]) -> str:
+    """Return the candidate that a Gauss-Newton step would take most off the residual with."""
+    noise = model.noise_terms + candidates
+    theta = np.r_[model.noise_theta, np.zeros(len(candidates))]
+    n = len(model.terms) + len(model.denominator) + len(noise)
+    full = replace(model, noise_terms=noise, noise_theta=theta, covariance=np.zeros((n, n)))
+    gram, cross = NonlinearLeastSquares(full.recursion(), records).normal_equations(full.parameters)
+    k = n - len(candidates)
+    inverse = np.linalg.pinv(gram[:k, :k], hermitian=True)
+    side = gram[:k, k:]
+    power = np.diagonal(gram)[k:] - (side * (inverse @ side)).sum(axis=0)
+    rest = cross[k:] - side.T @ (inverse @ cross[:k])
+    gain = np.where(
+        power > NOISE_SEARCH.min_new_share, rest**2 / np.maximum(power, NOISE_SEARCH.min_new_share), 0.0
+    )
+    return candidates.names[int(gain.argmax())]
+
+
 def _cost(model: Narmax, count: int, n_candidates: int) -> float:
     """Return EBIC over `count` rows, the same for all numbers of lags; a noise lag costs log(count)."""
     k = len(model.terms)
@@ -159,12 +231,17 @@ def _cost(model: Narmax, count: int, n_candidates: int) -> float:
     return float(count * np.log(max(variance, np.finfo(np.float64).tiny)) + price)
 
 
-def _is_white(model: Narmax, records: Sequence[Record]) -> bool:
-    """Tell whether the correlation test finds nothing in the residual."""
+def _is_white(model: Narmax, records: Sequence[Record], *, with_inputs: bool = False) -> bool:
+    """Tell whether the correlation test finds nothing in the residual; also none in it times past inputs or outputs."""
+    inputs: tuple[str, ...] = ()
+    if with_inputs:
+        groups = (model.terms, model.denominator)
+        inputs = tuple(dict.fromkeys(v for terms in groups for v in terms.variables))
     for max_lag in NOISE_SEARCH.tested_lags:
         try:
-            (check,) = validate(model, records, max_lag=max_lag, inputs=())
+            checks = validate(model, records, max_lag=max_lag, inputs=inputs)
         except IdentError:
             continue
-        return check.p_value >= NOISE_SEARCH.alarm
+        asked = [c.p_value for c in checks if c.test == "e-e" or c.test.startswith("e-e")]
+        return min(asked) >= NOISE_SEARCH.alarm / len(asked)
     return True

@@ -144,6 +144,19 @@ class NonlinearLeastSquares:
                 J = slopes[use]
                 yield J, segment.measured[part][use] - out[use] + J @ theta
 
+    def normal_equations(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return Gram (n_parameters, n_parameters) and cross products with the residual, for gradients of unit norm.
+
+        They are summed up a block of rows at a time.
+        """
+        m = len(theta)
+        whole = np.zeros((m, m + 1))
+        for J, target in self.linearised(theta):
+            whole += J.T @ np.column_stack([J, target - J @ theta])
+        size = np.sqrt(np.diagonal(whole))
+        size = np.where(size > 0, size, 1.0)
+        return whole[:, :m] / np.outer(size, size), whole[:, m] / size
+
     def minimise(self, start: Floats) -> Estimate:
         """Descend by Levenberg-Marquardt from `start` (n_parameters,).
 

@@ -3,7 +3,7 @@
 Multiplied out, y = N - y (D - 1) + D e: linear in all coefficients, but y (D - 1) holds the noise of y, which biases
 least squares (Billings and Zhu 1991). Dividing the rows by the last D (Sanathanan and Koerner 1963) removes most of
 it, and Gauss-Newton on e itself (`prediction_error`) removes the rest. Terms are then added and dropped by their
-effect on e.
+effect on e. Noise terms stand beside the ratio and stay while its structure is searched: y = N / D + C + e.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class RationalSearch:
     """Terms added at most on the way to the structure."""
     min_gain: float = 1e-9
     """Relative fall of the criterion that a larger structure must bring."""
-    min_new_share: float = 1e-12
+    min_new_share: float = 1e-10
     """Of a term's squared norm that terms already chosen do not explain; below it depends on them."""
 
 
@@ -46,6 +46,12 @@ def times_output(denominator: Terms, output: str) -> Terms:
     if CONSTANT in denominator.names:
         raise IdentError("the denominator has the constant 1 already; leave it out of its candidates")
     return Terms.parse(*(f"{output}(k)*{name}" for name in denominator.names))
+
+
+def with_noise_terms(model: Narmax, noise: Terms) -> Narmax:
+    """Put noise terms beside a ratio, with coefficients of 0 to start from."""
+    n = len(model.parameters) + len(noise)
+    return replace(model, noise_terms=noise, noise_theta=np.zeros(len(noise)), covariance=np.zeros((n, n)))
 
 
 def as_ratio(model: Narmax, records: Sequence[Record], denominator: Terms) -> Narmax:
@@ -130,10 +136,15 @@ class RationalStructureSearch:
     def _trial(self, model: Narmax, start: Floats) -> _Candidate:
         problem = NonlinearLeastSquares(model.recursion(), self.records)
         result = problem.minimise(start)
-        size, candidates = len(start), len(self.upper) + len(self.lower)
+        size, candidates = len(start), len(self.upper) + len(self.lower) + len(model.noise_terms)
         cost = penalties(self.criterion, size, candidates, np.array([result.count]))[0, size]
-        n = len(model.terms)
-        model = replace(model, theta=result.theta[:n], denominator_theta=result.theta[n:])
+        n, m = len(model.terms), len(model.denominator)
+        model = replace(
+            model,
+            theta=result.theta[:n],
+            denominator_theta=result.theta[n : n + m],
+            noise_theta=result.theta[n + m :],
+        )
         return _Candidate(model, result, result.count * np.log(max(result.rss, 1e-300)) + float(cost))
 
     def _most_promising(self, trial: _Candidate) -> tuple[str, Narmax | None]:
@@ -141,19 +152,18 @@ class RationalStructureSearch:
         model = trial.model
         above, below = model.terms + self.upper, model.denominator + self.lower
         full = _with_zeros(model, above, below)
-        problem = NonlinearLeastSquares(full.recursion(), self.records)
-        _, residuals, gradients = problem.evaluate(full.parameters, gradient=True)
-        J, r = np.concatenate(gradients), np.concatenate(residuals)
-        n, m = len(model.terms), len(model.denominator)
-        present = np.r_[np.arange(n), len(above) + np.arange(m)]
-        absent = np.setdiff1d(np.arange(J.shape[1]), present)
+        gram, cross = NonlinearLeastSquares(full.recursion(), self.records).normal_equations(full.parameters)
+        n, m, q = len(model.terms), len(model.denominator), len(model.noise_terms)
+        present = np.r_[np.arange(n), len(above) + np.arange(m), len(above) + len(below) + np.arange(q)]
+        absent = np.setdiff1d(np.arange(len(gram)), present)
         if len(absent) == 0:
             return "", None
-        basis = np.linalg.qr(J[:, present])[0]
-        rest = J[:, absent] - basis @ (basis.T @ J[:, absent])
-        power = (rest**2).sum(axis=0)
-        alive = power > RATIONAL_SEARCH.min_new_share * (J[:, absent] ** 2).sum(axis=0)
-        gain = np.where(alive, (rest.T @ r) ** 2 / np.where(alive, power, 1.0), 0.0)
+        inverse = np.linalg.pinv(gram[np.ix_(present, present)], hermitian=True)
+        side = gram[np.ix_(present, absent)]
+        power = np.diagonal(gram)[absent] - (side * (inverse @ side)).sum(axis=0)
+        rest = cross[absent] - side.T @ (inverse @ cross[present])
+        alive = power > RATIONAL_SEARCH.min_new_share
+        gain = np.where(alive, rest**2 / np.where(alive, power, 1.0), 0.0)
         best = int(absent[gain.argmax()])
         if best < len(above):
             return above.names[best], _with_zeros(model, model.terms + above[[best]], model.denominator)
@@ -164,15 +174,17 @@ class RationalStructureSearch:
         """Drop the least significant term but `keep`; None if nothing can go."""
         model = trial.model
         names = (*model.terms.names, *(f"/{name}" for name in model.denominator.names))
+        k = len(names)
         spread = np.sqrt(np.maximum(np.diagonal(trial.result.covariance("classical")), 1e-300))
         score = np.abs(model.parameters) / spread
         score[[i for i, name in enumerate(names) if name == keep]] = np.inf
+        score[k:] = np.inf  # the noise terms stay
         if len(model.terms) == 1:
             score[0] = np.inf
         i = int(score.argmin())
         if not np.isfinite(score[i]):
             return None
-        stay = [j for j in range(len(names)) if j != i]
+        stay = [j for j in range(k) if j != i]
         n = len(model.terms)
         above, below = [j for j in stay if j < n], [j - n for j in stay if j >= n]
         smaller = replace(
@@ -182,7 +194,7 @@ class RationalStructureSearch:
             err=model.err[above],
             denominator=model.denominator[below],
             denominator_theta=model.denominator_theta[below],
-            covariance=np.zeros((len(stay), len(stay))),
+            covariance=np.zeros((len(model.parameters) - 1,) * 2),
         )
         return self._trial(smaller, smaller.parameters)
 
@@ -197,5 +209,5 @@ def _with_zeros(model: Narmax, above: Terms, below: Terms) -> Narmax:
         err=np.r_[model.err, np.full(n - len(model.err), np.nan)],
         denominator=below,
         denominator_theta=np.r_[model.denominator_theta, np.zeros(m - len(model.denominator_theta))],
-        covariance=np.zeros((n + m, n + m)),
+        covariance=np.zeros((n + m + len(model.noise_terms),) * 2),
     )

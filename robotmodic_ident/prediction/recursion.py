@@ -19,6 +19,8 @@ NOISE_NAME = "e"
 UNLIMITED = (-np.inf, np.inf)
 ROWS_PER_BLOCK = 4096
 """Rows whose gradients are held at a time where all of them would not fit."""
+MAX_KEPT = 4_000_000
+"""Values of the input part of all terms that are kept; more are evaluated again in every run, a block at a time."""
 KIND_OF_FUNCTION = {
     "": kernels.KIND_POWER,
     "cos": kernels.KIND_COS,
@@ -32,14 +34,44 @@ KIND_OF_FUNCTION = {
 }
 
 
+class InputPart:
+    """What each term owes to inputs, evaluated when it is asked for, and kept where that is not much."""
+
+    def __init__(self, terms: list[Term], columns: dict[str, Floats], scale: Scale, n: int) -> None:
+        distinct = list(dict.fromkeys(terms))
+        place = {term: j for j, term in enumerate(distinct)}
+        self.parts = [Terms((term,)) for term in distinct]
+        self.place = np.array([place[term] for term in terms], dtype=np.intp)
+        self.columns, self.scale, self.n = columns, scale, n
+        self.is_kept = n * len(terms) <= MAX_KEPT
+        self._kept: Floats | None = None
+
+    def __getitem__(self, rows: slice) -> Floats:
+        """Return (n_rows, n_terms); nan where a term is not known."""
+        if not self.is_kept:
+            return self._evaluated(rows)
+        if self._kept is None:
+            self._kept = self._evaluated(slice(0, self.n))
+        return self._kept[rows]
+
+    def _evaluated(self, rows: slice) -> Floats:
+        n = len(range(*rows.indices(self.n)))
+        some = {name: values[rows] for name, values in self.columns.items()}
+        values = np.empty((n, len(self.parts)))
+        for j, part in enumerate(self.parts):
+            values[:, j] = part.matrix(some, self.scale, n=n)[:, 0]
+        values[~np.isfinite(values).all(axis=1)] = np.nan
+        return np.ascontiguousarray(values[:, self.place])
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segment:
     """One segment without a gap, ready to run."""
 
     piece: slice
     """Samples of the record."""
-    base: Floats
-    """(n, n_parameters) what each term owes to inputs; nan where they are not known."""
+    base: InputPart | Floats
+    """(n, n_parameters) what each term owes to inputs; nan where they are not known; taken a slice at a time."""
     measured: Floats
     """(n,) outputs; nan where not known."""
 
@@ -104,23 +136,16 @@ class Recursion:
         if missing := sorted(needed - set(signals)):
             raise IdentError(f"record has no signal {', '.join(missing)}; it has {', '.join(signals)}")
 
-    def _base(self, data: dict[str, Floats], n: int) -> Floats:
+    def _base(self, data: dict[str, Floats], n: int) -> InputPart:
         inputs = [
             tuple(f for f in t if f.variable not in (self.output, NOISE_NAME)) for t in self.table_of_terms
         ]
-        distinct = list(dict.fromkeys(inputs))
-        atoms = {f.signal: (f.variable, f.lag or 0, f.minus) for term in distinct for f in term}
+        atoms = {f.signal: (f.variable, f.lag or 0, f.minus) for term in inputs for f in term}
         columns = {
             name: _delayed(data[v], lag) - (0.0 if minus is None else _delayed(data[v], minus))
             for name, (v, lag, minus) in atoms.items()
         }
-        parts = np.empty((n, len(distinct)))
-        for j, term in enumerate(distinct):
-            parts[:, j] = Terms((term,)).matrix(columns, self.scale, n=n)[:, 0]
-        group = {term: j for j, term in enumerate(distinct)}
-        base = np.ascontiguousarray(parts[:, [group[term] for term in inputs]])
-        base[~np.isfinite(base).all(axis=1)] = np.nan
-        return base
+        return InputPart(inputs, columns, self.scale, n)
 
     def run(
         self,
@@ -140,7 +165,12 @@ class Recursion:
         out, past, noise = self._start(segment, initial)
         slopes = self._first_slopes(n, initial) if gradient else np.zeros((0, 0))
         theta = self.theta if theta is None else theta
-        self._advance(segment, slice(0, n), theta, free, out, past, noise, slopes)
+        step = n if not isinstance(segment.base, InputPart) or segment.base.is_kept else ROWS_PER_BLOCK
+        for first in range(0, n, max(step, 1)):
+            rows = slice(max(first - self.look_back, 0), min(first + step, n))
+            some = slopes[rows] if gradient else slopes
+            if not self._advance(segment, rows, theta, free, out, past, noise, some):
+                break
         return out, noise, slopes
 
     def gradient_blocks(
@@ -202,7 +232,7 @@ class Recursion:
         """Predict every sample (n,) from measurements up to `steps` samples before it."""
         _, noise, _ = self.run(segment, free=False)
         return kernels.run_ahead(
-            segment.base,
+            segment.base[:],
             self.theta,
             self.group,
             self.starts,
