@@ -7,7 +7,8 @@ again with one setting at a time times 0.5 and times 2. An answer is the set of 
 something unknown is said. A setting that moves no answer is counted; one that moves any is listed with what it moved.
 
 Counts are rounded and at least 1; shares and probabilities keep below 1 (twice 0.7 becomes 0.85, half the way to 1).
-Each variant is a process of its own, begun before anything that a setting decides is imported.
+Each variant is a process of its own, begun before anything that a setting decides is imported. What judges an accepted
+model (GoodnessOfFitSettings, NamingSettings) does not need another search: that is done once, and its model judged anew.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import multiprocessing
 import os
 import re
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -29,6 +31,9 @@ from benchmarks.hidden_effects.cases import CaseSpec, make_case
 from logs import Run
 from planners.maps import geojson
 from sensorgraph.diagnosis.motion import settings as motion
+from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.diagnosis.scan.model_selection import Explained
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.world.robot import parse_robot
 
@@ -37,6 +42,8 @@ SHARE = re.compile("share|probability|chance|correlation|confidence|matching|cos
 """Names of numbers that are below 1 by their nature."""
 NOT_OF_ANSWERS = {"held_out", "observability", "site"}
 """Groups that decide on the gap, on what a run could show, and on runs against a commissioning run."""
+JUDGING = ("GoodnessOfFitSettings", "NamingSettings")
+"""Groups that judge what the search has accepted."""
 TIME_LIMIT = 120.0
 """[s] of one variant."""
 
@@ -155,20 +162,48 @@ def answers(channel: str, cases: list[tuple[Run, str, str]]) -> list[str]:
             results = [scan]
         else:
             results = list(diagnose_motion(run, robot, (), 0))
-        names = sorted(a.name + (f" {a.place}" if a.place else "") for r in results for a in r.effects)
-        doubt = ["unknown"] if any(r.unknown for r in results) else []
-        out.append(", ".join([*names, *doubt]) or "silent")
+        out.append(_said(results))
     return out
 
 
+def searched(cases: list[tuple[Run, str, str]]) -> list[tuple[ScanData, Explained]]:
+    """Return the scans of each case with the model that the search accepts."""
+    from sensorgraph.diagnosis.scan.held_out_gap import held_out
+    from sensorgraph.diagnosis.scan.model_selection import explain
+    from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+
+    out = []
+    for run, arena, file in cases:
+        data, _ = prepare_scans(run, geojson.loads(arena), parse_robot(file))
+        train = data.subset(~held_out(data))
+        out.append((train, explain(train, SCAN.noise)))
+    return out
+
+
+def judged(models: list[tuple[ScanData, Explained]]) -> list[str]:
+    """Return what is said of each case, given the model that the search accepts."""
+    from sensorgraph.diagnosis.scan_channel import judge
+
+    out = []
+    for train, explained in models:
+        _, names = judge(train, explained, None, np.random.default_rng(0))
+        out.append(_said([names.result]))
+    return out
+
+
+def _said(results: Sequence[ChannelResult]) -> str:
+    """Return names with their places, and whether something is unknown."""
+    names = sorted(a.name + (f" {a.place}" if a.place else "") for r in results for a in r.effects)
+    doubt = ["unknown"] if any(r.unknown for r in results) else []
+    return ", ".join([*names, *doubt]) or "silent"
+
+
 def in_process(
-    channel: str, cases: list[tuple[Run, str, str]], setting: Setting | None, factor: float = 1.0
+    answer: Callable[[], list[str]], setting: Setting | None, factor: float = 1.0
 ) -> list[str] | str:
     """Return the answers of a process in which one setting differs, or what went wrong there."""
     here, there = multiprocessing.get_context("fork").Pipe(duplex=False)
-    child = multiprocessing.get_context("fork").Process(
-        target=_answer, args=(there, channel, cases, setting, factor)
-    )
+    child = multiprocessing.get_context("fork").Process(target=_answer, args=(there, answer, setting, factor))
     child.start()
     there.close()
     try:
@@ -180,14 +215,12 @@ def in_process(
     return got  # type: ignore[no-any-return]
 
 
-def _answer(
-    to: Connection, channel: str, cases: list[tuple[Run, str, str]], setting: Setting | None, factor: float
-) -> None:
+def _answer(to: Connection, answer: Callable[[], list[str]], setting: Setting | None, factor: float) -> None:
     logging.disable(logging.ERROR)
     if setting is not None:
         object.__setattr__(setting.group, setting.name, scaled(setting.name, setting.value, factor))
     try:
-        to.send(answers(channel, cases))
+        to.send(answer())
     except Exception as exc:
         to.send(f"{type(exc).__name__}: {exc}")
 
@@ -200,20 +233,27 @@ def main() -> None:
     parser.add_argument("--only", default="", help="parts of the names of settings, comma-separated")
     options = parser.parse_args()
     wanted = [part for part in options.only.split(",") if part]
+    of_scans = list(settings_of("scan", SCAN))
     parts = {
         "motion": (
             MOTION_CASES,
             [s for g in (motion.EVIDENCE, motion.ODOMETRY, motion.DRIVE) for s in settings_of("motion", g)],
         ),
-        "scan": (SCAN_CASES, list(settings_of("scan", SCAN))),
+        "scan": (SCAN_CASES, [s for s in of_scans if type(s.group).__name__ not in JUDGING]),
+        "judging scans": (SCAN_CASES, [s for s in of_scans if type(s.group).__name__ in JUDGING]),
     }
     for channel, (hidden, settings) in parts.items():
         settings = [s for s in settings if not wanted or any(part in s.label for part in wanted)]
         if not settings:
             continue
-        cases = [one.make(channel) for one in hidden]
+        cases = [one.make(channel.split()[-1].removesuffix("s")) for one in hidden]
+        answer = (
+            partial(judged, searched(cases))
+            if channel.startswith("judging")
+            else partial(answers, channel, cases)
+        )
         begin = time.perf_counter(), os.times().children_user
-        usual = in_process(channel, cases, None)
+        usual = in_process(answer, None)
         if isinstance(usual, str):
             raise SystemExit(f"{channel}: {usual}")
         took, cpu = time.perf_counter() - begin[0], os.times().children_user - begin[1]
@@ -227,7 +267,7 @@ def main() -> None:
         for setting in settings:
             lines = []
             for factor in FACTORS:
-                got = in_process(channel, cases, setting, factor)
+                got = in_process(answer, setting, factor)
                 if isinstance(got, str):
                     lines.append(f"x {factor:g}: {got}")
                     continue

@@ -110,7 +110,7 @@ def judge(
         tick=tick,
     )
     found = found if baseline is None else baseline.discount(found, train)
-    listed = deviations(FitResiduals(train, null), min_z=settings.listed_z)[: settings.max_listed]
+    listed = deviations(FitResiduals(train, null))[: settings.max_listed]
     return found, name_scan_effects(train, explained, found, listed)
 
 

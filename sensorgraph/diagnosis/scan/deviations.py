@@ -110,7 +110,7 @@ def deviations(
     view: FitResiduals,
     parts: Sequence[Partition] | None = None,
     *,
-    min_z: float = SCAN.goodness_of_fit.listed_z,
+    min_z: float | None = None,
 ) -> list[Deviation]:
     """Return the bins of material size whose z exceeds `min_z`, largest first.
 
@@ -119,14 +119,16 @@ def deviations(
     Parameters
     ----------
     parts : partitions to look at; None: all
+    min_z : None: that of what is listed
     """
+    least = SCAN.goodness_of_fit.listed_z if min_z is None else min_z
     score = scores(view)
     blocks = ((view.data.stamps - view.data.begin) / SCAN.goodness_of_fit.block).astype(np.intp)
     blocks -= blocks.min(initial=0)
     found = [
         deviation
         for part in (partitions(view) if parts is None else parts)
-        for deviation in _in_partition(view, part, score, blocks, min_z)
+        for deviation in _in_partition(view, part, score, blocks, least)
     ]
     return sorted(found, key=lambda d: -abs(d.z))
 
