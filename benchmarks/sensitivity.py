@@ -90,6 +90,7 @@ SCAN_CASES = (
     Hidden(suite="singles", effect="range_bias"),
     Hidden(suite="singles", effect="unmapped_obstacle"),
     Hidden(suite="foreign", effect="bias_jump"),
+    Hidden(suite="foreign", effect="crosstalk_rotating"),
 )
 MOTION_CASES = (
     Hidden(suite="none", index=2),

@@ -180,7 +180,9 @@ def finding_of(**motions: LaserMotion) -> DrivingFinding:
 
 def test_the_headline_is_a_sentence_and_says_what_is_not_as_stated(untouched: LaserMotion) -> None:
     wrong = finding_of(run=untouched).lines
-    assert re.fullmatch(r"Wheels and mount are not as stated: laser ahead of the axle \+1[12].*\.", wrong[0])
+    assert re.fullmatch(
+        r"Wheels and mount differ from what is stated: laser ahead of the axle by \+1[12].*\.", wrong[0]
+    )
     assert "way scale" not in wrong[0]
     right = finding_of(run=drive(n=4_000, mount=MOUNT)).lines
     assert right[0] == "Wheels and mount are as stated, as far as driving alone can tell."

@@ -22,4 +22,7 @@ def test_a_variant_leaves_no_trace() -> None:
     assert len(set(labels)) == len(labels) > 100 and "scan.SelectionSettings.threshold" in labels
     before = SCAN.selection.threshold
     (threshold,) = (one for one in settings if one.label == "scan.SelectionSettings.threshold")
-    assert in_process("scan", [], threshold, 2.0) == [] and SCAN.selection.threshold == before
+    assert (
+        in_process(lambda: [str(SCAN.selection.threshold)], threshold, 2.0) == [str(2 * before)]
+        and SCAN.selection.threshold == before
+    )
