@@ -57,13 +57,25 @@ def test_blocks_of_any_size_leave_the_same(scans: TrainingScans, size: int) -> N
 def test_the_sample_is_the_same_share_of_every_part(
     scans: TrainingScans, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reduction, "MAX_SAMPLED_RAYS", 6000)
+    monkeypatch.setattr(reduction, "MAX_COLLECTED_RAYS", 6000)
     a, b = reduce(scans, 500), reduce(scans, 61)
     np.testing.assert_array_equal(a.sample.beams, b.sample.beams)
     n = a.n_rays * 6000 / scans.ranges.size
     assert abs(len(a.sample) - n) < 5 * np.sqrt(n)
     shares = np.bincount(a.sample.beams, minlength=61)
     assert shares.min() > 0.5 * shares.mean()
+
+
+def test_a_long_stay_elsewhere_does_not_thin_what_was_passed_once(
+    scans: TrainingScans, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = np.where(np.arange(500)[:, None] < 30, [2.0, 2.5], [0.4, 0.4])
+    poses = np.column_stack([place, scans.poses[:, 2]])
+    ranges = np.ones_like(scans.ranges)
+    monkeypatch.setattr(reduction, "MAX_SAMPLED_RAYS", ranges.size // 3)
+    left = reduce(replace(scans, poses=poses, ranges=ranges), 61).spread_evenly(scans.sensor).sample
+    assert 0.95 * ranges.size // 3 < len(left) <= ranges.size // 3
+    assert (left.poses[:, 0] == 2.0).sum() == 30 * ranges.shape[1]
 
 
 def test_sample_gives_the_rays_of_the_mounted_laser(scans: TrainingScans) -> None:

@@ -14,9 +14,10 @@ from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.splits import split_bent_faces
+from sensorgraph.models.faces.strata import spread_evenly
 from sensorgraph.models.faces.sufficient_statistics import SufficientStatistics
 from sensorgraph.models.faces.visibility import Expectation, Rays, ReturnNoise, binned_faces, e_step, m_step
-from sensorgraph.types import Floats, Ints, Progress
+from sensorgraph.types import Floats, Progress
 from sensorgraph.work_counter import WorkCounter
 
 logger = logging.getLogger(__name__)
@@ -149,31 +150,12 @@ def _thinned(rays: Rays, most: int) -> Rays:
     """Take some rays if there are too many: of each place and direction, up to the same number.
 
     Rays from the same place in the same direction tell the same once more, and those of a place that was passed once
-    are all there is. What is chosen hangs on where a ray comes from, not on what it did, so visibility stays unbiased.
+    are all there is.
     """
     if len(rays) <= most:
         return rays
-    sector = np.floor(np.arctan2(rays.directions[:, 1], rays.directions[:, 0]) / FIT.stratum_sector)
-    cell = np.floor(rays.origins / FIT.stratum_cell)
-    key = np.ravel_multi_index(
-        tuple((column - column.min()).astype(np.intp) for column in (*cell.T, sector)),
-        tuple(int(np.ptp(column)) + 1 for column in (*cell.T, sector)),
-    )
-    order = np.argsort(key, kind="stable")
-    start = np.flatnonzero(np.diff(key[order], prepend=-1))
-    count = np.diff(start, append=len(key))
-    kept = np.repeat(np.minimum(count, _even_share(count, most)), count)
-    rank, count = np.arange(len(key)) - np.repeat(start, count), np.repeat(count, count)
-    return rays.take(np.sort(order[(rank + 1) * kept // count > rank * kept // count]))
-
-
-def _even_share(count: Ints, most: int) -> int:
-    """Return the largest number that, taken from each of several counts as far as there is, gives `most` at most."""
-    rising = np.sort(count)
-    below = np.concatenate([[0], np.cumsum(rising)[:-1]])
-    total = below + rising * np.arange(len(rising), 0, -1)  # if each gave as much as this one has
-    k = int(np.searchsorted(total, most, side="right"))
-    return int((most - below[k]) // (len(rising) - k)) if k < len(rising) else int(rising[-1])
+    turn = np.arctan2(rays.directions[:, 1], rays.directions[:, 0])
+    return rays.take(spread_evenly(rays.origins, turn, most))
 
 
 def fit_cost(n_rays: int) -> int:

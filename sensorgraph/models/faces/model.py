@@ -142,6 +142,7 @@ class Faces(FacesData):
             raise SensorgraphError(
                 "no ray of the log returned; check range_max and the no-return code of the log"
             )
+        reduced = reduced.spread_evenly(sensor)
         if measures_cones(sensor):
             return cls(**_fit_cones(reduced, sensor, mount, can_mount=can_mount, progress=progress))
         rays = reduced.sample.rays(sensor, mount)
@@ -204,21 +205,21 @@ class Faces(FacesData):
             raise SensorgraphError(
                 "no ray of the new log returned; check range_max and the no-return code of the log"
             )
+        new = new.spread_evenly(self.sensor)
         rays = corrected_rays(new.sample, self.sensor, self.mount, self.calibration, self.faces, self.noise)
         with progress("updating faces", "steps") as tick:
             tick(0, 1)
             faces, noise, statistics = update_faces(
                 self.faces, self.noise, self.statistics, self.observed, rays, n_rays=new.n_rays
             )
-        n_rays = self.n_rays + new.n_rays
         return replace(
             self,
             faces=faces,
             noise=noise,
             hits=statistics.line_sums[:, 5].copy(),
             observed=self.observed.merge(new.observed),
-            returns=(self.returns * self.n_rays + new.n_returns) / n_rays,
-            n_rays=n_rays,
+            returns=(self.returns * self.n_rays + new.n_returns) / (self.n_rays + new.n_rays),
+            n_rays=self.n_rays + new.n_rays,
             statistics=statistics,
         )
 
@@ -281,11 +282,10 @@ class Faces(FacesData):
     def summary(self) -> Mapping[str, str]:
         """Return what a reader wants to know first."""
         stretches = int((self.faces.levels > MIN_VISIBILITY).sum())
-        noise = f"{1e3 * self.noise.sigma:.1f} mm of range"
-        noise += f", {1e3 * self.noise.sigma_xy:.1f} mm and {math.degrees(self.noise.sigma_yaw):.3f}° of pose"
         return {
             "faces": f"{self.faces.n_faces}, with {stretches} visible stretches",
-            "noise": noise,
+            "noise": f"{1e3 * self.noise.sigma:.1f} mm of range, {1e3 * self.noise.sigma_xy:.1f} mm and "
+            f"{math.degrees(self.noise.sigma_yaw):.3f}° of pose",
             "unexplained": f"{self.noise.stray:.2g} returns a metre travelled",
             **self.calibration.summary(),
             **({} if self.cells is None else {f"cells, {k}": v for k, v in self.cells.summary().items()}),

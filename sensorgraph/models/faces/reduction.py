@@ -21,10 +21,12 @@ from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.settings import FACES
+from sensorgraph.models.faces.strata import spread_evenly
 from sensorgraph.models.faces.visibility import Rays
 from sensorgraph.types import Floats
 
 SCANS_PER_BLOCK = FACES.reduction.scans_per_block
+MAX_COLLECTED_RAYS = FACES.reduction.max_collected_rays
 MAX_SAMPLED_RAYS = FACES.reduction.max_sampled_rays
 
 
@@ -52,6 +54,20 @@ class RaySample:
     def merge(self, other: RaySample) -> RaySample:
         """Put two samples one after the other."""
         return _concatenate([self, other])
+
+    def spread_evenly(self, sensor: RangeSensor) -> RaySample:
+        """Return MAX_SAMPLED_RAYS of them at most, as many of each place and direction as far as there are any."""
+        if len(self) <= MAX_SAMPLED_RAYS:
+            return self
+        poses = self.poses_of_rays
+        turn = np.mod(poses[:, 2] + sensor.bearings[self.beams], 2 * np.pi)
+        kept = spread_evenly(poses[:, :2], turn, MAX_SAMPLED_RAYS)
+        return RaySample(
+            poses=self.poses[kept],
+            beams=self.beams[kept],
+            ranges=self.ranges[kept],
+            ray_poses=None if self.ray_poses is None else self.ray_poses[kept],
+        )
 
     def rays(self, sensor: RangeSensor, mount: Floats) -> Rays:
         """Return them as rays from a laser mounted at `mount` (3,)."""
@@ -81,6 +97,10 @@ class Reduction:
     n_rays: int
     """All that were neither broken nor too near."""
     n_returns: int
+
+    def spread_evenly(self, sensor: RangeSensor) -> Reduction:
+        """Return the same with a sample that is spread evenly."""
+        return replace(self, sample=self.sample.spread_evenly(sensor))
 
     def merge(self, other: Reduction) -> Reduction:
         """Add up two disjoint sets of scans, those of `self` first."""
@@ -170,7 +190,7 @@ def reduce_blocks(
     n_rays : of all blocks together, about: it says how thin the sample is
     map_blocks : where the blocks are reduced; `map`: here, one after the other
     """
-    work = partial(reduce_block, mount=mount, share=min(1.0, MAX_SAMPLED_RAYS / max(n_rays, 1)))
+    work = partial(reduce_block, mount=mount, share=min(1.0, MAX_COLLECTED_RAYS / max(n_rays, 1)))
     total: Reduction | None = None
     samples: list[RaySample] = []
     for part in map_blocks(work, blocks):

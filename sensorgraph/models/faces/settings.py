@@ -26,8 +26,10 @@ class FaceReductionSettings:
 
     scans_per_block: int = 8192
     """Scans of a block."""
+    max_collected_rays: int = 3_000_000
+    """Rays taken of a whole log, in the mean, ..."""
     max_sampled_rays: int = 1_500_000
-    """Rays that the sample of a whole log holds, in the mean."""
+    """... of which the sample holds so many, spread evenly over places and directions."""
     hit_cell: float = 0.02
     """[m] side of the cells in which hits are pooled."""
     kept_crossings: int = 12
@@ -211,7 +213,7 @@ class FaceFitSettings:
     draft_rays: int = 300_000
     """Rays that lines and bins are fitted to in the first rounds."""
     stratum_cell: float = 0.5
-    """[m] side of the cells from which drafts take as many rays each, as far as there are any, ..."""
+    """[m] side of the cells from which samples and drafts take as many rays each, as far as there are any, ..."""
     stratum_sector: float = math.radians(15.0)
     """[rad] ... in each direction."""
     final_rays: int = 1_500_000
