@@ -16,6 +16,7 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
@@ -125,8 +126,9 @@ def test_a_browser_shows_the_layout_of_the_review(address: str, tmp_path: Path) 
                 dark < 0.4 and time.monotonic() < end
             ):  # the review's views are dark, the welcome page is light
                 time.sleep(5)
-                picture = np.asarray(screenshot().convert("L"))
-                dark = float((picture < 60).mean())
+                with suppress(OSError, ValueError):  # a slow machine: no browser, or no page in it yet
+                    picture = np.asarray(screenshot().convert("L"))
+                    dark = float((picture < 60).mean())
         finally:
             shown.kill()
     assert dark > 0.4
