@@ -220,6 +220,13 @@ def test_clutter_at_walls_is_no_price_of_what_stands_free() -> None:
     assert price(at_wall, data) - price(in_the_room, data) == pytest.approx(900.0)
 
 
+def test_few_good_runs_do_not_tell_what_stands_free_from_what_leans_at_walls() -> None:
+    shown = {"unmapped_obstacle": 300.0}
+    apart, one = floors(baseline(*[shown] * 4, {"range_noise": 20.0})), floors(baseline(shown))
+    assert one["unmapped_obstacle, standing free"] == one["unmapped_obstacle"] > 300.0
+    assert apart["unmapped_obstacle, standing free"] < 0.1 * apart["unmapped_obstacle"]
+
+
 @pytest.mark.slow
 def test_several_good_runs_are_silent_on_a_further_one_and_name_a_bias() -> None:
     several = commission_all([site_run(seed) for seed in (1, 5, 6)], ARENA, ROBOT)
