@@ -172,3 +172,15 @@ def test_two_sides_of_a_thin_wall_are_two_surfaces() -> None:
     surfaces = map_of(room_run(below, walls=thin, n_rays=360), below)
     scan = scan_points(room_run(np.array([[0.0, 1.5, -np.pi / 2]]), walls=thin, n_rays=360))
     assert match(scan.points, scan.normals, surfaces, np.array([0.0, 1.5, -np.pi / 2])).overlap < 0.1
+
+
+def test_front_of_a_wall_holds_a_return_that_met_it_almost_along_it() -> None:
+    x = np.linspace(-2.0, 2.0, 101)
+    wall, ahead = np.column_stack([x, np.zeros(101)]), np.tile([0.0, 1.0], (101, 1))
+    along = 0.2 * np.array(
+        [[np.cos(angle), np.sin(angle)] for angle in np.radians([5.0, -5.0])]
+    )  # to the laser
+    points = np.array([[0.5, 0.0], [0.5, 0.0]])
+    for facing, expected in ((0.0, 0.5), (0.25, 0.0)):
+        surfaces = line_map(wall, ahead, facing=facing)
+        assert match(points, along, surfaces, np.zeros(3)).overlap == expected

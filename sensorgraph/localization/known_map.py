@@ -123,7 +123,7 @@ def known_map(
     (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
     window = SearchWindow(x=(x0 + x1) / 2, y=(y0 + y1) / 2, half_x=(x1 - x0) / 2, half_y=(y1 - y0) / 2)
     return KnownMap(
-        surfaces=line_map(points, None if normals is None else normals[owner]),
+        surfaces=line_map(points, None if normals is None else normals[owner], facing=0.0),
         pyramid=MaxPyramid(field=coarse),
         field=fine,
         window=window,

@@ -14,6 +14,9 @@ from planners.kernel import inner_kernel, kernel
 from sensorgraph.localization.settings import LINES, MATCH, UNSURE
 from sensorgraph.types import Floats, Ints
 
+FACING = 0.25
+"""Cosine between the direction to the laser and a normal, above which the laser looks at that side, not along it."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LineMap:
@@ -33,9 +36,17 @@ class LineMap:
     """(n_points, 2) unit normals towards where the point was seen from; 0, 0: not known."""
     order: Ints
     """(n_points,) where each point stood in what the map was made of."""
+    facing: float
+    """Cosine between a normal and the direction to the laser, above which the laser looks at that side."""
 
 
-def line_map(points: Floats, normals: Floats | None = None, *, side: float = MATCH.first_radius) -> LineMap:
+def line_map(
+    points: Floats,
+    normals: Floats | None = None,
+    *,
+    side: float = MATCH.first_radius,
+    facing: float = FACING,
+) -> LineMap:
     """Put points into buckets.
 
     Parameters
@@ -43,6 +54,7 @@ def line_map(points: Floats, normals: Floats | None = None, *, side: float = MAT
     points : (n, 2) [m] in map
     normals : (n, 2) towards where each point was seen from; None, or 0, 0: not known
     side : [m] of a bucket
+    facing : cosine as in `LineMap`; 0 where normals are right to a degree
     """
     n = len(points)
     normals = np.zeros((n, 2)) if normals is None else normals
@@ -59,6 +71,7 @@ def line_map(points: Floats, normals: Floats | None = None, *, side: float = MAT
         points=points[order],
         normals=normals[order],
         order=order,
+        facing=facing,
     )
 
 
@@ -143,12 +156,8 @@ def _fill(points: Floats, side: float, keys: Ints, first: Ints, counts: Ints, or
         counts[slot] += 1
 
 
-FACING = 0.25
-"""Cosine between the direction to the laser and a normal, above which the laser looks at that side, not along it."""
-
-
 @inner_kernel
-def is_same_side(ax: float, ay: float, bx: float, by: float, same_side: float) -> bool:
+def is_same_side(ax: float, ay: float, bx: float, by: float, same_side: float, facing: float) -> bool:
     """Tell whether two points may lie on one side of one surface, by their normals.
 
     Vectors of unit length are normals; shorter ones only say from where a point was seen; (0, 0) says nothing.
@@ -157,7 +166,7 @@ def is_same_side(ax: float, ay: float, bx: float, by: float, same_side: float) -
     a, b = ax * ax + ay * ay, bx * bx + by * by
     if a > 0.25 and b > 0.25:
         return dot >= same_side
-    return a == 0.0 or b == 0.0 or dot > FACING * np.sqrt(a * b)
+    return a == 0.0 or b == 0.0 or dot > facing * np.sqrt(a * b)
 
 
 @inner_kernel
@@ -174,6 +183,7 @@ def fit_line(
     counts: Ints,
     points: Floats,
     normals: Floats,
+    facing: float,
 ) -> tuple[float, float, float, float, float, float, float]:
     """Fit a line to the points around (x, y) whose normals agree with (nx, ny), where both are known.
 
@@ -192,7 +202,7 @@ def fit_line(
                 near = 1.0 - (dx * dx + dy * dy) * inverse
                 if near <= 0.0:
                     continue
-                if not is_same_side(nx, ny, normals[k, 0], normals[k, 1], same_side):
+                if not is_same_side(nx, ny, normals[k, 0], normals[k, 1], same_side, facing):
                     continue
                 u = near * near
                 w += u

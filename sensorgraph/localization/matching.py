@@ -94,6 +94,7 @@ def match(
                 settings.min_points,
                 settings.same_side,
                 settings.inlier,
+                surfaces.facing,
             ]
         ),
         out,
@@ -183,11 +184,11 @@ def _line_at(
 
     Its weight is 0 where the points in there are of other surfaces, too.
     """
-    variance, min_points, same_side = numbers[2] * numbers[2], numbers[6], numbers[7]
-    line = fit_line(x, y, nx, ny, radius, same_side, side, keys, first, counts, points, normals)
+    variance, min_points, same_side, facing = numbers[2] * numbers[2], numbers[6], numbers[7], numbers[9]
+    line = fit_line(x, y, nx, ny, radius, same_side, side, keys, first, counts, points, normals, facing)
     if line[0] >= min_points or radius >= side:
         return line
-    line = fit_line(x, y, nx, ny, side, same_side, side, keys, first, counts, points, normals)
+    line = fit_line(x, y, nx, ny, side, same_side, side, keys, first, counts, points, normals, facing)
     if line[5] > variance:
         return 0.0, x, y, 1.0, 0.0, 0.0, 0.0
     return line

@@ -8,6 +8,7 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.localization.line_map import (
+    FACING,
     LineMap,
     bucket_key,
     find_slot,
@@ -106,6 +107,7 @@ def _fit_lines(
             counts,
             points,
             normals,
+            FACING,
         )
         if w > 1.0 and across < roundness * along:
             off = nx * (middles[k, 0] - cx) + ny * (middles[k, 1] - cy)
@@ -137,7 +139,7 @@ def _suppress(
                             continue
                         dx, dy = points[j, 0] - points[k, 0], points[j, 1] - points[k, 1]
                         if dx * dx + dy * dy < apart * apart and is_same_side(
-                            normals[k, 0], normals[k, 1], normals[j, 0], normals[j, 1], 0.5
+                            normals[k, 0], normals[k, 1], normals[j, 0], normals[j, 1], 0.5, FACING
                         ):
                             is_free = False
             kept[k] = is_free
@@ -192,7 +194,7 @@ def _assign(
                     dx, dy = x - middles[j, 0], y - middles[j, 1]
                     if abs(lines[j, 0] * dx + lines[j, 1] * dy) > gate or dx * dx + dy * dy >= least:
                         continue
-                    if not is_same_side(nx, ny, towards[j, 0], towards[j, 1], same_side):
+                    if not is_same_side(nx, ny, towards[j, 0], towards[j, 1], same_side, FACING):
                         continue
                     least = dx * dx + dy * dy
                     nearest[k] = j
