@@ -107,14 +107,10 @@ class SiteBaseline:
             kind: max(values) * self._clutter_factor(effect_of(kind), np.array(values))
             for kind, values in gained.items()
         }
-        if (
-            self.n_runs < SCAN.site.min_windows
-        ):  # too few to know what stands about apart from what leans at walls
-            nats |= {
-                kind: max(nats[k] for k in kinds_of(effect_of(kind)) if k in nats)
-                for key in list(nats)
-                for kind in kinds_of(effect_of(key))
-            }
+        if self.n_runs < SCAN.site.min_windows:  # too few to tell what stands free from what leans at walls
+            for kind in list(nats):
+                both = kinds_of(effect_of(kind))
+                nats |= dict.fromkeys(both, max(nats.get(k, 0.0) for k in both))
         least = min((n for n in nats.values() if n > SCAN.selection.threshold), default=0.0)
         if least == 0.0:
             return nats
