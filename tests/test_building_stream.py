@@ -87,18 +87,20 @@ def test_streamed_and_whole_give_the_same_bytes(path: Path, split: str | None, t
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 @pytest.mark.usefixtures("small")
-def test_a_cluster_gives_the_same_bytes(path: Path, tmp_path: Path) -> None:
+def test_a_cluster_gives_the_same_bytes(run: Run, path: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install '.[dask]'")
     from sensorgraph.building.dask_cluster import cluster
 
-    plain = build([open_log(path), open_log(path)], names=["a", "b"])
+    other = tmp_path / "other.mcap"
+    logs.write(replace(run, ranges=run.ranges + 0.001), other)
+    plain = build([open_log(path), open_log(other)], names=["a", "b"])
     with (
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
         ) as local,
         cluster(local.scheduler_address) as map_blocks,
     ):
-        graph = build([open_log(path), open_log(path)], names=["a", "b"], map_blocks=map_blocks)
+        graph = build([open_log(path), open_log(other)], names=["a", "b"], map_blocks=map_blocks)
     assert bytes_of(graph, tmp_path / "a") == bytes_of(plain, tmp_path / "b")
 
 

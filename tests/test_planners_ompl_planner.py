@@ -74,6 +74,9 @@ for state, pose in ((a, (0.5, 0.5, 0.0)), (b, (0.5, 1.3, 0.2))):
 print(json.dumps({"runs": runs(benchmark), "cost": objective.motionCost(a, b).value()}))
 """
 STOPPED = """
+setup, planner = setup_of("diff")  # the kernels are compiled here, and not in the half second
+setup.setPlanner(planner)
+setup.solve(600.0)
 setup, planner = setup_of("diff", shipped("square"))
 planner.cell, planner.headings = 0.2, 24
 setup.setPlanner(planner)
