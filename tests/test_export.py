@@ -266,6 +266,7 @@ def test_nav2_map_is_read_back_as_the_arena(world: ExportedWorld, tmp_path: Path
     assert parameters["alpha1"] == 0.2 and parameters["z_hit"] == 0.5  # without a run, Nav2's defaults
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_folder_whose_script_records_a_run(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     assert cli(["export", "square", "--to", "mujoco", "-o", str(tmp_path / "twin")]) == 0

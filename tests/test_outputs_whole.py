@@ -156,6 +156,7 @@ def test_two_recordings_under_one_name_are_whole_and_one_that_was_killed_stays(t
     assert (tmp_path / "run.mcap.part").read_bytes() == b"of a killed recorder"
 
 
+@pytest.mark.slow
 def test_two_commands_at_once_leave_a_whole_output(made: Path, tmp_path: Path) -> None:
     code = "import sys; from sensorgraph.cli import main; main()"
     words = [sys.executable, "-c", code, "record", str(made / "plan"), "--arena", "square"]

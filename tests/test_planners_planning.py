@@ -136,6 +136,7 @@ def fingerprint(seed: int) -> str:
     return f"{joins} {hashlib.sha256(b''.join(data)).hexdigest()}"
 
 
+@pytest.mark.slow
 def test_same_seed_same_plan_in_every_process_and_whatever_ran_before() -> None:
     """OMPL advances its random streams over a process; plans must not notice."""
     said = subprocess.run(
