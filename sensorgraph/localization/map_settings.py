@@ -117,7 +117,7 @@ class MapTrackingSettings:
     true place fit badly, but what fits by chance has its like elsewhere."""
     alone_lead: float = 0.5
     """Of places by chance, 0.33 at most at 40 places of intel that the map lacks (`localize_in_map --swap`)."""
-    near_fit: float = 0.5
+    near_fit: float = 0.4
     """The same of a place where the robot must be by its odometry since it was lost."""
     expected_fit: float = 0.3
     """The same of a place within `expected_way` and `expected_turn` of where the odometry has it, if no place of the map
