@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from conftest import polygon_arena
 from diagnosis_samples import make_run
+from scan_samples import drive, hall_arena
 
 from logs.run import Run
-from planners.arena import Arena, wrap
+from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
@@ -101,11 +102,7 @@ TRUE_C = 0.006
 
 @pytest.fixture(scope="module")
 def hall() -> Arena:
-    return polygon_arena(
-        [(0, 0), (6, 0), (6, 5), (0, 5)],
-        [(2.0, 3.0), (2.6, 3.0), (2.6, 3.5), (2.0, 3.5)],
-        [(4.0, 1.0), (4.5, 1.2), (4.3, 1.7)],
-    )
+    return hall_arena()
 
 
 @pytest.fixture(scope="module")
@@ -114,30 +111,9 @@ def robot() -> Robot:
 
 
 @pytest.fixture(scope="module")
-def plain(hall: Arena, robot: Robot) -> Run:
-    """Return a run without any effect: a circle that breathes, with turns of both senses."""
-    rng = np.random.default_rng(4)
-    t = 0.2 * np.arange(160)
-    fine = np.linspace(0, t[-1], 3200)
-    phase = 0.35 * fine
-    x, y = 3.0 + 1.5 * np.cos(phase), 2.3 + 1.0 * np.sin(phase) + 0.2 * np.sin(3 * phase)
-    path = np.column_stack([x, y, phase + 1.5 * np.sin(0.9 * fine)])
-    scene = Scene(
-        arena=hall,
-        sensor=robot.sensor,
-        stamps=t,
-        motion=lambda times: np.stack([np.interp(times, fine, c) for c in path.T], axis=-1),
-        span=float(t[-1]),
-    )
-    scene.run()
-    reference = path + rng.normal(size=path.shape) * [0.002, 0.002, 0.0015]
-    return Run(
-        sensor=robot.sensor,
-        stamps=t,
-        ranges=draw_readings(scene, rng),
-        pose_stamps=fine,
-        poses=np.column_stack([reference[:, :2], wrap(reference[:, 2])]),
-    )
+def plain(hall: Arena) -> Run:
+    """Return a run without any effect."""
+    return drive(hall, seed=4)
 
 
 @pytest.fixture(scope="module")

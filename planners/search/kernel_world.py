@@ -110,7 +110,8 @@ def try_primitive(
     -------
     whether it keeps its distance; and the count of covered bins, whose flat indices are written to `covered`
 
-    One loop on purpose: it is the innermost of all searches, inlined, and looks at each sample once for both questions.
+    One piece on purpose, as it is the innermost of all searches and inlined: it looks for walls, then at the few samples that
+    no stay can miss, and only where one of these is wanted at every stay.
     """
     distance, need, inner = world.distance, world.need, world.inner
     offsets, bins, core = primitives.offsets, primitives.bins, primitives.core

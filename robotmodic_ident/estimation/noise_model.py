@@ -36,8 +36,6 @@ class NoiseSearch:
     max_products: int = 3
     max_product_lag: int = 2
     """[samples] of the noise in products."""
-    min_new_share: float = 1e-10
-    """Of a candidate's squared norm that the others do not explain; below it depends on them."""
     alarm: float = 0.05
     """p-value of the residual's test below which another lag is tried; the convention."""
     tested_lags: tuple[int, ...] = (10, 5, 2)
@@ -208,16 +206,10 @@ def _most_promising(model: Narmax, candidates: Terms, records: Sequence[Record])
     theta = np.r_[model.noise_theta, np.zeros(len(candidates))]
     n = len(model.terms) + len(model.denominator) + len(noise)
     full = replace(model, noise_terms=noise, noise_theta=theta, covariance=np.zeros((n, n)))
-    gram, cross = NonlinearLeastSquares(full.recursion(), records).normal_equations(full.parameters)
-    k = n - len(candidates)
-    inverse = np.linalg.pinv(gram[:k, :k], hermitian=True)
-    side = gram[:k, k:]
-    power = np.diagonal(gram)[k:] - (side * (inverse @ side)).sum(axis=0)
-    rest = cross[k:] - side.T @ (inverse @ cross[:k])
-    gain = np.where(
-        power > NOISE_SEARCH.min_new_share, rest**2 / np.maximum(power, NOISE_SEARCH.min_new_share), 0.0
+    gains = NonlinearLeastSquares(full.recursion(), records).gains(
+        full.parameters, np.arange(n)[-len(candidates) :]
     )
-    return candidates.names[int(gain.argmax())]
+    return candidates.names[int(gains.argmax())]
 
 
 def _cost(model: Narmax, count: int, n_candidates: int) -> float:
@@ -242,6 +234,6 @@ def _is_white(model: Narmax, records: Sequence[Record], *, with_inputs: bool = F
             checks = validate(model, records, max_lag=max_lag, inputs=inputs)
         except IdentError:
             continue
-        asked = [c.p_value for c in checks if c.test == "e-e" or c.test.startswith("e-e")]
+        asked = [c.p_value for c in checks if c.test.startswith("e-e")]
         return min(asked) >= NOISE_SEARCH.alarm / len(asked)
     return True

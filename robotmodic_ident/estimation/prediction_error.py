@@ -15,9 +15,11 @@ import numpy as np
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.prediction.recursion import Recursion, Segment
 from robotmodic_ident.records import Record
-from robotmodic_ident.types import Floats
+from robotmodic_ident.types import Floats, Ints
 
 Covariance = Literal["classical", "sandwich", "hac"]
+MIN_NEW_SHARE = 1e-10
+"""Of a gradient's squared norm that the others do not explain; below it depends on them."""
 
 
 class Evaluate(Protocol):
@@ -144,7 +146,21 @@ class NonlinearLeastSquares:
                 J = slopes[use]
                 yield J, segment.measured[part][use] - out[use] + J @ theta
 
-    def normal_equations(self, theta: Floats) -> tuple[Floats, Floats]:
+    def gains(self, theta: Floats, new: Ints) -> Floats:
+        """Return by how much each `new` parameter (n_new,), beside all others, would lower the sum of squares (n_new,).
+
+        To first order: one Gauss-Newton step from `theta`. It is 0 for one that the others nearly say already.
+        """
+        gram, cross = self._normal_equations(theta)
+        others = np.setdiff1d(np.arange(len(gram)), new)
+        inverse = np.linalg.pinv(gram[np.ix_(others, others)], hermitian=True)
+        side = gram[np.ix_(others, new)]
+        power = np.diagonal(gram)[new] - (side * (inverse @ side)).sum(axis=0)
+        rest = cross[new] - side.T @ (inverse @ cross[others])
+        is_new = power > MIN_NEW_SHARE
+        return np.where(is_new, rest**2 / np.where(is_new, power, 1.0), 0.0)
+
+    def _normal_equations(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return Gram (n_parameters, n_parameters) and cross products with the residual, for gradients of unit norm.
 
         They are summed up a block of rows at a time.

@@ -34,8 +34,6 @@ class RationalSearch:
     """Terms added at most on the way to the structure."""
     min_gain: float = 1e-9
     """Relative fall of the criterion that a larger structure must bring."""
-    min_new_share: float = 1e-10
-    """Of a term's squared norm that terms already chosen do not explain; below it depends on them."""
 
 
 RATIONAL_SEARCH = RationalSearch()
@@ -152,19 +150,13 @@ class RationalStructureSearch:
         model = trial.model
         above, below = model.terms + self.upper, model.denominator + self.lower
         full = _with_zeros(model, above, below)
-        gram, cross = NonlinearLeastSquares(full.recursion(), self.records).normal_equations(full.parameters)
         n, m, q = len(model.terms), len(model.denominator), len(model.noise_terms)
         present = np.r_[np.arange(n), len(above) + np.arange(m), len(above) + len(below) + np.arange(q)]
-        absent = np.setdiff1d(np.arange(len(gram)), present)
+        absent = np.setdiff1d(np.arange(len(full.parameters)), present)
         if len(absent) == 0:
             return "", None
-        inverse = np.linalg.pinv(gram[np.ix_(present, present)], hermitian=True)
-        side = gram[np.ix_(present, absent)]
-        power = np.diagonal(gram)[absent] - (side * (inverse @ side)).sum(axis=0)
-        rest = cross[absent] - side.T @ (inverse @ cross[present])
-        alive = power > RATIONAL_SEARCH.min_new_share
-        gain = np.where(alive, rest**2 / np.where(alive, power, 1.0), 0.0)
-        best = int(absent[gain.argmax()])
+        gains = NonlinearLeastSquares(full.recursion(), self.records).gains(full.parameters, absent)
+        best = int(absent[gains.argmax()])
         if best < len(above):
             return above.names[best], _with_zeros(model, model.terms + above[[best]], model.denominator)
         new = below[[best - len(above)]]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 from logs.run import OccupancyMap, Run, pair
 from planners.arena import Arena, wrap
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.exporting.amcl_filter import LASER_MODELS, MIN_A, MIN_D, CellDistances, filtered, updates
+from sensorgraph.exporting.amcl_filter import LASER_MODELS, CellDistances, filtered, updates
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser, laser_poses
@@ -249,17 +249,11 @@ def _steps(run: Run) -> Floats:
     truth = np.column_stack(
         [np.interp(stamps, run.pose_stamps, part) for part in (run.poses[:, 0], run.poses[:, 1], phi)]
     )
-    index = np.flatnonzero(known)
-    out, last = [], None
-    for i in index:
-        if last is None:
-            last = i
-            continue
-        way = np.hypot(*(odometry[i, :2] - odometry[last, :2]))
-        if way < MIN_D and abs(wrap(odometry[i, 2] - odometry[last, 2])) < MIN_A:
-            continue
-        out.append([*_turn_way_turn(odometry[last], odometry[i]), *_turn_way_turn(truth[last], truth[i])])
-        last = i
+    odometry, truth = odometry[known], truth[known]
+    out = [
+        [*_turn_way_turn(odometry[a], odometry[b]), *_turn_way_turn(truth[a], truth[b])]
+        for a, b in pairwise([0, *updates(odometry)])
+    ]
     return np.array(out, dtype=np.float64).reshape(-1, 6)
 
 
