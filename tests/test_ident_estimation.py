@@ -7,7 +7,11 @@ import pytest
 from ident_samples import simulate
 
 from robotmodic_ident import IdentError, Narmax, Record, Terms, fit, lags, polynomial
-from robotmodic_ident.estimation.prediction_error import NonlinearLeastSquares
+from robotmodic_ident.estimation.prediction_error import (
+    LevenbergMarquardt,
+    NonlinearLeastSquares,
+    levenberg_marquardt,
+)
 from robotmodic_ident.estimation.simulation_error import FreeRunLeastSquares
 
 TRUTH = {"1": 0.5, "y(k-1)": 0.6, "y(k-1)*u(k-1)": -0.15, "u(k-2)": 0.9}
@@ -208,6 +212,18 @@ def test_records_and_gaps_restart_the_noise() -> None:
     stamps = np.arange(1400) * 0.1 + np.where(np.arange(1400) >= 700, 60.0, 0.0)
     one = fit(Record(signals=gap, stamps=stamps), "y", Terms.parse(*TRUTH), n_terms=4, noise=1)
     np.testing.assert_allclose(one.theta, both.theta, atol=1e-7)
+
+
+def test_descent_with_fewer_samples_than_parameters_ends_in_an_exact_fit() -> None:
+    rng = np.random.default_rng(8)
+    J, y = rng.normal(size=(3, 5)), rng.normal(size=3)
+
+    def evaluate(theta: np.ndarray, *, gradient: bool = False) -> tuple:
+        left = y - J @ theta
+        return float(left @ left), [left], [J] if gradient else []
+
+    found = levenberg_marquardt(evaluate, np.zeros(5), LevenbergMarquardt())
+    np.testing.assert_allclose(J @ found.theta, y, atol=1e-6)
 
 
 def test_wrong_wishes_are_refused() -> None:

@@ -237,7 +237,7 @@ def _step(residuals: Sequence[Floats], gradients: Sequence[Floats], damping: flo
     size *= np.maximum(np.sqrt(((J / size) ** 2).sum(axis=0)), 1.0)
     p = J.shape[1]
     R = np.asarray(np.linalg.qr(np.column_stack([J / size, r]), mode="r"), dtype=np.float64)
-    U, s, Vt = np.linalg.svd(R[:p, :p])
+    U, s, Vt = np.linalg.svd(R[:p, :p], full_matrices=False)  # fewer rows than columns: the shortest step
     seen = s > 1e-12 * s[0]
     part = U.T @ R[:p, p]
     weight = np.where(seen, s / (s**2 + damping), 0.0)
