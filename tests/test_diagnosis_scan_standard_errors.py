@@ -16,7 +16,12 @@ from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import searched
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.diagnosis.scan.standard_errors import lattice_error, material_probability, standard_errors
+from sensorgraph.diagnosis.scan.standard_errors import (
+    jagged_error,
+    lattice_error,
+    material_probability,
+    standard_errors,
+)
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import parse_robot
 
@@ -64,6 +69,23 @@ def test_the_error_of_scattered_strays_is_that_of_counting(hall: Arena) -> None:
     got, errors = fitted(hall, EFFECTS["random_outliers"](p=p), EFFECTS["random_outliers"](p=0.01))
     counting = np.sqrt(p * (1 - p) / got.solver.data.ranges.size)
     assert 0.7 * counting < errors["p"] < 1.8 * counting
+
+
+@pytest.mark.parametrize("step", [0.02, 0.1, 0.3])
+def test_jags_of_a_likelihood_do_not_make_its_error(hall: Arena, step: float) -> None:
+    """Where readings jump in and out of reach, the fall beside the estimate is that of the jags, at any short step."""
+    data, _ = prepare_scans(drive(hall, ()), hall, parse_robot("sensor: {n_rays: 61}"), ())
+    rng, at, error = np.random.default_rng(4), 0.4, 0.02
+    jumps = rng.uniform(0.2, 0.6, (data.n_scans, 20))
+
+    def change(value: float) -> np.ndarray:
+        smooth = scores * (value - at) - 0.5 * ((value - at) / error) ** 2 / data.n_scans
+        return np.asarray(smooth + 0.05 * (signs * ((jumps < value) != (jumps < at))).sum(axis=1))
+
+    signs = rng.choice([-1.0, 1.0], jumps.shape)
+    scores = rng.normal(size=data.n_scans) / (error * np.sqrt(data.n_scans))
+    scores -= scores.mean()
+    assert 0.5 * error < jagged_error(change, data, at, step) < 4 * error
 
 
 def test_a_lattice_that_is_off_by_its_error_still_holds_every_reading(hall: Arena) -> None:

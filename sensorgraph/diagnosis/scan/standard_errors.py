@@ -109,19 +109,41 @@ def _profiled(fitted: Fitted, index: int, noise_bounds: NoiseBounds, name: str, 
         SCAN.standard_error.fall_window if shares_noise is None else SCAN.standard_error.broad_fall_window
     )
     sides = [_fall(log_p, here, at, sign * step, bounds) for sign in (1.0, -1.0)]
-    width = max(
-        (width for width, _ in sides if np.isfinite(width)), default=np.inf
-    )  # one side may end the wall
-    if shares_noise is None or not all(np.isfinite(w) for w, _ in sides):
+    width = max((side for side in sides if np.isfinite(side)), default=np.inf)  # one side may end the wall
+    if shares_noise is None or not np.isfinite(sides).all():
         return width
-    slope = sum(sign * change / w for sign, (w, change) in zip((0.5, -0.5), sides, strict=True))
-    return width * max(1.0, width * float(np.sqrt(_by_block(data, np.asarray(slope)))))
+    return jagged_error(lambda value: np.asarray(log_p(value) - here), data, at, step)
+
+
+def jagged_error(change: Callable[[float], Floats], data: ScanData, at: float, step: float) -> float:
+    """Return the standard error of a parameter whose likelihood is jagged: single readings jump in and out of reach.
+
+    Differences are taken over the same step on both sides, and the step comes down from above until it is about the
+    error that follows from it: a shorter one would tell of the jags (numerical derivatives of what is not smooth:
+    Pakes and Pollard 1989).
+
+    Parameters
+    ----------
+    change : of the log-likelihood per scan [nats] from its value `at` the estimate
+    step : the first
+    """
+    width = step
+    for _ in range(SCAN.standard_error.max_casts):
+        up, down = change(at + step), change(at - step)
+        curvature = -float((up + down).sum()) / step**2
+        if curvature > 0:
+            scatter = float(np.sqrt(_by_block(data, (up - down) / (2 * step))))
+            width = max(curvature**-0.5, scatter / curvature)
+            if step < 3 * width:
+                break
+        step /= 3
+    return width
 
 
 def _fall(
     log_p: Callable[[float], Floats], here: Floats, at: float, step: float, bounds: tuple[float, float]
-) -> tuple[float, Floats]:
-    """Return the distance over which the log-likelihood falls by half a nat, and its change per scan there.
+) -> float:
+    """Return the distance over which the log-likelihood falls by half a nat.
 
     Parameters
     ----------
@@ -130,18 +152,15 @@ def _fall(
     """
     reach, sign = abs(step), np.sign(step)
     h, low, high = SCAN.standard_error.first_step * reach, 0.0, np.inf
-    change = np.zeros(len(here))
     for _ in range(SCAN.standard_error.max_casts):
-        change = log_p(at + sign * h) - here
-        fall = -float(change.sum())
+        fall = -float((log_p(at + sign * h) - here).sum())
         if bounds[0] < fall < bounds[1]:
-            scale = float(np.sqrt(SCAN.standard_error.fall / fall))
-            return h * scale, change * scale
+            return h * float(np.sqrt(SCAN.standard_error.fall / fall))
         low, high = (h, high) if fall < bounds[0] else (low, h)
         if low > SCAN.standard_error.max_step * reach:
-            return np.inf, change
+            return np.inf
         h = 4 * low if high == np.inf else float(np.sqrt(max(low, high / 30) * high))
-    return h, change
+    return h
 
 
 def _by_block(data: ScanData, slope: Floats) -> float:
