@@ -32,7 +32,7 @@ from planners.sections import check_pose, end_poses, fit_to_budget
 from planners.settings import JOIN_PLANNERS, REACH, STARTS
 from planners.task import JoinCounts, PlannedDrive, Survey, Task
 from planners.trajectory import Trajectory
-from planners.types import Bools, Floats, Progress
+from planners.types import Bools, Floats, Progress, Status
 from planners.vehicle import Vehicle
 
 PLANNERS: dict[str, Callable[[Task], PlannedDrive]] = {
@@ -101,6 +101,7 @@ def plan(
     survey: Survey | None = None,
     join_planner: str = JOIN_PLANNERS[0],
     progress: Progress | None = None,
+    status: Status | None = None,
 ) -> Plan:
     """Plan a drive through every reachable (x, y, phi) bin, in OMPL's frame (`planners.ompl_frame`).
 
@@ -124,6 +125,7 @@ def plan(
     survey : what the sensor would see, for the order anytime; None: coarse coverage comes first
     join_planner : the planner of OMPL that finds ways round obstacles: one of JOIN_PLANNERS, or a user's own, module:Class
     progress : is called with (bins done, bins in all) while the search goes on
+    status : is told in a few words what is being planned, and how good it is already
 
     Raises
     ------
@@ -144,6 +146,7 @@ def plan(
     task = replace(
         task, priority=_priority(priority, task.coverage), targets=targets(task.reach) if callable(targets) else targets,
         duration=task.duration if duration is None else duration, order=order, survey=survey, progress=progress,
+        status=status,
     )  # fmt: skip
     drive = import_module(FRAME).drive_in_frame(task, PLANNERS[planner], planner)
     made, interrupted = defer_interrupt(partial(_finish, drive, task, planner, ends, sweep_time))
@@ -245,6 +248,7 @@ def _finish(drive: PlannedDrive, task: Task, planner: str, ends: DriveEnds, swee
     grid, rate = task.coverage, task.rate
     end, budget, battery = ends.end, ends.budget, ends.battery
     covered_before = grid.covered
+    task.say("checking the drive")
     lost = np.zeros_like(grid.reachable) if drive.lost is None else drive.lost
     before, runs, ended = grid.fraction, list[Session](), dict[str, Any]()
     if battery is None:

@@ -10,7 +10,7 @@ from planners.clearance import Barriers
 from planners.coverage import Coverage
 from planners.curve import Curve
 from planners.reach import Reach, ReturnableSet
-from planners.types import Bools, Floats, Progress
+from planners.types import Bools, Floats, Progress, Status
 from planners.vehicle import Vehicle
 
 ORDERS = ("fast", "anytime")
@@ -60,6 +60,13 @@ class Task:
     """What an anytime plan looks at first; None: it begins with coarse coverage."""
     budget: float | None = None
     """[s] after which nothing more need be planned; None: all."""
+    status: Status | None = None
+    """Is told what is being planned and how good it is already."""
+
+    def say(self, text: str) -> None:
+        """Tell what is being planned, if anybody listens."""
+        if self.status is not None:
+            self.status(text)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,3 +15,6 @@ Int16s = NDArray[np.int16]
 
 Progress = Callable[[int, int], None]
 """Called with (done, total) while work goes on."""
+
+Status = Callable[[str], None]
+"""Called with a few words on what is worked on now, and how good it is already."""

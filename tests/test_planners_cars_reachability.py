@@ -105,7 +105,9 @@ def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_wavefront(
         return [None] * len(starts), JoinCounts(failed=len(starts))
 
     def search(missing: Bools, here: Floats, seed: int) -> RoomDrive | None:
-        return search_floor(missing, task, here, seed, lambda _: True, SearchSettings(beam_width=30))
+        return search_floor(
+            missing, task, here, seed, lambda left, seconds: True, SearchSettings(beam_width=30)
+        )
 
     monkeypatch.setattr(repairs, "connect_cars", in_vain)
     repair = CarRepair(task, todo, START, search)

@@ -113,7 +113,7 @@ def test_a_search_that_gives_up_goes_on_where_ompl_has_brought_the_car(drive: Dr
     short = SearchSettings(beam_width=30, horizon=1.5, goal_horizon=24 if drive == "reeds_shepp" else 6)
 
     def search(missing: Bools, here: Floats, seed: int) -> RoomDrive | None:
-        return search_floor(missing, task, here, seed, lambda _: True, short)
+        return search_floor(missing, task, here, seed, lambda left, seconds: True, short)
 
     assert search(todo, START, 0) is None
     repair = CarRepair(task, todo, START, search)

@@ -23,7 +23,12 @@ from planners.types import Bools, Floats
 
 
 def search_floor(
-    todo: Bools, task: Task, start: Floats, seed: int, tick: Callable[[int], bool], settings: SearchSettings
+    todo: Bools,
+    task: Task,
+    start: Floats,
+    seed: int,
+    tick: Callable[[int, float], bool],
+    settings: SearchSettings,
 ) -> RoomDrive | None:
     """Search for a car's drive through the bins `todo` (nx, ny, n_phi), one room after the other.
 
@@ -51,7 +56,7 @@ def search_floor(
         search.want(wanted, dwell, inner=False)
 
         def tick_all(left: int, others: int = others) -> bool:
-            return tick(others + left)
+            return tick(others + left, search.seconds)
 
         search.run(tick_all)
         found = search.result()

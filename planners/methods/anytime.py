@@ -42,6 +42,7 @@ def plan_anytime(task: Task) -> PlannedDrive:
                 task, task.survey, OVERVIEW.share * reference_time(task.coverage, task.vehicle)
             ):
                 drive.add(part)
+                task.say(f"overview, {drive.clock / 60:.0f} min of driving so far")
                 if drive.is_enough:
                     return drive.planned()
         for level in (*ANYTIME.blocks, task.reach.cell):
@@ -96,6 +97,8 @@ class _AnytimeDrive:
         )
         if not wanted.any():
             return False
+        if block > task.reach.cell:
+            task.say(f"a spin in every {block:g} m, after {self.clock / 60:.0f} min of driving")
         grid = replace(task.coverage, counts=np.where(wanted, 0, 1))
         part = replace(task, coverage=grid, start=self.here, progress=self._progress(int(wanted.sum())))
         self.add(plan_spins(part) if block <= task.reach.cell else _SpinTour(part, wanted).run())

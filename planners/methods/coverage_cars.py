@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -13,7 +12,7 @@ from planners.cars.search import order_rooms, search_floor
 from planners.cars.shortcuts import shorten_drive
 from planners.errors import PlanError
 from planners.interrupt import defer_interrupt
-from planners.methods.parallel_search import free_place, primitives_of, search_in_parallel
+from planners.methods.parallel_search import SearchTick, free_place, primitives_of, search_in_parallel
 from planners.methods.repair_cars import CarRepair
 from planners.methods.settings import COVERAGE
 from planners.search.area import search_area
@@ -39,13 +38,14 @@ def plan_cars(task: Task) -> PlannedDrive:
     parts = [np.asarray(todo & room[:, :, None]) for room in order_rooms(todo, start, task)]
     begins = [_room_start(part, start, task) for part in parts]
 
-    def search(job: int, seed: int, tick: Callable[[int], bool]) -> RoomDrive | None:
+    def search(job: int, seed: int, tick: SearchTick) -> RoomDrive | None:
         return search_floor(parts[job], task, begins[job], seed, tick, settings)
 
     def search_on(missing: Bools, here: Floats, seed: int) -> RoomDrive | None:
-        return search_floor(missing, task, here, seed, lambda _: True, settings)
+        return search_floor(missing, task, here, seed, lambda left, seconds: True, settings)
 
     room_drives, interrupted = search_in_parallel(search, [int(part.sum()) for part in parts], task)
+    task.say(f"joining {len(room_drives)} rooms")
     repair = CarRepair(task, todo, start, search_on)
     for part, begin, room_drive in zip(parts, begins, room_drives, strict=True):
         if room_drive is None:
@@ -57,6 +57,7 @@ def plan_cars(task: Task) -> PlannedDrive:
             interrupted = True
             break
     if not interrupted:
+        task.say("completing what the search left, and shortening the drive")
         interrupted = _complete(repair, task)
     if not repair.drive.curves:
         raise PlanError(

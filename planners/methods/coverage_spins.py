@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -14,7 +13,7 @@ from planners.curve import Curve, CurveBuilder, join_curves
 from planners.errors import PlanError
 from planners.interrupt import defer_interrupt
 from planners.joins.paths import connect
-from planners.methods.parallel_search import free_place, primitives_of, search_in_parallel
+from planners.methods.parallel_search import SearchTick, free_place, primitives_of, search_in_parallel
 from planners.methods.repair_spins import SpinRepair
 from planners.methods.settings import COVERAGE
 from planners.methods.stop_and_spin import bins_to_visit
@@ -47,7 +46,7 @@ def plan_spins(task: Task) -> PlannedDrive:
 
     tries, settings = (2, SPIN_ONLY_ROOM) if len(jobs) == 1 else (1, SPIN_ROOM)
 
-    def search(job: int, seed: int, tick: Callable[[int], bool]) -> RoomDrive | None:
+    def search(job: int, seed: int, tick: SearchTick) -> RoomDrive | None:
         return _search_room(jobs[job][1], primitives, task, seed, tick, settings)
 
     room_drives, interrupted = search_in_parallel(search, [int(need.sum()) for _, need in jobs], task, tries)
@@ -60,6 +59,7 @@ def plan_spins(task: Task) -> PlannedDrive:
         ]
         here = ordered[-1].ends[1] if ordered else task.start
         ordered += [own[k] for k in _room_order(own, here, task)]
+    task.say(f"joining {len(ordered)} rooms")
     joined_drive, came_meanwhile = defer_interrupt(partial(_join_rooms, ordered, task))
     if interrupted or came_meanwhile:
         return replace(joined_drive, interrupted=True)
@@ -71,25 +71,29 @@ def _search_room(
     primitives: MotionPrimitives,
     task: Task,
     seed: int,
-    tick: Callable[[int], bool],
+    tick: SearchTick,
     settings: SearchSettings,
 ) -> RoomDrive | None:
     """Search for a drive through the bins `need` (nx, ny, n_phi); None if there is no place to begin or to stop."""
     area = search_area(task.reach, np.asarray(need.any(axis=2)))
     own = area.part(need)
     search = CoverageSearch(area, primitives, own, task.rate, seed=seed, settings=settings)
+
+    def told(left: int) -> bool:
+        return tick(left, search.seconds)
+
     start = free_place(area, task, own, search.rng)
     if start is None:
         return None
     search.start_at(np.array([*start, 0.0, 0.0]))
-    search.complete(tick)
+    search.complete(told)
     given_up = search.given_up | search.world.need
     for dwell in COVERAGE.retry_dwell:
         again = area.part(_missed_by(search, primitives, task, need)) & ~given_up
         if not again.any():
             break
         search.want(again, dwell, inner=False)
-        search.run(tick)
+        search.run(told)
     if not search.come_to_rest():
         return None
     result = search.result()
@@ -167,6 +171,7 @@ def _repair(driven: PlannedDrive, todo: Bools, task: Task) -> PlannedDrive:
     missing = missed(driven.curve, todo, task.coverage, task.rate)
     if not missing.any():
         return driven
+    task.say(f"completing {int(missing.sum()):,} bins that the search left")
     repair = SpinRepair(task, missing, driven.curve.sample(np.array([driven.curve.duration]))[0][0])
     interrupted = False
     try:

@@ -13,6 +13,7 @@ import numpy as np
 from planners.cars.car_curve import curve_of_arcs
 from planners.cars.shortcuts import shorten_drive
 from planners.methods.settings import COVERAGE
+from planners.report import reference_time
 from planners.search.area import SearchArea, search_area
 from planners.search.motion_primitives import GEARS, MotionPrimitives, car_primitives, spin_primitives
 from planners.search.room_drive import RoomDrive
@@ -27,6 +28,9 @@ POLL_INTERVAL = 0.1
 
 logger = logging.getLogger(__name__)
 
+SearchTick = Callable[[int, float], bool]
+"""Takes the bins left and the seconds driven, and tells whether to go on."""
+
 
 def primitives_of(task: Task) -> MotionPrimitives:
     """Return the primitives of the task's vehicle."""
@@ -39,7 +43,7 @@ def primitives_of(task: Task) -> MotionPrimitives:
 
 
 def search_in_parallel(
-    job: Callable[[int, int, Callable[[int], bool]], RoomDrive | None],
+    job: Callable[[int, int, SearchTick], RoomDrive | None],
     sizes: list[int],
     task: Task,
     tries: int = 1,
@@ -50,7 +54,7 @@ def search_in_parallel(
 
     Parameters
     ----------
-    job : (number, seed, tick) -> drive; `tick` takes the bins left and returns whether to go on
+    job : (number, seed, tick) -> drive; `tick` takes the bins left and the seconds driven, and returns whether to go on
     sizes : bins of each job
 
     Returns
@@ -63,10 +67,12 @@ def search_in_parallel(
     """
     left = {(room, attempt): size for attempt in range(tries) for room, size in enumerate(sizes)}
     total, stop = sum(left.values()), threading.Event()
+    seconds = dict.fromkeys(left, 0.0)
+    each = reference_time(task.coverage, task.vehicle) / max(total // tries, 1)  # [s] of a bin
 
     def search(room: int, attempt: int) -> RoomDrive | None:
-        def tick(now: int) -> bool:
-            left[room, attempt] = now
+        def tick(now: int, driven: float) -> bool:
+            left[room, attempt], seconds[room, attempt] = now, driven
             return not stop.is_set()
 
         seed = int(np.random.SeedSequence([task.seed, room, attempt]).generate_state(1)[0])
@@ -85,6 +91,11 @@ def search_in_parallel(
                 _, open_ = wait(open_, timeout=POLL_INTERVAL)
                 if task.progress:
                     task.progress((total - sum(left.values())) // tries, total // tries)
+                task.say(
+                    _quality(
+                        sum(seconds.values()), each * (total - sum(left.values())), len(sizes), len(open_)
+                    )
+                )
         except BaseException as exc:
             stop.set()
             threads.shutdown(cancel_futures=True)
@@ -106,6 +117,12 @@ def search_in_parallel(
     if stop.is_set() and not any(best):
         raise KeyboardInterrupt
     return best, stop.is_set()
+
+
+def _quality(seconds: float, reference: float, rooms: int, open_: int) -> str:
+    """Say how many rooms are searched, and how long the drives so far take beside the reference time of their bins."""
+    what = "searching the only room" if rooms == 1 else f"searching {rooms} rooms ({open_} left)"
+    return what if reference <= 0 else f"{what}, {seconds / reference:.2f} of the reference time so far"
 
 
 def _compile(task: Task) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from planners.curve import displace
 from planners.search.settings import KERNELS, PRIMITIVES, SPIN_ROOM
 from planners.settings import LOG
-from planners.types import Bools, Floats, Ints
+from planners.types import Bools, Floats, Int32s, Ints
 from planners.vehicle import Limits
 
 SAMPLES = KERNELS.samples
@@ -65,6 +65,14 @@ class MotionPrimitives:
     def n_headings(self) -> int:
         """Count of heading steps."""
         return len(self.offsets)
+
+    def units(self, mode: int, branches: Int32s) -> int:
+        """Return the units of time that primitives (n,) take, one after the other, from a mode on."""
+        total, cost, then = 0, self.cost, self.next_mode
+        for branch in branches.tolist():
+            total += int(cost[mode, branch])
+            mode = int(then[mode, branch])
+        return total
 
 
 def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) -> MotionPrimitives:

@@ -74,6 +74,7 @@ class _Snapshot(NamedTuple):
     missing: Ints
     """(nx, ny)"""
     n_parts: int
+    seconds: float
     """Parts driven so far."""
 
 
@@ -116,6 +117,7 @@ class CoverageSearch:
         self.state = np.zeros(4)
         self.start = self.state.copy()
         self._parts: list[Int32s] = []
+        self.seconds = 0.0  # [s] driven so far
         self.given_up = np.zeros_like(need)
         self._snapshots = [self._snapshot()]
 
@@ -212,8 +214,10 @@ class CoverageSearch:
                 n, units = found, settings.goal_horizon
             elif n_new == 0:
                 return SearchStatus.UNREACHABLE if found == 0 else SearchStatus.GAVE_UP, left
+        mode = int(state[3])
         n_driven, left = drive(state, n, units, left, settings, world, primitives, workspace)
         self._parts.append(workspace.way[:n_driven].copy())
+        self.seconds += self.primitives.unit * self.primitives.units(mode, self._parts[-1])
         return None, left
 
     def complete(self, tick: Callable[[int], bool]) -> None:
@@ -243,11 +247,8 @@ class CoverageSearch:
         """Undo the last decisions, and give up the cell from which the robot could not go on."""
         i, k = self._cell
         snapshot = self._snapshots.pop(0)
-        self.state, self.world.need[:], self.world.missing[:] = (
-            snapshot.state,
-            snapshot.need,
-            snapshot.missing,
-        )
+        self.state, self.seconds = snapshot.state, snapshot.seconds
+        self.world.need[:], self.world.missing[:] = snapshot.need, snapshot.missing
         self._snapshots.clear()
         del self._parts[snapshot.n_parts :]
         self._give_up(i, k)
@@ -271,9 +272,8 @@ class CoverageSearch:
         return self.left > 0
 
     def _snapshot(self) -> _Snapshot:
-        return _Snapshot(
-            self.state.copy(), self.world.need.copy(), self.world.missing.copy(), len(self._parts)
-        )
+        need, missing = self.world.need.copy(), self.world.missing.copy()
+        return _Snapshot(self.state.copy(), need, missing, len(self._parts), self.seconds)
 
     @property
     def _cell(self) -> tuple[int, int]:

@@ -82,22 +82,18 @@ def plan(
     """
     from planners.maps.no_go import zones
     from sensorgraph.cli.inputs import check_folder, parse_pose
-    from sensorgraph.cli.progress import progress
+    from sensorgraph.cli.progress import told_progress
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.planning.plan import plan as make_plan
 
     _quieten("planners.report", "planners.ompl_planner")  # their warnings are said below
     check_folder(out)
-    with progress("planning", "bins" if planner == "coverage" and views is None else "stops") as tick:
+    counted = "bins" if planner == "coverage" and views is None else "stops"
+    with told_progress("planning", counted) as (tick, say):
         made = make_plan(
-            arena,
-            robot,
-            planner=planner,
-            cell=cell,
-            headings=headings,
+            arena, robot, planner=planner, cell=cell, headings=headings, views=views, duration=duration, order=order,
             start=None if start is None else parse_pose(start),
             end=None if end is None else parse_pose(end, "--end"),
-            views=views,
             no_go=[zone for given in no_go or [] for zone in zones(given)],
             resume=resume if resume is None or views is not None else _located(resume, arena, poses),
             priority=None if priority is None else Sensorgraph.load(priority),
@@ -105,13 +101,8 @@ def plan(
             budget=_seconds("--budget", budget),
             battery=_seconds("--battery", battery),
             dock=None if dock is None else parse_pose(dock, "--dock"),
-            duration=duration,
-            order=order,
-            margin=margin,
-            join_planner=join_planner,
-            seed=seed,
-            progress=tick,
-        )
+            margin=margin, join_planner=join_planner, seed=seed, progress=tick, status=say,
+        )  # fmt: skip
     report = made.drive.report
     made.save(out)
     _tell(report["warnings"], [*made.arena.notes, _summary(report), *_runs(report), f"wrote {out}"])

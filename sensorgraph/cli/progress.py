@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Event, Thread
 from typing import TYPE_CHECKING
@@ -21,12 +21,19 @@ def progress(label: str, unit: str = "") -> Iterator[Progress]:
 
     The clock of the rate starts with the first tick: what is prepared before it says nothing of the time left.
     """
-    with (_bar if sys.stderr.isatty() else _plain)(label, unit) as tick:
+    with told_progress(label, unit) as (tick, _):
         yield tick
 
 
 @contextmanager
-def _bar(label: str, unit: str) -> Iterator[Progress]:
+def told_progress(label: str, unit: str = "") -> Iterator[tuple[Progress, Callable[[str], None]]]:
+    """Yield `tick(done, total)` and `say(text)`, which adds to the label what is worked on now."""
+    with (_bar if sys.stderr.isatty() else _plain)(label, unit) as (tick, say):
+        yield tick, say
+
+
+@contextmanager
+def _bar(label: str, unit: str) -> Iterator[tuple[Progress, Callable[[str], None]]]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
@@ -50,7 +57,7 @@ def _bar(label: str, unit: str) -> Iterator[Progress]:
                 task, completed=done, total=total, rate=f"{rate_text(rate)} {unit}/s".replace(" /", "/")
             )
 
-        yield tick
+        yield tick, lambda text: bar.update(task, description=f"{label}, {text}")
 
 
 def rate_text(rate: float) -> str:
@@ -83,7 +90,7 @@ class _PlainStage:
     """A stage that says every few seconds how far it is, also while one call takes all of its time."""
 
     def __init__(self, label: str, unit: str) -> None:
-        self.label, self.unit, self.opened = label, unit, time.monotonic()
+        self.title, self.label, self.unit, self.opened = label, label, unit, time.monotonic()
         self.first: tuple[float, int] | None = None
         self.done, self.total = 0, 0
 
@@ -92,6 +99,9 @@ class _PlainStage:
         self.done, self.total = done, total
         if _PlainLines.are_due():
             _PlainLines.write(self.line())
+
+    def say(self, text: str) -> None:
+        self.label = f"{self.title}, {text}"
 
     def line(self) -> str:
         now = time.monotonic()
@@ -112,11 +122,11 @@ class _PlainStage:
 
 
 @contextmanager
-def _plain(label: str, unit: str) -> Iterator[Progress]:
+def _plain(label: str, unit: str) -> Iterator[tuple[Progress, Callable[[str], None]]]:
     stage, ended = _PlainStage(label, unit), Event()
     Thread(target=stage.watch, args=(ended,), daemon=True).start()
     try:
-        yield stage.tick
+        yield stage.tick, stage.say
     finally:
         ended.set()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -108,6 +108,7 @@ def plan(
     join_planner: str = JOIN_PLANNERS[0],
     seed: int = 0,
     progress: Progress | None = None,
+    status: Callable[[str], None] | None = None,
 ) -> CoveragePlan:
     """Plan a drive that fills (x, y, phi): every reachable place, in every heading.
 
@@ -132,6 +133,8 @@ def plan(
         turns in place if a `budget` or a `graph` is given and no `priority`, else fast
     graph : for the order anytime: look first where this sensorgraph would not answer or be wrong
     seed : the same seed gives the same plan, byte for byte
+    progress : is called with (bins done, bins in all)
+    status : is told in a few words what is being planned, and how good it is already
 
     Raises
     ------
@@ -155,6 +158,7 @@ def plan(
         sweep_time=machine.sensor.sweep_time, rate=machine.sensor.rate, visited=visited, targets=targets,
         priority=None if priority is None or targets is not None else partial(uncertainty, priority),
         order=order, survey=_survey(order, world, machine, graph, visited), join_planner=join_planner, progress=progress,
+        status=status,
     )  # fmt: skip
     _note(drive.report, arena, world, [known for known in (priority, graph) if known is not None], no_go)
     return CoveragePlan(drive=drive, arena=world, robot=machine)
