@@ -18,6 +18,7 @@ from sensorgraph.localization.global_search import GlobalPlaces, find_places, lo
 from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import known_map
+from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.map_tracking import least_fit_of
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
@@ -195,10 +196,30 @@ def test_place_that_fits_badly_is_believed_only_where_no_other_comes_near() -> N
         hidden=np.array([0.15, 0.25]),  # half a metre of a door that is open now
         unseen=np.zeros(2),
     )
-    among_others = replace(alone, hidden=np.array([0.15, 0.1]))
-    assert alone.lead == pytest.approx(0.6) and among_others.lead == pytest.approx(0.3)
+    among_others = replace(alone, hidden=np.array([0.15, 0.1]), agreements=np.array([0.8, 0.6]))
+    assert alone.lead == pytest.approx(0.6) and among_others.lead == pytest.approx(0.1)
     assert least_fit_of(alone) < alone.fit == among_others.fit < least_fit_of(among_others)
+    half = replace(alone, hidden=np.array([0.15, 0.1]), agreements=np.array([0.85, 0.5]))
+    assert half.lead == pytest.approx(0.25)
+    assert least_fit_of(half) == pytest.approx((least_fit_of(alone) + MAP_TRACKING.found_fit) / 2)
     assert least_fit_of(replace(alone, agreements=np.array([0.65, 0.2]))) > 0.35  # no place fits so badly
+
+
+def test_rays_along_a_wall_or_past_its_end_did_not_go_through_it() -> None:
+    walls = np.array([[[0.0, 0.0], [4.0, 0.0]], [[6.0, -2.0], [6.0, 2.0]]])  # one along x, one beyond its end
+    place = known_map(walls)
+    laser = np.array([[0.5, 0.5, 0.0]])
+
+    def hidden(points: list[list[float]], shift: float = 0.0) -> float:
+        ends = np.array(points) - laser[0, :2]
+        return float(place.judge(laser + [0.0, shift, 0.0], ends, np.zeros_like(ends)).hidden[0])
+
+    aslant = [[3.8, 0.0], [3.9, 0.0]]  # the last metre within 0.15 m of the wall on which they end
+    past_the_end = [[6.0, -0.15], [6.0, -0.2]]
+    through = [[2.0, -1.0], [1.0, -1.5], [3.0, -0.8]]
+    for shift in (-0.05, 0.0, 0.05):
+        assert hidden(aslant, shift) == hidden(past_the_end, shift) == 0.0
+        assert hidden(through, shift) == 1.0
 
 
 def test_place_whose_rays_are_likelier_but_fit_worse_does_not_rule_out_another() -> None:

@@ -74,7 +74,7 @@ class KnownMap:
         s = settings
         peak = s.hit / (s.ray_sigma * np.sqrt(2 * np.pi))
         shares = np.array([s.unmapped, s.through_wall, 1.0]) / s.ray_length
-        numbers = np.array([peak, *shares, s.before_wall])
+        numbers = np.array([peak, *shares, s.before_wall, s.ray_sigma])
         _judge(
             self.field.values,
             self.field.origin,
@@ -155,13 +155,14 @@ def _judge(
             y1 = poses[i, 1] + sin * points[k, 0] + cos * points[k, 1]
             value = _value(values, (x1 - origin[0]) / resolution, (y1 - origin[1]) / resolution)
             hit = numbers[0] * value / 255.0
-            is_hidden = _meets_wall(
+            is_hidden = _is_hidden(
                 values,
                 (x0 - origin[0]) / resolution,
                 (y0 - origin[1]) / resolution,
                 (x1 - origin[0]) / resolution,
                 (y1 - origin[1]) / resolution,
                 numbers[4] / resolution,
+                numbers[5] / resolution,
             )
             if is_hidden:
                 hidden += 1.0
@@ -192,6 +193,24 @@ def _value(values: NDArray[np.uint8], x: float, y: float) -> float:
     if x < 0 or y < 0 or x >= nx or y >= ny:
         return 0.0
     return float(values[int(y), int(x)])
+
+
+@inner_kernel
+def _is_hidden(
+    values: NDArray[np.uint8], x0: float, y0: float, x1: float, y1: float, before: float, aside: float
+) -> bool:
+    """Tell whether a ray, all in cells, went through a wall, wherever within `aside` to its left and right it was.
+
+    A ray along a wall, or past its end, meets it by an error of a few centimetres of the pose or of the map.
+    """
+    if not _meets_wall(values, x0, y0, x1, y1, before):
+        return False
+    dx, dy = x1 - x0, y1 - y0
+    length = np.sqrt(dx * dx + dy * dy)
+    ax, ay = -dy * (aside / length), dx * (aside / length)
+    return _meets_wall(values, x0 + ax, y0 + ay, x1 + ax, y1 + ay, before) and _meets_wall(
+        values, x0 - ax, y0 - ay, x1 - ax, y1 - ay, before
+    )
 
 
 @inner_kernel

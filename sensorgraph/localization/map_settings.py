@@ -113,10 +113,11 @@ class MapTrackingSettings:
     found_fit: float = 0.6
     """`GlobalPlaces.fit` from which on a place without rivals is believed."""
     alone_fit: float = 0.4
-    """The same of a place that fits better than any other by `alone_lead`: an opened door or a moved cupboard lets the
-    true place fit badly, but what fits by chance has its like elsewhere."""
+    """The same of a place that fits better than any other by `alone_lead`, and in proportion between: an opened door or
+    a moved cupboard lets the true place fit badly, but what fits by chance has its like elsewhere."""
     alone_lead: float = 0.5
-    """Of places by chance, 0.33 at most at 40 places of intel that the map lacks (`localize_in_map --swap`)."""
+    """Of places by chance that fit by `alone_fit`, 0.21 at most at 160 places of three logs that the map lacks
+    (`localize_in_map --swap`)."""
     near_fit: float = 0.4
     """The same of a place where the robot must be by its odometry since it was lost."""
     expected_fit: float = 0.3

@@ -257,9 +257,10 @@ class MapTracker:
 
 
 def least_fit_of(found: GlobalPlaces, settings: MapTrackingSettings = MAP_TRACKING) -> float:
-    """Return the fit that a place found without a guess must have to be believed."""
-    is_alone = len(found.poses) > 0 and found.lead >= settings.alone_lead
-    return settings.alone_fit if is_alone else settings.found_fit
+    """Return the fit that a place found without a guess must have to be believed: the less, the more it leads."""
+    s = settings
+    share = np.clip(found.lead / s.alone_lead, 0.0, 1.0) if len(found.poses) else 0.0
+    return float(s.found_fit + share * (s.alone_fit - s.found_fit))
 
 
 def _is_beside(pose: Floats, window: SearchWindow, settings: MapTrackingSettings) -> bool:
