@@ -249,6 +249,18 @@ def test_covariance_grows_where_the_map_is_wrong_and_not_elsewhere() -> None:
     assert np.median(sd[62:]) > 1.3 * np.median(sd[:60])
 
 
+def test_covariance_of_a_laser_with_coarse_steps_is_that_of_its_errors() -> None:
+    run = room_run(TRUTH)
+    coarse = replace(run, ranges=0.05 * np.rint(run.ranges / 0.05))  # no field of the run says so
+    off, sd = [], []
+    for one in (run, coarse):
+        found = locate_in_map(one, WALLS)
+        off.append(np.sqrt((errors(found.poses, TRUTH)[:, :2] ** 2).mean()))
+        sd.append(np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2)[:, :2].mean()))
+    assert off[0] < sd[0] < 3 * off[0]
+    assert off[1] < sd[1] < 3 * off[1]
+
+
 def test_covariance_grows_where_returns_lie_on_no_wall() -> None:
     run = room_run(TRUTH[:30])
     run = replace(run, sensor=replace(run.sensor, sigma=0.001))  # what scatters more is the map's

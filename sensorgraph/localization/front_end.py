@@ -36,6 +36,8 @@ class ScanTrack:
     """(n_key - 1, 3, 3) of each key frame's pose in the one before it."""
     jumps: tuple[int, ...]
     """Scans before which the odometry jumped."""
+    noise: Floats
+    """(n_scans,) [m] scatter of a scan's returns around the surfaces of the key frames before it; nan: not matched."""
     wheels: WheelEstimate | None
 
 
@@ -94,6 +96,7 @@ class Tracker:
         self.interval = float(np.median(ahead)) if len(ahead) else 0.0  # [s] stamps that repeat are no speed
         self.poses = np.zeros((scans.n_scans, 3))
         self.matched = np.zeros(scans.n_scans, dtype=np.bool_)
+        self.noise = np.full(scans.n_scans, np.nan)
         self.state = _State(pose=np.zeros(3), wheels=None if odometry is None else WheelEstimate())
 
     def run(self, progress: Progress) -> ScanTrack:
@@ -110,6 +113,7 @@ class Tracker:
             piece=np.array(state.piece, dtype=np.intp),
             edge_information=np.array(state.edges).reshape(-1, 3, 3),
             jumps=tuple(state.jumps),
+            noise=self.noise,
             wheels=state.wheels,
         )
 
@@ -137,6 +141,7 @@ class Tracker:
         if found is None:
             self._bridge(k)
             return
+        self.noise[k] = found.noise
         if since > 0:
             state.velocity = compose(invert(self.poses[state.last_matched]), found.pose) / since
         state.last_matched = k

@@ -62,7 +62,7 @@ def locate_in_map(
         start[np.isnan(found.poses[:, 0])] = np.nan
         matches = rematch(scans, start, place, tick)
     poses, covariances = _smoothed(poses, steps, found.breaks, matches.poses, matches.information, settings)
-    covariances = covariances + _map_error(matches, run.sensor.sigma, settings)
+    covariances = covariances + _map_error(matches, steps.noise, settings)
     status = _status(run.stamps, matches.information, found, settings)
     notes = () if odometry is not None else ("no odometry that moves: located by the scans alone",)
     return Localization(
@@ -99,22 +99,26 @@ def _smoothed(
     return result.poses, result.covariances
 
 
-def _map_error(matches: MapMatches, sigma: float, settings: MapTrackingSettings) -> Floats:
+def _map_error(matches: MapMatches, own_noise: Floats, settings: MapTrackingSettings) -> Floats:
     """Return the covariances (n, 3, 3) that a map's own errors add: walls that are off scatter the returns.
 
-    Neighbouring scans meet the same walls, so that smoothing does not make this smaller. Where the returns of a scan
-    scatter more than usual, the map is worse there; where they do not, it is as wrong as it usually is: walls that are
-    displaced as a whole scatter nothing. The fewer of the returns lie on walls, the less is left that the others would
-    set right: the deviation is divided by their share. A scan that was not matched is as its neighbours are.
+    How far returns scatter without them is told by the run itself: `own_noise` (n,) [m] is their scatter around the
+    surfaces of the scans just before, which are not perfect either, so that the usual scatter in the map is taken where it
+    is less. Neighbouring scans meet the same walls, so that smoothing does not make the map's errors smaller. Where the
+    returns of a scan scatter more than usual, the map is worse there; where they do not, it is as wrong as it usually is.
+    Walls that are displaced as a whole scatter nothing: a share of the noise stands for them. The fewer of the returns
+    lie on walls, the less is left that the others would set right: the deviation is divided by their share. A scan that
+    was not matched is as its neighbours are.
     """
-    noise, known = matches.noise, np.isfinite(matches.noise)
-    usual = float(np.median(noise[known])) if known.any() else sigma
-    excess = np.sqrt(np.maximum(np.fmax(noise, usual) ** 2 - sigma**2, 0.0))
+    s, noise, known = settings, matches.noise, np.isfinite(matches.noise)
+    usual = float(np.median(noise[known])) if known.any() else 0.0
+    own = min(float(np.nanmedian(own_noise)), usual) if np.isfinite(own_noise).any() else usual
+    excess = np.maximum(np.fmax(noise, usual) ** 2 - own**2, 0.0)
+    off = np.sqrt(s.map_share**2 * excess + (s.map_share_of_noise * own) ** 2)
     if known.any():
         at = np.arange(len(noise))
-        excess = excess / np.interp(at, at[known], matches.agreement[known])
-    share = np.array([settings.map_share, settings.map_share, settings.map_share_turn])
-    variances = np.asarray(settings.place_floor) ** 2 + (share * excess[:, None]) ** 2
+        off = off / np.interp(at, at[known], matches.agreement[known])
+    variances = np.asarray(s.place_floor) ** 2 + (off[:, None] * [1.0, 1.0, s.map_turn]) ** 2
     return np.asarray(variances[:, None, :] * np.eye(3))
 
 

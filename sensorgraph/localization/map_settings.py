@@ -168,11 +168,14 @@ class MapTrackingSettings:
     place_floor: tuple[float, float, float] = (0.0007, 0.0007, 0.0002)
     """[m, m, rad] least standard deviations of a pose in a map."""
     map_share: float = 0.8
-    """Standard deviation of a pose in a map, as a share of how much more the returns scatter around its walls than the
-    laser's noise explains, there or usually, whichever is more: so far the walls are off. Divided by the share of the
-    returns that lie on walls."""
-    map_share_turn: float = 0.2
-    """[rad/m] the same of its heading."""
+    """Standard deviation of a pose in a map, as a share of how much more the returns scatter around its walls than around
+    the surfaces of the scans just before, there or usually, whichever is more: so far the walls are off. Divided by the
+    share of the returns that lie on walls."""
+    map_share_of_noise: float = 0.2
+    """The same as a share of how far returns scatter around the scans just before: walls of a few returns each are off
+    as a whole."""
+    map_turn: float = 0.3
+    """[rad/m] the standard deviation of the heading, per that of the place."""
     step_floor: tuple[float, float, float] = (0.003, 0.003, 0.0008)
     """[m, m, rad] standard deviations of the laser's odometry from scan to scan, however short."""
     step_per_metre: float = 0.01
