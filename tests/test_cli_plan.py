@@ -19,6 +19,7 @@ from planners.maps.no_go import without, zones
 from planners.trajectory import read_csv
 from planners.vehicle import Vehicle
 from sensorgraph.cli import run as cli
+from sensorgraph.cli.plan import _place
 
 COARSE = ("--cell", "0.5", "--headings", "8")
 KEYS = {
@@ -82,7 +83,9 @@ def test_a_plan_recorded_and_resumed_leaves_little_to_do(
     run = tmp_path / "run.mcap"
     assert cli(["record", str(folder), "--arena", "square", "-o", str(run)]) == 0
     capsys.readouterr()
-    code = cli(["plan", "square", *COARSE, "--resume", str(run), "-o", str(tmp_path / "rest")])
+    code = cli(
+        ["plan", *COARSE, "--resume", str(run), "-o", str(tmp_path / "rest")]
+    )  # the arena that the run keeps
     said = capsys.readouterr()
     if code == 0:
         report = json.loads((tmp_path / "rest" / "plan.json").read_text())
@@ -91,6 +94,15 @@ def test_a_plan_recorded_and_resumed_leaves_little_to_do(
     else:
         assert code == 2
         assert "nothing is left to plan" in said.err
+
+
+def test_without_an_arena_the_graph_says_where_walls_are_else_one_line_asks_for_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _place(None, None, tmp_path / "lab.sensorgraph") == str(tmp_path / "lab.sensorgraph")
+    assert _place("square", None, tmp_path / "lab.sensorgraph") == "square"
+    assert cli(["plan", *COARSE, "-o", str(tmp_path / "none")]) == 2
+    assert "no arena given" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -129,7 +129,9 @@ def _report_error(exc: Exception) -> int:
         if type(exc).__name__ == "NoArgsIsHelpError":
             typer.echo(exc.format_message())
             return 0
-        _print_error(f"error: {' '.join(exc.format_message().split())}; see `sensorgraph --help`")
+        context = getattr(exc, "ctx", None)
+        asked = "sensorgraph" if context is None else context.command_path
+        _print_error(f"error: {' '.join(exc.format_message().split()).rstrip('.')}; see `{asked} --help`")
         return int(exc.exit_code)
     if isinstance(exc, OSError) and exc.filename is None and exc.errno is not None:
         _print_error(f"error: {exc.strerror}; the output cannot be written")

@@ -51,7 +51,12 @@ DemoReal = Annotated[
 DemoSeed = Annotated[int, typer.Option(min=0, help="Of planning and all noise.")]
 
 # plan
-PlanArena = Annotated[str, typer.Argument(help="GeoJSON, map_server yaml, or a shipped one: square, office.")]
+PlanArena = Annotated[
+    str | None,
+    typer.Argument(
+        help="GeoJSON, map_server yaml, graph, square or office. Default: the --resume run's, or --graph."
+    ),
+]
 PlanOut = Annotated[Path, typer.Option("-o", "--out", help="Folder to write the plan to.")]
 PlanPlanner = Annotated[
     str,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -33,14 +34,15 @@ from sensorgraph.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from logs.run import Run
+    from planners.arena import Arena
 
 INTERRUPTED = 130
 
 
 def plan(
-    arena: PlanArena,
     out: PlanOut,
+    arena: PlanArena = None,
     robot: RobotFile = None,
     planner: PlanPlanner = "coverage",
     order: PlanOrder = None,
@@ -88,14 +90,16 @@ def plan(
 
     _quieten("planners.report", "planners.ompl_planner")  # their warnings are said below
     check_folder(out)
+    place = _place(arena, resume, graph or priority)
+    driven = resume if resume is None or views is not None else _located(resume, place, poses)
     counted = "bins" if planner == "coverage" and views is None else "stops"
     with told_progress("planning", counted) as (tick, say):
         made = make_plan(
-            arena, robot, planner=planner, cell=cell, headings=headings, views=views, duration=duration, order=order,
+            place, robot, planner=planner, cell=cell, headings=headings, views=views, duration=duration, order=order,
             start=None if start is None else parse_pose(start),
             end=None if end is None else parse_pose(end, "--end"),
             no_go=[zone for given in no_go or [] for zone in zones(given)],
-            resume=resume if resume is None or views is not None else _located(resume, arena, poses),
+            resume=driven,
             priority=None if priority is None else Sensorgraph.load(priority),
             graph=None if graph is None else Sensorgraph.load(graph),
             budget=_seconds("--budget", budget),
@@ -122,16 +126,42 @@ def _quieten(*names: str) -> None:
             log.addHandler(logging.NullHandler())
 
 
-def _located(resume: Path, arena: str, poses: str | None) -> Path:
-    """Return the run to resume from, or the one that is kept beside it as located in the arena."""
+def _place(arena: str | None, resume: Path | None, graph: Path | None) -> Arena | str:
+    """Return the arena given, else the one that the run to resume keeps, else the walls of the graph."""
     import logs
-    from sensorgraph.cli.inputs import check_poses, with_poses
+    from sensorgraph.errors import SensorgraphError
+    from sensorgraph.loading import arena_in
+
+    if arena is not None:
+        return arena
+    if resume is not None and (kept := arena_in(logs.read(resume))) is not None:
+        return kept
+    if graph is not None:
+        return str(graph)
+    raise SensorgraphError(
+        "no arena given, expected a *.geojson, a map_server *.yaml, a *.sensorgraph, or a shipped one: square, office"
+        if resume is None
+        else f"{resume} keeps no arena; give the one it was driven in, or a --graph"
+    )
+
+
+def _located(resume: Path, place: Arena | str, poses: str | None) -> Run | Path:
+    """Return the run to resume from: its file, or the run with the poses that were found for it."""
+    import logs
+    from sensorgraph.cli.inputs import check_poses, with_poses, with_poses_of_graph
+    from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
-    from sensorgraph.localization.kept import KEY, kept_beside
+    from sensorgraph.localization.kept import KEY
 
     check_poses(poses)
-    run = with_poses(logs.read(resume), resume, poses, load_arena(arena), name=arena)
-    return kept_beside(resume) if KEY in run.meta and kept_beside(resume).is_file() else resume
+    run = logs.read(resume)
+    if isinstance(place, str) and place.endswith(".sensorgraph"):
+        run = with_poses_of_graph(run, resume, poses, Sensorgraph.load(Path(place)), place, {})
+    elif isinstance(place, str):
+        run = with_poses(run, resume, poses, load_arena(place), name=place)
+    else:
+        run = with_poses(run, resume, poses, place, name="the arena kept in the run")
+    return run if KEY in run.meta else resume
 
 
 def _summary(report: dict[str, Any]) -> str:
