@@ -37,14 +37,15 @@ def profile(rng: np.random.Generator, duration: float) -> Floats:
 def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect: Any) -> Run:
     """Drive and log; effects: radius, diff, base, slip=(s, x, y, r), clock, lag, dead, v_max; memory of the camera.
 
-    Two that the library lacks: `scrub`, the body loses so many metres per radian that it turns; `sag`, the wheels lose
-    that share of their speed per rad/s of turning.
+    Three that the library lacks: `scrub`, the body loses so many metres per radian that it turns; `sag`, the wheels lose
+    that share of their speed per rad/s of turning; `since`, a lag only from this time on [s].
     """
     rng = np.random.default_rng(seed)
     commands = profile(rng, duration)
     n, per = round(duration / STEP), round(PERIOD / STEP)
     late = round(effect.get("dead", 0.0) / STEP)
-    keep = math.exp(-STEP / (0.10 + effect.get("lag", 0.0)))
+    keeps = [math.exp(-STEP / (0.10 + lag)) for lag in (0.0, effect.get("lag", 0.0))]
+    since = effect.get("since", 0.0)
     v_max = effect.get("v_max", np.inf)
     s, px, py, pr = effect.get("slip", (0.0, 0.0, 0.0, 0.0))
     scrub, sag = effect.get("scrub", 0.0), effect.get("sag", 0.0)
@@ -52,7 +53,7 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
     poses, wheels, given = [(x, y, phi)], [(0.0, 0.0)], commands.tolist()
     for k in range(n):  # of plain floats: 16,000 steps of arrays take five times as long
         u, w = given[(k - late) // per] if k >= late else (0.0, 0.0)
-        u = min(max(u, -v_max), v_max)
+        u, keep = min(max(u, -v_max), v_max), keeps[k * STEP >= since]
         v1, w1 = u + (v - u) * keep, w + (omega - w) * keep
         grip = 1 - s if math.hypot(x - px, y - py) < pr else 1.0
         turn = (omega + w1) / 2 * STEP * grip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -39,6 +40,18 @@ def test_planted_effect_is_named_with_its_size(
     result = diagnose_drive(make_run(3, **effect), ROBOT)
     assert [a.name for a in result.effects] == [name] and result.unknown is None
     assert abs(result.effects[0][key] - value) < 3 * result.effects[0].stderr[key]
+
+
+@pytest.mark.parametrize(("lag", "since"), [(0.12, 30.0), (0.06, 50.0)])
+def test_a_lag_that_comes_during_the_run_is_no_lag_of_the_robot(lag: float, since: float) -> None:
+    """A load put on half-way: over the whole run it looks like a smaller lag that was always there."""
+    result = diagnose_drive(make_run(3, lag=lag, since=since), ROBOT)
+    assert result.effects == () and result.unknown is not None
+    found = re.search(
+        r"lag of the motors that changes once, (\d+) s into the run, by \+(\d+) ms", result.unknown.statement
+    )
+    assert found is not None
+    assert abs(float(found[1]) - since) < 6.0 and abs(float(found[2]) / 1000 - lag) < 0.15 * lag
 
 
 @pytest.mark.parametrize(

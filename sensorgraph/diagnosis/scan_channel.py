@@ -106,6 +106,7 @@ def judge(
         final.j - null.j,
         explained.gains,
         rng=rng,
+        null=null,
         n_replicates=settings.n_replicates,
         tick=tick,
     )

@@ -38,6 +38,8 @@ class StructureFamily:
     """It is the reference that would be off, not the robot."""
     choice_price: float = 0.0
     """[nats] for having been chosen among several of its kind."""
+    materiality: float = float("inf")
+    """Of its one coefficient: an effect of the library that is this large takes a name."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

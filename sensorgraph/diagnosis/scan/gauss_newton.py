@@ -7,6 +7,7 @@ eliminated by the Schur complement (Triggs, McLauchlan, Hartley and Fitzgibbon 2
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,7 +25,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.wall_sums import wall_sums
 from sensorgraph.effects.nuisance import Nuisance
-from sensorgraph.types import Bools, Floats
+from sensorgraph.types import Bools, Floats, Ints
 
 MOST_CORNERS = SCAN.nuisance.max_corners
 CHI2_MEDIAN_1, CHI2_MEDIAN_3 = 0.455, 2.366
@@ -68,21 +69,6 @@ class System:
     """Sum over scans of log |I + P_s B'WB|."""
 
 
-def normal(corners: Corners, walls: Floats, free: bool) -> Floats | None:
-    """Return the matrix (2 n_walls, 2 n_corners) from corner shifts to shifts of wall ends along the walls' normals."""
-    if not free:
-        return None
-    n_walls = len(walls)
-    d = walls[:, 1] - walls[:, 0]
-    d = d / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)[:, None]
-    n = np.stack([d[:, 1], -d[:, 0]], axis=1)  # (n_walls, 2)
-    matrix = np.zeros((2, n_walls, corners.count, 2))
-    k = np.arange(n_walls)
-    for end in (0, 1):
-        matrix[end, k, corners.ends[:, end]] = n
-    return matrix.reshape(2 * n_walls, 2 * corners.count)
-
-
 class Solver:
     """The linear part at one cast: what the readings do to first order."""
 
@@ -99,7 +85,7 @@ class Solver:
         self.data, self.expected, self.jacobian, self.corners = data, expected, jacobian, corners
         self.effects = effects  # (n_scans, k, n_rays)
         self.n_effects = effects.shape[1]
-        self.map = normal(corners, walls, corners.count > 0)
+        self.map = corners.along_normals(walls) if corners.count else None
         n_scans, n_rays = expected.reading.shape
         self.shape = (n_scans, n_rays)
         self.n_walls = max(len(walls), 1)
@@ -116,6 +102,27 @@ class Solver:
         with np.errstate(invalid="ignore"):
             self.y = np.where(jacobian.valid & data.returned, data.ranges - expected.reading, 0.0)
         self.y[~np.isfinite(self.y)] = 0.0
+
+    def of_scans(self, rows: Ints) -> Solver:
+        """Return the linear part of some scans alone, to assemble their equations."""
+        j, out = self.jacobian, copy(self)
+        out.data, out.stack, out.y = self.data.subset(rows), self.stack[rows], self.y[rows]
+        out.jacobian = replace(
+            j, pose=j.pose[rows], nuisances=j.nuisances[rows], ends=j.ends[:, rows], wall=j.wall[rows],
+            nx=j.nx[rows], ny=j.ny[rows], valid=j.valid[rows], steep=j.steep[rows],
+        )  # fmt: skip
+        out.shape = (len(rows), self.shape[1])
+        if self.map is not None:
+            out.ends = self.ends[:, rows]
+        return out
+
+    def with_columns(self, columns: Floats) -> Solver:
+        """Return the linear part with further columns (n_scans, k, n_rays), after those of the effects."""
+        out = copy(self)
+        out.effects = np.concatenate([self.effects, columns], axis=1)
+        out.stack = np.concatenate([self.stack, columns], axis=1)
+        out.n_effects = out.effects.shape[1]
+        return out
 
     def shift(self, state: State, p: Floats) -> Floats:
         """Return what nuisances, poses and effect increments add to the readings, (n_scans, n_rays)."""

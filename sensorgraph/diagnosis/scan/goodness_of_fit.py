@@ -19,6 +19,7 @@ from sensorgraph.diagnosis.scan.consequence import (
     likely_causes,
     scan_error,
 )
+from sensorgraph.diagnosis.scan.constancy import changes
 from sensorgraph.diagnosis.scan.deviations import deviations, dispersion, largest_z
 from sensorgraph.diagnosis.scan.effect_laws import Doubt, absences, broken_laws
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
@@ -78,6 +79,7 @@ def check(
     gains: Mapping[int, float],
     *,
     rng: np.random.Generator,
+    null: Fitted | None = None,
     n_replicates: int = SCAN.goodness_of_fit.n_replicates,
     tick: Progress | None = None,
 ) -> GoodnessOfFit:
@@ -87,6 +89,7 @@ def check(
     ----------
     gained : [nats] by which the model beats the one without effects; a doubt must be worth a share of it
     gains : [nats] that each effect of the model brings
+    null : the fit without effects
     """
     nominal, sigma = data.tolerances, data.sensor.sigma
     data, fitted = _widened(data, fitted)
@@ -102,7 +105,9 @@ def check(
     doubts += _against_replicates(view, parts, found, nominal, rng, n_replicates, tick)
     share = SCAN.goodness_of_fit.min_share_of_gain
     share = max((a.effect.diagnostics.misfit_share or share for a in fitted.model), default=share)
-    doubts = sorted((d for d in doubts if d.misfit > share * gained), key=lambda d: -d.misfit)
+    doubts = sorted(doubts, key=lambda d: -d.misfit)
+    # what changed once is said before all that it brings with it
+    doubts = [d for d in (*changes(fitted, null), *doubts) if d.misfit > share * gained]
     trifles = [d for d in doubts if d.size is not None and not d.size.is_material(sigma)]
     doubts = [d for d in doubts if d not in trifles]
     immaterial = tuple(f"{d.statement}; {d.size.sentence()}" for d in trifles if d.size is not None)

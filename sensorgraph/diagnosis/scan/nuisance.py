@@ -64,6 +64,18 @@ class Corners:
         index = index.reshape(-1, 2)
         return cls(ends=index, count=int(index.max()) + 1 if len(index) else 0)
 
+    def along_normals(self, walls: Floats) -> Floats:
+        """Return the matrix (2 n_walls, 2 count) from shifts of corners to shifts of wall ends along the walls' normals."""
+        n_walls = len(walls)
+        d = walls[:, 1] - walls[:, 0]
+        d = d / np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-12)[:, None]
+        n = np.stack([d[:, 1], -d[:, 0]], axis=1)  # (n_walls, 2)
+        matrix = np.zeros((2, n_walls, self.count, 2))
+        k = np.arange(n_walls)
+        for end in (0, 1):
+            matrix[end, k, self.ends[:, end]] = n
+        return matrix.reshape(2 * n_walls, 2 * self.count)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Jacobian:

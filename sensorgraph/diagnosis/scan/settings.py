@@ -391,6 +391,28 @@ class GoodnessOfFitSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ConstancySettings:
+    """When a number of the sensor is said to have changed during the run (`constancy`)."""
+
+    n_parts: int = 16
+    """Parts of the run, in time, between which it may change."""
+    min_scans: int = 8
+    """Scans of a part, below which the run is too short to tell."""
+    max_refitted: int = 2
+    """Numbers that are fitted with two values: those that gain most to first order."""
+    rounds: int = 8
+    """Of these fits."""
+    trimmed_share: float = 0.1
+    """Of the run, before and after which no change is looked for."""
+    confidence: float = 0.99
+    """Of the quantile over all times that the scatter of the parts is judged by."""
+    min_share: float = 0.5
+    """Of the value over the whole run, that a change must reach; and of the larger value, below which the other is none."""
+    at_bound: float = 0.999
+    """Of the bound of a nuisance, from where it does not give way."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class HeldOutSettings:
     """Scans that are kept from every fit and choice (`held_out_gap`)."""
 
@@ -497,6 +519,7 @@ class ScanSettings:
     standard_error: StandardErrorSettings = field(default_factory=StandardErrorSettings)
     observability: ObservabilitySettings = field(default_factory=ObservabilitySettings)
     goodness_of_fit: GoodnessOfFitSettings = field(default_factory=GoodnessOfFitSettings)
+    constancy: ConstancySettings = field(default_factory=ConstancySettings)
     held_out: HeldOutSettings = field(default_factory=HeldOutSettings)
     site: SiteSettings = field(default_factory=SiteSettings)
     naming: NamingSettings = field(default_factory=NamingSettings)

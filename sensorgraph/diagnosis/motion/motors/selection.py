@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -101,9 +101,12 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     found = _all_significant(test, own, family, families, needed)
     missing = test.explained(own, found) * np.concatenate([dt, dt])
     size = simulation_error(distance * dt, turn * dt, missing, dt, model.robot.wheels.base)
-    if not size.is_material(model.robot.limits.v):
+    changed = _coefficient(test, own, family) if np.isfinite(family.materiality) else 0.0
+    if not size.is_material(model.robot.limits.v) and abs(changed) < family.materiality:
         return selected
-    rivals = [other.statement for other in test.ranking(own, families)]
+    rivals = [text for other in test.ranking(own, families) if (text := other.statement) != family.statement]
+    if changed:
+        family = replace(family, statement=f"{family.statement}, by {1000 * changed:+.0f} ms")
     model.structure = family
     full = model.fit(terms, here.motors)
     model.fit_noise(model.residual(full))
@@ -117,9 +120,17 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
             evidence=gain,
             threshold=needed,
             size=size,
-            rivals=[text for text in rivals if text != family.statement][:2],
+            rivals=rivals[:2],
         ),
     )
+
+
+def _coefficient(test: StructureTest, own: Floats, family: StructureFamily) -> float:
+    """Return how large the one coefficient of a family is, beside the model's own columns (2 n, k)."""
+    columns = np.concatenate([own, test.nuisances, family.columns], axis=1)
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+    explained = test.explained(own, [family])
+    return float((np.linalg.lstsq(columns / scale, explained, rcond=None)[0] / scale)[-1])
 
 
 def _all_significant(

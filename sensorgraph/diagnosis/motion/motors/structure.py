@@ -7,11 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION
-from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel
+from sensorgraph.diagnosis.motion.motors.model import SIMULATED_TERMS, Column, DriveFit, DriveModel
 from sensorgraph.diagnosis.motion.settings import DRIVE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.types import Bools, Floats
+
+WHAT_CHANGES: dict[int, str] = {Column.LAG: "lag", Column.DELAY: "delay"}
+"""Numbers of the motors that a load, a warm gear or a restart may change during a run."""
 
 
 def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
@@ -47,7 +50,7 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             statement="by a delay that changes in time",
         ),
         _slopes(model),
-        *_jumps(model, fit, share),
+        *_jumps(model, fit, share, middle - rows.start[0]),
         *_deadbands(model, fit),
     ]
 
@@ -95,17 +98,33 @@ def _slopes(model: DriveModel) -> StructureFamily:
     )
 
 
-def _jumps(model: DriveModel, fit: DriveFit, share: Floats) -> list[StructureFamily]:
-    """Return one family for each moment at which gains may change once.
+def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> list[StructureFamily]:
+    """Return families for each moment at which gains, the lag or the delay may change once.
 
     Parameters
     ----------
-    share : (n,) of the run that has passed
+    share, passed : (n,) of the run, as a share and in s
     """
-    n = DRIVE.structure.n_jumps
-    later = [share > k / (n + 1) for k in range(1, n + 1)]
-    statement, price = "by a gain that changes once", float(np.log(n))
-    return [_gains("jump", statement, model, fit, [mask], [mask], price) for mask in later]
+    n, out = DRIVE.structure.n_jumps, list[StructureFamily]()
+    price = float(np.log(3 * n))
+    for k in range(1, n + 1):
+        later = share > k / (n + 1)
+        when = f"that changes once, {passed[later][0]:.0f} s into the run"
+        out.append(_gains("jump", f"by a gain {when}", model, fit, [later], [later], price))
+        for term in (term for term in SIMULATED_TERMS if term.column in WHAT_CHANGES):
+            what = WHAT_CHANGES[term.column]
+            out.append(
+                StructureFamily(
+                    kind=f"jump of the {what}",
+                    columns=(fit.columns[:, term.column] * np.concatenate([later, later]))[:, None],
+                    labels=[],
+                    sigma=DRIVE.structure.delay_sigma,
+                    statement=f"by a {what} of the motors {when}",
+                    choice_price=price,
+                    materiality=max(term.effect.sizes.values()),
+                )
+            )
+    return out
 
 
 def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:

@@ -1,0 +1,253 @@
+"""Whether a number of the sensor holds in the whole run, or changed once: a knock, a restart, a warming laser.
+
+Every smooth effect of the whole sensor, in the model or not, is given a second value from a time on. The gain follows
+from the normal equations of parts of the run (a Chow test at each of many times, of which the largest counts: Andrews
+1993, Tests for parameter instability with unknown change point). The likeliest are fitted. The error of a jump comes
+from how the parts scatter about the fit, so that what neighbouring scans have in common counts once (Ibragimov and
+Mueller 2010, t-statistic based correlation and heterogeneity robust inference).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import fdtri
+
+from sensorgraph.diagnosis.report.quantities import brief
+from sensorgraph.diagnosis.scan.consequence import CAUSES, ScanError
+from sensorgraph.diagnosis.scan.effect_laws import Doubt
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver, iterate
+from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects import Amendment
+from sensorgraph.effects.effect import size_ratio
+from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.types import Floats, Ints
+
+Parts = Sequence[tuple[Floats, Floats]]
+"""Normal equations (matrix (m, m), right (m,)) of parts of a run."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorNumber:
+    """A smooth effect of the whole sensor, as it stands in a fit."""
+
+    amendment: Amendment
+    index: int | None
+    """In the model; None: it is a nuisance."""
+    unknowns: Ints
+    """(k,) among those of the fit."""
+    columns: Ints
+    """(k,) among the columns of the solver."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NumberChange:
+    """A number that has another value from a part of the run on."""
+
+    number: SensorNumber
+    part: int
+    """The first with the second value."""
+    first: Amendment
+    second: Amendment
+    gain: float
+    """[nats] that two values are likelier than one."""
+    wald: float = 0.0
+    """Square of the jump over its error, per unknown, the error from the scatter of the parts."""
+
+    @property
+    def jump(self) -> dict[str, float]:
+        """By which the parameters change."""
+        return {name: self.second[name] - self.first[name] for name in self.first.steps}
+
+
+def changes(fitted: Fitted, null: Fitted | None = None) -> list[Doubt]:
+    """Doubt a sensor of which a number changed once by more than its materiality, and by half of itself.
+
+    Parameters
+    ----------
+    null : the fit without effects, which may tell the change more plainly than the effects that stand for it
+    """
+    candidates = _candidates(fitted)
+    found, view = _likeliest(fitted, candidates), fitted
+    if candidates and fitted.model and null is not None:
+        plain = _likeliest(null, _candidates(null))
+        if plain is not None and null.j + plain.gain > fitted.j:
+            found, view = plain, null
+    if found is None:
+        return []
+    failed = range(len(fitted.model)) if view is not fitted else [found.number.index]
+    when = float(view.solver.data.stamps[_rows(view)[found.part][0]] - view.solver.data.begin)
+    return [
+        Doubt(
+            statement=_sentence(found.first, found.second, when),
+            misfit=found.gain,
+            statistic=found.gain,
+            threshold=SCAN.selection.threshold,
+            failed=frozenset(index for index in failed if index is not None),
+            size=_size(view.solver, found),
+            causes=(CAUSES["time", "bias"],),
+        )
+    ]
+
+
+def _candidates(fitted: Fitted) -> list[NumberChange]:
+    """Return the changes that are likely to first order, the likeliest first; one per number."""
+    rows = _rows(fitted)
+    if len(rows[-1]) < SCAN.constancy.min_scans:
+        return []
+    parts = _equations(fitted.solver, fitted.solution, rows)
+    screened = [_screened(parts, fitted, number) for number in _numbers(fitted)]
+    return sorted((c for c in screened if _is_likely(c)), key=lambda c: -c.gain)
+
+
+def _likeliest(fitted: Fitted, candidates: Sequence[NumberChange]) -> NumberChange | None:
+    """Return the likeliest of the first candidates that is sure and large; None where every number holds."""
+    found = [_refitted(fitted, c, _rows(fitted)) for c in candidates[: SCAN.constancy.max_refitted]]
+    sure = [c for c in found if _is_likely(c) and _is_sure(c) and _is_large(c, fitted)]
+    return max(sure, key=lambda c: c.gain, default=None)
+
+
+def _rows(fitted: Fitted) -> list[Ints]:
+    """Return the scans of each part of the run."""
+    return np.array_split(np.arange(fitted.solver.data.n_scans), SCAN.constancy.n_parts)
+
+
+def _numbers(fitted: Fitted) -> list[SensorNumber]:
+    """Return the smooth effects of the whole sensor: those of the model, and nuisances."""
+    solver, out = fitted.solver, list[SensorNumber]()
+    place = 0
+    for index, a in enumerate(fitted.model):
+        own = np.arange(place, place + len(a.steps))
+        place += len(own)
+        if len(own) and a.effect.place in (None, "sector"):
+            columns = len(Nuisance) + own
+            out.append(SensorNumber(amendment=a, index=index, unknowns=solver.n_g + own, columns=columns))
+    for effect in effects_with_nuisances():
+        own = np.array(effect.nuisances)
+        # a drift is a bias that changes, as a jump of the bias says more plainly
+        if Nuisance.DRIFT in effect.nuisances or solver.locked[own].any():
+            continue
+        values = dict(zip(effect.steps, map(float, fitted.state.g[own]), strict=True))
+        out.append(SensorNumber(amendment=effect(**values), index=None, unknowns=own, columns=own))
+    return out
+
+
+def _equations(solver: Solver, solution: Solution, rows: Sequence[Ints]) -> Parts:
+    """Return the normal equations of parts of the run."""
+    weight, scale = solution.responsibilities.weight, solution.state.pose_scale
+    systems = [solver.of_scans(some).assemble(weight[some], scale) for some in rows]
+    return [(system.matrix, system.right) for system in systems]
+
+
+def _inverse(parts: Parts, solver: Solver, solution: Solution) -> Floats:
+    """Return the inverse (m, m) of the whole system with its priors; 0 for what is held or at its bound."""
+    tau, g = solver.scaled(solution.state), solution.state.g
+    total = np.sum([matrix for matrix, _ in parts], axis=0)
+    n, k = len(tau), len(total)
+    total[np.arange(k), np.arange(k)] += np.concatenate([1 / tau**2, np.full(k - n, 1e-9)])
+    at_bound = np.abs(g) > SCAN.constancy.at_bound * SCAN.nuisance.max_tolerances * tau
+    free = np.concatenate([~(solver.locked | at_bound), np.ones(k - n, dtype=np.bool_)])
+    out = np.zeros((k, k))
+    out[np.ix_(free, free)] = np.linalg.inv(total[np.ix_(free, free)])
+    return out
+
+
+def _screened(parts: Parts, fitted: Fitted, number: SensorNumber) -> NumberChange:
+    """Return the likeliest change of a number, to first order."""
+    solver, chosen = fitted.solver, number.unknowns
+    x = np.concatenate([fitted.state.g, fitted.solution.p])
+    inverse = _inverse(parts, solver, fitted.solution)
+    matrices = np.array([matrix for matrix, _ in parts])
+    scores = np.array([right - matrix @ x for matrix, right in parts])
+    trimmed = max(1, round(SCAN.constancy.trimmed_share * len(parts)))
+    tried = list[tuple[float, int, Floats, Floats]]()
+    for part in range(trimmed, len(parts) - trimmed + 1):
+        column = matrices[part:].sum(axis=0)[:, chosen]
+        beside = inverse @ column  # how the other unknowns give way, per unit of the jump
+        score = scores[part:].sum(axis=0)[chosen]
+        jump = np.linalg.solve(column[chosen] - column.T @ beside, score)
+        tried.append((0.5 * float(score @ jump), part, -(beside @ jump)[chosen], jump))
+    gain, part, moved, jump = max(tried, key=lambda one: one[0])
+    first = _moved(number.amendment, moved)
+    return NumberChange(number=number, part=part, first=first, second=_moved(first, jump), gain=gain)
+
+
+def _refitted(fitted: Fitted, change: NumberChange, rows: Sequence[Ints]) -> NumberChange:
+    """Fit the two values together with all else, and take the error of the jump from the scatter of the parts."""
+    number, k = change.number, len(change.number.unknowns)
+    late = np.arange(fitted.solver.data.n_scans) >= rows[change.part][0]
+    solver = fitted.solver.with_columns(fitted.solver.stack[:, number.columns] * late[:, None, None])
+    state = fitted.state.copy()
+    bounds = replace(
+        SCAN.noise,
+        min_pose_scale=min(1.0, state.pose_scale),
+        max_scale=max(1.0, state.pose_scale, state.map_scale),
+    )
+    state.delta[:] = 0.0  # what one value left to poses and map is to be asked for anew
+    state.pose_scale, state.map_scale = bounds.min_pose_scale, 1.0
+    start = np.concatenate([fitted.solution.p, list(change.jump.values())])
+    solution = iterate(solver, state, start, bounds, rounds=SCAN.constancy.rounds, noise_free=False)
+    parts = _equations(solver, solution, rows)
+    x = np.concatenate([solution.state.g, solution.p])
+    scores = np.array([right - matrix @ x for matrix, right in parts])
+    each = (scores - scores.mean(axis=0)) @ _inverse(parts, solver, solution)[:, -k:]
+    scatter = each.T @ each
+    scatter += 1e-9 * np.trace(scatter) * np.eye(k)
+    jump, before = solution.p[-k:], np.concatenate([fitted.state.g, fitted.solution.p])[number.unknowns]
+    first = _moved(number.amendment, x[number.unknowns] - before)
+    freedom = (len(parts) - 1 - k) / len(parts)
+    return replace(
+        change,
+        first=first,
+        second=_moved(first, jump),
+        gain=solution.j - fitted.j,
+        wald=float(jump @ np.linalg.solve(scatter, jump)) / k * freedom,
+    )
+
+
+def _moved(a: Amendment, step: Floats) -> Amendment:
+    """Return an effect whose smooth parameters have moved, without errors."""
+    values = {name: a[name] + float(s) for name, s in zip(a.steps, step, strict=True)}
+    return replace(a.moved_to(values), stderr={})
+
+
+def _is_likely(change: NumberChange) -> bool:
+    """Tell whether the likelihood speaks for a change, its size and its time being paid for."""
+    price = SCAN.selection.price * (len(change.number.unknowns) + 1)
+    return change.gain - price > SCAN.selection.threshold
+
+
+def _is_sure(change: NumberChange) -> bool:
+    """Tell whether the scatter of the parts speaks for it, too, at the best of so many times."""
+    settings, k = SCAN.constancy, len(change.number.unknowns)
+    chance = (1 - settings.confidence) / settings.n_parts
+    return change.wald > float(fdtri(k, settings.n_parts - 1 - k, 1 - chance))
+
+
+def _is_large(change: NumberChange, fitted: Fitted) -> bool:
+    """Tell whether a change is material, and a good part of the value over the whole run."""
+    a, scale = change.number.amendment, max(1.0, fitted.state.map_scale, fitted.state.pose_scale)
+    return size_ratio(a.effect, change.jump) >= max(scale, SCAN.constancy.min_share * a.ratio)
+
+
+def _sentence(first: Amendment, second: Amendment, when: float) -> str:
+    """Say what changed, and when."""
+    small = SCAN.constancy.min_share * max(first.ratio, second.ratio)
+    if first.ratio < small:
+        return f"{brief(second)}, but only from {when:.0f} s of the run on"
+    if second.ratio < small:
+        return f"{brief(first)}, but only until {when:.0f} s of the run"
+    return f"{brief(first)}, which changes at {when:.0f} s of the run to {brief(second)}"
+
+
+def _size(solver: Solver, change: NumberChange) -> ScanError:
+    """Return by how much readings are off that are simulated with one value: half of the change either way."""
+    jump = np.array(list(change.jump.values()))
+    off = np.einsum("k,nkm->nm", jump, solver.stack[:, change.number.columns]) / 2
+    valid = solver.jacobian.valid & solver.data.returned
+    some = np.square(off[valid])
+    return ScanError(offset=float(np.sqrt(some.mean())) if some.size else 0.0, affected=float(valid.mean()))

@@ -1,0 +1,76 @@
+"""A number of the sensor that changed during the run is found with its time; one that holds is left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scan_samples import data_of, hall_arena
+
+from planners.arena import Arena
+from sensorgraph.diagnosis.scan.constancy import changes
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.effects import EFFECTS, Amendment
+
+
+@pytest.fixture(scope="module")
+def hall() -> Arena:
+    return hall_arena()
+
+
+@pytest.fixture(scope="module")
+def quiet(hall: Arena) -> ScanData:
+    return data_of(hall)
+
+
+def fitted(data: ScanData, *model: Amendment) -> Fitted:
+    return fit(data, model, start_state(data, NoiseBounds()), NoiseBounds(), outer=2)
+
+
+def halves(first: ScanData, second: ScanData, share: float) -> ScanData:
+    """Return one run until a share of it, another from there on."""
+    late = np.arange(first.n_scans) >= share * first.n_scans
+    return replace(first, ranges=np.where(late[:, None], second.ranges, first.ranges), memo={})
+
+
+PLANTED = [
+    ("range_bias", {"b": 0.02}),
+    ("range_scale", {"s": 0.015}),
+    ("mount_yaw", {"delta": 0.02}),
+    ("mount_xy", {"dx": 0.03, "dy": 0.0}),
+    ("latency", {"tau": 0.03}),
+]
+
+
+@pytest.mark.parametrize(("name", "values"), PLANTED, ids=[name for name, _ in PLANTED])
+def test_what_begins_during_the_run_is_told_with_its_time(
+    hall: Arena, quiet: ScanData, name: str, values: dict[str, float]
+) -> None:
+    """Fitted to the whole run it would be a smaller effect that was always there."""
+    whole = data_of(hall, (EFFECTS[name](**values),))
+    broken = halves(quiet, whole, 0.6)
+    null = fitted(broken)
+    (doubt,) = changes(fitted(broken, EFFECTS[name](**dict.fromkeys(values, 0.0))), null)
+    assert doubt.failed == {0} and EFFECTS[name].title in doubt.statement
+    when = float(doubt.statement.split("only from ")[1].split(" s ")[0])
+    assert abs(when - 0.6 * broken.span) < 1.01 * broken.span / SCAN.constancy.n_parts
+    (doubt,) = changes(null)  # also where the search has not named it
+    assert not doubt.failed
+
+
+@pytest.mark.parametrize(("name", "values"), PLANTED, ids=[name for name, _ in PLANTED])
+def test_what_holds_all_the_time_is_left_alone(hall: Arena, name: str, values: dict[str, float]) -> None:
+    whole = data_of(hall, (EFFECTS[name](**values),))
+    assert changes(fitted(whole, EFFECTS[name](**dict.fromkeys(values, 0.0)))) == []
+
+
+def test_errors_that_neighbouring_scans_share_are_no_change(quiet: ScanData) -> None:
+    """A bias that wanders from second to second makes the halves differ; by how much, the seconds themselves tell."""
+    rng, n = np.random.default_rng(1), round(quiet.span)
+    seconds = np.linspace(0, n, quiet.n_scans)
+    for _ in range(4):
+        walk = np.interp(seconds, np.arange(n + 1), rng.normal(0, 0.01, n + 1))
+        assert changes(fitted(replace(quiet, ranges=quiet.ranges + walk[:, None], memo={}))) == []
