@@ -18,16 +18,18 @@ from scipy.signal import welch
 
 from logs import read
 from logs.run import Run, pair
+from logs.transforms import compose
 from planners.types import Floats
 from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Prediction
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.narmax.sequences import stretches
+from sensorgraph.models.place_noise import places_of
 from sensorgraph.models.residual_memory import ResidualMemory, events_of
-from sensorgraph.recording.identified_world import NoiseWithMemory, ScanNoise
+from sensorgraph.recording.identified_world import ScanNoise
 
-LAGS = (1, 2, 3, 5, 8)
+LAGS = (1, 2, 3, 5, 8, 10)
 SEED = 1
 
 
@@ -48,13 +50,16 @@ def main() -> None:
     half = len(scans) // 2
     ranges = run.ranges[scans]
     first = events_of(ranges[:half], said.mode[:half], said.p_no_return[:half], said.p_off[:half])
-    memory = ResidualMemory.fit(**first, index=index[:half])
+    starts = compose(poses, np.zeros(3) if graph.pose_frame == "laser" else graph.sensor.mount)
+    places = places_of(starts, graph.sensor.bearings, said.mode, graph.sensor.range_max)
+    stamps = run.stamps[scans]
+    memory = ResidualMemory.fit(**first, places=places[:half], stamps=stamps[:half])
     print(memory.summary())
     later = slice(half, len(scans))
     worlds = {
         "recorded": ranges[later],
-        "drawn without memory": _drawn(graph, poses[later], None),
-        "drawn with memory": _drawn(graph, poses[later], memory),
+        "drawn without memory": _drawn(graph, poses[later], None, places[later], stamps[later]),
+        "drawn with memory": _drawn(graph, poses[later], memory, places[later], stamps[later]),
     }
     found = {name: _statistics(values, said, later, index[later]) for name, values in worlds.items()}
     labels = [label for label in next(iter(found.values())) if not label.startswith("_")]
@@ -72,11 +77,17 @@ def _index(run: Run, scans: np.ndarray) -> np.ndarray:
     return np.arange(len(scans)) + stretches(run.stamps, used, float(np.median(np.diff(run.stamps))))
 
 
-def _drawn(graph: Sensorgraph, poses: Floats, memory: ResidualMemory | None) -> Floats:
-    model = graph.model
+def _drawn(
+    graph: Sensorgraph, poses: Floats, memory: ResidualMemory | None, places: Floats, stamps: Floats
+) -> Floats:
+    model, fresh = graph.model, ScanNoise(SEED, graph.sensor.n_rays)
     assert isinstance(model, Faces)
-    noise = ScanNoise(SEED, graph.sensor.n_rays) if memory is None else NoiseWithMemory(SEED, memory)
-    numbers = [noise.of(k) for k in range(len(poses))]
+    numbers = [fresh.of(k) for k in range(len(poses))]
+    if memory is not None:
+        numbers = [
+            memory.numbers(SEED, t, there, *own)
+            for t, there, own in zip(stamps.tolist(), places, numbers, strict=True)
+        ]
     uniform, normal = (np.array(part) for part in zip(*numbers, strict=True))
     return model.draw(poses, uniform, normal)
 

@@ -51,8 +51,7 @@ class Sensorgraph:
     origin: Mapping[str, Any]
     """Where it came from: `version`, `inputs`, `options`, `split`, counts; plain data."""
     memory: ResidualMemory | None = None
-    """How what the model leaves depends on the scan before and on neighbours; None: not identified. It is drawn, not
-    predicted."""
+    """How what the model leaves belongs to places; None: not identified. It is drawn, not predicted."""
 
     def predict(
         self,
@@ -228,7 +227,7 @@ class Sensorgraph:
                 **{name: float(top["sensor"][name]) for name in _SENSOR_FIELDS},
             )
             model = MODELS[top["model"]].restore(sensor, top["state"], arrays)
-            memory = ResidualMemory.restore(arrays, sensor.n_rays)
+            memory = ResidualMemory.restore(arrays)
             return cls(
                 model=model, sensor=sensor, pose_frame=top["pose_frame"], origin=top["origin"], memory=memory
             )

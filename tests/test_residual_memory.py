@@ -1,4 +1,4 @@
-"""The memory of residuals: planted chains come back from their events, and what is drawn keeps its chances."""
+"""The memory of residuals: what places keep comes back from events and noise, and what is drawn keeps its chances."""
 
 from __future__ import annotations
 
@@ -13,70 +13,109 @@ from logs.run import RangeSensor, Run
 from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.residual_memory import MemoryState, ResidualMemory
-from sensorgraph.recording.identified_world import NoiseWithMemory, ScanNoise
+from sensorgraph.models.place_noise import places_of, squares
+from sensorgraph.models.residual_memory import ResidualMemory
 
 N_RAYS = 12
-INDEX = np.arange(4000)
+N_SCANS = 4000
+SIZES, LIFETIMES = np.array([0.1, 0.2, 0.4]), np.array([1.0, 10.0])
+STAMPS = 0.1 * np.arange(N_SCANS)
 
 
-def memory(lasting: float, shared: float, ar: float, across: float) -> ResidualMemory:
-    return ResidualMemory(
-        lasting=np.full(N_RAYS, lasting), shared=np.array([shared]), ar=np.tile([ar, 0.0], (N_RAYS, 1)),
-        ma=np.zeros((N_RAYS, 1)), gain=np.full(N_RAYS, np.sqrt(1 - ar**2)), across=np.array([across]),
-    )  # fmt: skip
+def memory(events: float, noise: float, size: int = 2, lifetime: int = 2) -> ResidualMemory:
+    shares = np.zeros((2, 3, 3))
+    shares[:, size, lifetime] = events, noise
+    return ResidualMemory(sizes=SIZES, lifetimes=LIFETIMES, events=shares[0], noise=shares[1])
+
+
+def driven(n: int = N_SCANS) -> np.ndarray:
+    """Return where rays end (n, n_rays, 3), four walls of 8 m that a robot goes up and down along, slowly drifting."""
+    k = np.arange(n)
+    x = np.abs((0.07 * k) % 16.0 - 8.0)
+    ray = np.arange(N_RAYS)
+    return np.stack(
+        np.broadcast_arrays(x[:, None] + 0.05 * (ray % 3), 0.0004 * k[:, None] + 3.0 * (ray // 3), 0.3),
+        axis=-1,
+    )
+
+
+def drawn(kept: ResidualMemory, places: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng([seed, 1])
+    numbers = [
+        kept.numbers(seed, t, there, rng.random(N_RAYS), rng.normal(size=N_RAYS))
+        for t, there in zip(STAMPS.tolist(), places, strict=False)
+    ]
+    u, z = (np.array(part) for part in zip(*numbers, strict=True))
+    return u, z
 
 
 def test_drawn_numbers_keep_their_distribution_and_have_the_memory() -> None:
     rng = np.random.default_rng(1)
-    state = MemoryState(memory(0.6, 0.3, 0.8, 0.5))
-    drawn = [state.step(rng.random(N_RAYS), rng.normal(size=N_RAYS), rng.random((2, N_RAYS))) for _ in INDEX]
-    u, z = (np.array(part) for part in zip(*drawn, strict=True))
-    assert stats.kstest(u[::25].ravel(), "uniform").pvalue > 1e-3
-    assert stats.kstest(z[::25].ravel(), "norm").pvalue > 1e-3
-    assert abs(np.corrcoef(z[1:, 3], z[:-1, 3])[0, 1] - 0.8) < 0.05
-    assert abs(np.corrcoef(z[:, 3], z[:, 4])[0, 1] - 0.5) < 0.08
-    assert (u[:, 1:] == u[:, :-1]).mean() > 0.3
+    places = np.dstack([rng.uniform(-50, 50, (N_SCANS, N_RAYS, 2)), rng.uniform(-3, 3, (N_SCANS, N_RAYS))])
+    u, z = drawn(memory(0.6, 0.7), places, 3)
+    assert stats.kstest(u[::5].ravel(), "uniform").pvalue > 1e-3
+    assert stats.kstest(z[::5].ravel(), "norm").pvalue > 1e-3
+    u, z = drawn(memory(0.6, 0.7), np.broadcast_to(places[0], places.shape), 3)
+    assert (np.ptp(u, axis=0) == 0).mean() == pytest.approx(
+        0.6, abs=0.3
+    )  # such a share of the squares keeps all
+    assert np.var(z - z.mean(axis=0)) == pytest.approx(0.3, abs=0.03)
 
 
-def test_planted_bursts_and_noise_come_back() -> None:
-    """Events of a two-state chain written out here: after an event another one comes with chance 0.1 + 0.5 * 0.9."""
-    rng = np.random.default_rng(2)
-    event = np.zeros((len(INDEX), N_RAYS))
-    noise = np.zeros_like(event)
-    for k in range(1, len(INDEX)):
-        chance = np.where(event[k - 1] == 1, 0.1 + 0.5 * 0.9, 0.1 * (1 - 0.5))
-        event[k] = rng.random(N_RAYS) < chance
-        noise[k] = 0.7 * noise[k - 1] + 0.01 * rng.normal(size=N_RAYS)
-    found = ResidualMemory.fit(residual=noise, chance=np.full(event.shape, 0.1), event=event, index=INDEX)
-    assert np.allclose(found.lasting, 0.5, atol=0.08)
-    assert found.shared[0] < 0.05
-    one_step = found.ar[:, 0] + found.ma[:, 0]  # of the impulse response
-    assert np.allclose(one_step, 0.7, atol=0.08)
+def test_what_a_place_keeps_lasts_its_lifetime_whoever_comes_by() -> None:
+    place = np.tile([1.234, 0.5, 0.3], (N_RAYS, 1))
+    short = memory(0.98, 0.0, lifetime=0)  # 1 s
+    fresh = np.full(N_RAYS, 0.5), np.zeros(N_RAYS)
+    values = np.array([short.numbers(1, t, place, *fresh)[0][0] for t in np.arange(0, 100, 0.1)])
+    assert np.array_equal(values, [short.numbers(1, t, place, *fresh)[0][3] for t in np.arange(0, 100, 0.1)])
+    if not (values == 0.5).all():  # the square keeps something
+        assert 95 <= len(np.unique(values)) <= 102
+    assert short.numbers(2, 0.0, place, *fresh)[0][0] != values[0] or values[0] == 0.5
+
+
+@pytest.mark.parametrize(("size", "lifetime"), [(2, 2), (0, 2), (2, 1)])
+def test_planted_shares_come_back(size: int, lifetime: int) -> None:
+    """The squares, their intervals and what they keep are written out here once more, with random numbers for hashes."""
+    places, rng = driven(), np.random.default_rng(5)
+    side, lasts = SIZES[size], [*LIFETIMES, 1e9][lifetime]
+    key = squares(places, float(side))
+    interval = np.floor(STAMPS / lasts)[:, None, None]
+    whole = np.concatenate([key, np.broadcast_to(interval, (*key.shape[:2], 1))], axis=2).reshape(-1, 4)
+    _, number = np.unique(whole, axis=0, return_inverse=True)
+    n = int(number.max()) + 1
+    is_kept, kept, offset = rng.random(n) < 0.5, rng.random(n), rng.normal(size=n)
+    number = number.reshape(places.shape[:2])
+    u = np.where(is_kept[number], kept[number], rng.random(number.shape))
+    z = np.sqrt(0.5) * offset[number] + np.sqrt(0.5) * rng.normal(size=number.shape)
+    found = ResidualMemory.fit(
+        residual=0.01 * z,
+        chance=np.full(u.shape, 0.5),
+        event=(u < 0.5).astype(float),
+        places=places,
+        stamps=STAMPS,
+    )
+    for shares in (found.events, found.noise):
+        assert shares.sum() == pytest.approx(0.5, abs=0.15)
+        assert shares @ np.ones(len(found.lifetimes) + 1) @ np.log2(found.sizes / side) == pytest.approx(
+            0, abs=0.7
+        )
+    lasting = found.noise[:, found.lifetimes.searchsorted(100.0) :].sum()
+    assert lasting > 0.25 if lasts > 1e6 else lasting < 0.25
 
 
 def test_white_residuals_have_no_memory() -> None:
     rng = np.random.default_rng(3)
-    event = (rng.random((len(INDEX), N_RAYS)) < 0.2).astype(float)
-    noise = rng.normal(size=event.shape)
-    found = ResidualMemory.fit(residual=noise, chance=np.full(event.shape, 0.2), event=event, index=INDEX)
-    assert found.lasting.max() < 0.05
-    assert found.shared[0] < 0.02
-    assert found.ar.any(axis=1).mean() < 0.35  # 5 % alarms; 12 rays
-
-
-def test_noise_of_a_scan_belongs_to_its_number_whoever_asks() -> None:
-    planted = memory(0.6, 0.3, 0.8, 0.5)
-    in_order, mixed = NoiseWithMemory(7, planted), NoiseWithMemory(7, planted)
-    every = [in_order.of(k) for k in range(20)]
-    for number in (13, 2, 2, 19):
-        assert np.array_equal(mixed.of(number), every[number])
-    none = NoiseWithMemory(7, memory(0.0, 0.0, 0.0, 0.0))
-    assert np.allclose(none.of(5), ScanNoise(7, N_RAYS).of(5))
+    event = (rng.random((N_SCANS, N_RAYS)) < 0.2).astype(float)
+    found = ResidualMemory.fit(
+        residual=rng.normal(size=event.shape), chance=np.full(event.shape, 0.2), event=event,
+        places=driven(), stamps=STAMPS,
+    )  # fmt: skip
+    assert found.events.sum() < 0.05
+    assert found.noise.sum() < 0.05
 
 
 def square_run(n: int) -> Run:
-    """Rays in a room of 4 m whose noise is sticky."""
+    """Rays in a room of 4 m whose walls waver by 1 cm."""
     rng = np.random.default_rng(4)
     sensor = RangeSensor(bearings=np.radians(np.linspace(-60, 60, 9)))
     t = 0.1 * np.arange(n)
@@ -87,26 +126,39 @@ def square_run(n: int) -> Run:
     with np.errstate(divide="ignore"):
         to_x = np.abs((np.where(c > 0, 4.0, 0.0) - poses[:, 0:1]) / c)
         to_y = np.abs((np.where(s > 0, 4.0, 0.0) - poses[:, 1:2]) / s)
-    noise = np.zeros(to_x.shape)
-    for k in range(1, n):
-        noise[k] = 0.9 * noise[k - 1] + 0.005 * rng.normal(size=9)
-    return Run(sensor=sensor, stamps=t, ranges=np.minimum(to_x, to_y) + noise, pose_stamps=t, poses=poses)
+    ranges = np.minimum(to_x, to_y)
+    ends = places_of(poses, sensor.bearings, ranges, 8.0)
+    waver = 0.01 * np.sign(np.sin(20.0 * (ends[..., 0] + ends[..., 1])))
+    return Run(
+        sensor=sensor,
+        stamps=t,
+        ranges=ranges + waver + 0.002 * rng.normal(size=ranges.shape),
+        pose_stamps=t,
+        poses=poses,
+    )
 
 
 def test_graph_keeps_its_memory_in_the_file(tmp_path: Path) -> None:
     run = square_run(600)
     graph = build([run], model="polynomial", degree=2, harmonics=2)
     assert graph.memory is None
-    graph = replace(graph, memory=memory(0.5, 0.2, 0.5, 0.1))
-    with pytest.raises(SensorgraphError, match=r"memory\.lasting has shape"):
-        _save_and_load(graph, tmp_path)  # of 12 rays, not 9
+    wrong = replace(memory(0.5, 0.2), events=np.zeros((2, 3)))
+    with pytest.raises(SensorgraphError, match=r"memory\.events has shape"):
+        _save_and_load(replace(graph, memory=wrong), tmp_path)
+    with pytest.raises(SensorgraphError, match=r"the sum of memory\.noise"):
+        _save_and_load(replace(graph, memory=replace(memory(0.5, 0.2), noise=np.full((3, 3), 0.2))), tmp_path)
     fitted = build([run], model="polynomial", degree=6, harmonics=6, n_terms=60, memory=True)
     assert fitted.memory is not None
     again = _save_and_load(fitted, tmp_path)
     assert again.memory is not None
     for name, array in fitted.memory.arrays().items():
         assert np.array_equal(array, again.memory.arrays()[name])
-    assert "events last" in fitted.facts()["memory"]
+    assert "belong to places" in fitted.facts()["memory"]
+
+
+def test_too_few_readings_have_no_memory() -> None:
+    with pytest.raises(SensorgraphError, match="training readings tell nothing of a `memory`"):
+        build([square_run(200)], model="polynomial", degree=2, harmonics=2, memory=True)
 
 
 def _save_and_load(graph: Sensorgraph, folder: Path) -> Sensorgraph:

@@ -6,28 +6,31 @@ from dataclasses import replace
 
 import numpy as np
 
+from logs.transforms import compose
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import POSES_AT_A_TIME, Sensorgraph
 from sensorgraph.models.base import TrainingScans
-from sensorgraph.models.narmax.fit import sequence_of
+from sensorgraph.models.place_noise import places_of
 from sensorgraph.models.residual_memory import MEMORY, ResidualMemory, events_of
 from sensorgraph.types import Progress
 
+BETWEEN_RUNS = 1e7
+"""[s] as far apart the memory takes runs: only what places keep for ever is the same in two."""
+
 
 def with_memory(graph: Sensorgraph, scans: TrainingScans, progress: Progress | None = None) -> Sensorgraph:
-    """Identify the memory of a graph's residuals on its training scans; no lag crosses a gap.
+    """Identify the memory of a graph's residuals on its training scans.
 
     Raises
     ------
-    SensorgraphError : too few scans follow each other
+    SensorgraphError : too few readings
     """
-    some = scans.part(slice(0, MEMORY.max_scans))
-    motion = sequence_of(some)
-    index = np.arange(len(some)) + motion.sequence
-    if int((motion.position > 0).sum()) < MEMORY.min_rows:
+    n = min(MEMORY.max_scans, -(-MEMORY.max_readings // graph.sensor.n_rays))
+    some = scans.part(slice(0, n))
+    if some.ranges.size < MEMORY.min_readings:
         raise SensorgraphError(
-            f"{int((motion.position > 0).sum())} of {len(some)} training scans follow another without a gap, expected "
-            f"{MEMORY.min_rows} or more for a `memory`; give a log with its scans in a row"
+            f"{some.ranges.size} training readings tell nothing of a `memory`, expected {MEMORY.min_readings:,} or "
+            "more; give a longer log"
         )
     parts = []
     for first in range(0, len(some), POSES_AT_A_TIME):
@@ -36,6 +39,10 @@ def with_memory(graph: Sensorgraph, scans: TrainingScans, progress: Progress | N
         rows = slice(first, first + POSES_AT_A_TIME)
         poses = some.poses[rows] if some.ray_poses is None else some.ray_poses[rows]
         said = graph.predict(poses)
-        parts.append(events_of(some.ranges[rows], said.mode, said.p_no_return, said.p_off))
+        starts = compose(poses, scans.laser_mount)
+        places = places_of(starts, graph.sensor.bearings, said.mode, graph.sensor.range_max)
+        seen = events_of(some.ranges[rows], said.mode, said.p_no_return, said.p_off)
+        parts.append({**seen, "places": places})
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return replace(graph, memory=ResidualMemory.fit(**whole, index=index))
+    stamps = np.arange(len(some)) / graph.sensor.rate if some.stamps is None else some.stamps
+    return replace(graph, memory=ResidualMemory.fit(**whole, stamps=stamps + BETWEEN_RUNS * some.run))

@@ -1,13 +1,12 @@
-"""What a model leaves has a memory: residuals that stay from scan to scan, dropouts that come in bursts, and neighbours
-that share both. The chances of a single reading stay those of the model; only their dependence is described here.
+"""What a model leaves has a memory: a wall that is mapped 2 cm off stays so, and neighbours that look at it err together.
 
-Events (no return, or another surface) follow a two-state Markov chain for each ray (Gilbert 1960, Elliott 1963); the
-noise of a return is an autoregressive moving average where tests ask for one (`models.narmax.noise`).
+The chances of a single reading stay those of the model; only their dependence is described here, as a function of the
+place that a ray is predicted to end at: squares of several sizes keep, for several lifetimes, what is drawn for them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
@@ -15,31 +14,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensorgraph.models.base import OFF_DISTANCE
-from sensorgraph.models.narmax.noise import estimate
+from sensorgraph.models.place_noise import numbers_at, squares
 from sensorgraph.models.stored_numbers import check_range, check_shape
-from sensorgraph.types import Floats, Ints
+from sensorgraph.types import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, kw_only=True)
 class MemorySettings:
     """What is taken for memory."""
 
-    ar_lags: int = 2
-    """[scans] of the noise of a return."""
-    noise_lags: int = 1
-    """[scans] of its moving average."""
-    min_rows: int = 200
-    """Scans that a ray needs for lags of its own."""
-    min_events: float = 30.0
-    """Expected shared events as many as which the chain of all rays counts beside a ray's own."""
-    significance: float = 3.0
-    """Standard errors that a correlation must differ from 0 by."""
-    largest: float = 0.98
-    """Root of the noise, or share of an event that lasts."""
+    sizes: tuple[float, ...] = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+    """[m] sides of the squares, from the noise of a range to a piece of furniture; each twice the one before."""
+    lifetimes: tuple[float, ...] = (1.0, 10.0, 100.0, 1000.0)
+    """[s] that a square keeps what it has, one a decade; one more keeps it for ever."""
+    gaps: tuple[float, ...] = (0.01, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+    """[s] borders of the classes in which pairs of readings are counted; below the first they are of one scan. Sizes are
+    the borders of distance."""
+    scan_lags: tuple[int, ...] = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89)
+    """Scans between the two readings of one ray that make a pair ..."""
+    ray_lags: tuple[int, ...] = (1, 2)
+    """... or rays between two of one scan."""
+    strides: tuple[int, ...] = (21, 55, 144, 377, 987, 2584)
+    """Readings of the same largest square, in order of time, between the two of a pair when a place is seen again ..."""
+    again: float = 30.0
+    """[s] ... after this long."""
+    max_pairs: int = 200_000
+    """Of each kind."""
+    min_pairs: float = 1000.0
+    """Without correlation, which each share must outvote: what few pairs tell is chance."""
+    min_readings: int = 2000
+    """That a memory is told from."""
+    max_readings: int = 2_000_000
+    """That are looked at: the first ones."""
     max_scans: int = 10_000
-    """Training scans that are looked at."""
-    rounds: int = 20
-    """In which chains along time and rays are told apart."""
+    """Alike."""
+    largest: float = 0.98
+    """Share of a reading that is kept in all."""
+    least: float = 1e-3
+    """[m, s] side or lifetime that a file may hold."""
 
 
 MEMORY = MemorySettings()
@@ -47,126 +59,91 @@ MEMORY = MemorySettings()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResidualMemory:
-    """How the residuals of rays depend on those of the scan before, and on their neighbours'."""
+    """How the residuals of rays that end near each other depend on each other, in one scan and later."""
 
-    lasting: Floats
-    """(n_rays,) chance that what stopped a ray, or did not, lasts into the next scan beyond what the model says."""
-    shared: Floats
-    """(1,) chance that a ray shares this with its neighbour."""
-    ar: Floats
-    """(n_rays, ar_lags) of the noise of a return over its standard deviation."""
-    ma: Floats
-    """(n_rays, noise_lags)"""
-    gain: Floats
-    """(n_rays,) of the innovations, so that the noise keeps its variance."""
-    across: Floats
-    """(1,) correlation of the innovations of neighbours."""
+    sizes: Floats
+    """(n_sizes,) [m] sides of the squares, each twice the one before."""
+    lifetimes: Floats
+    """(n_lifetimes,) [s]; one more, the last, is for ever."""
+    events: Floats
+    """(n_sizes, n_lifetimes + 1) chance that a reading takes what stops it, or does not, from such a square."""
+    noise: Floats
+    """(n_sizes, n_lifetimes + 1) share of the variance of a return that is such a square's."""
 
     @classmethod
-    def fit(cls, *, residual: Floats, chance: Floats, event: Floats, index: Ints) -> Self:
-        """Identify the memory from scans in a row.
+    def fit(cls, *, residual: Floats, chance: Floats, event: Floats, places: Floats, stamps: Floats) -> Self:
+        """Identify the memory.
 
         Parameters
         ----------
         residual : (n, n_rays) [m] measured - predicted of returns on the predicted surface; nan elsewhere
         chance : (n, n_rays) said chance of an event
         event : (n, n_rays) 1 where it came, 0 where not, nan where not known
-        index : (n,) number of each scan; a gap leaves a number out
+        places : (n, n_rays, 3) [m, m, rad] where each ray was predicted to end, and its direction (`places_of`)
+        stamps : (n,) [s]
         """
-        n_rays = residual.shape[1]
-        follows = np.r_[False, np.diff(index) == 1]
-        now, before = np.flatnonzero(follows), np.flatnonzero(follows) - 1
-        in_time = [_shared_state(event[:, ray], chance[:, ray], now, before) for ray in range(n_rays)]
-        along_time = _drawn_together(np.array(in_time))
-        beside = _shared_state(event.T, chance.T, np.arange(1, n_rays), np.arange(n_rays - 1))
-        lasting, shared = _told_apart(along_time, float(np.clip(beside[0] / max(beside[1], 1e-9), 0.0, 1.0)))
-        spread = np.sqrt(np.nanmean(np.where(np.isfinite(residual), residual, 0.0) ** 2, axis=0))
-        z = residual - np.where(np.isfinite(residual).any(axis=0), _mean(residual), 0.0)
-        z = z / np.maximum(spread, 1e-9)
-        ar, ma = np.zeros((n_rays, MEMORY.ar_lags)), np.zeros((n_rays, MEMORY.noise_lags))
-        for ray in range(n_rays):
-            ar[ray], ma[ray] = _noise_of(z[:, ray], index)
-        gain = np.array([1.0 / np.sqrt(_variance(a, c)) for a, c in zip(ar, ma, strict=True)])
+        known = np.isfinite(residual)
+        n_known = np.maximum(known.sum(axis=0), 1)
+        z = residual - np.where(known, residual, 0.0).sum(axis=0) / n_known
+        z = z / np.maximum(np.sqrt((np.where(known, z, 0.0) ** 2).sum(axis=0) / n_known), 1e-9)
+        sizes, lifetimes = np.array(MEMORY.sizes), np.array(MEMORY.lifetimes)
+        pairs = _Pairs.of(places, stamps, sizes, np.isfinite(event))
+        p, e, z = (values.ravel() for values in (chance, event, z))
+
+        def of_events(a: Ints, b: Ints) -> tuple[Floats, Floats]:
+            """Where both take the same number, both events come with the smaller chance: min(p, q) - p q."""
+            return (e[a] - p[a]) * (e[b] - p[b]), np.minimum(p[a], p[b]) - p[a] * p[b]
+
+        def of_noise(a: Ints, b: Ints) -> tuple[Floats, Floats]:
+            return z[a] * z[b], 0.5 * (z[a] ** 2 + z[b] ** 2)
+
         return cls(
-            lasting=lasting, shared=np.array([shared]), ar=ar, ma=ma, gain=gain,
-            across=np.clip([_pooled(z[:, 1:], z[:, :-1])], 0.0, MEMORY.largest),
+            sizes=sizes, lifetimes=lifetimes,
+            events=pairs.shares(of_events, sizes, lifetimes), noise=pairs.shares(of_noise, sizes, lifetimes),
         )  # fmt: skip
+
+    def numbers(
+        self, seed: int, time: float, places: Floats, uniform: Floats, normal: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return numbers with a memory from fresh ones of one scan, all (n_rays,).
+
+        Parameters
+        ----------
+        seed : of the world; what places keep belongs to it, whoever drives
+        time : [s]
+        places : (n_rays, 3) as `fit` takes them
+        """
+        table = self.sizes, self.lifetimes, self.events, self.noise
+        return numbers_at(seed, time, places, (uniform, normal), table)
 
     def summary(self) -> str:
         """Say it in one line."""
-        coloured = int((self.ar.any(axis=1) | self.ma.any(axis=1)).sum())
-        return (
-            f"events last with chance {np.median(self.lasting):.2f} (median ray) and are shared by neighbours with "
-            f"{self.shared[0]:.2f}; noise correlated in time on {coloured} of {len(self.lasting)} rays, between "
-            f"neighbours {self.across[0]:.2f}"
-        )
+        return f"{_in_words('events', self)}; {_in_words('noise', self)}"
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays of a file."""
         return {f"memory.{f.name}": getattr(self, f.name) for f in fields(self)}
 
     @classmethod
-    def restore(cls, arrays: Mapping[str, NDArray[Any]], n_rays: int) -> Self | None:
+    def restore(cls, arrays: Mapping[str, NDArray[Any]]) -> Self | None:
         """Return what `arrays` gave; None where there is none.
 
         Raises
         ------
-        ValueError : an array has a wrong shape, or a process would grow
+        ValueError : an array has a wrong shape, or shares are no shares
         """
-        if "memory.lasting" not in arrays:
+        if "memory.events" not in arrays:
             return None
         found = {f.name: arrays[f"memory.{f.name}"] for f in fields(cls)}
-        shapes = {
-            "lasting": (n_rays,), "shared": (1,), "ar": (n_rays, MEMORY.ar_lags), "ma": (n_rays, MEMORY.noise_lags),
-            "gain": (n_rays,), "across": (1,),
-        }  # fmt: skip
-        for name, shape in shapes.items():
+        shape = (found["sizes"].size, found["lifetimes"].size + 1)
+        for name in ("sizes", "lifetimes"):
+            check_shape(f"memory.{name}", found[name], (found[name].size,), "f")
+            check_range(f"memory.{name}", found[name], MEMORY.least)
+        for name in ("events", "noise"):
             check_shape(f"memory.{name}", found[name], shape, "f")
-        for name in ("lasting", "shared", "across", "gain"):
             check_range(f"memory.{name}", found[name], 0, 1)
-        for row in found["ar"]:
-            check_range(
-                "memory.ar's largest root", float(np.abs(np.roots(np.r_[1.0, -row])).max(initial=0)), 0, 1
-            )
+            check_range(f"the sum of memory.{name}", found[name].sum(), 0, 1)
         return cls(**found)
-
-
-class MemoryState:
-    """The memory at one scan; the next is drawn from fresh numbers."""
-
-    def __init__(self, memory: ResidualMemory) -> None:
-        n_rays = len(memory.lasting)
-        self.memory = memory
-        self.uniform: Floats | None = None
-        self.noise = np.zeros((max(MEMORY.ar_lags, 1), n_rays))
-        self.innovations = np.zeros((max(MEMORY.noise_lags, 1), n_rays))
-
-    def step(self, uniform: Floats, normal: Floats, decisions: Floats) -> tuple[Floats, Floats]:
-        """Return numbers with a memory from fresh ones.
-
-        Parameters
-        ----------
-        uniform, normal : (n_rays,) fresh numbers
-        decisions : (2, n_rays) uniform numbers: whether a ray shares with its neighbour, and whether the last one lasts
-        """
-        memory = self.memory
-        if self.uniform is not None:
-            uniform = np.where(decisions[1] < memory.lasting, self.uniform, uniform)
-        shares = decisions[0] < memory.shared
-        shares[0] = False
-        source = np.maximum.accumulate(np.where(shares, 0, np.arange(len(uniform))))
-        self.uniform = uniform[source]
-        from scipy.signal import lfilter  # 0.3 s to import, for graphs with memory only
-
-        rho = float(memory.across[0])
-        fresh = normal * np.sqrt(1.0 - rho**2)
-        fresh[0] = normal[0]
-        e = memory.gain * lfilter([1.0], [1.0, -rho], fresh)
-        z = e + np.einsum("rl,lr->r", memory.ar, self.noise[: memory.ar.shape[1]])
-        z += np.einsum("rl,lr->r", memory.ma, self.innovations[: memory.ma.shape[1]])
-        self.noise = np.vstack([z, self.noise[:-1]])
-        self.innovations = np.vstack([e, self.innovations[:-1]])
-        return self.uniform, z
 
 
 def events_of(measured: Floats, mode: Floats, p_no_return: Floats, p_off: Floats) -> dict[str, Floats]:
@@ -180,83 +157,100 @@ def events_of(measured: Floats, mode: Floats, p_no_return: Floats, p_off: Floats
     }
 
 
-def _mean(values: Floats) -> Floats:
-    known = np.isfinite(values)
-    total = np.where(known, values, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    return np.asarray(total, dtype=np.float64)
+def _in_words(name: str, memory: ResidualMemory) -> str:
+    """Say how much of events or noise places keep, how long and how far."""
+    shares: Floats = getattr(memory, name)
+    total = float(shares.sum())
+    longer = float(shares[:, memory.lifetimes.searchsorted(10.0) :].sum())
+    wider = float(shares[memory.sizes.searchsorted(0.4) :].sum())
+    return (
+        f"{total:.0%} of {name} belong to places: {longer:.0%} for 10 s or more, {wider:.0%} to 0.4 m or more"
+    )
 
 
-def _pooled(a: Floats, b: Floats) -> float:
-    """Return the correlation of two tables about 0; 0 where it is not significant."""
-    known = np.isfinite(a) & np.isfinite(b)
-    x, y = a[known], b[known]
-    size = np.sqrt(float(x @ x) * float(y @ y))
-    if not size > 0:
-        return 0.0
-    r = float(x @ y) / size
-    return r if abs(r) > MEMORY.significance / np.sqrt(len(x)) else 0.0
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Pairs:
+    """Pairs of readings, by their flat indices, that end near each other and look the same way."""
+
+    a: Ints
+    b: Ints
+    gap: Floats
+    """(n,) [s]"""
+    distance: Floats
+    """(n,) [m]"""
+
+    @classmethod
+    def of(cls, places: Floats, stamps: Floats, sizes: Floats, known: Bools) -> Self:
+        """Pair known readings (n_scans, n_rays): near in scan and ray, and of a place that is seen again."""
+        where = places.reshape(-1, 3)
+        key = _numbered(squares(where, sizes[-1]))
+        time, good = np.repeat(stamps, known.shape[1]), known.ravel()
+        sector = squares(where, 1.0)[:, 2]
+        flat = np.arange(known.size).reshape(known.shape)
+        found = [(flat[:-k].ravel(), flat[k:].ravel(), False) for k in MEMORY.scan_lags if k < len(flat)]
+        found += [
+            (flat[:, :-j].ravel(), flat[:, j:].ravel(), False) for j in MEMORY.ray_lags if j < known.shape[1]
+        ]
+        order = np.flatnonzero(good)
+        order = order[np.lexsort((time[order], key[order]))]
+        found += [(order[:-stride], order[stride:], True) for stride in MEMORY.strides if stride < len(order)]
+        parts = []
+        for a, b, is_again in found:
+            use = good[a] & good[b] & (sector[a] == sector[b])
+            if is_again:
+                use &= (key[a] == key[b]) & (time[b] - time[a] > MEMORY.again)
+            some = np.flatnonzero(use)
+            some = some[:: len(some) // MEMORY.max_pairs + 1]
+            parts.append((a[some], b[some]))
+        a, b = (np.concatenate(side) for side in zip(*parts, strict=True))
+        apart = np.hypot(*(where[a, :2] - where[b, :2]).T)
+        near = apart < sizes[-1]
+        return cls(a=a[near], b=b[near], gap=(time[b] - time[a])[near], distance=apart[near])
+
+    def shares(
+        self, product: Callable[[Ints, Ints], tuple[Floats, Floats]], sizes: Floats, lifetimes: Floats
+    ) -> Floats:
+        """Return which shares (n_sizes, n_lifetimes + 1), none below 0, explain products by places that keep numbers.
+
+        `product` gives the product of each pair, and what it would be if both took the same number. Two points lie in the
+        same square of side s with chance 1 - (4 - d/s) d/s / pi, d apart in any direction, for the same lifetime T with
+        1 - gap / T.
+        """
+        found, full = product(self.a, self.b)
+        known = np.isfinite(found)
+        found, full, gap, apart = found[known], full[known], self.gap[known], self.distance[known]
+        n_gaps = len(MEMORY.gaps) + 1
+        of = np.searchsorted(sizes, apart, side="right") * n_gaps
+        of += np.searchsorted(MEMORY.gaps, gap, side="right")
+
+        def summed(values: Floats) -> Floats:
+            return np.asarray(np.bincount(of, values, minlength=len(sizes) * n_gaps), dtype=np.float64)
+
+        weight = 1.0 / np.sqrt(np.maximum(summed(full), 1.0))
+        columns = []
+        for size in sizes.tolist():
+            ratio = np.minimum(apart / size, 1.0)
+            together = np.where(ratio < 1.0, full * (1.0 - (4.0 - ratio) * ratio / np.pi), 0.0)
+            for lifetime in [*lifetimes.tolist(), np.inf]:
+                columns.append(summed(together * np.maximum(1.0 - gap / lifetime, 0.0)) * weight)
+        from scipy.optimize import nnls  # 0.2 s to import, for graphs with memory only
+
+        doubt = np.sqrt(MEMORY.min_pairs * float(full.mean() if len(full) else 1.0)) * np.eye(len(columns))
+        rows = np.vstack([np.column_stack(columns), doubt])
+        target = np.r_[summed(found) * weight, np.zeros(len(columns))]
+        shares = np.asarray(nnls(rows, target)[0])
+        if shares.sum() > MEMORY.largest:  # found again, with a sum that is no more
+            heavy = 1e3 * float(np.linalg.norm(rows))
+            rows = np.vstack([rows, np.full(len(columns), heavy)])
+            shares = np.asarray(nnls(rows, np.r_[target, heavy * MEMORY.largest])[0])
+            shares *= min(1.0, MEMORY.largest / float(shares.sum()))
+        return shares.reshape(len(sizes), -1)
 
 
-def _shared_state(event: Floats, chance: Floats, now: Ints, before: Ints) -> tuple[float, float]:
-    """Return the sum of products of surprises, and what it would be if the state were always shared.
-
-    Where the state, a uniform number, is the same, both events come with the smaller of their chances:
-    E (d1 - p1)(d2 - p2) = min(p1, p2) - p1 p2.
-    """
-    p, q = chance[now], chance[before]
-    product = (event[now] - p) * (event[before] - q)
-    known = np.isfinite(product)
-    return float(product[known].sum()), float((np.minimum(p, q) - p * q)[known].sum())
-
-
-def _drawn_together(sums: Floats) -> Floats:
-    """Return the chance that each ray keeps its state, from sums (n_rays, 2), drawn to all rays' where events are few."""
-    every = sums[:, 0].sum() / max(sums[:, 1].sum(), 1e-9)
-    own = (sums[:, 0] + MEMORY.min_events * every) / (sums[:, 1] + MEMORY.min_events)
-    return np.asarray(np.clip(own, 0.0, MEMORY.largest), dtype=np.float64)
-
-
-def _told_apart(along_time: Floats, beside: float) -> tuple[Floats, float]:
-    """Return the chances of lasting and of sharing that make these correlations together.
-
-    With chance b a ray takes its neighbour's state, else its own last one with chance a, else a fresh one. Then time gives
-    T = b T S + (1 - b) a and neighbours S = b + (1 - b) a T S, if both act on their own.
-    """
-    S = float(np.clip(beside, 0.0, MEMORY.largest))
-    T = float(np.median(along_time))
-    b = S
-    for _ in range(MEMORY.rounds):
-        a = (T - b * T * S) / max(1.0 - b, 1e-9)
-        b = float(np.clip(S - (1.0 - b) * a * T * S, 0.0, S))
-    lasting = along_time * (1.0 - b * S) / max(1.0 - b, 1e-9)
-    return np.clip(lasting, 0.0, MEMORY.largest), b
-
-
-def _noise_of(z: Floats, index: Ints) -> tuple[Floats, Floats]:
-    """Return autoregressive and moving-average coefficients of one ray's noise (n,); 0 where it is white."""
-    p, q = MEMORY.ar_lags, MEMORY.noise_lags
-    white = np.zeros(p), np.zeros(q)
-    known = np.isfinite(z)
-    rows = [k for k in range(p, len(z)) if known[k - p : k + 1].all() and index[k] - index[k - p] == p]
-    if len(rows) < MEMORY.min_rows:
-        return white
-    k = np.array(rows)
-    phi = np.column_stack([z[k - lag] for lag in range(1, p + 1)])
-    plain = estimate(np.ones((len(k), 1)), z[k], np.zeros((len(k), 2)), index[k], 0)
-    if not plain.tests[0] < 0.05:
-        return white
-    found = estimate(np.column_stack([np.ones(len(k)), phi]), z[k], np.zeros((len(k), 2)), index[k], q)
-    theta = np.zeros(p + 1)
-    theta[found.kept] = found.theta
-    ar = theta[1:]
-    root = float(np.abs(np.roots(np.r_[1.0, -ar])).max(initial=0.0))
-    return ar * min(1.0, MEMORY.largest / max(root, 1e-9)) ** np.arange(1, p + 1), found.noise
-
-
-def _variance(ar: Floats, ma: Floats) -> float:
-    """Return the variance of a process with unit innovations, by its impulse response."""
-    from scipy.signal import lfilter  # as above
-
-    impulse = np.zeros(2000)
-    impulse[0] = 1.0
-    return float((lfilter(np.r_[1.0, ma], np.r_[1.0, -ar], impulse) ** 2).sum())
+def _numbered(keys: Ints) -> Ints:
+    """Return numbers (n,) that are equal where the rows of keys (n, 3) are."""
+    low = keys.min(axis=0, initial=0)
+    spans = keys.max(axis=0, initial=0) - low + 1
+    return np.asarray(
+        ((keys[:, 0] - low[0]) * spans[1] + keys[:, 1] - low[1]) * spans[2] + keys[:, 2] - low[2]
+    )

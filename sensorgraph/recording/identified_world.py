@@ -14,6 +14,7 @@ import numpy as np
 
 import logs
 from logs.run import RangeSensor, Run
+from logs.transforms import compose
 from planners.arena import Arena
 from planners.maps import geojson
 from planners.trajectory import Trajectory
@@ -24,7 +25,7 @@ from sensorgraph.intake import check_rays
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.narmax.drawing import DrawnRun
 from sensorgraph.models.narmax.model import RayNarmax
-from sensorgraph.models.residual_memory import MemoryState, ResidualMemory
+from sensorgraph.models.place_noise import places_of
 from sensorgraph.recording.controllers import controller_named
 from sensorgraph.types import Floats, ProgressBars, no_progress
 from sensorgraph.world.drive import follow, react
@@ -75,29 +76,6 @@ class ScanNoise:
         return self._kept[1][row], self._kept[2][row]
 
 
-class NoiseWithMemory:
-    """The numbers of `ScanNoise` with the memory of a graph: those of a scan still belong to its number alone."""
-
-    def __init__(self, seed: int, memory: ResidualMemory) -> None:
-        self.fresh = ScanNoise(seed, len(memory.lasting))
-        self.memory = memory
-        self._restart()
-
-    def _restart(self) -> None:
-        self.state, self.next, self._last = MemoryState(self.memory), 0, (np.zeros(0), np.zeros(0))
-
-    def of(self, number: int) -> tuple[Floats, Floats]:
-        """Return uniform and normal numbers (n_rays,) of one scan."""
-        if number < self.next - 1:
-            self._restart()
-        while self.next <= number:
-            rng = np.random.default_rng([self.fresh.seed, 5, self.next])
-            decisions = rng.random((2, self.fresh.n_rays))
-            self._last = self.state.step(*self.fresh.of(self.next), decisions)
-            self.next += 1
-        return self._last
-
-
 class ArenaWorld:
     """Readings cast in an arena, with the sensor's noise and nothing else."""
 
@@ -143,9 +121,7 @@ class IdentifiedWorld:
         self.graph, self.seed, self.rays = graph, seed, rays
         self.sensor = replace(robot.sensor, range_max=min(robot.sensor.range_max, graph.sensor.range_max))
         self.n_rays = self.unanswered = 0
-        self._noise: ScanNoise | NoiseWithMemory = ScanNoise(seed, robot.sensor.n_rays)
-        if graph.memory is not None:
-            self._noise = NoiseWithMemory(seed, graph.memory)
+        self._noise = ScanNoise(seed, robot.sensor.n_rays)
         self._run: DrawnRun | None = None
         self._next = 0
 
@@ -166,8 +142,7 @@ class IdentifiedWorld:
         return np.asarray(self._drawn(number, there)[0])
 
     def _drawn(self, first: int, poses: Floats) -> Floats:
-        noise = [self._noise.of(first + i) for i in range(len(poses))]
-        uniform, normal = (np.array(part) for part in zip(*noise, strict=True))
+        uniform, normal = self._numbers(first, poses)
         model = self.graph.model
         if isinstance(model, RayNarmax):
             readings = self._drawn_run(model, first, poses, uniform, normal)
@@ -184,6 +159,21 @@ class IdentifiedWorld:
                 there = np.ascontiguousarray(poses[:, i])
                 readings[:, i] = model.draw(there, uniform[:, own], normal[:, own], own)[:, 0]
         return apply_range_limits(readings, self.sensor)
+
+    def _numbers(self, first: int, poses: Floats) -> tuple[Floats, Floats]:
+        """Return uniform and normal numbers (n, n_rays) of scans, in the order of the graph's rays."""
+        noise = [self._noise.of(first + i) for i in range(len(poses))]
+        memory, sensor = self.graph.memory, self.graph.sensor
+        if memory is not None:
+            mode = self.graph.predict(poses).mode
+            starts = poses if self.graph.pose_frame == "laser" else compose(poses, sensor.mount)
+            places = places_of(starts, sensor.bearings, mode, sensor.range_max)
+            noise = [
+                memory.numbers(self.seed, (first + i) / self.sensor.rate, places[i], *fresh)
+                for i, fresh in enumerate(noise)
+            ]
+        uniform, normal = (np.array(part) for part in zip(*noise, strict=True))
+        return uniform, normal
 
     def _drawn_run(
         self, model: RayNarmax, first: int, poses: Floats, uniform: Floats, normal: Floats

@@ -8,6 +8,7 @@ evidence leaves out. A prediction marches through the cells and gives a mixture 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import POINTS, Point, Prediction, TrainingScans
+from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction, TrainingScans
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.grid import per_ray
 from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
@@ -27,7 +28,7 @@ from sensorgraph.models.cells.probability_calibration import KNOTS, best_sigma, 
 from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, summarise_rays, tabulate
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
-from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
+from sensorgraph.models.mixture import MODE, NO_RETURN, P_OFF, to_prediction, which_of
 from sensorgraph.models.stored_numbers import check_positive, check_range, check_shape
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
@@ -133,18 +134,34 @@ class CellModel:
     ) -> Floats:
         """Draw one reading of rays (n_rays,) at poses (n_poses, 3) from the mixture.
 
-        `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes.
+        `uniform` and `normal` (n_poses, n_rays) are the numbers drawn; the same ones give the same outcomes. The least
+        uniform numbers have no return, those above it are off the mode, as often as `predict` says by what was seen, the
+        farthest first; a reading that is not lies about the mode with the cells' sigma.
         """
         out = np.full(uniform.shape, np.inf)
-        for i, pose in enumerate(laser_poses(poses, self.mount)):
-            r, w, sigma, left = list_candidates(self.table, pose[None], self.sensor.bearings[rays])
-            stopped = np.cumsum(
-                w[0], axis=1
-            )  # (n_rays, n_most); beyond reach a share `nothing` returns nothing
-            share = uniform[i] * (stopped[:, -1] + left[0] * self.nothing)
-            k = (stopped < share[:, None]).sum(axis=1)
-            hit = np.flatnonzero((k < w.shape[2]) & (share <= stopped[:, -1]))
-            out[i, hit] = r[0, hit, k[hit]] + sigma[0, hit, k[hit]] * normal[i, hit]
+        bearings = self.sensor.bearings[rays]
+        lasers = laser_poses(poses, self.mount)
+        said, _, _ = summarise_poses(self.table, lasers, bearings, "mode")
+        by_noise = math.erfc(OFF_DISTANCE / (math.sqrt(2.0) * self.table.sigma))
+        p_off = np.interp(said[..., P_OFF], KNOTS, self.reliability[which_of("mode")])
+        p_off = np.maximum(p_off - by_noise, 0.0) / (1.0 - by_noise)
+        for i, pose in enumerate(lasers):
+            r, w, sigma, left = (part[0] for part in list_candidates(self.table, pose[None], bearings))
+            mode = said[i, :, MODE]
+            beyond = (
+                left * self.nothing
+            )  # what goes beyond reach returns nothing by that share, else it is not known
+            nothing = beyond / np.maximum(w.sum(axis=1) + beyond, 1e-300)
+            off = np.where(np.abs(r - mode[:, None]) > OFF_DISTANCE, w, 0.0)
+            to_end = np.cumsum(off[:, ::-1], axis=1)[:, ::-1]  # (n_rays, n_most) of this and all farther
+            rest = (uniform[i] - nothing) / np.maximum(1.0 - nothing, 1e-300)
+            is_off = (rest >= 0) & (rest < p_off[i]) & (to_end[:, 0] > 0)
+            is_on = (rest >= 0) & ~is_off & (w > 0).any(axis=1)
+            share = to_end[is_off, 0] * rest[is_off] / p_off[i, is_off]
+            k = (to_end[is_off] > share[:, None]).sum(axis=1) - 1
+            rows = np.flatnonzero(is_off)
+            out[i, rows] = r[rows, k] + sigma[rows, k] * normal[i, rows]
+            out[i, is_on] = mode[is_on] + self.table.sigma * normal[i, is_on]
         return out
 
     def equation(self, ray: int) -> str:
