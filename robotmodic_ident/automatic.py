@@ -19,7 +19,7 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.fitting import fit, refined
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.prediction.recursion import UNLIMITED
-from robotmodic_ident.records import Record, Records, as_records, cut
+from robotmodic_ident.records import Record, Records, as_records, check_names, cut
 from robotmodic_ident.selection.candidates import dictionary, linear_part, output_limits
 from robotmodic_ident.selection.free_run_terms import (
     SHORT_DESCENT,
@@ -62,8 +62,10 @@ def auto_fit(
     Raises
     ------
     IdentError
-        if the records are too short, a signal is missing, or no model runs free without diverging
+        if the records are too short, a signal is missing, several outputs are given, or no model runs free without
+        diverging
     """
+    check_names(output, inputs)
     records = as_records(records)
     searched = _searched(records, settings)
     stretches = HiddenStretches(

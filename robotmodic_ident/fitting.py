@@ -25,7 +25,7 @@ from robotmodic_ident.estimation.rational import (
 from robotmodic_ident.estimation.simulation_error import FreeRunLeastSquares
 from robotmodic_ident.model import NO_TERMS, Estimator, Narmax
 from robotmodic_ident.prediction.recursion import UNLIMITED
-from robotmodic_ident.records import Record, Records, as_records
+from robotmodic_ident.records import Record, Records, as_records, check_names
 from robotmodic_ident.scale import Scale
 from robotmodic_ident.selection.criteria import INFORMATION, Criterion
 from robotmodic_ident.selection.model_size import Search
@@ -119,6 +119,7 @@ def fit(
 
 
 def _check_causal(terms: Terms, output: str) -> None:
+    check_names(output)
     for term, name in zip(terms, terms.names, strict=True):
         if any(f.variable == output and not f.lag for f in term):
             raise IdentError(f"term {name} explains {output} by itself; use its past, {output}(k-1)")

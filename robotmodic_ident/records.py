@@ -57,6 +57,19 @@ Records: TypeAlias = Record | Mapping[str, Floats] | Iterable[Record | Mapping[s
 """One record or many, each with or without stamps."""
 
 
+def check_names(output: object, inputs: object = ()) -> None:
+    """Check that there is one output, and that inputs are a list of names.
+
+    Raises
+    ------
+    IdentError : there are several outputs, or inputs are one text, whose letters would be taken for names
+    """
+    if not isinstance(output, str):
+        raise IdentError(f"output is {output!r}, and a model explains one signal; identify each by itself")
+    if isinstance(inputs, str):
+        raise IdentError(f"inputs is {inputs!r}, expected a list of names, as [{inputs!r}]")
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LaggedData:
     """Rows of lagged signals with what is to be explained."""

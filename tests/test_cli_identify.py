@@ -92,6 +92,9 @@ BAD = {
     "nothing": (["--output", "speed"], "nothing to explain"),
     "itself": (["--output", "speed", "--inputs", "speed"], "cannot explain itself"),
     "record": (["--output", "speed", "--inputs", "record"], "record separates records"),
+    "several": (["--output", "speed,flat", "--inputs", "volts"], "for each of speed and flat"),
+    "twice": (["--output", "speed", "--output", "flat", "--inputs", "volts"], "names 2 signals"),
+    "none": (["--output", ",", "--inputs", "volts"], "name one"),
     "topic": (["--output", "speed", "--inputs", "volts", "--topic", "scan=/a"], "is a CSV"),
     "noise lags": (["--output", "speed", "--inputs", "volts", "--noise-lags", "many"], "0 to 100, or auto"),
     "too many noise lags": (

@@ -80,7 +80,7 @@ def identify(
             f"{out}: a model is written as *.json; name it {out.with_suffix('.json').name}"
         )
     question = IdentificationSpec(
-        output=output.strip(), inputs=tuple(n.strip() for n in inputs.split(",") if n.strip()), lags=lags,
+        output=_one_output(output), inputs=tuple(n.strip() for n in inputs.split(",") if n.strip()), lags=lags,
         output_lags=output_lags, degree=degree, noise_lags=_noise_lags(noise_lags), split=split,  # type: ignore[arg-type]
         criterion=criterion, n_terms=terms, auto=auto,  # type: ignore[arg-type]
     )  # fmt: skip
@@ -92,6 +92,19 @@ def identify(
     picture = out.with_suffix(".png")
     identified_picture(found, picture)
     typer.echo(f"wrote {out}, {picture}")
+
+
+def _one_output(given: Sequence[str]) -> str:
+    from sensorgraph.errors import SensorgraphError
+
+    names = [name.strip() for text in given for name in text.split(",") if name.strip()]
+    if len(names) != 1:
+        several = " and ".join(dict.fromkeys(names))
+        raise SensorgraphError(
+            f"--output names {len(names)} signals, and a model explains one; "
+            + (f"run `identify` for each of {several}, with a file of its own" if names else "name one")
+        )
+    return names[0]
 
 
 def _noise_lags(text: str) -> int | Literal["auto"]:

@@ -323,7 +323,7 @@ IdentifyFile = Annotated[
     Path,
     typer.Argument(metavar="FILE", help="A CSV with columns by name (`record` separates records), or a run."),
 ]
-IdentifyOutput = Annotated[str, typer.Option(metavar="NAME", help="The signal to explain.")]
+IdentifyOutput = Annotated[list[str], typer.Option(metavar="NAME", help="The signal to explain; one.")]
 IdentifyOut = Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.json", help="The model to write.")]
 IdentifyInputs = Annotated[
     str, typer.Option(metavar="NAME,...", help="The signals that explain it, separated by commas.")

@@ -11,7 +11,7 @@ import numpy as np
 
 from robotmodic_ident import Narmax, Record, Terms, auto_fit, fit, lags, polynomial
 from robotmodic_ident.errors import IdentError
-from robotmodic_ident.records import cut
+from robotmodic_ident.records import check_names, cut
 from robotmodic_ident.selection.criteria import Criterion
 from robotmodic_ident.validation.residual_tests import validate
 from robotmodic_ident.validation.score import Extrapolation, Score, extrapolation
@@ -53,6 +53,10 @@ class IdentificationSpec:
     """Lags, degree, terms and limits are chosen by free runs over stretches left out; what is given here is not used."""
 
     def __post_init__(self) -> None:
+        try:
+            check_names(self.output, self.inputs)
+        except IdentError as exc:
+            raise SensorgraphError(str(exc)) from exc
         if self.split not in SPLITS:
             raise SensorgraphError(f"split is {self.split!r}, expected one of {', '.join(SPLITS)}")
         if self.criterion is not None and self.criterion not in CRITERIA:

@@ -67,6 +67,8 @@ class Stretches:
             return values
         from scipy.signal import lfilter  # 0.3 s to import, for rays with noise terms only
 
+        if len(values) and self.position[-1] == len(values) - 1:  # one stretch
+            return np.asarray(lfilter([1.0], np.r_[1.0, noise], values, axis=0))
         out = np.empty_like(values)
         for place, there in self._groups:
             filtered = lfilter([1.0], np.r_[1.0, noise], values[place], axis=1)
@@ -218,16 +220,18 @@ def _multiplier_tests(
         return [float("nan")] * len(pasts)
     inverse = np.linalg.pinv(G.T @ G, hermitian=True)
     variance = float(target @ target) / len(target)
+    explained = inverse @ (G.T @ target)
     out = []
     for past in pasts:
         Z = np.column_stack([runs.lagged(past, lag)[use] for lag in range(1, n_lags + 1)])
-        size = np.sqrt(np.einsum("ij,ij->j", Z, Z))
-        free = (Z - G @ (inverse @ (G.T @ Z))) / np.where(size > 0, size, 1.0)
-        values, vectors = np.linalg.eigh(free.T @ free)
-        kept = values > 1e-12
+        ZG, square = Z.T @ G, Z.T @ Z
+        size = np.sqrt(np.diagonal(square))
+        size = np.where(size > 0, size, 1.0)
+        values, vectors = np.linalg.eigh((square - ZG @ inverse @ ZG.T) / np.outer(size, size))
+        kept = values > 1e-10  # below is rounding
         if not kept.any() or variance <= 0:
             out.append(float("nan"))
             continue
-        explained = (vectors[:, kept].T @ (free.T @ target)) ** 2 / values[kept]
-        out.append(float(chdtrc(int(kept.sum()), float(explained.sum()) / variance)))
+        score = vectors[:, kept].T @ ((Z.T @ target - ZG @ explained) / size)
+        out.append(float(chdtrc(int(kept.sum()), float((score**2 / values[kept]).sum()) / variance)))
     return out
