@@ -228,7 +228,7 @@ def _multiplier_tests(
         size = np.sqrt(np.diagonal(square))
         size = np.where(size > 0, size, 1.0)
         values, vectors = np.linalg.eigh((square - ZG @ inverse @ ZG.T) / np.outer(size, size))
-        kept = values > 1e-10  # below is rounding
+        kept = values > 1e-12  # below is rounding
         if not kept.any() or variance <= 0:
             out.append(float("nan"))
             continue
