@@ -12,6 +12,7 @@ from planners.arena import Arena
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces import reduction
 from sensorgraph.models.faces.hit_moments import HitMoments
+from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.reduction import Reduction, blocks_of, reduce_blocks
 from sensorgraph.world.raycast import cast
@@ -140,3 +141,23 @@ def test_jumping_through_crossed_space_agrees_with_a_walk_in_small_steps() -> No
     differ = grid.supports(origins, directions, reach) != known.all(axis=1)
     assert 0.2 < known.all(axis=1).mean() < 0.8
     assert differ.mean() < 0.005
+
+
+def test_hits_are_those_of_all_rays_though_the_sample_is_even(
+    room: Arena, scans: TrainingScans, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A corner is passed in 40 of 500 scans: its rays all stay, and count no more than the others for that."""
+    passing = np.arange(500) < 40
+    poses = np.where(passing[:, None], [3.4, 2.4, 0.5], [0.5, 0.5, -0.6])
+    scans = replace(scans, poses=poses + np.random.default_rng(3).normal(0, 0.02, (500, 3)))
+    readings = cast(room, scans.poses, scans.sensor).ranges
+    scans = replace(scans, ranges=readings + 0.01 * np.random.default_rng(4).normal(size=readings.shape))
+
+    def hits_by_wall() -> np.ndarray:
+        fitted = Faces.fit(scans, calibrate=False)
+        wall = np.round(np.degrees(np.arctan2(*fitted.faces.normals.T[::-1])) / 90) % 4
+        return np.bincount(wall.astype(int), weights=fitted.hits, minlength=4)
+
+    every = hits_by_wall()
+    monkeypatch.setattr(reduction, "MAX_SAMPLED_RAYS", scans.ranges.size // 3)
+    np.testing.assert_allclose(hits_by_wall(), every, rtol=0.02)

@@ -141,6 +141,7 @@ def calibrate_faces(
     """
     readings, poses = readings_of(sample, sensor)
     work = _JointCalibration(readings, poses, mount, can_mount=can_mount)
+    work.weights = sample.weights
     work.take(fitted)
     with progress("testing the laser", "%") as tick:
         is_worth = calibrate is not False and work.is_worth(force=calibrate is True, tick=tick)
@@ -173,10 +174,9 @@ class _JointCalibration:
         self.n_scans = int(readings.scan.max(initial=-1)) + 1
         self.shifts = np.zeros((self.n_scans, 3))
         self._lasers = LaserPoses(poses, readings.pose, readings.scan)
-        self.terms = RayTerms.none(len(readings.bearings))
-        self.mean_bias = 0.0
-        self.is_amiss = False
-        self.has_mount = False
+        self.terms, self.mean_bias = RayTerms.none(len(readings.bearings)), 0.0
+        self.weights: Floats | None = None  # (n,) rays that each reading stands for; None: all the same
+        self.is_amiss = self.has_mount = False
         self.own = np.zeros((2, len(readings.bearings)), dtype=np.bool_)
         self.offset_se = np.full(3, np.nan)
         self.gauge: Gauge | None = None
@@ -296,7 +296,7 @@ class _JointCalibration:
 
     def corrected(self) -> Rays:
         """Return the rays as they are by what is known of the laser."""
-        return self.rays(self.readings, self.match().ranges)
+        return replace(self.rays(self.readings, self.match().ranges), weights=self.weights)
 
     def adjust(self, *, incidence: bool, shift: float = 0.0) -> None:
         """Move mount, terms and faces together; faces are `shift` [m] nearer first, and their mean stays there.

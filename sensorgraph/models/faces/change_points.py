@@ -23,6 +23,7 @@ from sensorgraph.models.faces.visibility import (
     Rays,
     ReturnNoise,
     stop_probabilities,
+    weights_of,
 )
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -38,7 +39,7 @@ class Crossings(NamedTuple):
     stop: Floats
     """(n_looks,) chance that the ray stopped there, given that it came so far."""
     weight: Floats
-    """(n_looks,) chance that it came so far."""
+    """(n_looks,) chance that it came so far, times the rays that it stands for."""
     error: Floats
     """(n_looks,) [m] standard error of the abscissa, from the noise of the poses."""
     bounds: Ints
@@ -94,6 +95,7 @@ def crossings_of(
         rays.directions,
         rays.ranges,
         rays.range_max,
+        weights_of(rays),
         faces,
         bucket_grid(faces),
         noise.array,
@@ -150,7 +152,7 @@ def take_faces(faces: FaceSet, index: Ints) -> FaceSet:
 
 @kernel
 def _list_crossings(
-    origins: Any, directions: Any, ranges: Any, range_max: Any, faces: Any, buckets: Any, noise: Any,
+    origins: Any, directions: Any, ranges: Any, range_max: Any, weights: Any, faces: Any, buckets: Any, noise: Any,
     var_xy: Any, var_yaw: Any,
 ) -> Any:  # fmt: skip
     """List all crossings: face, abscissa, chance that the ray stopped given that it came so far, that chance, error."""
@@ -182,7 +184,8 @@ def _list_crossings(
             face[count], at[count] = k[m], t[m]
             den = normals[k[m], 0] * ux + normals[k[m], 1] * uy
             error[count] = np.sqrt((var_xy + r[m] * r[m] * var_yaw) / max(den * den, MIN_SQUARED_COSINE))
-            stop[count], weight[count] = min(gamma[m] / survive[m], 1.0), survive[m]
+            stop[count] = min(gamma[m] / survive[m], 1.0)
+            weight[count] = survive[m] * (weights[i] if len(weights) else 1.0)
             count += 1
     return face[:count], at[:count], stop[:count], weight[:count], error[:count]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,8 +41,8 @@ class FittedFaces:
 
     @property
     def hits(self) -> Floats:
-        """(n_faces,) expected returns from each face."""
-        return self.expectation.line_sums[:, 5]
+        """(n_faces,) expected returns from each face, of the rays that those fitted to stand for."""
+        return (self.expectation if self.statistics is None else self.statistics).line_sums[:, 5]
 
 
 def fit_faces(
@@ -57,6 +57,7 @@ def fit_faces(
 
     Parameters
     ----------
+    rays : their weights count in the statistics; places and directions count alike in the fit
     hit_moments : pooled hits of all rays that `rays` are a sample of; None: of `rays` themselves
     sigma : [m] range noise to begin with; it is then estimated, and so is the noise of the poses
     pose_errors : [m, rad] left in poses that were refined by these rays: it does not show in the noise any more
@@ -64,7 +65,7 @@ def fit_faces(
     work = WorkCounter(progress, fit_cost(len(rays)))
     if hit_moments is None:
         hit_moments = HitMoments.of(rays.hits, rays.directions)
-    draft, final = _thinned(rays, FIT.draft_rays), _thinned(rays, FIT.final_rays)
+    draft, final = (_thinned(replace(rays, weights=None), most) for most in (FIT.draft_rays, FIT.final_rays))
     faces, noise, expectation = _select_and_fit(draft, hit_moments, sigma)
     work.add(SELECT_PASSES * len(draft))
     for _ in range(FIT.rounds):
@@ -85,7 +86,9 @@ def fit_faces(
     work.add(3 * len(final))
     faces = join_corners(faces, crossings)
     expectation = e_step(final, faces, noise)
-    statistics = SufficientStatistics.of(final, faces, expectation, crossings, n_rays=len(final))
+    counted = final if rays.weights is None or len(final) < len(rays) else rays
+    summed = expectation if counted is final else e_step(counted, faces, noise)
+    statistics = SufficientStatistics.of(counted, faces, summed, crossings, n_rays=len(counted))
     faces = with_edge_errors(faces, expectation.line_sums)
     work.add((FINAL_PASSES - 3) * len(final))
     return FittedFaces(
@@ -98,7 +101,7 @@ def draft_faces(rays: Rays, *, sigma: float) -> FittedFaces:
 
     Nothing is split: what bends a face may be the sensor.
     """
-    draft = _thinned(rays, FIT.draft_rays)
+    draft = _thinned(replace(rays, weights=None), FIT.draft_rays)
     faces, noise, expectation = _select_and_fit(draft, HitMoments.of(rays.hits, rays.directions), sigma)
     return FittedFaces(faces=faces, noise=noise, expectation=expectation, n_rays=len(draft))
 
@@ -155,7 +158,7 @@ def _thinned(rays: Rays, most: int) -> Rays:
     if len(rays) <= most:
         return rays
     turn = np.arctan2(rays.directions[:, 1], rays.directions[:, 0])
-    return rays.take(spread_evenly(rays.origins, turn, most))
+    return rays.take(spread_evenly(rays.origins, turn, most)[0])
 
 
 def fit_cost(n_rays: int) -> int:

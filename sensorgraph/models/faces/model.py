@@ -48,6 +48,7 @@ from sensorgraph.models.faces.reduction import (
 )
 from sensorgraph.models.faces.sampling import draw_rays
 from sensorgraph.models.faces.settings import FACES
+from sensorgraph.models.faces.sufficient_statistics import scale_of
 from sensorgraph.models.faces.update import update_faces
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
@@ -154,20 +155,18 @@ class Faces(FacesData):
         if not found.calibration.is_as_stated and len(found.rays) == reduced.n_rays:
             # of a larger log the grid of all its rays, a few cm off, tells more than that of a sample
             reduced = replace(reduced, observed=observed_by(found.rays))
-        fitted = found.fitted
+        fitted, scale = found.fitted, scale_of(found.rays, reduced.n_rays)
         return cls(
             sensor=sensor,
             faces=fitted.faces,
             noise=fitted.noise,
-            hits=fitted.hits * (reduced.n_rays / max(fitted.n_rays, 1)),
+            hits=scale * fitted.hits,
             observed=reduced.observed,
             returns=reduced.n_returns / reduced.n_rays,
             mount=found.mount,
             calibration=found.calibration,
             n_rays=reduced.n_rays,
-            statistics=None
-            if fitted.statistics is None
-            else fitted.statistics.scaled(reduced.n_rays / max(fitted.n_rays, 1)),
+            statistics=None if fitted.statistics is None else fitted.statistics.scaled(scale),
         )
 
     def updated(

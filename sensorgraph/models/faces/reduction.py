@@ -42,6 +42,8 @@ class RaySample:
     """(n,) [m]; +inf nothing seen."""
     ray_poses: Floats | None = None
     """(n, 3) [m, m, rad] where the ray was taken, of a laser that sweeps; None: all at `poses`."""
+    weights: Floats | None = None
+    """(n,) rays that each stands for; None: all the same."""
 
     @property
     def poses_of_rays(self) -> Floats:
@@ -61,12 +63,13 @@ class RaySample:
             return self
         poses = self.poses_of_rays
         turn = np.mod(poses[:, 2] + sensor.bearings[self.beams], 2 * np.pi)
-        kept = spread_evenly(poses[:, :2], turn, MAX_SAMPLED_RAYS)
+        kept, weights = spread_evenly(poses[:, :2], turn, MAX_SAMPLED_RAYS)
         return RaySample(
             poses=self.poses[kept],
             beams=self.beams[kept],
             ranges=self.ranges[kept],
             ray_poses=None if self.ray_poses is None else self.ray_poses[kept],
+            weights=weights,
         )
 
     def rays(self, sensor: RangeSensor, mount: Floats) -> Rays:
@@ -81,6 +84,7 @@ class RaySample:
             directions=np.stack([np.cos(theta), np.sin(theta)], axis=1),
             ranges=self.ranges,
             range_max=sensor.range_max,
+            weights=self.weights,
         )
 
 
@@ -99,8 +103,11 @@ class Reduction:
     n_returns: int
 
     def spread_evenly(self, sensor: RangeSensor) -> Reduction:
-        """Return the same with a sample that is spread evenly."""
-        return replace(self, sample=self.sample.spread_evenly(sensor))
+        """Return the same with a sample that is spread evenly, whose weights add up to all rays."""
+        sample = self.sample.spread_evenly(sensor)
+        if sample.weights is not None:
+            sample = replace(sample, weights=sample.weights * (self.n_rays / sample.weights.sum()))
+        return replace(self, sample=sample)
 
     def merge(self, other: Reduction) -> Reduction:
         """Add up two disjoint sets of scans, those of `self` first."""

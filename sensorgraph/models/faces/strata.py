@@ -10,7 +10,7 @@ from sensorgraph.types import Floats, Ints
 FIT = FACES.fit
 
 
-def spread_evenly(places: Floats, turn: Floats, most: int) -> Ints:
+def spread_evenly(places: Floats, turn: Floats, most: int) -> tuple[Ints, Floats]:
     """Choose `most` rays at most: of each cell and sector up to the same number, spread evenly over those that there are.
 
     What is chosen hangs on where a ray comes from, not on what it did, so visibility stays unbiased.
@@ -22,7 +22,7 @@ def spread_evenly(places: Floats, turn: Floats, most: int) -> Ints:
 
     Returns
     -------
-    (m,) indices, ascending
+    (m,) indices, ascending; and (m,) how many rays of its cell and sector each stands for
     """
     sector = np.floor(turn / FIT.stratum_sector)
     cell = np.floor(places / FIT.stratum_cell)
@@ -35,7 +35,11 @@ def spread_evenly(places: Floats, turn: Floats, most: int) -> Ints:
     count = np.diff(start, append=len(key))
     kept = np.repeat(np.minimum(count, _even_share(count, most)), count)
     rank, count = np.arange(len(key)) - np.repeat(start, count), np.repeat(count, count)
-    return np.sort(order[(rank + 1) * kept // count > rank * kept // count])
+    is_kept = (rank + 1) * kept // count > rank * kept // count
+    weight = np.empty(len(key))
+    weight[order] = count / np.maximum(kept, 1)
+    chosen = np.sort(order[is_kept])
+    return chosen, weight[chosen]
 
 
 def _even_share(count: Ints, most: int) -> int:

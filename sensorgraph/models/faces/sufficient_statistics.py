@@ -60,17 +60,18 @@ class SufficientStatistics:
     def of(
         cls, rays: Rays, faces: FaceSet, expectation: Expectation, crossings: Crossings, *, n_rays: int
     ) -> SufficientStatistics:
-        """Remember rays that are a sample of `n_rays`."""
-        scale = n_rays / max(len(rays), 1)
+        """Remember rays that are a sample of `n_rays`: by their weights, or else all alike."""
+        scale = scale_of(rays, n_rays)
         face, place = _next_to_edges(faces, crossings)
         left = expectation.unexplained > 0.5
-        hits = HitMoments.of(rays.hits[left], rays.directions[left])
+        counts = np.ones(len(rays)) if rays.weights is None else rays.weights
+        hits = HitMoments.of(rays.hits[left], rays.directions[left], counts[left])
         return cls(
             line_sums=scale * expectation.line_sums,
             stops=scale * expectation.stops,
             reached=scale * expectation.reached,
             noise_sums=scale * expectation.noise_sums,
-            stray=scale * np.array([expectation.unexplained.sum(), expectation.distance]),
+            stray=scale * np.array([counts @ expectation.unexplained, expectation.distance]),
             unexplained_hits=HitMoments(cells=hits.cells, moments=scale * hits.moments),
             face=face,
             t=crossings.t[place],
@@ -154,6 +155,11 @@ class SufficientStatistics:
             moments=np.asarray(arrays["left.moments"], dtype=np.float64),
         )
         return cls(unexplained_hits=hits, face=np.asarray(arrays["face"], dtype=np.intp), **found)
+
+
+def scale_of(rays: Rays, n_rays: int) -> float:
+    """Return what sums over a sample of `n_rays` are to be multiplied by; 1 where weights have counted them."""
+    return n_rays / max(len(rays), 1) if rays.weights is None else 1.0
 
 
 def merge_crossings(parts: list[Columns], n_faces: int) -> Crossings:

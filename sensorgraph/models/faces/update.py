@@ -24,6 +24,7 @@ from sensorgraph.models.faces.sufficient_statistics import (
     columns_of,
     merge_crossings,
     rebase_line_sums,
+    scale_of,
 )
 from sensorgraph.models.faces.visibility import (
     Expectation,
@@ -60,7 +61,7 @@ def update_faces(
     observed : what the old rays went through
     rays : a sample of the `n_rays` new ones
     """
-    scale = n_rays / max(len(rays), 1)
+    scale = scale_of(rays, n_rays)
     expectation = e_step(rays, faces, noise)
     left = (expectation.unexplained > 0.5) & np.isfinite(rays.ranges)
     hits = HitMoments.of(rays.hits[left], rays.directions[left])

@@ -47,6 +47,8 @@ class Rays:
     ranges: Floats
     """(n,) [m]; +inf: nothing up to `range_max`. No nan, no -inf."""
     range_max: float
+    weights: Floats | None = None
+    """(n,) rays of the log that each stands for; None: 1."""
 
     def __len__(self) -> int:
         return len(self.ranges)
@@ -58,6 +60,7 @@ class Rays:
             directions=np.ascontiguousarray(self.directions[index]),
             ranges=np.ascontiguousarray(self.ranges[index]),
             range_max=self.range_max,
+            weights=None if self.weights is None else self.weights[index],
         )
 
     @property
@@ -150,13 +153,13 @@ def visible_lines(faces: FaceSet) -> Lines:
 
 
 def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid | None = None) -> Expectation:
-    """Share every ray out among the faces it crosses (E step)."""
+    """Share every ray out among the faces it crosses (E step); sums count each by its weight."""
     buckets = bucket_grid(faces) if buckets is None else buckets
     stops, reached = np.zeros(len(faces.edges)), np.zeros(len(faces.edges))
     lines, spread = np.zeros((faces.n_faces, 8)), np.zeros((3, 4))
     unexplained, total = np.zeros(len(rays)), np.zeros(2)
     _e_step(
-        rays.origins, rays.directions, rays.ranges, rays.range_max, faces, buckets, noise.array,
+        rays.origins, rays.directions, rays.ranges, rays.range_max, weights_of(rays), faces, buckets, noise.array,
         stops, reached, lines, spread, unexplained, total,
     )  # fmt: skip
     return Expectation(
@@ -168,6 +171,11 @@ def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid |
         log_likelihood=float(total[0]),
         distance=float(total[1]),
     )
+
+
+def weights_of(rays: Rays) -> Floats:
+    """Return weights for kernels: (n,), or (0,) where all are 1."""
+    return np.zeros(0) if rays.weights is None else rays.weights
 
 
 def m_step(
@@ -294,6 +302,7 @@ def _e_step(
     directions: Any,
     ranges: Any,
     range_max: Any,
+    weights: Any,
     faces: Any,
     buckets: Any,
     noise: Any,
@@ -316,20 +325,21 @@ def _e_step(
         reach = range_max if z > 1e300 else z + REACH_MARGIN + REACH_SIGMAS * np.sqrt(noise[0])
         n = crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
         value, stray = stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
-        total[0] += np.log(max(value, MIN_LIKELIHOOD))
-        total[1] += min(z, range_max)
+        count = weights[i] if len(weights) else 1.0
+        total[0] += count * np.log(max(value, MIN_LIKELIHOOD))
+        total[1] += count * min(z, range_max)
         unexplained[i] = stray
         for m in range(n):
             f = k[m]
             if j[m] < first[f]:
                 continue
-            reached[j[m]] += survive[m]
-            stops[j[m]] += gamma[m]
+            reached[j[m]] += count * survive[m]
+            stops[j[m]] += count * gamma[m]
             g = gamma[m]
             if g > 0:
-                lines[f, 7] -= np.log(max(1.0 - g, MIN_PASSED))
+                lines[f, 7] -= count * np.log(max(1.0 - g, MIN_PASSED))
             if survive[m] > 0 and g < 0.5:
-                lines[f, 7] += survive[m] * passed[j[m]]
+                lines[f, 7] += count * survive[m] * passed[j[m]]
             if g < MIN_FIT_SHARE:
                 continue
             den = normals[f, 0] * ux + normals[f, 1] * uy
@@ -341,7 +351,7 @@ def _e_step(
             if e * e > FIT_GATE * var:
                 continue
             across = e * den  # how far the end point is off the face, along its normal
-            w = g / (var * den * den)
+            w = count * g / (var * den * den)
             s = t[m] + e * t_u
             line = lines[f]
             line[0] += w
@@ -349,11 +359,11 @@ def _e_step(
             line[2] += w * s * s
             line[3] += w * across
             line[4] += w * s * across
-            line[5] += g
+            line[5] += count * g
             line[6] += w * across * across
             if g > 0.5:
                 x1, x2 = 1.0 / (den * den), (r[m] * t_u / den) ** 2
-                v = 1.0 / (var * var)
+                v = count / (var * var)
                 spread[0, 0] += v
                 spread[0, 1] += v * x1
                 spread[0, 2] += v * x2
