@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 from planners_samples import door_arena
 
 from planners import Plan, PlanError, plan
+from planners.methods import anytime, overview
+from planners.methods.settings import OVERVIEW
 from planners.types import Floats
 from planners.vehicle import Limits, Vehicle
 
@@ -21,6 +23,7 @@ class DiscSurvey:
 
     radius: float = 0.8
     seen: set[tuple[int, int]] = field(default_factory=set)
+    asks_a_graph: bool = False
 
     def _around(self, pose: Floats) -> set[tuple[int, int]]:
         i, k = np.mgrid[0:40, 0:30]
@@ -35,11 +38,11 @@ class DiscSurvey:
             self.seen |= self._around(pose)
 
     def copy(self) -> DiscSurvey:
-        return DiscSurvey(self.radius, set(self.seen))
+        return DiscSurvey(self.radius, set(self.seen), self.asks_a_graph)
 
 
-def planned(order: str = "anytime", **given: object) -> Plan:
-    survey = DiscSurvey() if order == "anytime" else None
+def planned(order: str = "anytime", radius: float = 0.8, **given: object) -> Plan:
+    survey = DiscSurvey(radius) if order == "anytime" else None
     return plan(door_arena(0.9), Vehicle(), order=order, survey=survey, seed=1, **GRID, **given)  # type: ignore[arg-type]
 
 
@@ -107,3 +110,18 @@ def test_what_has_no_order_is_refused(given: dict[str, object], said: str) -> No
     vehicle = given.pop("vehicle", Vehicle())
     with pytest.raises(PlanError, match=said):
         plan(door_arena(9.0), vehicle, **GRID, **given)  # type: ignore[arg-type]
+
+
+def test_the_rounds_after_the_spins_see_more_than_a_room_filled_as_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def seen_until(later_share: float, seconds: float) -> int:
+        monkeypatch.setattr(
+            anytime, "OVERVIEW", replace(OVERVIEW, share=0.02, later_share=later_share, growth=1.0)
+        )
+        made, survey = planned(radius=0.3, budget=seconds), DiscSurvey(0.3)
+        survey.mark(made.curve.log(10.0))
+        return len(survey.seen)
+
+    monkeypatch.setattr(overview, "OVERVIEW", replace(OVERVIEW, first_round=10.0))
+    assert seen_until(0.5, 120.0) > 1.3 * seen_until(0.0, 120.0)

@@ -1,8 +1,8 @@
 """The anytime order of a coverage plan: a drive of which every prefix is worth its minutes, and whose end is complete.
 
-It begins with an overview (`overview`): rounds through the floor by what the sensor has not seen. Then it completes
-single cells evenly over the floor, one in every block of 2 m, of 1 m, of 0.5 m, and at last all: at each level
-what was met before counts, so that the whole takes little longer than the order `fast`.
+It begins with an overview (`overview`): rounds through the floor by what the sensor has not seen. Then it completes single
+cells evenly over the floor, one in every block of 3 m, unless a graph of earlier runs says where to look; then it looks where
+least was seen for further rounds; and at last it completes all cells. What was met before counts, so that the whole takes little longer than the order `fast`.
 """
 
 from __future__ import annotations
@@ -37,17 +37,15 @@ def plan_anytime(task: Task) -> PlannedDrive:
         raise PlanError("a priority is an order of its own; leave out the order anytime")
     drive = _AnytimeDrive(task, bins_to_visit(task))
     try:
-        if task.survey is not None:
-            for part in overview(
-                task, task.survey, OVERVIEW.share * reference_time(task.coverage, task.vehicle)
-            ):
-                drive.add(part)
-                task.say(f"overview, {drive.clock / 60:.0f} min of driving so far")
-                if drive.is_enough:
-                    return drive.planned()
-        for level in (*ANYTIME.blocks, task.reach.cell):
+        reference = reference_time(task.coverage, task.vehicle)
+        if drive.look(OVERVIEW.share * reference, OVERVIEW.growth):
+            return drive.planned()
+        is_informed = task.survey is not None and task.survey.asks_a_graph
+        for level in () if is_informed else ANYTIME.blocks:
             if drive.complete(level) and drive.is_enough:
-                break
+                return drive.planned()
+        if not drive.look(OVERVIEW.later_share * reference, OVERVIEW.later_growth):
+            drive.complete(task.reach.cell)
     except KeyboardInterrupt:
         if not drive.parts:
             raise
@@ -89,6 +87,24 @@ class _AnytimeDrive:
         if task.progress:
             task.progress(self.total - int(self.missing.sum()), self.total)
 
+    def look(self, until: float, growth: float) -> bool:
+        """Drive rounds of an overview until so many seconds of the drive; True if nothing more need be planned."""
+        task = self.task
+        if task.survey is not None:
+            for part in overview(task, task.survey, self.here, driven=self.clock, until=until, growth=growth):
+                self.add(part)
+                self._mark(part)
+                task.say(f"overview, {self.clock / 60:.0f} min of driving so far")
+                if self.is_enough:
+                    return True
+        return False
+
+    def _mark(self, part: PlannedDrive) -> None:
+        """Count what a part shows as seen."""
+        if self.task.survey is not None:
+            seen = np.arange(0.0, part.curve.duration, OVERVIEW.look_period)
+            self.task.survey.mark(part.curve.sample(seen)[0])
+
     def complete(self, block: float) -> bool:
         """Complete one cell in every block of that side [m]; False if there is none to complete."""
         task = self.task
@@ -101,7 +117,10 @@ class _AnytimeDrive:
             task.say(f"a spin in every {block:g} m, after {self.clock / 60:.0f} min of driving")
         grid = replace(task.coverage, counts=np.where(wanted, 0, 1))
         part = replace(task, coverage=grid, start=self.here, progress=self._progress(int(wanted.sum())))
-        self.add(plan_spins(part) if block <= task.reach.cell else _SpinTour(part, wanted).run())
+        is_last = block <= task.reach.cell
+        self.add(plan_spins(part) if is_last else _SpinTour(part, wanted).run())
+        if not is_last:
+            self._mark(self.parts[-1])
         return True
 
     def _whole(self) -> Bools:

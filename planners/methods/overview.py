@@ -1,4 +1,4 @@
-"""The overview that an anytime plan begins with: rounds through the floor, each twice as long as all before it.
+"""The overview of an anytime plan: rounds through the floor, each as long as a share of all before it.
 
 A round is a tour of views: greedily, the view that adds most to what the drive so far has seen, scans on the way
 included, and whose cheapest detour still fits (an orienteering problem with a submodular reward: C. Chekuri and M. Pal, A
@@ -24,25 +24,32 @@ from planners.task import JoinCounts, PlannedDrive, Survey, Task
 from planners.types import Floats, Ints
 
 
-def overview(task: Task, survey: Survey, seconds: float) -> Iterator[PlannedDrive]:
-    """Yield rounds, each from the end of the one before, until they take so many seconds together."""
+def overview(
+    task: Task, survey: Survey, here: Floats | None, *, driven: float, until: float, growth: float
+) -> Iterator[PlannedDrive]:
+    """Yield rounds, each from the end of the one before; whoever takes them marks what they show.
+
+    Parameters
+    ----------
+    survey : what the drive so far has shown
+    here : (3,) where that drive ends; None: there is none, and the rounds begin at the view of most gain
+    driven : [s] that it takes
+    until : [s] that it may take with the rounds
+    growth : length of a round, as a share of the drive before
+    """
     views = _Views(task)
-    gains = survey.gain(views.poses)
-    here = views.poses[int(gains.argmax())] if task.start is None else task.start
+    if here is None:
+        here = views.poses[int(survey.gain(views.poses).argmax())]
     survey.mark(here[None])
-    clock, length = 0.0, OVERVIEW.first_round
-    while clock < seconds:
-        chosen = _choose(views, survey.copy(), gains, here, min(length, seconds - clock))
+    while driven < until:
+        length = min(max(OVERVIEW.first_round, growth * driven), until - driven)
+        chosen = _choose(views, survey.copy(), survey.gain(views.poses), here, length)
         drive = _drive(chosen, here, task) if len(chosen) else None
         if drive is None:
             return
         yield drive
-        curve = drive.curve
-        survey.mark(curve.sample(np.arange(0.0, curve.duration, OVERVIEW.look_period))[0])
-        gains = survey.gain(views.poses)
-        here = curve.sample(np.array([curve.duration]))[0][0]
-        clock += curve.duration
-        length = clock
+        here = drive.curve.sample(np.array([drive.curve.duration]))[0][0]
+        driven += drive.curve.duration
 
 
 class _Views:

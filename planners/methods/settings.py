@@ -95,9 +95,15 @@ class OverviewSettings:
     """The first minutes of an anytime plan; set by `python -m benchmarks.error_by_minutes --arena office` (seed 1)."""
 
     share: float = 0.03
-    """Of the reference time that the overview takes."""
+    """Of the reference time that the first rounds take together, before the spins."""
+    later_share: float = 0.08
+    """Of the reference time at which the last round after the spins ends."""
     first_round: float = 100.0
-    """[s] of the first round; each later one takes as long as all before it."""
+    """[s] of the first round."""
+    growth: float = 1.0
+    """Length of each later round of the first ones, as a share of all that was driven before."""
+    later_growth: float = 0.5
+    """The same of those after the spins: a cut within a tour costs less, the shorter it is."""
     candidates: int = 2500
     """Views to choose from."""
     turn: float = 3.0
@@ -110,7 +116,7 @@ class OverviewSettings:
 class AnytimeSettings:
     """How an anytime plan goes from coarse to fine; set by `python -m benchmarks.coverage_planners --order anytime`."""
 
-    blocks: tuple[float, ...] = (2.0,)
+    blocks: tuple[float, ...] = (3.0,)
     """[m] sides of blocks: at each level, one cell of every block is completed, before all cells are at the last."""
 
 
