@@ -203,14 +203,10 @@ def windows(log: Run) -> Iterator[LogWindow]:
 
 
 def graph_of_first_half(log: Run, path: Path) -> Sensorgraph:
-    """Build a graph of every second scan of the log's first half, or read it where it is kept.
-
-    A ray without a return says nothing here: with 80 m of reach it would make free space of what lies outside.
-    """
+    """Build a graph of every second scan of the log's first half, or read it where it is kept."""
     if not path.exists():
         some = np.arange(0, log.n_scans // 2, 2)
-        ranges = np.where(np.isfinite(log.ranges[some]), log.ranges[some], np.nan)
-        build(replace(log, stamps=log.stamps[some], ranges=ranges)).save(path)
+        build(replace(log, stamps=log.stamps[some], ranges=log.ranges[some])).save(path)
     return Sensorgraph.load(path)
 
 

@@ -161,3 +161,20 @@ def test_hits_are_those_of_all_rays_though_the_sample_is_even(
     every = hits_by_wall()
     monkeypatch.setattr(reduction, "MAX_SAMPLED_RAYS", scans.ranges.size // 3)
     np.testing.assert_allclose(hits_by_wall(), every, rtol=0.02)
+
+
+@pytest.mark.parametrize(("farthest", "is_free"), [(7.9, True), (5.0, False)])
+def test_a_ray_without_return_clears_space_only_for_a_sensor_that_sees_so_far(
+    scans: TrainingScans, farthest: float, is_free: bool
+) -> None:
+    """A laser of 8 m without any return beyond 5 m loses rays to glass: what lies behind is not free but unknown."""
+    ranges = np.full_like(scans.ranges, 2.0)
+    ranges[:, 1] = farthest
+    ranges[:, ::7] = np.inf
+    sensor = replace(scans.sensor, range_max=8.0)
+    left = reduce(replace(scans, ranges=ranges, sensor=sensor), 100)
+    assert left.n_far_returns == (0 if farthest < 7.2 else (ranges == farthest).sum())
+    x, y, phi = scans.poses[1]
+    way = phi + scans.sensor.bearings[7]
+    direction = np.array([[np.cos(way), np.sin(way)]])
+    assert left.known.supports(np.array([[x, y]]), direction, np.array([7.5]))[0] == is_free
