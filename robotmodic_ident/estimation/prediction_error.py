@@ -110,8 +110,9 @@ def _width(scores: Sequence[Floats], count: int) -> int:
 class NonlinearLeastSquares:
     """Least squares of what a model leaves in one-step prediction, over all segments."""
 
-    def __init__(self, recursion: Recursion, records: Sequence[Record]) -> None:
-        self.recursion = recursion
+    def __init__(self, recursion: Recursion, records: Sequence[Record], first: int = 0) -> None:
+        """Take records, of whose segments samples before `first` do not count."""
+        self.recursion, self.first = recursion, first
         self.segments: list[Segment] = [s for record in records for s in recursion.segments(record)]
         self.rows = [self._rows(segment) for segment in self.segments]
         self.count = int(sum(rows.sum() for rows in self.rows))
@@ -120,7 +121,8 @@ class NonlinearLeastSquares:
 
     def _rows(self, segment: Segment) -> np.ndarray:
         out, _, _ = self.recursion.run(segment, free=False)
-        return np.asarray(np.isfinite(out) & np.isfinite(segment.measured), dtype=np.bool_)
+        known = np.asarray(np.isfinite(out) & np.isfinite(segment.measured), dtype=np.bool_)
+        return known & (np.arange(len(known)) >= self.first)
 
     def evaluate(self, theta: Floats, *, gradient: bool = False) -> tuple[float, list[Floats], list[Floats]]:
         """Return the residual sum of squares, residuals and gradients; inf where the run diverges."""

@@ -32,6 +32,9 @@ class RationalSearch:
     """Relative gain of such a solution below which they end."""
     max_additions: int = 30
     """Terms added at most on the way to the structure."""
+    start_up: int = 10
+    """[samples] after the longest lag, in which noise that is not known before the start dies out; what they leave says
+    nothing of a structure, nor does that one of shorter lags has more samples."""
     min_gain: float = 1e-9
     """Relative fall of the criterion that a larger structure must bring."""
 
@@ -113,8 +116,17 @@ class RationalStructureSearch:
     criterion: str
 
     def search(self, model: Narmax) -> Narmax:
-        """Add the most promising term and drop the least significant ones until the criterion no longer falls."""
-        best = self._trial(model, model.parameters)
+        """Add the most promising term and drop the least significant ones until the criterion no longer falls.
+
+        In the end terms are dropped to the last, past structures that are worse: several that stand for one another
+        have to go together.
+        """
+        best = self._grown(self._trial(model, model.parameters))
+        while (fewer := self._least_of_fewer(best)) is not best:
+            best = self._grown(fewer)
+        return best.model
+
+    def _grown(self, best: _Candidate) -> _Candidate:
         for _ in range(RATIONAL_SEARCH.max_additions):
             name, start = self._most_promising(best)
             if start is None:
@@ -127,12 +139,28 @@ class RationalStructureSearch:
             if not grown.value < best.value - RATIONAL_SEARCH.min_gain * abs(best.value):
                 break
             best = grown
-        while (shrunk := self._without_least(best)) is not None and shrunk.value < best.value:
-            best = shrunk
-        return best.model
+        return best
+
+    def _least_of_fewer(self, best: _Candidate) -> _Candidate:
+        """Return the best of what is left as one term goes after another, or the one given."""
+        least, now = best, self._without_least(best)
+        while now is not None:
+            if now.value < least.value - RATIONAL_SEARCH.min_gain * abs(least.value):
+                least = now
+            now = self._without_least(now)
+        return least
+
+    def _problem(self, model: Narmax) -> NonlinearLeastSquares:
+        """Return the least squares of a structure over the samples that all structures predict, if there are enough."""
+        longest = (self.upper + self.lower + model.noise_terms).max_lag
+        first = longest + (RATIONAL_SEARCH.start_up if len(model.noise_terms) else 0)
+        longest_part = max(s.stop - s.start for record in self.records for s in record.segments())
+        return NonlinearLeastSquares(
+            model.recursion(), self.records, first if longest_part > 10 * first else 0
+        )
 
     def _trial(self, model: Narmax, start: Floats) -> _Candidate:
-        problem = NonlinearLeastSquares(model.recursion(), self.records)
+        problem = self._problem(model)
         result = problem.minimise(start)
         size, candidates = len(start), len(self.upper) + len(self.lower) + len(model.noise_terms)
         cost = penalties(self.criterion, size, candidates, np.array([result.count]))[0, size]
@@ -155,7 +183,7 @@ class RationalStructureSearch:
         absent = np.setdiff1d(np.arange(len(full.parameters)), present)
         if len(absent) == 0:
             return "", None
-        gains = NonlinearLeastSquares(full.recursion(), self.records).gains(full.parameters, absent)
+        gains = self._problem(full).gains(full.parameters, absent)
         best = int(absent[gains.argmax()])
         if best < len(above):
             return above.names[best], _with_zeros(model, model.terms + above[[best]], model.denominator)
