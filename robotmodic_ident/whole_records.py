@@ -90,7 +90,7 @@ def other_forms(
     heads = _heads(records, settings.max_friction_rows)
     order = settings.orders[0]
     found = {order: friction_models(heads, output, inputs, order, best.limits)}
-    if best.limits == UNLIMITED:
+    if best.limits[1] == UNLIMITED[1]:  # a magnitude may well rest at its least, 0
         heads = _heads(records, 2 * settings.max_rows)
         for order in (order for order in settings.orders if order <= settings.max_magnitude_order):
             found[order] = [*found.get(order, []), *magnitude_models(heads, output, inputs, order)]

@@ -288,7 +288,11 @@ def test_the_lost_sign_of_an_output_is_found() -> None:
 @pytest.mark.slow
 def test_a_lost_sign_is_found_alone() -> None:
     few = AutoSettings(orders=(2,), degrees=(1,), n_folds=2, max_magnitude_order=2)
-    assert auto_fit(pendulum(500, 41), "y", ["u"], settings=few).model.is_magnitude
+    data = pendulum(500, 41)
+    assert auto_fit(data, "y", ["u"], settings=few).model.is_magnitude
+    counted = {**data, "y": np.maximum(data["y"], 0.0)}  # as a counter of pulses, which rests at 0
+    assert output_limits(counted, "y")[0] == 0.0
+    assert auto_fit(counted, "y", ["u"], settings=few).model.is_magnitude
 
 
 def test_long_dynamics_are_found_by_linear_models_first() -> None:
