@@ -13,6 +13,7 @@ from sensorgraph.diagnosis.scan.constancy import changes
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
 from sensorgraph.effects import EFFECTS, Amendment
 
 
@@ -74,3 +75,14 @@ def test_errors_that_neighbouring_scans_share_are_no_change(quiet: ScanData) -> 
     for _ in range(4):
         walk = np.interp(seconds, np.arange(n + 1), rng.normal(0, 0.01, n + 1))
         assert changes(fitted(replace(quiet, ranges=quiet.ranges + walk[:, None], memo={}))) == []
+
+
+@pytest.mark.parametrize(("half_width", "is_told"), [(0.03, False), (0.005, True)])
+def test_a_jump_as_large_as_good_windows_differ_by_is_the_site(
+    hall: Arena, quiet: ScanData, half_width: float, is_told: bool
+) -> None:
+    """Where poses come from the scans, the mount seems to move by centimetres from one good window to the next."""
+    broken = halves(quiet, data_of(hall, (EFFECTS["mount_xy"](dx=0.02, dy=0.0),)), 0.5)
+    usual = BaselineInterval(mean={"dx": 0.01, "dy": 0.0}, half_width={"dx": half_width, "dy": half_width})
+    site = replace(broken, baseline_intervals={"mount_xy": usual}, memo={})
+    assert bool(changes(fitted(site))) == is_told
