@@ -13,7 +13,7 @@ from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces import reduction
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.model import Faces
-from sensorgraph.models.faces.observed_space import ObservedSpace
+from sensorgraph.models.faces.observed_space import ObservedSpace, missing_returns_are_free
 from sensorgraph.models.faces.reduction import Reduction, blocks_of, reduce_blocks
 from sensorgraph.world.raycast import cast
 
@@ -53,6 +53,7 @@ def test_blocks_of_any_size_leave_the_same(scans: TrainingScans, size: int) -> N
     np.testing.assert_array_equal(parts.sample.ranges, whole.sample.ranges)
     np.testing.assert_array_equal(parts.sample.poses, whole.sample.poses)
     assert parts.observed.counts.sum() == whole.observed.counts.sum()
+    assert parts.observed.free.sum() == whole.observed.free.sum()
 
 
 def test_the_sample_is_the_same_share_of_every_part(
@@ -126,7 +127,7 @@ def test_jumping_through_crossed_space_agrees_with_a_walk_in_small_steps() -> No
     rng = np.random.default_rng(12)
     counts = np.ones((60, 50), dtype=np.uint8)
     counts[tuple(rng.integers(0, (60, 50), (40, 2)).T)] = 0
-    grid = ObservedSpace(origin=np.array([-2.0, -1.5]), cell=0.1, counts=counts)
+    grid = ObservedSpace(origin=np.array([-2.0, -1.5]), cell=0.1, counts=counts, free=counts > 0)
     origins = rng.uniform([-1.9, -1.4], [3.9, 3.4], (3000, 2))
     turn = rng.uniform(-np.pi, np.pi, 3000)
     turn[:40] = np.repeat([0.0, np.pi / 2, np.pi, -np.pi / 2], 10)
@@ -163,18 +164,27 @@ def test_hits_are_those_of_all_rays_though_the_sample_is_even(
     np.testing.assert_allclose(hits_by_wall(), every, rtol=0.02)
 
 
-@pytest.mark.parametrize(("farthest", "is_free"), [(7.9, True), (5.0, False)])
-def test_a_ray_without_return_clears_space_only_for_a_sensor_that_sees_so_far(
-    scans: TrainingScans, farthest: float, is_free: bool
-) -> None:
-    """A laser of 8 m without any return beyond 5 m loses rays to glass: what lies behind is not free but unknown."""
-    ranges = np.full_like(scans.ranges, 2.0)
-    ranges[:, 1] = farthest
-    ranges[:, ::7] = np.inf
-    sensor = replace(scans.sensor, range_max=8.0)
-    left = reduce(replace(scans, ranges=ranges, sensor=sensor), 100)
-    assert left.n_far_returns == (0 if farthest < 7.2 else (ranges == farthest).sum())
-    x, y, phi = scans.poses[1]
-    way = phi + scans.sensor.bearings[7]
-    direction = np.array([[np.cos(way), np.sin(way)]])
-    assert left.known.supports(np.array([[x, y]]), direction, np.array([7.5]))[0] == is_free
+def test_missing_returns_are_of_free_rays_where_things_stop_rays_at_one_rate() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        lengths = rng.exponential(rng.uniform(3.0, 40.0), 20_000)  # [m] to the next tree of a forest
+        assert missing_returns_are_free(np.where(lengths < 8.0, lengths, np.inf), 8.0)
+    assert missing_returns_are_free(np.array([1.0, 2.0, 3.0]), 8.0)
+
+
+def test_missing_returns_are_not_of_free_rays_where_few_return_from_so_far() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        ranges = rng.uniform(0.5, 6.0, 20_000)  # [m] to the walls of a room
+        ranges[rng.random(20_000) < rng.uniform(0.003, 0.1)] = np.inf
+        assert not missing_returns_are_free(ranges, 80.0)
+
+
+def test_space_behind_dark_things_is_looked_at_and_not_known_to_be_free(scans: TrainingScans) -> None:
+    far = replace(scans, sensor=replace(scans.sensor, range_max=80.0))
+    known = reduce(far, 100).observed.with_missing(scans.ranges[scans.ranges > 0], 80.0)
+    returned = np.isfinite(scans.ranges)
+    plain = reduce(replace(far, ranges=np.where(returned, scans.ranges, np.nan)), 100).observed
+    assert known.free.sum() == (plain.counts > 0).sum() < 0.01 * (known.counts > 0).sum()
+    near = reduce(scans, 100).observed.with_missing(np.array([1.0, 2.0]), 8.0)
+    np.testing.assert_array_equal(near.free, near.counts > 0)

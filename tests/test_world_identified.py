@@ -154,7 +154,9 @@ def test_free_space_is_the_crossed_cells_made_wider_without_what_no_disc_fits_in
     cell, half = 0.1, 0.05
     crossed = rng.random((30, 40)) < 0.6
     crossed[3:9, 5:12] = True  # a disc fits in here, and perhaps elsewhere
-    space = ObservedSpace(origin=np.array([-1.23, 4.567]), cell=cell, counts=crossed.astype(np.uint8))
+    space = ObservedSpace(
+        origin=np.array([-1.23, 4.567]), cell=cell, counts=crossed.astype(np.uint8), free=crossed
+    )
     wall = np.array([[[-0.9, 5.0], [-0.2, 5.0]]])
     found = _free_space(space, wall, np.array([[0.0, 1.0]]))
     boxes = [

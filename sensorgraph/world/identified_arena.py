@@ -1,4 +1,4 @@
-"""The arena that a sensorgraph of faces holds: visible stretches as walls, crossed space as free space.
+"""The arena that a sensorgraph of faces holds: visible stretches as walls, space that returning rays crossed as free space.
 
 With it a later run is diagnosed, planned or simulated against what was identified, as against a drawn map.
 """
@@ -124,8 +124,8 @@ def _group_points(points: Floats, distance: float) -> tuple[int, Ints]:
 
 
 def _free_space(crossed: ObservedSpace, walls: Floats, normals: Floats) -> Polygon | MultiPolygon:
-    """Return the crossed cells, a little wider, without what lies behind walls."""
-    cells = widened_outline(crossed.counts > 0, np.asarray(crossed.origin), crossed.cell)
+    """Return the cells that are known to be free, a little wider, without what lies behind walls."""
+    cells = widened_outline(crossed.free, np.asarray(crossed.origin), crossed.cell)
     behind = np.concatenate(
         [walls, walls[:, ::-1] - WALL_THICKNESS * normals[:, None]], axis=1
     )  # (n_walls, 4, 2)

@@ -45,6 +45,7 @@ from sensorgraph.models.calibration.pose_refinement import (
 from sensorgraph.models.calibration.ray_terms import RayTerms
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.fit import FittedFaces, draft_faces, fit_cost, fit_faces
+from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.reduction import RaySample
 from sensorgraph.models.faces.visibility import Rays, ReturnNoise
@@ -91,6 +92,12 @@ def readings_of(sample: RaySample, sensor: RangeSensor) -> tuple[Readings, Float
         range_max=sensor.range_max,
     )
     return readings, sample.poses_of_rays if sweeps else sample.poses[new]
+
+
+def observed_by(rays: Rays) -> ObservedSpace:
+    """Count the space that corrected rays went through."""
+    reach = np.minimum(rays.ranges, rays.range_max)
+    return ObservedSpace.of(rays.origins, rays.directions, reach, returned=np.isfinite(rays.ranges))
 
 
 def corrected_rays(

@@ -61,7 +61,12 @@ def stored(model: FacesData) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     arrays |= {f"calibration.{name}": array for name, array in terms.items()}
     if model.statistics is not None:
         arrays |= {f"memory.{name}": array for name, array in model.statistics.arrays().items()}
-    arrays |= {"crossed.origin": model.observed.origin, "crossed.counts": model.observed.counts}
+    observed = model.observed
+    arrays |= {
+        "crossed.origin": observed.origin,
+        "crossed.counts": observed.counts,
+        "crossed.free": observed.free,
+    }
     if model.cells is not None:
         header["cells"], own = model.cells.state()
         arrays |= {f"cells.{name}": array for name, array in own.items()}
@@ -94,6 +99,10 @@ def restored_fields(
             origin=np.asarray(arrays["crossed.origin"], dtype=np.float64),
             cell=float(header["cell"]),
             counts=np.asarray(arrays["crossed.counts"], dtype=np.uint8),
+            free=np.asarray(
+                arrays["crossed.free"] if "crossed.free" in arrays else arrays["crossed.counts"],
+                dtype=np.bool_,
+            ),
         ),
         "returns": float(header["returns"]),
         "n_rays": int(header.get("n_rays", 0)),
@@ -130,6 +139,8 @@ def _check_rest(faces: FaceSet, header: Mapping[str, Any], arrays: Mapping[str, 
         raise ValueError(
             f"crossed.counts has shape {counts.shape} of {counts.dtype}, expected (nx, ny) of uint8"
         )
+    if "crossed.free" in arrays:
+        check_shape("crossed.free", arrays["crossed.free"], counts.shape, "b")
     check_positive("cell", header["cell"])
     check_range("returns", header["returns"], 0, 1 + ROUNDING)
     check_range("n_rays", header.get("n_rays", 0), 0)

@@ -23,7 +23,7 @@ from logs.run import RangeSensor
 from logs.transforms import compose
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Point, Prediction, TrainingScans
-from sensorgraph.models.calibration.calibrate import calibrate_faces, corrected_rays
+from sensorgraph.models.calibration.calibrate import calibrate_faces, corrected_rays, observed_by
 from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cones.fit import fit_cones, readings_of_cones
@@ -44,7 +44,6 @@ from sensorgraph.models.faces.reduction import (
     MapBlocks,
     Reduction,
     blocks_of,
-    observed_by,
     reduce_blocks,
 )
 from sensorgraph.models.faces.sampling import draw_rays
@@ -155,16 +154,14 @@ class Faces(FacesData):
         )
         if not found.calibration.is_as_stated and len(found.rays) == reduced.n_rays:
             # of a larger log the grid of all its rays, a few cm off, tells more than that of a sample
-            known = observed_by(found.rays)
-        else:
-            known = reduced.known
+            reduced = replace(reduced, observed=observed_by(found.rays))
         fitted, scale = found.fitted, scale_of(found.rays, reduced.n_rays)
         return cls(
             sensor=sensor,
             faces=fitted.faces,
             noise=fitted.noise,
             hits=scale * fitted.hits,
-            observed=known,
+            observed=reduced.observed.with_missing(found.rays.ranges, sensor.range_max),
             returns=reduced.n_returns / reduced.n_rays,
             mount=found.mount,
             calibration=found.calibration,
@@ -219,7 +216,7 @@ class Faces(FacesData):
             faces=faces,
             noise=noise,
             hits=statistics.line_sums[:, 5].copy(),
-            observed=self.observed.merge(new.known),
+            observed=self.observed.merge(new.observed.with_missing(rays.ranges, self.sensor.range_max)),
             returns=(self.returns * self.n_rays + new.n_returns) / (self.n_rays + new.n_rays),
             n_rays=self.n_rays + new.n_rays,
             statistics=statistics,

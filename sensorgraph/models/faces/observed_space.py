@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -29,20 +29,34 @@ class ObservedSpace:
     """[m]"""
     counts: NDArray[np.uint8]
     """(nx, ny) rays, 255 at most."""
+    free: Bools
+    """(nx, ny) whether a ray that returned went through; or any, if missing returns are of free rays."""
 
     @classmethod
     def of(
-        cls, origins: Floats, directions: Floats, reach: Floats, *, cell: float = PREDICTION.observed_cell
+        cls,
+        origins: Floats,
+        directions: Floats,
+        reach: Floats,
+        *,
+        returned: Bools | None = None,
+        cell: float = PREDICTION.observed_cell,
     ) -> ObservedSpace:
-        """Count rays (n, 2), (n, 2) that were free up to `reach` (n,) [m]."""
+        """Count rays (n, 2), (n, 2) that met nothing up to `reach` (n,) [m]; those `returned` (n,), or all, show free space."""
         low, high = _extent(origins, directions, reach)
         while np.prod((high - low) / cell + 4) > PREDICTION.max_observed_cells:
             cell *= 2
         corner = np.floor(low / cell - 1) * cell
         shape = np.ceil((high - corner) / cell).astype(int) + 2
         counts = np.zeros((int(shape[0]), int(shape[1])), dtype=np.uint8)
-        _count_rays(origins, directions, reach, corner, cell, counts)
-        return cls(origin=corner, cell=cell, counts=counts)
+        free = np.zeros(counts.shape, dtype=np.bool_)
+        shows = np.ones(len(reach), dtype=np.bool_) if returned is None else returned
+        _count_rays(origins, directions, reach, shows, corner, cell, counts, free)
+        return cls(origin=corner, cell=cell, counts=counts, free=free)
+
+    def with_missing(self, ranges: Floats, range_max: float) -> ObservedSpace:
+        """Take the way of missing returns among `ranges` (n,) [m], counted already, for free if they show that."""
+        return replace(self, free=self.counts > 0) if missing_returns_are_free(ranges, range_max) else self
 
     @cached_property
     def distance_to_unobserved(self) -> NDArray[np.uint8]:
@@ -61,12 +75,17 @@ class ObservedSpace:
         high = np.max([corners[0] + self.counts.shape, corners[1] + other.counts.shape], axis=0)
         if np.prod((high - low).astype(float)) > PREDICTION.max_observed_cells:
             return self.coarser().merge(other.coarser())
-        total = np.zeros(high - low, dtype=np.uint16)
-        for corner, grid in zip(corners, (self.counts, other.counts), strict=True):
+        total, free = np.zeros(high - low, dtype=np.uint16), np.zeros(high - low, dtype=np.bool_)
+        for corner, grid in zip(corners, (self, other), strict=True):
             i, j = corner - low
-            total[i : i + grid.shape[0], j : j + grid.shape[1]] += grid
+            part = np.s_[i : i + grid.counts.shape[0], j : j + grid.counts.shape[1]]
+            total[part] += grid.counts
+            free[part] |= grid.free
         return ObservedSpace(
-            origin=low * self.cell, cell=self.cell, counts=np.minimum(total, MAX_COUNT).astype(np.uint8)
+            origin=low * self.cell,
+            cell=self.cell,
+            counts=np.minimum(total, MAX_COUNT).astype(np.uint8),
+            free=free,
         )
 
     def coarser(self) -> ObservedSpace:
@@ -74,13 +93,14 @@ class ObservedSpace:
         corner = np.round(self.origin / self.cell).astype(int)
         before = corner % 2
         after = (before + self.counts.shape) % 2
-        padded = np.pad(self.counts.astype(np.uint16), np.stack([before, after], axis=1))
-        nx, ny = padded.shape
-        total = padded.reshape(nx // 2, 2, ny // 2, 2).sum(axis=(1, 3))
+        sides = np.stack([before, after], axis=1)
+        counts, free = np.pad(self.counts.astype(np.uint16), sides), np.pad(self.free, sides)
+        fours = (counts.shape[0] // 2, 2, counts.shape[1] // 2, 2)
         return ObservedSpace(
             origin=(corner - before) * self.cell,
             cell=2 * self.cell,
-            counts=np.minimum(total, MAX_COUNT).astype(np.uint8),
+            counts=np.minimum(counts.reshape(fours).sum(axis=(1, 3)), MAX_COUNT).astype(np.uint8),
+            free=free.reshape(fours).max(axis=(1, 3)),
         )
 
     def supports(self, origins: Floats, directions: Floats, reach: Floats) -> Bools:
@@ -90,6 +110,24 @@ class ObservedSpace:
             origins, directions, reach, self.origin, self.cell, self.distance_to_unobserved, out
         )
         return out
+
+
+def missing_returns_are_free(ranges: Floats, range_max: float) -> bool:
+    """Tell whether rays without a return can all have been free; `ranges` (n,) [m], not finite where nothing returned.
+
+    Nothing returns from beyond `range_max`, nor from surfaces that are black, smooth or of glass. If all missing returns
+    were of free rays, these would have gone on to `range_max`, and other rays of that length would have been stopped on
+    the way at one rate: once in a mean free path, the metres gone over the returns. They were not where from beyond
+    some range fewer returns came than that rate makes of the missing ones; looked at where a mean free path is left.
+    """
+    returned = np.sort(ranges[np.isfinite(ranges)])
+    n_missing, n = len(ranges) - len(returned), len(returned)
+    if n_missing == 0 or n == 0:
+        return True
+    mean_free_path = (returned.sum() + n_missing * range_max) / n
+    expected = n_missing * (range_max - returned) / mean_free_path
+    beyond = np.arange(n)[::-1]
+    return not ((beyond < expected) & (returned <= range_max - mean_free_path)).any()
 
 
 @inner_kernel
@@ -148,7 +186,9 @@ def _extent(origins: Any, directions: Any, reach: Any) -> Any:
 
 
 @outer_kernel
-def _count_rays(origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, counts: Any) -> Any:
+def _count_rays(
+    origins: Any, directions: Any, reach: Any, shows: Any, origin: Any, cell: Any, counts: Any, free: Any
+) -> Any:
     nx, ny = counts.shape
     for k in range(len(reach)):
         ux, uy = directions[k, 0], directions[k, 1]
@@ -163,6 +203,8 @@ def _count_rays(origins: Any, directions: Any, reach: Any, origin: Any, cell: An
         while 0 <= i < nx and 0 <= j < ny:
             if counts[i, j] < MAX_COUNT:
                 counts[i, j] += 1
+            if shows[k]:
+                free[i, j] = True
             if next_x < next_y:
                 if next_x > reach[k]:
                     break

@@ -23,7 +23,7 @@ from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.strata import spread_evenly
 from sensorgraph.models.faces.visibility import Rays
-from sensorgraph.types import Bools, Floats
+from sensorgraph.types import Floats
 
 SCANS_PER_BLOCK = FACES.reduction.scans_per_block
 MAX_COLLECTED_RAYS = FACES.reduction.max_collected_rays
@@ -97,27 +97,10 @@ class Reduction:
 
     hit_moments: HitMoments
     observed: ObservedSpace
-    """By rays that returned."""
-    observed_without_return: ObservedSpace | None
-    """By rays that did not, if they were clear up to `range_max`; None: there are none."""
     sample: RaySample
     n_rays: int
     """All that were neither broken nor too near."""
     n_returns: int
-    n_far_returns: int
-    """From the last part of the range (`far_share`)."""
-
-    @property
-    def known(self) -> ObservedSpace:
-        """Space that the rays crossed; those without a return count where that can mean that nothing was in reach.
-
-        A sensor that sees to `range_max` also sees what is a little nearer. Where hardly any return comes from there,
-        rays are lost to glass, black or slanting surfaces, and say nothing of what lies behind.
-        """
-        lost = self.n_rays - self.n_returns
-        if self.observed_without_return is None or not reaches_range_max(self.n_far_returns, lost):
-            return self.observed
-        return self.observed.merge(self.observed_without_return)
 
     def spread_evenly(self, sensor: RangeSensor) -> Reduction:
         """Return the same with a sample that is spread evenly, whose weights add up to all rays."""
@@ -131,36 +114,10 @@ class Reduction:
         return Reduction(
             hit_moments=self.hit_moments.merge(other.hit_moments),
             observed=self.observed.merge(other.observed),
-            observed_without_return=_merged(self.observed_without_return, other.observed_without_return),
             sample=self.sample.merge(other.sample),
             n_rays=self.n_rays + other.n_rays,
             n_returns=self.n_returns + other.n_returns,
-            n_far_returns=self.n_far_returns + other.n_far_returns,
         )
-
-
-def reaches_range_max(n_far_returns: int, n_lost: int) -> bool:
-    """Tell whether returns come from so far that rays without one (n_lost) may have ended beyond `range_max`."""
-    return n_far_returns >= FACES.reduction.min_far_returns * n_lost
-
-
-def is_far(ranges: Floats, range_max: float) -> Bools:
-    """Tell which ranges are of the last part of what the sensor can measure."""
-    return np.asarray((ranges > (1 - FACES.reduction.far_share) * range_max) & np.isfinite(ranges))
-
-
-def observed_by(rays: Rays) -> ObservedSpace:
-    """Count the space that corrected rays went through, without a return only where `Reduction.known` would."""
-    returned = np.isfinite(rays.ranges)
-    far = int(is_far(rays.ranges, rays.range_max).sum())
-    reach = rays.range_max if reaches_range_max(far, int((~returned).sum())) else 0.0
-    return ObservedSpace.of(rays.origins, rays.directions, np.where(returned, rays.ranges, reach))
-
-
-def _merged(first: ObservedSpace | None, second: ObservedSpace | None) -> ObservedSpace | None:
-    if first is None or second is None:
-        return second if first is None else first
-    return first.merge(second)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -211,13 +168,9 @@ def reduce_block(block: Block, *, mount: Floats, share: float) -> Reduction:
     reach, place = reach[:n_rays], place[:n_rays]
     taken = place if share >= 1 else place[_is_sampled(place, block.first * sensor.n_rays, share)]
     row, beam = np.divmod(taken, sensor.n_rays)
-    lost = np.isnan(ends[:, 0])
     return Reduction(
         hit_moments=HitMoments.of(ends, directions),
-        observed=ObservedSpace.of(origins, directions, np.where(lost, 0.0, reach)),
-        observed_without_return=ObservedSpace.of(origins[lost], directions[lost], reach[lost])
-        if lost.any()
-        else None,
+        observed=ObservedSpace.of(origins, directions, reach, returned=np.isfinite(ranges.ravel()[place])),
         sample=RaySample(
             poses=scans.poses[row],
             beams=beam.astype(np.int32),
@@ -226,7 +179,6 @@ def reduce_block(block: Block, *, mount: Floats, share: float) -> Reduction:
         ),
         n_rays=n_rays,
         n_returns=n_returns,
-        n_far_returns=int(is_far(reach[~lost], sensor.range_max).sum()),
     )
 
 

@@ -30,11 +30,6 @@ class FaceReductionSettings:
     """Rays taken of a whole log, in the mean, ..."""
     max_sampled_rays: int = 1_500_000
     """... of which the sample holds so many, spread evenly over places and directions."""
-    far_share: float = 0.1
-    """Last part of `range_max` from which a sensor that sees so far also has returns, ..."""
-    min_far_returns: float = 0.01
-    """... at least so many for each ray without one; else these rays are lost, and cleared nothing. Of public logs aces
-    has 0.1, fhw, intel and freiburg-079 have none."""
     hit_cell: float = 0.02
     """[m] side of the cells in which hits are pooled."""
     kept_crossings: int = 12
