@@ -71,6 +71,30 @@ def relations_row(name: str, errors: tuple[Floats, Floats]) -> str:
     )
 
 
+def triangle_closures(relations: Floats) -> tuple[Floats, Floats, NDArray[np.intp]]:
+    """Return how far [m] and by how much [rad] three relations among three times miss the start, and which relations these are.
+
+    No poses can meet relations that contradict each other: with n independent errors of one size, three relations miss by √3
+    times that size.
+    """
+    steps: dict[float, dict[float, tuple[int, Floats]]] = {}
+    for k, row in enumerate(relations):
+        a, b, step = float(row[0]), float(row[1]), row[[2, 3, 7]]
+        steps.setdefault(a, {})[b] = (k, step)
+        steps.setdefault(b, {})[a] = (k, invert(step))
+    corners = {
+        tuple(sorted((a, b, c)))
+        for a in steps
+        for b in steps[a]
+        for c in steps[b]
+        if c != a and a in steps[c]
+    }
+    around = [(steps[a][b], steps[b][c], steps[c][a]) for a, b, c in sorted(corners)]
+    missed = np.array([compose(compose(one[1], two[1]), three[1]) for one, two, three in around])
+    used = np.unique([step[0] for sides in around for step in sides])
+    return np.hypot(missed[:, 0], missed[:, 1]), np.abs(wrap(missed[:, 2])), used
+
+
 def sharpness(points: Floats, scans: NDArray[np.intp], *, n: int = 20000, seed: int = 0) -> Floats:
     """Return distances [m] of returns from the line fitted to returns of other scans within `RADIUS`.
 
@@ -169,7 +193,14 @@ def compare_relations(data: Path) -> None:
     motion = odometry_of(run)
     assert motion is not None
     print(relations_row("wheels", relation_errors(run, odometry_at_scans(run, motion), relations)))
-    print(relations_row("located", relation_errors(run, map_run(run).poses, relations)))
+    errors = relation_errors(run, map_run(run).poses, relations)
+    print(relations_row("located", errors))
+    place, turn, used = triangle_closures(relations)
+    missed, own = (100 * np.sqrt((values**2).mean()) for values in (place / np.sqrt(3), errors[0][used]))
+    print(
+        f"{len(place)} triangles of {len(used)} relations miss their start by {100 * place.mean():.2f} cm, "
+        f"{np.degrees(turn.mean()):.3f}°: the error of one relation is {missed:.2f} cm rms; located, on these, {own:.2f} cm rms"
+    )
 
 
 def compare_sharpness(data: Path) -> None:
